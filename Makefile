@@ -11,16 +11,15 @@ QUIET := OPENBLAS_NUM_THREADS=1
 demo: $(READY)
 	$(BIN)/charact demo demo
 
-# Wire tests go one at a time, since their camera has one port, and mostly wait: the others run beside them at low
-# priority, since wire tests have time limits.
+# Tests that take a second at most; the others run in test-all.
 test: $(READY)
-	mkdir -p build
-	$(BIN)/pytest -m wires > build/wires.log 2>&1 & wires=$$!; \
-	nice -n 19 $(BIN)/pytest -m "not wires" -n $(WORKERS) --dist loadfile; others=$$?; \
-	wait $$wires; wires=$$?; cat build/wires.log; [ $$others -eq 0 ] && [ $$wires -eq 0 ]
+	$(BIN)/pytest -q -m "not wires and not slow" -n $(WORKERS) --dist loadfile
 
-# Statistical tests with three seeds from the clock; every index of the compiled loops checked; V4L2 in a guest.
+# All tests: wire tests one at a time, since their camera has one port; slow tests; statistical tests with three seeds from
+# the clock; every index of the compiled loops checked; V4L2 in a guest.
 test-all: test
+	$(BIN)/pytest -m wires
+	$(BIN)/pytest -m "slow and not wires" -n $(WORKERS) --dist loadfile
 	for i in 1 2 3; do \
 	  seed=$$(date +%N | sed 's/^0*//'); echo "seed from the clock: $$seed"; \
 	  CHARACT_TEST_SEED=$$seed $(BIN)/pytest -q -m "not wires" -n $(WORKERS) --dist loadfile || exit 1; \
@@ -43,12 +42,9 @@ bench: $(READY)
 study: $(READY)
 	$(QUIET) $(BIN)/python -m benchmarks.studies $(if $(NAME),run $(NAME),list)
 
-# Every figure of the documentation, by simulation.
+# The documentation as a site, docs/_build/index.html; warnings are errors.
 docs: $(READY)
-	$(BIN)/python docs/pictures.py
-	$(QUIET) $(BIN)/python docs/bloom_pictures.py
-	$(QUIET) $(BIN)/python docs/night_light.py
-	$(QUIET) PYTHONPATH=. $(BIN)/python docs/night_scenes.py
+	$(QUIET) $(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build
 
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header \

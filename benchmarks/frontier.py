@@ -23,8 +23,8 @@ from tests.simulate import event_by_event as events
 from tests.simulate.conftest import PLAIN
 from tests.simulate.test_moments import BLOCKS, measured_flat
 
-PAGE = Path("docs/simulator.md")
-CHART = Path("docs/simulator/frontier.png")
+PAGE = Path("docs/validation/simulator.md")
+CHART = Path("docs/pictures/simulator/frontier.png")
 LEVELS = (0.05, 0.5, 5.0, 50.0, 500.0)
 # Moments and the error that each may have; the worst error is counted in these.
 TOLERANCES = {"mean": 1e-3, "variance": 5e-3, "skewness": 2e-2, "quantile": 5e-3}

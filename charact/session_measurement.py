@@ -6,18 +6,13 @@ from functools import partial
 from pathlib import Path
 
 from charact.method import Context
-from charact.method.cluster import Spread
+from charact.method.registry import Progress, Spread, ignore_progress
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
-from labdata.measurement import Measurement, Result
+from labdata.measurement import Result
 from labdata.session import MANIFEST, Session, StackEntry, open_session, sha256_of
 
-Progress = Callable[[str, float], None]
 Task = Callable[[Context], Result]
-
-
-def ignore_progress(sentence: str, share: float) -> None:
-    """Ignore progress."""
 
 
 def measure(
@@ -105,7 +100,7 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
     from charact.mtf.bars.group_curve import session_curves
     from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
     from charact.mtf.session.joint import fit_joint_mtf
-    from charact.mtf.session.session_budget import add_mtf_budget
+    from charact.mtf.session.mtf_budget import add_mtf_budget
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}
@@ -154,36 +149,23 @@ def method_context(
 
 def _tasks(session: Session, within_percent: float) -> list[tuple[str, Task]]:
     """Sentence and function of every analysis the session has stacks for; the halo precedes the MTF, which uses it."""
+    from charact import bloom, mtf, noise
+
+    def of(analysis: Callable[..., Result]) -> Task:
+        return lambda context: analysis(session, within_percent=within_percent, context=context)
+
     tasks: list[tuple[str, Task]] = []
     if session.of_kind("dark", "flat"):
-        tasks.append(("noise against gain", partial(_noise, session, within_percent)))
+        tasks.append(("noise against gain", of(noise.measure)))
     if session.of_kind("flat"):
-        tasks.append(("post-gain MTF from the noise of flats", partial(_post_gain, session, within_percent)))
+        tasks.append(("post-gain MTF from the noise of flats", of(mtf.measure_flats)))
     if session.of_kind("point"):
-        tasks.append(("halo and blooming", partial(_bloom, session, within_percent)))
+        tasks.append(("halo and blooming", of(bloom.measure)))
     targets = session.of_kind("edge", "bars")
     tasks += [(f"MTF of {entry.label}", partial(_target, session, entry, within_percent)) for entry in targets]
     if session.of_kind("point"):
         tasks.append(("MTF of a point source", partial(_best_point, session, within_percent)))
     return tasks
-
-
-def _noise(session: Session, within_percent: float, context: Context) -> Result:
-    from charact import noise
-
-    return noise.measure(session, within_percent=within_percent, context=context)
-
-
-def _post_gain(session: Session, within_percent: float, context: Context) -> Result:
-    from charact import mtf
-
-    return mtf.measure_flats(session, within_percent=within_percent, context=context)
-
-
-def _bloom(session: Session, within_percent: float, context: Context) -> Result:
-    from charact import bloom
-
-    return bloom.measure(session, within_percent=within_percent, context=context)
 
 
 def _target(session: Session, entry: StackEntry, within_percent: float, context: Context) -> Result:
@@ -192,7 +174,11 @@ def _target(session: Session, entry: StackEntry, within_percent: float, context:
     target, stack = entry.target, entry.read()
     if entry.kind == "edge" and stack.black_level_dn is None:
         stack = replace(stack, black_level_dn=session.black_dn(entry))
-    arguments = {"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px} if entry.kind == "bars" else {}
+    arguments = {
+        "edge": {},
+        "bars": {"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px},
+        "point": {"pinhole_px": target.pinhole_px},
+    }[entry.kind]
     found = mtf.measure(
         entry.kind, stack, region=target.region, within_percent=within_percent, context=context, **arguments
     )
@@ -204,26 +190,17 @@ def _best_point(session: Session, within_percent: float, context: Context) -> Re
 
     The narrowest interval would select a halo that is too small by chance, with an MTF that is too high.
     """
-    from charact import mtf
     from charact.mtf.point.source import source_signal
 
     found: list[tuple[tuple[int, int], StackEntry, Result]] = []
     for entry in session.of_kind("point"):
-        target = entry.target
-        one = mtf.measure(
-            "point", entry.read(), region=target.region, within_percent=within_percent, context=context,
-            pinhole_px=target.pinhole_px,
-        )  # fmt: skip
-        found.append((_count_refusals_and_flags(one.measurements), entry, with_stack_label(one, entry.label)))
+        one = _target(session, entry, within_percent, context)
+        refusals = sum(m.status == "refused" for m in one.measurements)
+        found.append(((refusals, sum(len(m.flags) for m in one.measurements)), entry, one))
     least = min(distrust for distrust, _, _ in found)
     trusted = [(entry, result) for distrust, entry, result in found if distrust == least]
     # Read again: a long series does not fit into memory.
     return max(trusted, key=lambda one: source_signal(one[0].read().data))[1] if len(trusted) > 1 else trusted[0][1]
-
-
-def _count_refusals_and_flags(measurements: tuple[Measurement, ...]) -> tuple[int, int]:
-    refusals = sum(m.status == "refused" for m in measurements)
-    return refusals, sum(len(m.flags) for m in measurements)
 
 
 def with_stack_label(result: Result, label: str) -> Result:

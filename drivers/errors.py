@@ -4,11 +4,7 @@ from typing import Any, Self
 
 
 class BenchError(Exception):
-    """An instrument failed.
-
-    The message is one sentence with instrument, rule and value. Use it to catch any error of the
-    bench; `instrument` is the one that failed.
-    """
+    """An instrument failed; one sentence with instrument, rule and value. Use it to catch any error of the bench."""
 
     def __init__(self, sentence: str, *, instrument: str = "bench") -> None:
         super().__init__(sentence)
@@ -29,10 +25,7 @@ class InstrumentDisconnected(BenchError):
 
 
 class InstrumentRejected(BenchError):
-    """The instrument did not obey a command, or reads back another value than set.
-
-    Use this when the instrument works and the setting is wrong; `code` is its error code.
-    """
+    """The instrument did not obey a command, or reads back another value; `code` is its error code."""
 
     def __init__(self, sentence: str, *, instrument: str = "bench", code: int | None = None) -> None:
         super().__init__(sentence, instrument=instrument)

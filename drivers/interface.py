@@ -52,12 +52,9 @@ class Camera(Protocol):
 class FrameLevels:
     """Levels of a frame."""
 
-    mean: float
-    """Mean pixel value, fraction of full scale."""
-    saturated: float
-    """Fraction of pixels at full scale."""
-    allowed: float = 0.0
-    """Fraction allowed by its step."""
+    mean: float  # Mean pixel value, fraction of full scale
+    saturated: float  # Fraction of pixels at full scale
+    allowed: float = 0.0  # Fraction allowed by its step
 
     @classmethod
     def of(cls, pixels: NDArray, full_scale_dn: float, *, allowed: float = 0.0) -> "FrameLevels":
@@ -70,17 +67,11 @@ class Bench(Protocol):
     """Gate, gain and light of the tube; leaving its `with` block makes the tube safe."""
 
     def set_conditions(self, conditions: Conditions) -> Conditions:
-        """Set gate and gain, with the gate shut meanwhile, and return the read-backs.
-
-        `gate_ns` None or 0 leaves the gate shut.
-        """
+        """Set gate and gain behind a shut gate, and return the read-backs; `gate_ns` None or 0 leaves it shut."""
         ...
 
     def guard(self, operator: "Operator") -> "Operator":
-        """Return the operator and the bench's lamp behind the interlock.
-
-        Only what is returned may be used.
-        """
+        """Return the operator and the bench's lamp behind the interlock; only what is returned may be used."""
         ...
 
     def read_meters(self) -> tuple[Conditions, tuple[str, ...]]:
@@ -134,8 +125,8 @@ class Operator(Protocol):
         """Whether a person sets the light; the gate is then shut meanwhile."""
         ...
 
+    # Called at least every 0.1 s while it waits for a person; an exception ends the wait
     while_waiting: Callable[[], None]
-    """Called at least every 0.1 s while it waits for a person; an exception ends the wait."""
 
     def darken(self) -> None:
         """Block the light, without waiting."""
@@ -144,20 +135,9 @@ class Operator(Protocol):
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
     ) -> Conditions:
-        """Place a target, set the light (0: dark), and return the reading of the light meter.
+        """Place a target and set the light behind the filter, lux (0: dark); return the reading of the light meter.
 
-        Parameters
-        ----------
-        kind, target
-            Kind and target of the frames.
-        illuminance_lux
-            Illuminance on the photocathode, behind the filter, lux.
-        filter_density
-            Optical density of the neutral filter; None: any suitable one.
-
-        Returns
-        -------
-        Conditions
-            `illuminance_lux` as read, and `illuminance_relative_sd` of the meter's calibration, where known.
+        `filter_density` None: any suitable filter. Returns `illuminance_lux` as read, and `illuminance_relative_sd` of
+        the meter's calibration, where known.
         """
         ...

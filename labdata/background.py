@@ -8,26 +8,14 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-CAPACITY = 10_000
-"""Queued items: minutes of events, a few megabytes of memory."""
+CAPACITY = 10_000  # Queued items: minutes of events, a few megabytes of memory
 
 
 class BackgroundWriter(Generic[T]):
     """Writes items one by one in a daemon thread; the write may block, fail or never return.
 
-    The thread starts in the constructor, so that a process that later can start none still has it. It is a daemon: a
-    write that never returns does not keep the process from ending.
-
-    Parameters
-    ----------
-    write
-        Writes one item; called in the thread only. An exception counts the item as failed.
-    name
-        Name of the thread.
-    capacity
-        Number of items that may wait; `enqueue` drops what exceeds it.
-    begin, finish
-        Called in the thread before the first item and after the last; an exception is kept as `failure`.
+    `begin` and `finish` run in the thread before the first item and after the last. At most `capacity` items wait. The
+    thread starts in the constructor, so that a process that later can start none still has it.
     """
 
     def __init__(
@@ -44,12 +32,9 @@ class BackgroundWriter(Generic[T]):
         self._begun, self._writing, self._closed = False, False, False
         # Reentrant: a signal handler may put an item while its thread is inside `enqueue`.
         self._turn = threading.Condition(threading.RLock())
-        self.dropped = 0
-        """Number of items that found no room, or came after `close`."""
-        self.failed = 0
-        """Number of items whose writing raised."""
-        self.failure: Exception | None = None
-        """Last exception raised in the thread."""
+        self.dropped = 0  # Number of items that found no room, or came after `close`
+        self.failed = 0  # Number of items whose writing raised
+        self.failure: Exception | None = None  # Last exception raised in the thread
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
 
@@ -71,14 +56,7 @@ class BackgroundWriter(Generic[T]):
             return self._turn.wait_for(lambda: self._begun and not self._items and not self._writing, timeout_s)
 
     def close(self, timeout_s: float | None) -> int:
-        """Write what waits, for at most `timeout_s` (None: for ever), and end the thread.
-
-        Returns
-        -------
-        int
-            Number of items that were not written: dropped, failed, or still waiting when the time was over. An item
-            whose writing has not returned is counted.
-        """
+        """Write what waits, for at most `timeout_s` (None: for ever), and end; return how many were not written."""
         with self._turn:
             self._closed = True
             self._turn.notify_all()

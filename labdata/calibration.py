@@ -13,35 +13,17 @@ from labdata.errors import BadInput
 
 @dataclass(frozen=True, kw_only=True)
 class RisingTable:
-    """Pairs of two positive numbers that increase together.
+    """Pairs of two positive numbers that increase together; anything else, or fewer than two pairs, is BadInput.
 
-    Parameters
-    ----------
-    of
-        Name of the table in messages, such as "gain table".
-    names
-        Names of the two columns, with their units.
-    first, second
-        The columns.
-    relative_sd
-        Relative standard uncertainty of the second column, dimensionless.
-
-    Raises
-    ------
-    BadInput
-        If there are fewer than two complete rows, or a column does not increase.
-
-    Notes
-    -----
     Interpolation is linear in the logarithms. The change of the power from one interval to the next gives the
     uncertainty of the interpolation, which is added to that of the calibration in quadrature.
     """
 
-    of: str
-    names: tuple[str, str]
-    first: tuple[float, ...]
-    second: tuple[float, ...]
-    relative_sd: tuple[float, ...]
+    of: str  # Name of the table in messages, such as "gain table"
+    names: tuple[str, str]  # Names of the two columns, with their units
+    first: tuple[float, ...]  # The columns
+    second: tuple[float, ...]  # The columns
+    relative_sd: tuple[float, ...]  # Relative standard uncertainty of the second column, dimensionless
 
     def __post_init__(self) -> None:
         columns = (self.first, self.second, self.relative_sd)
@@ -56,17 +38,7 @@ class RisingTable:
     def second_at(self, first: float, *, beyond: float = 0.0) -> tuple[float, float]:
         """Return the second column at a value of the first, and its relative standard uncertainty.
 
-        Parameters
-        ----------
-        first
-            Value of the first column.
-        beyond
-            Tolerance outside the table, for the resolution of a read-back.
-
-        Raises
-        ------
-        BadInput
-            If it lies further outside.
+        A value outside the table by more than `beyond`, the resolution of a read-back, is BadInput.
         """
         nearest = min(max(first, self.first[0]), self.first[-1])
         if not abs(first - nearest) <= beyond:
@@ -102,70 +74,35 @@ class RisingTable:
             raise BadInput(f"{name} must lie within the {self.of}, {column[0]:g} to {column[-1]:g}, got {value:g}")
 
 
-SETTABLE_A = 1e-3
-"""Current step that every LED driver can set, A."""
+SETTABLE_A = 1e-3  # Current step that every LED driver can set, A
 
+# Margin of the driver's own limit above the end of the calibration, A: a driver at its limit reports an error
 SPARE_A = 1e-3
-"""Margin of the driver's own limit above the end of the calibration, A: a driver at its limit reports an error."""
 
 SAME_DENSITY = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampSetting:
-    """Lamp and filter setting of one illuminance.
+    """Lamp and filter setting of one illuminance."""
 
-    Parameters
-    ----------
-    current_a
-        Current through the lamp, A.
-    position
-        Position of the filter wheel, counted from 1.
-    read
-        Resulting light: illuminance with uncertainty, filter and current.
-    """
-
-    current_a: float
-    position: int
-    read: Conditions
+    current_a: float  # Current through the lamp, A
+    position: int  # Position of the filter wheel, counted from 1
+    read: Conditions  # Resulting light: illuminance with uncertainty, filter and current
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampCalibration:
-    """Calibration of the lamp and its filters.
+    """Calibration of the lamp and its filters, E = E0(I) 10^-D; a table that does not rise is BadInput."""
 
-    Parameters
-    ----------
-    source
-        Origin of the calibration: who measured it, how and when.
-    current_a
-        Currents through the lamp, A, increasing.
-    illuminance_lux
-        Illuminance on the photocathode at each, without filter, lux, increasing.
-    relative_sd
-        Relative standard uncertainty of each illuminance, dimensionless.
-    filter_density
-        Optical densities of the filters by wheel position; a bench without a wheel has the single density of
-        its fixed filter.
-    filter_density_sd
-        Standard uncertainty of a density that is not 0.
-
-    Raises
-    ------
-    BadInput
-        If the table is not a monotonic calibration, or a density is negative or repeated.
-
-    Notes
-    -----
-    E = E0(I) 10^-D.
-    """
-
-    source: str
-    current_a: tuple[float, ...]
-    illuminance_lux: tuple[float, ...]
-    relative_sd: tuple[float, ...]
+    source: str  # Origin of the calibration: who measured it, how and when
+    current_a: tuple[float, ...]  # Currents through the lamp, A, increasing
+    illuminance_lux: tuple[float, ...]  # Illuminance on the photocathode at each, without filter, lux, increasing
+    relative_sd: tuple[float, ...]  # Relative standard uncertainty of each illuminance, dimensionless
+    # Optical densities of the filters by wheel position; a bench without a wheel has the single density of its fixed
+    # filter
     filter_density: tuple[float, ...] = (0.0,)
-    filter_density_sd: float = 0.0
+    filter_density_sd: float = 0.0  # Standard uncertainty of a density that is not 0
 
     def __post_init__(self) -> None:
         if not self.source.strip():
@@ -190,19 +127,10 @@ class LampCalibration:
         return math.ceil(round(self.current_a[-1] / SETTABLE_A, 6)) * SETTABLE_A + SPARE_A
 
     def setting(self, illuminance_lux: float, filter_density: float | None = None) -> LampSetting:
-        """Return how to make an illuminance.
+        """Return how to make an illuminance, lux; one that the lamp cannot reach is BadInput.
 
-        Parameters
-        ----------
-        illuminance_lux
-            Illuminance on the photocathode, lux.
-        filter_density
-            The filter; None: the densest through which the lamp is bright enough, whose current is set most finely.
-
-        Raises
-        ------
-        BadInput
-            If there is no such filter, or the lamp cannot reach that light behind it.
+        Without `filter_density` the densest filter through which the lamp is bright enough; its current is set most
+        finely.
         """
         for position in self._positions(illuminance_lux, filter_density):
             bare_lux = illuminance_lux * 10.0 ** self.filter_density[position - 1]
@@ -216,13 +144,7 @@ class LampCalibration:
         )
 
     def light_at(self, current_a: float, position: int, *, beyond_a: float = SETTABLE_A) -> Conditions:
-        """Return the light at a lamp current, A, behind the filter at a position.
-
-        Raises
-        ------
-        BadInput
-            If the current lies outside the calibration by more than `beyond_a`, A.
-        """
+        """Return the light at a lamp current, A, behind a filter; BadInput beyond `beyond_a` outside the table."""
         density = self.filter_density[position - 1]
         bare_lux, relative_sd = self._table().second_at(current_a, beyond=beyond_a)
         filter_sd = math.log(10.0) * self.filter_density_sd if density else 0.0
@@ -267,37 +189,17 @@ class LampCalibration:
 
 @dataclass(frozen=True, kw_only=True)
 class GainTable:
-    """A calibration of one tube.
+    """A calibration of one tube: at least two rising points, and a source; anything else is BadInput.
 
-    Parameters
-    ----------
-    source
-        Origin of the calibration: who measured it, how and when.
-    tube
-        Name of the tube; None: not stated.
-    mcp_v
-        Voltages across the MCP, V, increasing.
-    luminous_gain
-        Luminous gain at each, lm/lm or in the unit of the calibration, increasing.
-    relative_sd
-        Relative standard uncertainty of each gain, dimensionless.
-
-    Raises
-    ------
-    BadInput
-        If the table is not a monotonic calibration of at least two points, or has no source.
-
-    Notes
-    -----
     MCP gain is a power of the voltage (J. L. Wiza, Nucl. Instrum. Methods 162 (1979) 587); for the interpolation see
     `RisingTable`.
     """
 
-    source: str
-    tube: str | None = None
-    mcp_v: tuple[float, ...]
-    luminous_gain: tuple[float, ...]
-    relative_sd: tuple[float, ...]
+    source: str  # Origin of the calibration: who measured it, how and when
+    tube: str | None = None  # Name of the tube; None: not stated
+    mcp_v: tuple[float, ...]  # Voltages across the MCP, V, increasing
+    luminous_gain: tuple[float, ...]  # Luminous gain at each, lm/lm or in the unit of the calibration, increasing
+    relative_sd: tuple[float, ...]  # Relative standard uncertainty of each gain, dimensionless
 
     def __post_init__(self) -> None:
         if not self.source.strip():
@@ -314,17 +216,7 @@ class GainTable:
     def gain_at(self, mcp_v: float, *, beyond_v: float = 0.0) -> tuple[float, float]:
         """Return the luminous gain at a voltage, V, and its relative standard uncertainty.
 
-        Parameters
-        ----------
-        mcp_v
-            Voltage across the MCP, V.
-        beyond_v
-            Tolerance outside the table, V, for the read-back of a supply set to the end of the table.
-
-        Raises
-        ------
-        BadInput
-            If the voltage lies further outside.
+        A voltage outside the table by more than `beyond_v`, for the read-back of a supply set to its end, is BadInput.
         """
         return self._table().second_at(mcp_v, beyond=beyond_v)
 

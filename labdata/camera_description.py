@@ -1,11 +1,10 @@
 """Camera descriptions as stages of parameters, each with range, basis and source."""
 
-import math
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import pairwise
 from typing import Any, Literal, Self
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 
 # sheet: data sheet. default: typical of the type, not of this device. derived: computed from others.
 # fitted: identified by a session's data. prior: fitted, but not identified by the data.
@@ -14,31 +13,16 @@ Standing = Literal["sheet", "default", "derived", "fitted", "prior"]
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One number of a sensor description; its unit is in the name of the field that holds it.
+    """One number of a sensor description; its unit is in the name of the field that holds it."""
 
-    Parameters
-    ----------
-    value
-        Best value.
-    low, high
-        95 % bounds; both None where the number is exact by construction.
-    standing
-        Basis of the value, see `Standing`.
-    source
-        Source, as text.
-    """
-
-    value: float
-    low: float | None = None
-    high: float | None = None
-    standing: Standing = "default"
-    source: str = ""
+    value: float  # Best value
+    low: float | None = None  # 95 % bounds; both None where the number is exact by construction
+    high: float | None = None  # 95 % bounds; both None where the number is exact by construction
+    standing: Standing = "default"  # Basis of the value, see `Standing`
+    source: str = ""  # Source, as text
 
     def __post_init__(self) -> None:
-        for name in ("value", "low", "high"):
-            number = getattr(self, name)
-            if number is not None and not math.isfinite(number):
-                raise BadInput(f"a parameter's {name} must be a finite number, got {number:g}")
+        check(self, of=" of a parameter", finite="value low high")
         if (self.low is None) != (self.high is None):
             raise BadInput(f"low and high must be given together, got {self.low} and {self.high}")
         if self.low is not None and self.high is not None and not self.low <= self.value <= self.high:
@@ -113,30 +97,17 @@ class Description:
 
 def must_be_positive(stage: Any, *names: str) -> None:
     """Require lengths, times and factors of a stage to be positive."""
-    for name in names:
-        if not float(getattr(stage, name)) > 0.0:
-            raise BadInput(f"{name} must be positive, got {float(getattr(stage, name)):g}")
+    check(stage, positive=names)
 
 
 def must_not_be_negative(stage: Any, *names: str) -> None:
     """Require numbers of a stage not to be negative."""
-    for name in names:
-        if not float(getattr(stage, name)) >= 0.0:
-            raise BadInput(f"{name} must not be negative, got {float(getattr(stage, name)):g}")
+    check(stage, not_negative=names)
 
 
 def must_be_a_share(stage: Any, *names: str) -> None:
     """Require fractions and probabilities of a stage to lie between 0 and 1."""
-    for name in names:
-        if not 0.0 <= float(getattr(stage, name)) <= 1.0:
-            raise BadInput(f"{name} must lie between 0 and 1, got {float(getattr(stage, name)):g}")
-
-
-def must_be_a_count(stage: Any, *names: str) -> None:
-    """Require counts of rows, columns or stages to be at least 1."""
-    for name in names:
-        if getattr(stage, name) < 1:
-            raise BadInput(f"{name} must be at least 1, got {getattr(stage, name)}")
+    check(stage, share=names)
 
 
 def must_be_an_efficiency_table(wavelength_nm: tuple[float, ...], efficiency: tuple[float, ...]) -> None:

@@ -6,9 +6,10 @@ from typing import Literal
 
 from numpy.typing import NDArray
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from labdata.frames import read_only
 
+# Bits of a pixel by format name: GenICam names for grey, V4L2 FourCC for the luma of colour video
 PIXEL_BITS = {
     "Mono8": 8,
     "Mono10": 10,
@@ -21,81 +22,40 @@ PIXEL_BITS = {
     "Mono12Packed": 12,
     **dict.fromkeys(("YUYV", "YVYU", "UYVY", "VYUY", "NV12", "NV21", "NV16", "YU12", "YV12", "422P"), 8),
 }
-"""Bits of a pixel by format name: GenICam names for grey, V4L2 FourCC for the luma of colour video."""
 
+# Rows of a frame exposed first: all at once, the top field (rows 0, 2, ...), or the bottom field
 FieldOrder = Literal["progressive", "top first", "bottom first", "top only", "bottom only"]
-"""Rows of a frame exposed first: all at once, the top field (rows 0, 2, ...), or the bottom field."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """Settings of a camera; None leaves a setting as it is.
+    """Settings of a camera; None leaves a setting as it is."""
 
-    Parameters
-    ----------
-    rows, columns
-        Size of the image, px.
-    first_row, first_column
-        First row and column of the image on the sensor, px.
-    pixel_format
-        A name of `PIXEL_BITS`, such as "Mono8" or "Mono16".
-    exposure_s
-        Exposure of one field or frame, s.
-    gain_db
-        Camera gain, dB (of a camera with a raw gain: its own steps).
-    frame_rate_hz
-        Frames per second, Hz.
-    trigger
-        "off": free-running; else the camera's name of the trigger source, such as "Line1".
-    field_order
-        Order of the two fields of a frame.
-    notes
-        Remarks of the camera on its frames; read back, never set.
-    """
-
-    rows: int | None = None
-    columns: int | None = None
-    first_row: int | None = None
-    first_column: int | None = None
-    pixel_format: str | None = None
-    exposure_s: float | None = None
-    gain_db: float | None = None
-    frame_rate_hz: float | None = None
-    trigger: str | None = None
-    field_order: FieldOrder | None = None
-    notes: tuple[str, ...] = ()
+    rows: int | None = None  # Size of the image, px
+    columns: int | None = None  # Size of the image, px
+    first_row: int | None = None  # First row and column of the image on the sensor, px
+    first_column: int | None = None  # First row and column of the image on the sensor, px
+    pixel_format: str | None = None  # A name of `PIXEL_BITS`, such as "Mono8" or "Mono16"
+    exposure_s: float | None = None  # Exposure of one field or frame, s
+    gain_db: float | None = None  # Camera gain, dB (of a camera with a raw gain: its own steps)
+    frame_rate_hz: float | None = None  # Frames per second, Hz
+    trigger: str | None = None  # "off": free-running; else the camera's name of the trigger source, such as "Line1"
+    field_order: FieldOrder | None = None  # Order of the two fields of a frame
+    notes: tuple[str, ...] = ()  # Remarks of the camera on its frames; read back, never set
 
     def __post_init__(self) -> None:
-        for name in ("rows", "columns", "exposure_s", "frame_rate_hz"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise BadInput(f"{name} of a camera must be positive, got {value:g}")
-        for name in ("first_row", "first_column"):
-            value = getattr(self, name)
-            if value is not None and value < 0:
-                raise BadInput(f"{name} of a camera must not be negative, got {value}")
+        positive, not_negative = "rows columns exposure_s frame_rate_hz", "first_row first_column"
+        check(self, of=" of a camera", positive=positive, not_negative=not_negative)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One complete frame as sent by the camera.
+    """One complete frame as sent by the camera."""
 
-    Parameters
-    ----------
-    pixels
-        Pixel values, shape (row, col), DN. Made read-only.
-    number
-        The camera's own running number; a gap is a lost frame.
-    time_s
-        The camera's own time stamp, s.
-    field_order
-        Order of its two fields; None where the camera does not report it.
-    """
-
-    pixels: NDArray
-    number: int
-    time_s: float
-    field_order: FieldOrder | None = None
+    pixels: NDArray  # Pixel values, shape (row, col), DN. Made read-only
+    number: int  # The camera's own running number; a gap is a lost frame
+    time_s: float  # The camera's own time stamp, s
+    field_order: FieldOrder | None = None  # Order of its two fields; None where the camera does not report it
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", read_only(self.pixels))
@@ -103,19 +63,11 @@ class Frame:
 
 @dataclass(frozen=True, kw_only=True)
 class LostFrames:
-    """Consecutive frames that the camera numbered and that were not recorded.
+    """Consecutive frames that the camera numbered and that were not recorded."""
 
-    Parameters
-    ----------
-    first, last
-        The camera's numbers of the first and the last of them.
-    reason
-        Cause, such as "missing packets".
-    """
-
-    first: int
-    last: int
-    reason: str
+    first: int  # The camera's numbers of the first and the last of them
+    last: int  # The camera's numbers of the first and the last of them
+    reason: str  # Cause, such as "missing packets"
 
     def __post_init__(self) -> None:
         if self.last < self.first:
@@ -131,17 +83,7 @@ NEVER_ARRIVED = "never arrived"
 
 
 def losses_before(number: int, *, expected: int, faults: Mapping[int, str]) -> tuple[LostFrames, ...]:
-    """Return the frames missing before a complete one.
-
-    Parameters
-    ----------
-    number
-        Number of the complete frame.
-    expected
-        Expected number.
-    faults
-        Faults of incomplete frames, by number; any other missing frame never arrived.
-    """
+    """Return the frames missing before the complete frame `number`; `faults` are of incomplete frames, by number."""
     return _merge_adjacent(_stretches_before(number, expected=expected, faults=faults))
 
 

@@ -1,105 +1,47 @@
 """Conditions of a stack: gain, gate, exposure, light and temperature."""
 
-import math
 from dataclasses import dataclass, fields
 
-from labdata.errors import BadInput
+from labdata.errors import check, check_range
 
 # Booleans; every other condition is a number.
 SWITCHES = ("automatic_gain", "brightness_control")
 
 
-# Plausible temperatures of a camera, degrees Celsius.
-CAMERAS_LIVE_C = (-200.0, 150.0)
-# Largest plausible gain of a camera, up or down, dB.
-MOST_GAIN_DB = 200.0
-
-
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """Settings of one stack, each None when unknown. Units are in the names.
+    """Settings of one stack, each None when unknown. Units are in the names."""
 
-    Parameters
-    ----------
-    exposure_s
-        Exposure of the camera (one field of interlaced video), s.
-    mcp_v
-        Voltage across the microchannel plate, V.
-    gate_ns
-        Time that the gate is open in one exposure, ns.
-    illuminance_lux
-        Illuminance on the photocathode from the brightest large area of the target, 2856 K, lux.
-    illuminance_relative_sd
-        Relative standard uncertainty of the illuminance, or of the photons on a pixel, dimensionless; one meter for
-        the whole session, so the error is common to all its stacks.
-    photons_per_px
-        Photons that fall on one pixel in one exposure.
-    camera_gain_db
-        Gain of the camera after the intensifier, dB.
-    temperature_c
-        Temperature of the camera or tube, degrees Celsius.
-    wavelength_nm
-        Wavelength of the light where it is narrow, nm.
-    automatic_gain
-        Whether the camera's automatic gain was on.
-    brightness_control
-        Whether automatic brightness control was lowering the MCP voltage.
-    em_gain
-        Multiplication of an electron-multiplying register, dimensionless, at least 1.
-    gain_control
-        Control word of the tube's gain, counts.
-    lamp_a
-        Current through the lamp of the bench, A.
-    metered_w
-        Power on the head of the auxiliary light meter, W, zero offset not subtracted.
-    metered_lux
-        Illuminance on the photocathode by that meter, lux, zero offset not subtracted.
-    metered_time_s, temperature_time_s
-        When meter and thermometer were read, s since 1970.
-    luminous_gain
-        Luminous gain of the tube by its calibration, lm/lm.
-    luminous_gain_relative_sd
-        Relative standard uncertainty of that calibration, dimensionless; its error is common to all stacks.
-    filter_density
-        Optical density (base 10) of the neutral filter in the beam; the illuminance is that behind the filter.
-    """
-
-    exposure_s: float | None = None
-    mcp_v: float | None = None
-    gate_ns: float | None = None
+    exposure_s: float | None = None  # Exposure of the camera (one field of interlaced video), s
+    mcp_v: float | None = None  # Voltage across the microchannel plate, V
+    gate_ns: float | None = None  # Time that the gate is open in one exposure, ns
+    # Illuminance on the photocathode from the brightest large area of the target, 2856 K, lux
     illuminance_lux: float | None = None
+    # Relative standard uncertainty of the illuminance, or of the photons on a pixel, dimensionless; one meter for the
+    # whole session, so the error is common to all its stacks
     illuminance_relative_sd: float | None = None
-    photons_per_px: float | None = None
-    camera_gain_db: float | None = None
-    temperature_c: float | None = None
-    wavelength_nm: float | None = None
-    automatic_gain: bool | None = None
-    brightness_control: bool | None = None
-    em_gain: float | None = None
-    gain_control: float | None = None
-    lamp_a: float | None = None
-    metered_w: float | None = None
-    metered_lux: float | None = None
-    metered_time_s: float | None = None
-    temperature_time_s: float | None = None
-    luminous_gain: float | None = None
+    photons_per_px: float | None = None  # Photons that fall on one pixel in one exposure
+    camera_gain_db: float | None = None  # Gain of the camera after the intensifier, dB
+    temperature_c: float | None = None  # Temperature of the camera or tube, degrees Celsius
+    wavelength_nm: float | None = None  # Wavelength of the light where it is narrow, nm
+    automatic_gain: bool | None = None  # Whether the camera's automatic gain was on
+    brightness_control: bool | None = None  # Whether automatic brightness control was lowering the MCP voltage
+    em_gain: float | None = None  # Multiplication of an electron-multiplying register, dimensionless, at least 1
+    gain_control: float | None = None  # Control word of the tube's gain, counts
+    lamp_a: float | None = None  # Current through the lamp of the bench, A
+    metered_w: float | None = None  # Power on the head of the auxiliary light meter, W, zero offset not subtracted
+    metered_lux: float | None = None  # Illuminance on the photocathode by that meter, lux, zero offset not subtracted
+    metered_time_s: float | None = None  # When meter and thermometer were read, s since 1970
+    temperature_time_s: float | None = None  # When meter and thermometer were read, s since 1970
+    luminous_gain: float | None = None  # Luminous gain of the tube by its calibration, lm/lm
+    # Relative standard uncertainty of that calibration, dimensionless; its error is common to all stacks
     luminous_gain_relative_sd: float | None = None
+    # Optical density (base 10) of the neutral filter in the beam; the illuminance is that behind the filter
     filter_density: float | None = None
 
     def __post_init__(self) -> None:
-        for item in fields(Conditions):
-            value = getattr(self, item.name)
-            if value is not None and not math.isfinite(value):
-                raise BadInput(f"{item.name} must be a finite number, got {value:g}")
-        free = {"camera_gain_db", "temperature_c", "metered_w", "metered_lux", *SWITCHES}
-        for item in fields(Conditions):
-            value = getattr(self, item.name)
-            if value is not None and item.name not in free and not value >= 0:
-                raise BadInput(f"{item.name} must not be negative, got {value:g}")
-        if self.em_gain is not None and not self.em_gain >= 1:
-            raise BadInput(f"em_gain must be at least 1, got {self.em_gain:g}")
-        if self.camera_gain_db is not None and not abs(self.camera_gain_db) <= MOST_GAIN_DB:
-            raise BadInput(f"camera_gain_db must lie within {MOST_GAIN_DB:g} dB of none, got {self.camera_gain_db:g}")
-        coldest, warmest = CAMERAS_LIVE_C
-        if self.temperature_c is not None and not coldest <= self.temperature_c <= warmest:
-            raise BadInput(f"temperature_c must lie between {coldest:g} and {warmest:g}, got {self.temperature_c:g}")
+        names = [item.name for item in fields(Conditions)]
+        free = {"camera_gain_db", "temperature_c", "metered_w", "metered_lux"}
+        check(self, finite=names, not_negative=[name for name in names if name not in free], one_or_more="em_gain")
+        check_range(self, -200.0, 200.0, "camera_gain_db")
+        check_range(self, -200.0, 150.0, "temperature_c")  # plausible for a camera

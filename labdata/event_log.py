@@ -11,25 +11,15 @@ from labdata.background import BackgroundWriter
 from labdata.errors import BadInput
 from labdata.file_io import ends_mid_line
 
-OPENING_S = 1.0
-"""Longest wait for the file to open, s; commands to the tube wait for it."""
+OPENING_S = 1.0  # Longest wait for the file to open, s; commands to the tube wait for it
 
 
 class EventLog:
     """A log, open for appending; an incomplete last line is ended first.
 
-    A file that blocks, or a full disk, delays no caller. Lines that could not be written are counted, and
-    the next line that can be written carries the count as `lines_missed_before`.
-
-    Parameters
-    ----------
-    path
-        The file; made where it is missing.
-
-    Raises
-    ------
-    BadInput
-        If the file cannot be opened. A file that is still opening after `OPENING_S` is no error.
+    A file that blocks, or a full disk, delays no caller. Lines that could not be written are counted, and the next line
+    that can be written carries the count as `lines_missed_before`. A file that cannot be opened is BadInput; one that
+    is still opening after `OPENING_S` is no error.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -45,10 +35,7 @@ class EventLog:
             raise BadInput(f"an event log must be a file that can be written, got {path}: {why}")
 
     def __call__(self, event: str, **details: object) -> None:
-        """Record an event with its time of day and monotonic time, s; never waits and never raises.
-
-        The details are written later, so they must not change after the call.
-        """
+        """Record an event with its times, s, without waiting or raising. The details must not change after the call."""
         line = {"time": datetime.now(UTC), "monotonic_s": round(time.monotonic(), 4), "event": event, **details}
         self._writer.enqueue((line, self._writer.dropped))
 

@@ -9,15 +9,7 @@ from labdata.errors import BadInput
 
 
 def write_atomically(path: str | Path, data: bytes | bytearray | memoryview) -> None:
-    """Write a file atomically: after a crash or power cut it has its old or its new content.
-
-    Parameters
-    ----------
-    path
-        The file; its folder must exist.
-    data
-        All of its bytes.
-    """
+    """Write a file in an existing folder; after a crash or power cut it has its old or its new content."""
     path = Path(path)
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
     try:
@@ -68,20 +60,7 @@ _KINDS = {
 
 
 def require_regular(path: str | Path, what: str = "a file") -> None:
-    """Require a path to be a regular file, or a link to one, before it is opened.
-
-    Parameters
-    ----------
-    path
-        The file.
-    what
-        Name of the file in the message, such as "a file of frames".
-
-    Raises
-    ------
-    BadInput
-        If the path does not exist or is not a regular file.
-    """
+    """Require a path to be a regular file, or a link to one, before it is opened; `what` names it in the message."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):  # ValueError: a name that no file system accepts
@@ -96,3 +75,21 @@ def require_regular_parts(folder: Path, what: str) -> None:
     for part in folder.rglob("*"):
         if not part.is_dir():
             require_regular(part, f"a part of {what}")
+
+
+def shipped_names(kind: str) -> tuple[str, ...]:
+    """Names of the TOML files of a kind, "sensors" or "phosphors", that come with the package."""
+    return tuple(sorted(file.stem for file in (Path(__file__).parent / kind).glob("*.toml")))
+
+
+def shipped_file(kind: str, name_or_path: str | Path, relative_to: str | Path | None = None) -> Path:
+    """Return a shipped TOML file by its name, or any other by its path; one that is not there is BadInput."""
+    if str(name_or_path) in shipped_names(kind):
+        return Path(__file__).parent / kind / f"{name_or_path}.toml"
+    path = Path(relative_to or ".") / Path(name_or_path).expanduser()
+    if not os.path.isfile(path):  # Path.is_file raises on invalid names
+        raise BadInput(
+            f"a {kind[:-1]} must be one of {', '.join(shipped_names(kind))} or the path of a TOML file, "
+            f"got {str(name_or_path)!r}"
+        )
+    return path

@@ -20,21 +20,6 @@ from labdata.target import Target
 Order = Literal["as-written", "boustrophedon", "randomised"]
 Numbers = float | tuple[float, ...]
 
-AXES = (
-    "target",
-    "mcp_v",
-    "luminous_gain",
-    "gate_ns",
-    "exposure_s",
-    "camera_gain_db",
-    "filter_density",
-    "illuminance_lux",
-)
-"""Settings that can be swept; the outermost is the slowest and stresses the tube most."""
-
-MOST_STEPS = 20_000
-"""Largest number of steps of a plan; more are an error of input."""
-
 _SHORT = {
     "mcp_v": "{:g}V",
     "luminous_gain": "gain{:g}",
@@ -44,78 +29,40 @@ _SHORT = {
     "filter_density": "nd{:g}",
     "illuminance_lux": "{:g}lux",
 }
+AXES = ("target", *_SHORT)  # Settings that can be swept; the outermost is the slowest and stresses the tube most
+MOST_STEPS = 20_000  # Largest number of steps of a plan; more are an error of input
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepRecord:
-    """One [[sweep]] of a plan file: every combination of the settings that are lists.
+    """One [[sweep]] of a plan file: every combination of the settings that are lists, nested in the order of `AXES`."""
 
-    Parameters
-    ----------
-    kind
-        Kind of target.
-    frames
-        Number of frames per stack.
-    label
-        Prefix of every label; the varied values and the number of the repeat follow. Default: the kind.
-    target
-        The target, or several.
-    mcp_v
-        Voltage across the MCP, V; one or several.
-    luminous_gain
-        Luminous gain, lm/lm, converted to volts by the gain table of the plan or its sensor; one or several.
-    gate_ns
-        Gate, ns; one or several.
-    exposure_s
-        Exposure, s; one or several.
-    camera_gain_db
-        Camera gain, dB; one or several.
-    filter_density
-        Optical density of the neutral filter in front of the lamp; one or several.
-    illuminance_lux
-        Light, lux; one or several.
-    illuminance_relative_sd
-        Relative standard uncertainty of the light.
-    repeats
-        Number of passes through the sweep.
-    order
-        "as-written": order of the lists, the last axis fastest. "boustrophedon": every inner list alternately forwards
-        and backwards, so that no setting jumps. "randomised": every repeat shuffled separately.
-    seed
-        Seed of the shuffle.
-    dark_every
-        Number of stacks between darks, with one before the first and one after the last stack, at the settings
-        of the adjacent stack; 0: no darks.
-    dark_frames
-        Frames per dark; None: as many as per stack.
-    until
-        Criterion to stop each stack but the darks before it has all its frames; None: no criterion.
-    saturated_fraction
-        Fraction of a frame's pixels that may be saturated in each stack but the darks.
-
-    Notes
-    -----
-    The order of nesting is that of `AXES`: targets outermost, light innermost, repeats around all.
-    """
-
-    kind: Kind
-    frames: int
+    kind: Kind  # Kind of target
+    frames: int  # Number of frames per stack
+    # Prefix of every label; the varied values and the number of the repeat follow. Default: the kind
     label: str | None = None
-    target: Target | tuple[Target, ...] = field(default_factory=Target)
-    mcp_v: Numbers | None = None
+    target: Target | tuple[Target, ...] = field(default_factory=Target)  # The target, or several
+    mcp_v: Numbers | None = None  # Voltage across the MCP, V; one or several
+    # Luminous gain, lm/lm, converted to volts by the gain table of the plan or its sensor; one or several
     luminous_gain: Numbers | None = None
-    gate_ns: Numbers | None = None
-    exposure_s: Numbers | None = None
-    camera_gain_db: Numbers | None = None
-    filter_density: Numbers | None = None
-    illuminance_lux: Numbers | None = None
-    illuminance_relative_sd: float | None = None
-    repeats: int = 1
+    gate_ns: Numbers | None = None  # Gate, ns; one or several
+    exposure_s: Numbers | None = None  # Exposure, s; one or several
+    camera_gain_db: Numbers | None = None  # Camera gain, dB; one or several
+    filter_density: Numbers | None = None  # Optical density of the neutral filter in front of the lamp; one or several
+    illuminance_lux: Numbers | None = None  # Light, lux; one or several
+    illuminance_relative_sd: float | None = None  # Relative standard uncertainty of the light
+    repeats: int = 1  # Number of passes through the sweep
+    # "as-written": order of the lists, the last axis fastest. "boustrophedon": every inner list alternately forwards
+    # and backwards, so that no setting jumps. "randomised": every repeat shuffled separately
     order: Order = "as-written"
-    seed: int = 0
+    seed: int = 0  # Seed of the shuffle
+    # Number of stacks between darks, with one before the first and one after the last stack, at the settings of the
+    # adjacent stack; 0: no darks
     dark_every: int = 0
-    dark_frames: int | None = None
+    dark_frames: int | None = None  # Frames per dark; None: as many as per stack
+    # Criterion to stop each stack but the darks before it has all its frames; None: no criterion
     until: StopCriterion | None = None
+    # Fraction of a frame's pixels that may be saturated in each stack but the darks
     saturated_fraction: float | None = None
 
     def __post_init__(self) -> None:
@@ -230,145 +177,64 @@ def _flat(conditions: Conditions) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class StackRecord(Conditions):
-    """One [[stack]] of a session file; its conditions are keys of the same table.
+    """One [[stack]] of a session file; its conditions are keys of the same table."""
 
-    Parameters
-    ----------
-    label
-        Name of the stack, unique in the session.
-    kind
-        Kind of target.
-    frames
-        File or files of the frames, or a Zarr array, relative to the session's folder.
-    axis
-        Number (from 0) or name of the frame axis of the files; by default the first.
-    plane
-        Plane to read of colour images, mosaics and files with more axes.
-    asked
-        Requested conditions, where they differ from those in force.
-    target
-        Target in front of the camera.
-    finished
-        False while the stack is being acquired, and after an interrupted acquisition.
-    lost_frames
-        Number of frames that the camera numbered and that were not recorded.
-    lost
-        Their numbers and causes, where known.
-    doubt
-        Reason to doubt its frames, such as a bench that went to the safe state while they were acquired.
-    notes
-        Remarks.
-    """
-
-    label: str
-    kind: Kind
-    frames: str | tuple[str, ...]
-    axis: str | None = None
-    plane: str | None = None
-    asked: Conditions | None = None
-    target: Target = field(default_factory=Target)
-    finished: bool | None = None
-    lost_frames: int | None = None
-    lost: tuple[LostFrames, ...] = ()
+    label: str  # Name of the stack, unique in the session
+    kind: Kind  # Kind of target
+    frames: str | tuple[str, ...]  # File or files of the frames, or a Zarr array, relative to the session's folder
+    axis: str | None = None  # Number (from 0) or name of the frame axis of the files; by default the first
+    plane: str | None = None  # Plane to read of colour images, mosaics and files with more axes
+    asked: Conditions | None = None  # Requested conditions, where they differ from those in force
+    target: Target = field(default_factory=Target)  # Target in front of the camera
+    finished: bool | None = None  # False while the stack is being acquired, and after an interrupted acquisition
+    lost_frames: int | None = None  # Number of frames that the camera numbered and that were not recorded
+    lost: tuple[LostFrames, ...] = ()  # Their numbers and causes, where known
+    # Reason to doubt its frames, such as a bench that went to the safe state while they were acquired
     doubt: str | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # Remarks
 
 
 @dataclass(frozen=True, kw_only=True)
 class SessionFile:
-    """A session file, session.toml.
+    """A session file, session.toml."""
 
-    Parameters
-    ----------
-    name
-        Name of the session.
-    sensor
-        Name of a shipped sensor description, or the path of one relative to the session's folder.
-    bit_depth
-        Bits of the digitiser; full scale is 2^bits - 1.
-    interlaced
-        Whether the two fields of a frame were exposed one after the other.
-    notes
-        Remarks.
-    stack
-        The stacks.
-    """
-
-    name: str
+    name: str  # Name of the session
+    # Name of a shipped sensor description, or the path of one relative to the session's folder
     sensor: str | None = None
-    bit_depth: int | None = None
-    interlaced: bool | None = None
-    notes: tuple[str, ...] = ()
-    stack: tuple[StackRecord, ...] = ()
+    bit_depth: int | None = None  # Bits of the digitiser; full scale is 2^bits - 1
+    interlaced: bool | None = None  # Whether the two fields of a frame were exposed one after the other
+    notes: tuple[str, ...] = ()  # Remarks
+    stack: tuple[StackRecord, ...] = ()  # The stacks
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepRecord(Conditions):
-    """One [[step]] of a plan file; the requested conditions are keys of the same table.
+    """One [[step]] of a plan file; the requested conditions are keys of the same table."""
 
-    Parameters
-    ----------
-    label
-        Label of the stack to acquire, unique in the plan.
-    kind
-        Kind of target.
-    frames
-        Number of frames to acquire; with `until`, the largest number.
-    target
-        The target, with the keys of its kind.
-    until
-        Criterion to stop before all frames are acquired.
-    search
-        A search for the light that saturates; it starts at the step's own light.
-    saturated_fraction
-        Fraction of a frame's pixels that may be saturated.
-    """
-
-    label: str
-    kind: Kind
-    frames: int
-    target: Target = field(default_factory=Target)
-    until: StopCriterion | None = None
-    search: SaturationSearch | None = None
-    saturated_fraction: float | None = None
+    label: str  # Label of the stack to acquire, unique in the plan
+    kind: Kind  # Kind of target
+    frames: int  # Number of frames to acquire; with `until`, the largest number
+    target: Target = field(default_factory=Target)  # The target, with the keys of its kind
+    until: StopCriterion | None = None  # Criterion to stop before all frames are acquired
+    search: SaturationSearch | None = None  # A search for the light that saturates; it starts at the step's own light
+    saturated_fraction: float | None = None  # Fraction of a frame's pixels that may be saturated
 
     def step(self) -> Step:
         """Return the step that this table describes."""
-        return Step(
-            label=self.label,
-            kind=self.kind,
-            frames=self.frames,
-            conditions=conditions_of(self),
-            target=self.target,
-            until=self.until,
-            search=self.search,
-            saturated_fraction=self.saturated_fraction,
-        )
+        return Step(conditions=conditions_of(self), **own_keys(self, StepRecord))
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanFile(PlanHead):
-    """A plan file.
+    """A plan file."""
 
-    Parameters
-    ----------
-    override
-        Overridden limits of the tube, with reasons.
-    gain_table
-        Gain calibration of the tube, needed for steps with a luminous gain, or the path of its TOML file.
-    lamp
-        Calibration of the light source and its filters, or the path of its TOML file.
-    step
-        The stacks to acquire, in order.
-    sweep
-        Series of stacks, acquired after the single steps, in order.
-    """
-
-    override: tuple[Override, ...] = ()
+    override: tuple[Override, ...] = ()  # Overridden limits of the tube, with reasons
+    # Gain calibration of the tube, needed for steps with a luminous gain, or the path of its TOML file
     gain_table: GainTable | str | None = None
+    # Calibration of the light source and its filters, or the path of its TOML file
     lamp: LampCalibration | str | None = None
-    step: tuple[StepRecord, ...] = ()
-    sweep: tuple[SweepRecord, ...] = ()
+    step: tuple[StepRecord, ...] = ()  # The stacks to acquire, in order
+    sweep: tuple[SweepRecord, ...] = ()  # Series of stacks, acquired after the single steps, in order
 
     def built(self) -> Plan:
         """Return the plan that this file describes."""
@@ -390,7 +256,7 @@ class PlanFile(PlanHead):
             override=plan.overrides,
             gain_table=plan.gain_table,
             lamp=plan.lamp,
-            step=tuple(_step_form(step) for step in plan.steps),
+            step=tuple(StepRecord(**_flat(step.conditions), **own_keys(step, StepRecord)) for step in plan.steps),
         )
 
 
@@ -399,17 +265,9 @@ def _read(given: T | str | None, type_: type[T]) -> T | None:
     return from_toml(given, type_) if isinstance(given, str) else given
 
 
-def _step_form(step: Step) -> StepRecord:
-    return StepRecord(
-        label=step.label,
-        kind=step.kind,
-        frames=step.frames,
-        target=step.target,
-        until=step.until,
-        search=step.search,
-        saturated_fraction=step.saturated_fraction,
-        **_flat(step.conditions),
-    )
+def own_keys(of: Any, record: type) -> dict[str, Any]:
+    """Return the values of a record's keys other than its conditions."""
+    return {name: getattr(of, name) for name in record.__annotations__}
 
 
 def stack_record(conditions: Conditions, **keys: Any) -> StackRecord:

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 
-BLOCK_BYTES = 2**26
-"""Bytes of frames processed in one block."""
+BLOCK_BYTES = 2**26  # Bytes of frames processed in one block
 
 
 def read_only(array: NDArray) -> NDArray:
@@ -29,47 +28,22 @@ def blocks(data: NDArray) -> Iterator[NDArray]:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameStack:
-    """A stack of frames taken under one set of conditions.
+    """A stack of frames taken under one set of conditions; empty ones, or pixels that are not finite, are BadInput."""
 
-    Parameters
-    ----------
-    data
-        Pixel values, shape (frame, row, col), DN (or another unit, see `unit`). Made read-only.
-    unit
-        Unit of the pixel values.
-    time_s
-        Time stamp of each frame, shape (frame,), s; empty if unknown.
-    frame_number
-        The camera's own number of each frame, shape (frame,); empty if unknown.
-    lost_frames
-        Frames numbered by the camera that never arrived.
-    black_level_dn
-        Black level recorded with the frames, DN; None if unknown. Never subtracted on reading.
-    full_scale_dn
-        Full scale of the digitiser, DN; None if unknown.
-    plane
-        Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b", "luminance"), or "mono".
-    notes
-        Remarks on how the frames were read.
-    origin
-        First row and column in the file: a non-finite border is cut off.
-
-    Raises
-    ------
-    BadInput
-        If data is not three-dimensional, is empty or holds a value that is not finite, or the stamps do not fit it.
-    """
-
-    data: NDArray
-    unit: str = "DN"
+    data: NDArray  # Pixel values, shape (frame, row, col), DN (or another unit, see `unit`). Made read-only
+    unit: str = "DN"  # Unit of the pixel values
+    # Time stamp of each frame, shape (frame,), s; empty if unknown
     time_s: NDArray = field(default_factory=lambda: np.empty(0))
+    # The camera's own number of each frame, shape (frame,); empty if unknown
     frame_number: NDArray = field(default_factory=lambda: np.empty(0, np.int64))
-    lost_frames: int = 0
+    lost_frames: int = 0  # Frames numbered by the camera that never arrived
+    # Black level recorded with the frames, DN; None if unknown. Never subtracted on reading
     black_level_dn: float | None = None
-    full_scale_dn: float | None = None
+    full_scale_dn: float | None = None  # Full scale of the digitiser, DN; None if unknown
+    # Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b", "luminance"), or "mono"
     plane: str = "mono"
-    notes: tuple[str, ...] = ()
-    origin: tuple[int, int] = (0, 0)
+    notes: tuple[str, ...] = ()  # Remarks on how the frames were read
+    origin: tuple[int, int] = (0, 0)  # First row and column in the file: a non-finite border is cut off
 
     def __post_init__(self) -> None:
         data = np.asarray(self.data)

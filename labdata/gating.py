@@ -7,42 +7,29 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check_range
 
 Sync = Literal["free-running", "line-locked", "triggered"]
 MAINS_HZ = (50.0, 60.0)
 
-HOLDOFF = 0.99
-"""Hold-off of a triggered gate, as a fraction of a field."""
-
-IN_STEP = 1e-3
-"""Largest relative difference of the open times of synchronous fields."""
+HOLDOFF = 0.99  # Hold-off of a triggered gate, as a fraction of a field
+IN_STEP = 1e-3  # Largest relative difference of the open times of synchronous fields
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gating:
-    """Trigger of the gate.
+    """Trigger of the gate."""
 
-    Parameters
-    ----------
-    sync
-        "free-running": the generator's own clock, set to the camera's field rate. "line-locked": the mains.
-        "triggered": the camera's field pulse at the generator's trigger input, one gate pulse per field.
-    delay_ns
-        Delay from the trigger to the gate pulse, ns.
-    line_hz
-        Frequency of the mains, Hz.
-    """
-
+    # "free-running": the generator's own clock, set to the camera's field rate. "line-locked": the mains. "triggered":
+    # the camera's field pulse at the generator's trigger input, one gate pulse per field
     sync: Sync = "free-running"
-    delay_ns: float = 0.0
-    line_hz: float = 60.0
+    delay_ns: float = 0.0  # Delay from the trigger to the gate pulse, ns
+    line_hz: float = 60.0  # Frequency of the mains, Hz
 
     def __post_init__(self) -> None:
         if self.line_hz not in MAINS_HZ:
             raise BadInput(f"line_hz must be one of {', '.join(f'{one:g}' for one in MAINS_HZ)}, got {self.line_hz:g}")
-        if not 0.0 <= self.delay_ns <= 1e9:
-            raise BadInput(f"delay_ns must lie between 0 and 1e9, got {self.delay_ns:g}")
+        check_range(self, 0.0, 1e9, "delay_ns")
 
     def rate_hz(self, field_hz: float) -> float:
         """Return the gate rate for a camera of a field rate, Hz."""
@@ -55,19 +42,8 @@ class Gating:
     def open_time_variation(self, *, width_ns: float, exposure_s: float, field_hz: float) -> float:
         """Return the largest difference between open times of fields, relative to the gate width.
 
-        Parameters
-        ----------
-        width_ns
-            Gate width, ns.
-        exposure_s
-            Exposure of a field, s.
-        field_hz
-            Field rate, Hz.
-
-        Notes
-        -----
-        A free-running or line-locked gate has an undefined, drifting phase to the fields: all phases are considered.
-        A triggered gate has a fixed phase.
+        A free-running or line-locked gate has an undefined, drifting phase to the fields: all phases are considered. A
+        triggered gate has a fixed phase.
         """
         if not width_ns:
             return 0.0
@@ -100,17 +76,10 @@ def fields_open_ns(
     ----------
     begins_s
         Start of each exposure relative to the start of a gate pulse, s.
-    exposure_s
-        Length of the exposures, s.
-    width_ns
-        Gate width, ns.
-    rate_hz
-        Gate rate, Hz.
 
     Notes
     -----
-    The cumulative open time is F(t) = n w + min(t - n P, w), n = floor(t / P); an exposure has F(end) -
-    F(begin).
+    The cumulative open time is F(t) = n w + min(t - n P, w), n = floor(t / P); an exposure has F(end) - F(begin).
     """
     period_s, width_s = 1.0 / rate_hz, min(width_ns * 1e-9, 1.0 / rate_hz)
 

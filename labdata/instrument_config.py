@@ -1,79 +1,53 @@
 """Instruments of a bench: models, ports and addresses, and the use of the auxiliary meters."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from importlib.metadata import entry_points
+from typing import Any, Literal, TypeVar
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 
-Role = Literal["gate", "supply", "light-source", "filter-wheel", "light-meter", "thermometer"]
-"""Role of an instrument."""
+Role = Literal["gate", "supply", "light-source", "filter-wheel", "light-meter", "thermometer"]  # Role of an instrument
 
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentConnection:
-    """One serial instrument of the bench and its connection.
+    """One serial instrument of the bench and its connection."""
 
-    Parameters
-    ----------
-    role
-        Role of the instrument.
-    model
-        Name of its model.
-    port
-        Serial port of the instrument or of its adapter; None: not known.
-    address
-        GPIB address behind an adapter.
-    """
-
-    role: Role
-    model: str
-    port: str | None
-    address: int = 0
+    role: Role  # Role of the instrument
+    model: str  # Name of its model
+    port: str | None  # Serial port of the instrument or of its adapter; None: not known
+    address: int = 0  # GPIB address behind an adapter
 
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentConfig:
-    """Models and connections of the instruments.
+    """Models and connections of the instruments."""
 
-    Parameters
-    ----------
-    bench
-        "virtual": the processes of the virtual bench on pseudo-terminals. "in-process": its camera and lines inside
-        this process, where Aravis is not available. "real": the ports below. On a virtual bench an instrument whose
-        port is named, or a named camera, is a real one among virtual ones.
-    gate, supply
-        Models of the gate generator and of the high-voltage supply; other packages can provide further models.
-    gate_port, supply_port
-        Serial ports of gate and supply, or of their adapters.
-    light, wheel, light_meter, thermometer
-        Models of the light source, its filter wheel, the light meter and the thermometer; None: there is none, and
-        a person sets the light.
-    light_port, wheel_port, light_meter_port, thermometer_port
-        Serial ports of these.
-    gate_address, supply_address
-        GPIB addresses behind an adapter.
-    camera
-        Aravis identifier or IP address; "v4l2:/dev/video0" (with "#1": input 1 of a capture card); "replay:FOLDER" or
-        "replay:FOLDER#LABEL": a recorded session or one of its stacks. None: the only camera there is, or the virtual
-        bench's own.
-    """
-
+    # "virtual": the processes of the virtual bench on pseudo-terminals. "in-process": its camera and lines inside this
+    # process, where Aravis is not available. "real": the ports below. On a virtual bench an instrument whose port is
+    # named, or a named camera, is a real one among virtual ones
     bench: Literal["virtual", "in-process", "real"] = "virtual"
+    # Models of the gate generator and of the high-voltage supply; other packages can provide further models
     gate: str = "dg645"
     supply: str = "ps350"
-    gate_port: str | None = None
-    supply_port: str | None = None
-    gate_address: int = 15
-    supply_address: int = 14
+    gate_port: str | None = None  # Serial ports of gate and supply, or of their adapters
+    supply_port: str | None = None  # Serial ports of gate and supply, or of their adapters
+    gate_address: int = 15  # GPIB addresses behind an adapter
+    supply_address: int = 14  # GPIB addresses behind an adapter
+    # Models of the light source, its filter wheel, the light meter and the thermometer; None: there is none, and a
+    # person sets the light
     light: str | None = None
-    light_port: str | None = None
+    light_port: str | None = None  # Serial ports of these
     wheel: str | None = None
-    wheel_port: str | None = None
+    wheel_port: str | None = None  # Serial ports of these
     light_meter: str | None = None
-    light_meter_port: str | None = None
+    light_meter_port: str | None = None  # Serial ports of these
     thermometer: str | None = None
-    thermometer_port: str | None = None
+    thermometer_port: str | None = None  # Serial ports of these
+    # Aravis identifier or IP address; "v4l2:/dev/video0" (with "#1": input 1 of a capture card); "replay:FOLDER" or
+    # "replay:FOLDER#LABEL": a recorded session or one of its stacks. None: the only camera there is, or the virtual
+    # bench's own
     camera: str | None = None
 
     def __post_init__(self) -> None:
@@ -104,6 +78,7 @@ class InstrumentConfig:
         return replace(self, **{PORT_KEYS[role]: port for role, port in ports.items()})
 
 
+# Keys of the ports, by role
 PORT_KEYS: dict[Role, str] = {
     "gate": "gate_port",
     "supply": "supply_port",
@@ -112,31 +87,45 @@ PORT_KEYS: dict[Role, str] = {
     "light-meter": "light_meter_port",
     "thermometer": "thermometer_port",
 }
-"""Keys of the ports, by role."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Meters:
-    """Use of the auxiliary meters.
+    """Use of the auxiliary meters."""
 
-    Parameters
-    ----------
-    lux_per_w
-        Illuminance on the photocathode per watt on the head of the light meter, lux/W; None: not calibrated, only
-        watts are recorded.
-    wavelength_nm
-        Wavelength of the light meter's sensitivity correction, nm.
-    light_needed, temperature_needed
-        Whether a run ends if the meter does not answer; otherwise this is reported and noted with the stack.
-    """
-
+    # Illuminance on the photocathode per watt on the head of the light meter, lux/W; None: not calibrated, only watts
+    # are recorded
     lux_per_w: float | None = None
-    wavelength_nm: float = 550.0
+    wavelength_nm: float = 550.0  # Wavelength of the light meter's sensitivity correction, nm
+    # Whether a run ends if the meter does not answer; otherwise this is reported and noted with the stack
     light_needed: bool = False
     temperature_needed: bool = False
 
     def __post_init__(self) -> None:
-        if self.lux_per_w is not None and not self.lux_per_w > 0:
-            raise BadInput(f"lux_per_w must be positive, got {self.lux_per_w:g}")
-        if not self.wavelength_nm > 0:
-            raise BadInput(f"wavelength_nm must be positive, got {self.wavelength_nm:g}")
+        check(self, positive="lux_per_w wavelength_nm")
+
+
+T = TypeVar("T")
+
+
+def models_by_name(shipped: Sequence[T], kind: type[T], group: str) -> dict[str, T]:
+    """Return the models of a kind by name: the shipped ones, and those that entry points of a group bring.
+
+    An entry point that does not load, is of another kind or name, or has a name in use is BadInput.
+    """
+    known: dict[str, T] = {_name_of(model): model for model in shipped}
+    for point in entry_points(group=group):
+        try:
+            model: Any = point.load()
+        except Exception as error:
+            raise BadInput(f"the instrument {point.name!r} of {point.value} must load, got: {error}") from error
+        if not isinstance(model, kind) or _name_of(model) != point.name:
+            raise BadInput(f"the entry point {point.name!r} must be a {kind.__name__} of that name, got {model!r}")
+        if point.name in known:
+            raise BadInput(f"the instrument {point.name!r} of {point.value} must have a new name, got a taken one")
+        known[point.name] = model
+    return known
+
+
+def _name_of(model: Any) -> str:
+    return model.name

@@ -17,31 +17,15 @@ from labdata.store.array_reader import open_array, read_frames
 
 @dataclass(frozen=True, kw_only=True)
 class LazyStack:
-    """Frames that are read on demand.
+    """Frames that are read on demand."""
 
-    Parameters
-    ----------
-    label
-        As in the session.
-    shape
-        Frames, rows and columns.
-    dtype
-        Type of the pixels.
-    time_s, frame_number
-        As in `labdata.frames.FrameStack`.
-    full_scale_dn
-        Full scale where it is stated, DN; None where only the frames could show it.
-    block
-        Returns the frames first..last-1, shape (frame, row, col).
-    """
-
-    label: str
-    shape: tuple[int, int, int]
-    dtype: np.dtype
-    time_s: NDArray
-    frame_number: NDArray
-    full_scale_dn: float | None
-    block: Callable[[int, int], NDArray]
+    label: str  # As in the session
+    shape: tuple[int, int, int]  # Frames, rows and columns
+    dtype: np.dtype  # Type of the pixels
+    time_s: NDArray  # As in `labdata.frames.FrameStack`
+    frame_number: NDArray  # As in `labdata.frames.FrameStack`
+    full_scale_dn: float | None  # Full scale where it is stated, DN; None where only the frames could show it
+    block: Callable[[int, int], NDArray]  # Returns the frames first..last-1, shape (frame, row, col)
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -52,13 +36,7 @@ class LazyStack:
         return int(np.prod(self.shape)) * self.dtype.itemsize
 
     def frames(self, first: int, last: int) -> NDArray:
-        """Read the frames first..last-1.
-
-        Raises
-        ------
-        BadInput
-            If a pixel is not finite or above full scale, or a frame differs from its acknowledged digest.
-        """
+        """Read the frames first..last-1; an invalid pixel, or a frame that differs from its digest, is BadInput."""
         return self.block(first, last)
 
     def in_memory(self) -> "LazyStack":
@@ -76,13 +54,7 @@ class View(Protocol):
 
 
 def open_lazy_stack(entry: StackEntry) -> LazyStack:
-    """Open a stack: a Zarr array or .npy file lazily, any other file read completely; then apply its view.
-
-    Raises
-    ------
-    BadInput
-        As `StackEntry.read`.
-    """
+    """Open a stack: a Zarr array or .npy file lazily, any other file read completely; then apply its view."""
     stack = _as_they_are(entry)
     return stack if entry.view is None else entry.view.through(stack)
 

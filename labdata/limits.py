@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
-from labdata.camera_description import Parameter, must_be_a_share, must_be_positive
-from labdata.errors import BadInput
+from labdata.camera_description import Parameter
+from labdata.errors import BadInput, check
 
 if TYPE_CHECKING:
     from labdata.sensor import Sensor
@@ -18,36 +18,16 @@ _SIDES_95 = 2 * 1.96
 
 @dataclass(frozen=True, kw_only=True)
 class TubeLoad:
-    """Current through photocathode and MCP.
+    """Current through photocathode and MCP."""
 
-    Parameters
-    ----------
-    luminous_sensitivity_ua_per_lm
-        Luminous sensitivity of the photocathode at 2856 K, uA/lm.
-    electron_gain
-        Electron gain of the MCP at reference_v.
-    reference_v
-        Voltage of that gain, V.
-    gain_exponent
-        m of G = G0 (V / V0)^m.
-    saturated_na_per_cm2
-        Output current density at which the MCP gain has halved, nA/cm2.
-    ebi_lux
-        Equivalent background illumination, lux.
-    relative_sd
-        Standard uncertainty of the logarithm of the current at reference_v.
-    exponent_sd
-        Standard uncertainty of the exponent.
-    """
-
-    luminous_sensitivity_ua_per_lm: float
-    electron_gain: float
-    reference_v: float
-    gain_exponent: float
-    saturated_na_per_cm2: float
-    ebi_lux: float = 0.0
-    relative_sd: float
-    exponent_sd: float = 0.0
+    luminous_sensitivity_ua_per_lm: float  # Luminous sensitivity of the photocathode at 2856 K, uA/lm
+    electron_gain: float  # Electron gain of the MCP at reference_v
+    reference_v: float  # Voltage of that gain, V
+    gain_exponent: float  # m of G = G0 (V / V0)^m
+    saturated_na_per_cm2: float  # Output current density at which the MCP gain has halved, nA/cm2
+    ebi_lux: float = 0.0  # Equivalent background illumination, lux
+    relative_sd: float  # Standard uncertainty of the logarithm of the current at reference_v
+    exponent_sd: float = 0.0  # Standard uncertainty of the exponent
 
     @classmethod
     def of(cls, sensor: "Sensor") -> "TubeLoad":
@@ -69,32 +49,16 @@ class TubeLoad:
         return self.electron_gain * (max(mcp_v, 0.0) / self.reference_v) ** self.gain_exponent
 
     def anode_na_per_cm2(self, illuminance_lux: float, mcp_v: float, duty: float) -> float:
-        """Return the MCP output current density without saturation, nA/cm2.
+        """Return the MCP output current density j = E S G d without saturation, nA/cm2.
 
-        Parameters
-        ----------
-        illuminance_lux
-            Illuminance on the photocathode, lux.
-        mcp_v
-            Voltage across the MCP, V.
-        duty
-            Fraction of the time that the gate is open.
-
-        Notes
-        -----
-        j = E S G d with illuminance E, luminous sensitivity S, electron gain G and duty d. For the saturated
-        current see `screen_na_per_cm2`.
+        E is the illuminance on the photocathode, lux, S the luminous sensitivity, G the electron gain at `mcp_v` and d
+        the fraction of the time that the gate is open.
         """
         cathode_ua_per_cm2 = illuminance_lux * self.luminous_sensitivity_ua_per_lm / CM2_PER_M2
         return cathode_ua_per_cm2 * NA_PER_UA * self.gain(mcp_v) * duty
 
     def screen_na_per_cm2(self, illuminance_lux: float, mcp_v: float, duty: float) -> float:
-        """Return the current density at the phosphor, nA/cm2, with dark current and MCP saturation.
-
-        Notes
-        -----
-        j / (1 + j / j_s) while the gate is open; the gain halves at j_s.
-        """
+        """Return the current density at the phosphor, nA/cm2: j / (1 + j / j_s) with dark current at an open gate."""
         open_now = self.anode_na_per_cm2(illuminance_lux + self.ebi_lux, mcp_v, 1.0)
         return duty * open_now / (1.0 + open_now / self.saturated_na_per_cm2)
 
@@ -117,6 +81,7 @@ def _sd(parameter: Parameter) -> float:
     return (parameter.high - parameter.low) / _SIDES_95
 
 
+# Sensitive photocathode and high MCP gain, for an unknown tube
 CAUTIOUS_LOAD = TubeLoad(
     luminous_sensitivity_ua_per_lm=2700.0,
     electron_gain=1000.0,
@@ -126,7 +91,6 @@ CAUTIOUS_LOAD = TubeLoad(
     relative_sd=1.0,
     exponent_sd=1.0,
 )
-"""Sensitive photocathode and high MCP gain, for an unknown tube."""
 
 
 _UNKNOWN = "nothing is known of this tube: "
@@ -138,67 +102,49 @@ def _cautious(value: float, reason: str) -> Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class TubeLimits:
-    """Limits of a tube; the source of each parameter gives the reason. The defaults suit an unknown tube.
+    """Limits of a tube; the source of each parameter gives the reason. The defaults suit an unknown tube."""
 
-    Parameters
-    ----------
-    mcp_v
-        Highest voltage across the microchannel plate, V.
-    ramp_v_per_s
-        Fastest rise of that voltage, V/s.
-    gate_ns
-        Longest gate, ns.
-    gate_duty
-        Largest fraction of the time that the gate may be open.
-    illuminance_lux
-        Brightest large area on the photocathode, lux, whatever the gain.
-    point_illuminance_lux
-        Brightest image of a pinhole on the photocathode, lux, whatever the gain.
-    anode_na_per_cm2
-        Largest mean MCP output current density at the present gain and duty, without saturation, nA/cm2.
-    point_anode_na_per_cm2
-        The same inside the image of a pinhole, where the MCP saturates far below it.
-    screen_charge_c_per_cm2
-        Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only a warning.
-    """
-
+    # Highest voltage across the microchannel plate, V
     mcp_v: Parameter = field(
         default_factory=lambda: _cautious(900.0, "a single plate works at 500 to 900 V, never above 1000 V")
     )
+    # Fastest rise of that voltage, V/s
     ramp_v_per_s: Parameter = field(
         default_factory=lambda: _cautious(50.0, "small steps let a plate outgas; slower after storage")
     )
-    gate_ns: Parameter = field(default_factory=lambda: _cautious(2e7, "one field of 50 Hz video"))
+    gate_ns: Parameter = field(default_factory=lambda: _cautious(2e7, "one field of 50 Hz video"))  # Longest gate, ns
+    # Largest fraction of the time that the gate may be open
     gate_duty: Parameter = field(
         default_factory=lambda: _cautious(0.999, "a gate unit needs to recover between pulses")
     )
+    # Brightest large area on the photocathode, lux, whatever the gain
     illuminance_lux: Parameter = field(
         default_factory=lambda: _cautious(1e-2, "night sky with a moon; a supply protects its tube above this")
     )
+    # Brightest image of a pinhole on the photocathode, lux, whatever the gain
     point_illuminance_lux: Parameter = field(
         default_factory=lambda: _cautious(10.0, "too small an area to strain the tube, but the cathode ages there")
     )
+    # Largest mean MCP output current density at the present gain and duty, without saturation, nA/cm2
     anode_na_per_cm2: Parameter = field(
         default_factory=lambda: _cautious(100.0, "a tenth of a strip current of 1 uA/cm2 keeps the plate linear")
     )
+    # The same inside the image of a pinhole, where the MCP saturates far below it
     point_anode_na_per_cm2: Parameter = field(
         default_factory=lambda: _cautious(3e6, "what 10 lux ask of a gain of 1000; the plate gives its strip current")
     )
+    # Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only a warning
     screen_charge_c_per_cm2: Parameter = field(
         default_factory=lambda: _cautious(0.1, "uncoated plates age their cathodes within 0.1 to 1 C/cm2")
     )
 
     def __post_init__(self) -> None:
-        must_be_positive(self, *(item.name for item in fields(self)))
-        must_be_a_share(self, "gate_duty")
+        check(self, positive=(item.name for item in fields(self)), share="gate_duty")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits of a plan; None: the tube's limit, which a plan can only tighten.
-
-    Names and units are those of `TubeLimits`.
-    """
+    """Limits of a plan, named as in `TubeLimits`; None: the tube's limit, which a plan can only tighten."""
 
     mcp_v: float | None = None
     ramp_v_per_s: float | None = None
@@ -210,29 +156,16 @@ class Limits:
     point_anode_na_per_cm2: float | None = None
 
     def __post_init__(self) -> None:
-        for name in LIMITS:
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise BadInput(f"the limit {name} must be positive, got {value:g}")
+        check(self, of=" of the limits", positive=LIMITS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Override:
-    """A limit of the tube that a plan overrides, with its reason; kept in the session and printed in its report.
+    """A limit of the tube that a plan overrides, with its reason; kept in the session and printed in its report."""
 
-    Parameters
-    ----------
-    limit
-        Name of the limit, see `TubeLimits`.
-    value
-        Value in force instead, in the unit of the name.
-    reason
-        Reason, as text.
-    """
-
-    limit: str
-    value: float
-    reason: str
+    limit: str  # Name of the limit, see `TubeLimits`
+    value: float  # Value in force instead, in the unit of the name
+    reason: str  # Reason, as text
 
     def __post_init__(self) -> None:
         if self.limit not in LIMITS:
@@ -245,19 +178,7 @@ class Override:
 
 @dataclass(frozen=True, kw_only=True)
 class LimitsInForce:
-    """Limits in force, as numbers, with the load model of the tube.
-
-    Parameters
-    ----------
-    load
-        Model of the current that light draws from the MCP.
-    overridden
-        One sentence for each overridden limit of the tube, for session and report.
-    known
-        Whether a sensor description gave the limits.
-
-    Names and units of the others are those of `TubeLimits`.
-    """
+    """Limits in force, as numbers, named as in `TubeLimits`."""
 
     mcp_v: float
     ramp_v_per_s: float
@@ -280,11 +201,8 @@ class LimitsInForce:
         return self.point_anode_na_per_cm2 if point else self.anode_na_per_cm2
 
 
-OVERRIDDEN = "The tube's limit"
-"""First words of the sentence on an overridden limit."""
-
-LIMITS = tuple(item.name for item in fields(Limits))
-"""Names of the limits that a plan can tighten or override."""
+OVERRIDDEN = "The tube's limit"  # First words of the sentence on an overridden limit
+LIMITS = tuple(item.name for item in fields(Limits))  # Names of the limits that a plan can tighten or override
 
 
 def limits_in_force(
@@ -301,12 +219,7 @@ def limits_in_force(
     sensor
         Sensor description; None: unknown, and the cautious defaults apply where the plan has no limit.
     overrides
-        Limits of the tube that the plan overrides.
-
-    Raises
-    ------
-    BadInput
-        If the plan's limit exceeds the tube's without an override, or one limit is overridden twice.
+        Limits of the tube that the plan overrides; any other plan above the tube's limit is BadInput.
     """
     if len({one.limit for one in overrides}) < len(overrides):
         raise BadInput(f"a limit can be overridden once, got {[one.limit for one in overrides]}")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from labdata.calibration import GainTable, LampCalibration
 from labdata.capture import PIXEL_BITS
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check, check_range
 from labdata.gating import Gating
 from labdata.instrument_config import InstrumentConfig, Meters
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
@@ -21,89 +21,47 @@ from labdata.target import Target
 
 @dataclass(frozen=True, kw_only=True)
 class FrameFormat:
-    """Frame format requested for all steps; None: as in the sensor description.
+    """Frame format requested for all steps; None: as in the sensor description."""
 
-    Parameters
-    ----------
-    rows, columns
-        Size of the image, px; by default the full sensor.
-    first_row, first_column
-        First row and column of the image on the sensor, px.
-    pixel_format
-        Such as "Mono12" or "Mono12p"; by default "Mono8" or "Mono16".
-    trigger
-        "off": free-running; else the camera's name of the trigger source, such as "Line1".
-    """
-
-    rows: int | None = None
-    columns: int | None = None
-    first_row: int | None = None
-    first_column: int | None = None
-    pixel_format: str | None = None
-    trigger: str | None = None
+    rows: int | None = None  # Size of the image, px; by default the full sensor
+    columns: int | None = None  # Size of the image, px; by default the full sensor
+    first_row: int | None = None  # First row and column of the image on the sensor, px
+    first_column: int | None = None  # First row and column of the image on the sensor, px
+    pixel_format: str | None = None  # Such as "Mono12" or "Mono12p"; by default "Mono8" or "Mono16"
+    trigger: str | None = None  # "off": free-running; else the camera's name of the trigger source, such as "Line1"
 
     def __post_init__(self) -> None:
-        for name, least in (("rows", 1), ("columns", 1), ("first_row", 0), ("first_column", 0)):
-            value = getattr(self, name)
-            if value is not None and value < least:
-                raise BadInput(f"{name} of a picture must be at least {least}, got {value}")
+        check(self, of=" of a picture", one_or_more="rows columns", not_negative="first_row first_column")
         if self.pixel_format is not None and self.pixel_format not in PIXEL_BITS:
             raise BadInput(f"pixel_format must be one of {', '.join(PIXEL_BITS)}, got {self.pixel_format!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class StopCriterion:
-    """Criterion by which a step stops before it has all its frames.
+    """Criterion by which a step stops before it has all its frames."""
 
-    Parameters
-    ----------
-    mean_within_dn
-        Largest half-width of the 95 % interval of the stack's mean at which the step stops, DN.
-    least_frames
-        Smallest number of frames.
-    """
-
-    mean_within_dn: float
-    least_frames: int = 8
+    mean_within_dn: float  # Largest half-width of the 95 % interval of the stack's mean at which the step stops, DN
+    least_frames: int = 8  # Smallest number of frames
 
     def __post_init__(self) -> None:
-        if not self.mean_within_dn > 0:
-            raise BadInput(f"mean_within_dn must be positive, got {self.mean_within_dn:g}")
+        check(self, positive="mean_within_dn")
         if self.least_frames < 4:
             raise BadInput(f"least_frames must be at least 4, got {self.least_frames}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SaturationSearch:
-    """Search for the light that saturates a stack: doubling, then bisection of the logarithm.
+    """Search for the light that saturates a stack: doubling, then bisection of the logarithm."""
 
-    Parameters
-    ----------
-    most_illuminance_lux
-        Upper limit of the light, lux.
-    within_percent
-        Largest gap between the highest unsaturated and the lowest saturated light at the end, %.
-    """
-
-    most_illuminance_lux: float
+    most_illuminance_lux: float  # Upper limit of the light, lux
+    # Largest gap between the highest unsaturated and the lowest saturated light at the end, %
     within_percent: float = 10.0
 
     def __post_init__(self) -> None:
-        if not self.most_illuminance_lux > 0:
-            raise BadInput(f"most_illuminance_lux must be positive, got {self.most_illuminance_lux:g}")
-        if not self.within_percent > 0:
-            raise BadInput(f"within_percent must be positive, got {self.within_percent:g}")
+        check(self, positive="most_illuminance_lux within_percent")
 
     def next_lux(self, begin_lux: float, seen: Sequence[tuple[float, bool]]) -> float | None:
-        """Return the light to try next, lux; None when the search is over.
-
-        Parameters
-        ----------
-        begin_lux
-            First light, lux.
-        seen
-            Light tried so far, lux, and whether it saturated.
-        """
+        """Return the light to try next, lux, after levels and whether each saturated; None when the search is over."""
         dark = max((lux for lux, saturated in seen if not saturated), default=None)
         bright = min((lux for lux, saturated in seen if saturated), default=None)
         if not seen:
@@ -132,43 +90,24 @@ class SaturationSearch:
         return 1 + doublings + max(0, math.ceil(math.log2(math.log(2.0) / math.log1p(self.within_percent / 100.0))))
 
 
-LONGEST_SETTLE_S = 86400.0
-"""Longest settle time, one day, s; longer ones are an error of input."""
-
+# Fraction of pixels that a bright point, its halo and streaks may saturate; room light saturates all pixels
 POINT_SATURATION = 0.3
-"""Fraction of pixels that a bright point, its halo and streaks may saturate; room light saturates all pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One stack to acquire.
+    """One stack to acquire."""
 
-    Parameters
-    ----------
-    label, kind
-        Name of the stack, and kind of target.
-    frames
-        Frames to acquire; with `until`, the largest number.
-    conditions
-        Set-points of the instruments.
-    target
-        Target in front of the camera.
-    until
-        Criterion to stop before all frames are acquired; None: no criterion.
-    search
-        Search for the light that saturates, one stack per level; None: a single stack.
-    saturated_fraction
-        Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends the run.
-        None: 0, for a point 0.3, for a search 1.
-    """
-
-    label: str
-    kind: Kind
-    frames: int
-    conditions: Conditions
-    target: Target = field(default_factory=Target)
-    until: StopCriterion | None = None
+    label: str  # Name of the stack, and kind of target
+    kind: Kind  # Name of the stack, and kind of target
+    frames: int  # Frames to acquire; with `until`, the largest number
+    conditions: Conditions  # Set-points of the instruments
+    target: Target = field(default_factory=Target)  # Target in front of the camera
+    until: StopCriterion | None = None  # Criterion to stop before all frames are acquired; None: no criterion
+    # Search for the light that saturates, one stack per level; None: a single stack
     search: SaturationSearch | None = None
+    # Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends the run. None: 0, for
+    # a point 0.3, for a search 1
     saturated_fraction: float | None = None
 
     def __post_init__(self) -> None:
@@ -179,10 +118,7 @@ class Step:
                 f"least_frames must not exceed the frames of its step, got {self.until.least_frames} of {self.frames} "
                 f"in {self.label!r}"
             )
-        if self.saturated_fraction is not None and not 0.0 <= self.saturated_fraction <= 1.0:
-            raise BadInput(
-                f"saturated_fraction must lie between 0 and 1, got {self.saturated_fraction:g} in {self.label!r}"
-            )
+        check_range(self, 0.0, 1.0, "saturated_fraction", of=f" in {self.label!r}")
         if self.search is not None:
             self._check_search(self.search)
 
@@ -227,23 +163,13 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class SettleTimes:
-    """Settle times after a change of settings.
+    """Settle times after a change of settings."""
 
-    Parameters
-    ----------
-    after_gain_s
-        Time after the MCP voltage was changed and verified, s.
-    after_light_s
-        Time after a change of light, filter, gate or target, s.
-    """
-
-    after_gain_s: float = 0.0
-    after_light_s: float = 0.0
+    after_gain_s: float = 0.0  # Time after the MCP voltage was changed and verified, s
+    after_light_s: float = 0.0  # Time after a change of light, filter, gate or target, s
 
     def __post_init__(self) -> None:
-        for name in ("after_gain_s", "after_light_s"):
-            if not 0.0 <= getattr(self, name) <= LONGEST_SETTLE_S:
-                raise BadInput(f"{name} must lie between 0 and {LONGEST_SETTLE_S:g}, got {getattr(self, name):g}")
+        check_range(self, 0.0, 86400.0, "after_gain_s", "after_light_s")  # one day
 
     def wait_s(self, before: Conditions | None, now: Conditions) -> float:
         """Return the settle time between two settings, s; `before` None: nothing was set yet."""
@@ -253,44 +179,20 @@ class SettleTimes:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanHead:
-    """Keys common to a plan and its file record.
+    """Keys common to a plan and its file record."""
 
-    Parameters
-    ----------
-    name
-        Name of the plan and of its session.
-    sensor
-        Name of a shipped sensor description, or path of one.
-    tube
-        Name of the tube, such as its serial number; names its dose ledger.
-    seed
-        Seed of the virtual bench.
-    scene
-        Lab scene of the virtual bench.
-    wires
-        Models and ports of the instruments.
-    limits
-        Limits of the plan, where tighter than those of the tube.
-    settle
-        Settle times after a change.
-    meters
-        Use of the auxiliary meters.
-    gating
-        Trigger of the gate, and its synchronisation with the camera's fields.
-    picture
-        Frame format of all steps, where not the full sensor in 8 or 16 bits.
-    """
-
-    name: str
-    sensor: str | None = None
-    tube: str | None = None
-    seed: int = 0
-    scene: str | None = None
-    wires: InstrumentConfig = field(default_factory=InstrumentConfig)
-    limits: Limits = field(default_factory=Limits)
-    settle: SettleTimes = field(default_factory=SettleTimes)
-    meters: Meters = field(default_factory=Meters)
+    name: str  # Name of the plan and of its session
+    sensor: str | None = None  # Name of a shipped sensor description, or path of one
+    tube: str | None = None  # Name of the tube, such as its serial number; names its dose ledger
+    seed: int = 0  # Seed of the virtual bench
+    scene: str | None = None  # Lab scene of the virtual bench
+    wires: InstrumentConfig = field(default_factory=InstrumentConfig)  # Models and ports of the instruments
+    limits: Limits = field(default_factory=Limits)  # Limits of the plan, where tighter than those of the tube
+    settle: SettleTimes = field(default_factory=SettleTimes)  # Settle times after a change
+    meters: Meters = field(default_factory=Meters)  # Use of the auxiliary meters
+    # Trigger of the gate, and its synchronisation with the camera's fields
     gating: Gating = field(default_factory=Gating)
+    # Frame format of all steps, where not the full sensor in 8 or 16 bits
     picture: FrameFormat = field(default_factory=FrameFormat)
 
     @property
@@ -301,24 +203,14 @@ class PlanHead:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan(PlanHead):
-    """An acquisition plan.
+    """An acquisition plan."""
 
-    Parameters
-    ----------
-    overrides
-        Overridden limits of the tube, with reasons.
-    gain_table
-        Gain calibration of the tube, needed for steps with a luminous gain; None: that of the sensor, if any.
-    lamp
-        Calibration of the light source and its filters; required if the wires name a light source.
-    steps
-        The stacks to acquire, in order.
-    """
-
-    overrides: tuple[Override, ...] = ()
+    overrides: tuple[Override, ...] = ()  # Overridden limits of the tube, with reasons
+    # Gain calibration of the tube, needed for steps with a luminous gain; None: that of the sensor, if any
     gain_table: GainTable | None = None
+    # Calibration of the light source and its filters; required if the wires name a light source
     lamp: LampCalibration | None = None
-    steps: tuple[Step, ...]
+    steps: tuple[Step, ...]  # The stacks to acquire, in order
 
     def __post_init__(self) -> None:
         labels = [step.label for step in self.steps]
@@ -388,11 +280,8 @@ class Judge(Protocol):
         ...
 
 
-SETTABLE_V = 1.0
-"""Voltage step that every supply can set, V."""
-
-READ_V = 2.0
-"""Settling tolerance of a supply: a read-back may exceed the end of the table by this, V."""
+SETTABLE_V = 1.0  # Voltage step that every supply can set, V
+READ_V = 2.0  # Settling tolerance of a supply: a read-back may exceed the end of the table by this, V
 
 
 def gain_table_of(plan: Plan, sensor: Sensor | None) -> GainTable | None:
@@ -404,13 +293,6 @@ def gain_table_of(plan: Plan, sensor: Sensor | None) -> GainTable | None:
 
 def in_volts(plan: Plan, sensor: Sensor | None) -> Plan:
     """Return the plan with every gain in volts and, where the tube is calibrated, as luminous gain.
-
-    Parameters
-    ----------
-    plan
-        The plan.
-    sensor
-        Sensor of the camera, or None.
 
     Raises
     ------

@@ -7,18 +7,10 @@ from labdata.errors import BadInput
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A measurable quantity of the command-line contract.
+    """A measurable quantity of the command-line contract."""
 
-    Parameters
-    ----------
-    units
-        Allowed units; the first is the default.
-    title
-        Title in reports.
-    """
-
-    units: tuple[str, ...]
-    title: str
+    units: tuple[str, ...]  # Allowed units; the first is the default
+    title: str  # Title in reports
 
 
 def _entry(title: str, *units: str) -> Quantity:
@@ -109,47 +101,37 @@ def convert_frequency(
     focal_length_mm: float | None = None,
     demagnification: float | None = None,
 ) -> float:
-    """Convert a spatial frequency from cycles per pixel to another unit.
+    """Convert a spatial frequency from cycles per pixel to one of `FREQUENCY_UNITS`.
 
     Parameters
     ----------
-    frequency_cy_per_px
-        Frequency at the detector, cycles per pixel.
-    unit
-        One of `FREQUENCY_UNITS`.
     pitch_um
-        Pixel pitch along the frequency's direction, um; needed for lp/mm at detector and cathode and for cy/mrad.
+        Pixel pitch along the frequency's direction, um; for lp/mm at detector and cathode and for cy/mrad.
     picture_height_px
-        Picture height in the same pitches, px; needed for television lines per picture height (two lines per cycle).
+        Picture height in the same pitches, px; for television lines per picture height (two lines per cycle).
     focal_length_mm
-        Focal length, mm; needed for cy/mrad.
+        Focal length, mm; for cy/mrad.
     demagnification
-        Length at the photocathode over its image's at the detector, dimensionless; needed for lp/mm at the cathode,
+        Length at the photocathode over its image's at the detector, dimensionless; for lp/mm at the cathode,
         and for cy/mrad of a camera that has one. None: the lens forms its image on the detector.
-
-    Raises
-    ------
-    BadInput
-        If the unit is unknown or a length that it needs is missing.
     """
+
+    def need(name: str) -> float:
+        if (length := lengths[name]) is None or not length > 0:
+            raise BadInput(f"{unit} needs a positive {name}, got {length}")
+        return length
+
+    lengths = {"pitch_um": pitch_um, "picture_height_px": picture_height_px, "focal_length_mm": focal_length_mm,
+               "demagnification": demagnification}  # fmt: skip
     if unit == "cy/px":
         return frequency_cy_per_px
     if unit == "lp/mm":
-        return frequency_cy_per_px / _require_length(pitch_um, "pitch_um", unit) * 1e3
+        return frequency_cy_per_px / need("pitch_um") * 1e3
     if unit == "lp/mm-cathode":
-        cathode_um = _require_length(pitch_um, "pitch_um", unit) * _require_length(
-            demagnification, "demagnification", unit
-        )
-        return frequency_cy_per_px / cathode_um * 1e3
+        return frequency_cy_per_px / (need("pitch_um") * need("demagnification")) * 1e3
     if unit == "tvl/ph":
-        return 2.0 * frequency_cy_per_px * _require_length(picture_height_px, "picture_height_px", unit)
+        return 2.0 * frequency_cy_per_px * need("picture_height_px")
     if unit == "cy/mrad":
-        image_um = _require_length(pitch_um, "pitch_um", unit) * (1.0 if demagnification is None else demagnification)
-        return frequency_cy_per_px * _require_length(focal_length_mm, "focal_length_mm", unit) / image_um
+        image_um = need("pitch_um") * (1.0 if demagnification is None else demagnification)
+        return frequency_cy_per_px * need("focal_length_mm") / image_um
     raise BadInput(f"a frequency unit must be one of {', '.join(FREQUENCY_UNITS)}, got {unit!r}")
-
-
-def _require_length(length: float | None, name: str, unit: str) -> float:
-    if length is None or not length > 0:
-        raise BadInput(f"{unit} needs a positive {name}, got {length}")
-    return length

@@ -25,17 +25,7 @@ ALWAYS = ("quantity", "unit", "value", "interval68", "interval95", "status", "fl
 
 
 def to_json(result: Result, *, given: str, version: str) -> dict[str, Any]:
-    """Return a result as the JSON object of a measuring verb.
-
-    Parameters
-    ----------
-    result
-        The result.
-    given
-        Input as named on the command line.
-    version
-        Version of charact.
-    """
+    """Return a result as the JSON object of a measuring verb; `given` is the input as named on the command line."""
     return {
         "charact": version,
         "input": given,
@@ -45,20 +35,7 @@ def to_json(result: Result, *, given: str, version: str) -> dict[str, Any]:
 
 
 def save(result: Result, folder: str | Path) -> Path:
-    """Save a full result, with posterior draws and figure data, in a session folder.
-
-    Parameters
-    ----------
-    result
-        The result.
-    folder
-        The session folder. An existing result is replaced atomically.
-
-    Returns
-    -------
-    Path
-        The document.
-    """
+    """Save a full result, with posterior draws and figure data, in a session folder, and return its document."""
     folder = Path(folder)
     arrays: dict[str, NDArray] = {}
     document = {
@@ -81,13 +58,7 @@ def save(result: Result, folder: str | Path) -> Path:
 
 
 def load(folder: str | Path) -> Result | None:
-    """Load the result saved in a session folder; None if there is none.
-
-    Raises
-    ------
-    BadInput
-        If the saved result cannot be read.
-    """
+    """Load the result saved in a session folder; None if there is none, BadInput if it cannot be read."""
     path = Path(folder) / RESULTS
     if not path.exists():
         return None
@@ -120,24 +91,17 @@ def _curve(curve: Curve) -> dict[str, Any]:
 
 
 def _full_measurement(measurement: Measurement, key: str, arrays: dict[str, NDArray]) -> dict[str, Any]:
-    provenance = measurement.provenance
+    """Return a measurement with provenance and posterior; its arrays are replaced by names, equal ones by one."""
     whole = _measurement(measurement)
-    if provenance is not None:
-        whole["provenance"] = {item.name: _value(getattr(provenance, item.name)) for item in fields(provenance)}
+    if measurement.provenance is not None:
+        whole["provenance"] = _value(vars(measurement.provenance))
     if measurement.posterior is not None:
-        whole["posterior"] = _full_posterior(measurement.posterior, key, arrays)
-    return whole
-
-
-def _full_posterior(posterior: Posterior, key: str, arrays: dict[str, NDArray]) -> dict[str, Any]:
-    """Return a posterior whose arrays are replaced by names; equal arrays are stored once."""
-    whole: dict[str, Any] = {}
-    for item in fields(posterior):
-        value = getattr(posterior, item.name)
-        if isinstance(value, np.ndarray):
-            whole[item.name] = {"array": _array_name(value, f"{key}.{item.name}", arrays)}
-        else:
-            whole[item.name] = _value(value)
+        whole["posterior"] = {
+            name: {"array": _array_name(value, f"{key}.{name}", arrays)}
+            if isinstance(value, np.ndarray)
+            else _value(value)
+            for name, value in vars(measurement.posterior).items()
+        }
     return whole
 
 
@@ -150,32 +114,23 @@ def _array_name(value: NDArray, key: str, arrays: dict[str, NDArray]) -> str:
 
 
 def _read_measurement(document: dict[str, Any], arrays: dict[str, NDArray]) -> Measurement:
-    keys = dict(document)
-    for name in ("interval68", "interval95", "region", "flags", "notes"):
-        if keys.get(name) is not None:
-            keys[name] = tuple(keys[name])
+    keys = _with_tuples(document)
     if "provenance" in keys:
         keys["provenance"] = Provenance(**keys["provenance"])
     if "posterior" in keys:
-        keys["posterior"] = _read_posterior(keys["posterior"], arrays)
+        parts = _with_tuples(keys["posterior"])
+        parts |= {name: arrays[value["array"]] for name, value in parts.items() if isinstance(value, dict)}
+        keys["posterior"] = Posterior(**parts)
     return Measurement(**keys)
 
 
-def _read_posterior(document: dict[str, Any], arrays: dict[str, NDArray]) -> Posterior:
-    keys: dict[str, Any] = {}
-    for name, value in document.items():
-        if isinstance(value, dict):
-            keys[name] = arrays[value["array"]]
-        else:
-            keys[name] = tuple(value) if isinstance(value, list) else value
-    return Posterior(**keys)
+def _with_tuples(document: dict[str, Any]) -> dict[str, Any]:
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in document.items()}
 
 
 def _read_curve(document: dict[str, Any]) -> Curve:
-    keys: dict[str, Any] = dict(document)
-    for name, value in keys.items():
-        if isinstance(value, list):
-            keys[name] = np.array(value, float)
+    lists = {name: np.array(value, float) for name, value in document.items() if isinstance(value, list)}
+    keys: dict[str, Any] = {**document, **lists}
     return Curve(**keys)
 
 

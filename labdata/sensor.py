@@ -8,13 +8,9 @@ from labdata.calibration import GainTable
 from labdata.camera_description import (
     Description,
     Parameter,
-    must_be_a_count,
-    must_be_a_share,
     must_be_an_efficiency_table,
-    must_be_positive,
-    must_not_be_negative,
 )
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check, check_range
 from labdata.limits import TubeLimits
 
 
@@ -33,13 +29,13 @@ class Optics:
     focus_nm: Parameter  # wavelength of best focus
 
     def __post_init__(self) -> None:
-        must_be_positive(self, "f_number", "focal_length_mm", "focus_nm")
-        must_be_a_share(self, "transmission", "veiling_glare_fraction", "vignetting_fraction")
-        must_not_be_negative(self, "aberration_blur_um")
-        if not abs(float(self.distortion_fraction)) < 0.5:
-            raise BadInput(
-                f"distortion_fraction must be less than 0.5 either way, got {float(self.distortion_fraction):g}"
-            )
+        check(
+            self,
+            positive="f_number focal_length_mm focus_nm",
+            share="transmission veiling_glare_fraction vignetting_fraction",
+            not_negative="aberration_blur_um",
+        )
+        check_range(self, -0.5, 0.5, "distortion_fraction")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,12 +63,14 @@ class Photocathode:
 
     def __post_init__(self) -> None:
         must_be_an_efficiency_table(self.wavelength_nm, self.relative_quantum_efficiency)
-        must_be_positive(self, "luminous_sensitivity_ua_per_lm", "diameter_mm", "gap_mm", "gap_v", "bright_source_v")
-        must_be_positive(self, "lateral_energy_ev", "gap_resolution_lp_per_mm", "ebi_doubling_k", "bright_source_lux")
-        must_not_be_negative(self, "ebi_lm_per_cm2")
-        must_be_a_share(self, "halo_fraction", "halo_elastic_share")
-        if not float(self.gate_on_off_ratio) >= 1.0:
-            raise BadInput(f"gate_on_off_ratio must be at least 1, got {float(self.gate_on_off_ratio):g}")
+        check(
+            self,
+            positive="luminous_sensitivity_ua_per_lm diameter_mm gap_mm gap_v bright_source_v lateral_energy_ev "
+            "gap_resolution_lp_per_mm ebi_doubling_k bright_source_lux",
+            not_negative="ebi_lm_per_cm2",
+            share="halo_fraction halo_elastic_share",
+        )
+        check(self, one_or_more="gate_on_off_ratio")
         if not float(self.bright_source_v) <= float(self.gap_v):
             raise BadInput(
                 f"bright_source_v must not exceed gap_v, got {float(self.bright_source_v):g} over {float(self.gap_v):g}"
@@ -107,16 +105,17 @@ class MicrochannelPlate:
     pattern_pitch_um: Parameter  # of that pattern, at the cathode
 
     def __post_init__(self) -> None:
-        must_be_a_share(self, "detection_probability", "film_transmission", "open_area_ratio", "web_recovery")
-        must_be_a_share(self, "pattern_contrast")
-        must_be_positive(self, "detection_probability", "pulse_height_shape", "reference_v", "electron_gain")
-        must_be_positive(self, "channel_pitch_um", "resolution_lp_per_mm", "pattern_pitch_um", "gain_control_counts")
-        must_be_positive(self, "strip_current_ua_per_cm2", "saturation_fraction", "channel_recovery_ms")
-        must_not_be_negative(self, "gain_exponent", "saturation_blur_um", "gain_control_reference")
-        must_not_be_negative(self, "ion_event_rate_per_s_cm2", "ion_event_size_pe")
-        must_be_a_count(self, "stages")
-        if not 0.1 <= float(self.pulse_height_shape) <= 1e6:
-            raise BadInput(f"pulse_height_shape must lie between 0.1 and 1e6, got {float(self.pulse_height_shape):g}")
+        check(
+            self,
+            share="detection_probability film_transmission open_area_ratio web_recovery pattern_contrast",
+            positive="detection_probability pulse_height_shape reference_v electron_gain channel_pitch_um "
+            "resolution_lp_per_mm pattern_pitch_um gain_control_counts strip_current_ua_per_cm2 "
+            "saturation_fraction channel_recovery_ms",
+            not_negative="gain_exponent saturation_blur_um gain_control_reference ion_event_rate_per_s_cm2 "
+            "ion_event_size_pe",
+            one_or_more="stages",
+        )
+        check_range(self, 0.1, 1e6, "pulse_height_shape")
         if not float(self.gain_control_ratio) > 1.0:
             raise BadInput(f"gain_control_ratio must exceed 1, got {float(self.gain_control_ratio):g}")
 
@@ -137,11 +136,13 @@ class Tube:
     brightness_control_s: Parameter  # its attack time
 
     def __post_init__(self) -> None:
-        must_be_positive(self, "luminous_gain", "limiting_resolution_lp_per_mm", "mtf_frequency_lp_per_mm")
-        must_be_positive(self, "mtf_exponent", "magnification", "brightness_control_lux", "brightness_control_s")
-        must_be_a_share(self, "post_gain_share")
-        if float(self.mtf_exponent) > 10.0:
-            raise BadInput(f"mtf_exponent must be at most 10, got {float(self.mtf_exponent):g}")
+        check(
+            self,
+            positive="luminous_gain limiting_resolution_lp_per_mm mtf_frequency_lp_per_mm mtf_exponent magnification "
+            "brightness_control_lux brightness_control_s",
+            share="post_gain_share",
+        )
+        check_range(self, 0.0, 10.0, "mtf_exponent")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,11 +163,13 @@ class Phosphor:
     gain_nonuniformity: Parameter  # relative standard deviation
 
     def __post_init__(self) -> None:
-        must_be_positive(self, "luminous_efficacy_lm_per_w", "photon_energy_ev", "peak_nm", "width_nm")
-        must_be_positive(self, "photons_per_electron", "screen_kv", "resolution_lp_per_mm")
-        must_be_positive(self, "fast_decay_ms", "slow_decay_ms")
-        must_be_a_share(self, "fast_fraction")
-        must_not_be_negative(self, "gain_nonuniformity")
+        check(
+            self,
+            positive="luminous_efficacy_lm_per_w photon_energy_ev peak_nm width_nm photons_per_electron screen_kv "
+            "resolution_lp_per_mm fast_decay_ms slow_decay_ms",
+            share="fast_fraction",
+            not_negative="gain_nonuniformity",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,14 +189,14 @@ class Taper:
     shear_um: Parameter
 
     def __post_init__(self) -> None:
-        must_be_positive(self, "demagnification", "transmission", "numerical_aperture", "fibre_pitch_um")
-        must_be_positive(self, "interface_mtf_lp_per_mm", "pattern_pitch_um")
-        must_be_a_share(self, "transmission", "core_fraction", "bulk_transmission", "pattern_contrast")
-        must_not_be_negative(self, "shear_um")
-        if not abs(float(self.distortion_fraction)) < 0.5:
-            raise BadInput(
-                f"distortion_fraction must be less than 0.5 either way, got {float(self.distortion_fraction):g}"
-            )
+        check(
+            self,
+            positive="demagnification transmission numerical_aperture fibre_pitch_um interface_mtf_lp_per_mm "
+            "pattern_pitch_um",
+            share="transmission core_fraction bulk_transmission pattern_contrast",
+            not_negative="shear_um",
+        )
+        check_range(self, -0.5, 0.5, "distortion_fraction")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,11 +218,13 @@ class Ccd:
     dsnu_e: Parameter  # standard deviation of the fixed dark pattern, per exposure at 25 C
 
     def __post_init__(self) -> None:
-        must_be_a_count(self, "columns", "rows")
-        must_be_positive(self, "pitch_x_um", "pitch_y_um", "full_well_e", "dark_current_doubling_k")
-        must_be_positive(self, "quantum_efficiency")
-        must_be_a_share(self, "quantum_efficiency", "smear_fraction")
-        must_not_be_negative(self, "read_noise_e", "dark_current_e_per_s", "prnu", "dsnu_e", "antibloom_ratio")
+        check(
+            self,
+            one_or_more="columns rows",
+            positive="pitch_x_um pitch_y_um full_well_e dark_current_doubling_k quantum_efficiency",
+            share="quantum_efficiency smear_fraction",
+            not_negative="read_noise_e dark_current_e_per_s prnu dsnu_e antibloom_ratio",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,9 +256,8 @@ class Video:
     line_noise_dn: Parameter | None = None  # standard deviation of an offset common to a line
 
     def __post_init__(self) -> None:
-        must_be_positive(self, "field_rate_hz", "gamma", "conversion_gain_dn_per_e")
-        if not 1 <= self.bit_depth <= 16:
-            raise BadInput(f"bit_depth must lie in 1..16, got {self.bit_depth}")
+        check(self, positive="field_rate_hz gamma conversion_gain_dn_per_e")
+        check_range(self, 1, 16, "bit_depth")
         given = [name for name in _ANALOG if getattr(self, name) is not None]
         if self.digital and given:
             raise BadInput(f"a camera without bandwidth_mhz must have no analog video, got {', '.join(given)}")
@@ -262,10 +266,12 @@ class Video:
             raise BadInput(f"a camera with bandwidth_mhz must have all its analog video, got no {', '.join(missing)}")
         if self.automatic_gain and None in (self.automatic_gain_range_db, self.automatic_gain_s):
             raise BadInput("a camera with automatic_gain must have automatic_gain_range_db and automatic_gain_s")
-        must_be_positive(self, *_present(self, "bandwidth_mhz", "pixel_clock_mhz", "automatic_gain_s"))
-        must_not_be_negative(self, *_present(self, "sync_jitter_ns", "line_noise_dn", "automatic_gain_range_db"))
-        if self.filter_order is not None:
-            must_be_a_count(self, "filter_order")
+        check(
+            self,
+            positive="bandwidth_mhz pixel_clock_mhz automatic_gain_s",
+            not_negative="sync_jitter_ns line_noise_dn automatic_gain_range_db",
+            one_or_more="filter_order",
+        )
 
     @property
     def digital(self) -> bool:
@@ -284,24 +290,12 @@ class Video:
 _ANALOG = ("lines", "pixel_clock_mhz", "filter_order", "aperture_correction_db", "sync_jitter_ns", "line_noise_dn")
 
 
-def _present(video: Video, *names: str) -> tuple[str, ...]:
-    return tuple(name for name in names if getattr(video, name) is not None)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Draws:
-    """Joint posterior draws of the fitted parameters, by path such as "tube.post_gain_share".
+    """Joint posterior draws of the fitted parameters, by path such as "tube.post_gain_share"."""
 
-    Parameters
-    ----------
-    names
-        Paths of the parameters.
-    values
-        Draws, one tuple per draw in the order of the names.
-    """
-
-    names: tuple[str, ...] = ()
-    values: tuple[tuple[float, ...], ...] = ()
+    names: tuple[str, ...] = ()  # Paths of the parameters
+    values: tuple[tuple[float, ...], ...] = ()  # Draws, one tuple per draw in the order of the names
 
     def __post_init__(self) -> None:
         if any(len(row) != len(self.names) for row in self.values):
@@ -339,21 +333,15 @@ class Sensor(Description):
     notes: tuple[str, ...] = ()
 
     def with_phosphor(self, phosphor: Phosphor) -> "Sensor":
-        """Return the same tube with another screen.
-
-        Parameters
-        ----------
-        phosphor
-            The screen; see `labdata.phosphors.load_phosphor`.
+        """Return the same tube with another screen, see `labdata.phosphors.load_phosphor`.
 
         Notes
         -----
         A luminous gain holds for the tube's own screen. What stays is the number of screen photons per photoelectron,
         G/(K_lm E_ph) / (S/e), so that G goes as K_lm E_ph of the screen: the plate makes up for a dimmer phosphor, its
-        electron gain goes as one over the photons per electron, and its strip current limits it sooner. Only where
-        the new screen's photons per electron were measured ("sheet" or "fitted") does the plate keep its electron gain
-        and G goes with them too. Blur, as part of the whole tube's, and the CCD's efficiency stay as described. A
-        calibration of its gain was of the old screen and is left out.
+        electron gain goes as one over the photons per electron, and its strip current limits it sooner. Only where the
+        new screen's photons per electron were measured ("sheet" or "fitted") does the plate keep its electron gain and
+        G goes with them too. Blur and the CCD's efficiency stay; a calibration of the old screen's gain is left out.
         """
         lumens = _lumens_per_photon(phosphor) / _lumens_per_photon(self.phosphor)
         brighter = float(phosphor.photons_per_electron) / float(self.phosphor.photons_per_electron)

@@ -31,19 +31,7 @@ EXPECTED = {
 
 
 def sentence(errors: Sequence[Mapping[str, Any]], mapping: Mapping[str, Any], where: str, known: Sequence[str]) -> str:
-    """Return one sentence on the first of several validation errors.
-
-    Parameters
-    ----------
-    errors
-        Errors as listed by pydantic; the first item of each location is the wrapper's index.
-    mapping
-        The mapping that was validated.
-    where
-        File name.
-    known
-        Valid keys, for the suggestion after a misspelt one.
-    """
+    """Return one sentence on the first of several validation errors of pydantic; `known` are the valid keys."""
     error = errors[0]
     steps = tuple(error["loc"])[1:]
     kind = error["type"]
@@ -127,15 +115,7 @@ def _display(value: Any) -> str:
 
 
 def with_descriptions(schema: dict[str, Any], types: dict[str, type]) -> dict[str, Any]:
-    """Return a schema with the descriptions of its tables and keys.
-
-    Parameters
-    ----------
-    schema
-        JSON Schema with `$defs`.
-    types
-        Dataclasses by the name that the schema gives them; the schema's own title among them.
-    """
+    """Return a schema with the descriptions of its tables and keys; `types` are its dataclasses by name."""
     return {
         **_table(schema, types.get(schema["title"])),
         "$defs": {name: _table(table, types.get(name)) for name, table in schema["$defs"].items()},
@@ -166,14 +146,17 @@ def summary_of(type_: type) -> str:
 
 
 def parameters_of(type_: type) -> dict[str, str]:
-    """Return the numpydoc text of each parameter of a class and its bases, as one line each."""
+    """Return the documentation of each field of a class and its bases, as one line each."""
     words: dict[str, str] = {}
     for base in reversed(type_.__mro__):
-        words.update(_parameters(inspect.cleandoc(base.__dict__.get("__doc__") or "")))
+        words |= _documented(inspect.cleandoc(base.__dict__.get("__doc__") or ""))
+        if dataclasses.is_dataclass(base):
+            words |= _commented(inspect.getsource(base))
     return words
 
 
-def _parameters(docstring: str) -> dict[str, str]:
+def _documented(docstring: str) -> dict[str, str]:
+    """Return the numpydoc text of each parameter."""
     _, _, section = docstring.partition("Parameters\n----------\n")
     section = re.split(r"\n\S+\n-{3,}\n", section)[0]
     words = {}
@@ -182,36 +165,34 @@ def _parameters(docstring: str) -> dict[str, str]:
     return words
 
 
+def _commented(source: str) -> dict[str, str]:
+    """Return the comment behind each field, or on the lines before it."""
+    words: dict[str, str] = {}
+    before: list[str] = []
+    for line in source.splitlines():
+        name, _, behind = line.strip().partition(":")
+        if line.strip().startswith("# "):
+            before.append(line.strip()[2:])
+            continue
+        if name.isidentifier() and (text := behind.partition("  # ")[2] or " ".join(before)):
+            words[name] = text.rstrip(".") + "."
+        before = []
+    return words
+
+
 T = TypeVar("T")
 
 
 def from_toml(path: str | Path, type_: type[T]) -> T:
-    """Read a TOML file into a dataclass.
+    """Read a TOML file into a dataclass or a form of `labdata.file_records`.
 
-    Parameters
-    ----------
-    path
-        The file.
-    type_
-        The dataclass: `Sensor`, `Plan`, or a form of `labdata.file_records`.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, is not TOML, or has an unknown key or an invalid value; one sentence
-        that names the key and its place.
+    A file that is missing or no TOML, an unknown key or an invalid value is BadInput with key and place.
     """
     return from_mapping(read_toml(path), type_, where=Path(path).name)
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file into a mapping of plain values, for callers that choose the dataclass by its content.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing or is not TOML.
-    """
+    """Read a TOML file into a mapping of plain values; one that is missing or no TOML is BadInput."""
     path = Path(path)
     require_regular(path)
     try:
@@ -229,22 +210,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") -> T:
-    """Build a dataclass from a mapping of TOML or JSON values.
-
-    Parameters
-    ----------
-    mapping
-        Keys and values; a key that the dataclass does not have is refused at every depth.
-    type_
-        The dataclass.
-    where
-        Source of the mapping named in an error message: a file name.
-
-    Raises
-    ------
-    BadInput
-        As for `from_toml`.
-    """
+    """Build a dataclass from a mapping of TOML or JSON values, checked as by `from_toml`; `where` names its file."""
     form = _forms().get(type_)
     written = _read(mapping, form or type_, where)
     if form is None:

@@ -26,8 +26,7 @@ MANIFEST = "session.toml"
 Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
 
 
-UNUSED = "does not use its target's"
-"""Text of the note on target fields of another kind."""
+UNUSED = "does not use its target's"  # Text of the note on target fields of another kind
 
 # Settings that determine the black level.
 DARK_SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s")
@@ -35,59 +34,27 @@ DARK_SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s")
 
 @dataclass(frozen=True, kw_only=True)
 class StackEntry:
-    """One stack of a session, its frames not yet read.
+    """One stack of a session, its frames not yet read."""
 
-    Parameters
-    ----------
-    label
-        Name, unique in the session.
-    kind
-        Kind of target.
-    frames
-        Path of the frames relative to the session folder: a file, an array of the session's store, or several
-        consecutive files.
-    conditions
-        Conditions in force: read-backs where an instrument can be read, else the set-points.
-    asked
-        Requested conditions; None where there were no set-points.
-    target
-        The target.
-    finished
-        False after an interrupted acquisition; acknowledged frames are kept.
-    lost_frames
-        Number of frames that the camera numbered and that were not recorded.
-    losses
-        Their numbers and causes, where known.
-    notes
-        Remarks of the manifest.
-    record_notes
-        Damage and gaps in the record of the frames.
-    bit_depth
-        Bits of the digitiser; None if unknown.
-    axis, plane
-        Frame axis of the files and plane to read; see `labdata.importers.read_frames`.
-    folder
-        The session's folder.
-    view
-        How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are.
-    """
-
-    label: str
-    kind: Kind
+    label: str  # Name, unique in the session
+    kind: Kind  # Kind of target
+    # Path of the frames relative to the session folder: a file, an array of the session's store, or several consecutive
+    # files
     frames: str | tuple[str, ...]
+    # Conditions in force: read-backs where an instrument can be read, else the set-points
     conditions: Conditions = field(default_factory=Conditions)
-    asked: Conditions | None = None
-    target: Target = field(default_factory=Target)
-    finished: bool = True
-    lost_frames: int = 0
-    losses: tuple[LostFrames, ...] = ()
-    notes: tuple[str, ...] = ()
-    record_notes: tuple[str, ...] = ()
-    bit_depth: int | None = None
-    axis: str | None = None
-    plane: str | None = None
-    folder: Path
-    view: "View | None" = None
+    asked: Conditions | None = None  # Requested conditions; None where there were no set-points
+    target: Target = field(default_factory=Target)  # The target
+    finished: bool = True  # False after an interrupted acquisition; acknowledged frames are kept
+    lost_frames: int = 0  # Number of frames that the camera numbered and that were not recorded
+    losses: tuple[LostFrames, ...] = ()  # Their numbers and causes, where known
+    notes: tuple[str, ...] = ()  # Remarks of the manifest
+    record_notes: tuple[str, ...] = ()  # Damage and gaps in the record of the frames
+    bit_depth: int | None = None  # Bits of the digitiser; None if unknown
+    axis: str | None = None  # Frame axis of the files and plane to read; see `labdata.importers.read_frames`
+    plane: str | None = None  # Frame axis of the files and plane to read; see `labdata.importers.read_frames`
+    folder: Path  # The session's folder
+    view: "View | None" = None  # How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -96,18 +63,7 @@ class StackEntry:
         return tuple(self.folder / name for name in names)
 
     def read(self, plane: str | None = None) -> FrameStack:
-        """Read the frames.
-
-        Parameters
-        ----------
-        plane
-            Colour plane, where the frames have several; see `labdata.importers.read_frames`.
-
-        Raises
-        ------
-        BadInput
-            If a file is missing or damaged, or the frames break a rule; one sentence.
-        """
+        """Read the frames, or one colour plane; damaged files, and frames that break a rule, are BadInput."""
         from labdata.importers import read_frames
 
         unknown = self.bit_depth is None
@@ -171,33 +127,18 @@ def _agreeing(one: Conditions, other: Conditions) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Session:
-    """A session as described by its manifest.
+    """A session as described by its manifest."""
 
-    Parameters
-    ----------
-    folder
-        The session's folder.
-    name
-        Its name.
-    stacks
-        Its stacks in the order of the manifest.
-    sensor
-        Description of the intensified camera named in the manifest; None without a name, or for a camera without
-        intensifier, which is measured like an unknown camera.
-    register
-        Electron-multiplying register of a named camera without intensifier; None where it has none.
-    bit_depth
-        Bits of the digitiser; None if unknown.
-    interlaced
-        Whether the two fields of a frame were exposed one after the other; None: as in the sensor description.
-    """
-
-    folder: Path
-    name: str
-    stacks: tuple[StackEntry, ...]
+    folder: Path  # The session's folder
+    name: str  # Its name
+    stacks: tuple[StackEntry, ...]  # Its stacks in the order of the manifest
+    # Description of the intensified camera named in the manifest; None without a name, or for a camera without
+    # intensifier, which is measured like an unknown camera
     sensor: Sensor | None = None
+    # Electron-multiplying register of a named camera without intensifier; None where it has none
     register: Register | None = None
-    bit_depth: int | None = None
+    bit_depth: int | None = None  # Bits of the digitiser; None if unknown
+    # Whether the two fields of a frame were exposed one after the other; None: as in the sensor description
     interlaced: bool | None = None
     notes: tuple[str, ...] = ()
 
@@ -233,12 +174,7 @@ class Session:
 
 
 def open_session(path: str | Path) -> Session:
-    """Open the session in a folder.
-
-    Parameters
-    ----------
-    path
-        The folder, or its session.toml. Frames are read on demand.
+    """Open the session of a folder, or of its session.toml; frames are read on demand.
 
     Raises
     ------
@@ -334,12 +270,7 @@ def _record(stack: "StackRecord", folder: Path) -> tuple[int, tuple[str, ...]]:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's content, or of the names and digests of a folder's files.
-
-    Notes
-    -----
-    A folder's digest is that of the `sha256sum` output for its files, sorted by their names relative to the folder.
-    """
+    """Return the SHA-256 of a file, or of the `sha256sum` output for a folder's files, sorted by relative name."""
     if not path.is_dir():
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

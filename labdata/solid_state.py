@@ -4,15 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labdata.camera_description import (
-    Description,
-    Parameter,
-    must_be_a_count,
-    must_be_an_efficiency_table,
-    must_be_positive,
-    must_not_be_negative,
-)
-from labdata.errors import BadInput
+from labdata.camera_description import Description, Parameter, must_be_an_efficiency_table
+from labdata.errors import BadInput, check
 from labdata.sensor import Ccd, Optics, Video
 
 
@@ -37,11 +30,8 @@ class Register:
     stages: int  # of the register
 
     def __post_init__(self) -> None:
-        if not float(self.em_gain) >= 1.0:
-            raise BadInput(f"em_gain must be at least 1, got {float(self.em_gain):g}")
-        must_be_positive(self, "pulse_height_shape")
-        must_not_be_negative(self, "clock_induced_e")
-        must_be_a_count(self, "stages")
+        check(self, one_or_more="em_gain")
+        check(self, positive="pulse_height_shape", not_negative="clock_induced_e", one_or_more="stages")
 
     @property
     def multiplies(self) -> bool:
@@ -50,17 +40,8 @@ class Register:
 
 
 def excess_noise_factor(em_gain: float, stages: float = np.inf) -> float:
-    r"""Return the excess noise factor F^2 of an electron-multiplying register.
+    """Return the excess noise factor F^2 of an electron-multiplying register of mean gain g and N stages.
 
-    Parameters
-    ----------
-    em_gain
-        Mean gain g of the register, at least 1.
-    stages
-        Number N of its stages.
-
-    Notes
-    -----
     .. math:: F^2 = 2 (g - 1) g^{-(N + 1) / N} + 1 / g
 
     1 at unit gain and 2 at high gain (Robbins & Hadwen, IEEE Trans. Electron Devices 50, 1227 (2003), eq. 20).

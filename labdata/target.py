@@ -1,9 +1,8 @@
 """Target in front of the camera."""
 
-import math
 from dataclasses import dataclass
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 
 # Fields of a single kind of target.
 BELONGS_TO = {"bars": "bars", "frequency_cy_per_px": "bars", "pinhole_px": "point"}
@@ -11,39 +10,21 @@ BELONGS_TO = {"bars": "bars", "frequency_cy_per_px": "bars", "pinhole_px": "poin
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """Target in front of the camera; only the fields of the stack's kind are set.
+    """Target in front of the camera; only the fields of the stack's kind are set."""
 
-    Parameters
-    ----------
-    bars
-        Number of bars of a bar target.
-    frequency_cy_per_px
-        Frequency of the bars at the detector, cycles per column pitch.
-    angle_deg
-        Direction across the bars or along the edge's normal, degrees from the row direction: 0 is horizontal
-        frequency (vertical bars or edge), 90 is vertical frequency.
-    pinhole_px
-        Diameter of the pinhole's image, column pitches.
-    contrast
-        (bright - dark) / (bright + dark) of bars or edge, dimensionless.
-    region
-        ROW, COL, HEIGHT, WIDTH of the target in the frame, px.
-    """
-
-    bars: int | None = None
-    frequency_cy_per_px: float | None = None
+    bars: int | None = None  # Number of bars of a bar target
+    frequency_cy_per_px: float | None = None  # Frequency of the bars at the detector, cycles per column pitch
+    # Direction across the bars or along the edge's normal, degrees from the row direction: 0 is horizontal frequency
+    # (vertical bars or edge), 90 is vertical frequency
     angle_deg: float | None = None
-    pinhole_px: float | None = None
-    contrast: float | None = None
-    region: tuple[int, int, int, int] | None = None
+    pinhole_px: float | None = None  # Diameter of the pinhole's image, column pitches
+    contrast: float | None = None  # (bright - dark) / (bright + dark) of bars or edge, dimensionless
+    region: tuple[int, int, int, int] | None = None  # ROW, COL, HEIGHT, WIDTH of the target in the frame, px
 
     def __post_init__(self) -> None:
         if self.bars is not None and self.bars < 2:
             raise BadInput(f"a bar target must have at least 2 bars, got {self.bars}")
-        if self.frequency_cy_per_px is not None and not 0 < self.frequency_cy_per_px < math.inf:
-            raise BadInput(f"frequency_cy_per_px must be positive, got {self.frequency_cy_per_px:g}")
-        if self.pinhole_px is not None and not 0 <= self.pinhole_px < math.inf:
-            raise BadInput(f"pinhole_px must not be negative, or infinite, got {self.pinhole_px:g}")
+        check(self, positive="frequency_cy_per_px", not_negative="pinhole_px")
         if self.contrast is not None and not 0 < self.contrast <= 1:
             raise BadInput(f"contrast must lie in (0, 1], got {self.contrast:g}")
 

@@ -11,15 +11,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from labdata.file_io import ends_mid_line, sync_folder, write_whole
 
 if TYPE_CHECKING:
     from labdata.sensor import Sensor
 
 
-WARN_AT = 0.8
-"""Fraction of a tube's expected life at which a warning is given."""
+WARN_AT = 0.8  # Fraction of a tube's expected life at which a warning is given
 
 S_PER_H = 3600.0
 C_PER_NC = 1e-9
@@ -27,29 +26,16 @@ C_PER_NC = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Dose:
-    """Accumulated load of a tube.
+    """Accumulated load of a tube."""
 
-    Parameters
-    ----------
-    screen_c_per_cm2
-        Charge through the brightest large area of the screen, C/cm2.
-    point_c_per_cm2
-        Charge through the images of pinholes, as if all fell on one point, C/cm2.
-    hours_at_gain
-        Time with high voltage across the MCP, h.
-    log_sd
-        Standard uncertainty of the logarithm of both charges, from those of photocathode sensitivity and MCP gain.
-    """
-
-    screen_c_per_cm2: float = 0.0
-    point_c_per_cm2: float = 0.0
-    hours_at_gain: float = 0.0
+    screen_c_per_cm2: float = 0.0  # Charge through the brightest large area of the screen, C/cm2
+    point_c_per_cm2: float = 0.0  # Charge through the images of pinholes, as if all fell on one point, C/cm2
+    hours_at_gain: float = 0.0  # Time with high voltage across the MCP, h
+    # Standard uncertainty of the logarithm of both charges, from those of photocathode sensitivity and MCP gain
     log_sd: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("screen_c_per_cm2", "point_c_per_cm2", "hours_at_gain", "log_sd"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise BadInput(f"{name} must be finite and not negative, got {getattr(self, name)}")
+        check(self, not_negative=(item.name for item in fields(self)))
 
     @property
     def charge_c_per_cm2(self) -> float:
@@ -76,21 +62,7 @@ def total_dose(doses: Iterable[Dose]) -> Dose:
 
 
 def dose_of(*, delivered_na_per_cm2: float, lit_s: float, at_gain_s: float, point: bool, log_sd: float) -> Dose:
-    """Return the dose of a time under one current density.
-
-    Parameters
-    ----------
-    delivered_na_per_cm2
-        Current density at the phosphor, nA/cm2.
-    lit_s
-        Duration of the light, s.
-    at_gain_s
-        Time with high voltage on, s.
-    point
-        Whether only the image of a pinhole was illuminated.
-    log_sd
-        Standard uncertainty of the logarithm of the current.
-    """
+    """Return the dose of light for `lit_s` and high voltage for `at_gain_s` at one current density of the phosphor."""
     charge = delivered_na_per_cm2 * C_PER_NC * lit_s
     return Dose(
         screen_c_per_cm2=0.0 if point else charge,
@@ -118,14 +90,9 @@ def _life_warning(what: str, amount: float, life: float, unit: str) -> str | Non
     return f"The tube's {what} is {amount:.3g} {unit}, {amount / life:.0%} of the {life:g} {unit} expected of its life."
 
 
-FOLDER_VARIABLE = "CHARACT_TUBES"
-"""Environment variable with another folder for the ledgers."""
-
-PATIENCE_S = 2.0
-"""Longest wait for the lock of a ledger, s; an append holds it for milliseconds."""
-
-LOOK_S = 0.02
-"""Time between two tries for the lock, s."""
+FOLDER_VARIABLE = "CHARACT_TUBES"  # Environment variable with another folder for the ledgers
+PATIENCE_S = 2.0  # Longest wait for the lock of a ledger, s; an append holds it for milliseconds
+LOOK_S = 0.02  # Time between two tries for the lock, s
 
 
 def ledger_of(tube: str) -> "DoseLedger":
@@ -138,25 +105,13 @@ def ledger_of(tube: str) -> "DoseLedger":
 
 
 class DoseLedger:
-    """Doses of one tube.
-
-    Parameters
-    ----------
-    path
-        The file; made with its folder at the first dose.
-    """
+    """Doses of one tube, in a file that is made with its folder at the first dose."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
 
     def append(self, dose: Dose, **said: object) -> None:
-        """Add a dose, on the disk when this returns; `said` are further keys of the line.
-
-        Raises
-        ------
-        OSError
-            If the disk does not take the dose, or another process locks the ledger for longer than `PATIENCE_S`.
-        """
+        """Add a dose, on the disk when this returns, with further keys of the line; OSError if the disk refuses."""
         values = {item.name: getattr(dose, item.name) for item in fields(Dose)}
         line = json.dumps({"time": datetime.now(UTC).isoformat(timespec="seconds"), **values, **said}) + "\n"
         new = not self.path.exists()

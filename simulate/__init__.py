@@ -1,5 +1,18 @@
 """Simulation: scene radiance, intensified and solid-state cameras, and virtual instruments."""
 
+from typing import Any
+
 from labdata.numba_cache import keep_loops
 
 keep_loops()
+
+__all__ = ["SimulationRequest", "conditions_of", "load_described_camera", "save_session", "simulate"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the use cases on first use, so that the command line starts fast."""
+    if name in __all__:
+        from simulate import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module 'simulate' has no attribute {name!r}")

@@ -20,7 +20,7 @@ from simulate.iiccd import tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Chain
 from simulate.iiccd.stage_image import StageImage
-from simulate.radiance.bench_renderer import TargetView
+from simulate.radiance.lab_target import TargetView
 from simulate.radiance.scene import LabScene, load_bench
 from simulate.radiance.spectrum import planck
 
@@ -207,8 +207,7 @@ def _relative_picture(
     scene: LabScene, kind: Kind, target: Target, view: TargetView, weight: tuple[float, ...]
 ) -> NDArray[np.float32]:
     """A target's light on cells of the view, relative to that of a large open area, shape (row, col)."""
-    from simulate.radiance.bench_renderer import render_bench, set_up
-    from simulate.radiance.target_mesh import target_mesh
+    from simulate.radiance.lab_target import render_bench, set_up, target_mesh
 
     mesh = target_mesh(kind, target, scene.holder, 1.0 / view.metre_per_px)
     bench = set_up(scene, mesh, view.metre_per_px)

@@ -17,8 +17,7 @@ from simulate.iiccd.grid import SCENE_MARGIN_PX
 from simulate.iiccd.scene_to_photoelectrons import Camera
 from simulate.iiccd.solid_state import SiliconCamera
 from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator.integrator_settings import workers
-from simulate.radiance.integrator.render_sensor import KNOWN, RenderSensor
+from simulate.radiance.integrator.integrator_settings import KNOWN, RenderSensor, workers
 from simulate.radiance.integrator.renderer import Rendering, render_scene
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.outdoor.render_settings import RenderSettings, choose_render_settings, exact
@@ -87,27 +86,13 @@ SPENT = "some pixels, or all together, have had the most rays that they may"
 
 @dataclass(frozen=True, kw_only=True)
 class RenderedView:
-    """Rendering of an outdoor scene for one camera.
+    """Rendering of an outdoor scene for one camera."""
 
-    Parameters
-    ----------
-    picture
-        Radiance, its error and the truth of each pixel.
-    plan
-        What it was made with.
-    eye
-        The sensor as it was planned for.
-    title
-        What it shows, where and when.
-    left_out
-        What files of the scene say that is not used, in sentences.
-    """
-
-    picture: Rendering
-    plan: RenderSettings
-    eye: RenderSensor
-    title: str
-    left_out: tuple[str, ...] = ()
+    picture: Rendering  # radiance, its error and the truth of each pixel
+    plan: RenderSettings  # what it was made with
+    eye: RenderSensor  # the sensor as it was planned for
+    title: str  # what it shows, where and when
+    left_out: tuple[str, ...] = ()  # what files of the scene say that is not used, in sentences
 
     @property
     def chance(self) -> float:
@@ -141,21 +126,11 @@ class RenderedView:
 
 @dataclass(frozen=True)
 class OutdoorRendering:
-    """A scene and a camera.
+    """A scene and a camera."""
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    camera
-        The camera, whose lens and pixels the scene's camera has.
-    conditions
-        Gate or exposure, by which the camera's noise is judged.
-    """
-
-    scene: OutdoorScene
-    camera: Camera
-    conditions: Conditions
+    scene: OutdoorScene  # the scene
+    camera: Camera  # the camera, whose lens and pixels the scene's camera has
+    conditions: Conditions  # gate or exposure, by which the camera's noise is judged
 
     @cached_property
     def site(self) -> BuiltScene:
@@ -209,7 +184,7 @@ class OutdoorRendering:
         progress
             Called with the fraction done.
         announce
-            Called with the estimated time of the rendering, s, before it begins.
+            Called with the estimated time of the rendering, s, after its first rays.
         """
         view, eye = self.view, render_sensor_of(self.camera, self.conditions)
         if preview:

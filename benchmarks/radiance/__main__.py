@@ -24,12 +24,12 @@ from benchmarks.radiance.errors import Reference, reference
 from benchmarks.radiance.export import export
 from benchmarks.radiance.path_tracer import PathTracer, Timed
 from benchmarks.radiance.scenes import Case, cases
-from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings, workers
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings, SamplingSettings, workers
 from simulate.radiance.integrator.renderer import render_scene
 
 KEPT = Path("study/radiance")
-RESULTS, CHART, PAGE = Path("docs/radiance/peers.json"), Path("docs/radiance/peers.png"), Path("docs/radiance.md")
+RESULTS, PAGE = Path("docs/validation/radiance-peers.json"), Path("docs/validation/radiance.md")
+CHART = Path("docs/pictures/radiance/peers.png")
 THREADS, REPEATS = 2, 1
 # After a picture that took so much processor time, s, no stricter one of its family is made.
 LONGEST_S = 12.0

@@ -12,8 +12,7 @@ from simulate.radiance.brdf.protocol import Lambert, grey
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.environment_map import environment_map
 from simulate.radiance.integrator.light_sources import Lighting
-from simulate.radiance.integrator.shading_points import BsdfSet
-from simulate.radiance.integrator.spectral_scene import Air, SpectralScene
+from simulate.radiance.integrator.spectral_scene import Air, BsdfSet, SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.outdoor.materials import MaterialSpec
 from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene, Pose, SceneCamera

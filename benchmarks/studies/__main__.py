@@ -56,14 +56,18 @@ STUDIES = {
     "strangers-points": Study(module="strangers_points", about="points of other generators: printed; 15 minutes"),
     "fault-campaign": Study(
         module="tests.faults.campaign",
-        arguments=("--strikes", "5", "--seed", "20260", "--keep", "docs/faults.md"),
-        about="random faults on the virtual bench: docs/faults.md; 40 minutes",
+        arguments=("--strikes", "5", "--seed", "20260", "--keep", "docs/validation/faults.md"),
+        about="random faults on the virtual bench: docs/validation/faults.md; 40 minutes",
     ),
     "rehearsal": Study(
         module="tests.faults.rehearsal",
-        arguments=("--keep", "docs/rehearsal.md"),
-        about="unattended run with injected faults: docs/rehearsal.md; 30 minutes",
+        arguments=("--keep", "docs/validation/rehearsal.md"),
+        about="unattended run with injected faults: docs/validation/rehearsal.md; 30 minutes",
     ),
+    "figures-simulator": Study(module="benchmarks.figures.simulator", about="figures of the simulator page; 5 minutes"),
+    "figures-bloom": Study(module="benchmarks.figures.bloom", about="figures of the bloom page; 5 minutes"),
+    "figures-night-light": Study(module="benchmarks.figures.night_light", about="figures of the sky page; 2 minutes"),
+    "figures-night-scenes": Study(module="benchmarks.figures.night_scenes", about="figures of the scenes; 20 minutes"),
     "fuzz": Study(module="tests.fuzz", about="mangled bytes for every external parser; an hour"),
     "acquisition": Study(
         module="benchmarks.acquisition", about="frame rate, storage and overhead of a step; 10 minutes"

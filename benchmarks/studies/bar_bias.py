@@ -376,7 +376,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("\n".join([*lines(new), *tally(outcomes).lines()]))
 
 
-FIGURE = Path("docs/mtf/bar-bias.png")
+FIGURE = Path("docs/pictures/mtf/bar-bias.png")
 # Tilts apart by so much, so that their bars do not hide each other, cycles per pixel.
 APART = 0.004
 MARKS = {0.0: "o", 2.0: "s", 8.0: "^"}

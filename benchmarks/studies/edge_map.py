@@ -164,7 +164,7 @@ def main() -> None:
     plot_map(json.loads(TABLE.read_text()), FIGURE)
 
 
-FIGURE = Path("docs/mtf/edge-map.png")
+FIGURE = Path("docs/pictures/mtf/edge-map.png")
 LABELS = {
     "snr": "step / sd of the noise (1)",
     "angle_deg": "tilt (deg)",

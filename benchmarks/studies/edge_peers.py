@@ -28,7 +28,7 @@ from charact.study.study_figures import COLOURS, _pyplot, plain_numbers
 from labdata.frames import FrameStack
 
 TABLE = Path(__file__).with_name("tables") / "edge_peers.json"
-FIGURE = Path("docs/mtf/edge-peers.png")
+FIGURE = Path("docs/pictures/mtf/edge-peers.png")
 # Frames for each method at each noise; the forward fit takes longest.
 FRAMES = {
     "edge-parametric": 600,

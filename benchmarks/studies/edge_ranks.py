@@ -212,7 +212,7 @@ def _draw_histogram(panel: Any, result: Calibration, name: str) -> None:
 
 
 TABLE = Path(__file__).with_name("tables") / "calibration.json"
-FIGURES = Path("docs/mtf")
+FIGURES = Path("docs/pictures/mtf")
 FORM = BlurModel(core="exponential")
 NAMES: tuple[str, ...] = ("ln half frequency", "exponent", "MTF50")
 # The method's priors of half frequency, cycles per pixel, and exponent, cut to what tubes and lenses have.

@@ -30,11 +30,11 @@ from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
 from simulate.outdoor_rendering import RenderedView
-from simulate.radiance.integrator import render_sensor
+from simulate.radiance.integrator import integrator_settings
 
 TABLE = Path(__file__).with_name("tables") / "light_economy.json"
 # One of the sources whose change makes cases old.
-SOURCE = Path(render_sensor.__file__)
+SOURCE = Path(integrator_settings.__file__)
 CASES, TOLERANCE = 100, 0.2
 # Relative error to which the temporal noise of pixels is found, root mean square, and frames drawn for that at first
 # and at most: where photoelectrons are few and pulses of many heights, hundreds show no more of it than tens elsewhere.
@@ -161,7 +161,7 @@ def _noise(camera: Any, conditions: Conditions, light: Any, mean_dn: Image, seed
     else:
         stream = camera.frames(light, conditions, seed=seed)
     dark = float(np.percentile(mean_dn, 0.0))
-    return np.maximum(temporal_noise(stream), render_sensor.KNOWN * np.maximum(mean_dn - dark, 0.0))
+    return np.maximum(temporal_noise(stream), integrator_settings.KNOWN * np.maximum(mean_dn - dark, 0.0))
 
 
 def temporal_noise(frames: Iterator[NDArray[Any]]) -> Image:
@@ -278,7 +278,7 @@ def main() -> None:
     plot_economy(read(asked.table), FIGURE)
 
 
-FIGURE = Path(__file__).resolve().parents[3] / "docs" / "night-scenes" / "economy.png"
+FIGURE = Path(__file__).resolve().parents[3] / "docs" / "pictures" / "night-scenes" / "economy.png"
 # Differences of no size, as of frames that are full everywhere, are drawn here.
 LOWEST = 2e-3
 MARKS = dict(zip(CAMERAS, "osD", strict=True))

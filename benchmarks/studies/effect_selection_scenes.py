@@ -17,9 +17,8 @@ from simulate.radiance.integrator.outgoing_radiance import radiance_along
 from simulate.radiance.lamps.spectra import KINDS
 from simulate.radiance.materials import material, material_names
 from simulate.radiance.outdoor.materials import MaterialSpec
-from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene, SceneCamera
-from simulate.radiance.outdoor.surroundings import Where
-from simulate.radiance.sky.ephemeris import ObserverLocation
+from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene, SceneCamera, Where
+from simulate.radiance.sky.moon import ObserverLocation
 from simulate.radiance.sky.night_sky import NightSky
 
 # Frames are small, so that the exact mode takes seconds; the lens is shorter, so that they show half the usual field.

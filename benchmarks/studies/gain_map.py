@@ -251,7 +251,7 @@ def main() -> None:
     plot_map(json.loads(TABLE.read_text()), FIGURE)
 
 
-FIGURE = Path("docs/noise/gain-map.png")
+FIGURE = Path("docs/pictures/noise/gain-map.png")
 LABELS = {
     "decay_ms": "decay of the screen (ms)",
     "interlaced_decay_ms": "the same, interlaced (ms)",

@@ -161,7 +161,7 @@ def main() -> None:
     plot_map(json.loads(TABLE.read_text()), FIGURE)
 
 
-FIGURE = Path("docs/mtf/spectrum-map.png")
+FIGURE = Path("docs/pictures/mtf/spectrum-map.png")
 LABELS = {
     "photoelectrons": "few photoelectrons (1/px)",
     "bright_photoelectrons": "many photoelectrons (1/px)",

@@ -9,11 +9,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from charact.bloom.clipped_sources import ClippedSource, find_clipped_sources
 from charact.bloom.point_stack import full_scale_of
-from charact.bloom.posterior_psf import FrameGrid, PosteriorPsf, density_matrix, nodes, profiles, radial, spread_of
+from charact.bloom.posterior_psf import (
+    FrameGrid,
+    PosteriorPsf,
+    density_matrix,
+    nodes,
+    profiles,
+    radial,
+    spread_of,
+)
 from charact.method import Context
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Posterior, Result
+from labdata.measurement import Result
 from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
@@ -31,25 +38,12 @@ SMALLER_PX, PATCH_MARGIN_PX = 0.5, 4.0
 class BloomMap:
     """Fraction of every pixel's signal that is blooming.
 
-    Parameters
-    ----------
-    fraction
-        Blooming over total signal, mean over the draws, shape (row, col), 0 to 1; NaN where unknown: near a clipped
-        source of unknown signal, and without signal.
-    sd
-        Standard deviation over draws of the PSF and pixel noise, shape (row, col); NaN likewise.
-    blooming_dn
-        Blooming, DN above dark, mean over the draws, shape (row, col); NaN where unknown.
-    clipped
-        Pixels at full scale, shape (row, col); their signal is reconstructed.
-    near_border
-        Pixels within the range of sources outside the frame, shape (row, col).
-    sources
-        The clipped sources.
-    near_px
-        Distance within which light is not blooming, column pitches.
-    noise_dn
-        Standard deviation of every pixel's noise, DN, shape (row, col).
+    `fraction`: blooming over total signal, mean over the draws, shape (row, col), 0 to 1; NaN where unknown: near a
+    clipped source of unknown signal, and without signal; `sd`: standard deviation over draws of the PSF and pixel
+    noise, shape (row, col); NaN likewise; `blooming_dn`: blooming, DN above dark, mean over the draws, shape (row,
+    col); NaN where unknown; `clipped`: pixels at full scale, shape (row, col); their signal is reconstructed;
+    `near_border`: pixels within the range of sources outside the frame, shape (row, col); `sources`: the clipped
+    sources; `near_px`: distance within which light is not blooming, column pitches.
     """
 
     fraction: NDArray[np.float32]
@@ -59,7 +53,6 @@ class BloomMap:
     near_border: Mask
     sources: tuple[ClippedSource, ...]
     near_px: float
-    noise_dn: NDArray[np.float32]
 
     @property
     def unknown(self) -> Mask:
@@ -120,12 +113,12 @@ def bloom_map(
     if clipped is None:
         clipped = np.zeros(image.shape, bool) if clip_dn is None else image >= 0.985 * clip_dn
     halo_px = 0.5 * float(spread.halo_diameter_px.max())
-    lattice = FrameGrid(shape=(image.shape[0], image.shape[1]), room_px=int(halo_px + 20), pitch_ratio=pitch_ratio)
+    grid = FrameGrid(shape=(image.shape[0], image.shape[1]), room_px=int(halo_px + 20), pitch_ratio=pitch_ratio)
     sources = ()
     if clip_dn is not None and clipped.any():
-        sources = find_clipped_sources(image, clipped, spread, lattice, noise_dn=noise, clip_dn=clip_dn, rng=rng)
+        sources = find_clipped_sources(image, clipped, spread, grid, noise_dn=noise, clip_dn=clip_dn, rng=rng)
     count, mean, square, bloom = 0, 0.0, 0.0, 0.0
-    for far, total in _draws(image, clipped, clip_dn, sources, spread, lattice, near_px):
+    for far, total in _draws(image, clipped, clip_dn, sources, spread, grid, near_px):
         share = np.clip(far / np.maximum(total, 1e-6), 0.0, 1.0)
         count, mean, square, bloom = count + 1, mean + share, square + share * share, bloom + far
     mean, bloom = mean / count, bloom / count
@@ -135,22 +128,20 @@ def bloom_map(
     # Without signal there is no fraction: at least two standard deviations of a pixel's noise.
     unknown = image < 2.0 * noise
     for source in sources:
-        if source.has_known_signal and source.shape == "patch":
-            rows, cols = np.divmod(source.region, lattice.shape[1])
-            # Next to a patch the fraction depends on its edge, which clipping hides to within a pixel.
-            variance += 0.12**2 * (_within(rows, cols, PATCH_MARGIN_PX, lattice) & ~clipped)
         if not source.has_known_signal:
-            unknown |= _pixels_of_unknown_source(source, image, spread.centre(), lattice, halo_px)
+            unknown |= _pixels_of_unknown_source(source, image, spread.centre(), grid, halo_px)
+        elif source.shape == "patch":
+            # Next to a patch the fraction depends on its edge, which clipping hides to within a pixel.
+            variance += 0.12**2 * (grid.within(source.region, PATCH_MARGIN_PX) & ~clipped)
+    near_border = np.ones(image.shape, bool)
+    down, across = int(np.ceil(halo_px / pitch_ratio)), int(np.ceil(halo_px))
+    near_border[down : image.shape[0] - down, across : image.shape[1] - across] = False
     return BloomMap(
         fraction=np.where(unknown, np.nan, mean).astype(np.float32),
         sd=np.where(unknown, np.nan, np.sqrt(variance)).astype(np.float32),
         blooming_dn=np.where(unknown, np.nan, bloom).astype(np.float32),
-        clipped=clipped,
-        near_border=_near_border(lattice, halo_px),
-        sources=sources,
-        near_px=near_px,
-        noise_dn=noise,
-    )
+        clipped=clipped, near_border=near_border, sources=sources, near_px=near_px,
+    )  # fmt: skip
 
 
 def _check(signal: NDArray, *, clip_dn: float | None, **positive: float) -> None:
@@ -172,8 +163,7 @@ def pixel_noise(image: NDArray) -> NDArray[np.float32]:
     low, middle, high = image[:, : -2 * lag], image[:, lag:-lag], image[:, 2 * lag :]
     light = (low + middle + high).ravel() / 3.0
     second = np.abs(low - 2.0 * middle + high).ravel()
-    order = np.argsort(light)
-    groups = [group for group in np.array_split(order, 8) if len(group)]
+    groups = [group for group in np.array_split(np.argsort(light), 8) if len(group)]
     mean = np.array([max(0.0, float(light[group].mean())) for group in groups])
     variance = np.array([(1.4826 * float(np.median(second[group]))) ** 2 / 6.0 for group in groups])
     # Bright groups include edges: the law passes through the darkest group and has the median slope.
@@ -182,83 +172,40 @@ def pixel_noise(image: NDArray) -> NDArray[np.float32]:
     return np.sqrt(np.maximum(variance[0] + slope * np.maximum(image - mean[0], 0.0), 1e-6)).astype(np.float32)
 
 
-def _draws(
-    image: NDArray,
-    clipped: Mask,
-    clip_dn: float | None,
-    sources: tuple[ClippedSource, ...],
-    spread: PosteriorPsf,
-    lattice: FrameGrid,
-    near_px: float,
-) -> Iterator[tuple[NDArray, NDArray]]:
+def _draws(image: NDArray, clipped: Mask, clip_dn: float | None, sources: tuple[ClippedSource, ...],
+           spread: PosteriorPsf, grid: FrameGrid, near_px: float) -> Iterator[tuple[NDArray, NDArray]]:  # fmt: skip
     """Blooming and total signal of every pixel, draw by draw."""
-    background, glare = float(np.median(image)), np.asarray(spread.glare_fraction)
-    tables = _Tables(
-        whole=spread.transfer(lattice.frequency),
-        near=spread.transfer(nodes()[0]) @ _near_transform(lattice.frequency, near_px),
-        profile=(profiles(spread) * lattice.pitch_ratio).astype(np.float32),
-    )
+    background, glares = float(np.median(image)), np.asarray(spread.glare_fraction)
+    wholes, tables = spread.transfer(grid.frequency), (profiles(spread) * grid.pitch_ratio).astype(np.float32)
+    nears = spread.transfer(nodes()[0]) @ _near_transform(grid.frequency, near_px)
     known = [source for source in sources if source.has_known_signal]
-    prints = [_footprint(source, lattice) for source in known]
-    for draw in range(len(spread)):
+    windows = [grid.around(one.row, one.col) if one.shape == "point" else np.s_[:, :] for one in known]
+    radii = [
+        grid.distance(one.row, one.col)[window].astype(np.float32) for one, window in zip(known, windows, strict=True)
+    ]
+    area = spread.glare_area_px or float(image.size)
+    for draw, (whole, near, table, glare) in enumerate(zip(wholes, nears, tables, glares, strict=True)):
         hidden, hidden_near = np.zeros_like(image), np.zeros_like(image)
-        for source, footprint in zip(known, prints, strict=True):
-            rows, cols, radius = footprint
+        for source, window, radius in zip(known, windows, radii, strict=True):
+            if source.shape == "point":
+                image_of = radial(radius, table)
+                near_of = image_of * (radius <= near_px)
+            else:
+                image_of, near_of = (grid.patch(source.illuminated_pixels, one) for one in (whole, near))
             amount = np.float32(source.light_dn_px[draw])
-            all_of_it, part = _of_source(source, radius, tables, draw, lattice, near_px)
-            hidden[rows, cols] += amount * all_of_it
-            hidden_near[rows, cols] += amount * part
+            hidden[window] += amount * image_of
+            hidden_near[window] += amount * near_of
         rest = np.where(clipped, np.float32(0.0), image - np.float32(background) - hidden)
-        light = sum(float(source.light_dn_px[draw]) for source in known) / (1.0 - glare[draw])
-        veil = _veil(float(glare[draw]), spread.glare_area_px or float(image.size),
-                     float(rest.sum()) + background * image.size, light, image.size)  # fmt: skip
-        whole, near = tables.whole[draw], tables.near[draw]
+        # Veiling glare per pixel, for the signals outside and inside of clipped sources.
+        light = sum(float(source.light_dn_px[draw]) for source in known) / (1.0 - glare)
+        outside = float(rest.sum()) + background * image.size
+        veil = glare * (outside / (1.0 - glare + glare * min(1.0, image.size / area)) + light) / area
         ratio = (near * whole + LEAST_TRANSFER**2) / (whole**2 + LEAST_TRANSFER**2)
-        belongs = lattice.filter(lattice.forward_transform(rest), ratio) + np.float32(ratio[0] * (background - veil))
+        belongs = grid.blur(rest, ratio) + np.float32(ratio[0] * (background - veil))
         total = image
         if clipped.any():
             total = np.where(clipped, np.maximum(hidden + np.float32(background), np.float32(clip_dn or 0.0)), image)
         yield np.maximum(total - belongs - hidden_near, np.float32(0.0)), total
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Tables:
-    """Per draw: transfer functions of the whole PSF and of its part near the centre, and PSF by distance."""
-
-    whole: Array
-    near: Array
-    profile: NDArray[np.float32]
-
-
-def _veil(glare: float, area: float, rest: float, hidden: float, pixels: int) -> float:
-    """Veiling glare per pixel, DN, for given signals outside and inside of clipped sources."""
-    outside = rest / (1.0 - glare + glare * min(1.0, pixels / area))
-    return glare * (outside + hidden) / area
-
-
-def _footprint(source: ClippedSource, lattice: FrameGrid) -> tuple[slice, slice, NDArray[np.float32] | None]:
-    """Pixels lit by a source, and their distances from it; None for a patch, which covers the frame."""
-    if source.shape != "point":
-        return slice(None), slice(None), None
-    rows, cols = lattice.around(source.row, source.col)
-    return rows, cols, lattice.distance(source.row, source.col)[rows, cols].astype(np.float32)
-
-
-def _of_source(
-    source: ClippedSource,
-    radius: NDArray[np.float32] | None,
-    tables: _Tables,
-    draw: int,
-    lattice: FrameGrid,
-    near_px: float,
-) -> tuple[NDArray, NDArray]:
-    """Image of a unit source: in total, and the part that belongs to its pixels."""
-    if radius is None:
-        return lattice.patch(source.illuminated_pixels, tables.whole[draw]), lattice.patch(
-            source.illuminated_pixels, tables.near[draw]
-        )
-    found = radial(radius, tables.profile[draw])
-    return found, found * (radius <= near_px)
 
 
 def _near_transform(frequency: Array, near_px: float) -> Array:
@@ -272,83 +219,45 @@ def _near_transform(frequency: Array, near_px: float) -> Array:
 
 
 def _pixels_of_unknown_source(
-    source: ClippedSource, image: NDArray, one: PosteriorPsf, lattice: FrameGrid, halo_px: float
+    source: ClippedSource, image: NDArray, one: PosteriorPsf, grid: FrameGrid, halo_px: float
 ) -> Mask:
-    """Pixels in which a source of unknown signal may exceed `REACHED` of the total."""
-    rows, cols = np.divmod(source.region, lattice.shape[1])
-    near, away = _within(rows, cols, halo_px, lattice), lattice.distance(source.row, source.col)
+    """Pixels in which a source of unknown signal may exceed 5 % of the total."""
+    away = grid.distance(source.row, source.col)
     veil = float(np.asarray(one.glare_fraction)[0]) / (one.glare_area_px or float(image.size))
     if source.shape == "point":
-        profile = profiles(one)[0] * lattice.pitch_ratio
+        profile, margin = profiles(one)[0] * grid.pitch_ratio, SMALLER_PX + 1.0
         # A smaller halo would contain more light for the same signal.
         share, least = radial(away, profile), radial(away + SMALLER_PX, profile)
-        clear = ~_within(rows, cols, SMALLER_PX + 1.0, lattice)
     else:
-        share = least = lattice.patch(source.illuminated_pixels, one.transfer(lattice.frequency)[0])
-        clear = ~_within(rows, cols, PATCH_MARGIN_PX, lattice)
+        share = least = grid.patch(source.illuminated_pixels, one.transfer(grid.frequency)[0])
+        margin = PATCH_MARGIN_PX
     share, least = np.maximum(share, 0.0) + veil, np.maximum(least, 0.0) + veil
     ring = (away / 2.0).astype(int).ravel()
     count = np.bincount(ring)
     signal, of_unit = (np.bincount(ring, of.ravel()) / np.maximum(count, 1) for of in (image, least))
-    complete = np.bincount(ring, ~clear.ravel()) == 0
+    complete = np.bincount(ring, grid.within(source.region, margin).ravel()) == 0
     most = (signal[complete] / np.maximum(of_unit[complete], 1e-12)).min(initial=np.inf)
-    # Unknown where the source may exceed 5 % of the pixel's signal.
-    return near | (most * share > 0.05 * np.maximum(image, 1e-6))
-
-
-def _within(rows: NDArray, cols: NDArray, reach: float, lattice: FrameGrid) -> Mask:
-    """Pixels within a distance of given pixels."""
-    from scipy import ndimage
-
-    away = np.ones(lattice.shape, bool)
-    away[rows, cols] = False
-    found = ndimage.distance_transform_edt(away, sampling=(lattice.pitch_ratio, 1.0))
-    return np.asarray(found) <= reach
-
-
-def _near_border(lattice: FrameGrid, halo_px: float) -> Mask:
-    """Pixels closer to the border than the halo radius."""
-    out = np.ones(lattice.shape, bool)
-    down, across = int(np.ceil(halo_px / lattice.pitch_ratio)), int(np.ceil(halo_px))
-    out[down : lattice.shape[0] - down, across : lattice.shape[1] - across] = False
-    return out
+    return grid.within(source.region, halo_px) | (most * share > 0.05 * np.maximum(image, 1e-6))
 
 
 def spread_from(result: Result, *, area_px: float, pitch_ratio: float = 1.0, rng: np.random.Generator) -> PosteriorPsf:
     """Return the point spread functions described by the measurements of a point series.
 
-    Parameters
-    ----------
-    result
-        Result of `charact.bloom.measure`.
-    area_px
-        Pixels of a frame, the area of the veiling glare.
-    pitch_ratio
-        Row pitch over column pitch.
-    rng
-        Generator of the glare's draws.
-
-    Raises
-    ------
-    BadInput
-        If the result has no posterior of core and halo.
+    `result`: result of `charact.bloom.measure`; `area_px`: pixels of a frame, the area of the veiling glare;
+    `pitch_ratio`: row pitch over column pitch; `rng`: generator of the glare's draws. Raises BadInput if the result has
+    no posterior of core and halo.
     """
-    posterior = _posterior(result)
-    found = [m for m in result.find("veiling_glare") if m.value is not None and m.interval68 is not None]
+    found = [one for one in result.find("halo_fraction") + result.find("halo_diameter") if one.posterior is not None]
+    posterior = next((one.posterior for one in found if "halo_fraction" in one.posterior.names), None)
+    if posterior is None:
+        reasons = "; ".join(str(m.reason) for m in result.find("halo_diameter") if m.reason)
+        raise BadInput(f"a bloom map needs the halo of a point series: {reasons or 'none was measured'}")
     glare = np.zeros(len(posterior.draws))
-    if found and found[0].value is not None and found[0].interval68 is not None:
-        low, high = found[0].interval68
-        glare = 0.01 * np.clip(rng.normal(found[0].value, 0.5 * (high - low), len(glare)), 0.0, 99.0)
+    for one in result.find("veiling_glare")[:1]:
+        if one.value is not None and one.interval68 is not None:
+            low, high = one.interval68
+            glare = 0.01 * np.clip(rng.normal(one.value, 0.5 * (high - low), len(glare)), 0.0, 99.0)
     return spread_of(posterior, pitch_ratio=pitch_ratio, glare_fraction=glare, glare_area_px=area_px)
-
-
-def _posterior(result: Result) -> Posterior:
-    """The posterior of core and halo."""
-    for one in result.find("halo_fraction") + result.find("halo_diameter"):
-        if one.posterior is not None and "halo_fraction" in one.posterior.names:
-            return one.posterior
-    reasons = [str(m.reason) for m in result.find("halo_diameter") if m.reason]
-    raise BadInput(f"a bloom map needs the halo of a point series: {'; '.join(reasons) or 'none was measured'}")
 
 
 def map_of(session: Session, result: Result, *, label: str | None = None, context: Context) -> tuple[BloomMap, NDArray]:
@@ -372,8 +281,9 @@ def map_of(session: Session, result: Result, *, label: str | None = None, contex
     """
     entry = _entry(session, label)
     stack = entry.read()
-    full = full_scale_of(stack, context)
-    dark = _dark_dn(session, entry, stack)
+    full, black = full_scale_of(stack, context), session.dark_like(entry.conditions)
+    dark = stack.black_level_dn if black is None else black.read().mean_dn
+    dark = float(np.percentile(stack.data, 1.0)) if dark is None else float(dark)
     rng = np.random.default_rng(context.seed)
     signal = stack.data.mean(axis=0, dtype=np.float64) - dark
     spread = spread_from(result, area_px=float(signal.size), pitch_ratio=context.pitch_ratio, rng=rng)
@@ -391,21 +301,10 @@ def _entry(session: Session, label: str | None) -> StackEntry:
             names = ", ".join(entry.label for entry in session.stacks)
             raise BadInput(f"the stack of a map must be one of {names}, got {label!r}")
         return found[0]
-    scenes = session.of_kind("scene")
-    found = scenes or session.of_kind("point")
+    found = session.of_kind("scene") or session.of_kind("point")
     if not found:
         raise BadInput("a bloom map needs a stack of kind scene or point")
     return max(found, key=lambda entry: (entry.conditions.illuminance_lux or 0.0) * (entry.conditions.gate_ns or 1.0))
-
-
-def _dark_dn(session: Session, entry: StackEntry, stack: FrameStack) -> float:
-    """Black level: that of matching darks, as recorded, else the first percentile of the frame, DN."""
-    dark = session.dark_like(entry.conditions)
-    if dark is not None:
-        return dark.read().mean_dn
-    if stack.black_level_dn is not None:
-        return float(stack.black_level_dn)
-    return float(np.percentile(stack.data, 1.0))
 
 
 def evidence_of(found: BloomMap, signal: NDArray) -> dict[str, Any]:

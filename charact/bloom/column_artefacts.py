@@ -26,18 +26,10 @@ ROUNDED_DN = 0.02
 class ColumnArtefacts:
     """Signal above and below a source in excess of that at the same distance left and right.
 
-    Parameters
-    ----------
-    first_col
-        First column of the arrays.
-    row_offset
-        Distance of each row from the source, column pitches, shape (row,).
-    round_dn
-        Mean at the same distance left and right, above its minimum, shape (row, col), DN.
-    excess_dn, sd_dn
-        Excess over it, and the noise of one pixel, shape (row, col), DN.
-    block_factor
-        Variance of the mean of some successive rows over that of as many independent pixels, dimensionless.
+    `first_col`: first column of the arrays; `row_offset`: distance of each row from the source, column pitches, shape
+    (row,); `round_dn`: mean at the same distance left and right, above its minimum, shape (row, col), DN; `excess_dn`,
+    `sd_dn`: excess over it, and the noise of one pixel, shape (row, col), DN; `block_factor`: variance of the mean of
+    some successive rows over that of as many independent pixels, dimensionless.
     """
 
     first_col: int
@@ -49,43 +41,30 @@ class ColumnArtefacts:
 
 
 def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
-    """Return the pixels of a mean frame that column blooming or smear has brightened.
+    """Return the pixels of a mean frame that column blooming or smear has brightened, shape (row, col).
 
-    Parameters
-    ----------
-    spot
-        One stack of a point source.
-    context
-        Pitches of the sensor, if known.
-
-    Returns
-    -------
-    mask
-        True where column signal adds to that of the source, shape (row, col): for each column near the source the rows
-        with a visible streak, all of them under smear. The core, which outshines the column signal, is not included. A
-        radial profile excludes these pixels.
+    For each column near the source the rows with a visible streak, all of them under smear; a radial profile excludes
+    these pixels. The core, which outshines the column signal, is not included.
     """
+    from scipy import ndimage
+
     mask = np.zeros(spot.image.shape, bool)
     found = compare_columns(spot, context)
     (above, up), (below, down) = (_reach(found, side) for side in (-1, 1))
     # Smear is equal above and below; if one side is outside the frame, the other must be more significant.
     both = np.isfinite(up).all() and np.isfinite(down).all()
     smeared = (np.minimum(up, down) if both else np.fmax(up, down)) > (3.0 if both else 6.0)
-    far = np.abs(found.row_offset).max() + 1.0
-    reach = np.stack([np.where(smeared, far, one) for one in (above, below)])
+    far = np.abs(found.row_offset)[:, None]
+    reach = np.stack([np.where(smeared, far.max() + 1.0, one) for one in (above, below)])
     seen = _around(reach.max(axis=0) > 0, round(spot.col) - found.first_col)
     if not seen.any():
         return mask
-    wide = np.where(seen, reach, 0)
-    wide = np.maximum(wide, np.maximum(_shift_columns(wide, 1), _shift_columns(wide, -1)))
-    side = np.where(found.row_offset < 0, 0, 1)
-    inside = np.abs(found.row_offset)[:, None] <= wide[side]
-    beyond = np.abs(found.row_offset)[:, None] >= FIRST_ROW_PX
-    count = np.maximum((inside & beyond).sum(axis=0), 1)
-    level = np.where(inside & beyond, found.excess_dn, 0.0).sum(axis=0) / count
-    level = np.maximum(level, np.maximum(_shift_columns(level, 1), _shift_columns(level, -1)))
+    wide = ndimage.maximum_filter1d(np.where(seen, reach, 0), 3, axis=-1, mode="constant")
+    inside = far <= wide[np.where(found.row_offset < 0, 0, 1)]
+    beyond = inside & (far >= FIRST_ROW_PX)
+    level = np.where(beyond, found.excess_dn, 0.0).sum(axis=0) / np.maximum(beyond.sum(axis=0), 1)
     # Column signal below 1/30 of the source's is harmless.
-    inside &= found.round_dn < 30.0 * level
+    inside &= found.round_dn < 30.0 * ndimage.maximum_filter1d(level, 3, mode="constant")
     mask[:, found.first_col : found.first_col + inside.shape[1]] = inside
     return mask
 
@@ -93,10 +72,7 @@ def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
 def compare_columns(spot: PointStack, context: Context, *, half_width_px: int | None = None) -> ColumnArtefacts:
     """Compare the columns near the source with pixels at the same distance left and right.
 
-    Parameters
-    ----------
-    half_width_px
-        Columns on either side of the source; None: those that may overflow or smear.
+    `half_width_px`: columns on either side of the source; None: those that may overflow or smear.
     """
     rows, cols = spot.image.shape
     dy = (np.arange(rows) - spot.row) * context.pitch_ratio
@@ -139,30 +115,23 @@ def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tu
     """
     lateral = np.abs(dx)[None, :] > np.abs(dy)[:, None]
     reach = int(radius.max()) + 2
-    means, sds, counts = [], [], []
-    for side in (-1, 1):
-        take = lateral & (np.sign(dx) == side)[None, :]
+    mean, sd, count = np.zeros((3, 2, reach))
+    for side, sign in enumerate((-1, 1)):
+        take = lateral & (np.sign(dx) == sign)[None, :]
         ring, value = np.rint(radius[take]).astype(int), image[take]
-        count = np.bincount(ring, minlength=reach).astype(float)
-        mean = np.bincount(ring, value, minlength=reach) / np.maximum(count, 1)
-        square = np.bincount(ring, (value - mean[ring]) ** 2, minlength=reach) / np.maximum(count - 1, 1)
-        means.append(mean)
-        sds.append(np.sqrt(square))
-        counts.append(count)
-    mean, sd, count = np.array(means), np.array(sds), np.array(counts)
+        count[side] = np.bincount(ring, minlength=reach)
+        mean[side] = np.bincount(ring, value, minlength=reach) / np.maximum(count[side], 1)
+        square = np.bincount(ring, (value - mean[side][ring]) ** 2, minlength=reach)
+        sd[side] = np.sqrt(square / np.maximum(count[side] - 1, 1))
     full = count >= 4
     error = np.sqrt((sd**2 / np.maximum(count, 1)).sum(axis=0))
     differ = np.abs(mean[0] - mean[1]) > 6.0 * np.maximum(error, 1e-9)
-    both = np.where(differ, np.minimum(mean[0], mean[1]), (mean * count).sum(axis=0) / np.maximum(count.sum(axis=0), 1))
-    one = np.where(full[0], mean[0], mean[1])
-    light = np.where(full.all(axis=0), both, one)
-    known = np.flatnonzero(full.any(axis=0))
+    both = np.where(differ, mean.min(axis=0), (mean * count).sum(axis=0) / np.maximum(count.sum(axis=0), 1))
+    light = np.where(full.all(axis=0), both, np.where(full[0], mean[0], mean[1]))
     scatter = np.where(full.all(axis=0), sd.max(axis=0), np.where(full[0], sd[0], sd[1]))
-    grid = np.arange(reach)
-    least = float(np.median(scatter[known])) if len(known) else 1.0
-    return np.interp(grid, known, light[known]), np.maximum(
-        np.interp(grid, known, scatter[known]), max(0.5 * least, ROUNDED_DN)
-    )
+    grid, known = np.arange(reach), np.flatnonzero(full.any(axis=0))
+    least = max(0.5 * float(np.median(scatter[known])) if len(known) else 0.5, ROUNDED_DN)
+    return np.interp(grid, known, light[known]), np.maximum(np.interp(grid, known, scatter[known]), least)
 
 
 def _block_factor(image: Array) -> float:
@@ -204,24 +173,11 @@ def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
 
 def _around(bright: Mask, place: int) -> Mask:
     """The run of true values through a position, which may be off by one."""
-    out = np.zeros(bright.shape, bool)
+    from scipy import ndimage
+
+    labels = np.asarray(ndimage.label(bright)[0])  # pyright: ignore[reportIndexIssue]
     near = [one for one in (place, place - 1, place + 1) if 0 <= one < len(bright) and bright[one]]
-    if not near:
-        return out
-    first = last = near[0]
-    while first > 0 and bright[first - 1]:
-        first -= 1
-    while last < len(bright) - 1 and bright[last + 1]:
-        last += 1
-    out[first : last + 1] = True
-    return out
-
-
-def _shift_columns(values: Array, by: int) -> Array:
-    """Shift an array by one column; the first or last column becomes zero."""
-    out = np.roll(values, by, axis=-1)
-    out[..., 0 if by > 0 else -1] = 0.0
-    return out
+    return labels == labels[near[0]] if near else np.zeros(bright.shape, bool)
 
 
 # Side of the patches whose means have the same noise with or without blur after the gain, px.
@@ -232,16 +188,9 @@ PATCH_PX = 6
 class MeanFrameNoise:
     """Noise of a mean frame.
 
-    Parameters
-    ----------
-    floor_variance
-        Variance of a pixel of the background, DN^2.
-    per_light
-        Variance of a pixel over its signal, DN; 0 where the background is too faint to measure it.
-    neighbours
-        Variance of the sum of many adjacent pixels over that of as many independent ones, dimensionless.
-    background_dn
-        Background above dark, DN.
+    `floor_variance`: variance of a pixel of the background, DN^2; `per_light`: variance of a pixel over its signal, DN;
+    0 where the background is too faint to measure it; `neighbours`: variance of the sum of many adjacent pixels over
+    that of as many independent ones, dimensionless; `background_dn`: background above dark, DN.
     """
 
     floor_variance: float
@@ -261,18 +210,8 @@ class MeanFrameNoise:
 def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     """Estimate the noise of a mean frame far from a source.
 
-    Parameters
-    ----------
-    image
-        Mean frame, shape (row, col), DN.
-    col
-        Column of the source, px.
-    dark_dn
-        Black level, DN.
-
-    Notes
-    -----
-    The scatter of patches includes temporal noise and fixed pattern, since both affect a single mean frame.
+    `image`: mean frame, shape (row, col), DN; `col`: column of the source, px; `dark_dn`: black level, DN. The scatter
+    of patches includes temporal noise and fixed pattern, since both affect a single mean frame.
     """
     rows, cols = (n // PATCH_PX * PATCH_PX for n in image.shape)
     tiles = image[:rows, :cols].reshape(rows // PATCH_PX, PATCH_PX, cols // PATCH_PX, PATCH_PX)
@@ -282,7 +221,8 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     far = np.flatnonzero(along >= np.quantile(along, 0.6))
     # Differences of adjacent patches exclude gradients, medians exclude other sources.
     pairs = far[:-1][np.diff(far) == 1]
-    patch = 0.5 * _robust(patches[:, pairs + 1] - patches[:, pairs]) ** 2
+    apart = np.abs(patches[:, pairs + 1] - patches[:, pairs])
+    patch = 0.5 * (1.4826 * float(np.median(apart))) ** 2 if apart.size else 0.0
     single = float(np.median(tiles.var(axis=(1, 3), ddof=1)[:, far])) + patch
     floor = max(single, 0.1 * (1.0 / 12.0))
     background = float(np.median(patches[:, far])) - dark_dn
@@ -296,11 +236,6 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     )
 
 
-def _robust(values: Array) -> float:
-    """Standard deviation from the median of absolute values."""
-    return 1.4826 * float(np.median(np.abs(values))) if values.size else 0.0
-
-
 LEAST_ROWS = 3
 # A uniform column above this fraction of full scale is a streak of full wells, not smear.
 FULL_SHARE = 0.5
@@ -310,19 +245,11 @@ FULL_SHARE = 0.5
 class Streak:
     """Streak of one source.
 
-    Parameters
-    ----------
-    length_px, length_sd_px
-        Rows of the source's column at or above half of full scale, core included, and their standard error; 0 without
-        any.
-    overflows
-        Whether wells overflow: the column is far brighter than the same distance left and right of the source.
-    level_dn, level_sd_dn
-        Signal above dark of full wells, DN; NaN without overflow.
-    clipped
-        Whether that signal is at full scale, a lower limit of the full well.
-    meets_border, uneven
-        Whether the streak ends at the frame's border; whether it is longer on one side, unlike overflow.
+    `length_px`, `length_sd_px`: rows of the source's column at or above half of full scale, core included, and their
+    standard error; 0 without any; `overflows`: whether wells overflow: the column is far brighter than the same
+    distance left and right of the source; `level_dn`, `level_sd_dn`: signal above dark of full wells, DN; NaN without
+    overflow; `clipped`: whether that signal is at full scale, a lower limit of the full well; `meets_border`, `uneven`:
+    whether the streak ends at the frame's border; whether it is longer on one side, unlike overflow.
     """
 
     length_px: float
@@ -338,8 +265,6 @@ class Streak:
 def streak_of(spot: PointStack, context: Context) -> Streak:
     """Measure the column of a source.
 
-    Notes
-    -----
     Charge beyond the full well spreads up and down until every well holds its part: the column is full to sharp ends,
     with partly filled last pixels. Rows count by the probability that their mean is above the threshold. In interlaced
     frames the two fields overflow separately, so that every second row counts near the ends.
@@ -411,8 +336,7 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
 
     The length is defined with or without overflow, as a chord of the bloom. The level is refused without overflow.
     """
-    level = spot.dark_dn + 0.5 * (spot.full_scale_dn - spot.dark_dn)
-    common = {"stack": spot.label, **fields}
+    half, common = spot.dark_dn + 0.5 * (spot.full_scale_dn - spot.dark_dn), {"stack": spot.label, **fields}
     if spot.significance < DETECTED:
         reason = (
             f"no point source: the brightest spot has {spot.significance:.1f} standard deviations, at least 8 needed"
@@ -423,29 +347,27 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
     flags = ("window-too-small",) if streak.meets_border or spot.touches_border else ()
     flags += ("several-targets",) if streak.uneven else ()
     if streak.length_px < 0.5:
-        reason = f"the source stays below half of full scale, {level:.4g} DN"
+        reason = f"the source stays below half of full scale, {half:.4g} DN"
         length = make_refusal("streak_length", "px", reason, **common)
     else:
-        sd = streak.length_sd_px if spot.dark_known else float(np.hypot(streak.length_sd_px, _lower_rows(spot) / 1.96))
+        sd = streak.length_sd_px
+        if not spot.dark_known:
+            # Additional rows if the black level is 0 instead of the frame's median.
+            column = spot.image[:, int(np.clip(round(spot.col), 0, spot.image.shape[1] - 1))]
+            lower = float((column >= 0.5 * spot.full_scale_dn).sum()) - spot.streak_px
+            sd = float(np.hypot(sd, lower / 1.96))
         length = measurement_from_sd("streak_length", "px", streak.length_px, sd, flags=flags, **common)
-    return [length, _level(streak, flags, **common)]
-
-
-def _lower_rows(spot: PointStack) -> float:
-    """Additional rows of the streak if the black level is 0 instead of the frame's median."""
-    column = spot.image[:, int(np.clip(round(spot.col), 0, spot.image.shape[1] - 1))]
-    return float((column >= 0.5 * spot.full_scale_dn).sum()) - spot.streak_px
-
-
-def _level(streak: Streak, flags: tuple[str, ...], **common: Any) -> Measurement:
+    reason = ""
     if not streak.overflows:
         reason = "no wells overflow: the column is no brighter than the same distance left and right"
-        return make_refusal("streak_level", "DN", reason, **common)
-    if streak.clipped and streak.meets_border:
+    elif streak.clipped and streak.meets_border:
         reason = "the column is at full scale up to the frame's border: a streak and smear look alike there"
-        return make_refusal("streak_level", "DN", reason, **common)
-    if streak.clipped:
+    elif streak.clipped:
         flags += ("clipped",)
-        note = "lower limit of the full well: the streak is at full scale"
-        common["notes"] = (*common.get("notes", ()), note)
-    return measurement_from_sd("streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common)
+        common["notes"] = (*common.get("notes", ()), "lower limit of the full well: the streak is at full scale")
+    if reason:
+        return [length, make_refusal("streak_level", "DN", reason, **common)]
+    return [
+        length,
+        measurement_from_sd("streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common),
+    ]

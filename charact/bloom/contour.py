@@ -18,16 +18,10 @@ DIRECTIONS = np.linspace(-np.pi, np.pi, 72, endpoint=False)
 class Contour:
     """Closed contour around a source.
 
-    Parameters
-    ----------
-    radius
-        Radius in each of `DIRECTIONS`, column pitches, shape (direction,).
-    area, area_sd
-        Area inside and its standard error, square column pitches.
-    slope
-        Fall of the logarithm of the signal at the contour, per column pitch.
-    oval, oval_sd
-        Second harmonic of the squared radius over its mean, cosine and sine, and its standard error; dimensionless.
+    `radius`: radius in each of `DIRECTIONS`, column pitches, shape (direction,); `area`, `area_sd`: area inside and its
+    standard error, square column pitches; `slope`: fall of the logarithm of the signal at the contour, per column
+    pitch; `oval`, `oval_sd`: second harmonic of the squared radius over its mean, cosine and sine, and its standard
+    error; dimensionless.
     """
 
     radius: Array
@@ -62,22 +56,9 @@ def fit_contour(
 ) -> Contour | None:
     """Fit the contour at a threshold near a radius; None where the pixels there do not cross it.
 
-    Parameters
-    ----------
-    signal
-        Mean frame above dark, shape (row, col), DN.
-    profile
-        Radius and mean signal of rings, which select the pixels near the threshold.
-    level
-        Threshold above dark, DN.
-    radius
-        Start radius, column pitches.
-    top
-        Full scale above dark, DN.
-    sectors
-        Sectors used.
-    width
-        Fraction of the usual annulus that is fitted.
+    `signal`: mean frame above dark, shape (row, col), DN; `profile`: radius and mean signal of rings, which select the
+    pixels near the threshold; `level`: threshold above dark, DN; `radius`: start radius, column pitches; `top`: full
+    scale above dark, DN; `sectors`: sectors used; `width`: fraction of the usual annulus that is fitted.
     """
     base = _surroundings(profile, level, radius)
     # Close to full scale the rings are clipped on one side and locate the threshold less well.

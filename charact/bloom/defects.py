@@ -25,12 +25,7 @@ Mask = NDArray[np.bool_]
 class SoundEntry(StackEntry):
     """Stack that is read with its defective pixels replaced.
 
-    Parameters
-    ----------
-    entry
-        Stack as recorded.
-    bad
-        Its defective pixels, shape (row, col).
+    `entry`: stack as recorded; `bad`: its defective pixels, shape (row, col).
     """
 
     entry: StackEntry
@@ -45,10 +40,7 @@ class SoundEntry(StackEntry):
 def with_sound_pixels(session: Session) -> tuple[Session, int]:
     """Return a session whose darks and point stacks are read without defective pixels, and the number of those pixels.
 
-    Parameters
-    ----------
-    session
-        With stacks of kind "point", and darks where there are any.
+    `session`: with stacks of kind "point", and darks where there are any.
     """
     hot = _hot(session)
     entries, every = [], set()
@@ -89,8 +81,6 @@ def _hot(session: Session) -> Mask:
 def lone_pixels(image: Array) -> Mask:
     """Return the pixels of a mean frame that stand out while their neighbours do not, shape (row, col).
 
-    Notes
-    -----
     A Gaussian of 0.35 px, sharper than any lens, still gives the one or two pixels next to its brightest one 30 % of
     the signal.
     """

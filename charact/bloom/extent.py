@@ -26,22 +26,10 @@ NORMAL = np.asarray([NormalDist().inv_cdf((n + 0.5) / DRAWS) for n in range(DRAW
 class Extent:
     """Region around a source at or above a threshold.
 
-    Parameters
-    ----------
-    level_dn
-        Threshold, DN.
-    area
-        Square column pitches.
-    draws
-        Equal-area diameters, column pitches, shape (draw,).
-    region
-        Its pixels, shape (row, col).
-    contour
-        Contour of its round part; None where noise prevents a fit.
-    touches_border
-        Whether it extends to the border of the frame.
-    pulled
-        Whether some sectors extend beyond a round source.
+    `level_dn`: threshold, DN; `area`: square column pitches; `draws`: equal-area diameters, column pitches, shape
+    (draw,); `region`: its pixels, shape (row, col); `contour`: contour of its round part; None where noise prevents a
+    fit; `touches_border`: whether it extends to the border of the frame; `pulled`: whether some sectors extend beyond a
+    round source.
     """
 
     level_dn: float
@@ -66,19 +54,9 @@ class Extent:
 def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed: int = 0) -> Extent | None:
     """Return the region around the source at or above a threshold; None where the source stays below it.
 
-    Parameters
-    ----------
-    view
-        Mean frame around the source.
-    level_dn, level_sd
-        Threshold and its standard error, DN.
-    seed
-        Seed of the draws.
-
-    Notes
-    -----
-    Rings are averages over hundreds of pixels. A threshold within their noise (halo plateaus) has several possible
-    crossings, which the draws cover.
+    `view`: mean frame around the source; `level_dn`, `level_sd`: threshold and its standard error, DN; `seed`: seed of
+    the draws. Rings are averages over hundreds of pixels. A threshold within their noise (halo plateaus) has several
+    possible crossings, which the draws cover.
     """
     level = level_dn - view.dark_dn
     visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])

@@ -30,18 +30,10 @@ from labdata.session import Session
 def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, Interval] | None:
     """Return minor over major axis of a region with its 68 and 95 % intervals; None where it is too small.
 
-    Parameters
-    ----------
-    extent
-        The region.
-    row_pitch
-        Row pitch over column pitch.
-
-    Notes
-    -----
-    A contour gives the axes without pixels: those of an ellipse whose squared radius has the second harmonic 1 + e cos
-    2(phi - phi_0) have the ratio (1 - e/2)/(1 + e/2). Noise biases e upwards, so its mean square is subtracted. Regions
-    with a streak or another source have the axes of the ellipse of equal second moments.
+    `extent`: the region; `row_pitch`: row pitch over column pitch. A contour gives the axes without pixels: those of an
+    ellipse whose squared radius has the second harmonic 1 + e cos 2(phi - phi_0) have the ratio (1 - e/2)/(1 + e/2).
+    Noise biases e upwards, so its mean square is subtracted. Regions with a streak or another source have the axes of
+    the ellipse of equal second moments.
     """
     if extent.region.sum() < 12:
         return None
@@ -83,14 +75,8 @@ def bloom_measurements(spots: tuple[PointStack, ...], *, square: bool, sensor: S
                        **fields: Any) -> list[Measurement]:  # fmt: skip
     """Return the extents of every stack, refused where the source stays below the threshold.
 
-    Parameters
-    ----------
-    spots
-        Stacks.
-    square
-        Whether pixels are assumed square since the pitches are unknown.
-    sensor
-        Sensor description, if known: areas are also given at the photocathode and in the field of view.
+    `spots`: stacks; `square`: whether pixels are assumed square since the pitches are unknown; `sensor`: sensor
+    description, if known: areas are also given at the photocathode and in the field of view.
     """
     notes = ("the row pitch is unknown: pixels are assumed square",) if square else ()
     notes += () if all(spot.dark_known for spot in spots) else (NO_DARKS,)
@@ -251,16 +237,8 @@ def add_common_measurements(
 ) -> Result:
     """Add extents, streaks, background depressions and consistency flags to the measurements of a series.
 
-    Parameters
-    ----------
-    session, spots
-        Session and its point stacks.
-    of_series, evidence
-        Measurements of the method, common or with their stack's label, and figure data.
-    context
-        Settings of the method.
-    fields
-        Method and provenance.
+    `session`, `spots`: session and its point stacks; `of_series`, `evidence`: measurements of the method, common or
+    with their stack's label, and figure data; `context`: settings of the method; `fields`: method and provenance.
     """
     steady = check_consistency(session, spots, context, **fields)
     smear, of_smear = smear_measurement(spots, context, **fields)
@@ -301,12 +279,8 @@ REMEDIES = {
 def add_findings(measurement: Measurement, effects: Mapping[str, str] | None = None) -> Measurement:
     """Add effect and remedy of each flag to a measurement.
 
-    Parameters
-    ----------
-    measurement
-        Measurement of this package; a refused one is returned unchanged.
-    effects
-        Effect size by flag, where measured; otherwise the interval gives the scale.
+    `measurement`: measurement of this package; a refused one is returned unchanged; `effects`: effect size by flag,
+    where measured; otherwise the interval gives the scale.
     """
     if measurement.status == "refused" or measurement.value is None:
         return measurement

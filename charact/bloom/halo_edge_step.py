@@ -17,18 +17,9 @@ SECTORS = 16
 class Profile:
     """Ring means of one stack.
 
-    Parameters
-    ----------
-    label
-        Its stack.
-    radius_px
-        Mean radius of each ring, column pitches, shape (ring,).
-    mean_dn
-        Ring means, shape (ring,), DN.
-    sd_dn
-        Their standard errors, shape (ring,), DN.
-    used
-        Rings neither saturated nor next to a saturated one, shape (ring,).
+    `label`: its stack; `radius_px`: mean radius of each ring, column pitches, shape (ring,); `mean_dn`: ring means,
+    shape (ring,), DN; `sd_dn`: their standard errors, shape (ring,), DN; `used`: rings neither saturated nor next to a
+    saturated one, shape (ring,).
     """
 
     label: str

@@ -1,14 +1,17 @@
 """Halo at an illuminated edge, fitted to the strips of all stacks."""
 
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom import transfer
 from charact.bloom.extent_measurements import provenance
-from charact.bloom.lit_edge_profile import DARK_PX, LitEdgeLine, Strips, edge_line, strips_of
+from charact.bloom.lit_edge_profile import LitEdgeLine, Strips, edge_line, strips_of
+from charact.bloom.series.halo_models import LEAST_DIAMETER_PX, WINGS, ModelParameter, tube_priors
+from charact.bloom.thresholds import Unmeasurable
 from charact.method import Context, register
 from charact.posterior import importance_sample, laplace
 from labdata.errors import BadInput
@@ -17,27 +20,13 @@ from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
 
-NAMES = ("halo_diameter", "elastic_share", "halo_fraction", "edge_offset", "core_spread")
-GAUSSIAN = len(NAMES)
-LEAST_DIAMETER_PX = 12.0
-# Slightly beyond 0..1, since a bound at 0 would bias the diameter of a halo without rim.
-ELASTIC_SHARE = (-0.15, 1.15)
-SPREAD_PX2 = (0.05, 25.0)
-Core = Literal["gaussian", "tube", "moffat"]
-# Core parameters besides the Gaussian: name, unit, bounds, start, and mean and standard deviation of a prior (image
-# tubes in general; a Moffat wing (1 + r^2/a^2)^-b).
-BESIDES: dict[Core, tuple[tuple[str, str, tuple[float, float], float, tuple[float, float] | None], ...]] = {
-    "gaussian": (),
-    "tube": (
-        ("core_frequency", "cy/px", (0.03, 2.0), 0.4, (0.4, 0.3)),
-        ("core_exponent", "1", (0.7, 2.5), 1.3, (1.3, 0.3)),
-    ),
-    "moffat": (
-        ("wing_share", "1", (0.0, 0.7), 0.1, None),
-        ("wing_radius", "px", (0.7, 12.0), 3.0, None),
-        ("wing_exponent", "1", (1.2, 4.0), 2.0, None),
-    ),
-}
+METHOD = "lit-edge"
+QUANTITIES = (("halo_diameter", "px"), ("halo_fraction", "1"))
+# Parameters of the core besides the Gaussian's, by core.
+CORES = {"gaussian": (), "tube": tube_priors(None), "moffat": WINGS["moffat"]}
+# Maximum halo radius over the distance to the border.
+WHOLE = 0.85
+LEAST_STRIPS = 24
 
 
 def nodes() -> tuple[Array, Array]:
@@ -49,149 +38,124 @@ def nodes() -> tuple[Array, Array]:
 class EdgeHaloLikelihood:
     """Likelihood of the whitened strips of all stacks of one edge.
 
-    Parameters
-    ----------
-    strips
-        Strips of every stack.
-    width_px
-        Width of the illuminated area, column pitches; inf for a half plane.
-    walls
-        Bounds of the parameters common to all cores, shape (parameter, 2).
-    white
-        Whitening matrix of each stack's used strips.
-    waves
-        Sine and cosine of every frequency at the strips of each stack, shape (frequency, strip).
-    core
-        Core family.
-    halo
-        Whether there is a halo.
+    `strips`: strips of every stack; `line`: the edge, of an area of finite or infinite width; `core`: a name of
+    `CORES`; `halo`: whether there is one.
     """
 
     strips: tuple[Strips, ...]
-    width_px: float
-    walls: Array
-    white: tuple[Array, ...]
-    waves: tuple[tuple[Array, Array], ...]
-    core: Core = "gaussian"
+    line: LitEdgeLine
+    core: str = "gaussian"
     halo: bool = True
 
-    @property
+    @cached_property
+    def parameters(self) -> tuple[ModelParameter, ...]:
+        """Parameters in the order of a point's coordinates."""
+        offset = (-10.0, 1.0) if all(one.cut for one in self.strips) else (-1.5, 1.5)
+        # Elastic shares slightly beyond 0..1, since a bound at 0 would bias the diameter of a halo without rim.
+        bounds = {
+            ("halo_diameter", "px"): (LEAST_DIAMETER_PX, max(2.0 * self.line.dark_px, LEAST_DIAMETER_PX + 4.0)),
+            ("elastic_share", "1"): (-0.15, 1.15),
+            ("halo_fraction", "1"): (0.0, 0.6),
+            ("edge_offset", "px"): offset,
+            ("core_spread", "px2"): (0.05, 25.0),
+        }
+        common = (ModelParameter(name=name, unit=unit, low=a, high=b) for (name, unit), (a, b) in bounds.items())
+        return (*common, *CORES[self.core])
+
+    @cached_property
     def bounds(self) -> Array:
         """Bounds of the parameters, shape (parameter, 2)."""
-        return np.array([*self.walls, *(bounds for _, _, bounds, _, _ in BESIDES[self.core])])
+        return np.array([[one.low, one.high] for one in self.parameters])
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return (*NAMES, *(name for name, *_ in BESIDES[self.core]))
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of the parameters."""
-        return (*("px", "1", "1", "px", "px2"), *(unit for _, unit, *_ in BESIDES[self.core]))
+    @cached_property
+    def _of_strips(self) -> tuple[tuple[Array, Array, Array], ...]:
+        """Whitening matrix of each stack's used strips, and sine and cosine of the frequencies at all of them."""
+        out = []
+        for one in self.strips:
+            above = one.mean_dn[one.used] - np.median(one.mean_dn[one.used][-8:])
+            # A model of straight edges has a relative error of 0.4 % of the signal above background.
+            covariance = one.covariance() + np.diag((0.004 * above) ** 2)
+            turn = 2.0 * np.pi * np.outer(nodes()[0], one.distance_px)
+            out.append((np.linalg.inv(np.linalg.cholesky(covariance)), np.sin(turn), np.cos(turn)))
+        return tuple(out)
 
     def log_probability(self, points: Array) -> Array:
         """Log-posterior with the optimum signal and background of every stack, shape (point,)."""
         inside = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
         safe = np.where(inside[:, None], points, self.bounds.mean(axis=1))
-        total = -0.5 * (self._prior_residuals(safe) ** 2).sum(axis=1)
-        for one, strips in enumerate(self.strips):
-            chi2, amplitudes = self.fit_level(one, safe)
-            total = total - 0.5 * (chi2 + self._short(strips, amplitudes) ** 2)
-        return np.where(inside, total, -np.inf)
+        return np.where(inside, -0.5 * (self.residuals(safe) ** 2).sum(axis=1), -np.inf)
 
     def residuals(self, points: Array) -> Array:
-        """Normalised residuals, those of the prior last, shape (point, number)."""
-        out = [self._prior_residuals(points)]
-        for one, strips in enumerate(self.strips):
-            _, amplitudes = self.fit_level(one, points)
-            model = amplitudes[:, :1] * self.shape(one, points)[:, strips.used] + amplitudes[:, 1:]
-            out += [(strips.mean_dn[strips.used] - model) @ self.white[one].T, self._short(strips, amplitudes)[:, None]]
+        """Normalised residuals, those of the prior first, shape (point, number)."""
+        mean, sd = (np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd"))
+        out = [(points - mean) / sd]
+        for number, strips in enumerate(self.strips):
+            left, amplitudes = self.fit_level(number, points)
+            # A clipped side below full scale.
+            short = np.maximum(strips.least_light_dn - amplitudes[:, :1], 0.0)
+            out += [left, short / max(0.03 * strips.least_light_dn, 1e-9)]
         return np.concatenate(out, axis=1)
 
-    def _short(self, strips: Strips, amplitudes: Array) -> Array:
-        """Normalised shortfall of a clipped side below full scale."""
-        short = np.maximum(strips.least_light_dn - amplitudes[:, 0], 0.0)
-        return short / max(0.03 * strips.least_light_dn, 1e-9)
-
-    def _prior_residuals(self, points: Array) -> Array:
-        known = [(place, *prior) for place, (*_, prior) in enumerate(BESIDES[self.core], GAUSSIAN) if prior]
-        return np.array([(points[:, place] - mean) / sd for place, mean, sd in known]).reshape(-1, len(points)).T
-
-    def fit_level(self, one: int, points: Array) -> tuple[Array, Array]:
-        """Chi squared of one stack, shape (point,), and its signal and background, (point, 2)."""
-        strips = self.strips[one]
-        shape = self.shape(one, points)[:, strips.used]
-        data = self.white[one] @ strips.mean_dn[strips.used]
-        light = shape @ self.white[one].T
-        flat = self.white[one].sum(axis=1)
+    def fit_level(self, number: int, points: Array) -> tuple[Array, Array]:
+        """Whitened residuals of one stack, shape (point, strip), and its signal and background, (point, 2)."""
+        strips, white = self.strips[number], self._of_strips[number][0]
+        light = self.shape(number, points)[:, strips.used] @ white.T
+        data, flat = white @ strips.mean_dn[strips.used], white.sum(axis=1)
         aa, ab, bb = (light**2).sum(axis=1), light @ flat, float(flat @ flat)
         ad, bd = light @ data, float(flat @ data)
         determinant = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb)
         level, ground = (bb * ad - ab * bd) / determinant, (aa * bd - ab * ad) / determinant
-        chi2 = float(data @ data) - level * ad - ground * bd
-        return chi2, np.stack([level, ground], axis=1)
+        return data - level[:, None] * light - ground[:, None] * flat, np.stack([level, ground], axis=1)
 
-    def shape(self, one: int, points: Array) -> Array:
+    def shape(self, number: int, points: Array) -> Array:
         """Profile across an edge of unit signal, shape (point, strip)."""
-        diameter, elastic, fraction, offset, _ = points[:, :GAUSSIAN].T
+        diameter, elastic, fraction, offset, spread, *core = points.T
         frequency = nodes()[0]
-        blur = self._core(points) * np.sinc(frequency)
-        if self.halo:
-            halo = transfer.disc(frequency, diameter, transfer.backscatter_profile(elastic))
-            blur = blur * (1.0 - fraction[:, None] + fraction[:, None] * halo)
-        near = self._step(one, blur, offset)
-        if not np.isfinite(self.width_px):
-            return near
-        return near - self._step(one, blur, -self.width_px - offset)
-
-    def _core(self, points: Array) -> Array:
-        """Transfer function of the core, shape (point, frequency)."""
-        frequency, spread = nodes()[0], points[:, GAUSSIAN - 1]
-        core = transfer.gaussian(frequency, spread)
+        blur = transfer.gaussian(frequency, spread)
         if self.core == "tube":
-            return core * transfer.tube(frequency, *points[:, GAUSSIAN:].T)
-        if self.core == "gaussian":
-            return core
-        share, radius, power = points[:, GAUSSIAN:].T
-        return core * (1.0 - share[:, None]) + share[:, None] * transfer.moffat(frequency, radius, power)
+            blur = blur * transfer.tube(frequency, *core)
+        elif self.core == "moffat":
+            blur = transfer.mix(blur, core[0], transfer.moffat(frequency, *core[1:]))
+        blur = blur * np.sinc(frequency)
+        if self.halo:
+            profile = np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
+            blur = blur * transfer.mix(1.0, fraction, transfer.disc(frequency, diameter, profile))
+        near = self._step(number, blur, offset)
+        if not np.isfinite(self.line.width_px):
+            return near
+        return near - self._step(number, blur, -self.line.width_px - offset)
 
-    def _step(self, one: int, blur: Array, at: Array) -> Array:
+    def _step(self, number: int, blur: Array, at: Array) -> Array:
         """Step response at given offsets: 1/2 - integral of T sin(2 pi f (x - x0)) / pi f."""
-        sine, cosine = self.waves[one]
+        _, sine, cosine = self._of_strips[number]
         frequency, weight = nodes()
-        turn = 2.0 * np.pi * frequency * at[:, None]
-        return 0.5 - (blur * weight * np.cos(turn) / (np.pi * frequency)) @ sine + (
-            blur * weight * np.sin(turn) / (np.pi * frequency)
-        ) @ cosine  # fmt: skip
-
-
-def problem_of(
-    strips: tuple[Strips, ...], *, width_px: float, room_px: float, offset_px: tuple[float, float]
-) -> EdgeHaloLikelihood:
-    """Whiten strips and set the bounds, for a Gaussian core with halo."""
-    white, waves = [], []
-    for one in strips:
-        above = one.mean_dn[one.used] - np.median(one.mean_dn[one.used][-8:])
-        # A model of straight edges has a relative error of 0.4 % of the signal above background.
-        covariance = one.covariance() + np.diag((0.004 * above) ** 2)
-        white.append(np.linalg.inv(np.linalg.cholesky(covariance)))
-        turn = 2.0 * np.pi * np.outer(nodes()[0], one.distance_px)
-        waves.append((np.sin(turn), np.cos(turn)))
-    widest = max(2.0 * room_px, LEAST_DIAMETER_PX + 4.0)
-    walls = [[LEAST_DIAMETER_PX, widest], ELASTIC_SHARE, [0.0, 0.6], offset_px, SPREAD_PX2]
-    return EdgeHaloLikelihood(
-        strips=strips, width_px=width_px, walls=np.array(walls), white=tuple(white), waves=tuple(waves)
-    )
+        turn, density = 2.0 * np.pi * frequency * at[:, None], blur * weight / (np.pi * frequency)
+        return 0.5 - (density * np.cos(turn)) @ sine + (density * np.sin(turn)) @ cosine
 
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeHaloOptimum:
-    """Best fit: point, (parameter,), covariance, (parameter, parameter), and log-probability."""
+    """Best fit of a model: point, (parameter,), covariance, (parameter, parameter), and log-probability."""
 
+    problem: EdgeHaloLikelihood
     point: Array
     covariance: Array
     log_probability: float
+
+    @property
+    def bic(self) -> float:
+        """-2 log P + k ln N."""
+        free = len(self.point) - (0 if self.problem.halo else 3)
+        number = sum(one.used.sum() for one in self.problem.strips)
+        return free * float(np.log(number)) - 2.0 * self.log_probability
+
+    def posterior(self, context: Context) -> Posterior:
+        """Posterior draws of the parameters."""
+        names, units = zip(*((one.name, one.unit) for one in self.problem.parameters), strict=True)
+        return (laplace if context.quick else importance_sample)(
+            self.problem.log_probability, names=names, units=units, start=self.point, covariance=self.covariance,
+            seed=context.seed, bounds=self.problem.bounds,
+        )  # fmt: skip
 
 
 def optimise_edge_halo(problem: EdgeHaloLikelihood, *, diameter_px: float | None = None) -> EdgeHaloOptimum:
@@ -200,13 +164,11 @@ def optimise_edge_halo(problem: EdgeHaloLikelihood, *, diameter_px: float | None
     `diameter_px` fixes the diameter.
     """
     low, high = problem.bounds[0]
-    offset = 0.5 * problem.bounds[3].sum()
     diameters = np.linspace(low + 2, high - 2, 24) if problem.halo else np.array([0.5 * (low + high)])
     if diameter_px is not None:
         diameters = np.array([diameter_px])
-    starts = np.array([[d, w, 0.1, offset, s] for d in diameters for w in (0.3, 0.8) for s in (1.0, 3.0)])
-    besides = [first for *_, first, _ in BESIDES[problem.core]]
-    points = np.concatenate([starts, np.tile(besides, (len(starts), 1))], axis=1)
+    offset, core = 0.5 * problem.bounds[3].sum(), [one.first for one in CORES[problem.core]]
+    points = np.array([[d, w, 0.1, offset, s, *core] for d in diameters for w in (0.3, 0.8) for s in (1.0, 3.0)])
     order = np.argsort(problem.log_probability(points))[::-1]
     free = np.ones(points.shape[1], bool)
     free[0] = problem.halo and diameter_px is None
@@ -238,16 +200,8 @@ def _optimise_from(problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.b
     point = all_parameters(found.x[None])[0]
     covariance = np.zeros((len(start), len(start)))
     covariance[np.ix_(free, free)] = np.linalg.pinv(found.jac.T @ found.jac + np.diag(((high - low) / 2.0) ** -2.0))
-    return EdgeHaloOptimum(
-        point=point, covariance=covariance, log_probability=float(problem.log_probability(point[None])[0])
-    )
-
-
-METHOD = "lit-edge"
-QUANTITIES = (("halo_diameter", "px"), ("halo_fraction", "1"))
-# Maximum halo radius over the distance to the border.
-WHOLE = 0.85
-LEAST_STRIPS = 24
+    value = float(problem.log_probability(point[None])[0])
+    return EdgeHaloOptimum(problem=problem, point=point, covariance=covariance, log_probability=value)
 
 
 @register(
@@ -273,54 +227,46 @@ def measure_lit_edge(session: Session, *, context: Context) -> Result:
     clipped stacks alone the edge position is free in the fit, the diameter less certain, and the halo fraction unknown.
     """
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    measurements, evidence = _measure(session, context, fields)
+    evidence: dict[str, dict[str, Any]] = {}
+    try:
+        measurements = _measure(session, context, fields, evidence)
+    except Unmeasurable as refusal:
+        measurements = [make_refusal(quantity, unit, str(refusal), **fields) for quantity, unit in QUANTITIES]
     return Result(measurements=tuple(measurements), evidence=evidence)
 
 
-def _measure(
-    session: Session, context: Context, fields: dict[str, Any]
-) -> tuple[list[Measurement], dict[str, dict[str, Any]]]:
-    levels = _levels(session, context)
-    if isinstance(levels, str):
-        return _refuse_all(levels, fields), {}
-    line, strips = levels
+def _measure(session: Session, context: Context, fields: dict[str, Any], evidence: dict[str, Any]) -> list[Measurement]:
+    line, strips = _levels(session, context)
     if min(int(one.used.sum()) for one in strips) < LEAST_STRIPS:
-        return _refuse_all(f"fewer than {LEAST_STRIPS} px next to the edge are unclipped", fields), {}
-    found = _select_model(strips, line)
-    evidence = {"lit-edge": _evidence(found, strips)}
-    reason = _refusal_reason(found, line)
-    if reason:
-        return _refuse_all(reason, fields), evidence
+        raise Unmeasurable(f"fewer than {LEAST_STRIPS} px next to the edge are unclipped")
+    fits = {
+        halo: [optimise_edge_halo(EdgeHaloLikelihood(strips=strips, line=line, core=core, halo=halo)) for core in CORES]
+        for halo in (True, False)
+    }
+    best, without = (min(found, key=lambda one: one.bic) for found in fits.values())
+    evidence["lit-edge"] = {**_evidence(best), "bic_gain_of_halo": without.bic - best.bic}
+    if without.bic - best.bic < 20.0:
+        raise Unmeasurable("the profile next to the edge is that of a core alone: no halo is visible")
+    _check_edge_of_halo(best)
     context.progress("posterior of the halo next to an edge", 0.7)
-    posterior = _posterior(found.problem, found.peak, context)
-    diameter, fraction = _average_models(found, posterior, context)
+    posterior = best.posterior(context)
+    diameter, fraction = _average_models(best, fits[True], posterior, context)
     if diameter.std() > 0.1 * float(np.median(diameter)):
-        return _refuse_all(
-            "the halo diameter is uncertain by more than 10 %: a fainter, unclipped stack would locate the edge",
-            fields,
-        ), evidence
-    flags = tuple(flag for flag in posterior.flags if flag != "prior-bound") + _misfit(found)
-    flags += ("window-too-small",) if float(np.median(diameter)) > 2 * WHOLE * _room(line) else ()
+        raise Unmeasurable("the halo diameter is uncertain by more than 10 %: a fainter, unclipped stack would locate "
+                           "the edge")  # fmt: skip
+    flags = tuple(flag for flag in posterior.flags if flag != "prior-bound") + _misfit(best)
+    flags += ("window-too-small",) if float(np.median(diameter)) > 2 * WHOLE * line.dark_px else ()
     notes = ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
     notes += () if session.of_kind("dark") else ("the black level is estimated from the darkest pixels",)
     common = {"flags": flags, "notes": notes, "posterior": posterior, **fields}
     out = [measurement_from_draws("halo_diameter", "px", diameter, **common)]
     if all(one.cut for one in strips):
-        out.append(
-            make_refusal(
-                "halo_fraction", "1", "every stack is clipped: the signal of the bright side is unknown", **fields
-            )
-        )
-    else:
-        out.append(measurement_from_draws("halo_fraction", "1", fraction, **common))
-    return out, evidence
+        reason = "every stack is clipped: the signal of the bright side is unknown"
+        return [*out, make_refusal("halo_fraction", "1", reason, **fields)]
+    return [*out, measurement_from_draws("halo_fraction", "1", fraction, **common)]
 
 
-def _refuse_all(reason: str, fields: dict[str, Any]) -> list[Measurement]:
-    return [make_refusal(quantity, unit, reason, **fields) for quantity, unit in QUANTITIES]
-
-
-def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Strips, ...]] | str:
+def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Strips, ...]]:
     """The edge, located in the best stack, and the strips of every stack."""
     entries = session.of_kind("edge")
     if not entries:
@@ -330,20 +276,16 @@ def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Stri
     frames = [_frame(entry, session, context) for entry in order if entry.target.region == first]
     kept = [one for one in frames if np.percentile(one[0], 99.0) - one[2] > 0.03 * (one[3] - one[2])]
     if not kept:
-        return "no stack exceeds its dark frames by 3 % of full scale"
+        raise Unmeasurable("no stack exceeds its dark frames by 3 % of full scale")
     # The brightest unclipped stack locates the edge best, else the faintest one.
     whole = [one for one in kept if np.percentile(one[0], 99.0) < one[2] + 0.75 * (one[3] - one[2])]
     image, _, dark, full = whole[-1] if whole else kept[0]
-    low, high = np.percentile(image, (2.0, 98.0))
-    level = 0.5 * (float(low) + float(high)) if whole else dark + 0.5 * (full - dark)
+    level = 0.5 * float(sum(np.percentile(image, (2.0, 98.0)))) if whole else dark + 0.5 * (full - dark)
     line = edge_line(image, level, context.pitch_ratio)
-    if isinstance(line, str):
-        return line
-    strips = tuple(
+    return line, tuple(
         strips_of(image, line, label=label, dark_dn=dark, full_dn=full, pitch_ratio=context.pitch_ratio)
         for image, label, dark, full in kept
     )
-    return line, strips
 
 
 def _frame(entry: StackEntry, session: Session, context: Context) -> tuple[Array, str, float, float]:
@@ -351,106 +293,62 @@ def _frame(entry: StackEntry, session: Session, context: Context) -> tuple[Array
     stack = entry.read()
     full = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
     dark, image = session.dark_like(entry.conditions), stack.data.mean(axis=0, dtype=np.float64)
-    if dark is not None:
-        level = dark.read().mean_dn
-    else:
-        level = stack.black_level_dn if stack.black_level_dn is not None else float(np.percentile(image, 2.0))
+    level = stack.black_level_dn if dark is None else dark.read().mean_dn
+    level = float(np.percentile(image, 2.0)) if level is None else level
     return image, entry.label, level, float(stack.data.max() if full is None else full)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Found:
-    """Best fit with a halo, and its gain in the information criterion over the best fit without."""
-
-    problem: EdgeHaloLikelihood
-    peak: EdgeHaloOptimum
-    gain: float
-    rivals: tuple[tuple[float, EdgeHaloLikelihood, EdgeHaloOptimum], ...]
-
-
-def _select_model(strips: tuple[Strips, ...], line: LitEdgeLine) -> _Found:
-    """Fit all cores with and without a halo; select by the Bayesian information criterion."""
-    offset = (-10.0, 1.0) if all(one.cut for one in strips) else (-1.5, 1.5)
-    number = float(np.log(sum(one.used.sum() for one in strips)))
-    plain = problem_of(strips, width_px=line.width_px, room_px=_room(line), offset_px=offset)
-    fits: dict[bool, list[tuple[float, EdgeHaloLikelihood, EdgeHaloOptimum]]] = {True: [], False: []}
-    for halo in (True, False):
-        for core in BESIDES:
-            problem = replace(plain, core=core, halo=halo)
-            peak = optimise_edge_halo(problem)
-            free = len(peak.point) - (0 if halo else 3)
-            fits[halo].append((free * number - 2.0 * peak.log_probability, problem, peak))
-    (bic, problem, peak), without = min(fits[True], key=lambda one: one[0]), min(fits[False], key=lambda one: one[0])
-    rivals = tuple((value - bic, of, other) for value, of, other in fits[True] if value < bic + 10.0)
-    return _Found(problem=problem, peak=peak, gain=without[0] - bic, rivals=rivals)
-
-
-def _room(line: LitEdgeLine) -> float:
-    return float(min(line.room_px, DARK_PX))
-
-
-def _refusal_reason(found: _Found, line: LitEdgeLine) -> str:
-    """Refusal reason, or an empty string."""
-    if found.gain < 20.0:
-        return "the profile next to the edge is that of a core alone: no halo is visible"
-    problem, diameter = found.problem, found.peak.point[0]
+def _check_edge_of_halo(best: EdgeHaloOptimum) -> None:
+    """Refuse a halo without an edge in the profile, or one too large for the frame or the edge."""
+    diameter, line = best.point[0], best.problem.line
     for factor in (0.75, 1.3):
-        off = float(np.clip(factor * diameter, *problem.bounds[0]))
-        if off in problem.bounds[0]:
+        off = float(np.clip(factor * diameter, *best.problem.bounds[0]))
+        if off in best.problem.bounds[0]:
             continue
-        if found.peak.log_probability - optimise_edge_halo(problem, diameter_px=off).log_probability < 6.0:
-            return "the profile next to the edge falls off smoothly, without the end of a halo"
-    if diameter > 2 * _room(line):
-        return f"the halo extends to the border of the frame, {_room(line):.0f} px from the edge"
+        if best.log_probability - optimise_edge_halo(best.problem, diameter_px=off).log_probability < 6.0:
+            raise Unmeasurable("the profile next to the edge falls off smoothly, without the end of a halo")
+    if diameter > 2 * line.dark_px:
+        raise Unmeasurable(f"the halo extends to the border of the frame, {line.dark_px:.0f} px from the edge")
     if 0.5 * diameter > line.ends_px:
-        return f"the edge is too short: its ends are {line.ends_px:.0f} px from the measured part, the halo is wider"
-    return ""
+        raise Unmeasurable(
+            f"the edge is too short: its ends are {line.ends_px:.0f} px from the measured part, the halo is wider"
+        )
 
 
-def _posterior(problem: EdgeHaloLikelihood, peak: EdgeHaloOptimum, context: Context) -> Posterior:
-    arguments: dict[str, Any] = {
-        "names": problem.names, "units": problem.units, "start": peak.point, "covariance": peak.covariance,
-        "seed": context.seed, "bounds": problem.bounds,
-    }  # fmt: skip
-    return (laplace if context.quick else importance_sample)(problem.log_probability, **arguments)
-
-
-def _average_models(found: _Found, best: Posterior, context: Context) -> tuple[Array, Array]:
+def _average_models(
+    best: EdgeHaloOptimum, fits: list[EdgeHaloOptimum], own: Posterior, context: Context
+) -> tuple[Array, Array]:
     """Draws of the halo's diameter and fraction, averaged over cores by weight, shape (draw,)."""
-    weight = np.exp([-0.5 * over for over, _, _ in found.rivals])
-    count = np.rint(len(best.draws) * weight / weight.sum()).astype(int)
+    rivals = [one for one in fits if one.bic < best.bic + 10.0]
+    weight = np.exp([-0.5 * (one.bic - best.bic) for one in rivals])
+    count = np.rint(len(own.draws) * weight / weight.sum()).astype(int)
     parts = [
-        (best if peak is found.peak else _posterior(problem, peak, context)).draws[:number]
-        for number, (_, problem, peak) in zip(count, found.rivals, strict=True)
+        (own if one is best else one.posterior(context)).draws[:number]
+        for number, one in zip(count, rivals, strict=True)
     ]
-    return tuple(np.concatenate([part[:, column] for part in parts]) for column in (0, 2))  # pyright: ignore[reportReturnType]
+    draws = np.concatenate([part[:, [0, 2]] for part in parts])
+    return draws[:, 0], draws[:, 1]
 
 
-def _misfit(found: _Found) -> tuple[str, ...]:
+def _misfit(best: EdgeHaloOptimum) -> tuple[str, ...]:
     from scipy.stats import chi2
 
-    problem, point = found.problem, found.peak.point
-    total = sum(float(problem.fit_level(one, point[None])[0][0]) for one in range(len(problem.strips)))
-    freedom = sum(int(one.used.sum()) - 2 for one in problem.strips) - len(point)
+    problem, point = best.problem, best.point[None]
+    total = sum(float((problem.fit_level(one, point)[0] ** 2).sum()) for one in range(len(problem.strips)))
+    freedom = sum(int(one.used.sum()) - 2 for one in problem.strips) - len(best.point)
     return ("model-misfit",) if chi2.sf(total, max(freedom, 1)) < 1e-4 else ()
 
 
-def _evidence(found: _Found, strips: tuple[Strips, ...]) -> dict[str, Any]:
+def _evidence(best: EdgeHaloOptimum) -> dict[str, Any]:
     """Strips of every stack with the model."""
-    point, problem = found.peak.point[None], found.problem
-    model = []
-    for one in range(len(strips)):
-        light, ground = problem.fit_level(one, point)[1][0]
-        model.append((light * problem.shape(one, point)[0] + ground).tolist())
-    return {
-        "figure": "lit-edge",
-        "label": [one.label for one in strips],
-        "distance_px": [one.distance_px.tolist() for one in strips],
-        "mean_dn": [one.mean_dn.tolist() for one in strips],
-        "sd_dn": [one.sd_dn.tolist() for one in strips],
-        "used": [one.used.tolist() for one in strips],
-        "model_dn": model,
-        "edge_px": float(found.peak.point[3]),
-        "halo_diameter_px": float(found.peak.point[0]),
-        "bic_gain_of_halo": found.gain,
+    point, strips, model = best.point[None], best.problem.strips, []
+    for number in range(len(strips)):
+        light, ground = best.problem.fit_level(number, point)[1][0]
+        model.append((light * best.problem.shape(number, point)[0] + ground).tolist())
+    of_strips = {
+        name: [getattr(one, name).tolist() for one in strips] for name in ("distance_px", "mean_dn", "sd_dn", "used")
     }
+    return {
+        "figure": "lit-edge", "label": [one.label for one in strips], **of_strips, "model_dn": model,
+        "edge_px": float(best.point[3]), "halo_diameter_px": float(best.point[0]),
+    }  # fmt: skip

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.bloom.thresholds import Unmeasurable
+
 Array = NDArray[np.float64]
 
 # Farthest strip on the dark side, px.
@@ -19,22 +21,11 @@ PARTS, LAGS = 12, 6
 class LitEdgeLine:
     """Straight edge: column `at` + `slope` * row of the frame, or of the transposed frame for an edge along a row.
 
-    Parameters
-    ----------
-    upright
-        Whether the edge runs along columns.
-    side
-        1 where the dark side has the higher column, else -1.
-    at, slope
-        Column at row 0, and columns per row.
-    first, last
-        First and last row, without ends that lie in the frame.
-    room_px
-        Distance of the border on the dark side, column pitches.
-    ends_px
-        Omitted length at the nearer end inside the frame, column pitches; inf without one.
-    width_px
-        Distance of the opposite edge, column pitches; inf where it is outside the frame.
+    `upright`: whether the edge runs along columns; `side`: 1 where the dark side has the higher column, else -1; `at`,
+    `slope`: column at row 0, and columns per row; `first`, `last`: first and last row, without ends that lie in the
+    frame; `room_px`: distance of the border on the dark side, column pitches; `ends_px`: omitted length at the nearer
+    end inside the frame, column pitches; inf without one; `width_px`: distance of the opposite edge, column pitches;
+    inf where it is outside the frame.
     """
 
     upright: bool
@@ -46,6 +37,11 @@ class LitEdgeLine:
     room_px: float
     ends_px: float
     width_px: float
+
+    @property
+    def dark_px(self) -> float:
+        """Width of the dark side that is used, column pitches."""
+        return float(min(self.room_px, DARK_PX))
 
     def distance(self, shape: tuple[int, int], pitch_ratio: float) -> Array:
         """Distance of every pixel from the edge, positive on the dark side, column pitches, shape (row, col)."""
@@ -60,22 +56,11 @@ class LitEdgeLine:
 class Strips:
     """Mean signal by distance from an edge.
 
-    Parameters
-    ----------
-    label
-        Label of the stack.
-    distance_px
-        Mean distance of each strip from the line, positive on the dark side, column pitches, shape (strip,).
-    mean_dn, sd_dn
-        Mean and its standard error, shape (strip,), DN.
-    correlation
-        Correlation of strips 1, 2, ... apart, shape (lag,).
-    used
-        Strips that are not clipped, shape (strip,).
-    cut
-        Whether the illuminated side reaches full scale.
-    least_light_dn
-        Minimum signal of the illuminated side, DN above dark: full scale where it is clipped, else 0.
+    `label`: label of the stack. `distance_px`: mean distance of each strip from the line, positive on the dark side,
+    column pitches, shape (strip,). `mean_dn`, `sd_dn`: mean and its standard error, shape (strip,), DN. `correlation`:
+    correlation of strips 1, 2, ... apart, shape (lag,). `used`: strips that are not clipped, shape (strip,). `cut`:
+    whether the illuminated side reaches full scale. `least_light_dn`: minimum signal of the illuminated side, DN above
+    dark: full scale where it is clipped, else 0.
     """
 
     label: str
@@ -97,23 +82,13 @@ class Strips:
         return lifted * np.outer(sd, sd)
 
 
-def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLine | str:
-    """Return the straight edge of the illuminated area with most dark room, or a refusal reason.
-
-    Parameters
-    ----------
-    image
-        Mean frame, shape (row, col), DN.
-    level_dn
-        Threshold of the edge, DN.
-    pitch_ratio
-        Row pitch over column pitch.
-    """
+def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLine:
+    """Return the straight edge of the illuminated area, at a threshold, with most dark room; else Unmeasurable."""
     from scipy import ndimage
 
     labels = np.asarray(ndimage.label(image >= level_dn)[0])  # pyright: ignore[reportIndexIssue]
     if not labels.any():
-        return "no area of the frame is illuminated"
+        raise Unmeasurable("no area of the frame is illuminated")
     lit = labels == np.bincount(labels[labels > 0]).argmax()
     found = [
         _side(frame, mask, level_dn, upright=upright, side=side, pitch_ratio=pitch_ratio)
@@ -122,7 +97,7 @@ def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLin
     ]
     straight = [line for line in found if line is not None]
     if not straight:
-        return f"the illuminated area has no straight edge of {LEAST_ROWS} px or more"
+        raise Unmeasurable(f"the illuminated area has no straight edge of {LEAST_ROWS} px or more")
     return max(straight, key=lambda line: min(line.room_px, line.ends_px, 1.0 * (line.last - line.first)))
 
 
@@ -149,16 +124,11 @@ def _side(image: NDArray, lit: NDArray[np.bool_], level: float, *, upright: bool
     wide = side * (crossing[good] - opposite[good])
     cosine = 1.0 / np.hypot(1.0, slope * across / along)
     return LitEdgeLine(
-        upright=upright,
-        side=side,
-        at=float(at),
-        slope=float(slope),
-        first=int(first),
-        last=int(last),
+        upright=upright, side=side, at=float(at), slope=float(slope), first=int(first), last=int(last),
         room_px=room * across * cosine,
         ends_px=left_out * along if any(inside) else float("inf"),
         width_px=float(np.median(wide)) * across * cosine if np.isfinite(wide).mean() > 0.5 else float("inf"),
-    )
+    )  # fmt: skip
 
 
 def _crossings(image: NDArray, lit: NDArray[np.bool_], level: float, side: int) -> Array:
@@ -191,46 +161,38 @@ def strips_of(
     distance = line.distance((image.shape[0], image.shape[1]), pitch_ratio)
     along = np.indices(image.shape)[0 if line.upright else 1]
     lit = min(70, 0.5 * line.width_px)
-    inside = (along >= line.first) & (along <= line.last) & (distance > -lit) & (distance < min(DARK_PX, line.room_px))
+    inside = (along >= line.first) & (along <= line.last) & (distance > -lit) & (distance < line.dark_px)
     strip = np.floor(distance[inside]).astype(int)
-    strip, first = strip - strip.min(), int(strip.min())
+    strip -= strip.min()
     part = np.minimum((along[inside] - line.first) * PARTS // (line.last - line.first + 1), PARTS - 1)
-    value, place = image[inside].astype(float), distance[inside]
-    count = strip.max() + 1
-    cell = strip * PARTS + part
+    value, count, cell = image[inside].astype(float), strip.max() + 1, strip * PARTS + part
     cells = np.bincount(cell, minlength=count * PARTS).reshape(count, PARTS)
     sums = np.bincount(cell, value, minlength=count * PARTS).reshape(count, PARTS)
+    top = np.zeros(count)
+    np.maximum.at(top, strip, value)
     whole = cells.min(axis=1) >= 1
-    first += int(np.argmax(whole))
     span = slice(int(np.argmax(whole)), count - int(np.argmax(whole[::-1])))
     cells, sums = np.maximum(cells[span], 1), sums[span]
     total = cells.sum(axis=1)
     mean = sums.sum(axis=1) / total
-    where = np.bincount(strip, place, minlength=count)[span] / total
+    where = np.bincount(strip, distance[inside], minlength=count)[span] / total
     rest = sums / cells - mean[:, None]
-    variance = (rest**2).sum(axis=1) / (PARTS - 1) / PARTS
-    top = np.zeros(count)
-    np.maximum.at(top, strip, value)
+    variance = smooth_variance((rest**2).sum(axis=1) / (PARTS - 1) / PARTS, 0.08)
     over = (mean > dark_dn + 0.75 * (full_dn - dark_dn)) | (top[span] > 0.95 * full_dn)
     used = np.ones(len(mean), bool)
     if over.any():
         used[: int(np.flatnonzero(over)[-1]) + 1] = False
     return Strips(
-        label=label,
-        distance_px=where,
-        mean_dn=mean,
-        sd_dn=np.maximum(np.sqrt(_geometric_mean(variance)), 1e-3),
-        correlation=_correlation(rest, where),
-        used=used,
-        cut=bool(over.any()),
+        label=label, distance_px=where, mean_dn=mean, sd_dn=np.maximum(np.sqrt(variance), 1e-3),
+        correlation=_correlation(rest, where), used=used, cut=bool(over.any()),
         least_light_dn=full_dn - dark_dn if over.any() else 0.0,
-    )
+    )  # fmt: skip
 
 
-def _geometric_mean(variance: Array) -> Array:
-    """Geometric mean over five strips, since the parts are few."""
+def smooth_variance(variance: Array, bias: float) -> Array:
+    """Geometric mean over five neighbours, since each comes from few parts; `bias` is that of its logarithm."""
     padded = np.pad(np.log(np.maximum(variance, 1e-8)), 2, mode="edge")
-    return np.exp(np.convolve(padded, np.full(5, 0.2), mode="valid") + 0.08)
+    return np.exp(np.convolve(padded, np.full(5, 0.2), mode="valid") + bias)
 
 
 def _correlation(rest: Array, distance: Array) -> Array:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from charact import robust
 from charact.bloom.point_stack import PointStack
-from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, make_refusal, measurement_from_draws
 
@@ -21,38 +20,27 @@ TILE_PX = 6
 # Fraction of full scale above which a pixel may be clipped.
 CUT_SHARE = 0.95
 SECTORS = 12
+# Minimum motion of a source, px, and relative change of light or background, through a stack.
+LEAST_TRAVEL_PX, LEAST_CHANGE = 0.3, 0.05
+# Fractions of the signal at which recovery is measured, by quantity.
+SHARES = {"recovery_time_10": 0.1, "recovery_time_1": 0.01}
+# Frames before and after a switch-off.
+LEAST_ON, LEAST_OUT = 2, 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameSeries:
     """Frame-by-frame statistics of one stack.
 
-    Parameters
-    ----------
-    label, conditions
-        As in the session.
-    dark_dn, dark_known
-        Black level, DN, and whether it was measured or recorded.
-    time_s
-        Time of each frame, shape (frame,), s; empty if unknown.
-    background_dn, background_sd_dn
-        Mean far from the source above dark, and its standard error, DN.
-    background_by_frame_dn
-        The same of each frame, shape (frame,), DN.
-    centre_px
-        Row and column of the centre of the bright region of each frame, shape (frame, 2), px; NaN without a source.
-    light_by_frame, light_noise
-        Signal of the unsaturated pixels of each frame over the mean, shape (frame,), and the standard deviation due to
-        pixel noise; NaN without a source.
-    noise_level_dn, noise_variance, noise_variance_sd
-        Signals above dark at which noise was measured, its temporal variance and standard error, shape (level,), DN and
-        DN^2.
+    `spot`: position and thresholds of the source; `time_s`: time of each frame, shape (frame,), s, empty if unknown;
+    `background_dn`, `background_sd_dn`, `background_by_frame_dn`: mean far from the source above dark, its standard
+    error, and that of each frame; `centre_px`: row and column of the centre of the bright region of each frame, shape
+    (frame, 2), NaN without a source; `light_by_frame`, `light_noise`: signal of the unsaturated pixels over the mean,
+    and its pixel noise, NaN without a source; `noise`: signal above dark, temporal variance and its standard error,
+    shape (3, level).
     """
 
-    label: str
-    conditions: Conditions
-    dark_dn: float
-    dark_known: bool
+    spot: PointStack
     time_s: Array
     background_dn: float
     background_sd_dn: float
@@ -60,23 +48,11 @@ class FrameSeries:
     centre_px: Array
     light_by_frame: Array
     light_noise: float
-    noise_level_dn: Array
-    noise_variance: Array
-    noise_variance_sd: Array
+    noise: Array
 
 
 def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> FrameSeries:
-    """Analyse one stack frame by frame.
-
-    Parameters
-    ----------
-    spot
-        Position and thresholds of the source.
-    stack
-        Its frames.
-    row_pitch
-        Row pitch over column pitch.
-    """
+    """Analyse one stack frame by frame."""
     data = np.asarray(stack.data)
     mean = data.mean(axis=0, dtype=np.float64)
     rows, cols = np.indices(mean.shape, sparse=True)
@@ -89,38 +65,30 @@ def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> Frame
     variance = data.var(axis=0, ddof=1, dtype=np.float64) if len(data) > 1 else np.zeros(mean.shape)
     light, noise = _light(data, mean, radius, by_frame, tiles, spot)
     return FrameSeries(
-        label=spot.label,
-        conditions=spot.conditions,
-        dark_dn=spot.dark_dn,
-        dark_known=spot.dark_known,
-        time_s=np.asarray(stack.time_s, np.float64),
-        background_dn=float(level.mean()),
+        spot=spot, time_s=np.asarray(stack.time_s, np.float64), background_dn=float(level.mean()),
         background_sd_dn=float(np.hypot(level.std(ddof=1) / np.sqrt(level.size), scatter)),
         background_by_frame_dn=by_frame,
         centre_px=_centres(data, mean, float(np.sqrt(np.median(_tiles(variance)[tiles]))), spot),
-        light_by_frame=light,
-        light_noise=noise,
-        **_noise(data, mean, variance, radius, np.arctan2(down, along), tiles, spot),
-    )
+        light_by_frame=light, light_noise=noise,
+        noise=_noise(data, mean, variance, radius, np.arctan2(down, along), tiles, spot),
+    )  # fmt: skip
 
 
 def _tiles(image: NDArray) -> Array:
     """Means of square tiles, shape (.., row, col)."""
     rows, cols = (n // TILE_PX * TILE_PX for n in image.shape[-2:])
-    cut = image[..., :rows, :cols]
     shape = (*image.shape[:-2], rows // TILE_PX, TILE_PX, cols // TILE_PX, TILE_PX)
-    return cut.reshape(shape).mean(axis=(-3, -1), dtype=np.float64)
+    return image[..., :rows, :cols].reshape(shape).mean(axis=(-3, -1), dtype=np.float64)
 
 
 def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
     """Tiles far from the source and its columns that contain only background."""
     far, level = _tiles(radius), _tiles(mean)
     off_column = _tiles(along) > 16
-    take = off_column & (far >= np.quantile(far[off_column] if off_column.any() else far, 1.0 - 0.4))
+    take = off_column & (far >= np.quantile(far[off_column] if off_column.any() else far, 0.6))
     take = take if take.any() else far >= np.median(far)
-    middle = np.median(level[take])
     spread = robust.robust_sd(level[take])
-    return take & (np.abs(level - middle) <= 4.0 * max(spread, 1e-3))
+    return take & (np.abs(level - np.median(level[take])) <= 4.0 * max(spread, 1e-3))
 
 
 def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> Array:
@@ -132,19 +100,19 @@ def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> A
     threshold = max(min(0.5 * (floor + float(near.max())), spot.dark_dn + 0.5 * span), floor + 5.0 * noise_dn)
     # A moving source may be far from the mean contour.
     half = int(np.ceil(0.5 * spot.bloom_px)) + 24
-    near = _middles(data, threshold, 0.2 * span, (row - half, col - half), (row + half + 1, col + half + 1))
+    found = _middles(data, threshold, 0.2 * span, row - half, col - half, 2 * half + 1)
     # A source that no frame shows near its position is switched off or elsewhere.
-    return near if np.isfinite(near).all() else _middles(data, threshold, 0.2 * span, (0, 0), mean.shape)
+    return found if np.isfinite(found).all() else _middles(data, threshold, 0.2 * span, 0, 0, max(mean.shape))
 
 
-def _middles(data: NDArray, threshold: float, most: float, begin: tuple[int, int], end: tuple[int, ...]) -> Array:
+def _middles(data: NDArray, threshold: float, most: float, row: int, col: int, side: int) -> Array:
     """Centre of the signal above a threshold inside a window of each frame; NaN where there is none."""
-    first, left = max(0, begin[0]), max(0, begin[1])
-    cut = data[:, first : end[0], left : end[1]].astype(np.float64)
-    weight = np.clip(cut - threshold, 0.0, most)
+    first, left = max(0, row), max(0, col)
+    weight = np.clip(data[:, first : row + side, left : col + side].astype(np.float64) - threshold, 0.0, most)
     total = weight.sum(axis=(1, 2))
-    rows = (weight.sum(axis=2) @ (first + np.arange(cut.shape[1]))) / np.where(total > 0, total, np.nan)
-    cols = (weight.sum(axis=1) @ (left + np.arange(cut.shape[2]))) / np.where(total > 0, total, np.nan)
+    total = np.where(total > 0, total, np.nan)
+    rows = (weight.sum(axis=2) @ (first + np.arange(weight.shape[1]))) / total
+    cols = (weight.sum(axis=1) @ (left + np.arange(weight.shape[2]))) / total
     return np.stack([rows, cols], axis=1)
 
 
@@ -152,8 +120,7 @@ def _light(
     data: NDArray, mean: Array, radius: Array, background: Array, tiles: Mask, spot: PointStack
 ) -> tuple[Array, float]:
     """Signal of the source's unclipped, bright pixels by frame, relative to the mean frame, and its noise."""
-    floor = float(background.mean()) + spot.dark_dn
-    over = mean - floor
+    over = mean - (float(background.mean()) + spot.dark_dn)
     cut = (data >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)).any(axis=0)
     near = radius < max(12.0, spot.bloom_px)
     quiet = robust.robust_sd(over[~near]) if (~near).any() else 1.0
@@ -167,27 +134,24 @@ def _light(
     return light, TILE_PX * float(np.sqrt(tile * (weight**2).sum()))
 
 
-def _noise(
-    data: NDArray, mean: Array, variance: Array, radius: Array, angle: Array, tiles: Mask, spot: PointStack
-) -> dict[str, Array]:
-    """Signal, temporal variance and its standard error of the background and of groups of rings."""
+def _noise(data: NDArray, mean: Array, variance: Array, radius: Array, angle: Array, tiles: Mask,
+           spot: PointStack) -> Array:  # fmt: skip
+    """Signal, temporal variance and its standard error of the background and of groups of rings, shape (3, level)."""
     ring = radius.astype(int)
     count = np.maximum(np.bincount(ring.ravel()), 1)
     # Rings are selected by their mean, since selection by the pixel's own value would be biased.
     by_ring = np.bincount(ring.ravel(), mean.ravel()) / count - spot.dark_dn
-    level = by_ring[ring]
     small = _tiles(variance)[tiles]
-    found = [(float(_tiles(mean)[tiles].mean()) - spot.dark_dn, float(small.mean()),
-              float(small.std(ddof=1)) / np.sqrt(small.size))]  # fmt: skip
+    floor = float(_tiles(mean)[tiles].mean()) - spot.dark_dn
+    found = [(floor, float(small.mean()), float(small.std(ddof=1)) / np.sqrt(small.size))]
     cut = data.max(axis=0) >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)
     # Where some pixels are clipped, the unclipped ones are a biased sample.
     cut = (np.bincount(ring.ravel(), cut.ravel()) > 0.02 * count)[ring] | cut
     # Blur spreads variance less far than signal, so that variance is too small near a steep edge.
-    steep = np.abs(np.gradient(by_ring)) > 0.3 * (by_ring - found[0][0])
-    cut |= steep[ring]
-    sector = ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    cut |= (np.abs(np.gradient(by_ring)) > 0.3 * (by_ring - floor))[ring]
+    above, sector = (by_ring - floor)[ring], ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     for low, high in pairwise((3.0, 6.0, 12.0, 24.0, 48.0)):
-        take = (level - found[0][0] >= low) & (level - found[0][0] < high) & (radius > 8.0) & ~cut
+        take = (above >= low) & (above < high) & (radius > 8.0) & ~cut
         held = np.bincount(sector[take], minlength=SECTORS)
         full = held >= 6
         if full.sum() < SECTORS // 2:
@@ -195,46 +159,29 @@ def _noise(
         by_sector = np.bincount(sector[take], variance[take], minlength=SECTORS)[full] / held[full]
         error = float(by_sector.std(ddof=1)) / np.sqrt(full.sum())
         found.append((float(mean[take].mean()) - spot.dark_dn, float(variance[take].mean()), error))
-    light, spread, error = np.array(found).T
-    return {"noise_level_dn": light, "noise_variance": spread, "noise_variance_sd": error}
+    return np.array(found).T
 
 
-LEAST_TRAVEL_PX, LEAST_CHANGE = 0.3, 0.05
-
-
-def travel_px(watched: FrameSeries) -> float:
-    """Motion of the source from the first frame to the last, px; 0 where not significant."""
+def drift_of(watched: FrameSeries) -> tuple[float, float]:
+    """Motion of the source through a stack, px, and relative drift of its signal or the background; 0 where none."""
     row, col = watched.centre_px.T
-    return float(np.hypot(_trend(row, LEAST_TRAVEL_PX), _trend(col, LEAST_TRAVEL_PX)))
-
-
-def relative_drift(watched: FrameSeries) -> float:
-    """Relative drift of source signal or background through the stack; 0 where not significant."""
     background = watched.background_by_frame_dn
-    level = abs(float(background.mean()))
-    dim = _trend(background, LEAST_CHANGE * max(level, 1.0)) / max(level, 1.0)
-    return max(dim, _trend(watched.light_by_frame, LEAST_CHANGE))
+    level = max(abs(float(background.mean())), 1.0)
+    dim = _trend(background, LEAST_CHANGE * level) / level
+    travel = float(np.hypot(_trend(row, LEAST_TRAVEL_PX), _trend(col, LEAST_TRAVEL_PX)))
+    return travel, max(dim, _trend(watched.light_by_frame, LEAST_CHANGE))
 
 
 def _trend(values: Array, least: float) -> float:
     """Change of a straight-line fit over successive values; 0 if not significant or below the limit."""
-    from scipy.stats import t
+    from scipy.stats import linregress
 
     count = len(values)
     if count < 3 or not np.isfinite(values).all():
         return 0.0
-    place = np.arange(count) - 0.5 * (count - 1)
-    slope = float(place @ values / (place @ place))
-    rest = values - values.mean() - slope * place
-    error = np.sqrt(max(float(rest @ rest), 1e-12) / (count - 2) / (place @ place))
-    run = abs(slope) * (count - 1)
-    seen = 2.0 * float(t.sf(abs(slope) / error, count - 2)) < 1e-4
-    return run if seen and run > least else 0.0
-
-
-# Fractions of the signal at which recovery is measured, by quantity.
-SHARES = {"recovery_time_10": 0.1, "recovery_time_1": 0.01}
-LEAST_ON, LEAST_OUT = 2, 2
+    fit: Any = linregress(np.arange(count), values)
+    run = abs(float(fit.slope)) * (count - 1)
+    return run if fit.pvalue < 1e-4 and run > least else 0.0
 
 
 def frames_before_switch_off(watched: FrameSeries) -> int | None:
@@ -257,8 +204,6 @@ def frames_before_switch_off(watched: FrameSeries) -> int | None:
 def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> list[Measurement]:
     """Return the times until 10 % and 1 % of the source signal remain, for each stack with a switch-off.
 
-    Notes
-    -----
     Switch-off happens between two frames, which the interval includes. Between frames the decay is exponential. Pixels
     saturated by the source are excluded.
     """
@@ -266,36 +211,31 @@ def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> li
     if not found:
         reason = "no stack shows a switch-off: the source must be on in at least two frames and off in all later ones"
         return [make_refusal(name, "s", reason, **fields) for name in SHARES]
-    return [_time(one, count, name, seed, **fields) for one, count in found for name in SHARES]
+    return [_recovery(one, count, name, seed, **fields) for one, count in found for name in SHARES]
 
 
-def _time(watched: FrameSeries, count: int, name: str, seed: int, **fields: Any) -> Measurement:
-    common = {"stack": watched.label, **fields}
-    if len(watched.time_s) == 0:
-        return make_refusal(name, "s", "the times of the frames are unknown", **common)
-    share, lit = SHARES[name], float(watched.light_by_frame[:count].mean())
-    noise = watched.light_noise / lit
-    if noise > 0.35 * share:
+def _recovery(watched: FrameSeries, count: int, name: str, seed: int, **fields: Any) -> Measurement:
+    """Time from switch-off to a fraction of the signal."""
+    common = {"stack": watched.spot.label, **fields}
+    share, lit, times = SHARES[name], float(watched.light_by_frame[:count].mean()), watched.time_s
+    noise, left = watched.light_noise / lit, watched.light_by_frame[count:] / lit
+    reason = ""
+    if len(times) == 0:
+        reason = "the times of the frames are unknown"
+    elif noise > 0.35 * share:
         reason = f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % is below it"
-        return make_refusal(name, "s", reason, **common)
-    left = watched.light_by_frame[count:] / lit
-    if left[-1] > share - 2.0 * noise:
+    elif left[-1] > share - 2.0 * noise:
         reason = f"at the end of the stack {100 * max(left[-1], 0.0):.2g} % of the light is left"
+    if reason:
         return make_refusal(name, "s", reason, **common)
-    rng = np.random.default_rng(seed)
-    draws = np.array([_crossing(watched.time_s, left, count, share, noise, rng) for _ in range(2000)])
-    return measurement_from_draws(name, "s", draws[np.isfinite(draws)], **common)
-
-
-def _crossing(time_s: Array, left: Array, count: int, share: float, noise: float, rng: np.random.Generator) -> float:
-    """One draw of the time from switch-off to a fraction of the signal."""
-    out = float(rng.uniform(time_s[count - 1], time_s[count]))
-    times = np.concatenate([[out], time_s[count:]])
-    light = np.concatenate([[1.0], left + noise * rng.standard_normal(len(left))])
-    below = np.flatnonzero(light < share)
-    if not len(below):
-        return float("nan")
-    last = int(below[0])
-    high, low = np.log(light[last - 1]), np.log(max(light[last], 0.1 * share))
-    part = (high - np.log(share)) / (high - low)
-    return float(times[last - 1] + part * (times[last] - times[last - 1]) - out)
+    rng, draws = np.random.default_rng(seed), []
+    for _ in range(2000):
+        out = float(rng.uniform(times[count - 1], times[count]))
+        light = np.concatenate([[1.0], left + noise * rng.standard_normal(len(left))])
+        last = int(np.argmax(light < share))
+        if last == 0:
+            continue
+        begin = out if last == 1 else times[count + last - 2]
+        high, low = np.log(light[last - 1]), np.log(max(light[last], 0.1 * share))
+        draws.append(begin + (high - np.log(share)) / (high - low) * (times[count + last - 1] - begin) - out)
+    return measurement_from_draws(name, "s", np.array(draws), **common)

@@ -32,16 +32,9 @@ DIRECTIONS = 16
 class SourcePosition:
     """Position of a point source in a frame, px.
 
-    Parameters
-    ----------
-    row, col
-        Centre, px.
-    significance
-        Height above the surroundings in standard deviations.
-    cut
-        Whether its peak is at full scale, so that its identity is uncertain.
-    settled
-        Whether it is the centre of a contour over all sectors.
+    `row`, `col`: centre, px; `significance`: height above the surroundings in standard deviations; `cut`: whether its
+    peak is at full scale, so that its identity is uncertain; `settled`: whether it is the centre of a contour over all
+    sectors.
     """
 
     row: float
@@ -131,16 +124,8 @@ def _patch(image: Array, place: SourcePosition) -> float:
 def others(image: Array, place: SourcePosition, span_dn: float, row_pitch: float) -> tuple[SourcePosition, ...]:
     """Return further sources in a frame, brightest first; they fall off in every direction, unlike streaks.
 
-    Parameters
-    ----------
-    image
-        Mean frame, shape (row, col), DN.
-    place
-        The known source.
-    span_dn
-        Full scale above dark, DN.
-    row_pitch
-        Row pitch over column pitch.
+    `image`: mean frame, shape (row, col), DN; `place`: the known source; `span_dn`: full scale above dark, DN;
+    `row_pitch`: row pitch over column pitch.
     """
     from skimage.feature import peak_local_max
 
@@ -181,33 +166,13 @@ HALF_STEP_DN = 0.5
 class PointStack:
     """One stack of a point source.
 
-    Parameters
-    ----------
-    label, conditions
-        As in the session.
-    image
-        Mean of its frames, shape (row, col), DN.
-    frames
-        Number of frames.
-    dark_dn, full_scale_dn
-        Black level and full scale.
-    dark_known
-        Whether the black level was measured or recorded.
-    row, col
-        Centre, px.
-    significance
-        Height of the smoothed source above its surroundings in standard deviations.
-    frame_streak_px
-        Streak length of single frames, shape (frame,), px.
-    row_pitch
-        Row pitch over column pitch.
-    half, background, clip
-        Region at or above half of full scale, twice the background above dark, and full scale; None where the source
-        stays below the threshold or the background is not measurable.
-    light
-        The background.
-    others
-        Further sources in the frame.
+    `label`, `conditions`: as in the session; `image`: mean of its frames, shape (row, col), DN; `frames`: number of
+    frames; `dark_dn`, `full_scale_dn`: black level and full scale; `dark_known`: whether the black level was measured
+    or recorded; `row`, `col`: centre, px; `significance`: height of the smoothed source above its surroundings in
+    standard deviations; `frame_streak_px`: streak length of single frames, shape (frame,), px; `row_pitch`: row pitch
+    over column pitch; `half`, `background`, `clip`: region at or above half of full scale, twice the background above
+    dark, and full scale; None where the source stays below the threshold or the background is not measurable; `light`:
+    the background; `others`: further sources in the frame.
     """
 
     label: str
@@ -348,17 +313,9 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
             behind: list[tuple[Conditions, Background]]) -> PointStack:  # fmt: skip
     """Measure position, extents and background of one stack.
 
-    Parameters
-    ----------
-    entry, stack
-        The stack and its frames.
-    dark
-        Black level from dark frames, DN.
-    place
-        Position of the source.
-    behind
-        Conditions and backgrounds of the previous stacks, the faintest first. The background of the faintest stack with
-        the same conditions is used, since a bright source illuminates the whole frame.
+    `entry`, `stack`: the stack and its frames. `dark`: black level from dark frames, DN. `place`: position of the
+    source. `behind`: conditions and backgrounds of the previous stacks, the faintest first. The background of the
+    faintest stack with the same conditions is used, since a bright source illuminates the whole frame.
     """
     full, level = full_scale_of(stack, context), _level(stack, dark)
     view = view_of(stack.data, level, full, place.row, place.col, context.pitch_ratio)

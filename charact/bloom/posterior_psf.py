@@ -99,14 +99,12 @@ class PosteriorPsf:
         """Number of draws."""
         return len(self.halo_diameter_px)
 
-    def select(self, draws: ArrayLike) -> "PosteriorPsf":
-        """Return some draws, by their indices."""
-        index = np.asarray(draws, int)
-        return replace(self, **{name: getattr(self, name)[index] for name in _per_draw()})
-
     def subsample(self, most: int = 30) -> "PosteriorPsf":
         """Return at most `most` draws, evenly spaced."""
-        return self if len(self) <= most else self.select(np.linspace(0, len(self) - 1, most).round())
+        if len(self) <= most:
+            return self
+        index = np.linspace(0, len(self) - 1, most).round().astype(int)
+        return replace(self, **{name: getattr(self, name)[index] for name in _per_draw()})
 
     def centre(self) -> "PosteriorPsf":
         """Return one draw: the median of every parameter."""
@@ -115,37 +113,21 @@ class PosteriorPsf:
     def transfer(self, frequency_cy_per_px: ArrayLike) -> Array:
         """Return the transfer function without the veiling glare, 1 at frequency 0, shape (draw, frequency)."""
         frequency = np.asarray(frequency_cy_per_px, float)
-        core = transfer.tube(frequency, self.core_frequency_cy_per_px, self.core_exponent)
-        core = core * transfer.gaussian(frequency, self.core_spread_px2)
-        wing, share = np.asarray(self.wing_share)[:, None], self.halo_share[:, None]
-        if wing.any():
+        blur = transfer.tube(frequency, self.core_frequency_cy_per_px, self.core_exponent)
+        blur = blur * transfer.gaussian(frequency, self.core_spread_px2)
+        if np.any(self.wing_share):
             if np.any(self.wing_sd_px):
-                of = transfer.matern(frequency, np.asarray(self.wing_sd_px), np.asarray(self.wing_peak))
+                wing = transfer.matern(frequency, np.asarray(self.wing_sd_px), np.asarray(self.wing_peak))
             else:
-                of = transfer.moffat(frequency, np.asarray(self.wing_radius_px), np.asarray(self.wing_exponent))
-            core = core * (1.0 - wing) + wing * of
-        halo = transfer.disc(frequency, self.halo_diameter_px, self.halo_profile)
-        return core * (1.0 - share + share * halo)
-
-    @property
-    def halo_profile(self) -> Array:
-        """Profile of the halo disc, shape (draw, fraction)."""
+                wing = transfer.moffat(frequency, np.asarray(self.wing_radius_px), np.asarray(self.wing_exponent))
+            blur = transfer.mix(blur, np.asarray(self.wing_share), wing)
         flat, rising, rim = (np.asarray(one) for one in (self.flat_share, self.rising_share, self.rim_share))
-        return np.stack([self.elastic_share, 1.0 - self.elastic_share - flat - rising - rim, rising, rim], axis=-1)
-
-    @property
-    def halo_share(self) -> Array:
-        """Fraction of the light without glare that lies in the halo, shape (draw,)."""
-        return self.halo_fraction / (1.0 - np.asarray(self.glare_fraction))
+        profile = [self.elastic_share, 1.0 - self.elastic_share - flat - rising - rim, rising, rim]
+        halo = transfer.disc(frequency, self.halo_diameter_px, np.stack(profile, axis=-1))
+        return blur * transfer.mix(1.0, self.halo_fraction / (1.0 - np.asarray(self.glare_fraction)), halo)
 
     def density(self, radius_px: ArrayLike) -> Array:
-        """Return the PSF at distances from the source, 1/px2, shape (draw, radius).
-
-        Parameters
-        ----------
-        radius_px
-            Distances, column pitches, shape (radius,); valid to about 150 px.
-        """
+        """Return the PSF at distances from the source, column pitches, up to 150, 1/px2, shape (draw, radius)."""
         return np.maximum(self.transfer(nodes()[0]) @ density_matrix(radius_px), 0.0)
 
 
@@ -162,30 +144,15 @@ def nodes() -> tuple[Array, Array]:
 
 def density_matrix(radius_px: ArrayLike) -> Array:
     """Matrix from a transfer function on `nodes` to the PSF at some radii, shape (node, radius)."""
-    from scipy.special import j0
-
-    frequency, weight = nodes()
-    argument = 2.0 * np.pi * np.outer(frequency, np.asarray(radius_px, float))
-    return (2.0 * np.pi * weight * frequency)[:, None] * j0(argument)
+    return transfer.hankel_matrix(nodes(), np.asarray(radius_px, float))
 
 
 def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayLike) -> PosteriorPsf:
     """Return the point spread functions described by a posterior.
 
-    Parameters
-    ----------
-    posterior
-        Draws with the names of `NAMES`, or with `core_sd`, the core before the pixel aperture, as fitted to point
-        series.
-    pitch_ratio
-        Row pitch over column pitch, for that aperture.
-    known
-        Fields of `PosteriorPsf` that the posterior lacks.
-
-    Raises
-    ------
-    BadInput
-        If a required parameter is missing, or the halo model has no edge.
+    The draws have the names of `NAMES`, or `core_sd`, the core before the pixel aperture, as fitted to point series;
+    `pitch_ratio`, row pitch over column pitch, is for that aperture. `known` are fields that the posterior lacks.
+    Raises BadInput if a required parameter is missing, or the halo model has no edge.
     """
     found = {field: posterior[name] for name, field in NAMES.items() if name in posterior.names}
     if "core_sd" in posterior.names:
@@ -195,8 +162,7 @@ def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayL
         found["flat_share"] = 1.0 - np.sum([posterior[name] for name in transfer.PROFILE], axis=0)
     if "halo_sd" in posterior.names:
         raise BadInput("the PSF needs a halo with an edge; the fitted halo is Gaussian")
-    tube = "core_frequency" in posterior.names
-    given = {**({} if tube else GAUSSIAN), **known, **found}
+    given = {**({} if "core_frequency" in posterior.names else GAUSSIAN), **known, **found}
     if not {"halo_diameter_px", "halo_fraction"} & given.keys():
         given = {**given, **NO_HALO}
     if needed := [name for name in list(NAMES.values())[:6] if name not in given]:
@@ -212,17 +178,7 @@ RADIUS_STEP_PX, REACH_PX = 0.1, 150.0
 
 @dataclass(frozen=True, kw_only=True)
 class FrameGrid:
-    """Pixels of a frame with padding, so that blur does not wrap around.
-
-    Parameters
-    ----------
-    shape
-        Rows and columns of the frame.
-    room_px
-        Padding on each side, px.
-    pitch_ratio
-        Row pitch over column pitch.
-    """
+    """Pixels of a frame of a shape (row, col), padded by `room_px` so that blur does not wrap around."""
 
     shape: tuple[int, int]
     room_px: int
@@ -249,69 +205,58 @@ class FrameGrid:
         """Frequencies of the table, cycles per column pitch."""
         return np.asarray(FREQUENCY_STEP * np.arange(int(self.frequency_index.max()) + 1), np.float64)
 
-    def forward_transform(self, image: NDArray) -> NDArray[np.complex64]:
-        """Fourier transform of a zero-padded frame."""
-        from scipy.fft import rfft2
+    def blur(self, image: NDArray, table: Array) -> NDArray[np.float32]:
+        """Apply a rotationally symmetric transfer function, a table over `frequency`, to a frame."""
+        from scipy.fft import irfft2, rfft2
 
-        return np.asarray(rfft2(np.asarray(image, np.float32), s=self.transform_shape))
-
-    def filter(self, transform: NDArray[np.complex64], table: Array) -> NDArray[np.float32]:
-        """Frame of a transform times a rotationally symmetric transfer function, a table over `frequency`."""
-        from scipy.fft import irfft2
-
+        transform = np.asarray(rfft2(np.asarray(image, np.float32), s=self.transform_shape))
+        transform = transform * table.astype(np.float32)[self.frequency_index]
         rows, cols = self.shape
-        back = irfft2(
-            transform * table.astype(np.float32)[self.frequency_index], s=self.transform_shape, overwrite_x=True
-        )
-        return np.asarray(back)[:rows, :cols]
+        return np.asarray(irfft2(transform, s=self.transform_shape, overwrite_x=True))[:rows, :cols]
 
-    def distance(self, row: float, col: float) -> Array:
-        """Distance of every pixel from a position, column pitches, shape (row, col)."""
-        rows, cols = self.shape
-        return np.hypot((np.arange(rows)[:, None] - row) * self.pitch_ratio, np.arange(cols)[None, :] - col)
+    def distance(self, row: float, col: float, pixels: NDArray[np.int64] | None = None) -> Array:
+        """Distance of all pixels, shape (row, col), or of those of flat indices, from a position, column pitches."""
+        if pixels is None:
+            rows, cols = np.indices(self.shape, sparse=True)
+        else:
+            rows, cols = np.divmod(pixels, self.shape[1])
+        return np.hypot((rows - row) * self.pitch_ratio, cols - col)
 
-    def apart(self, one: tuple[float, float], other: tuple[float, float]) -> float:
-        """Distance of two positions, column pitches."""
-        return float(np.hypot((one[0] - other[0]) * self.pitch_ratio, one[1] - other[1]))
+    def within(self, pixels: NDArray[np.int64], reach_px: float) -> NDArray[np.bool_]:
+        """Pixels within a distance of given ones, shape (row, col)."""
+        from scipy import ndimage
 
-    def middle(self, region: NDArray[np.int64]) -> tuple[float, float]:
-        """Centre of some pixels, row and col."""
-        rows, cols = np.divmod(region, self.shape[1])
-        return float(rows.mean()), float(cols.mean())
-
-    def at_border(self, region: NDArray[np.int64]) -> bool:
-        """Whether some pixels touch the border of the frame."""
-        rows, cols = np.divmod(region, self.shape[1])
-        last = self.shape[0] - 1, self.shape[1] - 1
-        return bool(rows.min() == 0 or cols.min() == 0 or rows.max() == last[0] or cols.max() == last[1])
-
-    def point_image(self, place: tuple[float, float], profile: Array, pixels: NDArray[np.int64]) -> Array:
-        """Signal of a unit point source in some pixels, from a PSF tabulated by distance, 1/px."""
-        rows, cols = np.divmod(pixels, self.shape[1])
-        radius = np.hypot((rows - place[0]) * self.pitch_ratio, cols - place[1])
-        return radial(radius, profile) * self.pitch_ratio
-
-    def patch(self, region: NDArray[np.int64], table: Array) -> NDArray[np.float32]:
-        """Image of a unit source spread uniformly over some pixels, from a tabulated transfer function."""
-        image = np.zeros(self.shape, np.float32)
-        image.ravel()[region] = 1.0 / len(region)
-        return self.filter(self.forward_transform(image), table)
+        away = np.ones(self.shape, bool)
+        away.ravel()[pixels] = False
+        return np.asarray(ndimage.distance_transform_edt(away, sampling=(self.pitch_ratio, 1.0))) <= reach_px
 
     def around(self, row: float, col: float) -> tuple[slice, slice]:
         """Rows and columns within the range of the tabulated PSF around a position."""
         down, across = int(REACH_PX / self.pitch_ratio) + 1, int(REACH_PX) + 1
-        rows = slice(max(0, int(row) - down), min(self.shape[0], int(row) + down + 1))
-        cols = slice(max(0, int(col) - across), min(self.shape[1], int(col) + across + 1))
-        return rows, cols
+        return (
+            slice(max(0, int(row) - down), min(self.shape[0], int(row) + down + 1)),
+            slice(max(0, int(col) - across), min(self.shape[1], int(col) + across + 1)),
+        )
+
+    def middle(self, pixels: NDArray[np.int64]) -> tuple[float, float]:
+        """Centre of some pixels, row and col."""
+        rows, cols = np.divmod(pixels, self.shape[1])
+        return float(rows.mean()), float(cols.mean())
+
+    def patch(self, pixels: NDArray[np.int64], table: Array) -> NDArray[np.float32]:
+        """Image of a unit source spread uniformly over some pixels, from a tabulated transfer function."""
+        image = np.zeros(self.shape, np.float32)
+        image.ravel()[pixels] = 1.0 / len(pixels)
+        return self.blur(image, table)
 
 
 def profiles(spread: PosteriorPsf) -> Array:
     """PSF of every draw in steps of `RADIUS_STEP_PX`, shape (draw, radius)."""
-    return spread.transfer(nodes()[0]) @ kernel()
+    return spread.transfer(nodes()[0]) @ _kernel()
 
 
 @cache
-def kernel() -> Array:
+def _kernel() -> Array:
     """Matrix from a transfer function on `nodes` to the PSF at multiples of `RADIUS_STEP_PX`, shape (node, radius)."""
     return density_matrix(RADIUS_STEP_PX * np.arange(int(REACH_PX / RADIUS_STEP_PX) + 1))
 

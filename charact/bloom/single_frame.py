@@ -32,19 +32,9 @@ STEP_PX, ANGLES = 0.25, 48
 def ring_energy_radii(view: SourceView, background: Background, *, seed: int) -> dict[float, Array] | str:
     """Return draws of the encircled-energy radii for each of `SHARES`, column pitches; or a refusal reason.
 
-    Parameters
-    ----------
-    view
-        Mean frame around the source.
-    background
-        Signal not due to the source.
-    seed
-        Seed of the draws.
-
-    Notes
-    -----
-    The total signal is that inside the largest ring of the frame, or within `REACH_PX`: wings beyond are excluded, and
-    the background's error includes the whole area.
+    `view`: mean frame around the source; `background`: signal not due to the source; `seed`: seed of the draws. The
+    total signal is that inside the largest ring of the frame, or within `REACH_PX`: wings beyond are excluded, and the
+    background's error includes the whole area.
     """
     top = float((view.signal[view.polar.radius < view.rings.radius[-1]]).max())
     if top > 0.97 * view.top:
@@ -119,10 +109,7 @@ BEYOND_ONE_FRAME = (
 def bare_session(path: str | Path) -> Session:
     """Return a session of one point stack from an image file without a session.
 
-    Parameters
-    ----------
-    path
-        The file.
+    `path`: the file.
     """
     path = Path(path)
     entry = StackEntry(label=path.stem, kind="point", frames=path.name, conditions=Conditions(), folder=path.parent)
@@ -133,12 +120,7 @@ def bare_session(path: str | Path) -> Session:
 def measure_frame(session: Session, *, context: Context) -> Result:
     """Measure the only stack of a session; each source in it has its own region.
 
-    Parameters
-    ----------
-    session
-        Session with one stack of kind "point".
-    context
-        Seed and settings.
+    `session`: session with one stack of kind "point"; `context`: seed and settings.
     """
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     session, _ = with_sound_pixels(session)

@@ -15,6 +15,7 @@ from charact.bloom.column_artefacts import (
     grain_of,
 )
 from charact.bloom.point_stack import DETECTED, PointStack
+from charact.bloom.thresholds import Unmeasurable
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
@@ -30,25 +31,19 @@ APART = 5.0
 LIGHT_SD = 0.03
 # Minimum ratio of the light of two stacks with smear for a test of proportionality.
 LEAST_RATIO = 2.5
-NARROW = "the frame is too narrow: there are no columns far from the source for comparison"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Core:
     """Columns of the core, and their signal.
 
-    Parameters
-    ----------
-    half_width_px
-        Columns on either side of the source's column.
-    light_dn, light_sd_dn
-        Mean over these columns of their summed signal above that of their neighbours', per unit light, and its standard
-        error, DN.
-    stack
-        Label of the unsaturated stack.
+    `half_width_px`: columns on either side of the source's column; `light`: stated light; `light_dn`, `light_sd_dn`:
+    mean over these columns of their summed signal above that of their neighbours', per unit light, and its standard
+    error, DN; `stack`: label of the unsaturated stack.
     """
 
     half_width_px: int
+    light: float
     light_dn: float
     light_sd_dn: float
     stack: str
@@ -58,16 +53,9 @@ class Core:
 class Smear:
     """Uniform column signal of one stack.
 
-    Parameters
-    ----------
-    label
-        The stack.
-    light
-        Stated light.
-    level_dn, level_sd_dn
-        Mean of the core's columns above their neighbours far from the source, and its standard error, DN.
-    uneven
-        Whether it differs between above and below the source.
+    `label`: the stack; `light`: stated light; `level_dn`, `level_sd_dn`: mean of the core's columns above their
+    neighbours far from the source, and its standard error, DN; `uneven`: whether it differs between above and below the
+    source.
     """
 
     label: str
@@ -80,60 +68,50 @@ class Smear:
 def smear_measurement(
     spots: tuple[PointStack, ...], context: Context, **fields: Any
 ) -> tuple[Measurement, dict[str, Any]]:
-    """Return the smear fraction of a series of stacks, and its figure data.
+    """Return the smear fraction of stacks of one source at several known illuminances, and its figure data.
 
-    Parameters
-    ----------
-    spots
-        Stacks of one source at several known illuminances, one of them unsaturated.
-    context
-        Pitches, and whether frames are interlaced.
-
-    Notes
-    -----
     The fraction f refers to the summed signal S of a column of R rows, each of which receives f S / R. A stack with
     visible smear has a saturated core, so that S is scaled from an unsaturated stack by the ratio of stated light.
     Linearity of the tube is verified only by a second stack with proportional smear: with one alone the number is
     flagged `extrapolated`. Without visible smear it is refused with an upper limit that assumes linearity.
     """
-    clear = tuple(spot for spot in spots if spot.significance > DETECTED)
-    core = core_of(clear, context)
-    if isinstance(core, str):
-        return make_refusal("smear_fraction", "1", core, **fields), {}
-    read = [
-        _smear_of(spot, core, context)
-        for spot in clear
-        if (spot.exposure_lux_ns or 0.0) > LEAST_RATIO * core_light(clear)
-    ]
-    found = [one for one in read if isinstance(one, Smear)]
-    rows = clear[0].image.shape[0]
-    evidence = {"bloom-smear": _evidence(found, core, rows)} if found else {}
+    clear = [spot for spot in spots if spot.significance > DETECTED]
+    found, reasons = [], []
+    try:
+        core = _core_of(clear, context)
+    except Unmeasurable as refusal:
+        return make_refusal("smear_fraction", "1", str(refusal), **fields), {}
+    for spot in clear:
+        if (spot.exposure_lux_ns or 0.0) > LEAST_RATIO * core.light:
+            try:
+                found.append(_smear_of(spot, core, context))
+            except Unmeasurable as refusal:
+                reasons.append(str(refusal))
     if not found:
-        reason = next((one for one in read if isinstance(one, str)), "no stack is brighter than the unsaturated one")
-        return make_refusal("smear_fraction", "1", reason, **fields), evidence
-    return _fraction(found, core, rows, **fields), evidence
+        reason = reasons[0] if reasons else "no stack is brighter than the unsaturated one"
+        return make_refusal("smear_fraction", "1", reason, **fields), {}
+    rows = clear[0].image.shape[0]
+    evidence = {
+        "figure": "bloom-smear",
+        "label": [one.label for one in found],
+        "light_per_row_dn": [one.light * core.light_dn / rows for one in found],
+        "level_dn": [one.level_dn for one in found],
+        "level_sd_dn": [one.level_sd_dn for one in found],
+        "core_stack": core.stack,
+        "core_columns": 2 * core.half_width_px + 1,
+    }
+    return _fraction(found, core, rows, **fields), {"bloom-smear": evidence}
 
 
-def core_light(spots: tuple[PointStack, ...]) -> float:
-    """Stated light of the brightest unsaturated stack; 0 where there is none."""
-    return max((spot.exposure_lux_ns or 0.0 for spot in spots if _linear(spot)), default=0.0)
-
-
-def _linear(spot: PointStack) -> bool:
-    row, col = round(spot.row), round(spot.col)
-    peak = float(spot.image[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3].max())
-    return peak - spot.dark_dn < 0.65 * (spot.full_scale_dn - spot.dark_dn)
-
-
-def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
-    """Sum the signal of each column of the brightest unsaturated stack; or return a refusal reason."""
+def _core_of(spots: list[PointStack], context: Context) -> Core:
+    """Sum the signal of each column of the brightest unsaturated stack."""
     if not spots:
-        return "no point source is detected"
+        raise Unmeasurable("no point source is detected")
     if any(spot.exposure_lux_ns is None for spot in spots):
-        return "the illuminance of the stacks is unknown: smear has no reference"
-    linear = [spot for spot in spots if _linear(spot) and spot.exposure_lux_ns]
+        raise Unmeasurable("the illuminance of the stacks is unknown: smear has no reference")
+    linear = [spot for spot in spots if spot.exposure_lux_ns and _is_linear(spot)]
     if not linear:
-        return "every stack saturates the core: the signal of its columns is unknown"
+        raise Unmeasurable("every stack saturates the core: the signal of its columns is unknown")
     spot = max(linear, key=lambda one: one.exposure_lux_ns or 0.0)
     near = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= 24
     sums = spot.image[near].sum(axis=0)
@@ -145,11 +123,17 @@ def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
     light, value = spot.exposure_lux_ns or 1.0, value * near.sum()
     noise = np.hypot(sd * near.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1))
-    if np.isinf(noise):
-        return NARROW
     if not value > 0 or noise > 0.25 * value:
-        return "the signal of the core's columns is too uncertain: the unsaturated stacks are too faint"
-    return Core(half_width_px=half, light_dn=value / light, light_sd_dn=float(noise) / light, stack=spot.label)
+        raise Unmeasurable("the signal of the core's columns is too uncertain: the unsaturated stacks are too faint")
+    return Core(
+        half_width_px=half, light=light, light_dn=value / light, light_sd_dn=float(noise) / light, stack=spot.label
+    )
+
+
+def _is_linear(spot: PointStack) -> bool:
+    row, col = round(spot.row), round(spot.col)
+    peak = float(spot.image[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3].max())
+    return peak - spot.dark_dn < 0.65 * (spot.full_scale_dn - spot.dark_dn)
 
 
 def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, float]:
@@ -168,13 +152,13 @@ def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, flo
     inside = (places >= reach) & (places < len(along) - reach) & (np.abs(places - col) > reach + half)
     others = everywhere[inside] if inside.sum() >= 4 * reach else everywhere[np.abs(places - col) > reach + half]
     if len(others) < reach:
-        return float(everywhere[col]), float("inf")
+        raise Unmeasurable("the frame is too narrow: there are no columns far from the source for comparison")
     spread = max(1.4826 * float(np.median(np.abs(others))), float(np.std(others)))
     return float(everywhere[col]), max(spread, ROUNDED_DN / np.sqrt(rows.sum()))
 
 
-def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear | str:
-    """Uniform column signal of one stack; or a refusal reason."""
+def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear:
+    """Uniform column signal of one stack."""
     col, half = round(spot.col), core.half_width_px
     # The round profile is subtracted first, since its curvature resembles a faint column.
     found = compare_columns(spot, context, half_width_px=spot.image.shape[1])
@@ -182,14 +166,14 @@ def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear | str:
     far = _far_rows(found, middle, grain_of(spot.image, spot.col, spot.dark_dn))
     above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
     if far.sum() < 16:
-        return "the source's streak or halo extends to the frame's top and bottom: smear is not separable from them"
+        raise Unmeasurable(
+            "the source's streak or halo extends to the frame's top and bottom: smear is not separable from them"
+        )
     # One full column is sufficient, since a streak's columns differ in length.
     even = float(np.median(spot.image[far, middle], axis=0).max()) - spot.dark_dn
     if even > FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
-        return "the columns are bright from top to bottom: smear is not separable from a streak"
+        raise Unmeasurable("the columns are bright from top to bottom: smear is not separable from a streak")
     level, sd = _contrast(found.excess_dn, far, half, col)
-    if np.isinf(sd):
-        return NARROW
     # Halo and wing add noise to these columns.
     sd *= float(np.sqrt((found.sd_dn[far, middle] ** 2).mean() / np.median(found.sd_dn[far]) ** 2))
     uneven = False
@@ -268,16 +252,3 @@ def _bends(light: Array, share: Array, sd: Array) -> bool:
     low, high = order[0], order[-1]
     apart = abs(share[high] - share[low]) > APART * np.hypot(sd[high], sd[low])
     return bool(apart and abs(share[high] / share[low] - 1.0) > 0.15)
-
-
-def _evidence(found: list[Smear], core: Core, rows: int) -> dict[str, Any]:
-    """Even light of each stack against what its columns gather."""
-    return {
-        "figure": "bloom-smear",
-        "label": [one.label for one in found],
-        "light_per_row_dn": [one.light * core.light_dn / rows for one in found],
-        "level_dn": [one.level_dn for one in found],
-        "level_sd_dn": [one.level_sd_dn for one in found],
-        "core_stack": core.stack,
-        "core_columns": 2 * core.half_width_px + 1,
-    }

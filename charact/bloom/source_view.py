@@ -18,16 +18,9 @@ SECTORS = 24
 class Polar:
     """Polar coordinates of the pixels around a source.
 
-    Parameters
-    ----------
-    dx, dy
-        Distances from the source along rows and columns, column pitches, shape (row, col).
-    radius
-        Distance, column pitches, shape (row, col).
-    ring, sector
-        Index of the ring, one column pitch wide, and of the sector, shape (row, col).
-    row_pitch
-        Row pitch over column pitch.
+    `dx`, `dy`: distances from the source along rows and columns, column pitches, shape (row, col); `radius`: distance,
+    column pitches, shape (row, col); `ring`, `sector`: index of the ring, one column pitch wide, and of the sector,
+    shape (row, col); `row_pitch`: row pitch over column pitch.
     """
 
     dx: Array
@@ -56,14 +49,8 @@ def polar_of(shape: tuple[int, int], row: float, col: float, row_pitch: float) -
 class Rings:
     """Sums over ring and sector cells of an image.
 
-    Parameters
-    ----------
-    total, count
-        Sum and number of pixels of each cell, shape (ring, sector).
-    radius
-        Mean radius of each ring, column pitches, shape (ring,).
-    whole
-        Fraction of each ring that lies inside the frame, shape (ring,).
+    `total`, `count`: sum and number of pixels of each cell, shape (ring, sector); `radius`: mean radius of each ring,
+    column pitches, shape (ring,); `whole`: fraction of each ring that lies inside the frame, shape (ring,).
     """
 
     total: Array
@@ -150,14 +137,9 @@ def mean_with_clipping(mean: Array, noise: PixelNoise, top: float) -> tuple[Arra
 def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: Polar, rings: Rings) -> PixelNoise:
     """Estimate pixel noise from frame differences or, in a single frame, from differences within rings.
 
-    Parameters
-    ----------
-    frames, signal, smooth
-        Frames, shape (frame, row, col), their mean above dark and that smoothed by one pixel, shape (row, col), DN.
-    top
-        Full scale above dark, DN.
-    polar, rings
-        Polar coordinates of the pixels, and sums over cells of the mean.
+    `frames`, `signal`, `smooth`: frames, shape (frame, row, col), their mean above dark and that smoothed by one pixel,
+    shape (row, col), DN; `top`: full scale above dark, DN; `polar`, `rings`: polar coordinates of the pixels, and sums
+    over cells of the mean.
     """
     profile = rings.median()
     expected = np.interp(polar.radius, rings.radius, profile)
@@ -206,18 +188,9 @@ def _median_share(freedom: int) -> float:
 class SourceView:
     """Mean frame around a source.
 
-    Parameters
-    ----------
-    signal
-        Mean frame above dark, shape (row, col), DN.
-    smooth
-        The same smoothed by one pixel.
-    dark_dn
-        Black level, DN.
-    top
-        Full scale above dark, DN.
-    polar, rings, noise
-        Polar coordinates of the pixels, sums over cells, and noise of a pixel.
+    `signal`: mean frame above dark, shape (row, col), DN; `smooth`: the same smoothed by one pixel; `dark_dn`: black
+    level, DN; `top`: full scale above dark, DN; `polar`, `rings`, `noise`: polar coordinates of the pixels, sums over
+    cells, and noise of a pixel.
     """
 
     signal: Array
@@ -239,16 +212,8 @@ def view_of(
 ) -> SourceView:
     """Compute rings, sectors and pixel noise of frames around (row, col).
 
-    Parameters
-    ----------
-    frames
-        Shape (frame, row, col), DN.
-    dark_dn, full_scale_dn
-        Black level and full scale, DN.
-    row, col
-        Centre of the source, px.
-    row_pitch
-        Row pitch over column pitch.
+    `frames`: shape (frame, row, col), DN; `dark_dn`, `full_scale_dn`: black level and full scale, DN; `row`, `col`:
+    centre of the source, px; `row_pitch`: row pitch over column pitch.
     """
     from scipy import ndimage
 

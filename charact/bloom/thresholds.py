@@ -1,4 +1,9 @@
-"""Thresholds of the bloom room that decide what is flagged or left out."""
+"""Thresholds of the bloom room that decide what is flagged or left out, and the refusal of what stays beyond one."""
+
+
+class Unmeasurable(Exception):
+    """What is sought cannot be measured; the message becomes the refusal's reason."""
+
 
 # Significance of a defective pixel in the mean dark, standard deviations: 1e-15 for Gaussian noise.
 DARK_DEFECT_SD = 8.0

@@ -54,27 +54,19 @@ def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
     return np.exp(-np.log1p(0.5 * power * (2.0 * np.pi * sd_px[:, None] * frequency) ** 2) / power)
 
 
-def backscatter_profile(elastic: Array) -> Array:
-    """Return the profile of backscattered electrons, shape (draw, fraction), from their elastic fraction."""
-    return np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
+def mix(of: Array | float, share: Array, part: Array) -> Array:
+    """Replace a fraction, shape (draw,), of a transfer function by another one, shape (draw, frequency)."""
+    return of * (1.0 - share[:, None]) + share[:, None] * part
 
 
 def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     """Transfer function of a halo disc of finite diameter and any smooth profile.
 
-    Parameters
-    ----------
-    frequency, diameter_px
-        As in the module docstring.
-    profile
-        Fractions of its light with the radial densities of `PROFILE`, shape (draw, fraction); the rest is flat.
-
-    Notes
-    -----
-    With x the radius over that of the disc and u = pi f D: elastically backscattered electrons have the density
-    1/sqrt(1 - x^2), those with uniformly distributed energies arccos(x)/x (range 2 d e sin 2t in the gap, cosine law),
-    with the transforms sin(u)/u and Si(u)/u. Powers of x are sums of (1 - x^2)^k, with Sonine's transforms Gamma(k + 2)
-    (2/u)^(k + 1) J_(k+1)(u).
+    `frequency`, `diameter_px`: as in the module docstring; `profile`: fractions of its light with the radial densities
+    of `PROFILE`, shape (draw, fraction); the rest is flat. With x the radius over that of the disc and u = pi f D:
+    elastically backscattered electrons have the density 1/sqrt(1 - x^2), those with uniformly distributed energies
+    arccos(x)/x (range 2 d e sin 2t in the gap, cosine law), with the transforms sin(u)/u and Si(u)/u. Powers of x are
+    sums of (1 - x^2)^k, with Sonine's transforms Gamma(k + 2) (2/u)^(k + 1) J_(k+1)(u).
     """
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
     first, weight = _four(DISC_ARGUMENTS, np.minimum(u, DISC_ARGUMENTS[-1]))
@@ -122,6 +114,14 @@ def quadrature(highest_cy_per_px: float, count: int) -> tuple[Array, Array]:
     return 0.5 * highest_cy_per_px * (node + 1.0), 0.5 * highest_cy_per_px * weight
 
 
+def hankel_matrix(nodes: tuple[Array, Array], radius_px: Array) -> Array:
+    """Matrix from a transfer function at quadrature nodes to light at radii, 1/px^2, shape (node, radius)."""
+    from scipy.special import j0
+
+    frequency, weight = (one[:, None] for one in nodes)
+    return 2.0 * np.pi * frequency * weight * j0(2.0 * np.pi * frequency * radius_px)
+
+
 def _quadrature() -> tuple[Array, Array]:
     """Quadrature for the sharpest core and the outermost ring of a series."""
     return quadrature(1.25, 300)
@@ -139,8 +139,4 @@ def onto_nodes(node_px: Array) -> Array:
 
 @lru_cache(maxsize=4)
 def _onto_nodes(nodes: bytes) -> Array:
-    from scipy.special import j0
-
-    node_px = np.frombuffer(nodes)
-    frequency, weight = (one[:, None] for one in _quadrature())
-    return 2.0 * np.pi * frequency * weight * j0(2.0 * np.pi * frequency * node_px)
+    return hankel_matrix(_quadrature(), np.frombuffer(nodes))

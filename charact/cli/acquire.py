@@ -40,10 +40,7 @@ def acquire(
       for_s = 2.0
     """
     interrupted = f"interrupted; frames acquired so far are kept. Resume with: charact acquire {plan} {out} --resume"
-    with (
-        exit_on_bad_input(str(plan), events=events, interrupted=interrupted),
-        progress_bar(events=events) as progress,
-    ):
+    with exit_on_bad_input(str(plan), events=events, interrupted=interrupted), progress_bar(events=events) as progress:
         from charact.cli.benches import acquire_session, load_plan
         from labdata.serialiser import from_toml
         from simulate.virtual_bench.rehearsal import FaultScript

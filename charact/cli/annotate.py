@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.cli.output import Frequency, in_cycles_per_pixel
+from charact.cli.output import Frequency, in_cycles_per_pixel, in_unit
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
 from labdata.flags import FLAGS
@@ -16,37 +16,28 @@ from labdata.measurement import Measurement, Result
 Box = tuple[int, int, int, int]
 """Top, left, bottom, right, px."""
 
-RING_STEP_PX, DIRECTIONS = 14, 16
-
 
 def place_captions(
     boxes: Sequence[Box], sizes: Sequence[tuple[int, int]], frame: tuple[int, ...]
 ) -> list[tuple[int, int]]:
-    """Return top and left of the caption of each box.
+    """Return top and left of the caption of each box, from its height and width; inside the frame if it fits, px.
 
-    Parameters
-    ----------
-    boxes
-        Regions.
-    sizes
-        Height and width of each caption, px.
-    frame
-        Height and width of the image, px; captions stay inside it if they fit.
-
-    Notes
-    -----
     Greedy: each caption takes the position nearest to the centre of its box that covers no earlier caption and, if
     possible, not the inner half of a region.
     """
     taken: list[Box] = []
-    places = []
     hearts = [_inner_part(box) for box in boxes]
     for box, size in zip(boxes, sizes, strict=True):
-        options = [(_cost(option, box, taken, hearts), option) for option in _around(box, size, frame)]
-        best = min(options, key=lambda option: option[0])[1]
-        taken.append(best)
-        places.append(best[:2])
-    return places
+        middle, area = np.array(_middle(box)), size[0] * size[1]
+
+        def cost(option: Box, middle: NDArray = middle, area: int = area) -> float:
+            """Return the distance from the centre of the box plus the cost of what is covered, px."""
+            covered = sum(_overlap(option, heart) for heart in hearts) / area
+            over = sum(_overlap(option, other) for other in taken)
+            return float(np.hypot(*(np.array(_middle(option)) - middle))) + 250.0 * covered + 100.0 * over
+
+        taken.append(min(_around(box, size, frame), key=cost))
+    return [place[:2] for place in taken]
 
 
 def _middle(box: Box) -> tuple[float, float]:
@@ -54,13 +45,12 @@ def _middle(box: Box) -> tuple[float, float]:
 
 
 def _around(box: Box, size: tuple[int, int], frame: tuple[int, ...]) -> Iterator[Box]:
-    """Yield positions around the centre of a box, inside the frame."""
+    """Yield positions on rings around the centre of a box, inside the frame."""
     row, col = _middle(box)
     for ring in range(24):
-        for turn in range(DIRECTIONS if ring else 1):
-            angle = 2.0 * np.pi * turn / DIRECTIONS
-            top = row + ring * RING_STEP_PX * np.sin(angle) - 0.5 * size[0]
-            left = col + 1.5 * ring * RING_STEP_PX * np.cos(angle) - 0.5 * size[1]
+        for angle in np.arange(16 if ring else 1) * np.pi / 8:
+            top = row + 14 * ring * np.sin(angle) - 0.5 * size[0]
+            left = col + 21 * ring * np.cos(angle) - 0.5 * size[1]
             top, left = (
                 int(np.clip(start, 2, max(limit - length - 3, 2)))
                 for start, limit, length in ((top, frame[0], size[0]), (left, frame[1], size[1]))
@@ -73,16 +63,6 @@ def _inner_part(box: Box) -> Box:
     row, col = _middle(box)
     down, right = (max(0.25 * (box[k + 2] - box[k]), 14) for k in (0, 1))
     return int(row - down), int(col - right), int(row + down), int(col + right)
-
-
-def _cost(option: Box, box: Box, taken: list[Box], hearts: list[Box]) -> float:
-    """Return the distance of a position from the centre of its box plus the cost of what it covers, px."""
-    here, there = _middle(option), _middle(box)
-    distance = float(np.hypot(here[0] - there[0], here[1] - there[1]))
-    area = (option[2] - option[0]) * (option[3] - option[1])
-    covered = sum(_overlap(option, heart) for heart in hearts) / area
-    over = sum(_overlap(option, other) for other in taken)
-    return distance + 250.0 * covered + 100.0 * over
 
 
 def _overlap(one: Box, other: Box) -> float:
@@ -104,18 +84,7 @@ INK, PAPER = (255, 255, 255), (25, 25, 25)
 def write_annotated_image(
     stack: FrameStack, result: Result, path: Path, frequency: Frequency = in_cycles_per_pixel
 ) -> None:
-    """Write the mean frame with the regions of a result as PNG, atomically.
-
-    Parameters
-    ----------
-    frequency
-        Converts a frequency in cy/px to the unit of the captions.
-
-    Raises
-    ------
-    BadInput
-        If the image cannot be encoded.
-    """
+    """Write the mean frame with the regions of a result as PNG, atomically; captions in the unit of `frequency`."""
     import cv2
 
     ok, encoded = cv2.imencode(".png", render_annotations(stack, result, frequency))
@@ -139,25 +108,21 @@ def render_annotations(stack: FrameStack, result: Result, frequency: Frequency =
     import cv2
 
     scale = max(1, int(np.ceil(1500 / stack.shape[2])))
-    grey = cv2.resize(_stretch_grey(stack), None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
+    mean = stack.data.mean(axis=0)
+    low, high = np.percentile(mean, (0.5, 99.5))
+    grey = (np.clip((mean - low) / max(high - low, 1e-12), 0, 1) * 255).astype(np.uint8)
+    grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     image = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
     shown = _one_per_region(result)
     boxes = [_box(measurement, stack, scale) for measurement in shown]
     for measurement, box in zip(shown, boxes, strict=True):
         _outline(image, box, measurement.status)
     captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown]
-    sizes = [(LINE_PX * len(lines) + 8, max(_width(line) for line in lines) + 12) for lines in captions]
-    for measurement, box, lines, place in zip(
-        shown, boxes, captions, place_captions(boxes, sizes, image.shape[:2]), strict=True
-    ):
-        _write(image, lines, place, box, measurement.status)
+    sizes = [(LINE_PX * len(lines) + 8, max(map(_width, lines)) + 12) for lines in captions]
+    places = place_captions(boxes, sizes, image.shape[:2])
+    for measurement, *caption in zip(shown, captions, places, sizes, boxes, strict=True):
+        _write(image, *caption, status=measurement.status)
     return np.concatenate([image, _legend(shown, frequency, image.shape[1])])
-
-
-def _stretch_grey(stack: FrameStack) -> Image:
-    mean = stack.data.mean(axis=0)
-    low, high = np.percentile(mean, (0.5, 99.5))
-    return (np.clip((mean - low) / max(high - low, 1e-12), 0, 1) * 255).astype(np.uint8)
 
 
 def _one_per_region(result: Result) -> list[Measurement]:
@@ -185,14 +150,12 @@ def _caption(m: Measurement, frequency: Frequency, *, alone: bool) -> list[str]:
     name = f"{m.quantity} " if alone else ""
     if m.value is None:
         return [f"{name}refused", *([str(m.reason)[:90]] if alone else [])]
-    convert = (lambda value: frequency(value, m)) if m.unit == "cy/px" else (lambda value: (value, m.unit))
-    value, unit = convert(m.value)
+    value, unit, ends = in_unit(m, frequency)
     of = f" {unit}" if alone and unit != "1" else ""
     at = "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
     lines = [f"{name}{value:#.4g}{of}{at}"]
-    if m.interval95:
-        low, high = (convert(end)[0] for end in m.interval95)
-        lines.append(f"{low:#.4g} to {high:#.4g}" + (" (95 %)" if alone else ""))
+    if ends:
+        lines.append(f"{ends[0]:#.4g} to {ends[1]:#.4g}" + (" (95 %)" if alone else ""))
     return [*lines, *(m.flags if alone else m.flags[:1])]
 
 
@@ -229,12 +192,19 @@ def _line(
         cv2.line(image, one, other, colour, 2)
 
 
-def _write(image: Image, lines: list[str], place: tuple[int, int], box: Box, status: str) -> None:
+def _text(image: Image, line: str, left: int, bottom: int) -> None:
+    import cv2
+
+    cv2.putText(image, line, (left, bottom), cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+
+
+def _write(
+    image: Image, lines: list[str], place: tuple[int, int], size: tuple[int, int], box: Box, status: str
+) -> None:
     """Write a caption on a dark background, with a leader if it lies outside its region."""
     import cv2
 
-    top, left = place
-    height, width = LINE_PX * len(lines) + 8, max(_width(line) for line in lines) + 12
+    (top, left), (height, width) = place, size
     middle = ((box[1] + box[3]) // 2, (box[0] + box[2]) // 2)
     if not (left <= middle[0] <= left + width and top <= middle[1] <= top + height):
         nearest = (int(np.clip(middle[0], left, left + width)), int(np.clip(middle[1], top, top + height)))
@@ -245,14 +215,11 @@ def _write(image: Image, lines: list[str], place: tuple[int, int], box: Box, sta
     cv2.rectangle(image, (left, top), (left + width, top + height), PAPER, -1)
     cv2.rectangle(image, (left, top), (left + width, top + height), COLOURS[status], 1)
     for number, line in enumerate(lines):
-        origin = (left + 6, top + LINE_PX * (number + 1))
-        cv2.putText(image, line, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+        _text(image, line, left + 6, top + LINE_PX * (number + 1))
 
 
 def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Image:
     """Return the legend below the image: quantities, line styles of the status, and flags."""
-    import cv2
-
     quantities = dict.fromkeys(f"{m.quantity}, {frequency(0.0, m)[1] if m.unit == 'cy/px' else m.unit}" for m in shown)
     flags = dict.fromkeys(flag for m in shown for flag in m.flags)
     lines = [f"{'; '.join(quantities)}: value and 95 % interval", *(f"{flag}: {FLAGS[flag]}" for flag in flags)]
@@ -262,9 +229,8 @@ def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Image
         _outline(strip, (9, left, 9 + LINE_PX - 4, left + 40), status)
         count = sum(m.status == status for m in shown)
         text = f"{status} ({LINE_STYLES[status]}): {count}"
-        cv2.putText(strip, text, (left + 50, 8 + LINE_PX - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+        _text(strip, text, left + 50, 8 + LINE_PX - 4)
         left += 80 + _width(text)
     for number, line in enumerate(lines):
-        origin = (10, 8 + LINE_PX * (number + 2) - 4)
-        cv2.putText(strip, line, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+        _text(strip, line, 10, 8 + LINE_PX * (number + 2) - 4)
     return strip

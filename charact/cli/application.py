@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from charact import __version__
-from charact.cli import acquire, doctor, import_session, live, mtf, plan, reference, sessions, simulate, temperatures
+from charact.cli import acquire, import_session, live, mtf, plan, reference, sessions, simulate, temperatures
 
 app = typer.Typer(
     name="charact",
@@ -50,8 +50,8 @@ for verb in (
     live.live,
     live.focus,
     live.watch,
-    doctor.doctor,
-    doctor.conform,
+    reference.doctor,
+    reference.conform,
     sessions.noise,
     sessions.bloom,
     sessions.measure,

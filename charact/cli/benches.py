@@ -2,8 +2,8 @@
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -35,17 +35,6 @@ SAFETY_LOG = "safety.jsonl"
 DOSE = "dose.jsonl"
 
 
-@contextmanager
-def bench_errors_as_bad_input() -> Iterator[None]:
-    """Raise BenchError as BadInput."""
-    from drivers.errors import BenchError
-
-    try:
-        yield
-    except BenchError as error:
-        raise BadInput(str(error)) from error
-
-
 def bench_folder(session: Path) -> Path:
     """Folder of the virtual bench of a session, next to the session folder."""
     return session.with_name(session.name + ".bench")
@@ -61,14 +50,16 @@ def acquire_session(
     rehearse: "FaultScript | None" = None,
 ) -> Session:
     """Run a plan on its bench and return the session; `rehearse`: faults to inject into a virtual bench."""
+    from drivers.errors import BenchError
+
     real = plan.wires.bench == "real"
     if real and rehearse is not None:
         raise BadInput("fault injection needs a virtual bench, got a real one")
-    with bench_errors_as_bad_input():
-        if real:
-            taken = _on_real_bench(plan, session, resume=resume, progress=progress, tell=tell)
-        else:
-            taken = _on_virtual_bench(plan, session, resume=resume, progress=progress, tell=tell, script=rehearse)
+    run: dict[str, Any] = {"tell": tell, "resume": resume, "progress": progress}
+    try:
+        taken = _on_real_bench(plan, session, **run) if real else _on_virtual_bench(plan, session, rehearse, **run)
+    except BenchError as error:
+        raise BadInput(str(error)) from error
     for sentence in warnings(_ledger(plan, session).total(), taken.sensor):
         tell(sentence)
     return taken
@@ -83,51 +74,32 @@ def _ledger(plan: Plan, session: Path) -> DoseLedger:
 
 
 def _on_virtual_bench(
-    plan: Plan,
-    session: Path,
-    *,
-    resume: bool,
-    progress: Progress,
-    tell: Callable[[str], None],
-    script: "FaultScript | None",
+    plan: Plan, session: Path, script: "FaultScript | None", tell: Callable[[str], None], **run: Any
 ) -> Session:
+    """Run a plan on virtual instruments, with the faults of a script."""
+    from drivers.acquisition.acquire import LOG
     from drivers.instruments.models import lines_on
-    from simulate.virtual_bench.bench import VirtualBench
-
-    sensor = _virtual_sensor(plan)
-    folder = bench_folder(session)
-    virtual_bench = VirtualBench(folder, sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, say=tell)
-    with virtual_bench as virtual, _fault_rehearsal(script, virtual, session, tell):
-        session.parent.mkdir(parents=True, exist_ok=True)
-        lines = None if virtual.inside is None else lines_on(virtual.inside.ports, virtual.wires)
-        bench = _bench(plan, session, sensor, wires=virtual.wires, log=folder / SAFETY_LOG, lines=lines)
-        camera, operator = _virtual_camera(plan, virtual, tell), virtual.operator
-        return _acquire_session(plan, session, camera, bench, operator, resume=resume, progress=progress, tell=tell)
-
-
-def _virtual_sensor(plan: Plan) -> Sensor:
-    """Return the sensor of a plan for the virtual bench; the plan must name one and use the virtual mains frequency."""
     from labdata.sensors import load_sensor
-    from simulate.virtual_bench.delay_generator import LINE_HZ
+    from simulate.virtual_bench.bench import VirtualBench
+    from simulate.virtual_bench.instrument import LINE_HZ
+    from simulate.virtual_bench.rehearsal import Rehearsal
 
     if plan.sensor is None:
         raise BadInput("a plan for the virtual bench must name its sensor, got none")
     if plan.gating.sync == "line-locked" and plan.gating.line_hz != LINE_HZ:
         raise BadInput(f"the mains frequency of the virtual bench must be {LINE_HZ:g} Hz, got {plan.gating.line_hz:g}")
-    return load_sensor(plan.sensor)
-
-
-def _fault_rehearsal(
-    script: "FaultScript | None", virtual: "VirtualBench", session: Path, tell: Callable[[str], None]
-) -> AbstractContextManager[object]:
-    """Inject the faults of a script into a virtual bench during an acquisition."""
-    if script is None:
-        return nullcontext()
-    from drivers.acquisition.acquire import LOG
-    from simulate.virtual_bench.rehearsal import Rehearsal
-
-    log = bench_folder(session) / "rehearsal.jsonl"
-    return Rehearsal(script, provoke=virtual.provoke, steps=session / LOG, log=log, say=tell)
+    sensor, folder = load_sensor(plan.sensor), bench_folder(session)
+    with ExitStack() as stack:
+        virtual = stack.enter_context(
+            VirtualBench(folder, sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, say=tell)
+        )
+        if script is not None:
+            log = folder / "rehearsal.jsonl"
+            stack.enter_context(Rehearsal(script, provoke=virtual.provoke, steps=session / LOG, log=log, say=tell))
+        session.parent.mkdir(parents=True, exist_ok=True)
+        lines = None if virtual.inside is None else lines_on(virtual.inside.ports, virtual.wires)
+        bench = _bench(plan, session, sensor, wires=virtual.wires, log=folder / SAFETY_LOG, lines=lines)
+        return _run(plan, session, _virtual_camera(plan, virtual, tell), bench, virtual.operator, tell, **run)
 
 
 def _virtual_camera(
@@ -143,72 +115,43 @@ def _virtual_camera(
     return AravisCamera(virtual.camera.identifier, silence_s=virtual.silence_s, say=tell)
 
 
-def _on_real_bench(
-    plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None]
-) -> Session:
+def _on_real_bench(plan: Plan, session: Path, tell: Callable[[str], None], **run: Any) -> Session:
     from charact.cli.prompting import PromptingOperator, TargetPlacer
     from labdata.sensors import load_sensor
 
     sensor = None if plan.sensor is None else load_sensor(plan.sensor)
     camera = camera_named(plan.wires.camera, tell=tell)
     bench = _bench(plan, session, sensor, wires=plan.wires, log=session.with_name(f"{session.name}.{SAFETY_LOG}"))
-    operator = PromptingOperator() if plan.lamp is None else TargetPlacer()
-    return _acquire_session(plan, session, camera, bench, operator, resume=resume, progress=progress, tell=tell)
+    return _run(plan, session, camera, bench, PromptingOperator() if plan.lamp is None else TargetPlacer(), tell, **run)
 
 
 def _bench(
-    plan: Plan,
-    session: Path,
-    sensor: Sensor | None,
-    *,
-    wires: InstrumentConfig,
-    log: Path,
+    plan: Plan, session: Path, sensor: Sensor | None, *, wires: InstrumentConfig, log: Path,
     lines: "Mapping[Role, InstrumentLine] | None" = None,
-) -> "BenchClient | LocalBench":
+) -> "BenchClient | LocalBench":  # fmt: skip
     """Return the bench of a plan; `lines` replace its serial ports."""
     from drivers.acquisition.plan_check import field_hz
     from drivers.bench.setup import open_bench
 
     return open_bench(
-        wires,
-        limits_in_force(plan.limits, sensor, plan.overrides),
-        log=log,
-        lines=lines,
-        lamp=plan.lamp,
-        meters=plan.meters,
-        field_hz=field_hz(sensor),
-        gating=plan.gating,
-        dose=_ledger(plan, session),
+        wires, limits_in_force(plan.limits, sensor, plan.overrides), log=log, lines=lines, lamp=plan.lamp,
+        meters=plan.meters, field_hz=field_hz(sensor), gating=plan.gating, dose=_ledger(plan, session),
         session=str(session),
-    )
+    )  # fmt: skip
 
 
-def _acquire_session(
-    plan: Plan,
-    session: Path,
-    camera: "AbstractContextManager[Camera]",
-    bench: "BenchClient | LocalBench",
-    operator: "Operator",
-    *,
-    resume: bool,
-    progress: Progress,
-    tell: Callable[[str], None],
-) -> Session:
+def _run(
+    plan: Plan, session: Path, camera: "AbstractContextManager[Camera]", bench: "BenchClient | LocalBench",
+    operator: "Operator", tell: Callable[[str], None], *, resume: bool, progress: Progress,
+) -> Session:  # fmt: skip
     from drivers.acquisition.acquire import acquire
     from drivers.acquisition.run_control import RunControl
 
     try:
         return acquire(
-            plan,
-            session,
-            camera=camera,
-            bench=bench,
-            operator=operator,
-            judge=SaturationJudge(),
-            resume=resume,
-            progress=progress,
-            requests=RunControl(tell),
-        )
+            plan, session, camera=camera, bench=bench, operator=operator, judge=SaturationJudge(), resume=resume,
+            progress=progress, requests=RunControl(tell),
+        )  # fmt: skip
     finally:
         if bench.last_words:
             tell(f"The tube: {bench.last_words}.")
@@ -217,19 +160,9 @@ def _acquire_session(
 def camera_named(name: str | None, *, tell: Callable[[str], None] = print_message) -> "AbstractContextManager[Camera]":
     """Return the camera of a name, not opened.
 
-    Parameters
-    ----------
-    name
-        "v4l2:/dev/video0", "v4l2:/dev/video0#1" (input 1 of a capture card); "replay:FOLDER" (each capture replays the
-        session's next stack), "replay:FOLDER#LABEL" (every capture replays that stack); anything else is an Aravis
-        identifier or an IP address. None: the only camera that Aravis lists.
-    tell
-        Prints a message.
-
-    Raises
-    ------
-    BadInput
-        If the name lacks its file or folder, or the input is not a number.
+    "v4l2:/dev/video0", "v4l2:/dev/video0#1" (input 1 of a capture card); "replay:FOLDER" (each capture replays the
+    session's next stack), "replay:FOLDER#LABEL" (every capture replays that stack); anything else is an Aravis
+    identifier or an IP address; None: the only camera that Aravis lists.
     """
     kind, colon, rest = (name or "").partition(":")
     if not colon or kind not in ("v4l2", "replay"):
@@ -269,24 +202,16 @@ def load_plan(path: Path) -> Plan:
             return from_toml(shipped, Plan)
     if not os.path.exists(path):
         raise BadInput(f"a plan must be a file or one of {', '.join(builtin_plan_names())}, got {path}")
-    plan = from_mapping(_with_calibration_paths(path), Plan, where=path.name)
+    written = read_toml(path)
+    files = {key: name for key in ("gain_table", "lamp") if isinstance(name := written.get(key), str)}
+    placed = {**written, **{key: str(path.parent / name) for key, name in files.items()}}
+    plan = from_mapping(placed, Plan, where=path.name)
     sensor = path.parent / (plan.sensor or "")
     return replace(plan, sensor=str(sensor.resolve())) if plan.sensor is not None and os.path.isfile(sensor) else plan
 
 
-def _with_calibration_paths(path: Path) -> dict[str, Any]:
-    """Read a plan's file; resolve the paths of its calibration files relative to it."""
-    written = read_toml(path)
-    named = {key: name for key in ("gain_table", "lamp") if isinstance(name := written.get(key), str)}
-    return {**written, **{key: str(path.parent / name) for key, name in named.items()}}
-
-
-# Allowed fraction of pixels at full scale; point sources are exempt, they saturate on purpose.
-MAX_SATURATED_FRACTION = 1e-3
-# Fraction of pixels at full scale beyond which a stack is saturated.
-SATURATED_FRACTION = 0.01
-# Frames between two checks grow by this factor: a check after every frame would find a small interval by chance.
-CHECK_GROWTH = 1.25
+# Allowed fraction of pixels at full scale (point sources are exempt), and that of a saturated stack.
+MAX_SATURATED_FRACTION, SATURATED_FRACTION = 1e-3, 0.01
 
 
 class SaturationJudge:
@@ -298,15 +223,7 @@ class SaturationJudge:
 
 
 class StackWatcher:
-    """Running statistics of one stack over all pixels.
-
-    Parameters
-    ----------
-    step
-        The step being acquired.
-    full_scale_dn
-        Full scale, DN.
-    """
+    """Running statistics of one stack over all pixels."""
 
     def __init__(self, step: Step, full_scale_dn: float) -> None:
         self._step, self._full_scale_dn = step, full_scale_dn
@@ -327,7 +244,8 @@ class StackWatcher:
         until, taken = self._step.until, len(self._means_dn)
         if until is None or taken < self._look_at:
             return None
-        self._look_at = int(np.ceil(CHECK_GROWTH * taken))
+        # A check after every frame would find a small interval by chance.
+        self._look_at = int(np.ceil(1.25 * taken))
         half_dn = half_interval_dn(np.array(self._means_dn))
         if half_dn > until.mean_within_dn:
             return None

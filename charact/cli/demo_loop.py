@@ -3,19 +3,18 @@
 import math
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from charact.cli.benches import acquire_session, bench_folder, load_plan
 from charact.cli.output import print_message, progress_bar
-from charact.cli.sessions import FITTED, measure_and_save
+from charact.cli.sessions import FITTED, fit_and_save, measure_folder, validate_and_save
 from labdata.errors import BadInput
 from labdata.plan import Plan
-from labdata.session import Session
+from labdata.session import Session, open_session
 
 if TYPE_CHECKING:
     from charact.report.truth import Truth, TruthComparison
@@ -37,15 +36,19 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, events: bool) -> bo
     for sentence in left_out:
         print_message(sentence, events=events)
     with _step("measure", events):
-        result = measure_and_save(session, quick=quick, seed=seed, events=events)
+        result = measure_folder(session, quick=quick, seed=seed, events=events, save=True)
     with _step("fit", events):
-        fitted = _fit_and_save(session, result, seed, events)
+        fit_and_save(session, result, session / FITTED, seed=seed, events=events)
     with _step("simulate and validate", events):
-        from charact.cli.sessions import validate_and_save
-
-        validation = validate_and_save(session, fitted, seed=seed, events=events)
+        validation = validate_and_save(session, session / FITTED, seed=seed, events=events)
     with _step("report", events):
-        report, rows = _report(session, out, result, validation)
+        from charact.report import compare_with_truth, write
+
+        # The truth of the bench is read only after all measurements.
+        measured = open_session(session)
+        truth = bench_truth(bench_folder(session), measured)
+        report = write(measured, result, out / "report.html", validation=validation, truth=truth)
+        rows = compare_with_truth(result, truth)
 
     print("\n".join(lines(rows)))
     trusted = [row for row in rows if row.measurement.status == "ok"]
@@ -94,65 +97,32 @@ def _step(name: str, events: bool) -> Iterator[None]:
     print_message(f"{name}: {time.monotonic() - start:.1f} s", events=events)
 
 
-def _fit_and_save(session: Path, result, seed: int, events: bool) -> Path:
-    from charact.fit import fit_sensor
-    from labdata.sensors import save_sensor
-    from labdata.session import open_session
-
-    with progress_bar(events=events) as progress:
-        sensor = fit_sensor(open_session(session), result, seed=seed, progress=progress)
-    save_sensor(sensor, session / FITTED)
-    return session / FITTED
-
-
-def _report(session: Path, out: Path, result, validation):
-    """Write the report with the truth of the bench, which is read only after all measurements."""
-    from charact.report import compare_with_truth, write
-    from labdata.session import open_session
-
-    truth = bench_truth(bench_folder(session), open_session(session))
-    path = write(open_session(session), result, out / "report.html", validation=validation, truth=truth)
-    return path, compare_with_truth(result, truth)
-
-
-# Without the read noise: dark frames of an intensifier also have scintillation noise.
-COMPARED_QUANTITIES = ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor", "halo_diameter")
-# Direction of targets that state none: vertical bars.
-HORIZONTAL_DEG = 0.0
-
-
 def bench_truth(folder: Path, session: Session) -> "Truth":
     """Return the truth of a virtual bench by quantity name.
 
     The MTF is a function of frequency and direction; gains are those at the MCP voltage of the flats.
     """
-    from labdata.errors import BadInput
-    from simulate.iiccd import true_quantities
+    from simulate.iiccd.true_quantities import true_crossing_frequency, true_mtf, true_quantities
     from simulate.virtual_bench.true_sensor import TRUTH, read_truth
 
     sensor = read_truth(folder / TRUTH).sensor
     voltages = {stack.conditions.mcp_v for stack in session.of_kind("flat")}
     if len(voltages) != 1:
         raise BadInput(f"the truth needs flats at one MCP voltage, got flats at {sorted(map(str, voltages))} V")
-    conditions = session.of_kind("flat")[0].conditions
-    at_level = partial(_at_level, sensor)
-    found = true_quantities.true_quantities(sensor, conditions)
+    found = true_quantities(sensor, session.of_kind("flat")[0].conditions)
+
+    def at_level(level: float) -> Callable[..., float]:
+        return lambda _, angle: true_crossing_frequency(sensor, level, angle or 0.0)
+
+    # Without the read noise: dark frames of an intensifier also have scintillation noise.
+    compared = ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor", "halo_diameter")
     return {
-        **{name: found[name] for name in COMPARED_QUANTITIES},
-        "mtf": lambda frequency, angle: true_quantities.true_mtf(
-            sensor, frequency, HORIZONTAL_DEG if angle is None else angle
-        ),
+        **{name: found[name] for name in compared},
+        # Targets that state no direction are vertical bars.
+        "mtf": lambda frequency, angle: true_mtf(sensor, frequency, angle or 0.0),
         "mtf50": at_level(0.5),
         "mtf10": at_level(0.1),
     }
-
-
-def _at_level(sensor, level: float):
-    from simulate.iiccd import true_quantities
-
-    return lambda _, angle: true_quantities.true_crossing_frequency(
-        sensor, level, HORIZONTAL_DEG if angle is None else angle
-    )
 
 
 def lines(rows: Sequence["TruthComparison"]) -> Iterator[str]:

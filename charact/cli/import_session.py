@@ -22,7 +22,7 @@ def emva1288(file: Annotated[Path, typer.Argument(help="EMVA 1288 descriptor fil
     Example: charact import emva1288 EMVA1288_Data.txt ccd12
     """
     with exit_on_bad_input(str(file)):
-        from labdata.importers.emva1288 import import_emva1288
+        from labdata.importers.sessions import import_emva1288
 
         _summarise(import_emva1288(file, out), out, f"charact noise {out}")
 
@@ -44,7 +44,7 @@ def frames(
     *sources, out = files
     with exit_on_bad_input(" ".join(map(str, sources))):
         from labdata.errors import BadInput
-        from labdata.importers.frame_files import import_frames
+        from labdata.importers.sessions import import_frames
 
         if not sources:
             raise BadInput(f"import frames needs at least one file and the folder of the session, got only {out}")

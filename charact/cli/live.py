@@ -5,14 +5,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from charact import __version__
 from charact.cli import options
 from charact.cli.output import exit_on_bad_input, number_of, print_message
-from charact.cli.single_image import require_session
+from charact.cli.sessions import require_session
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
@@ -22,64 +22,68 @@ if TYPE_CHECKING:
     from labdata.measurement import Measurement
     from labdata.plan import Plan, Step
 
-Camera = Annotated[
-    str | None,
-    typer.Option("--camera", help="Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL."),
-]
-PlanFile = Annotated[
-    Path | None, typer.Option("--plan", help="Plan whose camera is shown (virtual bench: its first edge).")
-]
-Growing = Annotated[Path | None, typer.Option("--session", help="Session being acquired; the camera is not accessed.")]
-Bits = Annotated[int | None, typer.Option("--bits", help="Bit depth, if the pixel format does not state it.")]
-Host = Annotated[
-    str, typer.Option("--host", help="Address to listen on; addresses other than loopback require the printed token.")
-]
-Port = Annotated[int, typer.Option("--port", help="Port of the page; 0 selects a free port.")]
-Terminal = Annotated[bool, typer.Option("--terminal", help="Show statistics in the terminal instead of a web page.")]
+SOURCE: dict[str, tuple[Any, Any]] = {
+    "camera": (
+        Annotated[
+            str | None,
+            typer.Option("--camera", help="Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL."),
+        ],
+        None,
+    ),
+    "plan": (
+        Annotated[
+            Path | None, typer.Option("--plan", help="Plan whose camera is shown (virtual bench: its first edge).")
+        ],
+        None,
+    ),
+    "session": (
+        Annotated[Path | None, typer.Option("--session", help="Session being acquired; the camera is not accessed.")],
+        None,
+    ),
+    "roi": (options.Roi, None),
+    "bits": (
+        Annotated[int | None, typer.Option("--bits", help="Bit depth, if the pixel format does not state it.")],
+        None,
+    ),
+    "host": (
+        Annotated[
+            str,
+            typer.Option(
+                "--host", help="Address to listen on; addresses other than loopback require the printed token."
+            ),
+        ],
+        "127.0.0.1",
+    ),
+    "port": (Annotated[int, typer.Option("--port", help="Port of the page; 0 selects a free port.")], 8600),
+    "terminal": (
+        Annotated[bool, typer.Option("--terminal", help="Show statistics in the terminal instead of a web page.")],
+        False,
+    ),
+    "seed": (options.Seed, 0),
+}
 
 
-def live(
-    camera: Camera = None,
-    plan: PlanFile = None,
-    session: Growing = None,
-    roi: options.Roi = None,
-    bits: Bits = None,
-    host: Host = "127.0.0.1",
-    port: Port = 8600,
-    terminal: Terminal = False,
-    seed: options.Seed = 0,
-) -> None:
+@options.with_options(*SOURCE, table=SOURCE)
+def live(**settings: Any) -> None:
     """Live view in a local web page: newest frame, statistics and histogram.
 
     Read-only: no camera or tube setting is changed. While a plan runs, use --session to view the frames it stores.
 
     Example: charact live --camera Aravis-Fake-GV01
     """
-    _show("charact live", camera, plan, session, roi, bits, host, port, terminal, seed)
+    _show("charact live", **settings)
 
 
-def focus(
-    camera: Camera = None,
-    plan: PlanFile = None,
-    session: Growing = None,
-    roi: options.Roi = None,
-    bits: Bits = None,
-    host: Host = "127.0.0.1",
-    port: Port = 8600,
-    terminal: Terminal = False,
-    seed: options.Seed = 0,
-) -> None:
+@options.with_options(*SOURCE, table=SOURCE)
+def focus(**settings: Any) -> None:
     """Live view for focusing: MTF50 of an edge, with the best value held.
 
     Example: charact focus --camera Aravis-Fake-GV01 --roi 150,250,200,200
     """
-    _show("charact focus", camera, plan, session, roi, bits, host, port, terminal, seed)
+    _show("charact focus", **settings)
 
 
-def _show(
-    title: str, camera: str | None, plan: Path | None, session: Path | None, roi: str | None, bits: int | None,
-    host: str, port: int, terminal: bool, seed: int,
-) -> None:  # fmt: skip
+def _show(title: str, *, roi: str | None, host: str, port: int, terminal: bool, **source_of: Any) -> None:
     with exit_on_bad_input(title, interrupted="closed"):
         from charact.live.focus import FocusReader
         from charact.live.live_loop import LiveLoop
@@ -88,22 +92,18 @@ def _show(
 
         region = options.parse_region(roi)
         with (
-            live_source(camera=camera, plan=plan, session=session, bits=bits, seed=seed, tell=print_message) as source,
+            live_source(**source_of, tell=print_message) as source,
             FocusReader(source.context, region) as reader,
             LiveLoop(source, focus=reader, region=region) as running,
         ):
             heading = f"{title}: {source.name}"
             if terminal:
                 watch_on_terminal(running, title=heading)
-            else:
-                serve(
-                    running,
-                    title=heading,
-                    focus_first=title == "charact focus",
-                    host=host,
-                    port=port,
-                    tell=lambda address: print_message(f"{address}   (Ctrl-C to quit)"),
-                )
+                return
+            serve(
+                running, title=heading, focus_first=title == "charact focus", host=host, port=port,
+                tell=lambda address: print_message(f"{address}   (Ctrl-C to quit)"),
+            )  # fmt: skip
 
 
 VIRTUAL_SENSOR = "pulnix-ag5745ef3"
@@ -114,22 +114,9 @@ def live_source(
     *, camera: str | None, plan: Path | None, session: Path | None, bits: int | None, seed: int,
     tell: Callable[[str], None],
 ) -> "Iterator[FrameSource]":  # fmt: skip
-    """Yield the frame source.
+    """Yield the frame source: a camera, that of a plan (or the virtual bench at its first edge), or a growing session.
 
-    Parameters
-    ----------
-    camera
-        A camera as a plan names it, see `labdata.plan.InstrumentConfig`.
-    plan
-        A plan: its camera, or the virtual bench with the conditions of its first illuminated target.
-    session
-        A growing session.
-    bits
-        Bit depth, if the pixel format does not state it.
-    seed
-        Seed of the virtual bench.
-    tell
-        Prints a message.
+    `bits`: bit depth, if the pixel format does not state it; `seed`: of the virtual bench.
     """
     if sum(given is not None for given in (camera, plan, session)) > 1:
         raise BadInput("a live view must have one source, got several of --camera, --plan and --session")
@@ -142,28 +129,19 @@ def live_source(
         require_session(session)
         yield SessionSource(session)
         return
-    from charact.cli.benches import load_plan
+    from charact.cli.benches import camera_named, load_plan
+    from charact.live.frame_source import CameraSource
 
     loaded = None if plan is None else load_plan(plan)
     if camera is None and (loaded is None or (loaded.wires.bench != "real" and loaded.wires.camera is None)):
         with _virtual(loaded, seed, full_scale_dn, tell) as source:
             yield source
         return
-    yield _camera_source(camera or (loaded.wires.camera if loaded else None), loaded, full_scale_dn, tell)
-
-
-def _camera_source(
-    camera: str | None, plan: "Plan | None", full_scale_dn: float | None, tell: Callable[[str], None]
-) -> "FrameSource":
-    from charact.cli.benches import camera_named
-    from charact.live.frame_source import CameraSource
-
-    return CameraSource(
-        camera_named(camera, tell=tell),
-        frames_each=_frames_each(camera or ""),
-        name=f"camera {camera or '(the only one)'}",
-        context=_context(plan.sensor if plan else None, full_scale_dn),
-    )
+    name = camera or (loaded.wires.camera if loaded else None)
+    yield CameraSource(
+        camera_named(name, tell=tell), frames_each=_frames_each(name or ""), name=f"camera {name or '(the only one)'}",
+        context=_context(loaded.sensor if loaded else None, full_scale_dn),
+    )  # fmt: skip
 
 
 def _frames_each(camera: str) -> int:

@@ -2,139 +2,81 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from charact.cli import options
-from charact.cli.output import Progress, exit_on_bad_input, print_result, progress_bar
+from charact.cli.output import FrequencyUnit, exit_on_bad_input, in_file_coordinates, print_result, progress_bar
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
-    from charact.cli.output import FrequencyUnit
-    from charact.mtf.mean_frame import Region
     from labdata.frames import FrameStack
-    from labdata.measurement import Result
     from labdata.sensor import Sensor
     from labdata.session import Session
 
 app = typer.Typer(
-    no_args_is_help=True,
-    help="Measure the MTF from a slanted edge, bar target, point source or flat-field noise.",
+    no_args_is_help=True, help="Measure the MTF from a slanted edge, bar target, point source or flat-field noise."
 )
 
 File = Annotated[Path, typer.Argument(help="Image or stack: .tif .npy .fits .png .jpg .dng .h5 ... (docs/formats.md)")]
 
 
 @app.command()
-def edge(
-    file: File,
-    roi: options.Roi = None,
-    method: options.MethodName = "auto",
-    within: options.Within = 2.0,
-    quick: options.Quick = False,
-    seed: options.Seed = 0,
-    plane: options.Plane = None,
-    axis: options.Axis = None,
-    black_dn: options.BlackDn = None,
-    sensor: options.SensorName = None,
-    units: options.Units = "cy/px",
-    pitch_um: options.PitchUm = None,
-    demagnification: options.Demagnification = None,
-    focal_length_mm: options.FocalLengthMm = None,
-    at_most: options.AtMost = 24,
-    annotate: options.Annotate = None,
-    as_json: options.Json = False,
-    events: options.Events = False,
-) -> None:
+@options.with_options(*options.OF_A_TARGET)
+def edge(file: File, **settings: Any) -> None:
     """Measure the MTF of a slanted edge.
 
     Example: charact mtf edge my-edge.tif --roi 100,200,80,60 --annotate edge.png
     """
-    _measure("edge", **locals())
+    _measure("edge", file=file, **settings)
 
 
 @app.command()
+@options.with_options(*options.OF_A_TARGET)
 def bars(
     file: File,
     frequency: Annotated[
-        float | None,
-        typer.Option(help="Bar frequency, cy/px (default: groups along rows and columns are found)."),
+        float | None, typer.Option(help="Bar frequency, cy/px (default: groups along rows and columns are found).")
     ] = None,
     bars: Annotated[int | None, typer.Option(help="Number of bars (default: counted in the image).", min=2)] = None,
-    roi: options.Roi = None,
-    method: options.MethodName = "auto",
-    within: options.Within = 2.0,
-    quick: options.Quick = False,
-    seed: options.Seed = 0,
-    plane: options.Plane = None,
-    axis: options.Axis = None,
-    black_dn: options.BlackDn = None,
-    sensor: options.SensorName = None,
-    units: options.Units = "cy/px",
-    pitch_um: options.PitchUm = None,
-    demagnification: options.Demagnification = None,
-    focal_length_mm: options.FocalLengthMm = None,
-    at_most: options.AtMost = 24,
-    annotate: options.Annotate = None,
-    as_json: options.Json = False,
-    events: options.Events = False,
+    **settings: Any,
 ) -> None:
     """Measure the MTF at the frequency of a bar target.
 
     Example: charact mtf bars usaf.tif --roi 100,200,80,60
     """
-    _measure("bars", **locals())
+    _measure("bars", file=file, frequency_cy_per_px=frequency, bars=bars, **settings)
 
 
 @app.command()
+@options.with_options(*(name for name in options.OF_A_TARGET if name != "black_dn"))
 def point(
     file: File,
     pinhole_px: Annotated[
         float | None, typer.Option(help="Diameter of the pinhole's image, px (default: ideal point).")
     ] = None,
-    roi: options.Roi = None,
-    method: options.MethodName = "auto",
-    within: options.Within = 2.0,
-    quick: options.Quick = False,
-    seed: options.Seed = 0,
-    plane: options.Plane = None,
-    axis: options.Axis = None,
-    sensor: options.SensorName = None,
-    units: options.Units = "cy/px",
-    pitch_um: options.PitchUm = None,
-    demagnification: options.Demagnification = None,
-    focal_length_mm: options.FocalLengthMm = None,
-    at_most: options.AtMost = 24,
-    annotate: options.Annotate = None,
-    as_json: options.Json = False,
-    events: options.Events = False,
+    **settings: Any,
 ) -> None:
     """Measure the MTF of a point source.
 
     Example: charact mtf point pinhole.tif --pinhole-px 1.0 --roi 200,300,96,96
     """
-    _measure("point", **locals())
+    _measure("point", file=file, pinhole_px=pinhole_px, **settings)
 
 
 @app.command()
+@options.with_options(
+    "plane", "axis", "method", "within", "quick", "seed", "sensor", "units", "pitch_um", "demagnification",
+    "focal_length_mm", "as_json", "events",
+)  # fmt: skip
 def flats(
     file: Annotated[Path, typer.Argument(help="Folder of a session with flats and darks, or one stack of flats.")],
-    plane: options.Plane = None,
-    axis: options.Axis = None,
-    method: options.MethodName = "auto",
-    within: options.Within = 2.0,
-    quick: options.Quick = False,
-    seed: options.Seed = 0,
-    sensor: options.SensorName = None,
-    units: options.Units = "cy/px",
-    pitch_um: options.PitchUm = None,
-    demagnification: options.Demagnification = None,
-    focal_length_mm: options.FocalLengthMm = None,
-    as_json: options.Json = False,
-    events: options.Events = False,
-) -> None:
+    *, plane: str | None, axis: str | None, method: str, within: float, quick: bool, seed: int, sensor: str | None,
+    as_json: bool, events: bool, **lengths: Any,
+) -> None:  # fmt: skip
     """Measure the post-gain MTF from the noise power spectrum of flat fields (no target needed).
 
     Example: charact mtf flats my-session --quick
@@ -145,18 +87,14 @@ def flats(
 
         session = _flats_of(file, _sensor(sensor), plane, axis)
         rows = session.of_kind("flat")[0].read().shape[1] if session.of_kind("flat") else 0
-        frequency = _unit(units, pitch_um, demagnification, focal_length_mm, session.sensor, rows=rows)
+        frequency = _unit(session.sensor, rows=rows, **lengths)
         with progress_bar(events=events) as progress:
             context = method_context(session, quick=quick, seed=seed, progress=progress)
             result = mtf.measure_flats(session, method=method, within_percent=within, context=context)
         print_result(
-            result,
-            given=str(file),
-            as_json=as_json,
-            events=events,
-            frequency=frequency,
+            result, given=str(file), as_json=as_json, events=events, frequency=frequency,
             next_verb="charact mtf edge FILE: the MTF of the complete camera with lens and proximity gap",
-        )
+        )  # fmt: skip
 
 
 def _flats_of(file: Path, sensor: "Sensor | None", plane: str | None, axis: str | None) -> "Session":
@@ -177,87 +115,48 @@ def _flats_of(file: Path, sensor: "Sensor | None", plane: str | None, axis: str 
 
 
 def _measure(
-    kind: str,
-    *,
-    file: Path,
-    plane: str | None,
-    axis: str | None,
-    sensor: str | None,
-    units: str,
-    pitch_um: float | None,
-    demagnification: float | None,
-    focal_length_mm: float | None,
-    annotate: Path | None,
-    as_json: bool,
-    events: bool,
-    black_dn: float | None = None,
-    **settings: Any,
-) -> None:
+    kind: str, *, file: Path, roi: str | None, method: str, within: float, quick: bool, seed: int, at_most: int,
+    plane: str | None, axis: str | None, sensor: str | None, annotate: Path | None, as_json: bool, events: bool,
+    units: str, pitch_um: float | None, demagnification: float | None, focal_length_mm: float | None,
+    black_dn: float | None = None, **target: Any,
+) -> None:  # fmt: skip
+    """Measure a region of a stack or, without one, all detected targets of a kind, and print the result."""
     with exit_on_bad_input(str(file), as_json=as_json, events=events):
-        from charact.cli.single_image import in_file_coordinates, region_in
+        from charact import mtf
+        from charact.method import Context
         from labdata.importers import read_frames
+        from labdata.session import MANIFEST
 
-        _require_frames(file, kind)
+        if (file / MANIFEST).is_file():
+            raise BadInput(f"mtf {kind} takes one image or stack, got the session {file}: charact measure {file}")
+        then = None
         if annotate is not None:
             from charact.cli.annotate import require_png, write_annotated_image
 
             require_png(annotate)
         description = _sensor(sensor)
-        region = options.parse_region(settings.pop("roi"))
+        region = options.parse_region(roi)
         stack = _with_black(read_frames(file, plane=plane, axis=axis), black_dn)
-        frequency = _unit(units, pitch_um, demagnification, focal_length_mm, description, rows=stack.shape[1])
+        frequency = _unit(
+            description, rows=stack.shape[1], units=units, pitch_um=pitch_um, demagnification=demagnification,
+            focal_length_mm=focal_length_mm,
+        )  # fmt: skip
+        interlaced = description is not None and description.video.interlaced
         with progress_bar(events=events) as progress:
-            result = _result(kind, stack, region_in(stack, region), description, progress, **settings)
+            context = Context(seed=seed, quick=quick, sensor=description, interlaced=interlaced, progress=progress)
+            arguments = {"method": method, "within_percent": within, "context": context, **target}
+            if region is None:
+                result = mtf.measure_all(kind, stack, at_most=at_most, **arguments)
+            else:
+                # The border of the file may have been cropped.
+                inside = (region[0] - stack.origin[0], region[1] - stack.origin[1], *region[2:])
+                result = mtf.measure(kind, stack, region=inside, **arguments)
+        if annotate is not None:
+            then = partial(write_annotated_image, stack, result, annotate, frequency)
         print_result(
-            in_file_coordinates(result, stack),
-            given=str(file),
-            as_json=as_json,
-            events=events,
-            frequency=frequency,
-            next_verb=f"charact import frames {file} mine --kind {kind}, then charact measure mine",
-            then=None if annotate is None else lambda: write_annotated_image(stack, result, annotate, frequency),
-        )
-
-
-def _require_frames(file: Path, kind: str) -> None:
-    """Reject a session folder and point to `charact measure`."""
-    from labdata.session import MANIFEST
-
-    if (file / MANIFEST).is_file():
-        raise BadInput(f"mtf {kind} takes one image or stack, got the session {file}: charact measure {file}")
-
-
-def _result(
-    kind: str,
-    stack: "FrameStack",
-    region: "Region | None",
-    sensor: "Sensor | None",
-    progress: Progress,
-    *,
-    method: str,
-    within: float,
-    quick: bool,
-    seed: int,
-    at_most: int,
-    **target: Any,
-) -> "Result":
-    """Measure a region of a stack or, without one, all detected targets of this kind."""
-    from charact import mtf
-    from charact.method import Context
-
-    context = Context(
-        seed=seed,
-        quick=quick,
-        sensor=sensor,
-        interlaced=sensor is not None and sensor.video.interlaced,
-        progress=progress,
-    )
-    if kind == "bars":
-        target = {"bars": target["bars"], "frequency_cy_per_px": target["frequency"]}
-    arguments = {"method": method, "within_percent": within, "context": context, **target}
-    if region is None:
-        return mtf.measure_all(kind, stack, at_most=at_most, **arguments)
-    return mtf.measure(kind, stack, region=region, **arguments)
+            in_file_coordinates(result, stack), given=str(file), as_json=as_json, events=events, frequency=frequency,
+            next_verb=f"charact import frames {file} mine --kind {kind}, then charact measure mine", then=then,
+        )  # fmt: skip
 
 
 def _with_black(stack: "FrameStack", black_dn: float | None) -> "FrameStack":
@@ -281,17 +180,10 @@ def _sensor(name: str | None):
 
 
 def _unit(
-    units: str,
-    pitch_um: float | None,
-    demagnification: float | None,
+    sensor: "Sensor | None", *, rows: int, units: str, pitch_um: float | None, demagnification: float | None,
     focal_length_mm: float | None,
-    sensor: "Sensor | None",
-    *,
-    rows: int,
-) -> "FrequencyUnit":
+) -> FrequencyUnit:  # fmt: skip
     """Return the display unit of frequency; missing lengths come from the sensor description."""
-    from charact.cli.output import FrequencyUnit
-
     pitch_y_um = pitch_um
     if sensor is not None:
         if pitch_um is None:

@@ -1,7 +1,10 @@
 """Options shared by several verbs."""
 
+import inspect
+from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -35,8 +38,7 @@ BlackDn = Annotated[
     ),
 ]
 Scheduler = Annotated[
-    str | None,
-    typer.Option(help="Address of a Dask scheduler; its workers must see the same file paths."),
+    str | None, typer.Option(help="Address of a Dask scheduler; its workers must see the same file paths.")
 ]
 SensorName = Annotated[
     str | None, typer.Option("--sensor", help="Name of a shipped sensor description, or path to a TOML file.")
@@ -69,6 +71,60 @@ BloomMapOf = Annotated[
     str | None,
     typer.Option("--map-of", help="Stack to map (default: a scene stack, otherwise the brightest point stack)."),
 ]
+
+
+# Annotation and default of the options of `mtf` and of the analyses of sessions.
+SHARED: dict[str, tuple[Any, Any]] = {
+    "roi": (Roi, None),
+    "method": (MethodName, "auto"),
+    "within": (Within, 2.0),
+    "quick": (Quick, False),
+    "seed": (Seed, 0),
+    "plane": (Plane, None),
+    "axis": (Axis, None),
+    "black_dn": (BlackDn, None),
+    "sensor": (SensorName, None),
+    "units": (Units, "cy/px"),
+    "pitch_um": (PitchUm, None),
+    "demagnification": (Demagnification, None),
+    "focal_length_mm": (FocalLengthMm, None),
+    "at_most": (AtMost, 24),
+    "annotate": (Annotate, None),
+    "as_json": (Json, False),
+    "events": (Events, False),
+    "scheduler": (Scheduler, None),
+    "map_to": (BloomMap, None),
+    "map_of": (BloomMapOf, None),
+}
+# Options of `mtf edge` and `mtf bars`.
+OF_A_TARGET = tuple(name for name in SHARED if name not in ("scheduler", "map_to", "map_of"))
+
+
+def with_options(
+    *names: str, table: Mapping[str, tuple[Any, Any]] = SHARED
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that replaces the `**settings` of a verb by named options of a table."""
+    shared = {name: table[name] for name in names}
+
+    def enter(verb: Callable[..., None]) -> Callable[..., None]:
+        @wraps(verb)
+        def run(**arguments: Any) -> None:
+            verb(**arguments)
+
+        own = [
+            p
+            for p in inspect.signature(verb).parameters.values()
+            if p.kind is not p.VAR_KEYWORD and p.name not in shared
+        ]
+        kind = inspect.Parameter.KEYWORD_ONLY
+        every = [p.replace(kind=kind) for p in own]
+        every += [inspect.Parameter(n, kind, default=d, annotation=a) for n, (a, d) in shared.items()]
+        run.__signature__ = inspect.Signature(every)  # pyright: ignore[reportAttributeAccessIssue]
+        run.__annotations__ = {p.name: p.annotation for p in every}
+        del run.__wrapped__  # pyright: ignore[reportAttributeAccessIssue]
+        return run
+
+    return enter
 
 
 def parse_kind(text: str) -> "Kind":

@@ -7,7 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, NoReturn
 
@@ -18,6 +18,8 @@ from labdata.errors import BadInput
 from labdata.flags import FLAGS
 
 if TYPE_CHECKING:
+    from charact.mtf.mean_frame import Region
+    from labdata.frames import FrameStack
     from labdata.measurement import Measurement, Result
 
 Frequency = Callable[[float, "Measurement | None"], tuple[float, str]]
@@ -79,14 +81,8 @@ def print_result(
 ) -> None:
     """Print a result; exit with code 1 and a sentence if no measurement has a value.
 
-    Parameters
-    ----------
-    frequency
-        Converts a frequency in cy/px to the display unit. JSON is always in cy/px.
-    next_verb
-        Next command to suggest on a terminal.
-    then
-        Writes further output files after the result is printed; a failure is reported on stderr, with exit code 1.
+    `frequency` converts cy/px to the display unit (JSON is always in cy/px), `next_verb` is suggested on a terminal,
+    and `then` writes further output files after the result; its failure is reported on stderr, with exit code 1.
     """
     if as_json:
         from labdata.result_io import to_json
@@ -156,20 +152,24 @@ def _place(region: tuple[int, int, int, int]) -> str:
 
 def _at(m: "Measurement", frequency: Frequency) -> str:
     """Return " at FREQUENCY" of a measurement at one frequency, else an empty string."""
-    if m.frequency_cy_per_px is None:
-        return ""
-    value, unit = frequency(m.frequency_cy_per_px, m)
-    return f" at {value:.3g} {unit}"
+    return "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
+
+
+def in_unit(m: "Measurement", frequency: Frequency) -> tuple[float, str, tuple[float, float] | None]:
+    """Return value, unit and 95 % interval of a measurement with a value, frequencies in the display unit."""
+    assert m.value is not None
+    if m.unit != "cy/px":
+        return m.value, m.unit, m.interval95
+    ends = None if m.interval95 is None else (frequency(m.interval95[0], m)[0], frequency(m.interval95[1], m)[0])
+    return *frequency(m.value, m), ends
 
 
 def number_of(m: "Measurement", frequency: Frequency = in_cycles_per_pixel) -> str:
     """Return the value with unit and 95 % interval."""
     if m.value is None:
         return "refused"
-    convert = (lambda value: frequency(value, m)) if m.unit == "cy/px" else (lambda value: (value, m.unit))
-    value, unit = convert(m.value)
-    low, high = (convert(end)[0] for end in m.interval95) if m.interval95 else (None, None)
-    band = "no interval" if low is None else f"[{low:.4g}, {high:.4g}] 95 %"
+    value, unit, ends = in_unit(m, frequency)
+    band = "no interval" if ends is None else f"[{ends[0]:.4g}, {ends[1]:.4g}] 95 %"
     return f"{value:.4g} {band}" if unit == "1" else f"{value:.4g} {unit} {band}"
 
 
@@ -225,63 +225,33 @@ def progress_bar(*, events: bool = False) -> Iterator[Progress]:
     """
     from charact.method.stopwatch import announce_compilation
 
-    with (
-        _bar(events=events) as progress,
-        announce_compilation(
-            lambda sentence: print_message(sentence if events else f"charact: {sentence}", events=events)
-        ),
-    ):
-        yield progress
+    def announce(sentence: str) -> None:
+        print_message(sentence if events else f"charact: {sentence}", events=events)
 
+    def report(sentence: str, share: float) -> None:
+        if events:
+            print(json.dumps({"progress": round(share, 4), "message": sentence}), file=sys.stderr)
 
-@contextmanager
-def _bar(*, events: bool = False) -> Iterator[Progress]:
-    if events:
-        yield lambda sentence, share: print(
-            json.dumps({"progress": round(share, 4), "message": sentence}), file=sys.stderr
-        )
-        return
-    if not sys.stderr.isatty():
-        yield lambda sentence, share: None
+    if events or not sys.stderr.isatty():
+        with announce_compilation(announce):
+            yield report
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar, announce_compilation(announce):
         task = bar.add_task("", total=1.0)
         yield lambda sentence, share: bar.update(task, description=sentence, completed=share)
 
 
-# Options that give a length that a unit needs.
-LENGTH_OPTIONS = {
-    "pitch_um": "--pitch-um or --sensor",
-    "demagnification": "--demagnification or --sensor",
-    "focal_length_mm": "--focal-length-mm or --sensor",
-}
-
-
 @dataclass(frozen=True, kw_only=True)
 class FrequencyUnit:
-    """Display unit of spatial frequency with the lengths it needs.
+    """Display unit of spatial frequency (one of `FREQUENCY_UNITS`) with the lengths it needs.
 
-    Parameters
-    ----------
-    unit
-        One of `labdata.quantity.FREQUENCY_UNITS`.
-    pitch_x_um, pitch_y_um
-        Pitch of columns and of rows, µm; None for rows: that of the columns.
-    rows
-        Rows of a frame.
-    focal_length_mm
-        Focal length of the lens, mm.
-    demagnification
-        Length at the photocathode over length at the detector, dimensionless.
-
-    Raises
-    ------
-    BadInput
-        If the unit is unknown, or a length is not positive or missing.
+    Pitch of columns and rows (None: that of the columns), µm; rows of a frame; focal length, mm; length at the
+    photocathode over length at the detector. Raises BadInput if the unit is unknown, or a length is not positive or
+    missing.
     """
 
     unit: str = "cy/px"
@@ -292,30 +262,25 @@ class FrequencyUnit:
     demagnification: float | None = None
 
     def __post_init__(self) -> None:
-        given = {
-            "--pitch-um": self.pitch_x_um,
-            "--focal-length-mm": self.focal_length_mm,
-            "--demagnification": self.demagnification,
+        from labdata.quantity import FREQUENCY_UNITS
+
+        held = {
+            "pitch_um": self.pitch_x_um,
+            "focal_length_mm": self.focal_length_mm,
+            "demagnification": self.demagnification,
         }
-        for name, length in given.items():
+        options = {name: f"--{name.replace('_', '-')}" for name in held}
+        for name, length in held.items():
             if length is not None and not (math.isfinite(length) and length > 0):
-                raise BadInput(f"{name} must be positive, got {length:g}")
+                raise BadInput(f"{options[name]} must be positive, got {length:g}")
         needs = {
             "lp/mm": ("pitch_um",),
             "lp/mm-cathode": ("pitch_um", "demagnification"),
             "cy/mrad": ("pitch_um", "focal_length_mm"),
         }
-        held = {
-            "pitch_um": self.pitch_x_um,
-            "demagnification": self.demagnification,
-            "focal_length_mm": self.focal_length_mm,
-        }
-        missing = [name for name in needs.get(self.unit, ()) if held[name] is None]
-        if missing:
-            remedies = " and ".join(LENGTH_OPTIONS[name] for name in missing)
+        if missing := [name for name in needs.get(self.unit, ()) if held[name] is None]:
+            remedies = " and ".join(f"{options[name]} or --sensor" for name in missing)
             raise BadInput(f"--units {self.unit} needs a positive {' and '.join(missing)}: give {remedies}")
-        from labdata.quantity import FREQUENCY_UNITS
-
         if self.unit not in FREQUENCY_UNITS:
             raise BadInput(f"a frequency unit must be one of {', '.join(FREQUENCY_UNITS)}, got {self.unit!r}")
 
@@ -341,3 +306,32 @@ def counts_rows(measurement: "Measurement") -> bool:
     """
     normal = measurement.orientation_deg
     return measurement.method.startswith("edge") and normal is not None and 45.0 < normal % 180.0 < 135.0
+
+
+def in_file_coordinates(result: "Result", stack: "FrameStack") -> "Result":
+    """Return the result with regions in coordinates of the file and with the notes of the importer."""
+    from charact.mtf.dispatch import REGION_NAME
+
+    def shift(region: "Region") -> "Region":
+        return region[0] + stack.origin[0], region[1] + stack.origin[1], region[2], region[3]
+
+    names = {
+        REGION_NAME.format(*m.region): REGION_NAME.format(*shift(m.region)) for m in result.measurements if m.region
+    }
+
+    def rename(name: str) -> str:
+        here = next((suffix for suffix in names if name.endswith(suffix)), None)
+        return name if here is None else name.removesuffix(here) + names[here]
+
+    return replace(
+        result,
+        measurements=tuple(
+            m.with_(
+                region=None if m.region is None else shift(m.region),
+                notes=tuple(dict.fromkeys((*m.notes, *stack.notes))),
+            )
+            for m in result.measurements
+        ),
+        curves={rename(name): curve for name, curve in result.curves.items()},
+        evidence={rename(name): shown for name, shown in result.evidence.items()},
+    )

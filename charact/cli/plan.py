@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +13,8 @@ from charact.cli import options
 from charact.cli.output import exit_on_bad_input
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from drivers.acquisition.plan_check import Forecast, StepForecast
     from labdata.calibration import GainTable
     from labdata.conditions import Conditions
@@ -95,11 +98,9 @@ def _step_document(one: "StepForecast", plan: "Plan", table: "GainTable | None")
         "label": one.step.label,
         "kind": one.step.kind,
         "frames": one.step.most_frames,
-        "mcp_v": conditions.mcp_v,
+        **{name: getattr(conditions, name) for name in ("mcp_v", "gate_ns", "exposure_s")},
         "luminous_gain": gain.luminous_gain,
         "luminous_gain_relative_sd": gain.luminous_gain_relative_sd,
-        "gate_ns": conditions.gate_ns,
-        "exposure_s": conditions.exposure_s,
         "illuminance_lux": one.step.brightest.conditions.illuminance_lux,
         "filter_density": conditions.filter_density if lit is None else lit.filter_density,
         "lamp_a": None if lit is None else lit.lamp_a,
@@ -118,12 +119,8 @@ def _lamp_setting(one: "StepForecast", plan: "Plan") -> "Conditions | None":
 
 
 def _dose_document(dose: "Dose") -> dict[str, float]:
-    return {
-        "screen_c_per_cm2": dose.screen_c_per_cm2,
-        "point_c_per_cm2": dose.point_c_per_cm2,
-        "hours_at_gain": dose.hours_at_gain,
-        "factor95": dose.factor95,
-    }
+    names = ("screen_c_per_cm2", "point_c_per_cm2", "hours_at_gain", "factor95")
+    return {name: getattr(dose, name) for name in names}
 
 
 def _lines(plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, every: bool) -> list[str]:
@@ -131,29 +128,27 @@ def _lines(plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, eve
 
     shown = prediction.steps if every else prediction.steps[:MAX_LINES]
     left = len(prediction.steps) - len(shown)
-    hottest, before = prediction.hottest, _before(plan)
+    hottest, before, dose, table = prediction.hottest, _before(plan), prediction.dose, prediction.gain_table
     limit = prediction.limits.largest_anode_na_per_cm2(point=hottest.step.kind == "point")
-    known = (
-        ""
-        if prediction.limits.known
-        else "No sensor description: default tube limits apply, and the tube load is an estimate."
+    points = f", and {dose.point_c_per_cm2:.2g} inside pinholes" if dose.point_c_per_cm2 else ""
+    earlier = (
+        "unknown, the plan names no tube"
+        if before is None
+        else f"{before.charge_c_per_cm2:.2g} C/cm2, {before.hours_at_gain:.3g} h at gain of tube {plan.tube}"
     )
-    table = prediction.gain_table
-    gain = "" if table is None else f" {'lm/lm':>9}"
-    lamp = "" if plan.lamp is None else f" {'lamp mA':>8} {'filter':>6}"
-    rest = f"{'lux':>9}{lamp} {'nA/cm2':>9} {'limit':>6}"
+    known = "No sensor description: default tube limits apply, and the tube load is an estimate."
     return [
         f"{plan.name}: {len(prediction.steps)} steps, nothing is switched on",
-        f"{'label':<32} {'kind':<6} {'frames':>6} {'V':>6}{gain} {'gate ms':>8} {rest}",
-        *(_line(one, plan, table) for one in shown),
+        *_table(shown, plan, table),
         *([f"... and {left} more; --all prints them"] if left else []),
         f"time: {duration(prediction.seconds)}",
         f"disk: {prediction.bytes / 1e6:.0f} MB" if sensor else "disk: unknown without a sensor",
-        f"dose: {_dose_words(prediction.dose)}",
-        f"dose before: {_before_words(plan, before)}",
+        f"dose: {dose.screen_c_per_cm2:.2g} C/cm2 at the phosphor{points}, within a factor of {dose.factor95:.2g} "
+        f"(95 %); {60 * dose.hours_at_gain:.3g} min at gain",
+        f"dose before: {earlier}",
         f"hottest: {hottest.step.label}, {hottest.anode_na_per_cm2:.3g} nA/cm2 MCP output current, "
         f"{hottest.share_of_limit:.0%} of the limit {limit:g}",
-        *([known] if known else []),
+        *([] if prediction.limits.known else [known]),
         *([table.provenance] if table else []),
         *([plan.lamp.provenance] if plan.lamp else []),
         *prediction.limits.overridden,
@@ -161,44 +156,32 @@ def _lines(plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, eve
     ]
 
 
-def _line(one: "StepForecast", plan: "Plan", table: "GainTable | None") -> str:
+def _table(shown: "Sequence[StepForecast]", plan: "Plan", table: "GainTable | None") -> Iterator[str]:
+    """Yield the header and one line per step, with columns for a gain table and a lamp if there are."""
     from labdata.plan import by_calibration
 
-    conditions = one.step.brightest.conditions
-    gain = by_calibration(table, conditions.mcp_v).luminous_gain or 0.0
-    gain_words = "" if table is None else f" {gain:>9.4g}"
-    return (
-        f"{one.step.label:<32} {one.step.kind:<6} {one.step.most_frames:>6} {conditions.mcp_v or 0.0:>6g}"
-        f"{gain_words} {(conditions.gate_ns or 0.0) * 1e-6:>8.4g} {conditions.illuminance_lux or 0.0:>9.3g}"
-        f"{_lamp_words(one, plan)} {one.anode_na_per_cm2:>9.3g} {one.share_of_limit:>6.1%}"
-    )
-
-
-def _lamp_words(one: "StepForecast", plan: "Plan") -> str:
-    if plan.lamp is None:
-        return ""
-    lit = _lamp_setting(one, plan)
-    return f" {'out':>8} {'':>6}" if lit is None else f" {1e3 * (lit.lamp_a or 0.0):>8g} {lit.filter_density:>6g}"
-
-
-def _dose_words(dose: "Dose") -> str:
-    points = f", and {dose.point_c_per_cm2:.2g} inside pinholes" if dose.point_c_per_cm2 else ""
-    return (
-        f"{dose.screen_c_per_cm2:.2g} C/cm2 at the phosphor{points}, within a factor of {dose.factor95:.2g} "
-        f"(95 %); {60 * dose.hours_at_gain:.3g} min at gain"
-    )
+    gain = "" if table is None else f" {'lm/lm':>9}"
+    lamp = "" if plan.lamp is None else f" {'lamp mA':>8} {'filter':>6}"
+    rest = f"{'lux':>9}{lamp} {'nA/cm2':>9} {'limit':>6}"
+    yield f"{'label':<32} {'kind':<6} {'frames':>6} {'V':>6}{gain} {'gate ms':>8} {rest}"
+    for one in shown:
+        conditions, lit = one.step.brightest.conditions, _lamp_setting(one, plan)
+        if table is not None:
+            gain = f" {by_calibration(table, conditions.mcp_v).luminous_gain or 0.0:>9.4g}"
+        if plan.lamp is not None:
+            lamp = f" {'out':>8} {'':>6}"
+            lamp = lamp if lit is None else f" {1e3 * (lit.lamp_a or 0.0):>8g} {lit.filter_density:>6g}"
+        yield (
+            f"{one.step.label:<32} {one.step.kind:<6} {one.step.most_frames:>6} {conditions.mcp_v or 0.0:>6g}{gain} "
+            f"{(conditions.gate_ns or 0.0) * 1e-6:>8.4g} {conditions.illuminance_lux or 0.0:>9.3g}{lamp} "
+            f"{one.anode_na_per_cm2:>9.3g} {one.share_of_limit:>6.1%}"
+        )
 
 
 def _before(plan: "Plan") -> "Dose | None":
     from labdata.tube_dose import ledger_of
 
     return None if plan.tube is None else ledger_of(plan.tube).total()
-
-
-def _before_words(plan: "Plan", before: "Dose | None") -> str:
-    if before is None:
-        return "unknown, the plan names no tube"
-    return f"{before.charge_c_per_cm2:.2g} C/cm2, {before.hours_at_gain:.3g} h at gain of tube {plan.tube}"
 
 
 def _warnings(prediction: "Forecast", before: "Dose | None", sensor: "Sensor | None") -> tuple[str, ...]:

@@ -5,10 +5,8 @@ The tube may be on while the person or the terminal (Ctrl-S) is slow: no wait is
 """
 
 import os
-import queue
 import select
 import sys
-import threading
 from collections.abc import Callable
 
 from labdata.conditions import Conditions
@@ -27,7 +25,6 @@ class _Terminal:
         self.while_waiting: Callable[[], None] = lambda: None
         """Called every 0.1 s during a prompt; an exception ends the prompt."""
         self._typed = b""
-        self._lines: queue.SimpleQueue[str] | None = None
 
     def _show(self, text: str) -> None:
         """Write a text if the terminal is ready."""
@@ -44,7 +41,7 @@ class _Terminal:
             self.while_waiting()
         self._show(question)
         descriptor = _descriptor(sys.stdin)
-        line = self._line() if descriptor is None else self._line_of(descriptor)
+        line = "" if descriptor is None else self._line_of(descriptor)
         if not line:
             raise BadInput(f"a person must answer {purpose}, got the end of the input; run it on a terminal")
         return line.strip()
@@ -65,20 +62,6 @@ class _Terminal:
             self._typed += more
         line, _, self._typed = self._typed.partition(b"\n")
         return (line + b"\n").decode(errors="replace")
-
-    def _line(self) -> str:
-        """Return the next line of an input without descriptor, such as a notebook's, read by a thread."""
-        if self._lines is None:
-            self._lines = lines = queue.SimpleQueue()
-            threading.Thread(target=lambda: lines.put(sys.stdin.readline() if sys.stdin else ""), daemon=True).start()
-        while True:
-            try:
-                line = self._lines.get(timeout=POLL_S)
-            except queue.Empty:
-                self.while_waiting()
-                continue
-            self._lines = None
-            return line
 
 
 class PromptingOperator(_Terminal):

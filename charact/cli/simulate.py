@@ -82,30 +82,18 @@ def simulate(
         exit_on_bad_input(str(source), events=events, interrupted=interrupted),
         progress_bar(events=events) as progress,
     ):
-        from charact.cli.simulated_session import preview_into, save_frames, save_stage_images
-        from charact.cli.simulation_sources import (
-            SimulationRequest,
-            conditions_of,
-            load_described_camera,
-            shot_of,
-            voltage_limit_warnings,
-        )
+        from charact.cli.image_figures import save_radiance, save_stages
         from labdata.errors import BadInput
         from labdata.target import Target
+        from simulate import api
 
-        camera = load_described_camera(sensor, phosphor)
-        conditions = conditions_of(
-            camera,
-            gain=gain,
-            mcp_v=mcp_v,
-            gain_control=gain_control,
-            automatic_gain=automatic_gain,
-            brightness_control=brightness_control,
-            gate_ns=gate_ns,
-            temperature_c=temperature_c,
+        camera = api.load_described_camera(sensor, phosphor)
+        conditions = api.conditions_of(
+            camera, gain=gain, mcp_v=mcp_v, gain_control=gain_control, automatic_gain=automatic_gain,
+            brightness_control=brightness_control, gate_ns=gate_ns, temperature_c=temperature_c,
             illuminance_lux=illuminance_lux,
-        )
-        request = SimulationRequest(
+        )  # fmt: skip
+        request = api.SimulationRequest(
             source=source,
             kind=None if kind is None else options.parse_kind(kind),
             target=Target(frequency_cy_per_px=frequency, pinhole_px=pinhole_px),
@@ -114,32 +102,36 @@ def simulate(
             tolerance=None if exact else within / 100.0,
             seed=seed,
         )
-        beyond = voltage_limit_warnings(camera, conditions)
+        beyond = api.voltage_limit_warnings(camera, conditions)
         for sentence in beyond:
             print_message(sentence, events=events)
         if preview:
             if stage_images is not None:
                 raise BadInput("--preview has no stages, got --stage-images")
-            for sentence in preview_into(out, request, camera, conditions, explain=explain):
+            rendering = api.outdoor_view(request, camera, conditions)
+            view = rendering.render(tolerance=request.tolerance, seed=seed, preview=True)
+            if explain:
+                print(view.plan.text())
+            save_radiance(view.picture.cube, view.title, out / "radiance.png")
+            api.save_view(view, out)
+            for sentence in view.left_out:
                 print_message(sentence, events=events)
             print(f"{out}/radiance.png: a preview\nNext: charact simulate {source} {out} --sensor {sensor}")
             return
-        shot = shot_of(request, camera, conditions, progress)
+        shot = api.simulate(request, camera, conditions, progress)
         for sentence in () if shot.view is None else shot.view.left_out:
             print_message(sentence, events=events)
         if explain:
             print(shot.explanation)
-        notes = (*_option_notes(camera.name, gain, temperature_c), *beyond)
-        save_frames(shot, camera, out, frames=frames, seed=seed, notes=notes, progress=progress)
+        notes = [f"camera {camera.name}"]
+        notes += [] if gain is None else [f"requested gain {gain:g}"]
+        notes += ["temperature not given: EBI and dark current as described"] if temperature_c is None else []
+        api.save_session(shot, camera, out, frames=frames, seed=seed, notes=(*notes, *beyond), progress=progress)
+        if shot.view is not None:
+            save_radiance(shot.view.picture.cube, shot.view.title, out / "radiance.png")
         if stage_images is not None:
-            stages = save_stage_images(shot, camera, stage_images, seed=seed)
+            title = f"{camera.name}, one frame through the chain, seed {seed}"
+            stages = save_stages(shot.stages(seed=seed), stage_images, title)
             print(f"{stage_images}: {stages} stages")
         further = f"{out}/sensor.toml is its camera" if shot.kind == "scene" else f"Next: charact measure {out}"
         print(f"{out}: {frames} frames\n{further}")
-
-
-def _option_notes(camera: str, gain: float | None, temperature_c: float | None) -> tuple[str, ...]:
-    """Return notes on the camera and on options not given."""
-    gains = () if gain is None else (f"requested gain {gain:g}",)
-    cold = "temperature not given: EBI and dark current as described"
-    return (f"camera {camera}", *gains, *((cold,) if temperature_c is None else ()))

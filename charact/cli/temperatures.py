@@ -3,7 +3,7 @@
 import io
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,11 +12,8 @@ from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 
 if TYPE_CHECKING:
     import numpy as np
-    from matplotlib.figure import Figure
 
     from simulate.thermal.temperatures import Temperatures
-
-WIDTH_INCHES = 9.0
 
 
 def temperatures(
@@ -39,10 +36,13 @@ def temperatures(
     Example: charact temperatures hangar warm --explain
     """
     with exit_on_bad_input(str(scene), events=events), progress_bar(events=events) as progress:
-        from charact.cli.simulation_sources import load_described_camera
+        import numpy as np
+
+        from charact.cli.image_figures import save_png
         from labdata.conditions import Conditions
         from labdata.errors import BadInput
         from labdata.file_io import write_atomically
+        from simulate.api import load_described_camera
         from simulate.iiccd.scene_to_photoelectrons import camera_from_description
         from simulate.outdoor_rendering import OutdoorRendering
         from simulate.radiance.scene import LabScene, load_scene
@@ -53,7 +53,7 @@ def temperatures(
         loaded = load_scene(scene)
         if isinstance(loaded, LabScene):
             raise BadInput(f"surface temperatures need an outdoor scene, got the lab bench {loaded.name!r}")
-        view = OutdoorRendering(loaded, camera_from_description(load_described_camera(sensor, None)), Conditions()).view
+        view = OutdoorRendering(loaded, camera_from_description(load_described_camera(sensor)), Conditions()).view
         progress("heat balance", 0.0)
         found = temperatures_of(loaded, tolerance_mk=within_mk, seed=seed)
         kelvin = found.map_k(view, lambda fraction: progress("map", fraction))
@@ -66,8 +66,10 @@ def temperatures(
         write_atomically(out / "temperatures.csv", _table(found).encode())
         write_atomically(out / "temperatures.json", json.dumps(_document(found), indent=1).encode())
         for name, figure in (("temperatures.png", _curves(found, title)), ("map.png", _map(kelvin, title))):
-            _save(figure, out / name)
-        _save_map(kelvin, out / "map.npz")
+            save_png(figure, out / name)
+        content = io.BytesIO()
+        np.savez_compressed(content, temperature_k=kelvin)
+        write_atomically(out / "map.npz", content.getbuffer())
         print(f"{out}: temperatures.csv, temperatures.png, map.png, map.npz (kelvin), temperatures.json (numbers used)")
 
 
@@ -102,8 +104,11 @@ def _document(found: "Temperatures") -> dict:
     slabs = dict(zip(balance.facets.names, balance.slabs, strict=True))
     return {
         "weather": list(balance.weather.notes),
-        "terms": [{"name": e.name, "changes_mk": e.influence, "kept": True} for e in solution.effects]
-        + [{"name": e.name, "changes_mk": e.influence, "kept": False} for e in solution.left_out],
+        "terms": [
+            {"name": effect.name, "changes_mk": effect.influence, "kept": kept}
+            for effects, kept in ((solution.effects, True), (solution.left_out, False))
+            for effect in effects
+        ],
         "slabs": {
             name: {"label": slab.label} | {key: asdict(number) for key, number in slab.parameters().items()}
             for name, slab in slabs.items()
@@ -111,13 +116,13 @@ def _document(found: "Temperatures") -> dict:
     }
 
 
-def _curves(found: "Temperatures", title: str) -> "Figure":
+def _curves(found: "Temperatures", title: str) -> Any:
     """Plot temperatures of the air and of each material against hours before the scene's time."""
-    from matplotlib.figure import Figure
+    from charact.cli.image_figures import WIDTH_INCHES, new_figure
 
     _, air, surfaces = found.means_c()
     hours = range(-24, 1)
-    figure = Figure(figsize=(WIDTH_INCHES, 0.6 * WIDTH_INCHES), layout="constrained")
+    figure = new_figure(WIDTH_INCHES, 0.6 * WIDTH_INCHES)
     axes = figure.subplots()
     ordered = sorted(surfaces.items(), key=lambda item: -item[1][-1])
     for number, (name, values) in enumerate(ordered):
@@ -131,43 +136,17 @@ def _curves(found: "Temperatures", title: str) -> "Figure":
     return figure
 
 
-def _map(kelvin: "np.ndarray", title: str) -> "Figure":
+def _map(kelvin: "np.ndarray", title: str) -> Any:
     """Plot the surface temperatures in the camera's view; the sky has none."""
     import numpy as np
-    from matplotlib.figure import Figure
+
+    from charact.cli.image_figures import frame_figure
 
     celsius = kelvin - 273.15
     seen = celsius[np.isfinite(celsius)]
     # Percentiles of the map's pixels at the ends of its scale.
     low, high = np.percentile(seen, (0.5, 99.5)) if seen.size else (0.0, 1.0)
-    rows, columns = celsius.shape
-    figure = Figure(figsize=(WIDTH_INCHES, WIDTH_INCHES * rows / columns * 0.87 + 0.5), layout="constrained")
-    axes = figure.subplots()
-    axes.set_facecolor("lightgrey")
-    image = axes.imshow(celsius, cmap="inferno", vmin=low, vmax=max(high, low + 1.0), interpolation="nearest")
-    bar = figure.colorbar(image, ax=axes, extend="both", shrink=0.9, pad=0.02)
-    bar.set_label("surface temperature, C (sky: grey)")
-    axes.set_title(title, fontsize=10, loc="left")
-    axes.set(xlabel="column, px", ylabel="row, px")
+    label = "surface temperature, C (sky: grey)"
+    figure = frame_figure(celsius, title, low, max(high, low + 1.0), label, cmap="inferno")
+    figure.axes[0].set_facecolor("lightgrey")
     return figure
-
-
-def _save(figure: "Figure", path: Path) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    from labdata.file_io import write_atomically
-
-    FigureCanvasAgg(figure)
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=120)
-    write_atomically(path, content.getbuffer())
-
-
-def _save_map(kelvin: "np.ndarray", path: Path) -> None:
-    import numpy as np
-
-    from labdata.file_io import write_atomically
-
-    content = io.BytesIO()
-    np.savez_compressed(content, temperature_k=kelvin)
-    write_atomically(path, content.getbuffer())

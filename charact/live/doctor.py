@@ -22,21 +22,9 @@ from labdata.errors import BadInput
 from labdata.store import SessionWriter
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
-    """Result of one check.
-
-    Parameters
-    ----------
-    area
-        Subject, such as "disk".
-    says
-        The finding, in a sentence.
-    fix
-        The remedy; None if ok.
-    core
-        Whether measuring needs it.
-    """
+    """Result of one check: subject, sentence, remedy (None if ok), and whether measuring needs it."""
 
     area: str
     says: str
@@ -59,9 +47,7 @@ def software_findings() -> Iterator[Finding]:
     try:
         requires = metadata.requires("charact") or []
     except metadata.PackageNotFoundError:
-        yield Finding(
-            area="packages", says="charact is not installed, its requirements are unknown", fix="pip install charact"
-        )
+        yield Finding("packages", "charact is not installed, its requirements are unknown", fix="pip install charact")
         return
     yield from package_findings(requires, _version_of)
 
@@ -70,19 +56,11 @@ def python_finding(version: tuple[int, ...]) -> Finding:
     """Return whether the Python version is sufficient."""
     text = ".".join(str(part) for part in version)
     fix = None if version >= (3, 11) else "install Python 3.11 or later"
-    return Finding(area="python", says=f"Python {text}", fix=fix, core=True)
+    return Finding("python", f"Python {text}", fix=fix, core=True)
 
 
 def package_findings(requires: Iterable[str], installed: Callable[[str], str | None]) -> Iterator[Finding]:
-    """Yield one finding for the required packages, and one for each extra.
-
-    Parameters
-    ----------
-    requires
-        Requirements in the format of package metadata.
-    installed
-        Returns the version of a package, None if it is not installed.
-    """
+    """Yield one finding for the required packages and one for each extra; `installed` returns a version or None."""
     wanting: dict[str | None, list[str]] = {}
     for requirement in requires:
         if (parsed := _REQUIREMENT.match(requirement.strip())) is None:
@@ -94,25 +72,25 @@ def package_findings(requires: Iterable[str], installed: Callable[[str], str | N
     for extra, lacks in sorted(wanting.items(), key=lambda pair: pair[0] or ""):
         of, suffix = ("packages", "") if extra is None else (f"extra {extra}", f"[{extra}]")
         yield Finding(
-            area=of,
-            says=", ".join(lacks) or "all installed",
+            of,
+            ", ".join(lacks) or "all installed",
             fix=f"pip install --upgrade 'charact{suffix}'" if lacks else None,
             core=extra is None,
         )
 
 
 def _lack(name: str, least: str | None, version: str | None) -> str | None:
+    """Return what is wrong with a package; release numbers are compared, so that 1.10 is later than 1.9."""
+
+    def numbers(text: str) -> tuple[int, ...]:
+        parts = re.match(r"[0-9]+(?:\.[0-9]+)*", text)
+        return tuple(int(part) for part in parts.group().split(".")) if parts else ()
+
     if version is None:
         return f"{name} is not installed"
-    if least is not None and _numbers(version) < _numbers(least):
+    if least is not None and numbers(version) < numbers(least):
         return f"{name} must be {least} or later, got {version}"
     return None
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    """Return the release numbers of a version, so that 1.10 is later than 1.9."""
-    parts = re.match(r"[0-9]+(?:\.[0-9]+)*", version)
-    return tuple(int(part) for part in parts.group().split(".")) if parts else ()
 
 
 def _version_of(name: str) -> str | None:
@@ -133,7 +111,7 @@ def disk_findings(folder: Path) -> Iterator[Finding]:
         rate_hz = write_rate_hz(folder)
     except (OSError, BadInput) as error:
         why = error.strerror if isinstance(error, OSError) else error
-        yield Finding(area="disk", says=f"{folder} is not writable: {why}", fix="choose another folder", core=True)
+        yield Finding("disk", f"{folder} is not writable: {why}", fix="choose another folder", core=True)
         return
     yield speed_finding(folder, rate_hz)
     yield room_finding(folder, shutil.disk_usage(folder).free)
@@ -160,10 +138,8 @@ def speed_finding(folder: Path, rate_hz: float) -> Finding:
     """Return whether a write rate is sufficient for video, Hz."""
     rate = f"{folder}: {rate_hz:.1f} frames/s of {SHAPE[1]} x {SHAPE[0]} px, 16 bit, synchronised to disk"
     if rate_hz >= 2.0 * VIDEO_HZ:
-        return Finding(area="disk", says=rate)
-    return Finding(
-        area="disk", says=f"{rate}; video needs {VIDEO_HZ:g}, and a margin of as many", fix="choose a faster disk"
-    )
+        return Finding("disk", rate)
+    return Finding("disk", f"{rate}; video needs {VIDEO_HZ:g}, and a margin of as many", fix="choose a faster disk")
 
 
 def room_finding(folder: Path, free_bytes: int) -> Finding:
@@ -171,17 +147,17 @@ def room_finding(folder: Path, free_bytes: int) -> Finding:
     minutes = free_bytes / (np.prod(SHAPE) * np.dtype(DTYPE).itemsize * VIDEO_HZ) / 60.0
     space = f"{folder}: {free_bytes / 1e9:.3g} GB free, {minutes:.0f} minutes of video"
     fix = None if minutes >= 10.0 else "free disk space, or choose another disk"
-    return Finding(area="disk", says=space, fix=fix)
+    return Finding("disk", space, fix=fix)
 
 
 def device_finding(area: str, path: Path, title: str) -> Finding:
     """Return whether this user may open a device file."""
     if os.access(path, os.R_OK | os.W_OK):
-        return Finding(area=area, says=f"{path}: {title}")
+        return Finding(area, f"{path}: {title}")
     group = group_of(path)
     return Finding(
-        area=area,
-        says=f"{path}: {title}; this user may not open it",
+        area,
+        f"{path}: {title}; this user may not open it",
         fix=f"sudo usermod -a -G {group} $USER, then log in again" if group else f"change the permissions of {path}",
     )
 
@@ -195,13 +171,15 @@ def group_of(path: Path) -> str | None:
         return None
 
 
-def is_member(group: str) -> bool | None:
-    """Whether this user is in a group, or is root; None if there is no such group."""
+def group_findings(area: str, group: str) -> Iterator[Finding]:
+    """Yield a finding if this user is neither root nor in an existing group."""
     try:
-        known = grp.getgrnam(group)
+        number = grp.getgrnam(group).gr_gid
     except KeyError:
-        return None
-    return os.geteuid() == 0 or known.gr_gid in {os.getegid(), *os.getgroups()}
+        return
+    if os.geteuid() != 0 and number not in {os.getegid(), *os.getgroups()}:
+        fix = f"sudo usermod -a -G {group} $USER, then log in again"
+        yield Finding(area, f"this user is not in the group {group}", fix=fix)
 
 
 def camera_findings() -> Iterator[Finding]:
@@ -218,14 +196,14 @@ def aravis_cameras() -> Iterator[Finding]:
     try:
         found = list_cameras()
     except BenchError as error:
-        yield Finding(area="aravis", says=str(error), fix="apt-get install libaravis-0.8-0 (Debian)")
+        yield Finding("aravis", str(error), fix="apt-get install libaravis-0.8-0 (Debian)")
         return
     for camera in found:
-        yield Finding(area="aravis", says=f"{camera.identifier}: {camera.model}, {camera.serial}, at {camera.address}")
+        yield Finding("aravis", f"{camera.identifier}: {camera.model}, {camera.serial}, at {camera.address}")
     if not found:
         yield Finding(
-            area="aravis",
-            says="the library is installed; no GigE Vision or USB3 Vision camera answers",
+            "aravis",
+            "the library is installed; no GigE Vision or USB3 Vision camera answers",
             fix="connect a camera and switch it on; its address must be in the subnet of its network port",
         )
 
@@ -235,27 +213,14 @@ def video_devices(
     kernel: Path = Path("/sys/class/video4linux"),
     offered: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[Finding]:
-    """Yield the V4L2 devices with their names.
-
-    Parameters
-    ----------
-    devices, kernel
-        Folders of the device files and of their kernel attributes.
-    offered
-        Inputs and formats of capture devices, by device file.
-    """
+    """Yield the V4L2 devices with their names and, by device file, what they offer; folders for tests."""
     paths = sorted(devices.glob("video[0-9]*"), key=lambda path: int(path.name.removeprefix("video")))
     for path in paths:
         formats = offered.get(str(path), "no readable capture format")
-        yield device_finding("video", path, f"{_name(kernel / path.name / 'name')}, {formats}")
+        yield device_finding("video", path, f"{_read(kernel / path.name / 'name') or 'nameless'}, {formats}")
     if not paths:
-        yield Finding(area="video", says="no video device", fix="connect a capture card, for analog video")
-    if is_member("video") is False:
-        yield Finding(
-            area="video",
-            says="this user is not in the group video",
-            fix="sudo usermod -a -G video $USER, then log in again",
-        )
+        yield Finding("video", "no video device", fix="connect a capture card, for analog video")
+    yield from group_findings("video", "video")
 
 
 def _capture_formats() -> dict[str, str]:
@@ -268,13 +233,6 @@ def _capture_formats() -> dict[str, str]:
         inputs = ", ".join(f"#{entry.number} {entry.name}" for entry in one.inputs)
         offers[one.path] = f"inputs {inputs or 'none'}; {formats}"
     return offers
-
-
-def _name(path: Path) -> str:
-    try:
-        return path.read_text(errors="replace").strip() or "nameless"
-    except OSError:
-        return "nameless"
 
 
 def port_findings() -> Iterator[Finding]:
@@ -290,13 +248,8 @@ def serial_ports(ports: Iterable[tuple[Path, str]]) -> Iterator[Finding]:
     for path, title in found:
         yield device_finding("serial", path, "serial port" if title == "n/a" else title)
     if not found:
-        yield Finding(area="serial", says="no serial port", fix="connect an adapter, for instruments")
-    if is_member("dialout") is False:
-        yield Finding(
-            area="serial",
-            says="this user is not in the group dialout",
-            fix="sudo usermod -a -G dialout $USER, then log in again",
-        )
+        yield Finding("serial", "no serial port", fix="connect an adapter, for instruments")
+    yield from group_findings("serial", "dialout")
 
 
 def network_findings() -> Iterator[Finding]:
@@ -310,13 +263,13 @@ def socket_buffer(limits: Path) -> Finding:
     try:
         granted = int((limits / "rmem_max").read_text())
     except (OSError, ValueError):
-        return Finding(area="network", says="the kernel does not state the limit of the socket buffer")
+        return Finding("network", "the kernel does not state the limit of the socket buffer")
     size = f"socket buffer of at most {granted / 2**20:.3g} MiB"
     if granted >= SOCKET_BUFFER_BYTES:
-        return Finding(area="network", says=size)
+        return Finding("network", size)
     return Finding(
-        area="network",
-        says=f"{size}; a camera at full rate needs {SOCKET_BUFFER_BYTES / 2**20:.3g} MiB, or packets are lost",
+        "network",
+        f"{size}; a camera at full rate needs {SOCKET_BUFFER_BYTES / 2**20:.3g} MiB, or packets are lost",
         fix=f"sudo sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES} (and keep it in /etc/sysctl.d/)",
     )
 
@@ -329,37 +282,23 @@ def packet_sizes(interfaces: Path) -> Iterator[Finding]:
         bytes_ = int(_read(interface / "mtu") or 0)
         size = f"{interface.name}: packets of {bytes_} bytes"
         if bytes_ < 1500:  # plain Ethernet
-            yield Finding(area="network", says=size, fix=f"sudo ip link set dev {interface.name} mtu 1500")
+            yield Finding("network", size, fix=f"sudo ip link set dev {interface.name} mtu 1500")
         else:
             more = "" if bytes_ >= 9000 else "; use 9000 (jumbo frames) for cameras of many megapixels"
-            yield Finding(area="network", says=size + more)
+            yield Finding("network", size + more)
 
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text().strip()
+        return path.read_text(errors="replace").strip()
     except OSError:
         return ""
 
 
-__all__ = ["Finding", "can_work", "examine"]
-
-
 def examine(folder: Path) -> Iterator[Finding]:
-    """Yield the findings one by one; nothing is changed and no instrument is contacted.
-
-    Parameters
-    ----------
-    folder
-        Folder for sessions; test frames are written there and removed.
-    """
+    """Yield the findings one by one; test frames are written to `folder` and removed, no instrument is contacted."""
     yield from software_findings()
     yield from disk_findings(folder)
     yield from camera_findings()
     yield from port_findings()
     yield from network_findings()
-
-
-def can_work(found: tuple[Finding, ...]) -> bool:
-    """Whether all core findings are ok."""
-    return all(one.ok for one in found if one.core)

@@ -6,7 +6,6 @@ from collections import deque
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -22,23 +21,7 @@ WINDOW_PX = 220
 
 @dataclass(frozen=True, kw_only=True)
 class Focus:
-    """One reading of the focus.
-
-    Parameters
-    ----------
-    mtf50_cy_per_px, interval95
-        MTF50 across the edge with its 95 % interval, cy/px; None where there is none.
-    orientation_deg
-        Direction of the edge's normal, degrees.
-    region
-        Measured region ROW, COL, HEIGHT, WIDTH, px.
-    flags
-        Quality flags.
-    reason
-        Reason of a refusal.
-    seconds
-        Computing time, s.
-    """
+    """One reading of the focus: MTF50 across the edge, direction of its normal, region, flags or refusal."""
 
     mtf50_cy_per_px: float | None = None
     interval95: Interval | None = None
@@ -51,14 +34,7 @@ class Focus:
 
 @dataclass(frozen=True, kw_only=True)
 class BestFocus:
-    """The best focus so far.
-
-    Parameters
-    ----------
-    best
-        The best reading.
-    above
-        A reading whose complete 95 % interval lies above the best, to be confirmed by the next one.
+    """The best focus so far, and a reading above it that the next one must confirm.
 
     Notes
     -----
@@ -93,31 +69,17 @@ class BestFocus:
 
 
 def read_focus(frames: NDArray, region: Region | None, context: Context) -> Focus:
-    """Measure the MTF50 of an edge.
+    """Measure the MTF50 of an edge in the mean of frames (frame, row, col), DN.
 
-    Parameters
-    ----------
-    frames
-        Newest frames, shape (frame, row, col), DN, which are averaged.
-    region
-        Region ROW, COL, HEIGHT, WIDTH of the edge; None: the most prominent edge of the frame.
-    context
-        The camera's pitch ratio, fields and full scale.
+    `region`: ROW, COL, HEIGHT, WIDTH of the edge; None: the most prominent edge of the frame.
     """
     from charact.mtf import measure
 
     # Takes 0.04 s on a window of `WINDOW_PX`; the fits take ten times as long.
     result = measure("edge", FrameStack(data=frames), region=region, method="edge-gradient", context=context)
     (found, *_) = result.find("mtf50")
-    return Focus(
-        mtf50_cy_per_px=found.value,
-        interval95=found.interval95,
-        orientation_deg=found.orientation_deg,
-        region=found.region,
-        flags=found.flags,
-        reason=found.reason,
-        seconds=found.seconds or 0.0,
-    )
+    same = {name: getattr(found, name) for name in ("interval95", "orientation_deg", "region", "flags", "reason")}
+    return Focus(mtf50_cy_per_px=found.value, seconds=found.seconds or 0.0, **same)
 
 
 def window_about(region: Region) -> Region:
@@ -133,14 +95,8 @@ AVERAGED_FRAMES = 4
 class FocusReader(AbstractContextManager["FocusReader"]):
     """Reads the focus of the newest frames in another process, so that frames do not wait for it.
 
-    Parameters
-    ----------
-    context
-        Context of the camera.
-    region
-        Region ROW, COL, HEIGHT, WIDTH of the edge; None: the edge is found and then followed in a window.
-    executor
-        Executor of the measurement; None: a process pool of one.
+    `region`: ROW, COL, HEIGHT, WIDTH of the edge; None: the edge is found and then followed in a window. `executor`: of
+    the measurement; None: a process pool of one.
     """
 
     def __init__(self, context: Context, region: Region | None = None, executor: Executor | None = None) -> None:
@@ -161,9 +117,7 @@ class FocusReader(AbstractContextManager["FocusReader"]):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._executor.shutdown(wait=True, cancel_futures=True)
 
     def forget_best(self) -> None:

@@ -27,21 +27,7 @@ ENDLESS = 2**40  # frames; at a thousand a second, 35 years
 
 @dataclass(frozen=True, kw_only=True)
 class SourceFrame:
-    """A frame with its metadata.
-
-    Parameters
-    ----------
-    frame
-        The frame.
-    of
-        Origin: the camera, or the stack of a session.
-    full_scale_dn
-        Full scale, DN.
-    lost_frames
-        Frames lost since the start of the capture or stack.
-    conditions
-        Conditions as read back.
-    """
+    """A frame, its camera or stack, full scale, frames lost since the start, and conditions as read back."""
 
     frame: Frame
     of: str
@@ -60,15 +46,10 @@ def full_scale_of(dtype: np.dtype, pixel_format: str | None = None) -> float:
 class FrameSource(Protocol):
     """Source of frames."""
 
-    @property
-    def name(self) -> str:
-        """Display name."""
-        ...
-
-    @property
-    def context(self) -> Context:
-        """Context of the camera."""
-        ...
+    name: str
+    """Display name."""
+    context: Context
+    """Context of the camera."""
 
     def __iter__(self) -> Iterator[SourceFrame | None]:
         """Yield frames as they arrive, and None at intervals without frames."""
@@ -78,18 +59,8 @@ class FrameSource(Protocol):
 class CameraSource:
     """Endless capture of a camera with its present settings.
 
-    Parameters
-    ----------
-    camera
-        The camera, not opened.
-    name
-        Display name.
-    context
-        Context of the camera; its full scale overrides that of the pixel format.
-    most_hz
-        Frame rate limit of a camera without clock, Hz; None: no limit.
-    frames_each
-        Frames of one capture.
+    The full scale of the context overrides that of the pixel format; `most_hz`: frame rate limit of a camera without
+    clock, Hz; `frames_each`: frames of one capture.
     """
 
     def __init__(
@@ -117,34 +88,20 @@ class CameraSource:
             due_s = time.monotonic()
             for frame in capture:
                 own_scale_dn = full_scale_of(frame.pixels.dtype, settings.pixel_format)
+                full_scale_dn = self.context.full_scale_dn or own_scale_dn
+                lost = capture.lost_frames
                 yield SourceFrame(
-                    frame=frame,
-                    of=camera.identifier,
-                    full_scale_dn=self.context.full_scale_dn or own_scale_dn,
-                    lost_frames=capture.lost_frames,
+                    frame=frame, of=camera.identifier, full_scale_dn=full_scale_dn, lost_frames=lost,
                     conditions=conditions,
-                )
+                )  # fmt: skip
                 due_s = max(due_s + self._period_s, time.monotonic())
                 time.sleep(max(due_s - time.monotonic(), 0.0) if self._period_s else 0.0)
-
-
-FIRST_SHOWN = 4  # sufficient for noise and focus of an existing stack
 
 
 class SessionSource:
     """Newest frames of a session during its acquisition, read from disk; intermediate frames are skipped.
 
-    Parameters
-    ----------
-    folder
-        Folder of the session.
-    look_s
-        Interval between two reads of the journal, s.
-
-    Raises
-    ------
-    BadInput
-        If there is no session.
+    `look_s`: interval between two reads of the journal, s. Raises BadInput if there is no session.
     """
 
     def __init__(self, folder: str | Path, *, look_s: float = 0.04) -> None:
@@ -195,11 +152,11 @@ class _Stack:
         self._first_number: int | None = None
 
     def newest(self) -> tuple[SourceFrame, ...]:
-        """Return the newest frame since the last read, at the first read up to `FIRST_SHOWN` frames."""
+        """Return the newest frame since the last read, at the first up to four, sufficient for noise and focus."""
         news = self._following.news()
         shown = news[-1:]
         if news and self._first_number is None:
-            self._first_number, shown = news[0].frame_number, news[-FIRST_SHOWN:]
+            self._first_number, shown = news[0].frame_number, news[-4:]
         return tuple(self._source_frame(entry) for entry in shown)
 
     def _source_frame(self, entry: Acknowledged) -> SourceFrame:

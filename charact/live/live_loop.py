@@ -4,15 +4,11 @@ import threading
 import time
 from collections import deque
 from dataclasses import replace
-from types import TracebackType
 from typing import Self
-
-from numpy.typing import NDArray
 
 from charact.live.focus import BestFocus, FocusReader
 from charact.live.frame_source import FrameSource, SourceFrame
-from charact.live.frame_statistics import measure_frame
-from charact.live.live_view import LiveView, render_preview
+from charact.live.live_view import LiveView, measure_frame, render_preview
 from charact.mtf.mean_frame import Region
 from drivers.errors import BenchError
 from labdata.capture import Frame
@@ -79,21 +75,15 @@ class FrameRate:
 class LiveLoop:
     """Measures the frames of a source in a thread, within a `with` block.
 
-    Parameters
-    ----------
-    source
-        Frame source.
-    focus
-        Focus reader, or None.
-    region
-        Region ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
+    `region`: ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
     """
 
     def __init__(self, source: FrameSource, *, focus: FocusReader | None = None, region: Region | None = None) -> None:
         self._source, self._focus, self._region = source, focus, region
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
-        self._rate, self._before = FrameRate(), _PreviousFrame()
+        self._rate = FrameRate()
+        self._before: SourceFrame | None = None
         self._number, self._due_s = 0, 0.0
         self.newest = LatestView()
         """The newest view."""
@@ -102,9 +92,7 @@ class LiveLoop:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._thread.join(20.0)
 
@@ -137,27 +125,29 @@ class LiveLoop:
 
     def _take_in(self, seen: SourceFrame) -> None:
         rate_hz = self._rate.after(seen.frame)
-        before = self._before.exchange(seen)
+        before, self._before = self._before, seen
         now_s = time.monotonic()
         if now_s < self._due_s:
             return
         # Shortest interval between two views, s; frames in between are read but not measured.
         self._due_s = max(self._due_s + 1.0 / 30.0, now_s)
-        pixels = seen.frame.pixels
+        pixels, previous = seen.frame.pixels, None
+        if before is not None and before.of == seen.of and before.frame.pixels.shape == pixels.shape:
+            previous = before.frame.pixels
         if self._focus is not None:
             self._focus.look_at(pixels)
-        meters = measure_frame(pixels, before, full_scale_dn=seen.full_scale_dn, region=self._region)
+        meters = measure_frame(pixels, previous, full_scale_dn=seen.full_scale_dn, region=self._region)
         self._number += 1
         self.newest.publish(
             LiveView(
                 number=self._number,
                 source_frame=seen,
                 statistics=meters,
-                preview=render_preview(pixels, meters, full_scale_dn=seen.full_scale_dn),
                 frame_rate_hz=rate_hz,
+                region=self._region,
+                preview=render_preview(pixels, meters, full_scale_dn=seen.full_scale_dn),
                 focus=self._focus.newest if self._focus else None,
                 best=self._focus.best if self._focus else BestFocus(),
-                region=self._region,
             )
         )
 
@@ -167,17 +157,3 @@ class LiveLoop:
         if view is not None and self._focus is not None and self._focus.take_up():
             self._number += 1
             self.newest.publish(replace(view, number=self._number, focus=self._focus.newest, best=self._focus.best))
-
-
-class _PreviousFrame:
-    """The previous frame of the same stack or camera."""
-
-    def __init__(self) -> None:
-        self._seen: SourceFrame | None = None
-
-    def exchange(self, seen: SourceFrame) -> NDArray | None:
-        """Store a frame; return the pixels of the previous one, or None if it is of another stack or shape."""
-        before, self._seen = self._seen, seen
-        if before is None or before.of != seen.of or before.frame.pixels.shape != seen.frame.pixels.shape:
-            return None
-        return before.frame.pixels

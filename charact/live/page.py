@@ -23,18 +23,8 @@ FILES = {
 def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlette:
     """Return the application; put it behind a `charact.live.server.PageAccess`.
 
-    Parameters
-    ----------
-    running
-        The live loop.
-    title
-        Title of the page.
-    focus_first
-        Whether the focus is the main value.
-
-    Notes
-    -----
-    No route accesses an instrument; the only action is to forget the best focus.
+    `focus_first`: whether the focus is the main value. No route accesses an instrument; the only action is to forget
+    the best focus.
     """
     about = {"title": title, "source": running.source.name, "focus_first": focus_first}
 

@@ -32,20 +32,7 @@ BLOCK_FRAMES = 16
 class QuickLook:
     """Quick look at one stack.
 
-    Parameters
-    ----------
-    entry
-        The stack.
-    frames
-        Number of frames.
-    mean_dn
-        Mean over all pixels and frames, DN.
-    saturated_px
-        Largest number of pixels at or above full scale in any frame.
-    full_scale_dn
-        Full scale, DN.
-    result
-        All measurements.
+    Mean over all pixels and frames, DN; largest number of pixels at or above full scale in any frame; all measurements.
     """
 
     entry: StackEntry
@@ -65,22 +52,7 @@ class QuickLook:
 
 
 def look_at(session: Session, entry: StackEntry, *, seed: int = 0) -> QuickLook:
-    """Measure one stack of a session quickly.
-
-    Parameters
-    ----------
-    session
-        The session up to the stack: a flat or point uses the last dark with its settings.
-    entry
-        The stack.
-    seed
-        Seed of every random step.
-
-    Raises
-    ------
-    BadInput
-        If its frames cannot be read.
-    """
+    """Measure one stack of a session quickly; a flat or point uses the last dark with its settings."""
     means, most_saturated, full_scale_dn = _levels(entry)
     return QuickLook(
         entry=entry,
@@ -137,10 +109,8 @@ def watch_stacks(
         Folder of the session.
     once
         Whether to end with the stacks present now.
-    patience_s
-        Maximum wait for the next stack, s.
-    look_s
-        Interval between two reads, s.
+    patience_s, look_s
+        Maximum wait for the next stack, and interval between two reads, s.
 
     Raises
     ------

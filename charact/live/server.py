@@ -40,23 +40,9 @@ class PageAccess:
 
     Another page in the same browser must not read the frames. It can send requests here, and can make its own name
     resolve to this address, but cannot choose the headers Host, Origin and Sec-Fetch-Site
-    (https://fetch.spec.whatwg.org, https://www.w3.org/TR/fetch-metadata).
-
-    Parameters
-    ----------
-    app
-        The ASGI application.
-    hosts
-        Names of this server, without port.
-    port
-        Port of the server.
-    token
-        Secret of every request, in the first address and then in a cookie; None: not needed on the loopback.
-
-    Raises
-    ------
-    BadInput
-        If there is no token and a name is not of the loopback.
+    (https://fetch.spec.whatwg.org, https://www.w3.org/TR/fetch-metadata). `hosts`: names of this server, without port;
+    `token`: secret of every request, in the first address and then in a cookie; None: only on the loopback, else
+    BadInput.
     """
 
     def __init__(self, app: Any, *, hosts: tuple[str, ...], port: int, token: str | None) -> None:
@@ -171,15 +157,11 @@ def serve(
 
     Parameters
     ----------
-    running
-        The bench at work.
-    title, focus_first
+    running, title, focus_first
         As `charact.live.page.page`.
-    host
-        Address or name to listen on. Addresses other than loopback require a token, new for every start and printed
-        with the address.
-    port
-        Port; 0: a free port.
+    host, port
+        Address or name to listen on, and port (0: a free one). Addresses other than loopback require a token, new for
+        every start and printed with the address.
     tell
         Prints the address of the page.
 

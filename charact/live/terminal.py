@@ -16,22 +16,7 @@ HISTOGRAM_WIDTH = 64
 
 
 def watch_on_terminal(running: LiveLoop, *, title: str, console: "Console | None" = None) -> None:
-    """Show the newest view until the frames end or the user interrupts.
-
-    Parameters
-    ----------
-    running
-        The live loop.
-    title
-        Heading.
-    console
-        Output console; None: the terminal.
-
-    Raises
-    ------
-    BadInput
-        When the frames end, with the reason.
-    """
+    """Show the newest view until the user interrupts; raise BadInput with the reason when the frames end."""
     from rich.live import Live
 
     number = 0

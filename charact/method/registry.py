@@ -1,20 +1,61 @@
 """Registered methods, and `auto`: the fastest method whose measured error meets the tolerance."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, wraps
 from importlib import import_module, resources
+from socket import create_connection
 from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
-from charact.method.cluster import Spread
 from charact.method.stopwatch import with_timing
 from labdata.errors import BadInput
 from labdata.measurement import Measurement, Result
 from labdata.sensor import Sensor
 from labdata.solid_state import Register
+
+Spread = Callable[[Callable[..., Any], Sequence[Any]], Iterable[Any]]
+
+
+@contextmanager
+def parallel_map(scheduler: str | None) -> Iterator[Spread]:
+    """Yield a function that maps another function over parts of the work, results in order.
+
+    `scheduler`: address of a Dask scheduler, such as "tcp://host:8786", whose workers see the session's files under the
+    same paths; None: `map` in this process. Raises BadInput if Dask is not installed, no scheduler answers, or a worker
+    dies.
+    """
+    if scheduler is None:
+        yield map
+        return
+    try:
+        from distributed import Client, KilledWorker
+        from distributed.comm.addressing import get_address_host_port
+    except ImportError:
+        raise BadInput("--scheduler needs Dask (pip install 'charact[dask]'), which is not installed") from None
+    try:
+        # A client without a scheduler prints a traceback when it is garbage-collected, so the port is tried first.
+        create_connection(get_address_host_port(scheduler), timeout=10.0).close()
+        client = Client(scheduler, timeout=10.0, set_as_default=False)
+    except (OSError, OverflowError, ValueError, TimeoutError):
+        raise BadInput(f"--scheduler must be the address of a running Dask scheduler, got {scheduler!r}") from None
+    with client:
+        if not client.scheduler_info()["workers"]:
+            raise BadInput(f"a Dask scheduler must have at least one worker, got none at {scheduler}")
+        try:
+            yield lambda function, parts: _in_order(client.map(function, parts, pure=False))
+        except KilledWorker as error:
+            raise BadInput(f"Dask workers must survive their part of the work, got: {error}") from None
+
+
+def _in_order(futures: list[Any]) -> Iterator[Any]:
+    """Yield the results of futures, each released once its result has arrived."""
+    while futures:
+        yield futures.pop(0).result()
+
 
 MODULES: dict[str, dict[str, str]] = {
     "edge": {
@@ -38,13 +79,8 @@ MODULES: dict[str, dict[str, str]] = {
         "noise-spectrum": "charact.mtf.noise_spectrum.flats",
         "noise-spectrum-free": "charact.mtf.noise_spectrum.flats",
     },
-    "flats": {
-        "covariance-sum": "charact.noise.covariance_sum",
-        "variance": "charact.noise.variance",
-    },
-    "bloom": {
-        "series-forward": "charact.bloom.series_forward",
-    },
+    "flats": {"covariance-sum": "charact.noise.covariance_sum", "variance": "charact.noise.variance"},
+    "bloom": {"series-forward": "charact.bloom.series_forward"},
     "lit-edge": {"lit-edge": "charact.bloom.lit_edge_halo"},
 }
 
@@ -85,8 +121,6 @@ Found = TypeVar("Found")
 def with_single_blas_thread(function: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
     """Return a function that runs with one BLAS thread and restores the previous number afterwards.
 
-    Notes
-    -----
     On two cores an edge takes twice as long on two threads as on one, and forty times as long when other work runs.
     """
 
@@ -129,6 +163,9 @@ def beyond_note(measurement: Measurement, within_percent: float) -> str | None:
     return f"95 % interval extends {reach:.2g} % from the value, beyond the tolerance --within {within_percent:g} %."
 
 
+Progress = Callable[[str, float], None]
+
+
 def ignore_progress(sentence: str, share: float) -> None:
     """Discard a progress message."""
 
@@ -163,7 +200,7 @@ class Context:
     register: Register | None = None
     interlaced: bool = False
     full_scale_dn: float | None = None
-    progress: Callable[[str, float], None] = ignore_progress
+    progress: Progress = ignore_progress
     spread: Spread = map
 
     @property
@@ -176,20 +213,10 @@ class Context:
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A registered estimator.
+    """A registered estimator: kind of target, name on the command line, and range of validity.
 
-    Parameters
-    ----------
-    kind
-        Kind of target: "edge", "bars", "point", "flats", "post-gain" (flats, for the MTF), "bloom".
-    name
-        Name on the command line.
-    quantities
-        Measured quantities; the accuracy chart shows the first.
-    scope
-        One sentence on the range of validity.
-    function
-        The estimator. Its arguments depend on the kind, see the package of that kind.
+    The accuracy chart shows the first of the measured quantities. The arguments of the function depend on the kind, see
+    the package of that kind.
     """
 
     kind: str

@@ -22,8 +22,6 @@ Arguments = ParamSpec("Arguments")
 LOCKED, COMPILES = "numba:compiler_lock", "numba:compile"
 # Compilation longer than this is announced, s.
 LONG_S = 2.0
-# Times up to this many units are printed in the unit: more would need three digits.
-MOST_OF_UNIT = 99.5
 UNITS = (("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0))
 
 
@@ -64,7 +62,7 @@ def with_timing(function: Callable[Arguments, Result]) -> Callable[Arguments, Re
 
 def time_text(seconds: float) -> str:
     """Return a time with two significant digits in the unit that fits it: "9.4 ms", "0.45 s", "12 s", "2.1 min"."""
-    name, unit = next((one for one in UNITS if seconds < MOST_OF_UNIT * one[1]), UNITS[-1])
+    name, unit = next((one for one in UNITS if seconds < 99.5 * one[1]), UNITS[-1])
     return f"{seconds / unit:.2g} {name}"
 
 
@@ -83,39 +81,29 @@ class _Here(threading.local):
 _HERE = _Here()
 
 
-class _Announcer:
-    """Announces a long compilation once, and its size at the end."""
-
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say, self._watch = say, Stopwatch()
-        self._functions, self._said = 0, False
-
-    def begin(self) -> None:
-        """Announce a long compilation; called at the start of each function."""
-        self._functions += 1
-        if not self._said and self._watch.compilation_s() > LONG_S:
-            self._said = True
-            self._say("compiling once on this machine, up to a minute; the next call finds it on disk")
-
-    def close(self) -> None:
-        """Announce the number of compiled functions after a long compilation."""
-        if self._said:
-            self._say(f"compiled {self._functions} functions in {time_text(self._watch.compilation_s())}")
-
-
-_ANNOUNCERS: list[_Announcer] = []
+_ANNOUNCERS: list[Callable[[], None]] = []
+"""Called at the start of each compiled function."""
 
 
 @contextmanager
 def announce_compilation(say: Callable[[str], None]) -> Iterator[None]:
-    """Announce a long compilation within this block, and the number of compiled functions."""
-    announcer = _Announcer(say)
-    _ANNOUNCERS.append(announcer)
+    """Announce a long compilation within this block once, and the number of compiled functions at its end."""
+    watch, functions, said = Stopwatch(), 0, False
+
+    def begin() -> None:
+        nonlocal functions, said
+        functions += 1
+        if not said and watch.compilation_s() > LONG_S:
+            said = True
+            say("compiling once on this machine, up to a minute; the next call finds it on disk")
+
+    _ANNOUNCERS.append(begin)
     try:
         yield
     finally:
-        _ANNOUNCERS.remove(announcer)
-        announcer.close()
+        _ANNOUNCERS.remove(begin)
+        if said:
+            say(f"compiled {functions} functions in {time_text(watch.compilation_s())}")
 
 
 @cache
@@ -131,7 +119,7 @@ def _listen() -> None:
             _HERE.depth += 1
             if event.kind == COMPILES:
                 for announcer in _ANNOUNCERS:
-                    announcer.begin()
+                    announcer()
 
         def on_end(self, event: event.Event) -> None:
             # An event that started before registration ends without a start.

@@ -17,15 +17,7 @@ UNIT_SUFFIXES = {"cy/px": "_cy_per_px", "DN": "_dn", "px": "_px", "deg": "_deg",
 
 
 def corner_svg(posterior: Posterior, title: str) -> str:
-    """Return the corner plot of a posterior as SVG.
-
-    Parameters
-    ----------
-    posterior
-        The posterior; at most five parameters that vary are shown.
-    title
-        Title of the posterior.
-    """
+    """Return the corner plot of a posterior as SVG; at most five parameters that vary are shown."""
     shown = varying(posterior)
     count = max(len(shown), 1)
     with report_style():
@@ -95,9 +87,8 @@ def _joint(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
 
 def _smooth_counts(counts: NDArray[np.float64]) -> NDArray[np.float64]:
     """Smooth a histogram by about one bin, because the draws are few."""
-    kernel = np.array([0.05, 0.25, 0.4, 0.25, 0.05])
     for axis in (0, 1):
-        counts = np.apply_along_axis(np.convolve, axis, counts, kernel, "same")
+        counts = np.apply_along_axis(np.convolve, axis, counts, [0.05, 0.25, 0.4, 0.25, 0.05], "same")
     return counts
 
 
@@ -116,10 +107,7 @@ def _label(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, c
     axes.tick_params(axis="x", rotation=40)
     if line > 0 and column < line:
         _ticks(axes.yaxis, posterior.draws[:, shown[line]])
-    for number, setter, wanted in (
-        (column, axes.set_xlabel, last),
-        (line, axes.set_ylabel, column == 0 and line > 0),
-    ):
+    for number, setter, wanted in ((column, axes.set_xlabel, last), (line, axes.set_ylabel, column == 0 and line > 0)):
         if wanted:
             setter(parameter_label(posterior, shown[number]), fontsize=7)
 

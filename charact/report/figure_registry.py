@@ -43,21 +43,7 @@ FIGURES: dict[str, tuple[str, Callable[[Data], Any]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """One figure of the page.
-
-    Parameters
-    ----------
-    section
-        "mtf", "noise", "bloom" or "other".
-    title
-        Title.
-    svg
-        The figure, or None.
-    numbers
-        Single values, name and text.
-    refusal_reason
-        Why there is no figure.
-    """
+    """One figure of the page: its section, title and single values, and the SVG or the reason why there is none."""
 
     section: str
     title: str
@@ -72,18 +58,14 @@ def figure_of(name: str, data: Data) -> Figure:
     # Profiles through the centre of one source show the MTF, rings of a series the halo.
     kind = "point-spread" if kind == "point-profile" and "along_row_dn" in data else kind
     section, draw = FIGURES.get(kind, ("other", None))
-    title, numbers = figure_title(name, kind), scalars(data)
-    if draw is None:
-        return Figure(
-            section=section, title=title, svg=None, numbers=numbers, refusal_reason=f"no figure of the kind {kind!r}"
-        )
-    try:
-        with report_style():
-            svg = as_svg(draw(data), title)
-    except (KeyError, ValueError, TypeError, IndexError) as error:
-        why = f"its data cannot be plotted ({type(error).__name__}: {error})"
-        return Figure(section=section, title=title, svg=None, numbers=numbers, refusal_reason=why)
-    return Figure(section=section, title=title, svg=svg, numbers=numbers)
+    title, svg, why = figure_title(name, kind), None, f"no figure of the kind {kind!r}"
+    if draw is not None:
+        try:
+            with report_style():
+                svg, why = as_svg(draw(data), title), ""
+        except (KeyError, ValueError, TypeError, IndexError) as error:
+            why = f"its data cannot be plotted ({type(error).__name__}: {error})"
+    return Figure(section=section, title=title, svg=svg, numbers=scalars(data), refusal_reason=why)
 
 
 def figure_title(name: str, kind: str) -> str:
@@ -95,9 +77,7 @@ def figure_title(name: str, kind: str) -> str:
 
 UNITS = {
     "_dn_px2": "DN px²", "_cy_per_px": "cy/px", "_dn_per_e": "DN/e-", "_dn2": "DN²", "_dn": "DN", "_px": "px",
-    "_deg": "°",
-    "_s": "s",
-    "_lux": "lux",
+    "_deg": "°", "_s": "s", "_lux": "lux",
 }  # fmt: skip
 
 

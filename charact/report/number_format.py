@@ -10,25 +10,20 @@ SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
 def round_to_spread(value: float, spread: float | None = None) -> str:
-    """Return a number with two digits of its uncertainty, or four significant digits if that is unknown.
+    """Return a number with two digits of its standard uncertainty, or four significant digits if that is unknown.
 
-    Parameters
-    ----------
-    value
-        The number.
-    spread
-        Standard uncertainty in the same unit; None, 0 or not finite: unknown.
+    An uncertainty of None, 0 or not finite is unknown.
     """
     exponent, digits = _format(value, spread)
-    return _with_power(_mantissa_text(value, exponent, digits), exponent)
+    return _with_power(_mantissa(value, exponent, digits), exponent)
 
 
 def _format(value: float, spread: float | None) -> tuple[int, int]:
     """Return the power of ten to factor out (0: none) and the digits after the point, for a value and uncertainty."""
     if not math.isfinite(value):
         return 0, 0
-    known = spread if spread is not None and math.isfinite(spread) and spread > 0 else None
-    last = _exponent(value) - 3 if known is None else _exponent(known) - 1
+    known = spread is not None and math.isfinite(spread) and spread > 0
+    last = _exponent(spread) - 1 if known and spread else _exponent(value) - 3
     first = max(_exponent(value), last)
     if first < -4 or first > 5 or last > 0:
         return first, max(first - last, 0)
@@ -40,7 +35,7 @@ def _exponent(value: float) -> int:
     return math.floor(math.log10(abs(value))) if value else 0
 
 
-def _mantissa_text(value: float, exponent: int, digits: int) -> str:
+def _mantissa(value: float, exponent: int, digits: int) -> str:
     """Return a number divided by a power of ten, as text."""
     if math.isnan(value):
         return "not a number"
@@ -77,12 +72,10 @@ def value_text(measurement: Measurement) -> str:
 
 def interval_text(measurement: Measurement, interval: Interval | None) -> str:
     """Return the limits of an interval with the digits of the value; "unknown" without interval."""
-    if measurement.value is None:
-        return "—"
-    if interval is None:
-        return "unknown"
+    if measurement.value is None or interval is None:
+        return "—" if measurement.value is None else "unknown"
     exponent, digits = _format(measurement.value, spread_of(measurement))
-    ends = f"{_mantissa_text(interval[0], exponent, digits)} … {_mantissa_text(interval[1], exponent, digits)}"
+    ends = " … ".join(_mantissa(end, exponent, digits) for end in interval)
     return _with_power(f"({ends})" if exponent else ends, exponent)
 
 
@@ -92,10 +85,8 @@ def plus_minus(measurement: Measurement) -> str:
         return value_text(measurement)
     exponent, digits = _format(measurement.value, spread_of(measurement))
     low, high = measurement.interval95
-    value, up, down = (
-        _mantissa_text(number, exponent, digits)
-        for number in (measurement.value, high - measurement.value, measurement.value - low)
-    )
+    numbers = (measurement.value, high - measurement.value, measurement.value - low)
+    value, up, down = (_mantissa(number, exponent, digits) for number in numbers)
     text = f"{value} ± {up}" if up == down else f"{value} +{up} {MINUS}{down}"
     return _with_power(f"({text})" if exponent else text, exponent)
 

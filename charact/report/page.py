@@ -14,6 +14,7 @@ from charact.report.tables import emva_summary
 from charact.report.truth import Truth, compare_with_truth
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
+from labdata.flags import FLAGS
 from labdata.limits import OVERRIDDEN
 from labdata.measurement import Posterior, Result
 from labdata.session import Session
@@ -35,10 +36,8 @@ def write(
 
     Parameters
     ----------
-    session
-        The session: its frames, conditions and sensor.
-    result
-        The measurements.
+    session, result
+        The session: its frames, conditions and sensor; and its measurements.
     out
         The HTML file.
     validation
@@ -46,7 +45,7 @@ def write(
     truth
         True values by quantity (of a virtual bench), or None; see `charact.report.compare_with_truth`.
     pdf
-        Also write a PDF.
+        Also write a PDF next to it.
 
     Returns
     -------
@@ -58,7 +57,6 @@ def write(
     BadInput
         If a PDF is requested and WeasyPrint is missing.
     """
-
     out = Path(out)
     html = page(session, result, validation=validation, truth=truth)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -72,6 +70,11 @@ def page(
     session: Session, result: Result, *, validation: "Validation | None" = None, truth: Truth | None = None
 ) -> str:
     """Return the report as HTML."""
+    section = None
+    if validation is not None:
+        from charact.report.validation import validation_section
+
+        section = validation_section(validation, aspect_of(session))
     figures = [figure_registry.figure_of(name, data) for name, data in add_extent_data(session, result).items()]
     return _template("report.html.j2").render(
         session=session,
@@ -84,25 +87,16 @@ def page(
         figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
         emva=emva_summary(result),
         pictures=representative(session, result.measurements),
-        validation=_validation_part(validation, session),
+        validation=section,
         posteriors=posteriors(result),
         stacks=tables.stack_table(session),
         sensor_rows=tables.sensor_rows(session.sensor) if session.sensor else (),
         sensor_facts=tables.sensor_facts(session.sensor) if session.sensor else (),
         overridden=[note for note in session.notes if note.startswith(OVERRIDDEN)],
-        left_out=session_notes(session),
+        left_out=list(dict.fromkeys(note for note in session.notes if not note.startswith(OVERRIDDEN))),
         provenance=tables.provenance(result.measurements),
         charted=tables.chart_rows(result),
     )
-
-
-def _validation_part(validation: "Validation | None", session: Session) -> Any:
-    """Return the validation section, or None."""
-    if validation is None:
-        return None
-    from charact.report.validation import validation_section
-
-    return validation_section(validation, aspect_of(session))
 
 
 def fragment(result: Result) -> str:
@@ -130,20 +124,16 @@ def posteriors(result: Result) -> list[dict[str, Any]]:
         if m.posterior is not None and len(m.posterior.draws):
             title = ", ".join(part for part in (m.method, m.stack) if part)
             owners.setdefault((m.posterior.names, m.posterior.draws.tobytes()), (title, m.posterior))
-    return [_posterior(title, posterior) for title, posterior in owners.values()]
-
-
-def _posterior(title: str, posterior: Posterior) -> dict[str, Any]:
-    from labdata.flags import FLAGS
-
-    shown = varying(posterior)
-    return {
-        "title": title,
-        "svg": corner_svg(posterior, title),
-        "health": _health(posterior),
-        "flags": [(flag, FLAGS[flag]) for flag in posterior.flags],
-        "left_out": [name for index, name in enumerate(posterior.names) if index not in shown],
-    }
+    return [
+        {
+            "title": title,
+            "svg": corner_svg(posterior, title),
+            "health": _health(posterior),
+            "flags": [(flag, FLAGS[flag]) for flag in posterior.flags],
+            "left_out": [name for i, name in enumerate(posterior.names) if i not in varying(posterior)],
+        }
+        for title, posterior in owners.values()
+    ]
 
 
 def _health(p: Posterior) -> str:
@@ -160,26 +150,8 @@ def _health(p: Posterior) -> str:
     return ", ".join(parts) + "."
 
 
-def session_notes(session: Session) -> tuple[str, ...]:
-    """Return the notes of the session, without those on overridden limits."""
-    return tuple(dict.fromkeys(note for note in session.notes if not note.startswith(OVERRIDDEN)))
-
-
 def write_pdf(html: str, out: Path) -> Path:
-    """Write a report as PDF with WeasyPrint.
-
-    Parameters
-    ----------
-    html
-        The page.
-    out
-        The PDF file.
-
-    Raises
-    ------
-    BadInput
-        If WeasyPrint or Pango is not installed.
-    """
+    """Write a report as PDF; raise BadInput if WeasyPrint or Pango is not installed."""
     try:
         from weasyprint import HTML
     except (ImportError, OSError) as error:

@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 
 import numpy as np
@@ -17,7 +17,7 @@ COLOURS = {"ok": "#35c46a", "suspect": "#f0a020", "refused": "#ff4d4d"}
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """A rectangle in an image: row, column, height and width in px, with status and label."""
+    """A rectangle ROW, COL, HEIGHT, WIDTH in an image, px, with status and label."""
 
     region: tuple[int, int, int, int]
     status: str
@@ -31,21 +31,7 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True)
 class ReportImage:
-    """A frame for the page.
-
-    Parameters
-    ----------
-    title, caption
-        Title, and caption with the grey scale.
-    data
-        JPEG as base64.
-    rows, cols
-        Size of the frame, px.
-    aspect
-        Row pitch over column pitch.
-    boxes
-        Regions to show.
-    """
+    """A frame for the page: JPEG as base64, size of the frame, px, row pitch over column pitch, and regions to show."""
 
     title: str
     caption: str
@@ -65,12 +51,7 @@ def grey_limits(frame: NDArray) -> tuple[float, float]:
 def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> str:
     """Return a frame (row, col) as a grey JPEG in base64; a large frame is averaged over blocks of pixels.
 
-    Parameters
-    ----------
-    frame
-        Pixel values, shape (row, col).
-    limits
-        Values shown as black and white, in the frame's unit.
+    `limits`: values shown as black and white, in the frame's unit.
     """
     from PIL import Image
 
@@ -87,11 +68,10 @@ def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> s
 def image_of(frame: NDArray, title: str, caption: str = "", *, unit: str = "DN", aspect: float = 1.0) -> ReportImage:
     """Return an image of one frame, shape (row, col), with its grey scale in the caption."""
     low, high = grey_limits(frame)
-    scale = f"Black {low:.4g} {unit}, white {high:.4g} {unit}."
+    caption = f"{caption} Black {low:.4g} {unit}, white {high:.4g} {unit}.".strip()
     rows, cols = frame.shape
-    data = as_jpeg(frame, (low, high))
     return ReportImage(
-        title=title, caption=f"{caption} {scale}".strip(), data=data, rows=rows, cols=cols, aspect=aspect
+        title=title, caption=caption, data=as_jpeg(frame, (low, high)), rows=rows, cols=cols, aspect=aspect
     )
 
 
@@ -118,8 +98,6 @@ def _lux_s(conditions: Conditions) -> float | None:
 
 
 def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measurement]) -> ReportImage:
-    from dataclasses import replace
-
     stack = entry.read()
     middle = len(stack) // 2
     frame, caption = stack.data[middle], f"Frame {middle + 1} of {len(stack)}."

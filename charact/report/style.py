@@ -34,18 +34,11 @@ SETTINGS: dict[str, Any] = {
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
     **dict.fromkeys(
-        (
-            "text.color",
-            "axes.labelcolor",
-            "axes.edgecolor",
-            "xtick.color",
-            "ytick.color",
-            "grid.color",
-            "axes.titlecolor",
-        ),
+        ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color", "grid.color",
+         "axes.titlecolor"),
         INK,
     ),
-}
+}  # fmt: skip
 
 
 @contextmanager
@@ -80,16 +73,15 @@ def panels(
     return figure, figure.subplots(rows, cols, squeeze=False, **options)
 
 
-def as_svg(figure: Any, description: str) -> str:
-    """Return the figure as an SVG element for an HTML page.
+def panel(size: tuple[float, float] = (5.6, 3.4), **labels: Any) -> tuple[Any, Any]:
+    """Return a figure and its only axes, with labels and limits."""
+    figure, grid = panels(size=size)
+    grid[0, 0].set(**labels)
+    return figure, grid[0, 0]
 
-    Parameters
-    ----------
-    figure
-        A matplotlib figure.
-    description
-        Text alternative.
-    """
+
+def as_svg(figure: Any, description: str) -> str:
+    """Return a figure as an SVG element for an HTML page, with a text alternative."""
     text = StringIO()
     # The layout ignores some labels, such as ticks at the end of an axis.
     figure.savefig(text, format="svg", metadata={"Date": None}, bbox_inches="tight", pad_inches=0.04)
@@ -126,9 +118,6 @@ def write_note(axes: Any, sentence: str) -> None:
     axes.grid(False)
 
 
-MAX_POINTS = 160
-
-
 def first_array(data: Mapping[str, Any], *names: str) -> NDArray[np.float64]:
     """Return the first array found under one of the names; KeyError if there is none."""
     for name in names:
@@ -151,7 +140,23 @@ def plot_points(axes: Any, x: ArrayLike, y: ArrayLike, sd: ArrayLike | None = No
     """Plot points with error bars of one standard uncertainty."""
     options = {"markersize": 2.8, "linestyle": "", "marker": "o", **options}
     if sd is None:
-        axes.plot(*subsample(x, y, most=MAX_POINTS), **options)
+        axes.plot(*subsample(x, y, most=160), **options)
         return
-    horizontal, vertical, arm = subsample(x, y, sd, most=MAX_POINTS)
+    horizontal, vertical, arm = subsample(x, y, sd, most=160)
     axes.errorbar(horizontal, vertical, yerr=np.abs(arm), elinewidth=0.8, **options)
+
+
+def plot_band(axes: Any, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str, alpha: float = 0.25) -> None:
+    """Plot an interval as a transparent band."""
+    axes.fill_between(x, low, high, color=colour, alpha=alpha, linewidth=0)
+
+
+def arms(value: ArrayLike, low: ArrayLike, high: ArrayLike) -> NDArray[np.float64]:
+    """Return the distances to the limits of an interval, shape (2, n), for error bars."""
+    middle, bottom, top = (np.atleast_1d(np.asarray(part, float)) for part in (value, low, high))
+    return np.maximum([middle - bottom, top - middle], 0.0)
+
+
+def zero_line(axes: Any) -> None:
+    """Mark the value zero."""
+    axes.axhline(0, color=INK, linewidth=0.8)

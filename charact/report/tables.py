@@ -4,7 +4,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -19,13 +19,13 @@ from charact.report.number_format import (
     short_text,
     value_text,
 )
-from labdata.camera_description import Parameter
 from labdata.conditions import Conditions
 from labdata.flags import FLAGS
 from labdata.measurement import Measurement, Result
 from labdata.quantity import QUANTITIES
 from labdata.sensor import Sensor
 from labdata.session import Session
+from labdata.target import Target
 
 LIBRARIES = ("numpy", "scipy", "emcee", "matplotlib", "zarr", "trimesh", "embreex")
 HEADLINES = (
@@ -37,62 +37,19 @@ HEADLINES = (
 SERIES = 4
 
 
-@dataclass(frozen=True, kw_only=True)
-class QuantityRow:
-    """One measurement of the table of quantities."""
-
-    title: str
-    name: str
-    value: str
-    plus_minus: str
-    interval68: str
-    interval95: str
-    unit: str
-    status: str
-    where: str
-    flags: tuple[str, ...]
-    reason: str | None
-    stack: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class QuantityGroup:
-    """Measurements of one method in one stack.
-
-    Parameters
-    ----------
-    title
-        Stack, method, and the time, direction and region common to all rows.
-    rows
-        The measurements.
-    flags
-        Each flag with its sentence and the quantities and stacks it concerns ("" if all).
-    notes
-        Each note with the quantities and stacks it concerns.
-    """
-
-    title: str
-    rows: tuple[QuantityRow, ...]
-    flags: tuple[tuple[str, str, str], ...]
-    notes: tuple[tuple[str, str], ...]
-
-
-def quantity_row(m: Measurement, where: str = "") -> QuantityRow:
+def quantity_row(m: Measurement, where: str = "") -> dict[str, Any]:
     """Return the row of a measurement; `where`: direction, region and time."""
-    return QuantityRow(
-        title=quantity_title(m),
-        name=m.quantity,
-        value=value_text(m),
-        plus_minus=plus_minus(m),
-        interval68=interval_text(m, m.interval68),
-        interval95=interval_text(m, m.interval95),
-        unit=m.unit,
-        status=m.status,
-        where=where,
-        flags=m.flags,
-        reason=m.reason,
-        stack=m.stack or "",
-    )
+    return {
+        "title": quantity_title(m),
+        "name": m.quantity,
+        "value": value_text(m),
+        "plus_minus": plus_minus(m),
+        "interval68": interval_text(m, m.interval68),
+        "interval95": interval_text(m, m.interval95),
+        "where": where,
+        "stack": m.stack or "",
+        **{name: getattr(m, name) for name in ("unit", "status", "flags", "reason")},
+    }
 
 
 def places(m: Measurement) -> dict[str, str]:
@@ -108,8 +65,11 @@ def places(m: Measurement) -> dict[str, str]:
     return found
 
 
-def quantity_groups(result: Result) -> tuple[QuantityGroup, ...]:
-    """Return all measurements by stack and method in the order of the vocabulary; a series of stacks is one group."""
+def quantity_groups(result: Result) -> tuple[dict[str, Any], ...]:
+    """Return all measurements by stack and method in the order of the vocabulary; a series of stacks is one group.
+
+    A group has a title, rows, and its flags and notes with the quantities and stacks they concern ("" if all).
+    """
     order = list(QUANTITIES)
     stacks: dict[str, set[str]] = {}
     for m in result.measurements:
@@ -122,19 +82,19 @@ def quantity_groups(result: Result) -> tuple[QuantityGroup, ...]:
     return tuple(_group(stack, method, own) for (stack, method), own in groups.items())
 
 
-def _group(stack: str, method: str, own: list[Measurement]) -> QuantityGroup:
+def _group(stack: str, method: str, own: list[Measurement]) -> dict[str, Any]:
     """Return a group with the attributes common to all rows in its title."""
     where = [places(m) for m in own]
     common = {key: text for key, text in where[0].items() if all(at.get(key) == text for at in where)}
     rest = ["; ".join(text for key, text in at.items() if key not in common) for at in where]
     flags = dict.fromkeys(flag for m in own for flag in m.flags)
     notes = dict.fromkeys(note for m in own for note in m.notes)
-    return QuantityGroup(
-        title=" · ".join((stack, method, *(text for key, text in common.items() if key != "stack"))),
-        rows=tuple(quantity_row(m, text) for m, text in zip(own, rest, strict=True)),
-        flags=tuple((flag, FLAGS[flag], _scope_text(own, [m for m in own if flag in m.flags])) for flag in flags),
-        notes=tuple((note, _scope_text(own, [m for m in own if note in m.notes])) for note in notes),
-    )
+    return {
+        "title": " · ".join((stack, method, *(text for key, text in common.items() if key != "stack"))),
+        "rows": [quantity_row(m, text) for m, text in zip(own, rest, strict=True)],
+        "flags": [(flag, FLAGS[flag], _scope_text(own, [m for m in own if flag in m.flags])) for flag in flags],
+        "notes": [(note, _scope_text(own, [m for m in own if note in m.notes])) for note in notes],
+    }
 
 
 def _scope_text(own: list[Measurement], those: list[Measurement]) -> str:
@@ -149,14 +109,14 @@ def _scope_text(own: list[Measurement], those: list[Measurement]) -> str:
     return f"{quantities} of {', '.join(stacks[:SERIES])}{more}"
 
 
-def headlines(result: Result) -> tuple[QuantityRow, ...]:
-    """Return the first measurement with status ok, else the first with a value, of each headline quantity."""
-    chosen = []
-    for quantity in HEADLINES:
-        found = [m for m in result.find(quantity) if m.value is not None]
-        if found:
-            chosen.append(quantity_row(min(found, key=lambda m: m.status != "ok")))
-    return tuple(chosen)
+def best(found: Iterable[Measurement]) -> Measurement | None:
+    """Return the first measurement with status ok, else the first with a value."""
+    return min((m for m in found if m.value is not None), key=lambda m: m.status != "ok", default=None)
+
+
+def headlines(result: Result) -> list[dict[str, Any]]:
+    """Return the row of the best measurement of each headline quantity."""
+    return [quantity_row(m) for quantity in HEADLINES if (m := best(result.find(quantity))) is not None]
 
 
 def verdicts(result: Result) -> dict[str, int]:
@@ -190,7 +150,7 @@ def stack_table(session: Session) -> dict[str, Any]:
         {
             "label": entry.label,
             "kind": entry.kind,
-            "target": "; ".join(_target_parts(entry.target)) or "—",
+            "target": _target_text(entry.target),
             "conditions": [_condition(entry.conditions, entry.asked, name) for name in known],
         }
         for entry in session.stacks
@@ -198,14 +158,13 @@ def stack_table(session: Session) -> dict[str, Any]:
     return {"columns": [CONDITION_UNITS[name] for name in known], "rows": rows}
 
 
-def _target_parts(target: Any) -> list[str]:
-    units = {"bars": "bars", "frequency_cy_per_px": "cy/px", "angle_deg": "°", "pinhole_px": "px pinhole"}
-    parts = [
-        f"{short_text(getattr(target, name))} {unit}"
-        for name, unit in units.items()
-        if getattr(target, name) is not None
-    ]
-    return parts if target.contrast is None else [*parts, f"contrast {short_text(target.contrast)}"]
+def _target_text(target: Target) -> str:
+    parts = {
+        "bars": "{} bars", "frequency_cy_per_px": "{} cy/px", "angle_deg": "{} °", "pinhole_px": "{} px pinhole",
+        "contrast": "contrast {}",
+    }  # fmt: skip
+    known = [(text, getattr(target, name)) for name, text in parts.items() if getattr(target, name) is not None]
+    return "; ".join(text.format(short_text(value)) for text, value in known) or "—"
 
 
 def _condition(got: Conditions, set_points: Conditions | None, name: str) -> str:
@@ -217,25 +176,18 @@ def _condition(got: Conditions, set_points: Conditions | None, name: str) -> str
 
 def sensor_rows(sensor: Sensor) -> list[dict[str, str]]:
     """Return every sensor parameter with 95 % bounds, basis and source."""
-    return [_parameter_row(path, parameter) for path, parameter in sensor.parameters().items()]
-
-
-def _parameter_row(path: str, p: Parameter) -> dict[str, str]:
-    spread = None if p.low is None or p.high is None else (p.high - p.low) / 4
-    bounds = (
-        "exact"
-        if p.low is None or p.high is None
-        else f"{round_to_spread(p.low, spread)} … {round_to_spread(p.high, spread)}"
-    )
-    stage, _, name = path.partition(".")
-    return {
-        "stage": stage.replace("_", " "),
-        "name": name.replace("_", " "),
-        "value": round_to_spread(p.value, spread),
-        "bounds": bounds,
-        "standing": p.standing,
-        "source": p.source,
-    }
+    rows = []
+    for path, p in sensor.parameters().items():
+        stage, _, name = path.partition(".")
+        spread, bounds = None, "exact"
+        if p.low is not None and p.high is not None:
+            spread = (p.high - p.low) / 4
+            bounds = f"{round_to_spread(p.low, spread)} … {round_to_spread(p.high, spread)}"
+        rows.append({
+            "stage": stage.replace("_", " "), "name": name.replace("_", " "),
+            "value": round_to_spread(p.value, spread), "bounds": bounds, "standing": p.standing, "source": p.source,
+        })  # fmt: skip
+    return rows
 
 
 def sensor_facts(sensor: Sensor) -> list[tuple[str, str]]:
@@ -278,7 +230,11 @@ def provenance(measurements: Iterable[Measurement]) -> dict[str, Any]:
     inputs = {path: digest for _, record in kept for path, digest in record.inputs.items()}
     seeds = sorted({record.seed for _, record in kept if record.seed is not None})
     return {
-        "versions": [("charact", __version__), ("Python", platform.python_version()), *_libraries()],
+        "versions": [
+            ("charact", __version__),
+            ("Python", platform.python_version()),
+            *((name, _installed(name)) for name in LIBRARIES),
+        ],
         "measured_by": sorted({record.version for _, record in kept}),
         "seeds": ", ".join(str(seed) for seed in seeds) or "none recorded",
         "settings": settings,
@@ -288,15 +244,11 @@ def provenance(measurements: Iterable[Measurement]) -> dict[str, Any]:
     }
 
 
-def _libraries() -> list[tuple[str, str]]:
-    """Return the installed versions of the libraries that affect results."""
-    found = []
-    for name in LIBRARIES:
-        try:
-            found.append((name, version(name)))
-        except PackageNotFoundError:
-            found.append((name, "not installed"))
-    return found
+def _installed(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 # Quantity, unit, name and symbol of EMVA 1288, and the section of its Release 3.1 that defines it.
@@ -317,52 +269,24 @@ NAMES = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class EmvaSummary:
-    """Quantities of EMVA 1288, or the reason why it does not apply.
+def emva_summary(result: Result) -> dict[str, Any] | None:
+    """Return the EMVA 1288 summary: rows (name, section, row) and names left out, or the reason why it does not apply.
 
-    Parameters
-    ----------
-    rows
-        Name in the standard, section, and measurement.
-    left_out
-        Names of quantities not measured.
-    reason
-        Why the standard does not apply; "" if it does.
-    """
-
-    rows: tuple[tuple[str, str, QuantityRow], ...] = ()
-    left_out: tuple[str, ...] = ()
-    reason: str = ""
-
-
-def emva_summary(result: Result) -> EmvaSummary | None:
-    """Return the EMVA 1288 summary; None for a result without gain.
-
-    The standard assumes white noise. With correlated noise, as of an intensifier, the variance does not count
-    electrons, and no quantity is given.
+    None for a result without gain. The standard assumes white noise. With correlated noise, as of an intensifier, the
+    variance does not count electrons, and no quantity is given.
     """
     gains = (*result.find("system_gain"), *result.find("covariance_gain"))
     if not any(m.value is not None for m in gains):
         return None
-    white = [m for m in result.find("system_gain") if m.value is not None and "correlated-noise" not in m.flags]
-    if not white:
-        return EmvaSummary(
-            reason="EMVA 1288 assumes white noise; the noise of this camera is correlated between pixels (as of an "
+    if not any(m.value is not None and "correlated-noise" not in m.flags for m in result.find("system_gain")):
+        return {
+            "reason": "EMVA 1288 assumes white noise; the noise of this camera is correlated between pixels (as of an "
             "intensifier). The photon transfer curve would give a gain too low by the blur factor, and wrong values in "
             "electrons. Use the covariance gain above."
-        )
-    rows, left_out = [], []
-    for quantity, unit, name, section in NAMES:
-        found = _best(result.find(quantity, unit=unit))
-        if found is None:
-            left_out.append(name)
-        else:
-            rows.append((name, section, quantity_row(found, found.stack or "")))
-    return EmvaSummary(rows=tuple(rows), left_out=tuple(left_out))
-
-
-def _best(found: tuple[Measurement, ...]) -> Measurement | None:
-    """Return the first measurement with status ok, else the first with a value."""
-    known = [m for m in found if m.value is not None]
-    return next((m for m in known if m.status == "ok"), known[0] if known else None)
+        }
+    found = [(name, section, best(result.find(quantity, unit=unit))) for quantity, unit, name, section in NAMES]
+    return {
+        "reason": "",
+        "rows": [(name, section, quantity_row(m, m.stack or "")) for name, section, m in found if m is not None],
+        "left_out": [name for name, _, m in found if m is None],
+    }

@@ -15,17 +15,10 @@ Truth = Mapping[str, float | Callable[..., Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class TruthComparison:
-    """A measurement compared with its true value.
+    """A measurement compared with its true value, in its unit.
 
-    Parameters
-    ----------
-    measurement
-        The measurement, with a value.
-    truth
-        The true value, in the unit of the measurement.
-    z
-        (value - truth) over the standard uncertainty, which is the half of the 95 % interval on the truth's side over
-        1.96; infinite for an empty interval.
+    `z`: (value - truth) over the standard uncertainty, which is the half of the 95 % interval on the truth's side over
+    1.96; infinite for an empty interval.
     """
 
     measurement: Measurement

@@ -9,76 +9,48 @@ import numpy as np
 from charact.report.figure_registry import Figure
 from charact.report.number_format import short_text
 from charact.report.report_images import ReportImage, as_jpeg
-from charact.report.style import DATA, INK, MODEL, WARN, as_svg, has_all, panels, report_style, subsample
+from charact.report.style import DATA, INK, MODEL, WARN, as_svg, has_all, panel, plot_band, report_style, subsample
 from charact.validation import FramePair, Statistic, Validation, ValidationControl
 
 CONTROL_WORDS = {"null": "must pass", "negative": "must fail"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class StatisticRow:
-    """One statistic of the table, with its p-values in the controls."""
-
-    cells: tuple[str, ...]
-    status: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class Section:
-    """Validation section of the page.
-
-    Parameters
-    ----------
-    status
-        "ok" if all statistics and both controls passed, else "refused".
-    headline, summary
-        A clause for the top of the page, and a paragraph.
-    pairs
-        Measured and simulated images.
-    figures
-        Overlays, and the deviation of each value from its prediction.
-    columns, rows
-        The table of statistics.
-    notes
-        Notes.
-    """
+    """Validation section of the page; `rows`: cells and status of each statistic."""
 
     status: str
     headline: str
     summary: str
-    pairs: tuple[tuple[ReportImage, ReportImage], ...]
+    pairs: tuple[tuple[ReportImage, ...], ...]
     figures: tuple[Figure, ...]
     columns: tuple[str, ...]
-    rows: tuple[StatisticRow, ...]
+    rows: tuple[dict[str, Any], ...]
     notes: tuple[str, ...]
 
 
 def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
-    """Return the validation section.
-
-    Parameters
-    ----------
-    validation
-        Statistics, controls, overlays and images.
-    aspect
-        Row pitch over column pitch of the images.
-    """
+    """Return the validation section; `aspect`: row pitch over column pitch of the images."""
     good = sum(one.passed for one in validation.statistics)
     words = [
         f"{control.name} control {'held' if control.passed else 'did not hold'}" for control in validation.controls
     ]
     verdict = "agrees" if validation.passed else "does not agree"
-    headline = f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; {', '.join(words)}"
+    controls = (f"p in the {c.name} control ({CONTROL_WORDS[c.name]})" for c in validation.controls)
     return Section(
-        status="ok" if validation.passed else "refused",
-        headline=headline,
+        status=_status(validation.passed),
+        headline=f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; {', '.join(words)}",
         summary=_summary(validation),
         pairs=tuple(_pictures(pair, aspect) for pair in validation.pairs),
         figures=(*(_overlay(name, data) for name, data in validation.overlays.items()), *_pulls(validation)),
-        columns=_columns(validation),
+        columns=("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", *controls, "Verdict"),
         rows=tuple(_row(one, validation.controls) for one in validation.statistics),
         notes=(*(one.note for one in validation.statistics if one.note), *validation.notes),
     )
+
+
+def _status(passed: bool) -> str:
+    return "ok" if passed else "refused"
 
 
 def _summary(validation: Validation) -> str:
@@ -94,48 +66,37 @@ def _summary(validation: Validation) -> str:
     )
 
 
-def _columns(validation: Validation) -> tuple[str, ...]:
-    controls = (f"p in the {c.name} control ({CONTROL_WORDS[c.name]})" for c in validation.controls)
-    return ("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", *controls, "Verdict")
-
-
-def _row(one: Statistic, controls: tuple[ValidationControl, ...]) -> StatisticRow:
+def _row(one: Statistic, controls: tuple[ValidationControl, ...]) -> dict[str, Any]:
     """Return the row of a statistic with its p-value in each control, a dash without one."""
     p_values = []
     for control in controls:
         same = [other for other in control.statistics if other.name == one.name]
         p_values.append(f"{short_text(same[0].p_value)} ({'passes' if same[0].passed else 'fails'})" if same else "—")
     cells = (one.title, f"{one.distance:.3g}", short_text(one.p_value), short_text(one.level), *p_values)
-    return StatisticRow(cells=cells, status="ok" if one.passed else "refused")
+    return {"cells": cells, "status": _status(one.passed)}
 
 
-def _pictures(pair: FramePair, aspect: float) -> tuple[ReportImage, ReportImage]:
+def _pictures(pair: FramePair, aspect: float) -> tuple[ReportImage, ...]:
     """Return both frames with the same grey scale."""
     caption = f"Black {pair.low_dn:.4g} DN, white {pair.high_dn:.4g} DN."
-    measured, simulated = (
+    return tuple(
         ReportImage(
-            title=f"{word}: {pair.label} ({pair.kind})",
-            caption=caption,
-            data=as_jpeg(frame, (0.0, 255.0)),
-            rows=frame.shape[0],
-            cols=frame.shape[1],
-            aspect=aspect,
+            title=f"{word}: {pair.label} ({pair.kind})", caption=caption, data=as_jpeg(frame, (0.0, 255.0)),
+            rows=frame.shape[0], cols=frame.shape[1], aspect=aspect,
         )
         for word, frame in (("Measured", pair.measured), ("Simulated", pair.simulated))
-    )
-    return measured, simulated
+    )  # fmt: skip
 
 
 def _overlay(name: str, data: Mapping[str, Any]) -> Figure:
     """Plot the measured curve over the simulated one with its 95 % band."""
     title = str(data.get("title", name))
     with report_style():
-        figure, grid = panels(size=(5.6, 3.6))
-        axes = grid[0, 0]
+        figure, axes = panel((5.6, 3.6))
         named = isinstance(data["x"][0], str)
         x = np.arange(len(data["x"]), dtype=float) if named else np.asarray(data["x"], float)
         x_simulated = np.asarray(data["x_simulated"], float) if has_all(data, "x_simulated") else x
-        axes.fill_between(*subsample(x_simulated, data["low95"], data["high95"]), color=MODEL, alpha=0.25, linewidth=0)
+        plot_band(axes, *subsample(x_simulated, data["low95"], data["high95"]), MODEL)
         axes.plot(*subsample(x_simulated, data["simulated"]), color=MODEL, label="simulated, band 95 %")
         style = "o" if len(x) < 30 else "-"
         axes.plot(*subsample(x, data["measured"]), style, color=DATA, markersize=4, label="measured")
@@ -159,8 +120,7 @@ def _pulls(validation: Validation) -> tuple[Figure, ...]:
         return ()
     count = sum(len(one.measured) for one in named)
     with report_style():
-        figure, grid = panels(size=(5.6, 1.1 + 0.17 * count))
-        axes = grid[0, 0]
+        figure, axes = panel((5.6, 1.1 + 0.17 * count))
         axes.axvspan(-1, 1, color=MODEL, alpha=0.18, linewidth=0, label="95 % of the simulation")
         labels = []
         for one in named:

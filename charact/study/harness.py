@@ -66,16 +66,10 @@ class Case:
 class CaseResult:
     """What one method made of one case.
 
-    Parameters
-    ----------
-    status
-        That of the measurement, or "crashed" where the method raised anything but a `BadInput`.
-    error_percent
-        |value - truth| / |truth|, percent; None without a value or a truth.
-    covers
-        Whether the truth lies in the 95 % interval.
-    silent
-        Silent failure: ok, and the truth further from the value than twice the 95 % half-interval on that side.
+    `status`: that of the measurement, or "crashed" where the method raised anything but a `BadInput`; `error_percent`:
+    |value - truth| / |truth|, percent; None without a value or a truth; `covers`: whether the truth lies in the 95 %
+    interval; `silent`: silent failure: ok, and the truth further from the value than twice the 95 % half-interval on
+    that side.
     """
 
     method: str
@@ -100,20 +94,15 @@ class CaseResult:
 
     def as_json(self) -> dict[str, Any]:
         """The row as plain numbers and words; a bound that is not finite becomes null."""
-        return {key: None if _endless(value) else value for key, value in asdict(self).items()}
-
-
-def _endless(value: Any) -> bool:
-    return isinstance(value, float) and not np.isfinite(value)
+        endless = {key for key, value in asdict(self).items() if isinstance(value, float) and not np.isfinite(value)}
+        return {key: None if key in endless else value for key, value in asdict(self).items()}
 
 
 def judge_measurement(measurement: Measurement, truth: float | None) -> dict[str, Any]:
     """Compare a measurement with the truth: error, cover and silent failure, as fields of a `CaseResult`.
 
-    Notes
-    -----
-    Silent: status ok and |value - truth| > 2 |end of the 95 % interval on the truth's side - value|. An honest
-    Gaussian interval does that once in ten thousand. An ok number without interval claims to be exact.
+    Silent: status ok and |value - truth| > 2 |end of the 95 % interval on the truth's side - value|. An honest Gaussian
+    interval does that once in ten thousand. An ok number without interval claims to be exact.
     """
     if measurement.value is None:
         return {}
@@ -141,56 +130,29 @@ class CaseTimer:
 
 
 def attempt(method: Method, case: Case, context: Context, *, material: Any = None) -> CaseResult:
-    """Give one case to one method and judge what comes back.
+    """Give one case to one method and judge what comes back; `material` is what the case draws, if it is drawn already.
 
-    Parameters
-    ----------
-    material
-        What the case draws, where it is drawn already.
-
-    Notes
-    -----
     A `BadInput` is a refusal. Any other exception, and any warning, is a crash: a user would see it.
     """
     base = {key: getattr(case, key) for key in ("kind", "axis", "position", "unit", "in_scope", "seed", "truth")}
     material = case.drawn() if material is None else material
     context = replace(context, **{"seed": case.seed, **case.context})
-    clock = CaseTimer()
+    clock, result = CaseTimer(), None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             result = method.function(material, **case.arguments, context=context)
+        given: dict[str, Any] = {"status": "refused", "reason": f"the result holds no {case.quantity}"}
     except BadInput as error:
-        seconds = clock.seconds()
-        return CaseResult(
-            method=method.name, case=case.name, **base, status="refused", reason=str(error), seconds=seconds
-        )
+        given = {"status": "refused", "reason": str(error)}
     except Exception as error:  # the study must outlive the method it breaks
-        seconds, reason = clock.seconds(), f"{type(error).__name__}: {error}"
-        return CaseResult(method=method.name, case=case.name, **base, status="crashed", reason=reason, seconds=seconds)
-    seconds = clock.seconds()
-    found = result.find(case.quantity)
-    if not found:
-        reason = f"the result holds no {case.quantity}"
-        return CaseResult(method=method.name, case=case.name, **base, status="refused", reason=reason, seconds=seconds)
-    return _row(method, case, base, found[0], seconds)
-
-
-def _row(method: Method, case: Case, base: dict[str, Any], found: Measurement, seconds: float) -> CaseResult:
-    low, high = found.interval95 or (None, None)
-    return CaseResult(
-        method=method.name,
-        case=case.name,
-        **base,
-        value=found.value,
-        low95=low,
-        high95=high,
-        status=found.status,
-        flags=found.flags,
-        reason=found.reason,
-        seconds=seconds,
-        **judge_measurement(found, case.truth),
-    )
+        given = {"status": "crashed", "reason": f"{type(error).__name__}: {error}"}
+    given["seconds"] = clock.seconds()
+    for found in result.find(case.quantity)[:1] if result else ():
+        low, high = found.interval95 or (None, None)
+        given |= {"value": found.value, "low95": low, "high95": high, "status": found.status, "flags": found.flags,
+                  "reason": found.reason, **judge_measurement(found, case.truth)}  # fmt: skip
+    return CaseResult(method=method.name, case=case.name, **base, **given)
 
 
 def run(
@@ -198,14 +160,8 @@ def run(
 ) -> tuple[CaseResult, ...]:
     """Put every method to every case of its kind, one after the other so that the times can be compared.
 
-    Parameters
-    ----------
-    methods, cases
-        What to try on what.
-    context
-        Context of every method; each case sets its own seed and what else it names.
-    progress
-        Called with a sentence and the share done.
+    `methods`, `cases`: what to try on what; `context`: context of every method; each case sets its own seed and what
+    else it names; `progress`: called with a sentence and the share done.
     """
     methods = tuple(methods)
     rows: list[CaseResult] = []
@@ -221,22 +177,11 @@ def run(
 class MethodSummary:
     """How one method did over many cases.
 
-    Parameters
-    ----------
-    error_percent
-        95th percentile of the relative error, percent; a refusal or crash counts as 100 %.
-    error_limit_percent
-        Upper 95 % confidence limit of that percentile, percent, by `percentile_limit`.
-    seconds
-        Median time, s.
-    cases, ok, suspect, refused, crashed
-        How many there were, and of each verdict.
-    silent
-        Silent failures.
-    ok_fraction
-        Share of cases with status ok.
-    missed_fraction
-        Share of ok cases whose 95 % interval misses the truth; 0 where none is ok.
+    `error_percent`: 95th percentile of the relative error, percent; a refusal or crash counts as 100 %;
+    `error_limit_percent`: upper 95 % confidence limit of that percentile, percent, by `percentile_limit`; `seconds`:
+    median time, s; `cases`, `ok`, `suspect`, `refused`, `crashed`: how many there were, and of each verdict; `silent`:
+    silent failures; `ok_fraction`: share of cases with status ok; `missed_fraction`: share of ok cases whose 95 %
+    interval misses the truth; 0 where none is ok.
     """
 
     method: str
@@ -256,18 +201,11 @@ class MethodSummary:
 def percentile_limit(errors: NDArray[np.floating], *, share: float = 0.95, confidence: float = 0.95) -> float:
     """Return an upper confidence limit of a percentile of what errors were drawn from, whatever its distribution.
 
-    Parameters
-    ----------
-    errors
-        Independent errors, shape (case,).
-    share, confidence
-        The percentile as a share, and the chance that the limit lies above it.
-
-    Notes
-    -----
-    The k-th smallest of n errors lies above the percentile unless k or more lie below it, which binomial(n, share)
-    tells: k is the least with P(fewer than k below) >= confidence. Of fewer than 59 errors none will do at 95 %, and
-    the largest stands in: it lies above the 95th percentile with a chance of 1 - 0.95^n, 71 % for 24 and 87 % for 40.
+    `errors`: independent errors, shape (case,); `share`, `confidence`: the percentile as a share, and the chance that
+    the limit lies above it. The k-th smallest of n errors lies above the percentile unless k or more lie below it,
+    which binomial(n, share) tells: k is the least with P(fewer than k below) >= confidence. Of fewer than 59 errors
+    none will do at 95 %, and the largest stands in: it lies above the 95th percentile with a chance of 1 - 0.95^n, 71 %
+    for 24 and 87 % for 40.
     """
     from scipy.stats import binom
 

@@ -7,10 +7,7 @@ from numpy.typing import NDArray
 def correlate_noise(white: NDArray[np.floating], sigma_px: float) -> NDArray[np.floating]:
     """Blur white noise (frame, row, col) with a Gaussian of unit sum of squares.
 
-    Parameters
-    ----------
-    sigma_px
-        Standard deviation of the Gaussian, px; 0 leaves the noise white.
+    `sigma_px`: standard deviation of the Gaussian, px; 0 leaves the noise white.
     """
     if sigma_px <= 0:
         return white

@@ -17,18 +17,9 @@ TABLES = Path(__file__).resolve().parents[1] / "method" / "tables"
 class Chart:
     """Speed against accuracy of the methods of one quantity.
 
-    Parameters
-    ----------
-    quantity
-        What was measured.
-    seed, quick
-        Seed of the cases, and whether the methods were asked for quick answers.
-    summaries
-        One for each method, the quickest first.
-    rows
-        Every method on every case.
-    files
-        What was written: the rows as JSON and the figure.
+    `quantity`: what was measured; `seed`, `quick`: seed of the cases, and whether the methods were asked for quick
+    answers; `summaries`: one for each method, the quickest first; `rows`: every method on every case; `files`: what was
+    written: the rows as JSON and the figure.
     """
 
     quantity: str

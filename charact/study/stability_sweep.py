@@ -21,14 +21,8 @@ from charact.study.study_registry import Study, methods_of, studies_of
 class Stability:
     """A map of where the methods of one quantity hold and fail.
 
-    Parameters
-    ----------
-    quantity, seed, chains
-        What was measured, the seed of the cases, and whether the methods ran their Markov chains.
-    rows
-        Every method on every case.
-    files
-        What was written: the rows as JSON and the map.
+    `quantity`, `seed`, `chains`: what was measured, the seed of the cases, and whether the methods ran their Markov
+    chains; `rows`: every method on every case; `files`: what was written: the rows as JSON and the map.
     """
 
     quantity: str

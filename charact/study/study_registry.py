@@ -3,14 +3,14 @@
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import ModuleType
 
 from charact.method import Method
 from charact.method.registry import methods_of_kind
 from charact.study.bars import cases as bar_cases
 from charact.study.bloom import cases as bloom_cases
 from charact.study.edge import cases as edge_cases
-from charact.study.flats import flat_cases as flats
-from charact.study.flats import noise_spectrum_cases, white_flats
+from charact.study.flats import flat_cases, noise_spectrum_cases, white_flats
 from charact.study.harness import Case
 from charact.study.point import cases as point_cases
 from labdata.errors import BadInput
@@ -20,16 +20,10 @@ from labdata.errors import BadInput
 class Study:
     """Where the cases of a quantity and a kind of target come from.
 
-    Parameters
-    ----------
-    kind, package
-        Kind of the methods, and the package that registers them.
-    axes
-        The axes along which the methods break.
-    chart_cases, stability_cases
-        Functions of (seed, count) and of (seed, repeats, axes) that return cases.
-    chart_count, quick_count, repeats
-        How many cases a chart holds, how many a first look, and how many draws a position of the stability map.
+    `kind`, `package`: kind of the methods, and the package that registers them; `axes`: the axes along which the
+    methods break; `chart_cases`, `stability_cases`: functions of (seed, count) and of (seed, repeats, axes) that return
+    cases; `chart_count`, `quick_count`, `repeats`: how many cases a chart holds, how many a first look, and how many
+    draws a position of the stability map.
     """
 
     kind: str
@@ -42,85 +36,22 @@ class Study:
     repeats: int
 
 
-# A table holds a quantity's methods of every kind: `auto` compares those of one kind with each other.
-EDGE = Study(
-    kind="edge",
-    package="charact.mtf",
-    axes=tuple(edge_cases.AXES),
-    chart_cases=edge_cases.chart_cases,
-    stability_cases=edge_cases.stability_cases,
-    chart_count=100,
-    quick_count=6,
-    repeats=2,
-)
-POINT = Study(
-    kind="point",
-    package="charact.mtf",
-    axes=tuple(point_cases.AXES),
-    chart_cases=point_cases.chart_cases,
-    stability_cases=point_cases.stability_cases,
-    chart_count=200,
-    quick_count=4,
-    repeats=2,
-)
-BARS = Study(
-    kind="bars",
-    package="charact.mtf",
-    axes=tuple(bar_cases.AXES),
-    chart_cases=bar_cases.chart_cases,
-    stability_cases=bar_cases.stability_cases,
-    chart_count=100,
-    quick_count=6,
-    repeats=2,
-)
-FLATS = Study(
-    kind="flats",
-    package="charact.noise",
-    axes=tuple(flats.AXES),
-    chart_cases=flats.chart_cases,
-    stability_cases=flats.stability_cases,
-    chart_count=24,
-    quick_count=2,
-    repeats=1,
-)
-WHITE_FLATS = Study(
-    kind="flats",
-    package="charact.noise",
-    axes=tuple(white_flats.AXES),
-    chart_cases=white_flats.chart_cases,
-    stability_cases=white_flats.stability_cases,
-    chart_count=8,
-    quick_count=2,
-    repeats=1,
-)
-NOISE_SPECTRUM = Study(
-    kind="post-gain",
-    package="charact.mtf",
-    axes=tuple(noise_spectrum_cases.AXES),
-    chart_cases=noise_spectrum_cases.chart_cases,
-    stability_cases=noise_spectrum_cases.stability_cases,
-    chart_count=40,
-    quick_count=4,
-    repeats=2,
-)
-BLOOM = Study(
-    kind="bloom",
-    package="charact.bloom",
-    axes=tuple(bloom_cases.AXES),
-    chart_cases=bloom_cases.chart_cases,
-    stability_cases=bloom_cases.stability_cases,
-    chart_count=40,
-    quick_count=3,
-    repeats=2,
-)
+def _study(kind: str, package: str, cases: ModuleType, chart_count: int, quick_count: int, repeats: int) -> Study:
+    return Study(
+        kind=kind, package=f"charact.{package}", axes=tuple(cases.AXES), chart_cases=cases.chart_cases,
+        stability_cases=cases.stability_cases, chart_count=chart_count, quick_count=quick_count, repeats=repeats,
+    )  # fmt: skip
 
+
+POINT = _study("point", "mtf", point_cases, 200, 4, 2)
+# A table holds a quantity's methods of every kind: `auto` compares those of one kind with each other.
 STUDIES: dict[str, tuple[Study, ...]] = {
-    "mtf50": (EDGE, POINT),
-    "mtf": (BARS,),
-    "covariance_gain": (FLATS,),
-    "system_gain": (WHITE_FLATS,),
-    "post_gain_mtf50": (NOISE_SPECTRUM,),
-    "halo_diameter": (BLOOM,),
+    "mtf50": (_study("edge", "mtf", edge_cases, 100, 6, 2), POINT),
+    "mtf": (_study("bars", "mtf", bar_cases, 100, 6, 2),),
+    "covariance_gain": (_study("flats", "noise", flat_cases, 24, 2, 1),),
+    "system_gain": (_study("flats", "noise", white_flats, 8, 2, 1),),
+    "post_gain_mtf50": (_study("post-gain", "mtf", noise_spectrum_cases, 40, 4, 2),),
+    "halo_diameter": (_study("bloom", "bloom", bloom_cases, 40, 3, 2),),
 }
 
 

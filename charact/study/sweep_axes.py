@@ -1,27 +1,23 @@
 """The knobs that studies turn: how far, within what scope, and the cases that come of it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from charact.study.harness import Case
 
-# Axis: unit, positions, and the first and last position inside the scope.
-Axes = Mapping[str, tuple[str, tuple[float, ...], tuple[float, float]]]
+# Axis: unit, positions, the first and last position inside the scope, and what a position changes of a scene.
+Axes = Mapping[str, tuple[Any, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class AxisPosition:
     """A position of one knob.
 
-    Parameters
-    ----------
-    axis, position, unit
-        The knob, how far it is turned, and its unit.
-    in_scope
-        Whether every method must cope with it.
+    `axis`, `position`, `unit`: the knob, how far it is turned, and its unit; `in_scope`: whether every method must cope
+    with it.
     """
 
     axis: str
@@ -42,21 +38,25 @@ class AxisPosition:
         )
 
 
+def scene_at(axes: Axes, at: AxisPosition, base: Any) -> Any:
+    """Return a scene at a position of an axis, all other knobs as they are."""
+    return replace(base, **axes[at.axis][3](at.position, base))
+
+
 def cases_along_axes(
     axes: Axes, chosen: Sequence[str], repeats: int, case_at: Callable[[AxisPosition, int], Case]
 ) -> tuple[Case, ...]:
-    """Return the cases of all positions of some axes, drawn several times.
+    """Return the cases of all positions of the chosen axes, drawn several times.
 
-    Parameters
-    ----------
-    axes, chosen
-        All axes, and the names of those that are turned.
-    repeats
-        Draws at each position.
-    case_at
-        Makes a case of a place and the number of the draw.
+    `case_at` makes a case of a place and the number of the draw.
     """
-    return tuple(case_at(place, repeat) for place in _places(axes, chosen) for repeat in range(repeats))
+    out = []
+    for axis in chosen:
+        unit, positions, (first, last), *_ = axes[axis]
+        for at in positions:
+            place = AxisPosition(axis=axis, position=at, unit=unit, in_scope=first <= at <= last)
+            out += [case_at(place, repeat) for repeat in range(repeats)]
+    return tuple(out)
 
 
 def cases_in_scope(count: int, case_at: Callable[[AxisPosition, int], Case]) -> tuple[Case, ...]:
@@ -65,13 +65,3 @@ def cases_in_scope(count: int, case_at: Callable[[AxisPosition, int], Case]) -> 
         case_at(AxisPosition(axis="in scope", position=number, unit="", in_scope=True), number)
         for number in range(count)
     )
-
-
-def _places(axes: Axes, chosen: Sequence[str]) -> list[AxisPosition]:
-    return [
-        AxisPosition(
-            axis=axis, position=position, unit=axes[axis][0], in_scope=axes[axis][2][0] <= position <= axes[axis][2][1]
-        )
-        for axis in chosen
-        for position in axes[axis][1]
-    ]

@@ -7,9 +7,99 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.validation.frames import MatchedStacks
-from charact.validation.predictive import REPLICATES, Features, compare
 from charact.validation.validation_result import Statistic
 from labdata.frames import FrameStack
+
+Array = NDArray[np.float64]
+
+REPLICATES = 4000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """Numbers from one set of frames, shape (k,), their sampling covariance (k, k) and its degrees of freedom."""
+
+    value: Array
+    covariance: Array
+    freedom: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Distance of a measured vector from an ensemble of simulated ones.
+
+    `distance`: root of chi-squared over its number of terms, 1 is usual; `p_value`: probability of at least this
+    distance; `centre`, `sd`: predicted mean and standard deviation of a measured vector, shape (k,).
+    """
+
+    distance: float
+    p_value: float
+    centre: Array
+    sd: Array
+
+
+def compare(
+    measured: Features, simulated: list[Features], *, rng: np.random.Generator, replicates: int = REPLICATES
+) -> Comparison:
+    """Compare one measured vector with at least two simulated ones, each from its own posterior draw.
+
+    Notes
+    -----
+    Simulated vectors scatter with S = W + P: sampling W, and the posterior P. W is pooled from within the sets, S from
+    between them, and P is the positive part of S - W. The distance of the measured vector from the mean of D draws has
+    the covariance (W + P)(1 + 1/D). Since W and P are estimates, the squared distance has no tabulated distribution:
+    the procedure is repeated on vectors drawn with the estimated W and P, and the p-value is the fraction of
+    repetitions at least as distant (a parametric bootstrap; Davison & Hinkley 1997, section 4.2).
+    """
+    values = np.array([one.value for one in simulated])
+    within, freedom = _pool_covariance([*simulated, measured])
+    chi_squared, covariance = _distance(measured.value, values, within)
+    whole = _root(within + _above(np.cov(values.T), within))
+    normal = rng.standard_normal((replicates, len(values) + 1, values.shape[1])) @ whole.T
+    sampled = rng.standard_normal((replicates, freedom, values.shape[1])) @ _root(within).T
+    again = np.einsum("rni,rnj->rij", sampled, sampled, optimize=True) / freedom
+    null, _ = _distance(normal[:, 0], normal[:, 1:], again)
+    return Comparison(
+        distance=float(np.sqrt(chi_squared / values.shape[1])),
+        p_value=float((1 + np.sum(null >= chi_squared)) / (replicates + 1)),
+        centre=values.mean(axis=0),
+        sd=np.sqrt(np.diag(covariance)),
+    )
+
+
+def _distance(one: Array, many: Array, within: Array) -> tuple[Array, Array]:
+    """Return the squared distance of vectors (..., k) from ensembles (..., draw, k), and the covariance it is in."""
+    count = many.shape[-2]
+    centre = many.mean(axis=-2)
+    away = many - centre[..., None, :]
+    between = np.swapaxes(away, -1, -2) @ away / (count - 1.0)
+    covariance = (within + _above(between, within)) * (1.0 + 1.0 / count)
+    gap = one - centre
+    return np.einsum("...i,...i->...", gap, np.linalg.solve(covariance, gap[..., None])[..., 0]), covariance
+
+
+def _pool_covariance(sets: list[Features]) -> tuple[Array, int]:
+    """Return the sampling covariance pooled over sets, and its degrees of freedom."""
+    freedom = sum(one.freedom for one in sets)
+    total = np.sum([one.freedom * one.covariance for one in sets], axis=0)
+    size = len(total)
+    return total / freedom + 1e-12 * np.trace(total) / (freedom * size) * np.eye(size), freedom
+
+
+def _above(between: Array, within: Array) -> Array:
+    """Return the excess of covariances (..., k, k) over others, in the directions where it is positive."""
+    root = _root(within)
+    inverse = np.linalg.inv(root)
+    white = inverse @ between @ np.swapaxes(inverse, -1, -2)
+    values, vectors = np.linalg.eigh((white + np.swapaxes(white, -1, -2)) / 2.0)
+    extra = (vectors * np.maximum(values - 1.0, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return np.asarray(root @ extra @ np.swapaxes(root, -1, -2))
+
+
+def _root(covariance: Array) -> Array:
+    """Return Cholesky roots."""
+    return np.linalg.cholesky(covariance).astype(np.float64)
+
 
 Array = NDArray[np.float64]
 
@@ -25,14 +115,9 @@ TITLES = {
 class FrameFeatures:
     """Features of one set of frames.
 
-    Parameters
-    ----------
-    noise, correlation, mtf
-        Features of the flats above the dark, of the brightest flat's neighbours, of the edge.
-    mean_dn, variance_dn2, covariance_dn2
-        Signal, temporal variance and covariance sum of each flat above the dark, shape (flat,).
-    grey_dn
-        Independent pixels of the brightest flat about their mean, shape (n,), DN.
+    `noise`: of the flats above the dark; `correlation`: of neighbours in the brightest flat; `mtf`: of the edge.
+    Signal, temporal variance and covariance sum of each flat above the dark have the shape (flat,); `grey_dn`:
+    independent pixels of the brightest flat about their mean, DN.
     """
 
     noise: Features
@@ -64,17 +149,7 @@ def portrait_of(
 def statistics(
     one: FrameFeatures, many: list[FrameFeatures], chosen: MatchedStacks, *, rng: np.random.Generator
 ) -> tuple[Statistic, ...]:
-    """Compare one set of features with simulated ones, each statistic at its part of the family-wise level.
-
-    Parameters
-    ----------
-    one, many
-        Features in question and those of the posterior draws.
-    chosen
-        Stacks, for their labels.
-    rng
-        Draws of the null distributions.
-    """
+    """Compare one set of features with simulated ones, each statistic at its part of the family-wise level."""
     curves = [other.mtf for other in many if other.mtf is not None]
     sharp = one.mtf if len(curves) > len(many) // 2 else None
     level = 0.005 / (3 if sharp is None else 4)
@@ -88,11 +163,11 @@ def statistics(
     if sharp is not None:
         points = tuple(f"{frequency:.2f} cy/px" for frequency in FREQUENCY_CY_PER_PX)
         vectors["mtf"] = (points, sharp, curves)
-    found = [_of_vector(name, *vector, level, rng) for name, vector in vectors.items()]
-    return (*found[:2], _histogram(one, many, level), *found[2:])
+    found = [_vector_statistic(name, *vector, level, rng) for name, vector in vectors.items()]
+    return (*found[:2], _histogram_statistic(one, many, level), *found[2:])
 
 
-def _of_vector(
+def _vector_statistic(
     name: str, labels: tuple[str, ...], one: Features, many: list[Features], level: float, rng: np.random.Generator
 ) -> Statistic:
     found = compare(one, many, rng=rng)
@@ -110,7 +185,7 @@ def _of_vector(
     )
 
 
-def _histogram(one: FrameFeatures, many: list[FrameFeatures], level: float) -> Statistic:
+def _histogram_statistic(one: FrameFeatures, many: list[FrameFeatures], level: float) -> Statistic:
     found = distance(one.grey_dn, np.concatenate([other.grey_dn for other in many]))
     return Statistic(
         name="histogram",
@@ -134,14 +209,9 @@ LAG_NAMES = ("h1", "h2", "h3", "v1", "v2", "v3", "v4")
 
 @dataclass(frozen=True, kw_only=True)
 class TileStatistics:
-    """Sums over tiles of a stack's frame-to-frame changes.
+    """Mean level of each tile of a stack, DN, and autocovariance of its frame-to-frame changes, DN^2.
 
-    Parameters
-    ----------
-    mean
-        Mean level of each tile, shape (tile,), DN.
-    autocovariance
-        Autocovariance of the changes in each tile, DN^2, lag zero at the centre; shape (tile, lag, lag).
+    Shapes (tile,) and (tile, lag, lag) with lag zero at the centre.
     """
 
     mean: Array
@@ -187,9 +257,12 @@ def noise_features(lit: list[TileStatistics], dark: TileStatistics) -> Features:
     """Return ln(variance/signal) and ln(covariance sum/signal) of every flat."""
 
     def numbers(lit: list[TileStatistics], dark: TileStatistics) -> list[float]:
-        signal = [float(one.mean.mean() - dark.mean.mean()) for one in lit]
-        pairs = zip(lit, signal, strict=True)
-        return [np.log(max(part, 1e-9) / s) for one, s in pairs for part in _above(one, dark)]
+        parts = [
+            (part, float(one.mean.mean() - dark.mean.mean()))
+            for one in lit
+            for part in (one.variance - dark.variance, one.covariance_sum - dark.covariance_sum)
+        ]
+        return [np.log(max(part, 1e-9) / signal) for part, signal in parts]
 
     out = [numbers([one.without(tile) for one in lit], dark.without(tile)) for tile in range(TILES**2)]
     return _jackknife(np.array(numbers(lit, dark)), np.array(out))
@@ -199,10 +272,6 @@ def correlation_features(flat: TileStatistics) -> Features:
     """Return the correlations of a flat at LAGS."""
     out = [[flat.without(tile).correlation(lag) for lag in LAGS] for tile in range(TILES**2)]
     return _jackknife(np.array([flat.correlation(lag) for lag in LAGS]), np.array(out))
-
-
-def _above(lit: TileStatistics, dark: TileStatistics) -> tuple[float, float]:
-    return lit.variance - dark.variance, lit.covariance_sum - dark.covariance_sum
 
 
 def _jackknife(value: Array, left_out: Array) -> Features:
@@ -232,14 +301,8 @@ STRIDE = 8
 class Distance:
     """Distance of two samples of grey values.
 
-    Parameters
-    ----------
-    kolmogorov
-        Largest difference of the distribution functions, dimensionless.
-    wasserstein_sd
-        Mean shift that converts one sample into the other, in standard deviations of the measured one.
-    p_value
-        Probability of a Kolmogorov distance at least as large, dimensionless.
+    `kolmogorov`: largest difference of the distribution functions; `wasserstein_sd`: mean shift that converts one
+    sample into the other, in standard deviations of the measured one; `p_value`: of the Kolmogorov distance.
     """
 
     kolmogorov: float
@@ -276,7 +339,6 @@ def distance(measured: Array, simulated: Array) -> Distance:
     )
 
 
-METHOD = "edge-slanted"
 # Frequencies up to 0.8 of the sampling limit.
 FREQUENCY_CY_PER_PX = np.arange(0.05, 0.4001, 0.05)
 
@@ -285,7 +347,7 @@ def mtf_features(frames: NDArray, context: Context) -> Features | None:
     """Return the MTF at FREQUENCY_CY_PER_PX with the method's own errors, or None where the method refuses."""
     from charact import mtf
 
-    found = mtf.measure("edge", FrameStack(data=frames), method=METHOD, context=context)
+    found = mtf.measure("edge", FrameStack(data=frames), method="edge-slanted", context=context)
     line = next(iter(found.curves.values()), None)
     if line is None or line.interval68 is None:
         return None

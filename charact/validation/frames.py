@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
 from labdata.sensor import Sensor
 from labdata.session import Kind, Session, StackEntry
 from labdata.target import Target
@@ -21,19 +20,7 @@ FEWEST_FRAMES = 3
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedFrames:
-    """One stack that is compared.
-
-    Parameters
-    ----------
-    label, kind, conditions, target
-        As in the session.
-    frames
-        Number of frames used.
-    corner
-        First row and column of the crop.
-    shape
-        Rows and columns of the crop.
-    """
+    """Frames of a stack that are compared: as in the session, their number, and corner and shape of the crop."""
 
     label: str
     kind: Kind
@@ -48,16 +35,8 @@ class MatchedFrames:
 class MatchedStacks:
     """Stacks of a validation.
 
-    Parameters
-    ----------
-    dark, flats, edge
-        Stacks; without an edge the MTF is not compared.
-    others
-        Stacks for display only.
-    measured
-        Measured frames by label, shape (frame, row, col), DN.
-    notes
-        Excluded stacks with reasons.
+    `others` are for display only; `measured` has the frames by label, shape (frame, row, col), DN; `notes` name
+    excluded stacks. Without an edge the MTF is not compared.
     """
 
     dark: MatchedFrames
@@ -66,6 +45,11 @@ class MatchedStacks:
     others: tuple[MatchedFrames, ...]
     measured: dict[str, NDArray]
     notes: tuple[str, ...]
+
+    @property
+    def compared(self) -> tuple[MatchedFrames, ...]:
+        """Dark, flats and edge."""
+        return (self.dark, *self.flats, *((self.edge,) if self.edge else ()))
 
 
 def choose(session: Session) -> MatchedStacks:
@@ -81,23 +65,18 @@ def choose(session: Session) -> MatchedStacks:
         raise BadInput(
             f"a validation needs a dark stack of {FEWEST_FRAMES} frames or more, got none in {session.name!r}"
         )
-    measured: dict[str, NDArray] = {}
     dark = max(darks, key=lambda item: item[0].frames)
-    measured[dark[0].label] = _cut(dark[0], dark[1].read())
-    flats, notes = _flats(session, measured)
-    edges = _shots(session, "edge")
+    flats, notes = _flats(session)
+    edges, bars, points = (_shots(session, kind) for kind in ("edge", "bars", "point"))
     if not edges:
         notes.append("no edge: the MTF is not compared")
-    bars, points = _shots(session, "bars"), _shots(session, "point")
     shown = bars[:1] + points[-1:]
-    for shot, entry in edges[:1] + shown:
-        measured[shot.label] = _cut(shot, entry.read())
     return MatchedStacks(
         dark=dark[0],
-        flats=tuple(flats),
+        flats=tuple(shot for shot, _ in flats),
         edge=edges[0][0] if edges else None,
         others=tuple(shot for shot, _ in shown),
-        measured=measured,
+        measured={shot.label: _cut(shot, entry) for shot, entry in (dark, *flats, *edges[:1], *shown)},
         notes=tuple(notes),
     )
 
@@ -121,41 +100,24 @@ def simulate_frames(sensor: Sensor, shots: tuple[MatchedFrames, ...], *, seed: i
 
 
 def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry]]:
-    """Return the stacks of a kind with enough frames."""
+    """Return the stacks of a kind with enough frames and known light."""
     out = []
     for entry in session.of_kind(kind):
-        if kind != "dark" and entry.conditions.illuminance_lux is None:
+        frames, rows, columns = entry.read().shape
+        if frames < FEWEST_FRAMES or (kind != "dark" and entry.conditions.illuminance_lux is None):
             continue
-        stack = entry.read()
-        frames, rows, columns = stack.shape
-        if frames < FEWEST_FRAMES:
-            continue
-        height, width = _cut_shape(entry)
+        height, width = SHAPE
+        if kind == "edge":
+            upright = abs(np.cos(np.deg2rad(entry.target.angle_deg or 0.0))) > np.sqrt(0.5)
+            height, width = (ALONG_EDGE, ACROSS_EDGE) if upright else (ACROSS_EDGE, ALONG_EDGE)
         shape = (min(height, rows - rows % 2), min(width, columns))
-        most = 16 if kind == "edge" else 8
-        out.append(
-            (
-                MatchedFrames(
-                    label=entry.label,
-                    kind=entry.kind,
-                    conditions=entry.conditions,
-                    target=entry.target,
-                    frames=min(frames, most),
-                    corner=_corner(entry.target, (rows, columns), shape),
-                    shape=shape,
-                ),
-                entry,
-            )
-        )
+        shot = MatchedFrames(
+            label=entry.label, kind=entry.kind, conditions=entry.conditions, target=entry.target,
+            frames=min(frames, 16 if kind == "edge" else 8), corner=_corner(entry.target, (rows, columns), shape),
+            shape=shape,
+        )  # fmt: skip
+        out.append((shot, entry))
     return out
-
-
-def _cut_shape(entry: StackEntry) -> tuple[int, int]:
-    """Return the rows and columns of a crop."""
-    if entry.kind != "edge":
-        return SHAPE
-    upright = abs(np.cos(np.deg2rad(entry.target.angle_deg or 0.0))) > np.sqrt(0.5)
-    return (ALONG_EDGE, ACROSS_EDGE) if upright else (ACROSS_EDGE, ALONG_EDGE)
 
 
 def _corner(target: Target, whole: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
@@ -166,28 +128,26 @@ def _corner(target: Target, whole: tuple[int, int], shape: tuple[int, int]) -> t
     return top - top % 2, left
 
 
-def _cut(shot: MatchedFrames, stack: FrameStack) -> NDArray:
-    return np.array(stack.region(*shot.corner, *shot.shape).data[: shot.frames])
+def _cut(shot: MatchedFrames, entry: StackEntry) -> NDArray:
+    return np.array(entry.read().region(*shot.corner, *shot.shape).data[: shot.frames])
 
 
-def _flats(session: Session, measured: dict[str, NDArray]) -> tuple[list[MatchedFrames], list[str]]:
-    """Select flats of low, medium and high signal, and store their frames."""
+def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], list[str]]:
+    """Select flats of low, medium and high signal; return them and notes on excluded ones."""
     sensor = session.sensor
     if sensor is None:
         raise BadInput(f"a validation needs a session of a described sensor, got none in {session.name!r}")
     full = float(2 ** (session.bit_depth or sensor.video.bit_depth) - 1)
     usable, notes = [], []
     for shot, entry in _shots(session, "flat"):
-        frames = _cut(shot, entry.read())
+        frames = _cut(shot, entry)
         clipped = float(np.mean((frames >= full) | (frames <= 0)))
         if frames.mean() > 0.8 * full or clipped > 1e-3:
             notes.append(f"{shot.label} is outside the linear range")
-            continue
-        usable.append((float(frames.mean()), shot, frames))
+        else:
+            usable.append((float(frames.mean()), (shot, entry)))
     if not usable:
         raise BadInput(f"a validation needs a flat inside the range with {FEWEST_FRAMES} frames or more, got none")
     usable.sort(key=lambda item: item[0])
     picked = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(3, len(usable)))})
-    for place in picked:
-        measured[usable[place][1].label] = usable[place][2]
     return [usable[place][1] for place in picked], notes

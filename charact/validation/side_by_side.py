@@ -11,8 +11,8 @@ from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from charact.validation import frame_features
 from charact.validation.frame_features import FrameFeatures, portrait_of, statistics
-from charact.validation.frames import MatchedStacks, choose, simulate_frames
-from charact.validation.validation_result import FramePair, Statistic, Validation, ValidationControl
+from charact.validation.frames import MatchedFrames, MatchedStacks, choose, simulate_frames
+from charact.validation.validation_result import FramePair, Validation, ValidationControl
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from labdata.session import Session
@@ -25,8 +25,20 @@ def overlays(
 ) -> dict[str, dict[str, Any]]:
     """Return the overlays by name, JSON-ready."""
     out = {
-        "photon-transfer": _transfer("variance_dn2", "Temporal variance, DN²", measured, simulated),
-        "covariance": _transfer("covariance_dn2", "Covariance sum within 6 px, DN²", measured, simulated),
+        **{
+            name: {
+                "title": title,
+                "x_title": "signal, DN",
+                "y_title": title,
+                "x": measured.mean_dn.tolist(),
+                "x_simulated": np.mean([one.mean_dn for one in simulated], axis=0).tolist(),
+                **_band(getattr(measured, field), np.array([getattr(one, field) for one in simulated])),
+            }
+            for name, field, title in (
+                ("photon-transfer", "variance_dn2", "Temporal variance, DN²"),
+                ("covariance", "covariance_dn2", "Covariance sum within 6 px, DN²"),
+            )
+        },
         "autocorrelation": {
             "title": "Correlation of neighbouring pixels",
             "x_title": "lag, px",
@@ -51,23 +63,17 @@ def overlays(
 
 def pairs(chosen: MatchedStacks, simulated: dict[str, NDArray]) -> tuple[FramePair, ...]:
     """Return the first frame of each stack, measured and simulated, with a common display range."""
-    shots = (chosen.flats[-1], *((chosen.edge,) if chosen.edge else ()), *chosen.others)
+    shots = (chosen.flats[-1], *chosen.compared[1 + len(chosen.flats) :], *chosen.others)
     out = []
     for shot in shots:
         both = [np.asarray(frames[shot.label][0], float) for frames in (chosen.measured, simulated)]
         low, high = np.quantile(np.concatenate([one.ravel() for one in both]), (0.002, 0.998))
         high = max(high, low + 1.0)
         shown = [np.rint(255 * np.clip((one - low) / (high - low), 0, 1)).astype(np.uint8) for one in both]
-        out.append(
-            FramePair(
-                kind=shot.kind,
-                label=shot.label,
-                measured=shown[0],
-                simulated=shown[1],
-                low_dn=float(low),
-                high_dn=float(high),
-            )
-        )
+        out.append(FramePair(
+            kind=shot.kind, label=shot.label, measured=shown[0], simulated=shown[1], low_dn=float(low),
+            high_dn=float(high),
+        ))  # fmt: skip
     return tuple(out)
 
 
@@ -79,17 +85,6 @@ def _band(measured: Array, simulated: Array) -> dict[str, list[float]]:
         "simulated": centre.tolist(),
         "low95": (centre - 1.96 * sd).tolist(),
         "high95": (centre + 1.96 * sd).tolist(),
-    }
-
-
-def _transfer(field: str, title: str, measured: FrameFeatures, simulated: list[FrameFeatures]) -> dict[str, Any]:
-    return {
-        "title": title,
-        "x_title": "signal, DN",
-        "y_title": title,
-        "x": measured.mean_dn.tolist(),
-        "x_simulated": np.mean([one.mean_dn for one in simulated], axis=0).tolist(),
-        **_band(getattr(measured, field), np.array([getattr(one, field) for one in simulated])),
     }
 
 
@@ -150,64 +145,48 @@ def validate(
         raise BadInput(f"a validation needs a session of a described sensor, got none in {session.name!r}")
     progress("measured frames", 0.0)
     chosen = choose(session)
-    run = _Run(session, sensor, chosen, seed)
-    measured = run.portrait(chosen.measured)
-    many, first = [], {}
+    rng = np.random.default_rng([seed, 7])
+    full = float(2 ** (session.bit_depth or sensor.video.bit_depth) - 1)
+    context = Context(
+        seed=seed, quick=True, sensor=session.sensor, interlaced=session.is_interlaced, full_scale_dn=full
+    )
+
+    def draw_sensor() -> Sensor:
+        """Return the sensor of one posterior draw; a name of its own gives it fixed patterns of its own."""
+        drawn = sensor.draw(rng) if sensor.draws.values else sensor
+        return replace(drawn, name=f"{sensor.name}, draw {int(rng.integers(2**31))}")
+
+    def simulate(drawn: Sensor, others: tuple[MatchedFrames, ...] = ()) -> dict[str, NDArray]:
+        return simulate_frames(drawn, (*chosen.compared, *others), seed=int(rng.integers(2**31)))
+
+    def portrait(frames: dict[str, NDArray]) -> FrameFeatures:
+        return portrait_of(frames, chosen, context=context, rng=rng)
+
+    measured, many, first = portrait(chosen.measured), [], {}
+    shown = tuple(replace(shot, frames=1) for shot in chosen.others)
     for index in range(DRAWS):
         progress(f"simulating draw {index + 1} of {DRAWS}", (index + 0.5) / (DRAWS + 3))
-        frames = run.frames(run.draw_sensor(), others=index == 0)
+        frames = simulate(draw_sensor(), () if first else shown)
         first = first or frames
-        many.append(run.portrait(frames))
+        many.append(portrait(frames))
     progress("null control", (DRAWS + 1) / (DRAWS + 3))
-    null = run.portrait(run.frames(run.draw_sensor()))
+    null = portrait(simulate(draw_sensor()))
     progress("negative control", (DRAWS + 2) / (DRAWS + 3))
-    removed = run.draw_sensor().with_values({"tube.post_gain_share": 1e-6})
-    negative = run.portrait(run.frames(removed))
+    negative = portrait(simulate(draw_sensor().with_values({"tube.post_gain_share": 1e-6})))
     progress("validated", 1.0)
+    found, of_null, of_negative = (statistics(one, many, chosen, rng=rng) for one in (measured, null, negative))
     return Validation(
         session=session.name,
         sensor=sensor.name,
         seed=seed,
         draws=DRAWS,
         seconds=watch.seconds(),
-        statistics=run.statistics(measured, many),
+        statistics=found,
         controls=(
-            ValidationControl(name="null", title=NULL, statistics=run.statistics(null, many)),
-            ValidationControl(name="negative", title=NEGATIVE, statistics=run.statistics(negative, many)),
+            ValidationControl(name="null", title=NULL, statistics=of_null),
+            ValidationControl(name="negative", title=NEGATIVE, statistics=of_negative),
         ),
         overlays=overlays(measured, many, chosen),
         pairs=pairs(chosen, first),
         notes=chosen.notes if sensor.draws.values else (*chosen.notes, NO_DRAWS),
     )
-
-
-class _Run:
-    """Random state of one validation."""
-
-    def __init__(self, session: Session, sensor: Sensor, chosen: MatchedStacks, seed: int) -> None:
-        self._sensor, self._chosen = sensor, chosen
-        self._rng = np.random.default_rng([seed, 7])
-        full = float(2 ** (session.bit_depth or sensor.video.bit_depth) - 1)
-        self._context = Context(
-            seed=seed, quick=True, sensor=session.sensor, interlaced=session.is_interlaced, full_scale_dn=full
-        )
-
-    def draw_sensor(self) -> Sensor:
-        """Return the sensor of one posterior draw; a name of its own gives it fixed patterns of its own."""
-        drawn = self._sensor.draw(self._rng) if self._sensor.draws.values else self._sensor
-        return replace(drawn, name=f"{self._sensor.name}, draw {int(self._rng.integers(2**31))}")
-
-    def frames(self, sensor: Sensor, *, others: bool = False) -> dict[str, NDArray]:
-        """Return simulated frames of the chosen stacks."""
-        chosen = self._chosen
-        shots = (chosen.dark, *chosen.flats, *((chosen.edge,) if chosen.edge else ()))
-        shown = tuple(replace(shot, frames=1) for shot in chosen.others) if others else ()
-        return simulate_frames(sensor, (*shots, *shown), seed=int(self._rng.integers(2**31)))
-
-    def portrait(self, frames: dict[str, NDArray]) -> FrameFeatures:
-        """Return the numbers of frames."""
-        return portrait_of(frames, self._chosen, context=self._context, rng=self._rng)
-
-    def statistics(self, one: FrameFeatures, many: list[FrameFeatures]) -> tuple[Statistic, ...]:
-        """Return the statistics of one portrait against many."""
-        return statistics(one, many, self._chosen, rng=self._rng)

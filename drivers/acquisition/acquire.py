@@ -26,8 +26,7 @@ from labdata.store.storage_thread import Storage
 PLAN = "plan.toml"
 LOG = "log.jsonl"
 
-PROGRESS_S = 1.0
-"""Longest wait at the end for progress to be shown, s."""
+PROGRESS_S = 1.0  # Longest wait at the end for progress to be shown, s
 
 
 def acquire(
@@ -42,7 +41,7 @@ def acquire(
     progress: Callable[[str, float], None] = lambda sentence, share: None,
     requests: RunControl | None = None,
 ) -> Session:
-    """Acquire a plan's stacks into a session.
+    """Acquire a plan's stacks into a session, and return it.
 
     The tube is made safe first, and the plan is checked completely before anything is switched on. Frames are
     stored by a separate thread; progress counts those on the disk. Whatever ends the run, including errors of an
@@ -51,14 +50,8 @@ def acquire(
 
     Parameters
     ----------
-    plan
-        The plan.
-    folder
-        Folder of the session.
-    camera
-        The camera, not yet opened.
-    bench
-        The bench, not yet opened; opened first and closed last. Both make the tube safe.
+    camera, bench
+        Not yet opened; the bench is opened first and closed last. Both make the tube safe.
     operator
         Places targets and sets light.
     judge
@@ -70,11 +63,6 @@ def acquire(
         Called with the step and the completed fraction (0..1).
     requests
         Requests of the user; by default Ctrl-C and SIGUSR1.
-
-    Returns
-    -------
-    Session
-        The session, open.
 
     Raises
     ------

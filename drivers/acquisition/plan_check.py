@@ -25,23 +25,11 @@ _SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_contr
 
 
 def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
-    """Check a plan completely.
+    """Check a plan completely; the first broken rule is BadInput.
 
-    Parameters
-    ----------
-    plan
-        The plan.
-    folder
-        Folder of the future session.
-    sensor
-        Sensor of the camera, or None.
-
-    Raises
-    ------
-    BadInput
-        At the first broken rule: a command that the interlock refuses, a limit above the tube's, a label that is no
-        file name, light on a dark, an incomplete target, a gate wider than the exposure, a condition that no driver
-        sets, a frame format outside the sensor, or a full disk.
+    Rules: a command that the interlock refuses, a limit above the tube's, a label that is no file name, light on a
+    dark, an incomplete target, a gate wider than the exposure, a condition that no driver sets, a frame format outside
+    the sensor, or a full disk.
     """
     limits = limits_in_force(plan.limits, sensor, plan.overrides)
     for step in plan.steps:
@@ -177,17 +165,10 @@ def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
         raise BadInput(f"the disk must have {needed // 10**6} MB free for this plan, got {free // 10**6} MB")
 
 
-CHANGE_S = 0.3
-"""Time to set gate, camera and light of a step, s."""
-
-GAIN_SETTLES_S = 0.5
-"""Settle and read time of a supply after a ramp, s."""
-
-FALL_V_PER_S = 300.0
-"""Rate of fall of the unloaded high voltage, V/s."""
-
-FRAMES_PER_S = 30.0
-"""Frame rate assumed for an unknown camera, Hz."""
+CHANGE_S = 0.3  # Time to set gate, camera and light of a step, s
+GAIN_SETTLES_S = 0.5  # Settle and read time of a supply after a ramp, s
+FALL_V_PER_S = 300.0  # Rate of fall of the unloaded high voltage, V/s
+FRAMES_PER_S = 30.0  # Frame rate assumed for an unknown camera, Hz
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,12 +176,9 @@ class StepForecast:
     """Forecast of one step, with all its frames."""
 
     step: Step
-    seconds: float
-    """Duration, s."""
-    anode_na_per_cm2: float
-    """MCP output current density without saturation, nA/cm2."""
-    share_of_limit: float
-    """Fraction of the allowed current density."""
+    seconds: float  # Duration, s
+    anode_na_per_cm2: float  # MCP output current density without saturation, nA/cm2
+    share_of_limit: float  # Fraction of the allowed current density
     dose: Dose
 
 
@@ -209,12 +187,10 @@ class Forecast:
     """Forecast of a plan, in the order of its steps."""
 
     steps: tuple[StepForecast, ...]
-    bytes: int
-    """Disk space of its frames; 0 where no sensor gives the frame size."""
+    bytes: int  # Disk space of its frames; 0 where no sensor gives the frame size
     limits: LimitsInForce
     gain_table: GainTable | None
-    out_of_step: tuple[str, ...] = ()
-    """One sentence for each unsynchronised pair of gate and exposure."""
+    out_of_step: tuple[str, ...] = ()  # One sentence for each unsynchronised pair of gate and exposure
 
     @property
     def seconds(self) -> float:

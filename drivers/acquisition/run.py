@@ -24,20 +24,18 @@ from labdata.store import SessionWriter
 from labdata.store.storage_thread import Storage, StoredStack
 
 LOOK_S = 0.1
+# Longest time without progress of the disk while frames are queued, s, since the tube is at gain meanwhile
 DISK_S = 1.2
-"""Longest time without progress of the disk while frames are queued, s, since the tube is at gain meanwhile."""
 
-CAMERA_S = 15.0
-"""Longest time for the settings of a camera, with the gate shut, s."""
+CAMERA_S = 15.0  # Longest time for the settings of a camera, with the gate shut, s
 
+# Fraction of the gate width, and smallest width in ns, of the first frame in a light that a person set
 PROBE_SHARE, PROBE_NS = 0.01, 100.0
-"""Fraction of the gate width, and smallest width in ns, of the first frame in a light that a person set."""
 
-SAME, SAME_LIGHT = 1e-3, 0.02
-"""Largest relative difference of equal read-backs of an instrument, and of a light meter."""
+SAME, SAME_LIGHT = 1e-3, 0.02  # Largest relative difference of equal read-backs of an instrument, and of a light meter
 
+# Measured conditions without set-point; they may differ between runs
 OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "metered_time_s")
-"""Measured conditions without set-point; they may differ between runs."""
 
 DISCARDED_FRAMES = 3  # a frame in the grabber, a frame in the camera, and one for the phosphor
 

@@ -12,8 +12,7 @@ from types import FrameType
 LOOK_S = 0.05
 
 URGENT = (signal.SIGTERM, signal.SIGHUP)
-GRACE_S, STUCK_S = 5.0, 15.0
-"""Time limits of a run ended by a signal, once the tube is safe and in total, s."""
+GRACE_S, STUCK_S = 5.0, 15.0  # Time limits of a run ended by a signal, once the tube is safe and in total, s
 
 STOPPING = "stopping after this step; Ctrl-C again shuts the gate now"
 PAUSING = "pausing after this step; the same signal again goes on"
@@ -21,24 +20,16 @@ PAUSED = "paused with gate shut and light out; SIGUSR1 goes on, Ctrl-C ends the 
 
 
 class RunControl:
-    """Requests of the user to a running acquisition.
-
-    Parameters
-    ----------
-    say
-        Called with a sentence that confirms a request.
-    """
+    """Requests of the user to a running acquisition; `say` is called with a sentence that confirms a request."""
 
     def __init__(self, say: Callable[[str], None] = lambda sentence: None) -> None:
         self.say = say
-        self.stop = False
-        """Whether to end the run after the present step."""
-        self.pause = False
-        """Whether to pause after the present step, until this is False again."""
+        self.stop = False  # Whether to end the run after the present step
+        self.pause = False  # Whether to pause after the present step, until this is False again
+        # Called from a separate thread at SIGTERM, SIGHUP and the second Ctrl-C
         self.make_safe_at_once: Callable[[], None] = lambda: None
-        """Called from a separate thread at SIGTERM, SIGHUP and the second Ctrl-C."""
+        # Returns the final state of the tube, written to the terminal by a run that hangs at its end
         self.last_words: Callable[[], str] = lambda: ""
-        """Returns the final state of the tube, written to the terminal by a run that hangs at its end."""
         self._running = self._leaving = False
         self._ended = threading.Event()
 
@@ -100,13 +91,7 @@ class RunControl:
             self._running, self._leaving = False, True
 
     def between_steps(self, look: Callable[[], None]) -> None:
-        """End the run (KeyboardInterrupt) or pause as requested; called between steps with the gate shut.
-
-        Parameters
-        ----------
-        look
-            Called during a pause; raises errors of the bench.
-        """
+        """End the run (KeyboardInterrupt) or pause as requested; `look` raises errors of the bench meanwhile."""
         if self.pause and not self.stop:
             self.say(PAUSED)
         while self.pause and not self.stop:

@@ -13,10 +13,8 @@ class StepClock:
 
     def __init__(self) -> None:
         self._began_s = time.monotonic()
-        self.wire_s = 0.0
-        """Time spent in instruments, operator and camera, s."""
-        self.settling_s = 0.0
-        """Settle time of the plan, s."""
+        self.wire_s = 0.0  # Time spent in instruments, operator and camera, s
+        self.settling_s = 0.0  # Settle time of the plan, s
 
     @contextmanager
     def wire(self) -> Iterator[None]:
@@ -53,20 +51,11 @@ class StepClock:
 
 
 class RunProgress:
-    """Progress of a run in frames, with frame rate and time left.
-
-    Parameters
-    ----------
-    frames
-        Frames of the plan.
-    done
-        Frames of the steps finished in earlier runs.
-    """
+    """Progress of a run of `frames`, `done` in earlier runs, with frame rate and time left."""
 
     def __init__(self, *, frames: int, done: int) -> None:
         self._frames, self._before = frames, done
-        self.done = done
-        """Frames of the finished steps; a step stopped early counts completely."""
+        self.done = done  # Frames of the finished steps; a step stopped early counts completely
         self._began_s = time.monotonic()
         self._step_began_s: float | None = None
 

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from types import TracebackType
 from typing import Any, Self
 
 from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
@@ -28,21 +27,16 @@ from drivers.serial_lines.port import InheritedPort
 from labdata.event_log import EventLog
 from labdata.instrument_config import Role
 
-SERVER_SILENCE_S = SILENCE_S + BEAT_S
-"""Time without heartbeat of the server after which it is killed, s."""
+SERVER_SILENCE_S = SILENCE_S + BEAT_S  # Time without heartbeat of the server after which it is killed, s
 
+# Longest duration of the safe action, s: wait for a lost port, then for the decay of the voltage
 SAFE_S = FALL_S + REOPEN_S + 5.0
-"""Longest duration of the safe action, s: wait for a lost port, then for the decay of the voltage."""
 
-START_S = 15.0
-"""Longest start of the server, s."""
+START_S = 15.0  # Longest start of the server, s
 
 SLICE_S = 0.1
-RESERVE_BYTES = 8 << 20
-"""Memory reserved for the safe action, bytes."""
-
-KILLED_S = 0.1
-"""Longest wait for a killed server to release its ports, s."""
+RESERVE_BYTES = 8 << 20  # Memory reserved for the safe action, bytes
+KILLED_S = 0.1  # Longest wait for a killed server to release its ports, s
 
 
 def _command(name: str) -> Callable[..., Any]:
@@ -65,10 +59,8 @@ class BenchClient:
 
     def __init__(self, setup: BenchSetup) -> None:
         self._setup = setup
-        self.fault: BenchError | None = None
-        """First error of the bench since it was opened."""
-        self.report: SafeStateReport | None = None
-        """Report of the last safe action."""
+        self.fault: BenchError | None = None  # First error of the bench since it was opened
+        self.report: SafeStateReport | None = None  # Report of the last safe action
         self.dark_seen = False
         self._numbers = itertools.count(1)
         self._replies: dict[int, queue.SimpleQueue[Reply]] = {}
@@ -107,9 +99,7 @@ class BenchClient:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._leave(error)
 
     def _remember(self) -> None:

@@ -11,14 +11,9 @@ from drivers.errors import BenchError
 from labdata.errors import BadInput
 from labdata.instrument_config import Role
 
-BEAT_S = 0.1
-"""Heartbeat interval, s."""
-
-SILENCE_S = 0.5
-"""Time without heartbeat after which the other side counts as hung, s: five intervals."""
-
-LARGEST_BYTES = 1 << 17
-"""Largest message; a setup with calibrations has a few kilobytes."""
+BEAT_S = 0.1  # Heartbeat interval, s
+SILENCE_S = 0.5  # Time without heartbeat after which the other side counts as hung, s: five intervals
+LARGEST_BYTES = 1 << 17  # Largest message; a setup with calibrations has a few kilobytes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +71,7 @@ class Connection:
         end.setblocking(False)
         self._poll = select.poll()
         self._poll.register(end, select.POLLIN)
-        self.gone = False
-        """Whether the other side has closed its end or stopped reading."""
+        self.gone = False  # Whether the other side has closed its end or stopped reading
 
     def fileno(self) -> int:
         """Descriptor, for `select`."""

@@ -18,17 +18,13 @@ from drivers.bench.state import (
 )
 from labdata.limits import LimitsInForce
 
-SILENCE_S = 0.6
-"""Longest time since the client's last heartbeat for commands that increase the load of the tube, s."""
+SILENCE_S = 0.6  # Longest time since the client's last heartbeat for commands that increase the load of the tube, s
+PROBE_DUTY = 0.01  # Largest duty of the gate in light that no frame has verified yet: a hundredth of the dose
 
-PROBE_DUTY = 0.01
-"""Largest duty of the gate in light that no frame has verified yet: a hundredth of the dose."""
-
+# Fraction of pixels that may be saturated beyond the limit of the step; lamps in view are smaller
 MAX_EXCESS_SATURATION = 0.05
-"""Fraction of pixels that may be saturated beyond the limit of the step; lamps in view are smaller."""
 
-METER_TOLERANCE = 1.25
-"""Factor by which a light reading may exceed its limit, for the calibration of the meter."""
+METER_TOLERANCE = 1.25  # Factor by which a light reading may exceed its limit, for the calibration of the meter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +150,7 @@ def _heats(command: Command) -> bool:
     return not (isinstance(command, TurnFilter) or (isinstance(command, SetLight) and command.illuminance_lux == 0.0))
 
 
+# All rules that refuse commands
 RULES = (
     Rule(name="voltage", breach=_voltage),
     Rule(name="ramp", breach=_ramp),
@@ -171,7 +168,6 @@ RULES = (
     Rule(name="guarded", breach=_heartbeat_due),
     Rule(name="nothing after a failure", breach=_no_failure),
 )
-"""All rules that refuse commands."""
 
 
 def _silent(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
@@ -201,13 +197,13 @@ def _saturation(state: TubeState, limits: LimitsInForce, now_s: float) -> str | 
         )
 
 
+# All rules that force the safe state
 REACTIONS = (
     Reaction(name="silence makes safe", reason=_silent),
     Reaction(name="too much current makes safe", reason=_overload),
     Reaction(name="too bright a light makes safe", reason=_too_bright),
     Reaction(name="a saturated frame makes safe", reason=_saturation),
 )
-"""All rules that force the safe state."""
 
 
 def refuse(
@@ -226,22 +222,11 @@ def alarm(
     return next((why for one in reactions if (why := one.reason(state, limits, now_s))), None)
 
 
-Watcher = Callable[[TubeState, float], None]
-"""Called as watcher(state, now_s) with the previous state, at every change."""
+Watcher = Callable[[TubeState, float], None]  # Called as watcher(state, now_s) with the previous state, at every change
 
 
 class Interlock:
-    """State machine that permits or refuses commands to the tube.
-
-    Parameters
-    ----------
-    limits
-        The limits in force.
-    rules, reactions
-        The rules; subsets only in tests.
-    clock
-        Monotonic time, s.
-    """
+    """State machine that permits or refuses commands to the tube; subsets of its rules only in tests."""
 
     def __init__(
         self,

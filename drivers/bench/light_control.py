@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from drivers.interface import Operator
 
 
+# Fraction of the largest allowed light below which a reading with blocked light is the zero of the meter
 METER_ZERO = 1e-3
-"""Fraction of the largest allowed light below which a reading with blocked light is the zero of the meter."""
 
 
 class Station:
@@ -43,8 +43,7 @@ class LightControl(ABC):
     interlock: Interlock
     stations: Mapping[Role, Station]
     _setup: BenchSetup
-    _is_stopped = False
-    """Whether a safe action began since the present command."""
+    _is_stopped = False  # Whether a safe action began since the present command
     _position = 1
 
     @abstractmethod
@@ -86,12 +85,7 @@ class LightControl(ABC):
     def shine(self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None) -> Conditions:
         """Turn the filter in the dark, then switch the lamp on; return the light of the read-back current.
 
-        Raises
-        ------
-        BadInput
-            If there is no lamp, or the target was not placed in the dark.
-        InterlockRefused
-            If a rule refuses the filter or the light.
+        A bench without a lamp, or a target not placed in the dark, is BadInput; a rule may be InterlockRefused.
         """
         if self._setup.lamp is None:
             raise BadInput("a light of its own must have a lamp at the bench, got none")
@@ -113,13 +107,7 @@ class LightControl(ABC):
         return read
 
     def _prepare_lamp(self) -> None:
-        """Switch the lamp off, limit its current to the calibration, and read the position of the wheel.
-
-        Raises
-        ------
-        BadInput
-            If the wheel has fewer positions than the calibration has filters.
-        """
+        """Switch the lamp off, limit its current to the calibration, and read the position of the wheel."""
         if (lamp := self._setup.lamp) is None:
             return
         filters, wheel = len(lamp.filter_density), self.stations.get("filter-wheel")
@@ -163,15 +151,7 @@ class LightControl(ABC):
 
 
 class GuardedLight:
-    """Operator behind the interlock, with the lamp of the bench, if it has one.
-
-    Parameters
-    ----------
-    operator
-        Places targets, and sets the light where there is no lamp.
-    bench
-        Permits each placement and takes the reading after it.
-    """
+    """Operator who places targets, behind the interlock of the bench, with its lamp, if it has one."""
 
     def __init__(self, operator: "Operator", bench: "BenchClient | LocalBench") -> None:
         self._operator, self._bench = operator, bench
@@ -195,12 +175,7 @@ class GuardedLight:
     ) -> Conditions:
         """Place a target and set the light, if no rule refuses it; return the reading.
 
-        Raises
-        ------
-        InterlockRefused
-            If a rule refuses it; nothing was moved then.
-        BenchError
-            If the reading requires the safe state.
+        Nothing was moved at InterlockRefused; a reading that requires the safe state is BenchError.
         """
         self._bench.check()
         point = kind == "point"

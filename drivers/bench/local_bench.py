@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from types import TracebackType
 from typing import Self
 
 from drivers.bench.light_control import GuardedLight
@@ -18,11 +17,11 @@ from labdata.instrument_config import Role
 class LocalBench(TubeBench):
     """A bench without a server: the caller also checks the instruments, by `check`."""
 
+    # Differences from a bench on real ports, one phrase each
     wires_left_out = (
         "serial lines: the instruments answer inside this process",
         "bench server: no other process makes the tube safe",
     )
-    """Differences from a bench on real ports, one phrase each."""
 
     def __init__(self, setup: BenchSetup, lines: Mapping[Role, InstrumentLine]) -> None:
         self._log = EventLog(setup.log)
@@ -39,9 +38,7 @@ class LocalBench(TubeBench):
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._leave(error)
 
     def guard(self, operator: Operator) -> Operator:

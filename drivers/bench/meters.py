@@ -13,20 +13,11 @@ from labdata.instrument_config import Meters, Role
 from labdata.limits import LimitsInForce
 from labdata.tube_dose import Dose, DoseLedger, dose_of, total_dose
 
-Reading = tuple[Conditions, tuple[str, ...]]
-"""Conditions read, and one sentence for each meter that did not answer."""
+Reading = tuple[Conditions, tuple[str, ...]]  # Conditions read, and one sentence for each meter that did not answer
 
 
 class AuxiliaryMeters:
-    """Light meter and thermometer, if present.
-
-    Parameters
-    ----------
-    drivers
-        Drivers of the bench by role.
-    meters
-        Use of the meters, and whether they are required.
-    """
+    """Light meter and thermometer, if present among the drivers by role."""
 
     def __init__(self, drivers: Mapping[Role, Any], meters: Meters) -> None:
         self._light_meter, self._thermometer = drivers.get("light-meter"), drivers.get("thermometer")
@@ -72,8 +63,7 @@ class AuxiliaryMeters:
         return {"temperature_c": meter.temperature_c(), "temperature_time_s": time.time()}
 
 
-LONGEST_S = 10.0
-"""Longest interval between writes of the dose while the gate is open, s; a crash loses no more."""
+LONGEST_S = 10.0  # Longest interval between writes of the dose while the gate is open, s; a crash loses no more
 
 
 class DoseMeter:

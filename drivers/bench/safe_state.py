@@ -15,48 +15,27 @@ from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, Supply
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
 
-DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")
-"""Roles that the safe action covers."""
+DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")  # Roles that the safe action covers
 
-Record = Callable[..., object]
-"""Called as record(step, **details) for each step; it must not block."""
+Record = Callable[..., object]  # Called as record(step, **details) for each step; it must not block
 
-FOLLOW_S = 0.2
-"""Interval between attempts, s."""
+FOLLOW_S = 0.2  # Interval between attempts, s
+DEAF_S = 3.0  # Longest time of attempts on an instrument that does not obey, s
+REOPEN_S = 15.0  # Longest time of attempts to reopen a lost port, s
 
-DEAF_S = 3.0
-"""Longest time of attempts on an instrument that does not obey, s."""
-
-REOPEN_S = 15.0
-"""Longest time of attempts to reopen a lost port, s."""
-
+# Manual steps for a tube that could not be made safe
 BY_HAND = "switch the high-voltage supply off at its front panel, then cover the camera and disconnect the gate unit"
-"""Manual steps for a tube that could not be made safe."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SafeStateReport:
-    """Report of a safe action.
+    """Report of a safe action."""
 
-    Parameters
-    ----------
-    gate_shut
-        Whether the gate read back no pulses and a shut idle level.
-    off_ordered
-        Whether the command to switch the high voltage off was sent.
-    residual_v
-        Last voltage measured at the output, V; None if none could be measured.
-    light_dark
-        Whether every lamp of the bench read back that it is off; true without lamps.
-    failures
-        One sentence for each failed step of an instrument that was not verified.
-    """
-
-    gate_shut: bool
-    off_ordered: bool
-    residual_v: float | None
-    light_dark: bool = True
-    failures: tuple[str, ...] = ()
+    gate_shut: bool  # Whether the gate read back no pulses and a shut idle level
+    off_ordered: bool  # Whether the command to switch the high voltage off was sent
+    residual_v: float | None  # Last voltage measured at the output, V; None if none could be measured
+    light_dark: bool = True  # Whether every lamp of the bench read back that it is off; true without lamps
+    failures: tuple[str, ...] = ()  # One sentence for each failed step of an instrument that was not verified
 
     @property
     def whole(self) -> bool:
@@ -92,13 +71,7 @@ class SafeStateReport:
 
 
 class Crew:
-    """Waiting threads, so that a process that can no longer start threads can still make the tube safe.
-
-    Parameters
-    ----------
-    size
-        Number of threads.
-    """
+    """Waiting threads, so that a process that can no longer start threads can still make the tube safe."""
 
     def __init__(self, size: int = 3) -> None:
         self._jobs: queue.SimpleQueue[tuple[Callable[[], object], threading.Event] | None] = queue.SimpleQueue()
@@ -138,24 +111,15 @@ def make_safe(
 ) -> SafeStateReport:
     """Shut the gate, switch high voltage and lamps off in parallel, then follow the decay of the output.
 
-    A silent line does not delay the others. A lost port is reopened for up to
-    15 s, and its instrument made safe when it is back.
+    A silent line does not delay the others. A lost port is reopened for up to 15 s, and its instrument made safe when
+    it is back. This raises nothing, since the next step must be tried too.
 
     Parameters
     ----------
-    gate, supply
-        Gate and supply of the tube; None if the line to one could not be opened.
-    lamps
-        Light sources of the bench, if it has any; None as above.
-    record
-        Called with each step.
+    gate, supply, lamps
+        Instruments of the tube; None if the line to one could not be opened.
     crew
         Threads to use; None: new ones.
-
-    Returns
-    -------
-    SafeStateReport
-        The report; this function raises nothing, since the next step must be tried too.
     """
     shut = _Task(gate, "delay generator", record, "gate", orders="shut_commands", verify=("shut and read back", "shut"))
     fall = _Falling(supply, "high-voltage supply", record, "high voltage", orders="off_commands")
@@ -275,17 +239,7 @@ class _Falling(_Task):
 def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
     """Make the tube of a bench safe through its serial ports alone, even if another program has opened them.
 
-    Parameters
-    ----------
-    wires
-        Models and serial ports of the instruments.
-    record
-        Called with each step.
-
-    Returns
-    -------
-    SafeStateReport
-        The report; it names instruments whose port could not be opened within 15 s.
+    The report names instruments whose port could not be opened within 15 s.
     """
     there: dict[Role, InstrumentConnection] = {
         one.role: one for one in wires.instruments if one.role in DANGEROUS and one.port

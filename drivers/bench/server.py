@@ -33,15 +33,11 @@ from labdata.event_log import EventLog
 from labdata.instrument_config import Role
 
 TICK_S = 0.02
-METER_EVERY_S = 1.0
-"""Interval between readings of the light meter, s."""
+METER_EVERY_S = 1.0  # Interval between readings of the light meter, s
+STALLED_S = 1.2  # Time without heartbeat of the run, in a living process, after which the tube is made safe, s
+LOG_S = 1.0  # Longest wait for the log at the end, s
 
-STALLED_S = 1.2
-"""Time without heartbeat of the run, in a living process, after which the tube is made safe, s."""
-
-LOG_S = 1.0
-"""Longest wait for the log at the end, s."""
-
+# Commands of a client, besides `frame_seen`, `safe` and `leave`, which are not queued
 COMMANDS = (
     "set_conditions",
     "shut_gate",
@@ -55,7 +51,6 @@ COMMANDS = (
     "verify",
     "check",
 )
-"""Commands of a client, besides `frame_seen`, `safe` and `leave`, which are not queued."""
 
 
 class BenchServer:
@@ -72,10 +67,8 @@ class BenchServer:
         self._client, self._setup, self._log, self._clock = connection, setup, log, clock
         self._bench: TubeBench | None = None
         self._is_open = False
-        self.orders: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        """Queued commands of the client."""
-        self.to_make_safe: queue.SimpleQueue[SafeOrder] = queue.SimpleQueue()
-        """Queued safe actions."""
+        self.orders: queue.SimpleQueue[Request] = queue.SimpleQueue()  # Queued commands of the client
+        self.to_make_safe: queue.SimpleQueue[SafeOrder] = queue.SimpleQueue()  # Queued safe actions
         self._over = threading.Event()
         self._stop_signal: int | None = None
         self._stamp_s = self._heard_s = clock()

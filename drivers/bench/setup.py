@@ -22,45 +22,23 @@ if TYPE_CHECKING:
     from drivers.serial_lines.line import InstrumentLine
 
 
-FIELD_RATE_HZ = 60.0 / 1.001
-"""Field rate of 525-line video, Hz."""
+FIELD_RATE_HZ = 60.0 / 1.001  # Field rate of 525-line video, Hz
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchSetup:
-    """Configuration of one bench.
+    """Configuration of one bench."""
 
-    Parameters
-    ----------
-    wires
-        Models and serial ports of the instruments.
-    limits
-        Limits in force.
-    log
-        File to which every safety step is appended as a JSON line.
-    lamp
-        Calibration of the light source named in the wires; None: a person sets the light.
-    meters
-        Use of the auxiliary meters.
-    field_hz
-        Field rate of the camera, Hz; the gate opens once per field.
-    gating
-        Trigger of the gate.
-    dose
-        Dose ledger of the tube; None: the dose is not recorded.
-    session
-        Name of the session, written to the ledger.
-    """
-
-    wires: InstrumentConfig
-    limits: LimitsInForce
-    log: Path
+    wires: InstrumentConfig  # Models and serial ports of the instruments
+    limits: LimitsInForce  # Limits in force
+    log: Path  # File to which every safety step is appended as a JSON line
+    # Calibration of the light source named in the wires; None: a person sets the light
     lamp: LampCalibration | None = None
-    meters: Meters = field(default_factory=Meters)
-    field_hz: float = FIELD_RATE_HZ
-    gating: Gating = field(default_factory=Gating)
-    dose: DoseLedger | None = None
-    session: str = ""
+    meters: Meters = field(default_factory=Meters)  # Use of the auxiliary meters
+    field_hz: float = FIELD_RATE_HZ  # Field rate of the camera, Hz; the gate opens once per field
+    gating: Gating = field(default_factory=Gating)  # Trigger of the gate
+    dose: DoseLedger | None = None  # Dose ledger of the tube; None: the dose is not recorded
+    session: str = ""  # Name of the session, written to the ledger
 
     def __post_init__(self) -> None:
         if (self.lamp is None) != (self.wires.light is None):
@@ -90,11 +68,6 @@ def open_bench(
     lines
         Existing lines to the instruments by role, where there are no serial ports; the bench then lives in this
         process, and no other process makes the tube safe.
-
-    Raises
-    ------
-    BadInput
-        If an instrument has no port, or a light source has no calibration.
     """
     if lines is None and (without := [PORT_KEYS[one.role] for one in wires.instruments if not one.port]):
         raise BadInput(f"every instrument must have its serial port, got none for {' and '.join(without)}")

@@ -9,10 +9,7 @@ from labdata.target import Target
 
 
 class InterlockRefused(BadInput):
-    """The interlock refused a command; nothing was sent.
-
-    Use this when a command would damage the tube; `rule` names the rule.
-    """
+    """The interlock refused a command that would damage the tube, and nothing was sent; `rule` names the rule."""
 
     def __init__(self, sentence: str, *, rule: str = "") -> None:
         super().__init__(sentence)
@@ -21,51 +18,21 @@ class InterlockRefused(BadInput):
 
 @dataclass(frozen=True, kw_only=True)
 class TubeState:
-    """Worst case of gate, gain and light; a value is unknown until it is read.
+    """Worst case of gate, gain and light; a value is unknown until it is read."""
 
-    Parameters
-    ----------
-    duty
-        Largest possible fraction of the time that the gate is open; 0: read back as shut.
-    mcp_v
-        Highest possible voltage across the MCP, V.
-    light_lux
-        Highest possible illuminance, lux.
-    point
-        Whether that light is inside a pinhole's image only.
-    target
-        Target in front of the camera.
-    filter_known
-        Whether the filter in the light is known; always true without a filter wheel.
-    dark_seen
-        Whether a frame through the open gate at gain, with the light off, was dark.
-    excess_saturation
-        Fraction of saturated pixels of the last frame beyond the limit of its step.
-    probed
-        Whether a frame in this light through an open gate at gain was not saturated.
-    surely_open
-        Whether the gate was read back as open and not ordered shut since.
-    surely_v
-        Voltage read across the MCP, V; 0 where it may have fallen since.
-    heard_s
-        Time of the last heartbeat, s of a monotonic clock.
-    fault
-        Sentence on the first failure since the bench was opened; cleared only by reopening it.
-    """
-
-    duty: float = 1.0
-    mcp_v: float = math.inf
-    light_lux: float = math.inf
-    point: bool = False
-    target: Target | None = None
-    filter_known: bool = True
-    dark_seen: bool = False
-    excess_saturation: float = 0.0
-    probed: bool = False
-    surely_open: bool = False
-    surely_v: float = 0.0
-    heard_s: float = -math.inf
-    fault: str | None = None
+    duty: float = 1.0  # Largest possible fraction of the time that the gate is open; 0: read back as shut
+    mcp_v: float = math.inf  # Highest possible voltage across the MCP, V
+    light_lux: float = math.inf  # Highest possible illuminance, lux
+    point: bool = False  # Whether that light is inside a pinhole's image only
+    target: Target | None = None  # Target in front of the camera
+    filter_known: bool = True  # Whether the filter in the light is known; always true without a filter wheel
+    dark_seen: bool = False  # Whether a frame through the open gate at gain, with the light off, was dark
+    excess_saturation: float = 0.0  # Fraction of saturated pixels of the last frame beyond the limit of its step
+    probed: bool = False  # Whether a frame in this light through an open gate at gain was not saturated
+    surely_open: bool = False  # Whether the gate was read back as open and not ordered shut since
+    surely_v: float = 0.0  # Voltage read across the MCP, V; 0 where it may have fallen since
+    heard_s: float = -math.inf  # Time of the last heartbeat, s of a monotonic clock
+    fault: str | None = None  # Sentence on the first failure since the bench was opened; cleared only by reopening it
 
     @property
     def shut(self) -> bool:
@@ -84,6 +51,7 @@ class TubeState:
         return limits.load.anode_na_per_cm2(self.light_lux, self.mcp_v, self.duty)
 
 
+# `state_when_sent` returns the state after a command was sent, `state_after` that after an event.
 # Commands that may increase the load of the tube; shutting, switching off and darkening need no permission.
 
 
@@ -95,7 +63,6 @@ class OpenGate:
     rate_hz: float
 
     def state_when_sent(self, state: TubeState) -> TubeState:
-        """Return the state after the command was sent."""
         return replace(state, duty=max(state.duty, min(1.0, self.width_ns * 1e-9 * self.rate_hz)))
 
 
@@ -107,7 +74,6 @@ class RaiseGain:
     rate_v_per_s: float
 
     def state_when_sent(self, state: TubeState) -> TubeState:
-        """Return the state after the command was sent."""
         return replace(state, mcp_v=max(state.mcp_v, self.goal_v))
 
 
@@ -118,7 +84,7 @@ class LowerGain:
     goal_v: float
 
     def state_when_sent(self, state: TubeState) -> TubeState:
-        """Return the state after the command was sent; the voltage is lower only once read back."""
+        # The voltage is lower only once read back.
         return replace(state, mcp_v=max(state.mcp_v, self.goal_v), surely_v=0.0)
 
 
@@ -131,7 +97,7 @@ class SetLight:
     target: Target
 
     def state_when_sent(self, state: TubeState) -> TubeState:
-        """Return the state after the command was sent; the target counts as moved."""
+        # The target counts as moved.
         lux = max(state.light_lux, self.illuminance_lux)
         return replace(state, light_lux=lux, point=self.point, target=self.target, probed=False)
 
@@ -143,7 +109,7 @@ class TurnFilter:
     position: int
 
     def state_when_sent(self, state: TubeState) -> TubeState:
-        """Return the state after the command was sent; the filter is unknown until read."""
+        # The filter is unknown until read.
         return replace(state, filter_known=False)
 
 
@@ -158,7 +124,6 @@ class SafeOrdered:
     """Gate or gain was ordered shut, down or off; both are unknown until read back."""
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         return replace(state, surely_open=False, surely_v=0.0)
 
 
@@ -170,7 +135,6 @@ class GateRead:
     rate_hz: float
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         duty = min(1.0, self.width_ns * 1e-9 * self.rate_hz)
         return replace(state, duty=duty, surely_open=duty > 0.0)
 
@@ -182,7 +146,6 @@ class GainRead:
     mcp_v: float
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         return replace(state, mcp_v=self.mcp_v, surely_v=self.mcp_v)
 
 
@@ -193,7 +156,6 @@ class LightRead:
     illuminance_lux: float
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         probed = state.probed and self.illuminance_lux <= state.light_lux
         return replace(state, light_lux=self.illuminance_lux, probed=probed)
 
@@ -203,7 +165,6 @@ class FilterMoved:
     """There is a filter wheel at an unknown position."""
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         return replace(state, filter_known=False)
 
 
@@ -214,7 +175,6 @@ class FilterRead:
     position: int
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         return replace(state, filter_known=True)
 
 
@@ -223,7 +183,6 @@ class DarkSeen:
     """A frame was dark; it counts only through an open gate, at gain and without light."""
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         looking = state.surely_open and state.surely_v > 0.0 and state.dark
         return replace(state, dark_seen=state.dark_seen or looking)
 
@@ -235,7 +194,6 @@ class FrameSeen:
     excess_saturation: float
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         looking = state.surely_open and state.surely_v > 0.0 and self.excess_saturation <= 0.0
         return replace(state, excess_saturation=self.excess_saturation, probed=state.probed or looking)
 
@@ -247,7 +205,6 @@ class Heard:
     now_s: float
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         return replace(state, heard_s=self.now_s)
 
 
@@ -258,7 +215,7 @@ class Failed:
     sentence: str
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event; the first failure is kept."""
+        # The first failure is kept.
         return replace(state, fault=state.fault or self.sentence)
 
 

@@ -35,36 +35,26 @@ from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
 from labdata.instrument_config import InstrumentConfig, Role
 
+# Factor between meter reading and set light above which the light is brighter, beyond calibration errors
 METER_AGREES = 1.25
-"""Factor between meter reading and set light above which the light is brighter, beyond calibration errors."""
 
-SAME_V = 0.5
-"""Tolerance of an unchanged voltage, V."""
+SAME_V = 0.5  # Tolerance of an unchanged voltage, V
+LOOK_EVERY_S = 0.3  # Interval between checks of an instrument's settings, s; with the check itself below 0.5 s
+WORKER_LEAVES_S = 1.0  # Longest wait for a procedure interrupted by the safe action, s
+DOSE_S = 2.0  # Longest wait for the last dose to be written, s
 
-LOOK_EVERY_S = 0.3
-"""Interval between checks of an instrument's settings, s; with the check itself below 0.5 s."""
-
-WORKER_LEAVES_S = 1.0
-"""Longest wait for a procedure interrupted by the safe action, s."""
-
-DOSE_S = 2.0
-"""Longest wait for the last dose to be written, s."""
-
+# Roles not needed for the tube: a failure is reported, and the bench continues
 DISPENSABLE: tuple[Role, ...] = ("light-meter", "thermometer")
-"""Roles not needed for the tube: a failure is reported, and the bench continues."""
 
+# Largest mean of a frame without light, fraction of full scale; black level, dark current and EBI are far below
 BRIGHTEST_MEAN = 0.25
-"""Largest mean of a frame without light, fraction of full scale; black level, dark current and EBI are far below."""
 
+# Largest fraction of saturated pixels of a frame without light; room light at gain saturates the frame
 MAX_SATURATED = 0.01
-"""Largest fraction of saturated pixels of a frame without light; room light at gain saturates the frame."""
 
 
 class NotDark(BenchError):
-    """A frame with the light off is bright.
-
-    Use this when the source of the light must be found before the gate is opened again.
-    """
+    """A frame with the light off is bright: find the source of the light before the gate is opened again."""
 
 
 def stations_on(lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig) -> dict[Role, Station]:
@@ -77,17 +67,10 @@ def stations_on(lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig) -
 
 
 class TubeBench(LightControl):
-    """Gate, gain and light of the tube.
+    """Gate, gain and light of the tube; all commands pass the interlock, see `drivers.bench.interlock`.
 
-    All commands to gate, supply and light pass the interlock, see `drivers.bench.interlock`. One
-    thread gives commands; others may check the instruments and make the tube safe meanwhile.
-
-    Parameters
-    ----------
-    record
-        Called with each safety step; it must not block.
-    on_failure
-        Called from any thread, without delay, after a failure that requires the safe state.
+    One thread gives commands; others may check the instruments and make the tube safe meanwhile. `record` is called
+    with each safety step and must not block; `on_failure` from any thread after a failure that requires the safe state.
     """
 
     def __init__(
@@ -107,10 +90,9 @@ class TubeBench(LightControl):
             self.interlock.watch(self._dose.watch)
         self._crew, self._making_safe = Crew(), threading.Lock()
         self._gate_hz, self._most_hz = setup.gating.rate_hz(setup.field_hz), setup.gating.most_hz(setup.field_hz)
+        # First failure since the bench was opened; no command increases the load of the tube until it is reopened
         self.fault: BenchError | None = None
-        """First failure since the bench was opened; no command increases the load of the tube until it is reopened."""
-        self.report: SafeStateReport | None = None
-        """Report of the last safe action."""
+        self.report: SafeStateReport | None = None  # Report of the last safe action
 
     def open(self) -> None:
         """Shut the gate and switch the high voltage off, identify every instrument, and read what is left."""
@@ -133,22 +115,9 @@ class TubeBench(LightControl):
     # Gate and gain
 
     def set_conditions(self, conditions: Conditions) -> Conditions:
-        """Set gate and gain: gate shut first, then the gain, verified, then the gate.
+        """Set gate and gain: gate shut first, then the gain, verified, then the gate; return them as read back.
 
-        Parameters
-        ----------
-        conditions
-            Set-points. `mcp_v` None or 0: high voltage off. `gate_ns` None or 0: gate shut.
-
-        Returns
-        -------
-        Conditions
-            The same, with `mcp_v` and `gate_ns` as read back.
-
-        Raises
-        ------
-        BadInput
-            If a limit is exceeded or an instrument does not support it; nothing was changed then.
+        `mcp_v` None or 0: high voltage off. `gate_ns` None or 0: gate shut. At BadInput nothing was changed.
         """
         volts, width_ns = conditions.mcp_v or 0.0, conditions.gate_ns or 0.0
         self._is_stopped = False

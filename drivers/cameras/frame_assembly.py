@@ -2,18 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Self
 
 from drivers.errors import CameraError
 from labdata.capture import Frame, LostFrames, losses_before
 from labdata.errors import BadInput
 
-MOST_BROKEN = 20
-"""Largest number of incomplete frames of a capture beyond the number of requested ones."""
-
-POLL_S = 0.05
-"""Longest wait between two calls of `while_waiting`, s; half of the guaranteed 0.1 s."""
+MOST_BROKEN = 20  # Largest number of incomplete frames of a capture beyond the number of requested ones
+POLL_S = 0.05  # Longest wait between two calls of `while_waiting`, s; half of the guaranteed 0.1 s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,13 +21,7 @@ class IncompleteFrame:
 
 
 class RunningNumbers:
-    """Frame numbers that continue when a camera's counter wraps.
-
-    Parameters
-    ----------
-    cycle
-        Length of the counter. A counter that exceeds it is longer and does not wrap.
-    """
+    """Frame numbers that continue when a camera's counter of length `cycle` wraps; a longer one does not."""
 
     def __init__(self, cycle: int) -> None:
         self._cycle = cycle
@@ -49,21 +39,10 @@ class RunningNumbers:
 
 
 class FrameCapture:
-    """A capture that runs in its `with` block; iterate it for complete frames.
+    """A capture that runs in its `with` block; iterate it for `frames` complete frames after `discard` discarded ones.
 
     Subclasses implement start, stop and `_next_frame`, which waits for a frame and calls `while_waiting` at
-    least every 0.1 s.
-
-    Parameters
-    ----------
-    frames
-        Number of complete frames to return.
-    discard
-        Number of complete frames to discard first; they may have been exposed under earlier conditions.
-    while_waiting
-        Called before each frame and while none comes; an exception ends the capture.
-    identifier
-        Name of the camera for messages.
+    least every 0.1 s; an exception of it ends the capture.
     """
 
     def __init__(self, *, frames: int, discard: int, while_waiting: Callable[[], None], identifier: str) -> None:
@@ -93,9 +72,7 @@ class FrameCapture:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop()
 
     def __iter__(self) -> Iterator[Frame]:

@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -17,31 +16,22 @@ from labdata.lazy_stack import LazyStack, open_lazy_stack
 from labdata.session import Session, StackEntry, open_session
 
 RATE_WITHOUT_STAMPS_HZ = 30.0
-LONGEST_PAUSE_S = 1.0
-"""Longest wait between two frames, s."""
+LONGEST_PAUSE_S = 1.0  # Longest wait between two frames, s
 
 
 class ReplayCamera:
     """A recorded session in place of a camera; use it in a `with` block.
 
-    A requested setting must equal the recorded one. Frames come at the recorded
-    rate.
+    A requested setting must equal the recorded one. Frames come at the recorded rate.
 
     Parameters
     ----------
-    folder
-        The session's folder.
     label
         Stack that every capture replays from its beginning; None: each capture replays the next stack.
     speed
         Speed relative to the recording, dimensionless; None: without waiting.
     say
         Called with a sentence on missing frame numbers or time stamps.
-
-    Raises
-    ------
-    BadInput
-        On entering: if there is no such session or stack.
     """
 
     def __init__(
@@ -70,19 +60,11 @@ class ReplayCamera:
         self._session, self._played = session, 0
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._session = None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Return the recorded settings of the next stack.
-
-        Raises
-        ------
-        BadInput
-            If a requested setting differs from the recorded one.
-        """
+        """Return the recorded settings of the next stack; a requested one that differs is BadInput."""
         recorded = self._settings(self._next(), open_lazy_stack(self._next()))
         for item in fields(settings):
             asked, is_value = getattr(settings, item.name), getattr(recorded, item.name)

@@ -32,8 +32,8 @@ class DelayGenerator(Gate):
     gate too often.
     """
 
+    # No triggers, and an idle level of 0 V, which keeps the gate unit closed
     shut_commands = (f"TSRC {SINGLE_SHOT}", "LPOL 1,1", "LOFF 1,0")
-    """No triggers, and an idle level of 0 V, which keeps the gate unit closed."""
 
     shut_settings = (
         ("trigger source", "TSRC?", SINGLE_SHOT),

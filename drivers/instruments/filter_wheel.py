@@ -4,8 +4,8 @@ from drivers.instruments.instrument import Instrument, InstrumentModel
 from drivers.serial_lines.line import EchoCheckedLine, InstrumentLine, KnownAnswer
 from labdata.errors import BadInput
 
+# Switch the lamps of the position sensors off while the wheel rests: they would illuminate the tube
 SENSORS_OFF = "sensors=0"
-"""Switch the lamps of the position sensors off while the wheel rests: they would illuminate the tube."""
 
 PROMPT = b"> "
 END = "\r"

@@ -14,8 +14,7 @@ from labdata.gating import Sync
 # Negligible relative rounding of a pulse: a field time is not a multiple of 5 ps.
 _UNSEEN = 1e-6
 
-MISSED_TRIGGERS = 2.0
-"""Trigger periods without a trigger after which the trigger counts as missing."""
+MISSED_TRIGGERS = 2.0  # Trigger periods without a trigger after which the trigger counts as missing
 
 
 class Gate(Instrument):
@@ -24,15 +23,12 @@ class Gate(Instrument):
     It stores the reply to each setting that was read back, and `look` compares the present replies with them.
     """
 
-    shut_commands: ClassVar[tuple[str, ...]]
-    """Commands that shut the gate at once, sent one by one by the safe action."""
+    shut_commands: ClassVar[tuple[str, ...]]  # Commands that shut the gate at once, sent one by one by the safe action
 
-    shut_settings: ClassVar[tuple[tuple[str, str, int], ...]]
-    """Read-backs of a shut gate: setting, query and reply."""
+    shut_settings: ClassVar[tuple[tuple[str, str, int], ...]]  # Read-backs of a shut gate: setting, query and reply
 
     step_ns: ClassVar[float]
-    dead_ns: ClassVar[float]
-    """Time after the longest delay before the next trigger is accepted, ns."""
+    dead_ns: ClassVar[float]  # Time after the longest delay before the next trigger is accepted, ns
 
     sources: ClassVar[Mapping[Sync, int]]
     source_command: ClassVar[str]
@@ -87,23 +83,14 @@ class Gate(Instrument):
             self._verify(setting, question, value)
 
     def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running") -> float:
-        """Open the gate for a time at each trigger.
+        """Open the gate for a time at each trigger, and return the width as read back, ns.
 
         Parameters
         ----------
-        width_ns
-            Gate width, ns.
         rate_hz
             Trigger rate, Hz: one trigger per field of the camera.
         delay_ns
             Delay from trigger to gate pulse, ns.
-        sync
-            Trigger source.
-
-        Returns
-        -------
-        float
-            Width as read back, ns.
 
         Raises
         ------

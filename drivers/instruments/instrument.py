@@ -12,13 +12,7 @@ from labdata.instrument_config import Role
 
 
 class Instrument(ABC):
-    """Driver of one instrument, for one thread at a time and the safe action.
-
-    Parameters
-    ----------
-    line
-        Line to the instrument.
-    """
+    """Driver of one instrument, for one thread at a time and the safe action."""
 
     def __init__(self, line: InstrumentLine) -> None:
         self.line = line
@@ -41,33 +35,16 @@ class Instrument(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentModel:
-    """One model of instrument.
+    """One model of instrument."""
 
-    Parameters
-    ----------
-    name
-        Name in a plan, such as "dg645".
-    role
-        Role; the driver has the public methods of the shipped driver of that role, and of `Gate` or `Supply`.
-    title
-        Name in messages, such as "delay generator".
-    line
-        Makes a line on a port; the second argument is the address on a bus, if any.
-    driver
-        Makes the driver on a line.
-    baud
-        Rate of the serial port, baud.
-    hardware_handshake
-        RTS/CTS.
-    """
-
-    name: str
-    role: Role
-    title: str
+    name: str  # Name in a plan, such as "dg645"
+    role: Role  # Role; the driver has the public methods of the shipped driver of that role, and of `Gate` or `Supply`
+    title: str  # Name in messages, such as "delay generator"
+    # Makes a line on a port; the second argument is the address on a bus, if any
     line: Callable[[Port, int], InstrumentLine]
-    driver: Callable[[InstrumentLine], Any]
-    baud: int = 9600
-    hardware_handshake: bool = False
+    driver: Callable[[InstrumentLine], Any]  # Makes the driver on a line
+    baud: int = 9600  # Rate of the serial port, baud
+    hardware_handshake: bool = False  # RTS/CTS
 
     def open_line(self, port: str, address: int = 0, *, exclusive: bool = True) -> InstrumentLine:
         """Open a serial port and return the line to the instrument; InstrumentDisconnected if it cannot be opened.

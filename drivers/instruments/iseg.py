@@ -14,8 +14,8 @@ from drivers.serial_lines.line import EchoCheckedLine, InstrumentLine, KnownAnsw
 from labdata.errors import BadInput
 
 SLOWEST_V_PER_S, FASTEST_V_PER_S = 2, 255
+# One position of the rotary switch of the hardware limit, % of the nominal voltage (unverified)
 SWITCH_STEP_PERCENT = 10
-"""One position of the rotary switch of the hardware limit, % of the nominal voltage (unverified)."""
 
 SETTLE_S = 3.0
 MANUAL, POSITIVE, SWITCH_OFF = 1, 4, 8  # module status
@@ -74,12 +74,10 @@ class IsegLine(EchoCheckedLine):
 class Iseg(Supply):
     """iseg NHQ or SHQ supply under remote control."""
 
-    off_commands = (f"V1={FASTEST_V_PER_S}", "D1=0", "G1")
-    """There is no off command: the fastest ramp to 0 V."""
+    off_commands = (f"V1={FASTEST_V_PER_S}", "D1=0", "G1")  # There is no off command: the fastest ramp to 0 V
 
     reading = "U1"
-    lowest_v = 10.0
-    """Voltage at switching on, V, so that a set value of 0 reveals a loss of power."""
+    lowest_v = 10.0  # Voltage at switching on, V, so that a set value of 0 reveals a loss of power
 
     def __init__(self, line: InstrumentLine) -> None:
         super().__init__(line)
@@ -94,10 +92,7 @@ class Iseg(Supply):
         return identity
 
     def prepare(self, *, limit_v: float) -> None:
-        """Switch off; require the hardware limit at its first position at or above a limit, V, or lower.
-
-        An old trip is InstrumentTripped. The limit is a rotary switch at the unit.
-        """
+        """Switch off; require the rotary switch of the limit at its first position at or above a limit, V, or lower."""
         self.order_off()
         if (state := self._state()) in ("TRP", "ERR"):
             raise self._trip_error(f"{TRIPS[state]} before anything was switched on")

@@ -49,15 +49,7 @@ class LightSource(Instrument):
         self.line.verify_read_back("o?", 0)
 
     def shine(self, current_a: float) -> float:
-        """Drive the diode with a current and return its read-back, A.
-
-        Raises
-        ------
-        BadInput
-            If the current is negative or not an integer number of mA.
-        InstrumentRejected
-            If it exceeds the limit, or the diode does not light.
-        """
+        """Drive the diode with a current, a multiple of 1 mA, and return its read-back, A."""
         milliamperes = _milliamperes(current_a)
         self._set(f"cc {milliamperes}")
         self.line.verify_read_back("cc?", milliamperes)

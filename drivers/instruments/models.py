@@ -7,8 +7,6 @@ A package provides a model by an entry point of the group `charact.instruments` 
 """
 
 from collections.abc import Mapping
-from importlib.metadata import entry_points
-from typing import Any
 
 from drivers.instruments import (
     delay_generator,
@@ -24,7 +22,7 @@ from drivers.instruments.instrument import InstrumentModel
 from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.port import Port
 from labdata.errors import BadInput
-from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
+from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role, models_by_name
 
 GROUP = "charact.instruments"
 SHIPPED: tuple[InstrumentModel, ...] = tuple(
@@ -34,17 +32,8 @@ SHIPPED: tuple[InstrumentModel, ...] = tuple(
 
 
 def models() -> dict[str, InstrumentModel]:
-    """Return all known models by name; shipped ones cannot be replaced.
-
-    Raises
-    ------
-    BadInput
-        If an entry point does not load, is not a model, or has a name in use.
-    """
-    known = {model.name: model for model in SHIPPED}
-    for point in entry_points(group=GROUP):
-        known[point.name] = _brought(point, known)
-    return known
+    """Return all known models by name; shipped ones cannot be replaced."""
+    return models_by_name(SHIPPED, InstrumentModel, GROUP)
 
 
 def model(name: str, role: Role) -> InstrumentModel:
@@ -65,15 +54,3 @@ def model_of(reached: InstrumentConnection) -> InstrumentModel:
 def lines_on(ports: Mapping[Role, Port], wires: InstrumentConfig) -> dict[Role, InstrumentLine]:
     """Return lines to the instruments of a bench on open ports, by role."""
     return {one.role: model_of(one).line(ports[one.role], one.address) for one in wires.instruments}
-
-
-def _brought(point: Any, known: dict[str, InstrumentModel]) -> InstrumentModel:
-    try:
-        brought = point.load()
-    except Exception as error:
-        raise BadInput(f"the instrument {point.name!r} of {point.value} must load, got: {error}") from error
-    if not isinstance(brought, InstrumentModel) or brought.name != point.name:
-        raise BadInput(f"the entry point {point.name!r} must be a InstrumentModel of that name, got {brought!r}")
-    if point.name in known:
-        raise BadInput(f"the instrument {point.name!r} of {point.value} must have a name of its own, got a taken one")
-    return brought

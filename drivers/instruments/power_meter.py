@@ -5,8 +5,7 @@ import re
 from drivers.instruments.instrument import Instrument, InstrumentModel
 from drivers.serial_lines.line import FramedLine
 
-AVERAGED = 100
-"""Readings averaged into one, of about 3000 per second."""
+AVERAGED = 100  # Readings averaged into one, of about 3000 per second
 
 DEFAULT_WAVELENGTH_NM = 550.0
 _ERROR = re.compile(r'([-+]?\d{1,9})\s*,\s*"?(.*?)"?')

@@ -11,20 +11,15 @@ from drivers.instruments.instrument import Instrument
 from drivers.serial_lines.line import InstrumentLine
 from labdata.errors import BadInput
 
-FALL_S = 15.0
-"""Longest discharge of an output after off, s."""
+FALL_S = 15.0  # Longest discharge of an output after off, s
+DISCHARGED_V = 10.0  # Largest voltage of a discharged output, V
+SETTLED_V = 2.0  # Settling tolerance of an output, V: two steps of the coarsest display
 
-DISCHARGED_V = 10.0
-"""Largest voltage of a discharged output, V."""
-
-SETTLED_V = 2.0
-"""Settling tolerance of an output, V: two steps of the coarsest display."""
-
+# Accuracy of the measured output, V: 0.05 % of the 5 kV full scale of a PS350; an SHQ is better (data sheets)
 ACCURACY_V = 2.5
-"""Accuracy of the measured output, V: 0.05 % of the 5 kV full scale of a PS350; an SHQ is better (data sheets)."""
 
+# Deviation from the set-point, or rise after off, that counts as a change at the panel, V
 HELD_V = SETTLED_V + ACCURACY_V
-"""Deviation from the set-point, or rise after off, that counts as a change at the panel, V."""
 
 POLL_S = 0.1
 _ROUNDING = 1e-6
@@ -36,11 +31,10 @@ class Supply(Instrument):
     It stores its set-point, and `look` compares the measured output with it.
     """
 
+    # Commands that switch the high voltage off, sent one by one by the safe action
     off_commands: ClassVar[tuple[str, ...]]
-    """Commands that switch the high voltage off, sent one by one by the safe action."""
 
-    reading: ClassVar[str]
-    """Query of the output voltage, for the log."""
+    reading: ClassVar[str]  # Query of the output voltage, for the log
 
     lowest_v: ClassVar[float]
     step_v: ClassVar[float] = 1.0
@@ -48,8 +42,7 @@ class Supply(Instrument):
 
     def __init__(self, line: InstrumentLine) -> None:
         super().__init__(line)
-        self.is_on = False
-        """Whether this driver switched it on and not off."""
+        self.is_on = False  # Whether this driver switched it on and not off
         self._reached_v: float | None = None  # set-point that the output has reached
         self._fallen_to_v: float | None = None  # lowest output seen since it was ordered off; None: nothing was set
 
@@ -114,16 +107,8 @@ class Supply(Instrument):
     def raise_to(self, goal_v: float, *, rate_v_per_s: float, check: Callable[[], None] = lambda: None) -> float:
         """Raise the voltage of a supply that is on at a limited rate, and return the settled output, V.
 
-        `check` is called at every step; an exception ends the ramp.
-
-        Raises
-        ------
-        BadInput
-            If goal or rate lie outside the supply's range.
-        InstrumentTripped
-            If the supply switches itself off during the ramp.
-        InstrumentRejected
-            If it refuses a step or its output does not follow.
+        `check` is called at every step; an exception ends the ramp. A supply that switches itself off is
+        InstrumentTripped, one that refuses a step or does not follow InstrumentRejected.
         """
         return self._move(goal_v, lambda: self._raise(goal_v, rate_v_per_s, check))
 

@@ -12,11 +12,8 @@ from dataclasses import dataclass
 from drivers.errors import BenchError, BenchStopped, InstrumentRejected, InstrumentReplyError, InstrumentTimeout
 from drivers.serial_lines.port import ANSWER_S, SLICE_S, Port
 
-LONGEST_ANSWER = 4096
-"""Largest reply without terminator, bytes."""
-
-LONGEST_QUOTE = 100
-"""Largest part of a reply quoted in a message, characters."""
+LONGEST_ANSWER = 4096  # Largest reply without terminator, bytes
+LONGEST_QUOTE = 100  # Largest part of a reply quoted in a message, characters
 
 QUIET_S = 0.05
 
@@ -41,17 +38,8 @@ IDENTITY_ANSWER = KnownAnswer(question="*IDN?", form=r"[^,]+,[^,]+,[^,]+,[^,]+")
 class InstrumentLine(ABC):
     """A line to one instrument; its construction does no input or output.
 
-    Exchanges of different threads do not overlap. Between `take_over` and `release` only threads
-    within `safing` can send or wait; others get `BenchStopped`.
-
-    Parameters
-    ----------
-    port
-        The port.
-    name
-        Name of the instrument.
-    answer_s
-        Time limit of a reply, s.
+    Exchanges of different threads do not overlap. Between `take_over` and `release` only threads within `safing` can
+    send or wait; others get `BenchStopped`. `answer_s` is the time limit of a reply, s.
     """
 
     def __init__(self, port: Port, *, name: str, answer_s: float = ANSWER_S) -> None:
@@ -70,15 +58,8 @@ class InstrumentLine(ABC):
     def ask(self, question: str) -> str:
         """Send a query and return its reply without terminators.
 
-        Raises
-        ------
-        InstrumentTimeout
-            If no complete reply comes in time. Before the next query the line is resynchronised: it discards
-            late replies and sends a query whose reply has a known form.
-        InstrumentDisconnected
-            If the port is gone.
-        BenchStopped
-            If the safe action has taken the line over.
+        After a time-out, which is InstrumentTimeout, the line is resynchronised before the next query: it discards late
+        replies and sends a query whose reply has a known form.
         """
         with self._turn:
             try:
@@ -221,19 +202,7 @@ class InstrumentLine(ABC):
 
 
 class FramedLine(InstrumentLine):
-    """Line with commands and replies of one text line each.
-
-    Parameters
-    ----------
-    port, name, answer_s
-        See `InstrumentLine`.
-    answer_end
-        Terminator of replies.
-    command_end
-        Terminator of commands.
-    known
-        Query for resynchronisation after a late reply.
-    """
+    """Line with commands and replies of one text line each; `known` is the query for resynchronisation."""
 
     def __init__(
         self,
@@ -297,15 +266,7 @@ _ESCAPED = "\x1b+\r\n"
 
 
 class PrologixLine(FramedLine):
-    """Line to one GPIB address behind a Prologix GPIB-USB adapter; replies are read on request only.
-
-    Parameters
-    ----------
-    port, name, answer_s
-        See `InstrumentLine`.
-    address
-        GPIB address of the instrument, 0 to 30.
-    """
+    """Line to one GPIB address, 0 to 30, behind a Prologix GPIB-USB adapter; replies are read on request only."""
 
     def __init__(self, port: Port, *, name: str, address: int, answer_s: float = ANSWER_S) -> None:
         super().__init__(port, name=name, answer_end=b"\n", answer_s=answer_s, known=ADAPTER_ANSWER)

@@ -14,8 +14,7 @@ from serial.tools import list_ports
 
 from drivers.errors import InstrumentDisconnected, InstrumentTimeout
 
-ANSWER_S = 0.4
-"""Time limit of a reply, s; keeps every reaction within one second."""
+ANSWER_S = 0.4  # Time limit of a reply, s; keeps every reaction within one second
 
 SLICE_S = 0.02
 _PIECE_BYTES = 4096
@@ -96,25 +95,10 @@ class _DescriptorPort:
 
 
 class SerialPort(_DescriptorPort):
-    """A serial port with a lock against other programs.
+    """A serial port of the instrument `name`, with a lock against other programs.
 
-    Parameters
-    ----------
-    port
-        Path of the device.
-    name
-        Name of the instrument for messages.
-    baud
-        Rate, baud.
-    hardware_handshake
-        RTS/CTS.
-    exclusive
-        False: open the port despite a lock of another program, for the safe action only.
-
-    Raises
-    ------
-    InstrumentDisconnected
-        If the port cannot be opened or goes away.
+    `exclusive` False opens the port despite a lock of another program, for the safe action only. A port that cannot be
+    opened or goes away is InstrumentDisconnected.
     """
 
     def __init__(

@@ -1,6 +1,7 @@
 """Importers of frames: one reader per format, selected by the file name and checked by the content."""
 
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
@@ -16,6 +17,7 @@ from labdata.importers.full_scale import byte_order_note, with_full_scale
 
 __all__ = ["KINDS", "list_kinds", "module_of", "read_frames"]
 
+# Endings of files by module and function of this package that reads them
 KINDS: dict[str, tuple[str, ...]] = {
     "tiff.read": (".tif", ".tiff"),
     "array_files.read_npy": (".npy",),
@@ -27,7 +29,9 @@ KINDS: dict[str, tuple[str, ...]] = {
     "image_files.read_video": (".avi",),
     "array_files.read_zarr": (".zarr",),
 }
-"""Endings of files by module and function of this package that reads them."""
+
+
+_LONG_NAMES = {"tif": "TIFF", "fit": "FITS", "fts": "FITS", "gz": "FITS", "fz": "FITS", "h5": "HDF5", "": "Zarr"}
 
 
 def list_kinds() -> str:
@@ -38,12 +42,10 @@ def list_kinds() -> str:
 def read_frames(
     path: str | Path, plane: str | None = None, *, axis: str | None = None, find_full_scale: bool = True
 ) -> FrameStack:
-    """Read the frames of a file or of a Zarr array.
+    """Read the frames of a file, by its ending, or of a Zarr array.
 
     Parameters
     ----------
-    path
-        The file; its ending determines the reader.
     plane
         Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB image, "r", "g1",
         "g2" or "b" of a mosaic. None: the luminance of an RGB image (noted); a mosaic needs a plane. A number, from
@@ -58,21 +60,30 @@ def read_frames(
     -------
     FrameStack
         Pixels as in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced. A non-finite
-        border is cut off.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, of no known kind, damaged, without frames, or without a known frame axis.
+        border is cut off. A file that is damaged, unknown or without a known frame axis is BadInput.
     """
     path = Path(path)
     try:
-        stack = _stack(reader_of(path)(path), plane, axis, path.name)
+        stack = _stack(_recorded(path), plane, axis, path.name)
         return with_full_scale(stack) if find_full_scale else stack
     except BadInput as error:
         if path.name in str(error):
             raise
         raise BadInput(f"{error}, in {path}") from None
+
+
+def _recorded(path: Path) -> Recorded | FrameStack:
+    """Read a file; whatever the library of its kind raises on a damaged one is BadInput."""
+    reader = reader_of(path)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            return reader(path)
+    except (BadInput, MemoryError):
+        raise
+    except Exception as error:
+        why = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        kind = _LONG_NAMES.get(path.suffix.lower()[1:], path.suffix[1:].upper())
+        raise BadInput(f"a {kind} file must be whole and readable, got {path}: {why}") from None
 
 
 def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, name: str) -> FrameStack:

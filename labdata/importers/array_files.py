@@ -1,6 +1,5 @@
 """Readers of array files: NumPy, Zarr and HDF5."""
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,25 +8,16 @@ import numpy as np
 from labdata.errors import BadInput
 from labdata.file_io import require_regular, require_regular_parts
 from labdata.frames import FrameStack
-from labdata.importers.axes import Recorded, axes_of_labels, names_of_shape
+from labdata.importers.axes import Recorded, axes_of_labels, names_of_shape, optional_module
 from labdata.importers.decompression_limit import require_room
 
 
 def read_npy(path: Path) -> Recorded:
     """Map a .npy array into memory; see `labdata.importers.read_frames`."""
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            # An empty file cannot be mapped.
-            data = np.load(path, mmap_mode="r" if path.stat().st_size else None, allow_pickle=False)
-    except MemoryError:
-        raise
-    except Exception:  # a damaged header is parsed as Python and can raise anything
-        data = None
+    # An empty file cannot be mapped.
+    data = np.load(path, mmap_mode="r" if path.stat().st_size else None, allow_pickle=False)
     if not isinstance(data, np.ndarray):
-        raise BadInput(
-            "a .npy file must hold one whole array of numbers, got something else, or fewer pixels than its header "
-            f"states, in {path}"
-        )
+        raise BadInput(f"a .npy file must hold one whole array of numbers, got something else in {path}")
     return Recorded(data=data, names=names_of_shape(data.shape))
 
 
@@ -40,42 +30,28 @@ def read_zarr(path: Path) -> Recorded | FrameStack:
     import zarr
 
     require_regular_parts(path, "a Zarr array")
-    try:
-        array = zarr.open_array(path, mode="r")
-        require_room(path, pixels=array.size, pixel_bytes=array.dtype.itemsize)
-        labels = getattr(array.metadata, "dimension_names", None) or ()
-        return Recorded(data=np.asarray(array[...]), names=axes_of_labels(labels, array.shape))
-    except (BadInput, MemoryError):
-        raise
-    except Exception:
-        raise BadInput(f"a folder of frames must be a readable Zarr array, got {path}") from None
+    array = zarr.open_array(path, mode="r")
+    require_room(path, pixels=array.size, pixel_bytes=array.dtype.itemsize)
+    labels = getattr(array.metadata, "dimension_names", None) or ()
+    return Recorded(data=np.asarray(array[...]), names=axes_of_labels(labels, array.shape))
 
 
 def read_hdf5(path: Path) -> Recorded:
     """Read an array of two axes or more; see `labdata.importers.read_frames`."""
-    try:
-        import h5py  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise BadInput(f"HDF5 files need h5py, got {path.name}: pip install 'charact[hdf5]'") from None
-    try:
-        with h5py.File(path, "r") as file:
-            arrays: list = []
-            file.visititems(lambda _, item: _collect(item, arrays, h5py.Dataset))
-            if not arrays:
-                raise BadInput(f"an HDF5 file must hold an array of pictures, got none in {path}")
-            largest = max(arrays, key=lambda array: array.size)
-            for other in _other_files(largest):
-                require_regular(path.parent / other, f"a file to which {path.name} refers")
-            require_room(path, pixels=largest.size, pixel_bytes=largest.dtype.itemsize)
-            labels = [dimension.label for dimension in largest.dims]
-            names = axes_of_labels(labels, largest.shape)
-            others = [array.name for array in arrays if array.name != largest.name]
-            notes = (f"the largest of {len(arrays)} arrays was read, {largest.name}",) if others else ()
-            return Recorded(data=np.asarray(largest[()]), names=names, notes=notes)
-    except (BadInput, MemoryError):
-        raise
-    except Exception:
-        raise BadInput(f"an HDF5 file must be whole and readable, got {path}") from None
+    h5py = optional_module("h5py", "hdf5", path)
+    with h5py.File(path, "r") as file:
+        arrays: list = []
+        file.visititems(lambda _, item: _collect(item, arrays, h5py.Dataset))
+        if not arrays:
+            raise BadInput(f"an HDF5 file must hold an array of pictures, got none in {path}")
+        largest = max(arrays, key=lambda array: array.size)
+        for other in _other_files(largest):
+            require_regular(path.parent / other, f"a file to which {path.name} refers")
+        require_room(path, pixels=largest.size, pixel_bytes=largest.dtype.itemsize)
+        names = axes_of_labels([dimension.label for dimension in largest.dims], largest.shape)
+        several = len(arrays) > 1
+        notes = (f"the largest of {len(arrays)} arrays was read, {largest.name}",) if several else ()
+        return Recorded(data=np.asarray(largest[()]), names=names, notes=notes)
 
 
 def _other_files(array) -> Iterator[str]:

@@ -6,6 +6,9 @@ An axis counts frames if the file or the documented layout of its kind states it
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,19 +21,9 @@ from labdata.importers.thresholds import LEAST_COLOUR_SIDE_PX, MOST_MASKED, MOST
 
 
 def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tuple[str, ...]]:
-    """Return frames of finite pixels, their first row and column in the file, and notes.
+    """Return frames, shape (frame, row, col, ...), of finite pixels, their first row and column in the file, and notes.
 
-    Parameters
-    ----------
-    data
-        Pixels, shape (frame, row, col, ...).
-    name
-        File name for messages.
-
-    Raises
-    ------
-    BadInput
-        If more than 0.5 % of the pixels inside the border are not finite.
+    More than 0.5 % of non-finite pixels inside the border are BadInput.
     """
     if data.dtype.kind != "f":
         return data, (0, 0), ()
@@ -105,6 +98,7 @@ def _fill_gaps(data: NDArray, gaps: NDArray[np.bool_]) -> NDArray:
 FRAME, ROW, COL, COLOUR, UNNAMED = "frame", "row", "col", "colour", "unnamed"
 KNOWN = (FRAME, ROW, COL, COLOUR)
 
+# Axis by tifffile letter, label of other formats, or word of --axis; any other word is kept
 MEANINGS = {
     **dict.fromkeys(("t", "i", "time", "frame", "frames", "page"), FRAME),
     **dict.fromkeys(("y", "row", "rows", "height"), ROW),
@@ -116,7 +110,6 @@ MEANINGS = {
     **dict.fromkeys(("p", "position", "scene", "tile"), "position"),
     **dict.fromkeys(("q", "", "unnamed"), UNNAMED),
 }
-"""Axis by tifffile letter, label of other formats, or word of --axis; any other word is kept."""
 
 
 def meaning(word: str) -> str:
@@ -158,24 +151,12 @@ def frames_of(
 
     Parameters
     ----------
-    data
-        Pixels, any number of axes.
-    names
-        Axes: "frame", "row", "col", "colour", "unnamed", or another word.
-    plane
-        Colour plane, or the index of a plane along every other axis, as in "2" or "2,0".
-    axis
-        Index or name of the frame axis; "frame": the first, where the file does not name it. None: as stated in
-        the file.
-    name
-        File name for messages.
+    data, names
+        Pixels, any number of axes, and what each is: "frame", "row", "col", "colour", "unnamed", or another word.
+    plane, axis
+        As in `labdata.importers.read_frames`; an axis longer than 1 that is neither frames nor colours needs a plane.
     pattern
         Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic.
-
-    Raises
-    ------
-    BadInput
-        If an axis longer than 1 is neither frames nor colours and no valid plane was selected.
     """
     if not data.size:
         raise BadInput(f"an array of frames must hold pixels, got the shape {data.shape} in {name}")
@@ -266,35 +247,29 @@ def _describe_axes(names: Sequence[str], shape: Sequence[int]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """Pixels of a file before the choice of axes and plane.
+    """Pixels of a file before the choice of axes and plane."""
 
-    Parameters
-    ----------
-    data
-        Pixels, any number of axes.
-    names
-        Meaning of each axis.
-    pattern
-        Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic.
-    black_dn
-        Black level, DN: one value, or one per site of the mosaic in reading order; empty: unknown.
-    full_scale_dn
-        Full scale, DN; None: not stated.
-    notes
-        Notes on the storage of the pixels.
-    doubts
-        Notes on the axes, omitted if the frame axis is selected.
-    """
-
-    data: NDArray
-    names: Sequence[str]
-    pattern: str | None = None
+    data: NDArray  # Pixels, any number of axes
+    names: Sequence[str]  # Meaning of each axis
+    pattern: str | None = None  # Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic
+    # Black level, DN: one value, or one per site of the mosaic in reading order; empty: unknown
     black_dn: tuple[float, ...] = ()
-    full_scale_dn: float | None = None
-    notes: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
+    full_scale_dn: float | None = None  # Full scale, DN; None: not stated
+    notes: tuple[str, ...] = ()  # Notes on the storage of the pixels
+    doubts: tuple[str, ...] = ()  # Notes on the axes, omitted if the frame axis is selected
 
 
 def lossy_note(how: str) -> str:
     """Return the note of a lossy compression."""
     return f"{how} compression is lossy: it alters fine detail and noise, so MTF, noise and their intervals may be off"
+
+
+def optional_module(name: str, extra: str, path: Path) -> Any:
+    """Import the library of an extra; where it is missing, a file that needs it is BadInput."""
+    try:
+        return import_module(name)
+    except ImportError:
+        library = name.split(".")[0]
+        raise BadInput(
+            f"{extra.upper()} files need {library}, got {path.name}: pip install 'charact[{extra}]'"
+        ) from None

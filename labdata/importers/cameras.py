@@ -1,16 +1,16 @@
 """Readers of camera software files: Princeton Instruments SPE, Andor SIF, SER."""
 
 import struct
-import warnings
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded
+from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded, optional_module
 
 SPE_HEADER_BYTES = 4100
+# Header fields: byte offset and format (Princeton Instruments, SPE 3.0 File Format Specification, appendix A)
 SPE_FIELDS = {
     "cols": (42, "<H"),
     "type": (108, "<h"),
@@ -19,27 +19,18 @@ SPE_FIELDS = {
     "frames": (1446, "<i"),
     "version": (1992, "<f"),
 }
-"""Header fields: byte offset and format (Princeton Instruments, SPE 3.0 File Format Specification, appendix A)."""
 SPE_TYPES = {0: "<f4", 1: "<i4", 2: "<i2", 3: "<u2", 5: "<f8", 6: "u1", 8: "<u4"}
 
 SER_MAGIC = b"LUCAM-RECORDER"
 SER_HEADER_BYTES = 178
 SER_MOSAICS = {8: "rggb", 9: "grbg", 10: "gbrg", 11: "bggr"}
+# Samples per pixel by ColorID: grey, RGB, BGR (SER format description version 3, Grischa Hahn)
 SER_COLOURS = {0: 1, 100: 3, 101: 3}
-"""Samples per pixel by ColorID: grey, RGB, BGR (SER format description version 3, Grischa Hahn)."""
 
 
 def read(path: Path) -> Recorded:
     """Read a file of camera software; see `labdata.importers.read_frames`."""
-    reader = {".spe": _spe, ".sif": _sif, ".ser": _ser}[path.suffix.lower()]
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            return reader(path)
-    except (BadInput, MemoryError):
-        raise
-    except Exception:
-        kind = path.suffix[1:].upper()
-        raise BadInput(f"a {kind} file must be whole and readable, got something else in {path}") from None
+    return {".spe": _spe, ".sif": _sif, ".ser": _ser}[path.suffix.lower()](path)
 
 
 def _spe(path: Path) -> Recorded:
@@ -67,10 +58,7 @@ def _spe(path: Path) -> Recorded:
 
 
 def _sif(path: Path) -> Recorded:
-    try:
-        import sif_parser  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise BadInput(f"Andor SIF files need sif_parser, got {path.name}: pip install 'charact[sif]'") from None
+    sif_parser = optional_module("sif_parser", "sif", path)
     with path.open("rb") as file:
         data = np.asarray(sif_parser.np_open(file)[0])
     return Recorded(data=data, names=(FRAME, ROW, COL))

@@ -16,10 +16,7 @@ SITES = ("r", "g1", "g2", "b")
 def require_monochrome(data: NDArray, plane: str | None, name: str, pattern: str | None = None) -> FrameStack:
     """Return frames of one sample per pixel, shape (frame, row, col), or one plane of a mosaic.
 
-    Parameters
-    ----------
-    pattern
-        Colours of the 2x2 sites in reading order, from the file; None: a mosaic is detected from the data.
+    `pattern` is the file's; None: a mosaic is detected from the data.
     """
     if pattern is not None:
         return _of_mosaic(data, planes_of(np.arange(4).reshape(2, 2), pattern), plane, name)

@@ -11,15 +11,7 @@ from labdata.importers.thresholds import MOST_EXPANSION, MOST_OF_MEMORY, MOST_PI
 
 
 def require_picture(rows: int, cols: int, name: str) -> None:
-    """Require an image to have no more pixels than a camera can have.
-
-    Parameters
-    ----------
-    rows, cols
-        Size of the image, px.
-    name
-        File name for the message.
-    """
+    """Require an image to have no more pixels than a camera can have."""
     if rows * cols > MOST_PICTURE_PX:
         raise BadInput(
             f"a picture must have at most {MOST_PICTURE_PX} pixels, got {rows} rows x {cols} columns = {rows * cols} "
@@ -28,17 +20,7 @@ def require_picture(rows: int, cols: int, name: str) -> None:
 
 
 def require_memory(pixels: int, pixel_bytes: int, name: str) -> None:
-    """Require frames to fit into memory.
-
-    Parameters
-    ----------
-    pixels
-        Pixels of all frames and colours.
-    pixel_bytes
-        Bytes of one pixel, unpacked.
-    name
-        File name for the message.
-    """
+    """Require pixels of all frames and colours, of `pixel_bytes` each, to fit into memory."""
     most_bytes = memory_bytes() * MOST_OF_MEMORY
     if pixels * pixel_bytes > most_bytes:
         raise BadInput(
@@ -49,15 +31,7 @@ def require_memory(pixels: int, pixel_bytes: int, name: str) -> None:
 
 
 def require_room(path: Path, *, pixels: int, pixel_bytes: int) -> None:
-    """Require the stated pixels to fit into memory and to be possible for the size of the file.
-
-    Parameters
-    ----------
-    path
-        The file, or the folder of an array.
-    pixels, pixel_bytes
-        As in `require_memory`, from the header of the file.
-    """
+    """Require the pixels that a header states to fit into memory and to be possible for the size of the file."""
     require_memory(pixels, pixel_bytes, path.name)
     files = [path] if path.is_file() else path.rglob("*")
     if pixels * pixel_bytes > MOST_EXPANSION * sum(file.stat().st_size for file in files):

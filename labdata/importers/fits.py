@@ -16,8 +16,8 @@ GZIP_MAGIC = b"\x1f\x8b"
 BLOCK_BYTES = 2880
 MOST_HEADER_BYTES = 1000 * BLOCK_BYTES  # 36,000 cards; the longest headers of observatories have some thousands
 
+# Cards with the number of frames, as written by camera software
 FRAME_COUNTS = ("NFRAMES", "NUMFRAME", "NUMFRMS", "FRAMES", "NIMAGES", "NUMKIN")
-"""Cards with the number of frames, as written by camera software."""
 
 
 def read(path: Path) -> Recorded:
@@ -26,17 +26,12 @@ def read(path: Path) -> Recorded:
         from astropy.io import fits
     except ImportError:
         raise BadInput(f"FITS files need astropy, got {path.name}: pip install 'charact[fits]'") from None
-    try:
-        # Headers out of order are common and harmless; a truncated file is not.
-        with warnings.catch_warnings(record=True) as warned, open(path, "rb") as content:
-            warnings.simplefilter("always")
-            _check_headers(path)
-            with fits.open(content, memmap=False) as file:
-                found = _image_of(file, path)
-    except (BadInput, MemoryError):
-        raise
-    except Exception:
-        raise BadInput(f"a FITS file must be whole and readable, got {path}") from None
+    # Headers out of order are common and harmless; a truncated file is not.
+    with warnings.catch_warnings(record=True) as warned, open(path, "rb") as content:
+        warnings.simplefilter("always")
+        _check_headers(path)
+        with fits.open(content, memmap=False) as file:
+            found = _image_of(file, path)
     if any("truncated" in str(warning.message) for warning in warned):
         raise BadInput(f"a FITS file must be whole, got {path} without its end")
     return found

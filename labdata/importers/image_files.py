@@ -14,8 +14,8 @@ from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded, lossy_note
 from labdata.importers.decompression_limit import require_memory, require_picture, require_room
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+# First bytes by Pillow's name of the kind; bilevel images (P1, P4) are refused
 SIGNATURES = {"PNG": (PNG_SIGNATURE,), "JPEG": (b"\xff\xd8",), "BMP": (b"BM",), "PPM": (b"P2", b"P3", b"P5", b"P6")}
-"""First bytes by Pillow's name of the kind; bilevel images (P1, P4) are refused."""
 
 IMAGE_KINDS = {".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".png": "PNG"}
 
@@ -129,8 +129,8 @@ def _mosaic(raw, path: Path) -> Recorded:
     )
 
 
+# FourCC of lossless codecs
 LOSSLESS = ("", "DIB ", "RGB ", "RAW ", "Y800", "GREY", "Y8  ", "FFV1", "HFYU", "FFVH", "MPNG")
-"""FourCC of lossless codecs."""
 
 
 def read_video(path: Path) -> Recorded:

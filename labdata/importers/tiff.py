@@ -12,8 +12,7 @@ from labdata.importers.decompression_limit import require_picture, require_room
 from labdata.importers.thresholds import THUMBNAIL
 
 LOSSY = ("JPEG", "WEBP", "JETRAW")
-CFA_PATTERN = 33422
-"""Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)."""
+CFA_PATTERN = 33422  # Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)
 
 
 def read(path: Path) -> Recorded:
@@ -25,12 +24,6 @@ def read(path: Path) -> Recorded:
     try:
         with tifffile.TiffFile(path) as file:
             return _read_series(file, path)
-    except (BadInput, MemoryError):
-        raise
-    except tifffile.TiffFileError:
-        raise BadInput(f"a .tif file must be a TIFF picture, got something else in {path}") from None
-    except Exception as error:
-        raise BadInput(f"a TIFF file must be whole and readable, got {path}: {_one_line(error)}") from None
     finally:
         logger.disabled = silent
 
@@ -133,7 +126,3 @@ def _check_meaning(page, path: Path) -> tuple[str, ...]:
             "saving (ImageJ: Edit > Invert)"
         )
     return ()
-
-
-def _one_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -1,12 +1,10 @@
 """Sensor descriptions: the shipped ones by name, others by path."""
 
-import os
 import tomllib
-from importlib import resources
 from pathlib import Path
 
 from labdata.errors import BadInput
-from labdata.file_io import write_atomically
+from labdata.file_io import shipped_file, shipped_names, write_atomically
 from labdata.sensor import Sensor
 from labdata.serialiser import from_toml, to_toml
 from labdata.solid_state import SolidStateCamera
@@ -14,25 +12,11 @@ from labdata.solid_state import SolidStateCamera
 
 def sensor_names() -> tuple[str, ...]:
     """Names of the camera descriptions that come with the package."""
-    files = resources.files("labdata.sensors").iterdir()
-    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+    return shipped_names("sensors")
 
 
 def load_sensor(name_or_path: str | Path, relative_to: str | Path | None = None) -> Sensor:
-    """Read the description of an intensified camera.
-
-    Parameters
-    ----------
-    name_or_path
-        Name of a shipped description, or path of a TOML file.
-    relative_to
-        Folder that a relative path starts from; None: the present one.
-
-    Raises
-    ------
-    BadInput
-        If there is no such description, it breaks a rule, or the camera has no intensifier.
-    """
+    """Read the description of an intensified camera, as `load_camera`; one without a tube is BadInput."""
     camera = load_camera(name_or_path, relative_to)
     if isinstance(camera, SolidStateCamera):
         raise BadInput(f"a sensor must be an intensified camera, got {camera.name!r}, which has no [tube]")
@@ -40,18 +24,8 @@ def load_sensor(name_or_path: str | Path, relative_to: str | Path | None = None)
 
 
 def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None) -> Sensor | SolidStateCamera:
-    """Read the description of a camera: intensified if the file has a [tube], or silicon alone if [silicon].
-
-    Parameters and errors as for `load_sensor`.
-    """
-    if str(name_or_path) in sensor_names():
-        with resources.as_file(resources.files("labdata.sensors") / f"{name_or_path}.toml") as path:
-            return from_toml(path, _type_of(path))
-    path = Path(relative_to or ".") / Path(name_or_path).expanduser()
-    if not os.path.isfile(path):  # Path.is_file raises on invalid names
-        raise BadInput(
-            f"a sensor must be one of {', '.join(sensor_names())} or the path of a TOML file, got {str(name_or_path)!r}"
-        )
+    """Read a shipped camera description by name, or a TOML file: intensified with a [tube], else [silicon]."""
+    path = shipped_file("sensors", name_or_path, relative_to)
     return from_toml(path, _type_of(path))
 
 

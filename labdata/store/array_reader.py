@@ -15,20 +15,7 @@ from labdata.store.journal import JOURNAL, Acknowledged, read_journal, records_o
 
 
 def read(path: str | Path, *, verify: bool = True) -> FrameStack:
-    """Read the acknowledged frames of an array; frames lost by its journal are counted and noted.
-
-    Parameters
-    ----------
-    path
-        The array's folder.
-    verify
-        Whether to compare each frame with its SHA-256.
-
-    Raises
-    ------
-    BadInput
-        If no frame was acknowledged, or one differs from its digest.
-    """
+    """Read the acknowledged frames of an array, compared with their SHA-256; lost frames are counted and noted."""
     path = Path(path)
     journal = read_journal(path)
     journal.require_frames()
@@ -52,13 +39,7 @@ def open_array(path: Path) -> Any:
 
 
 def read_frames(path: Path, array: Any, frames: Sequence[Acknowledged], *, verify: bool = True) -> NDArray:
-    """Read frames of an array opened by `open_array`; altered or missing ones are a BadInput.
-
-    Returns
-    -------
-    NDArray
-        Pixels, shape (frame, row, col).
-    """
+    """Read frames of an array opened by `open_array`, shape (frame, row, col); altered or missing ones are BadInput."""
     runs = [[frame for _, frame in run] for _, run in groupby(enumerate(frames), lambda each: each[1].index - each[0])]
     parts = [_pixels(path, array, run[0].index, run[-1].index + 1) for run in runs]
     data = parts[0] if len(parts) == 1 else np.concatenate(parts)
@@ -81,17 +62,7 @@ def _pixels(path: Path, array: Any, first: int, last: int) -> NDArray:
 
 
 class ArrayFollower:
-    """An array of the store that may still grow; only new frames are read, one by one.
-
-    Parameters
-    ----------
-    path
-        Folder of the array.
-
-    Notes
-    -----
-    It only reads and never waits for the writer: acknowledged frames are complete.
-    """
+    """An array of the store that may still grow; only new frames are read, one by one, without waiting."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)

@@ -28,29 +28,14 @@ from labdata.store.journal import (
     sha256,
 )
 
-FORCED_AT_ONCE = 8
-"""Chunks synced in parallel: the disk serves them in about the time of one."""
+FORCED_AT_ONCE = 8  # Chunks synced in parallel: the disk serves them in about the time of one
 
 
 class ArrayWriter:
-    """One array of the store, open for appending.
+    """One array of the store, open for appending; an existing one is continued, with the same shape and type.
 
     Frames acknowledged by an earlier writer are never changed: after an incomplete last line the journal continues in
     the next, and chunks counted by the array but not by its journal are set aside before their places are used.
-
-    Parameters
-    ----------
-    path
-        Folder of the array; an existing one is continued after its last acknowledged frame.
-    shape
-        Rows and columns of a frame.
-    dtype
-        Type of a pixel.
-
-    Raises
-    ------
-    BadInput
-        If the array exists with another shape or type.
     """
 
     def __init__(self, path: Path, shape: tuple[int, int], dtype: Any) -> None:
@@ -64,8 +49,7 @@ class ArrayWriter:
         self._require_same()
         journal = read_journal(path)
         self._frames, self._end = len(journal.frames), journal.end
-        self.notes = self._set_aside(journal.array_frames)
-        """One sentence on chunks that were set aside at the start."""
+        self.notes = self._set_aside(journal.array_frames)  # One sentence on chunks that were set aside at the start
         self._journal = open(path / JOURNAL, "ab+", buffering=0)  # noqa: SIM115 - open as long as the writer
         self._journal_bytes = self._journal.seek(0, os.SEEK_END)
         self._mid_line = ends_mid_line(self._journal.fileno())
@@ -77,17 +61,7 @@ class ArrayWriter:
         return self._frames
 
     def append(self, frame: NDArray, time_s: float, frame_number: int) -> Acknowledged:
-        """Write one frame; when this returns it survives a kill or a power cut.
-
-        Parameters
-        ----------
-        frame
-            Pixels, shape (row, col).
-        time_s
-            Time stamp, s.
-        frame_number
-            The camera's own number.
-        """
+        """Write one frame; when this returns it survives a kill or a power cut."""
         return self.extend([Frame(pixels=np.asarray(frame), number=frame_number, time_s=time_s)])[0]
 
     def extend(self, frames: Sequence[Frame]) -> tuple[Acknowledged, ...]:

@@ -64,14 +64,11 @@ def frame_bytes(frame: NDArray) -> memoryview:
 
 JOURNAL = "journal.jsonl"
 
+# Largest number of damaged lines to restore; each takes about 10 ms, and more are not single-byte errors
 MAX_RESTORED_LINES = 8
-"""Largest number of damaged lines to restore; each takes about 10 ms, and more are not single-byte errors."""
 
-MAX_LINE_BYTES = 320
-"""Longest text to restore; a line has at most 200 bytes."""
-
-MAX_NAMED = 5
-"""Largest number of lines or frames listed in a message."""
+MAX_LINE_BYTES = 320  # Longest text to restore; a line has at most 200 bytes
+MAX_NAMED = 5  # Largest number of lines or frames listed in a message
 
 RECORD = re.compile(
     rb'(?P<body>\{"index": (?P<index>\d{1,18}), "frame_number": (?P<frame_number>-?\d{1,19}), '
@@ -80,35 +77,21 @@ RECORD = re.compile(
 )
 BEGINNING = re.compile(rb'\{"index": \d+, "frame_number": ')
 END = re.compile(rb'", "checksum": "[0-9a-f]{16}"\}$')
-EDGE_BYTES = 48
-"""Longest match of either of the two, bytes."""
+EDGE_BYTES = 48  # Longest match of either of the two, bytes
 
 VALUE_BYTES = tuple(bytes([byte]) for byte in b"0123456789abcdef.-+")
 LINE_BYTES = tuple(bytes([byte]) for byte in sorted({*b'{}"_:, -+.0123456789indexframe_numbertime_ssha256checksum'}))
-NUMBERS = range(-(2**63), 2**63)
-"""Frame numbers of 64 bits."""
+NUMBERS = range(-(2**63), 2**63)  # Frame numbers of 64 bits
 
 
 @dataclass(frozen=True, kw_only=True)
 class Acknowledged:
-    """One line of the journal.
+    """One line of the journal."""
 
-    Parameters
-    ----------
-    index
-        Index of the frame in the array.
-    frame_number
-        The camera's own number.
-    time_s
-        Time stamp, s.
-    sha256
-        SHA-256 of the frame's bytes, rows first, little-endian.
-    """
-
-    index: int
-    frame_number: int
-    time_s: float
-    sha256: str
+    index: int  # Index of the frame in the array
+    frame_number: int  # The camera's own number
+    time_s: float  # Time stamp, s
+    sha256: str  # SHA-256 of the frame's bytes, rows first, little-endian
 
     def line(self) -> bytes:
         """Return the line as written, with checksum and line end."""
@@ -118,24 +101,12 @@ class Acknowledged:
 
 @dataclass(frozen=True, kw_only=True)
 class Journal:
-    """Content of a journal and its array.
+    """Content of a journal and its array."""
 
-    Parameters
-    ----------
-    path
-        Folder of the array.
-    frames
-        Acknowledged frames that can be read, by index; indices may be missing.
-    array_frames
-        Number of frames in the metadata of the array.
-    damaged_lines
-        Numbers, from 1, of the lines that are not one complete record.
-    """
-
-    path: Path
-    frames: tuple[Acknowledged, ...]
-    array_frames: int
-    damaged_lines: tuple[int, ...]
+    path: Path  # Folder of the array
+    frames: tuple[Acknowledged, ...]  # Acknowledged frames that can be read, by index; indices may be missing
+    array_frames: int  # Number of frames in the metadata of the array
+    damaged_lines: tuple[int, ...]  # Numbers, from 1, of the lines that are not one complete record
 
     @property
     def end(self) -> int:
@@ -176,20 +147,8 @@ def is_ours(path: Path) -> bool:
 
 
 def read_journal(path: str | Path) -> Journal:
-    """Read the journal of an array.
+    """Read the journal of an array; a folder that is none, or has unreadable metadata, is BadInput.
 
-    Parameters
-    ----------
-    path
-        Folder of the array.
-
-    Raises
-    ------
-    BadInput
-        If the folder is not an array of the store, or its metadata cannot be read.
-
-    Notes
-    -----
     A last line without line end was interrupted by a crash: its frame is not acknowledged, unless only the line end is
     missing and the checksum is valid.
     """
@@ -217,19 +176,8 @@ def read_journal(path: str | Path) -> Journal:
 
 
 def records_of(line: bytes, place: int, path: Path) -> tuple[Acknowledged, ...]:
-    """Return the complete records of a line; a line with a damaged line end includes those of the next.
+    """Return the complete records of a line, the `place`-th; one with a damaged line end includes those of the next.
 
-    Parameters
-    ----------
-    line
-        The line.
-    place
-        Number of lines before it.
-    path
-        Folder of the array.
-
-    Notes
-    -----
     A record without checksum must be at its index, or its frame's chunk must have its digest.
     """
     found = []

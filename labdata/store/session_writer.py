@@ -15,7 +15,7 @@ from labdata.capture import Frame, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
-from labdata.file_records import SessionFile, StackRecord, stack_record
+from labdata.file_records import SessionFile, StackRecord, own_keys, stack_record
 from labdata.serialiser import from_toml, to_toml
 from labdata.session import MANIFEST, Kind, Session, open_session
 from labdata.store.array_writer import ArrayWriter
@@ -52,17 +52,7 @@ class StackWriter:
         return self._entry.label
 
     def append(self, frame: NDArray, time_s: float, frame_number: int) -> Acknowledged:
-        """Store one frame; it is on the disk and part of the session when this returns.
-
-        Parameters
-        ----------
-        frame
-            Pixels, shape (row, col), with the shape and type of the stack.
-        time_s
-            Time stamp, s.
-        frame_number
-            The camera's own number.
-        """
+        """Store one frame; it is on the disk and part of the session when this returns."""
         return self.extend([Frame(pixels=np.asarray(frame), number=frame_number, time_s=time_s)])[0]
 
     def extend(self, frames: Sequence[Frame]) -> tuple[Acknowledged, ...]:
@@ -79,20 +69,10 @@ class StackWriter:
         notes: tuple[str, ...] = (),
         conditions: Conditions | None = None,
     ) -> None:
-        """Mark the stack as complete.
-
-        Parameters
-        ----------
-        losses
-            Frames that the camera numbered and that were not recorded, in addition to those of `lose`.
-        notes
-            Remarks on the stack.
-        conditions
-            Conditions read back at the end, if they replace those of the beginning.
-        """
+        """Mark the stack as complete, with further losses and notes, and conditions read back at the end, if any."""
         if not len(self._array):
             raise BadInput(f"a finished stack must hold at least one frame, got none in {self.label!r}")
-        entry = self._entry if conditions is None else stack_record(conditions, **_other_keys(self._entry))
+        entry = self._entry if conditions is None else stack_record(conditions, **own_keys(self._entry, StackRecord))
         self._entry = _with_losses(replace(entry, finished=None, notes=(*entry.notes, *notes)), losses)
         self._enter(self._entry)
         self.close()
@@ -120,10 +100,6 @@ def _with_losses(entry: StackRecord, losses: tuple[LostFrames, ...]) -> StackRec
     return replace(entry, lost=(*entry.lost, *losses), lost_frames=count or None)
 
 
-def _other_keys(entry: StackRecord) -> dict[str, Any]:
-    return {name: getattr(entry, name) for name in StackRecord.__annotations__}
-
-
 FRAMES = "frames"
 LOCK = ".lock"
 
@@ -138,40 +114,15 @@ class SessionWriter:
         self._manifest = ManifestWriter(folder)
 
     @classmethod
-    def create(
-        cls,
-        folder: str | Path,
-        *,
-        name: str,
-        sensor: str | None = None,
-        bit_depth: int | None = None,
-        interlaced: bool | None = None,
-        notes: tuple[str, ...] = (),
-    ) -> "SessionWriter":
-        """Begin a session in a folder without one.
-
-        Parameters
-        ----------
-        folder
-            The session folder; created if missing.
-        name
-            Name of the session.
-        sensor
-            Name of a shipped sensor description, or the path of one relative to the folder.
-        bit_depth
-            Bits of the digitiser.
-        interlaced
-            Whether the two fields of a frame were exposed one after the other.
-        notes
-            Remarks.
-        """
+    def create(cls, folder: str | Path, **keys: Any) -> "SessionWriter":
+        """Begin a session in a folder without one; the keys are those of `SessionFile`."""
         folder = Path(folder)
         if (folder / MANIFEST).exists():
             raise BadInput(f"a new session needs a folder without one, got {folder}")
         if folder.exists() and not folder.is_dir():
             raise BadInput(f"a session must be a folder, got the file {folder}")
         (folder / FRAMES).mkdir(parents=True, exist_ok=True)
-        form = SessionFile(name=name, sensor=sensor, bit_depth=bit_depth, interlaced=interlaced, notes=notes)
+        form = SessionFile(**keys)
         writer = cls(folder, form)
         writer._save(form)
         return writer
@@ -214,23 +165,8 @@ class SessionWriter:
     ) -> StackWriter:
         """Begin a stack, or continue an interrupted one; its length is then its number of frames.
 
-        Parameters
-        ----------
-        label, kind
-            Name, unique in the session, and kind of target.
-        shape, dtype
-            Rows and columns of a frame, and type of a pixel.
-        conditions
-            Conditions in force: read-backs where an instrument can be read.
-        asked
-            Requested conditions.
-        target
-            Target in front of the camera.
-
-        Raises
-        ------
-        BadInput
-            If the stack is already complete, or was begun with other settings.
+        `conditions` are those in force, `asked` the requested ones. A stack that is complete, or was begun with other
+        settings, is BadInput.
         """
         path = self._path(label)
         entry = stack_record(
@@ -256,13 +192,7 @@ class SessionWriter:
         return {entry.label: entry.doubt for entry in self._form.stack if entry.doubt is not None}
 
     def set_aside(self, label: str) -> Path:
-        """Remove an interrupted stack from the session, to acquire it again; its frames are kept.
-
-        Returns
-        -------
-        Path
-            Present folder of its frames.
-        """
+        """Remove an interrupted stack from the session, to acquire it again; return the folder of its frames."""
         path = self._path(label)
         aside = _aside(path)
         self._forget(label)
@@ -346,13 +276,7 @@ def _lock_session(folder: Path) -> Any:
 
 
 class ManifestWriter:
-    """Writes the complete manifest at every change; only changed stacks are serialised again.
-
-    Parameters
-    ----------
-    folder
-        The session's folder.
-    """
+    """Writes the complete manifest of a folder at every change; only changed stacks are serialised again."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / MANIFEST

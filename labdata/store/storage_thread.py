@@ -7,48 +7,32 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from labdata.capture import Frame, LostFrames, lost_frames_with_reason
 from labdata.errors import BadInput
 from labdata.store.session_writer import SessionWriter, StackWriter
 
+# Queued bytes of frames: 11 s of a 768 x 493 camera of 16 bits; a busy disk pauses for several seconds
 CAPACITY_BYTES = 256 << 20
-"""Queued bytes of frames: 11 s of a 768 x 493 camera of 16 bits; a busy disk pauses for several seconds."""
 
-TOGETHER_BYTES = 12 << 20
-"""Bytes per sync of the disk: more gain nothing and delay the acknowledgement."""
-
-PATIENCE_S = 0.4
-"""Longest wait for space in the queue, s; a camera driver buffers two seconds at 30 frames/s."""
+TOGETHER_BYTES = 12 << 20  # Bytes per sync of the disk: more gain nothing and delay the acknowledgement
+PATIENCE_S = 0.4  # Longest wait for space in the queue, s; a camera driver buffers two seconds at 30 frames/s
 
 
+# Longest time without progress before the disk is considered stuck, s; a busy disk pauses for several seconds
 STALLED_S = 10.0
-"""Longest time without progress before the disk is considered stuck, s; a busy disk pauses for several seconds."""
 
-LOOK_S = 0.1
-"""Polling interval of the progress of the disk, s."""
-
-RESERVE_BYTES = 1 << 20
-"""Bytes reserved on the session's disk for the last entries of manifest and log."""
+LOOK_S = 0.1  # Polling interval of the progress of the disk, s
+RESERVE_BYTES = 1 << 20  # Bytes reserved on the session's disk for the last entries of manifest and log
 
 
 class Storage:
     """Writes the stacks of a session in a separate thread; use it in a `with` block.
 
-    The first disk error ends all writing: frames not yet acknowledged are recorded as lost, with numbers
-    and reason, in the reserved space; every later call raises that error. A disk without progress for
-    `STALLED_S` during `wait` or at the end of the block is an error too.
-
-    Parameters
-    ----------
-    writer
-        The session; not to be used elsewhere meanwhile.
-    capacity_bytes
-        Largest number of queued bytes.
-    patience_s
-        Longest wait for space, s.
+    The first disk error ends all writing: frames not yet acknowledged are recorded as lost, with numbers and reason, in
+    the reserved space; every later call raises that error. A disk without progress for `STALLED_S` during `wait` or at
+    the end of the block is an error too. At most `capacity_bytes` wait, and a frame waits `patience_s` for room.
     """
 
     def __init__(
@@ -62,8 +46,7 @@ class Storage:
         self._in_hand: list[_Job] = []
         self._idle, self._over, self._ended = True, False, False
         self._progress_s = time.monotonic()
-        self.failure: Exception | None = None
-        """The error that ended writing, if any."""
+        self.failure: Exception | None = None  # The error that ended writing, if any
         self._thread = threading.Thread(target=self._work, name="storage", daemon=True)
 
     def __enter__(self) -> Self:
@@ -71,9 +54,7 @@ class Storage:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         with self._turn:
             self._over = True
             self._progress_s = time.monotonic() if self._idle else self._progress_s
@@ -252,8 +233,7 @@ class StoredStack:
     def __init__(self, storage: Storage) -> None:
         self._storage = storage
         self._writer: StackWriter | None = None
-        self.acknowledged = 0
-        """Frames on the disk, including those of an earlier run."""
+        self.acknowledged = 0  # Frames on the disk, including those of an earlier run
 
     def enqueue(self, frame: Frame) -> None:
         """Queue a frame; see `Storage.enqueue`."""
@@ -298,13 +278,7 @@ class StoredStack:
 
 
 class Reserve:
-    """Space reserved on a disk, so that a full disk can still store the manifest and the log.
-
-    Parameters
-    ----------
-    folder
-        The session's folder.
-    """
+    """Space reserved on a session's disk, so that a full disk can still store the manifest and the log."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / ".reserve"

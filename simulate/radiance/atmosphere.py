@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from labdata.errors import BadInput
 from simulate.radiance.spectrum import require_grid, table
 
+Array = NDArray[np.floating]
+
 # ln 50: the visibility is defined by a contrast of 2 %.
 KOSCHMIEDER = 3.912
 REFERENCE_NM = 550.0
@@ -26,13 +28,13 @@ def kruse_exponent(visibility_km: float) -> float:
     return 1.3 if visibility_km > 6.0 else 0.585 * visibility_km ** (1.0 / 3.0)
 
 
-def kruse_per_km(wavelength_nm: ArrayLike, visibility_km: float) -> NDArray[np.float64]:
+def kruse_per_km(wavelength_nm: ArrayLike, visibility_km: float) -> Array:
     """Return 3.912/V (wavelength/550 nm)^-q, per km."""
     relative = np.asarray(wavelength_nm, float) / REFERENCE_NM
     return visibility_extinction_per_km(visibility_km) * relative ** -kruse_exponent(visibility_km)
 
 
-def scattering_albedo(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+def scattering_albedo(wavelength_nm: ArrayLike) -> Array:
     """Return the single-scattering albedo of haze, dimensionless.
 
     Notes
@@ -43,10 +45,9 @@ def scattering_albedo(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
 
 
 EARTH_RADIUS_KM = 6370.0
-OZONE_HEIGHT_KM = 22.0
 
 
-def airmass(elevation_deg: ArrayLike) -> NDArray[np.float64]:
+def airmass(elevation_deg: ArrayLike) -> Array:
     """Return the relative air mass, dimensionless: 1 at the zenith, 37.9 at the horizon and for all below it.
 
     Notes
@@ -57,31 +58,20 @@ def airmass(elevation_deg: ArrayLike) -> NDArray[np.float64]:
     return 1.0 / (np.sin(np.deg2rad(elevation)) + 0.50572 * (elevation + 6.07995) ** -1.6364)
 
 
-def ozone_mass(elevation_deg: ArrayLike) -> NDArray[np.float64]:
+def ozone_mass(elevation_deg: ArrayLike) -> Array:
     """Return the relative mass of a layer of ozone 22 km up, dimensionless (Bird and Riordan 1984, eq. 2-10)."""
     sine = np.sin(np.deg2rad(np.maximum(np.asarray(elevation_deg, float), 0.0)))
-    relative = OZONE_HEIGHT_KM / EARTH_RADIUS_KM
+    relative = 22.0 / EARTH_RADIUS_KM
     return (1.0 + relative) / np.sqrt(np.square(sine) + 2.0 * relative)
 
 
-# A column of sea-level air as long as this holds what lies above a square metre, km.
-MIXED_SCALE_HEIGHT_KM = 8.43
-
-
-def _coefficient(wavelength_nm: ArrayLike, name: str) -> NDArray[np.float64]:
+def _coefficient(wavelength_nm: ArrayLike, name: str) -> Array:
     gases = table("gases")
     return np.interp(np.atleast_1d(np.asarray(wavelength_nm, float)), gases["wavelength_nm"], gases[name])
 
 
-def water_transmittance(wavelength_nm: ArrayLike, precipitable_cm: ArrayLike) -> NDArray[np.float64]:
-    """Return the transmittance of water vapour, shape (band, path).
-
-    Parameters
-    ----------
-    wavelength_nm
-        Wavelengths, shape (band,), nm.
-    precipitable_cm
-        Water on each path, as a layer of liquid, shape (path,), cm.
+def water_transmittance(wavelength_nm: ArrayLike, precipitable_cm: ArrayLike) -> Array:
+    """Return the transmittance of water vapour, shape (band, path), for water on each path as a layer of liquid, cm.
 
     Notes
     -----
@@ -91,7 +81,7 @@ def water_transmittance(wavelength_nm: ArrayLike, precipitable_cm: ArrayLike) ->
     return np.exp(-0.2385 * amount / (1.0 + 20.07 * amount) ** 0.45)
 
 
-def uniform_gas_transmittance(wavelength_nm: ArrayLike, airmass: ArrayLike) -> NDArray[np.float64]:
+def uniform_gas_transmittance(wavelength_nm: ArrayLike, airmass: ArrayLike) -> Array:
     """Return the transmittance of oxygen and carbon dioxide, shape (band, path), for pressure-corrected air masses.
 
     Notes
@@ -102,7 +92,7 @@ def uniform_gas_transmittance(wavelength_nm: ArrayLike, airmass: ArrayLike) -> N
     return np.exp(-1.41 * amount / (1.0 + 118.3 * amount) ** 0.45)
 
 
-def ozone_transmittance(wavelength_nm: ArrayLike, ozone_atm_cm: ArrayLike) -> NDArray[np.float64]:
+def ozone_transmittance(wavelength_nm: ArrayLike, ozone_atm_cm: ArrayLike) -> Array:
     """Return the transmittance of ozone, shape (band, path), for ozone on each path, atm cm."""
     return np.exp(-_coefficient(wavelength_nm, "ozone_per_atm_cm")[:, None] * np.atleast_1d(ozone_atm_cm))
 
@@ -123,7 +113,7 @@ SCALE_HEIGHT_KM = 8.43
 SEA_LEVEL_HPA = 1013.25
 
 
-def rayleigh_depth(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+def rayleigh_depth(wavelength_nm: ArrayLike) -> Array:
     """Return the optical depth of the whole atmosphere straight up at sea level, dimensionless.
 
     Notes
@@ -134,20 +124,15 @@ def rayleigh_depth(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     return 0.00864 * micrometre ** -(3.916 + 0.074 * micrometre + 0.05 / micrometre)
 
 
-def rayleigh_per_km(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+def rayleigh_per_km(wavelength_nm: ArrayLike) -> Array:
     """Return the extinction coefficient of sea-level air, per km."""
     return rayleigh_depth(wavelength_nm) / SCALE_HEIGHT_KM
-
-
-# The US standard atmosphere's 5.9 g m-3 at the ground hold 1.42 cm of water above.
-WATER_SCALE_HEIGHT_KM = 2.4
-HOTTEST_C, COLDEST_C = 60.0, -60.0
 
 
 class SkyLight(Protocol):
     """Light source of the path radiance of air."""
 
-    def air_radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def air_radiance(self, direction: Array, wavelength_nm: ArrayLike) -> Array:
         """Return the radiance of an infinite path along directions (path, 3), W m-2 sr-1 nm-1, shape (band, path)."""
         ...
 
@@ -156,21 +141,6 @@ class SkyLight(Protocol):
 class Atmosphere:
     """Homogeneous air of one visibility and humidity.
 
-    Parameters
-    ----------
-    visibility_km
-        Meteorological range: distance at which a black object has a contrast of 2 %, km.
-    relative_humidity
-        At the ground, 0 to 1, dimensionless.
-    temperature_c, pressure_hpa
-        Of the air at the ground.
-    ozone_atm_cm
-        Ozone overhead, atm cm.
-    aerosol_scale_height_km
-        Height of a column of the haze at the ground that holds all of it, km.
-    light
-        Light source of the path radiance, set by `NightSky.air`; None: no path radiance.
-
     Notes
     -----
     Extinction at 550 nm is 3.912/V, molecules included; the rest of it is haze, falling by Kruse's power of wavelength.
@@ -178,13 +148,14 @@ class Atmosphere:
     is no refraction.
     """
 
-    visibility_km: float = 23.0
-    relative_humidity: float = 0.5
+    visibility_km: float = 23.0  # meteorological range: distance at which a black object has a contrast of 2 %, km
+    relative_humidity: float = 0.5  # at the ground, 0 to 1, dimensionless
+    # Of the air at the ground.
     temperature_c: float = 15.0
     pressure_hpa: float = SEA_LEVEL_HPA
-    ozone_atm_cm: float = 0.3
-    aerosol_scale_height_km: float = 1.2
-    light: SkyLight | None = None
+    ozone_atm_cm: float = 0.3  # ozone overhead, atm cm
+    aerosol_scale_height_km: float = 1.2  # height of a column of the haze at the ground that holds all of it, km
+    light: SkyLight | None = None  # light source of the path radiance, set by `NightSky.air`; None: no path radiance
 
     def __post_init__(self) -> None:
         clearest = KOSCHMIEDER / float(rayleigh_per_km(REFERENCE_NM))
@@ -194,8 +165,8 @@ class Atmosphere:
             )
         if not 0.0 <= self.relative_humidity <= 1.0:
             raise BadInput(f"relative_humidity must lie in [0, 1], got {self.relative_humidity:g}")
-        if not COLDEST_C <= self.temperature_c <= HOTTEST_C:
-            raise BadInput(f"temperature_c must lie in [{COLDEST_C:g}, {HOTTEST_C:g}], got {self.temperature_c:g}")
+        if not -60.0 <= self.temperature_c <= 60.0:
+            raise BadInput(f"temperature_c must lie in [-60, 60], got {self.temperature_c:g}")
         for name in ("pressure_hpa", "aerosol_scale_height_km"):
             if not getattr(self, name) > 0.0:
                 raise BadInput(f"{name} must be positive, got {getattr(self, name):g}")
@@ -210,49 +181,31 @@ class Atmosphere:
     @property
     def precipitable_cm(self) -> float:
         """Water vapour overhead as a layer of liquid, cm."""
-        return 0.1 * self.vapour_g_m3 * WATER_SCALE_HEIGHT_KM
+        # The US standard atmosphere's 5.9 g m-3 at the ground hold 1.42 cm of water above.
+        return 0.1 * self.vapour_g_m3 * 2.4
 
-    def haze_per_km(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def haze_per_km(self, wavelength_nm: ArrayLike) -> Array:
         """Return the extinction by haze at the ground, per km, shape (band,)."""
         wavelength = np.atleast_1d(np.asarray(wavelength_nm, float))
         molecules = float(rayleigh_per_km(REFERENCE_NM))
         share = 1.0 - molecules / visibility_extinction_per_km(self.visibility_km)
         return share * kruse_per_km(wavelength, self.visibility_km)
 
-    def molecules_depth(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def molecules_depth(self, wavelength_nm: ArrayLike) -> Array:
         """Return the optical depth of molecules straight up, dimensionless, shape (band,)."""
         depth = rayleigh_depth(np.atleast_1d(np.asarray(wavelength_nm, float)))
         return depth * self.pressure_hpa / SEA_LEVEL_HPA
 
-    def haze_depth(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def haze_depth(self, wavelength_nm: ArrayLike) -> Array:
         """Return the optical depth of haze straight up, dimensionless, shape (band,)."""
         return self.haze_per_km(wavelength_nm) * self.aerosol_scale_height_km
 
-    def transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the transmittance of paths near the ground, dimensionless, shape (band, path).
-
-        Parameters
-        ----------
-        range_m
-            Lengths of the paths, shape (path,), m.
-        wavelength_nm
-            Wavelengths, shape (band,), nm.
-        """
+    def transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> Array:
+        """Return the transmittance of paths near the ground of lengths (path,), m, shape (band, path)."""
         return self._particle_transmittance(range_m, wavelength_nm) * self.gas_transmittance(range_m, wavelength_nm)
 
-    def path_radiance(
-        self, range_m: ArrayLike, wavelength_nm: ArrayLike, direction: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
-        """Return the path radiance, W m-2 sr-1 nm-1, shape (band, path).
-
-        Parameters
-        ----------
-        range_m
-            Lengths of the paths, shape (path,), m.
-        wavelength_nm
-            The complete spectral grid, shape (band,), nm.
-        direction
-            Viewing directions, x east, y north, z up, shape (path, 3).
+    def path_radiance(self, range_m: ArrayLike, wavelength_nm: ArrayLike, direction: Array) -> Array:
+        """Return the path radiance of lengths (path,) in directions (path, 3), W m-2 sr-1 nm-1, shape (band, path).
 
         Notes
         -----
@@ -265,7 +218,7 @@ class Atmosphere:
         endless = self.light.air_radiance(direction, grid)
         return endless * (1.0 - self._particle_transmittance(metres, grid)) * self.gas_transmittance(0.5 * metres, grid)
 
-    def slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> Array:
         """Return the transmittance of the atmosphere, shape (band, path), along elevations (path,) in degrees.
 
         Paths below the horizon count as along it.
@@ -274,7 +227,7 @@ class Atmosphere:
         mass = np.atleast_1d(airmass(elevation_deg))
         return np.exp(-depth[:, None] * mass) * self.gas_slant_transmittance(elevation_deg, wavelength_nm)
 
-    def gas_slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def gas_slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> Array:
         """Return the gas transmittance of the atmosphere, shape (band, path), along elevations in degrees."""
         mass = np.atleast_1d(airmass(elevation_deg))
         pressure = self.pressure_hpa / SEA_LEVEL_HPA
@@ -285,22 +238,22 @@ class Atmosphere:
             * ozone_transmittance(wavelength_nm, ozone)
         )
 
-    def _particle_transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def _particle_transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> Array:
         """Return the transmittance of haze and molecules on paths near the ground, shape (band, path)."""
         metres = np.atleast_1d(np.asarray(range_m, float))
         if metres.size and not metres.min() >= 0.0:
             raise BadInput(f"a range must not be negative, got {metres.min():g} m")
         return np.exp(-self.extinction_per_m(wavelength_nm)[:, None] * metres)
 
-    def extinction_per_m(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def extinction_per_m(self, wavelength_nm: ArrayLike) -> Array:
         """Return the extinction by haze and molecules at the ground, shape (band,), m-1."""
         wavelength = np.atleast_1d(np.asarray(wavelength_nm, float))
         molecules = rayleigh_per_km(wavelength) * self.pressure_hpa / SEA_LEVEL_HPA
         return 1e-3 * (molecules + self.haze_per_km(wavelength))
 
-    def gas_transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def gas_transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> Array:
         """Return the gas transmittance near the ground, without ozone, which absorbs less than 0.1 % per km."""
         metres = np.atleast_1d(np.asarray(range_m, float))
-        mixed = 1e-3 * metres / MIXED_SCALE_HEIGHT_KM * self.pressure_hpa / SEA_LEVEL_HPA
+        mixed = 1e-3 * metres / SCALE_HEIGHT_KM * self.pressure_hpa / SEA_LEVEL_HPA
         water = water_transmittance(wavelength_nm, 1e-4 * metres * self.vapour_g_m3)
         return water * uniform_gas_transmittance(wavelength_nm, mixed)

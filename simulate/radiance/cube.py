@@ -8,24 +8,18 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from labdata.frames import read_only
 
+Array = NDArray[np.floating]
+
 
 @dataclass(frozen=True, kw_only=True)
 class RadianceCube:
-    """Spectral radiance, averaged over each cell of the image.
+    """Spectral radiance, averaged over each cell of the image."""
 
-    Parameters
-    ----------
-    wavelength_nm
-        Wavelengths, ascending, shape (band,), nm. Between them radiance is taken as linear.
-    radiance
-        Spectral radiance, shape (band, row, col), W m-2 sr-1 nm-1. Made read-only.
-    averaged
-        Whether values are averages over the bands (`SourceSpectrum.on`), so that the sum of value, width
-        (`band_widths`) and response at the band is the integral; else they are values at the wavelengths.
-    """
-
-    wavelength_nm: NDArray[np.floating]
-    radiance: NDArray[np.floating]
+    # Wavelengths, ascending, shape (band,), nm. Between them radiance is taken as linear.
+    wavelength_nm: Array
+    radiance: Array  # Spectral radiance, shape (band, row, col), W m-2 sr-1 nm-1. Made read-only
+    # Whether values are averages over the bands (`SourceSpectrum.on`), so that the sum of value, width
+    # (`band_widths`) and response at the band is the integral; else they are values at the wavelengths.
     averaged: bool = False
 
     def __post_init__(self) -> None:
@@ -43,12 +37,12 @@ class RadianceCube:
         object.__setattr__(self, "wavelength_nm", read_only(wavelength))
         object.__setattr__(self, "radiance", read_only(radiance))
 
-    def sum_bands(self, weight: NDArray[np.floating]) -> NDArray[np.float32]:
+    def sum_bands(self, weight: Array) -> NDArray[np.float32]:
         """Return the sum over bands with weights (band,), shape (row, col)."""
         return np.tensordot(weight.astype(np.float32), self.radiance.astype(np.float32, copy=False), axes=1)
 
 
-def band_widths(wavelength_nm: NDArray[np.floating]) -> NDArray[np.floating]:
+def band_widths(wavelength_nm: Array) -> Array:
     """Return the trapezoidal width of each band, shape (band,), nm: an integral is the sum of value times width."""
     steps = np.diff(np.asarray(wavelength_nm, float))
     return 0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))

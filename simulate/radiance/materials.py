@@ -16,6 +16,8 @@ from simulate.radiance.brdf.protocol import Reflectance
 if TYPE_CHECKING:
     from simulate.radiance.brdf.protocol import Brdf
 
+Array = NDArray[np.floating]
+
 
 Finish = Literal["matt", "glossy", "metal", "retroreflective"]
 # Parameters that each finish needs in addition to the tables.
@@ -97,19 +99,18 @@ class Material:
         """Return one value per wavelength."""
         return shares * len(self.wavelength_nm) if len(shares) == 1 else shares
 
-    def reflectance_at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def reflectance_at(self, wavelength_nm: ArrayLike) -> Array:
         """Return the reflectance at wavelengths, dimensionless; of the base alone under a coat or lobe."""
         return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.reflectance))
 
-    def transmittance_at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def transmittance_at(self, wavelength_nm: ArrayLike) -> Array:
         """Return the transmittance at wavelengths, dimensionless."""
         return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.transmittance))
 
     def brdf(self) -> "Brdf":
         """Return the BRDF."""
-        from simulate.radiance.brdf.glossy import Glossy, Metal
+        from simulate.radiance.brdf.glossy import Glossy, Metal, Retroreflector
         from simulate.radiance.brdf.protocol import Lambert
-        from simulate.radiance.brdf.retroreflector import Retroreflector
 
         table = Reflectance(wavelength_nm=self.wavelength_nm, share=self._each(self.reflectance))
         if self.finish == "glossy" and self.roughness is not None and self.refractive_index is not None:
@@ -150,10 +151,7 @@ def material_names() -> tuple[str, ...]:
 def material(name: str) -> Material:
     """Return a shipped material by name.
 
-    Raises
-    ------
-    BadInput
-        If there is none of that name.
+    Raises BadInput if there is none of that name.
     """
     if name not in shelf().material:
         raise BadInput(f"a material must be one of {', '.join(material_names())}, got {name!r}")
@@ -170,7 +168,7 @@ def clearest(refractive_index: float) -> float:
     return (1.0 - face) / (1.0 + face)
 
 
-def internal_transmittance(transmittance: ArrayLike, refractive_index: float) -> NDArray[np.float64]:
+def internal_transmittance(transmittance: ArrayLike, refractive_index: float) -> Array:
     """Return the internal transmittance of the glass at normal incidence, from a pane's transmittance.
 
     Notes
@@ -182,19 +180,10 @@ def internal_transmittance(transmittance: ArrayLike, refractive_index: float) ->
     return 2.0 * through / (once + np.sqrt(once**2 + 4.0 * (face * through) ** 2))
 
 
-def pane_shares(
-    cosine: NDArray[np.floating], transmittance: NDArray[np.floating], refractive_index: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the reflectance and transmittance of a pane for unpolarised light, each of shape (ray, band).
+def pane_shares(cosine: Array, transmittance: Array, refractive_index: float) -> tuple[Array, Array]:
+    """Return reflectance and transmittance of a pane for unpolarised light, each of shape (ray, band).
 
-    Parameters
-    ----------
-    cosine
-        Of the angles of incidence, shape (ray,).
-    transmittance
-        Of the pane at normal incidence, shape (band,).
-    refractive_index
-        Of the glass.
+    By cosines of the angles of incidence (ray,), transmittance at normal incidence (band,) and index of the glass.
 
     Notes
     -----

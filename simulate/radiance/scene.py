@@ -111,10 +111,7 @@ class LabScene:
 def load_scene(name_or_path: str | Path = "bench") -> "LabScene | OutdoorScene":
     """Return a shipped scene by name, or a scene from a TOML file: a lab bench, or an outdoor scene with a camera.
 
-    Raises
-    ------
-    BadInput
-        If there is no such scene, or the file breaks a rule.
+    Raises BadInput if there is no such scene, or the file breaks a rule.
     """
     path = Path(name_or_path)
     if path.suffix == ".toml":

@@ -12,6 +12,8 @@ from labdata.errors import BadInput
 from labdata.frames import read_only
 from simulate.radiance.cube import band_widths
 
+Array = NDArray[np.floating]
+
 LUMENS_PER_WATT = 683.0
 
 # CIE 1924 photopic luminous efficiency, every 10 nm from 380 nm.
@@ -26,12 +28,12 @@ EYE_SHARE = np.array([
 # fmt: on
 
 
-def luminous_efficiency(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+def luminous_efficiency(wavelength_nm: ArrayLike) -> Array:
     """Return V(lambda), dimensionless, linear between 10 nm steps and zero outside 380..770 nm."""
     return np.interp(np.asarray(wavelength_nm, float), EYE_NM, EYE_SHARE, left=0.0, right=0.0)
 
 
-def planck(wavelength_nm: ArrayLike, temperature_k: float) -> NDArray[np.float64]:
+def planck(wavelength_nm: ArrayLike, temperature_k: float) -> Array:
     """Return the spectral radiance of a black body, W m-2 sr-1 nm-1.
 
     Notes
@@ -49,24 +51,12 @@ Table = tuple[ArrayLike, ArrayLike]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SourceSpectrum:
-    """Power of a source over wavelength, in W, W m-2 or W m-2 sr-1 as the user states.
+    """Power of a source over wavelength, in W, W m-2 or W m-2 sr-1 as the user states."""
 
-    Parameters
-    ----------
-    wavelength_nm
-        Wavelengths of the continuum, ascending, shape (sample,), nm.
-    density
-        Power per nm at them, linear between and zero outside, shape (sample,).
-    line_nm
-        Wavelengths of lines too narrow for any grid, ascending, shape (line,), nm.
-    line_power
-        Power of each, shape (line,).
-    """
-
-    wavelength_nm: NDArray[np.floating]
-    density: NDArray[np.floating]
-    line_nm: tuple[float, ...] = ()
-    line_power: tuple[float, ...] = ()
+    wavelength_nm: Array  # wavelengths of the continuum, ascending, shape (sample,), nm
+    density: Array  # power per nm at them, linear between and zero outside, shape (sample,)
+    line_nm: tuple[float, ...] = ()  # wavelengths of lines too narrow for any grid, ascending, shape (line,), nm
+    line_power: tuple[float, ...] = ()  # power of each, shape (line,)
 
     def __post_init__(self) -> None:
         wavelength, density = np.asarray(self.wavelength_nm, float), np.asarray(self.density, float)
@@ -84,18 +74,10 @@ class SourceSpectrum:
         object.__setattr__(self, "wavelength_nm", read_only(wavelength))
         object.__setattr__(self, "density", read_only(density))
 
-    def on(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the power per nm in the bands of a grid, shape (band,).
+    def on(self, wavelength_nm: ArrayLike) -> Array:
+        """Return the power per nm in the bands of a complete grid, shape (band,); widths depend on neighbours.
 
-        Parameters
-        ----------
-        wavelength_nm
-            The complete grid, ascending, shape (band,), nm; a band's width depends on its neighbours.
-
-        Raises
-        ------
-        BadInput
-            If the grid does not ascend, or has fewer than two bands.
+        Raises BadInput if the grid does not ascend, or has fewer than two bands.
 
         Notes
         -----
@@ -114,7 +96,7 @@ class SourceSpectrum:
         powers = tuple(factor * power for power in self.line_power)
         return replace(self, density=factor * self.density, line_power=powers)
 
-    def multiply(self, factor: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> "SourceSpectrum":
+    def multiply(self, factor: Callable[[Array], Array]) -> "SourceSpectrum":
         """Return the spectrum multiplied by a function of wavelength, nm, such as a filter or a reflectance."""
         shares = factor(np.asarray(self.line_nm, float)) if self.line_nm else np.empty(0)
         powers = tuple(float(share * power) for share, power in zip(shares, self.line_power, strict=True))
@@ -156,7 +138,7 @@ def sum_spectra(parts: list[SourceSpectrum]) -> SourceSpectrum:
     )
 
 
-def require_grid(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+def require_grid(wavelength_nm: ArrayLike) -> Array:
     """Return a grid of wavelengths as an array; raise BadInput if it does not ascend or has fewer than two bands."""
     grid = np.atleast_1d(np.asarray(wavelength_nm, float))
     if grid.ndim != 1 or grid.size < 2:
@@ -166,15 +148,10 @@ def require_grid(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     return grid
 
 
-def hat_integrals(grid: ArrayLike, *tables: Table) -> NDArray[np.float64]:
+def hat_integrals(grid: ArrayLike, *tables: Table) -> Array:
     """Return int hat_b f g dl of each band of a grid, shape (band,): hats are 1 at their band and 0 at its neighbours.
 
-    Parameters
-    ----------
-    grid
-        Bands, ascending, at least two, shape (band,), nm.
-    tables
-        At most two pairs of ascending wavelengths, nm, and values, linear between and zero outside.
+    f and g are tables of ascending wavelengths, nm, and values, linear between and zero outside; at most two.
 
     Notes
     -----
@@ -200,7 +177,7 @@ def hat_integrals(grid: ArrayLike, *tables: Table) -> NDArray[np.float64]:
     return total
 
 
-def _hats_at(grid: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
+def _hats_at(grid: Array, wavelength_nm: float) -> Array:
     """Return each band's hat at one wavelength; zero for one outside the grid."""
     return np.array([np.interp(wavelength_nm, grid, unit, left=0.0, right=0.0) for unit in np.eye(grid.size)])
 
@@ -221,7 +198,7 @@ def spectral_grid(
     tolerance: float = 0.003,
     spectra: Sequence[tuple[ArrayLike, ArrayLike]] = (),
     widest_nm: float = WIDEST_NM,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Return the bands for sources and a sensor, and their widths.
 
     Parameters
@@ -271,7 +248,7 @@ def spectral_grid(
         grid = np.union1d(grid, next_nm)
 
 
-def _span(wavelength_nm: NDArray[np.floating], response: NDArray[np.floating]) -> tuple[float, float]:
+def _span(wavelength_nm: Array, response: Array) -> tuple[float, float]:
     positive = np.flatnonzero(response > 0.0)
     if positive.size == 0:
         raise BadInput("a sensor must respond at some wavelength, got a response that is nowhere positive")
@@ -281,7 +258,7 @@ def _span(wavelength_nm: NDArray[np.floating], response: NDArray[np.floating]) -
     return float(wavelength_nm[first]), float(wavelength_nm[last])
 
 
-def _start(low: float, high: float, widest_nm: float, lines: list[float]) -> NDArray[np.float64]:
+def _start(low: float, high: float, widest_nm: float, lines: list[float]) -> Array:
     """Return an equidistant grid with every line, and a neighbour on both sides of it where no other band is close."""
     grid = np.linspace(low, high, max(2, int(np.ceil((high - low) / widest_nm)) + 1))
     grid = np.union1d(grid, lines)
@@ -294,10 +271,7 @@ def _start(low: float, high: float, widest_nm: float, lines: list[float]) -> NDA
 
 
 def _worst(
-    grid: NDArray[np.float64],
-    fine: NDArray[np.float64],
-    factors: Sequence[NDArray[np.floating]],
-    sources: Sequence[SourceSpectrum],
+    grid: Array, fine: Array, factors: Sequence[Array], sources: Sequence[SourceSpectrum]
 ) -> tuple[float, float]:
     """Return the largest relative error of any source seen through any factor, and the wavelength of the next band.
 
@@ -323,7 +297,7 @@ def _worst(
 
 
 @cache
-def table(name: str) -> dict[str, NDArray[np.float64]]:
+def table(name: str) -> dict[str, Array]:
     """Return the columns of `tables/name.csv` by their headings."""
     text = (resources.files("simulate.radiance") / "tables" / f"{name}.csv").read_text(encoding="utf-8")
     lines = [line for line in text.splitlines() if line and not line.startswith("#")]

@@ -10,21 +10,18 @@ from simulate.effect_selection import OptionalEffect
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.outdoor.materials import Slab
 from simulate.radiance.outdoor.scene import Object
-from simulate.radiance.outdoor.surroundings import Weather as State
+from simulate.radiance.outdoor.scene import Weather as State
 from simulate.thermal.clear_day import sky_radiance
 from simulate.thermal.exposure import RING_SINE, Exposure, Facets
 from simulate.thermal.slab import ZERO_C, Columns, Exchange, Forcing, kernels, march, periodic_start, vapour_pressure_pa
+from simulate.thermal.thresholds import LIMITS
 from simulate.thermal.weather import DAY_STEPS, Weather
 
 Array = NDArray[np.float64]
 # Reflectance of the ground beyond the scene, which has the temperature of the air.
 GROUND_REFLECTANCE = 0.2
-# Steps between directions of the sun by which its shadows are found.
-SUN_STEPS = 3
 # Irradiance of the full moon in the zenith, W m-2.
 FULL_MOON_W_M2 = 0.003
-# Passes of neighbours at most.
-MAX_PASSES = 8
 LAST = slice(-DAY_STEPS, None)
 
 
@@ -60,7 +57,7 @@ class Balance:
     Parameters
     ----------
     facets, exposure
-        Facets and their view factors; `exposure.lit` at every `SUN_STEPS`-th step of the last day.
+        Facets and their view factors; `exposure.lit` at every `LIMITS.sun_steps`-th step of the last day.
     slabs, things
         Slab, with its absorptivity, and object of each.
     weather, state
@@ -99,7 +96,7 @@ class Balance:
     @cached_property
     def direct_sunlight(self) -> Array:
         """Sunlight straight from the sun, shape (step, facet), W m-2; shadows of each day are those of the last one."""
-        at, known = np.arange(DAY_STEPS) / SUN_STEPS, np.arange(len(self.exposure.lit))
+        at, known = np.arange(DAY_STEPS) / LIMITS.sun_steps, np.arange(len(self.exposure.lit))
         lit = np.stack([np.interp(at, known, facet) for facet in self.exposure.lit.T], axis=1)
         return self.weather.direct_w_m2[:, None] * np.tile(lit, (len(self.weather) // DAY_STEPS, 1))
 
@@ -164,7 +161,7 @@ class Balance:
             radiative = 4.0 * STEFAN_BOLTZMANN * (self.emissivity * faces[-1] ** 3)[free]
             shrink = (1.0 - self.exposure.sky[free]) * radiative / forcing.loss(faces[-1, free], -1)[1]
             rest = _effect(kernel, new - flux) / (1.0 - float(shrink.max()))
-            if rest <= tolerance or passes == MAX_PASSES:
+            if rest <= tolerance or passes == LIMITS.max_neighbour_passes:
                 break
             flux, passes = new, passes + 1
         kernel[:, free] = kernels(columns, forcing.part(LAST), faces[LAST][:, free])

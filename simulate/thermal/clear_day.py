@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.sky.ephemeris import AU_KM, ObserverLocation, ephemeris
+from simulate.radiance.sky.moon import AU_KM, ObserverLocation, ephemeris
 from simulate.thermal.slab import ZERO_C, vapour_pressure_pa
+from simulate.thermal.thresholds import LIMITS
 
 Array = NDArray[np.float64]
 # That of the model's authors: with 1361 W/m2 all of it would be 0.4 % lower.
@@ -18,8 +19,6 @@ WARMEST_H, WINDIEST_H, NIGHT_DECAY = 15.0, 14.0, 2.2
 NIGHT_WIND, DAY_WIND = 0.3, 0.4
 # Emissivity that opaque low cloud adds, as a fraction of what the clear sky lacks.
 CLOUD_EMISSIVITY = 0.9
-# A sky this close to a black body of the air's temperature is isotropic; Newton steps for the optical depth.
-EVEN_SKY, NEWTON_STEPS = 1e-3, 12
 
 
 def sun_directions(place: ObserverLocation, times: list[datetime]) -> tuple[Array, Array]:
@@ -98,13 +97,13 @@ def sky_radiance(emissivity: Array, air_k: Array, dew_point_k: Array, sine: Arra
     """
     emissivity, air_k, dew_point_k = (np.asarray(value, float)[:, None] for value in (emissivity, air_k, dew_point_k))
     black = STEFAN_BOLTZMANN * air_k**4
-    overcast = emissivity > 1.0 - EVEN_SKY
+    overcast = emissivity > 1.0 - LIMITS.even_sky
     clear = np.where(overcast, 0.5, emissivity)
     water_cm = 46.5 * vapour_pressure_pa(dew_point_k) / 100.0 / air_k
     steepness = 0.20 + 0.035 * water_cm
     path = np.sqrt((np.arange(200) + 0.5) / 200.0) ** -steepness
     depth = -np.log(1.0 - 0.945 * clear)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(LIMITS.newton_steps):
         left = np.exp(-depth * path)
         depth += (left.mean(axis=1, keepdims=True) - 1.0 + clear) / (path * left).mean(axis=1, keepdims=True)
     directional = -np.expm1(-depth * np.maximum(np.asarray(sine), 1e-3) ** -steepness)

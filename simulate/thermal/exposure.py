@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from simulate.radiance.geometry.embree import ROW
 from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.geometry.surfaces import Surfaces
-from simulate.radiance.integrator.low_discrepancy import SequenceSlice
-from simulate.radiance.integrator.shading_points import shading_frames
+from simulate.radiance.integrator.sampling import SequenceSlice, cosine_lobe, shading_frames
+from simulate.thermal.thresholds import LIMITS
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-# Points of a facet and rays of each to sky and neighbours, for a sky view factor within 0.01.
-POINTS, RAYS = 64, 32
 # Rings of the sky, equal in what level ground receives of a uniform sky, and the sine of the elevation of each.
 RINGS = 12
 RING_SINE = np.sqrt((np.arange(RINGS) + 0.5) / RINGS)
@@ -142,15 +140,15 @@ class Spots:
 
 
 def spots_of(facets: Facets, rng: np.random.Generator) -> Spots:
-    """Return `POINTS` spots of each facet, one facet after the other, even over its area."""
+    """Return `LIMITS.points` spots of each facet, one facet after the other, even over its area."""
     corners, area = facets.surfaces.mesh.corners_m, facets.surfaces.area_m2
     picked = []
     for faces in facets.faces:
         total = np.cumsum(area[faces])
-        at = (np.arange(POINTS) + rng.random()) / POINTS * total[-1]
+        at = (np.arange(LIMITS.points) + rng.random()) / LIMITS.points * total[-1]
         picked.append(faces[np.minimum(np.searchsorted(total, at), len(faces) - 1)])
     face = np.concatenate(picked)
-    first, second = SequenceSlice.random(len(facets), POINTS, rng).pairs().reshape(-1, 2).T
+    first, second = SequenceSlice.random(len(facets), LIMITS.points, rng).pairs().reshape(-1, 2).T
     root = np.sqrt(first)
     weight = np.stack([1.0 - root, root * (1.0 - second), root * second], axis=1)
     return Spots.on(facets.surfaces, face, np.einsum("sc,sck->sk", weight, corners[face]))
@@ -186,10 +184,9 @@ def view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> tuple[Array, 
         What each ray hits, `NOTHING` for sky or the ground's end, shape (spot, ray).
     """
     pairs = even.pairs()
-    radius, turn = np.sqrt(pairs[..., 0]), 2.0 * np.pi * pairs[..., 1]
-    along = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - pairs[..., 0])], axis=-1)
+    along = cosine_lobe(pairs.reshape(-1, 2)).reshape(*pairs.shape[:2], 3)
     ways = (along @ shading_frames(spots.normal)).reshape(-1, 3)
-    face = surfaces.tracer.first_hit(np.repeat(spots.start_m, even.rays, axis=0), ways)
+    face = surfaces.tracer.hits(np.repeat(spots.start_m, even.rays, axis=0), ways).face
     sky = np.flatnonzero((face == NOTHING) & (ways[:, 2] > 0.0))
     ring = np.minimum((ways[sky, 2] ** 2 * RINGS).astype(np.int64), RINGS - 1)
     count = np.bincount(sky // even.rays * RINGS + ring, minlength=len(pairs) * RINGS)
@@ -226,15 +223,15 @@ class Exposure:
 def exposure_of(facets: Facets, sun: Array, rng: np.random.Generator) -> Exposure:
     """Return what facets see of sun (directions of shape (time, 3)), sky and each other."""
     spots, count = spots_of(facets, rng), len(facets)
-    rings, face = view(facets.surfaces, spots, SequenceSlice.random(len(spots.normal), RAYS, rng))
-    rings = rings.reshape(count, POINTS, RINGS).mean(axis=1)
+    rings, face = view(facets.surfaces, spots, SequenceSlice.random(len(spots.normal), LIMITS.rays, rng))
+    rings = rings.reshape(count, LIMITS.points, RINGS).mean(axis=1)
     face = face.reshape(count, -1)
     viewer, ray = np.nonzero(face != NOTHING)
     seen = facets.of_faces(face[viewer, ray])
-    sees = np.bincount(viewer * count + seen, minlength=count**2).reshape(count, count) / (POINTS * RAYS)
+    sees = np.bincount(viewer * count + seen, minlength=count**2).reshape(count, count) / (LIMITS.points * LIMITS.rays)
     return Exposure(
         rings=rings,
         sees=sees,
         beyond=np.maximum(1.0 - rings.sum(axis=1) - sees.sum(axis=1), 0.0),
-        lit=sun_cosines(facets.surfaces, spots, sun).reshape(len(sun), count, POINTS).mean(axis=2),
+        lit=sun_cosines(facets.surfaces, spots, sun).reshape(len(sun), count, LIMITS.points).mean(axis=2),
     )

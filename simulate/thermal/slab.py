@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.outdoor.materials import Slab
-from simulate.radiance.outdoor.surroundings import ConvectionLaw
+from simulate.radiance.outdoor.scene import ConvectionLaw
+from simulate.thermal.thresholds import LIMITS
 
 Array = NDArray[np.float64]
 ZERO_C = 273.15
@@ -87,17 +88,6 @@ class Exchange:
         return flux + exchange * (saturated - vapour_pa), slope + exchange * steepness
 
 
-# Cells of a layer, each thicker than the one before: the day's wave on 0.6 m of soil has 0.15 % too much amplitude.
-CELLS, RATIO = 30, 1.15
-STEP_S = 300.0
-# Newton's method on the balance of the face ends below this change, K; it takes 3 to 5 steps.
-CONVERGED_K, MAX_STEPS = 1e-6, 60
-# The periodic state changes by less than this in a pass, K.
-PERIODIC_K, MAX_PASSES = 1e-4, 5000
-# A kernel is followed back until a day adds less than this fraction of it, in steps of an hour.
-KERNEL_FRACTION, MAX_DAYS, STEPS_OF_HOUR = 1e-4, 90, 12
-
-
 @dataclass(frozen=True, kw_only=True)
 class Columns:
     """Cells of slabs, padded to the same number with cells that touch nothing.
@@ -121,7 +111,7 @@ class Columns:
     max_k: Array
 
     @classmethod
-    def of(cls, slabs: Sequence[Slab], cells: int = CELLS) -> "Columns":
+    def of(cls, slabs: Sequence[Slab], cells: int = LIMITS.cells) -> "Columns":
         """Return the cells of slabs that have layers, so many for each layer."""
         each = [_cells(slab, cells) for slab in slabs]
         count = max(len(capacity) for capacity, _ in each)
@@ -146,7 +136,7 @@ def _cells(slab: Slab, cells: int) -> tuple[Array, Array]:
     """Heat capacities of the cells of a slab, and conductances before, between and behind them."""
     thickness, conductivity, stored = [], [], []
     for layer in slab.layer:
-        growth = RATIO ** np.arange(cells)
+        growth = LIMITS.ratio ** np.arange(cells)
         thickness.append(float(layer.thickness_mm) * 1e-3 * growth / growth.sum())
         conductivity.append(np.full(cells, float(layer.conductivity_w_m_k)))
         stored.append(thickness[-1] * float(layer.density_kg_m3) * float(layer.specific_heat_j_kg_k))
@@ -199,7 +189,7 @@ class Forcing:
         return np.where(np.isnan(columns.back_k), self.air_k[steps], columns.back_k)
 
 
-def march(columns: Columns, forcing: Forcing, start_k: Array, step_s: float = STEP_S) -> tuple[Array, Array]:
+def march(columns: Columns, forcing: Forcing, start_k: Array, step_s: float = LIMITS.step_s) -> tuple[Array, Array]:
     """Return faces at the end of each step, shape (step, surface), and cells at the last, shape (cell, surface), K.
 
     Parameters
@@ -236,14 +226,14 @@ def _balance_faces(
     """Solve the balance of faces: what they absorb is what they lose and conduct inwards."""
     front, through = columns.conductance[0], eliminated.pivot[0]
     inward, offset = front * (1.0 - front / through), front * reduced / through
-    for attempt in range(MAX_STEPS):
+    for attempt in range(LIMITS.max_steps):
         lost, slope = forcing.loss(face, step)
         change = (forcing.flux_w_m2[step] + offset - lost - inward * face) / (slope + inward)
         # Where a law has a kink (dew point, air temperature) full steps may go to and fro across it.
         face = np.minimum(face + (change if attempt < 10 else 0.5 * change), columns.max_k)
-        if np.abs(np.where(face < columns.max_k, change, 0.0)).max() < CONVERGED_K:
+        if np.abs(np.where(face < columns.max_k, change, 0.0)).max() < LIMITS.converged_k:
             return face
-    raise ArithmeticError(f"the balance of a face must converge within {MAX_STEPS} steps")
+    raise ArithmeticError(f"the balance of a face must converge within {LIMITS.max_steps} steps")
 
 
 @dataclass(frozen=True)
@@ -275,7 +265,7 @@ class _Elimination:
         return inside
 
 
-def periodic_start(columns: Columns, forcing: Forcing, step_s: float = STEP_S) -> tuple[Array, Array]:
+def periodic_start(columns: Columns, forcing: Forcing, step_s: float = LIMITS.step_s) -> tuple[Array, Array]:
     """Return what a day leads to if it is repeated for ever: faces (step, surface), and cells as `march` has them, K.
 
     Raises
@@ -300,7 +290,7 @@ def periodic_start(columns: Columns, forcing: Forcing, step_s: float = STEP_S) -
     front, through = columns.conductance[0], eliminated.pivot[0]
     admittance, offset = front * (1.0 - front / through), front * reduced[0] / through
     face, melting = np.minimum(forcing.air_k, columns.max_k), np.zeros((steps, surfaces))
-    for _ in range(MAX_PASSES):
+    for _ in range(LIMITS.max_passes):
         lost, slope = forcing.loss(face, slice(None))
         linear = 0.5 * (slope.max(axis=0) + slope.min(axis=0))
         remainder = np.fft.rfft(forcing.flux_w_m2 - melting - lost + linear * face, axis=0)
@@ -310,16 +300,16 @@ def periodic_start(columns: Columns, forcing: Forcing, step_s: float = STEP_S) -
         new = np.minimum(new, columns.max_k)
         change = max(np.abs(new - face).max(), np.abs((taken - melting) / linear).max())
         face, melting = new, taken
-        if change < PERIODIC_K:
+        if change < LIMITS.periodic_k:
             cells = eliminated.substitute(reduced, np.fft.rfft(face, axis=0))
             weight = np.where((np.arange(len(turn)) == 0) | (2 * np.arange(len(turn)) == steps), 1.0, 2.0)
             # The last time of the day comes one step before its first: harmonics turned back by one step.
             at_end = np.einsum("h,chs->cs", weight * turn, cells).real / steps
             return face, at_end
-    raise ArithmeticError(f"the periodic state must converge within {MAX_PASSES} passes")
+    raise ArithmeticError(f"the periodic state must converge within {LIMITS.max_passes} passes")
 
 
-def kernels(columns: Columns, forcing: Forcing, faces_k: Array, step_s: float = STEP_S) -> Array:
+def kernels(columns: Columns, forcing: Forcing, faces_k: Array, step_s: float = LIMITS.step_s) -> Array:
     """Return how the last temperature of each face depends on the flux at each time of day, K per W m-2.
 
     Parameters
@@ -360,10 +350,10 @@ def kernels(columns: Columns, forcing: Forcing, faces_k: Array, step_s: float = 
         return source
 
     source = backwards(np.zeros_like(columns.capacity), range(len(slope) - 1, -1, -1), step_s, True)
-    hours = range(len(slope) - 1, -1, -STEPS_OF_HOUR)
-    for _ in range(MAX_DAYS):
+    hours = range(len(slope) - 1, -1, -LIMITS.steps_of_hour)
+    for _ in range(LIMITS.max_days):
         before = found.sum(axis=0)
-        source = backwards(source, hours, STEPS_OF_HOUR * step_s, False)
-        if (found.sum(axis=0) - before <= KERNEL_FRACTION * before).all():
+        source = backwards(source, hours, LIMITS.steps_of_hour * step_s, False)
+        if (found.sum(axis=0) - before <= LIMITS.kernel_fraction * before).all():
             break
     return found

@@ -16,14 +16,15 @@ from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import workers
-from simulate.radiance.integrator.low_discrepancy import SequenceSlice, low_discrepancy_points
+from simulate.radiance.integrator.sampling import SequenceSlice, low_discrepancy_points
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.outdoor.materials import MaterialSpec, Slab
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.sky.moon import sun_spectrum
-from simulate.thermal.balance import GROUND_REFLECTANCE, LAST, SUN_STEPS, Balance, Solution
+from simulate.thermal.balance import GROUND_REFLECTANCE, LAST, Balance, Solution
 from simulate.thermal.exposure import Spots, exposure_of, facets_of, sun_cosines, view
-from simulate.thermal.slab import STEPS_OF_HOUR, ZERO_C
+from simulate.thermal.slab import ZERO_C
+from simulate.thermal.thresholds import LIMITS
 from simulate.thermal.weather import DAY_STEPS, weather_of
 
 
@@ -79,12 +80,6 @@ def _absorptivity(surface: MaterialSpec) -> Parameter:
 
 
 Array = NDArray[np.float64]
-# Half of the noise-equivalent temperature difference of a 40 mK imager.
-TOLERANCE_MK = 20.0
-# Rays of a pixel to the sky; steps of the day with one direction of the sun for pixels; rows at a time.
-PIXEL_RAYS, SLOT_STEPS, ROWS = 64, 3, 16
-# References this near count alike, K.
-NEAR_K = 0.01
 
 
 @dataclass(frozen=True)
@@ -109,7 +104,7 @@ class Temperatures:
             25 hours of local time; the air's temperature, C; mean over the area of each OBJECT:MATERIAL, C.
         """
         weather, facets = self.balance.weather, self.balance.facets
-        steps = np.maximum(len(weather) - 1 - STEPS_OF_HOUR * np.arange(24, -1, -1), 0)
+        steps = np.maximum(len(weather) - 1 - LIMITS.steps_of_hour * np.arange(24, -1, -1), 0)
         times = [weather.times[step] for step in steps]
         hours = [round(time.hour + time.minute / 60.0 + time.second / 3600.0, 4) for time in times]
         means = {}
@@ -130,7 +125,7 @@ class Temperatures:
         temperature, from the facet as it is and from the same in the shade, weighted by how near each one is.
         """
         _ = self._references
-        parts, starts = [], list(range(0, viewpoint.shape[0], ROWS))
+        parts, starts = [], list(range(0, viewpoint.shape[0], LIMITS.rows))
         with workers(min(2, os.cpu_count() or 1)) as run:
             for part in run(lambda row: self._rows(viewpoint, row), starts):
                 parts.append(part)
@@ -138,7 +133,7 @@ class Temperatures:
         return np.concatenate(parts)
 
     def _rows(self, viewpoint: Viewpoint, start: int) -> NDArray[np.float32]:
-        surfaces, stop = self.balance.facets.surfaces, min(start + ROWS, viewpoint.shape[0])
+        surfaces, stop = self.balance.facets.surfaces, min(start + LIMITS.rows, viewpoint.shape[0])
         grid = np.meshgrid(np.arange(start, stop), np.arange(viewpoint.shape[1]), indexing="ij")
         row, col = (axis.ravel() for axis in grid)
         origin, towards = viewpoint.rays(row + 0.5, col + 0.5)
@@ -146,13 +141,13 @@ class Temperatures:
         met = hit.met
         spots = Spots.on(surfaces, hit.face[met], origin[met] + hit.range_m[met, None] * towards[met])
         kelvin = np.full(len(row), np.nan, np.float32)
-        even = low_discrepancy_points(row[met], col[met], PIXEL_RAYS, [start])
+        even = low_discrepancy_points(row[met], col[met], LIMITS.pixel_rays, [start])
         kelvin[met] = self._spots_k(self.balance.facets.of_faces(hit.face[met]), spots, even)
         return kelvin.reshape(stop - start, -1)
 
     def _spots_k(self, facet: NDArray[np.int64], spots: Spots, even: SequenceSlice) -> Array:
         """Temperatures of spots by what they see of sun, sky and surfaces, from the references of their facets, K."""
-        facets, slots = self.balance.facets, np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS)
+        facets, slots = self.balance.facets, np.arange(LIMITS.slot_steps // 2, DAY_STEPS, LIMITS.slot_steps)
         rings, face = view(facets.surfaces, spots, even)
         spot, ray = np.nonzero(face != NOTHING)
         other = facets.of_faces(face[spot, ray])
@@ -166,7 +161,7 @@ class Temperatures:
             change += np.bincount(spot, by.surfaces[facet[spot], other], len(facet)) / even.rays
             change += np.einsum("ts,ts->s", by.sun[np.ix_(up, facet)], lit)
             found.append(by.last_k[facet] + change)
-            weight.append(1.0 / (change**2 + NEAR_K**2))
+            weight.append(1.0 / (change**2 + LIMITS.near_k**2))
         return np.average(found, axis=0, weights=weight)
 
     @cached_property
@@ -178,7 +173,7 @@ class Temperatures:
     def _reference(self, last_k: Array, kernel: Array, lit: Array) -> "_Reference":
         balance, weather, exposure = self.balance, self.balance.weather, self.balance.exposure
         heating, emissivity = balance.heating, balance.emissivity
-        direct = (kernel * weather.direct_w_m2[LAST, None]).reshape(-1, SLOT_STEPS, kernel.shape[1]).sum(axis=1)
+        direct = (kernel * weather.direct_w_m2[LAST, None]).reshape(-1, LIMITS.slot_steps, kernel.shape[1]).sum(axis=1)
         sunlight = (1.0 - balance.absorptivity) * (balance.sunlight + balance.sunlight_by_reflection)[LAST]
         longwave = balance.radiosity(self.solution.faces_k[LAST])
         ground = GROUND_REFLECTANCE * weather.global_w_m2[LAST], STEFAN_BOLTZMANN * weather.air_k[LAST] ** 4
@@ -188,7 +183,9 @@ class Temperatures:
         surfaces = heating[:, None] * (kernel.T @ sunlight) + emissivity[:, None] * (kernel.T @ longwave)
         beyond = heating * (kernel.T @ ground[0]) + emissivity * (kernel.T @ ground[1])
         due = (rings * exposure.rings).sum(axis=1) + (surfaces * exposure.sees).sum(axis=1) + beyond * exposure.beyond
-        due += (sun * lit[np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS) // SUN_STEPS]).sum(axis=0)
+        due += (sun * lit[np.arange(LIMITS.slot_steps // 2, DAY_STEPS, LIMITS.slot_steps) // LIMITS.sun_steps]).sum(
+            axis=0
+        )
         return _Reference(last_k=last_k, due_k=due, sun=sun, rings=rings, surfaces=surfaces, beyond=beyond)
 
 
@@ -215,7 +212,7 @@ class _Reference:
     beyond: Array
 
 
-def temperatures_of(scene: OutdoorScene, *, tolerance_mk: float = TOLERANCE_MK, seed: int = 0) -> Temperatures:
+def temperatures_of(scene: OutdoorScene, *, tolerance_mk: float = LIMITS.tolerance_mk, seed: int = 0) -> Temperatures:
     """Return the surface temperatures of a scene.
 
     Parameters
@@ -241,7 +238,7 @@ def temperatures_of(scene: OutdoorScene, *, tolerance_mk: float = TOLERANCE_MK, 
     assert scene.weather is not None
     balance = Balance(
         facets=facets,
-        exposure=exposure_of(facets, weather.sun[LAST][::SUN_STEPS], np.random.default_rng(seed)),
+        exposure=exposure_of(facets, weather.sun[LAST][:: LIMITS.sun_steps], np.random.default_rng(seed)),
         slabs=tuple(slabs[surfaces.materials[number]] for number in facets.material),
         things=tuple(things[surfaces.objects[number]] for number in facets.object),
         weather=weather,

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.outdoor.scene import OutdoorScene
-from simulate.radiance.outdoor.surroundings import Weather as State
-from simulate.radiance.sky.ephemeris import EARTH_RADIUS_KM, ObserverLocation
+from simulate.radiance.outdoor.scene import Weather as State
+from simulate.radiance.sky.moon import EARTH_RADIUS_KM, ObserverLocation
 from simulate.thermal.clear_day import clear_sun, course, sky_emissivity, solar_hour, sun_directions, sun_under_cloud
-from simulate.thermal.slab import STEP_S, ZERO_C, dew_point_k
+from simulate.thermal.slab import ZERO_C, dew_point_k
+from simulate.thermal.thresholds import LIMITS
 
 Array = NDArray[np.float64]
 # Of each quantity its column in a kind of file, our unit over that of the file, and from where on it is missing.
@@ -192,9 +193,7 @@ def _place(latitude: str, longitude: str | float, altitude: str) -> ObserverLoca
     return ObserverLocation(latitude_deg=float(latitude), longitude_deg=float(longitude), altitude_m=float(altitude))
 
 
-DAY_STEPS, MAX_DAYS = round(86400.0 / STEP_S), 5
-# Weather of a station farther away than this is refused, km.
-FARTHEST_KM = 200.0
+DAY_STEPS = round(86400.0 / LIMITS.step_s)
 # Sunlight of hours is interpolated as a fraction of the clear sky's where that is more, W m-2.
 SHINES_W_M2 = 10.0
 STANDARD_HPA, SCALE_M = 1013.25, 8434.5
@@ -203,7 +202,7 @@ MODELLED = "longwave of the sky was modelled (Berdahl and Martin), not measured:
 
 @dataclass(frozen=True, kw_only=True)
 class Weather:
-    """Weather at the ends of steps of `STEP_S`, the last of which is the scene's time; arrays of shape (step,).
+    """Weather at the ends of steps of `LIMITS.step_s`, the last of which is the scene's time; arrays of shape (step,).
 
     Parameters
     ----------
@@ -252,7 +251,7 @@ class Weather:
 
 
 def weather_of(scene: OutdoorScene) -> Weather:
-    """Return the weather before a scene's time: a day, or the full days up to `MAX_DAYS` that its files cover.
+    """Return the weather before a scene's time: a day, or the full days that its files cover.
 
     Raises
     ------
@@ -277,7 +276,7 @@ def weather_of(scene: OutdoorScene) -> Weather:
 
 
 def _times(moment: datetime, steps: int) -> list[datetime]:
-    return [moment - timedelta(seconds=(steps - 1 - step) * STEP_S) for step in range(steps)]
+    return [moment - timedelta(seconds=(steps - 1 - step) * LIMITS.step_s) for step in range(steps)]
 
 
 def _synthetic_day(state: State, place: ObserverLocation, moment: datetime) -> Weather:
@@ -320,20 +319,20 @@ def weather_from_files(paths: list[Path], place: ObserverLocation, moment: datet
     records = [read_weather(path, moment) for path in paths]
     names = ", ".join(record.name for record in records)
     away = max(_distance_km(record.place, place) for record in records)
-    if away > FARTHEST_KM:
+    if away > LIMITS.farthest_km:
         raise BadInput(
-            f"a weather file must be from within {FARTHEST_KM:g} km of the scene, got {names} {away:.0f} km away"
+            f"a weather file must be from within {LIMITS.farthest_km:g} km of the scene, got {names} {away:.0f} km away"
         )
     record = _join(records, names)
     begins = np.concatenate([record.time_s[:1], record.time_s[1:][np.diff(record.time_s) > 2.0 * record.interval_s]])
     begin = begins[begins <= moment.timestamp()].max(initial=record.time_s[0])
     covered = (moment.timestamp() - begin + record.interval_s) / 86400.0
-    times = _times(moment, DAY_STEPS * int(np.clip(covered, 1, MAX_DAYS)))
+    times = _times(moment, DAY_STEPS * int(np.clip(covered, 1, LIMITS.max_weather_days)))
     found = {name: _column_at(record, name, times) for name in record.columns}
     sun, distance = sun_directions(place, times)
     clear = clear_sun(sun[:, 2], distance, place.altitude_m, turbidity)
     for name, light in zip(("direct_w_m2", "diffuse_w_m2"), clear, strict=True):
-        if record.interval_s > STEP_S:
+        if record.interval_s > LIMITS.step_s:
             found[name] = _sunlight(record, name, times, light)
     air_k, dew_k = (found[name] + ZERO_C for name in ("air_c", "dew_point_c"))
     pressure = found.get("pressure_hpa", np.full(len(times), _pressure(place)))
@@ -372,7 +371,7 @@ def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
     ends = [seconds[0] - record.interval_s, seconds[-1] + record.interval_s]
     inside = np.concatenate([ends[:1], known[(known > ends[0]) & (known < ends[1])], ends[1:]])
     gap = int(np.argmax(np.diff(inside)))
-    if inside[gap + 1] - inside[gap] > max(STEP_S, 1.01 * record.interval_s):
+    if inside[gap + 1] - inside[gap] > max(LIMITS.step_s, 1.01 * record.interval_s):
         start, end = (datetime.fromtimestamp(inside[index], UTC).isoformat() for index in (gap, gap + 1))
         raise BadInput(
             f"a weather file must cover the day before the scene's time without gaps, got {record.name} without {name} "
@@ -384,8 +383,8 @@ def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
 def _sunlight(record: Record, name: str, times: list[datetime], clear: Array) -> Array:
     """Return sunlight at times from means over hours: their fraction of the clear sky's is interpolated."""
     seconds = np.array([time.timestamp() for time in times])
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (clear + np.concatenate([clear[:1], clear[:-1]]))) * STEP_S])
-    ends = np.concatenate([[seconds[0] - STEP_S], seconds])
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (clear + np.concatenate([clear[:1], clear[:-1]]))) * LIMITS.step_s])
+    ends = np.concatenate([[seconds[0] - LIMITS.step_s], seconds])
     mean = np.interp(record.time_s, ends, total) - np.interp(record.time_s - record.interval_s, ends, total)
     mean /= record.interval_s
     within = (record.time_s - record.interval_s >= ends[0]) & (record.time_s <= ends[-1])

@@ -59,20 +59,8 @@ MONO_8, MONO_16 = 0x01080001, 0x01100007
 class FakeCamera:
     """Aravis' fake GigE Vision camera on one network interface.
 
-    Parameters
-    ----------
-    address
-        Address of the interface, "127.0.0.1" for loopback.
-    serial
-        Serial number, at most 15 characters; the identifier is "Aravis-MODEL-SERIAL", with "Fake" as the first model.
-
-    description
-        File with its GenICam description, see `genicam_description`.
-
-    Raises
-    ------
-    BadInput
-        If the library is absent, or the interface or its GigE Vision port cannot be had.
+    `address` is that of the interface, "127.0.0.1" for loopback; `serial` has at most 15 characters; `description` is
+    the file of `genicam_description`. A missing library, interface or GigE Vision port is BadInput.
     """
 
     def __init__(self, address: str, serial: str, description: Path) -> None:
@@ -86,8 +74,7 @@ class FakeCamera:
             )
         self._registers = self._call("arv_gv_fake_camera_get_fake_camera", self._camera)
         self._callback: Any = None
-        self.clock_jump_ns = 0
-        """How far the camera's time stamps are off, ns."""
+        self.clock_jump_ns = 0  # How far the camera's time stamps are off, ns
 
     def read(self, register: int) -> int:
         """Read a register."""
@@ -148,13 +135,7 @@ class FakeCamera:
 
 
 def genicam_description(longest_exposure_us: float) -> str:
-    """Return the fake camera's GenICam description for a video camera.
-
-    Parameters
-    ----------
-    longest_exposure_us
-        Longest exposure that it allows, us: one field.
-    """
+    """Return the fake camera's GenICam description for a video camera of a longest exposure, us."""
     library, size = load(), c_size_t()
     text = library.arv_fake_camera_get_genicam_xml(library.arv_fake_camera_new(b"description"), byref(size))
     own = ctypes.string_at(text, size.value).decode()

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from labdata.calibration import LampCalibration
@@ -30,10 +29,8 @@ class VirtualBench:
     ----------
     folder
         Folder of the bench, apart from every session; made where it is missing, gone on with where it is not.
-    sensor
-        Description from whose ranges the device is drawn.
-    seed
-        Seed of the device and of every frame.
+    sensor, seed
+        Description from whose ranges the device is drawn, and seed of the device and of every frame.
     wires
         Which instruments stand at the bench, and where they live. "virtual": camera and instruments are processes
         on real wires, save those whose port is named, which are real; where Aravis cannot be had, the camera's wire
@@ -45,15 +42,9 @@ class VirtualBench:
         How much faster than life high voltage and filter wheel move, dimensionless.
     say
         Called with a sentence on what is omitted or awaited.
-
-    Raises
-    ------
-    BadInput
-        On entering: if the camera cannot start.
     """
 
-    silence_s = SILENCE_S
-    """Longest time that a frame of the virtual camera may take, s."""
+    silence_s = SILENCE_S  # Longest time that a frame of the virtual camera may take, s
 
     def __init__(
         self,
@@ -95,9 +86,7 @@ class VirtualBench:
             self._running = running.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._running.close()
 
     @property

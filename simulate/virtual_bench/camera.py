@@ -17,7 +17,6 @@ import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Self
 
 from numpy.typing import NDArray
@@ -67,23 +66,10 @@ def main(arguments: list[str]) -> int:
 
 
 class VirtualCamera:
-    """A camera that exposes as long as a client asks for frames.
+    """A camera that exposes what a tube sees as long as a client asks for frames.
 
     Frames are drawn in this thread. The wire's own thread takes them without waiting, and so answers its client at any
-    time.
-
-    Parameters
-    ----------
-    tube
-        What it sees.
-    serial
-        Its serial number.
-    description
-        File to which its GenICam description is written.
-    lost_packet_share
-        Fraction of the packets that get lost on the wire, dimensionless.
-    faults
-        Faults provoked from the simulator's side.
+    time. `description` is the file to which its GenICam description is written.
     """
 
     def __init__(
@@ -190,19 +176,9 @@ class VirtualCamera:
 
 
 def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
-    """Wait for the single GigE Vision port of the loopback interface and lock it for this process.
+    """Wait for the single GigE Vision port of the loopback interface and lock it while `parent` lives.
 
-    Parameters
-    ----------
-    parent
-        Process whose end ends the wait.
-    folder
-        Folder of the lock, which other users may write to; None: that of temporary files.
-
-    Raises
-    ------
-    BadInput
-        If another camera holds it for too long, or something else than a file of this user stands in the lock's place.
+    The lock is in a folder that other users may write to: anything but a file of this user is BadInput.
     """
     lock = _open_lock((folder or Path(tempfile.gettempdir())) / f"charact-virtual-camera-{os.getuid()}.lock")
     until_s = time.monotonic() + LOCK_WAIT_S
@@ -253,22 +229,6 @@ class CameraProcess:
 
     It lives in a session of its own, so that Ctrl-C at the terminal does not unplug it, and ends when the process
     that started it is gone.
-
-    Parameters
-    ----------
-    folder
-        Folder of the bench: its truth, and what its operator placed.
-    wires
-        Folder where the instruments publish what they put out.
-    lost_packet_share
-        Fraction of the packets that get lost on the wire, dimensionless.
-    say
-        Called with a sentence on what is awaited.
-
-    Raises
-    ------
-    BadInput
-        On entering: if the camera cannot start.
     """
 
     def __init__(
@@ -283,8 +243,7 @@ class CameraProcess:
         self._command = [sys.executable, "-P", "-m", "simulate.virtual_bench.camera", str(folder), str(wires), serial]
         self._command += ["--lost-packet-share", str(lost_packet_share)]
         self._log, self._say = wires / "camera.stderr", say
-        self.identifier = ""
-        """Aravis identifier of the camera, once it runs."""
+        self.identifier = ""  # Aravis identifier of the camera, once it runs
 
     def __enter__(self) -> Self:
         with self._log.open("ab") as log:
@@ -303,9 +262,7 @@ class CameraProcess:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop()
 
     @property

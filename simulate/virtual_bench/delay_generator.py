@@ -1,37 +1,55 @@
 """A virtual Stanford DG645 delay generator: commands, error queue and registers, and what its AB output does."""
 
-import math
 from collections import deque
-from enum import IntFlag
-from pathlib import Path
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from enum import IntEnum, IntFlag
 
-from simulate.virtual_bench.dg645_settings import (
-    EDGES,
-    SETTINGS,
+from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.instrument import (
+    LINE_HZ,
+    STEP_S,
     Command,
-    Dg645Error,
-    Dg645Setting,
+    EdgeDelays,
+    GateGenerator,
+    LineInstrument,
     RefusedCommand,
-    SettingsRegister,
     StandardEvent,
     commands_of,
-    numbers,
+    parse_number,
 )
-from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.outputs import GateOutput, Trigger, publish_gate
+from simulate.virtual_bench.outputs import Trigger
 
 IDENTITY = "Stanford Research Systems,DG645,s/n001234,ver1.00.00E"
-STEP_S = 5e-12
 LONGEST_DELAY_S = 2000.0
 INSERTION_DEAD_S = 100e-9  # the next trigger must come this much after the longest delay
-GATE_UNIT_THRESHOLD_V = 1.5
-LINE_HZ = 60.0
 FIELD_HZ = 60.0 / 1.001
-_TRIGGERS: dict[int, Trigger] = {1: "camera", 2: "camera", 6: "mains"}
-QUEUE_LENGTH = 20
-BUFFER_LENGTH = 256
 SELF_TEST_S = 2.0
-COMMAND_S = 2e-3
+QUEUE_LENGTH = 20
+OUTPUTS, EDGES = 5, 10  # T0 AB CD EF GH; T0 T1 A B C D E F G H
+_REFERENCES: dict[int, int] = dict(enumerate((0, 0, 0, 2, 0, 4, 0, 6, 0, 8)))
+_TRIGGERS: dict[int, Trigger] = {1: "camera", 2: "camera", 6: "mains"}
+
+
+class Dg645Error(IntEnum):
+    """Codes of the error queue."""
+
+    ILLEGAL_VALUE = 10
+    ILLEGAL_MODE = 11
+    ILLEGAL_DELAY = 12
+    ILLEGAL_LINK = 13
+    RECALL_FAILED = 14
+    ILLEGAL_COMMAND = 110
+    UNDEFINED_COMMAND = 111
+    ILLEGAL_QUERY = 112
+    ILLEGAL_SET = 113
+    NULL_PARAMETER = 114
+    EXTRA_PARAMETERS = 115
+    MISSING_PARAMETERS = 116
+    BAD_FLOAT = 118
+    BAD_INTEGER = 120
+    OVERRUN = 171
+    TOO_MANY_ERRORS = 254
 
 
 class InstrumentStatus(IntFlag):
@@ -42,63 +60,117 @@ class InstrumentStatus(IntFlag):
     END_OF_DELAY = 4
 
 
-class DelayGenerator:
-    """The instrument, power just switched on, all settings at factory values.
+@dataclass(frozen=True)
+class Setting:
+    """One setting, or one per output or edge; beyond its range the instrument refuses."""
 
-    Parameters
-    ----------
-    external_hz
-        Pulses a second at its trigger input, Hz: the fields of the camera that is wired to it; 0: nothing is.
-    """
+    low: float
+    high: float
+    factory: float = 0  # Value after `*RST`
+    count: int = 0  # Number of indices; 0: none
+    form: str = "{:d}"  # How the value is answered
+    step: float = 0.0  # Resolution to which values are rounded; 0: none
+    wrong: int = Dg645Error.ILLEGAL_VALUE
+
+    @property
+    def kind(self) -> type:
+        """int or float."""
+        return int if self.form == "{:d}" else float
+
+
+def _volts(low: float, high: float, factory: float, count: int = 0) -> Setting:
+    return Setting(low, high, factory, count, "{:+.2f}", 0.01)
+
+
+def _seconds(low: float, high: float, factory: float = 0.0, count: int = 0, step: float = STEP_S) -> Setting:
+    return Setting(low, high, factory, count, "{:+.12f}", step, Dg645Error.ILLEGAL_DELAY)
+
+
+# Ranges as the maker's manual gives them; those of BURP, LOFF, TRAT and PRES are recalled, not looked up
+SETTINGS: dict[str, Setting] = {
+    "TSRC": Setting(0, 6, 5),
+    "TRAT": Setting(1e-4, 1e7, 1000.0, 0, "{:+.6f}", 1e-6),
+    "TLVL": _volts(-3.5, 3.5, 1.0),
+    "INHB": Setting(0, 5),
+    "HOLD": _seconds(0.0, 2000.0),
+    "BURC": Setting(1, 2**32 - 1, 5),
+    "BURP": _seconds(100e-9, 42.9, 100e-6, step=10e-9),
+    "BURD": _seconds(0.0, 2000.0),
+    "LAMP": _volts(0.5, 5.0, 2.5, OUTPUTS),
+    "LOFF": _volts(-2.0, 2.0, 0.0, OUTPUTS),
+    "LPOL": Setting(0, 1, 1, OUTPUTS),
+    "PRES": Setting(1, 2**15 - 1, 1, OUTPUTS),
+    "SSDL": _seconds(STEP_S, 1000.0, 1e-9, EDGES),
+    "SHDP": Setting(0, 1, 1),
+    **dict.fromkeys(("ADVT", "BURM", "BURT"), Setting(0, 1)),
+    **dict.fromkeys(("*ESE", "*SRE", "INSE"), Setting(0, 255)),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """Values of all settings, by mnemonic and index (0 where there is none), and the edges' delays."""
+
+    values: dict[tuple[str, int], float] = field(
+        default_factory=lambda: {
+            (name, index): setting.factory
+            for name, setting in SETTINGS.items()
+            for index in range(max(1, setting.count))
+        }
+    )
+    delays: EdgeDelays = field(default_factory=lambda: EdgeDelays(_REFERENCES, start=0))
+
+    def copy(self) -> "Memory":
+        """Return an independent copy."""
+        return Memory(values=dict(self.values), delays=self.delays)
+
+
+class DelayGenerator(LineInstrument, GateGenerator):
+    """The instrument after power-on, with `external_hz` pulses a second at its trigger input, 0: none is wired."""
+
+    edges = (2, 3)
 
     def __init__(self, *, external_hz: float = FIELD_HZ) -> None:
         self._external_hz = self._wired_hz = external_hz
-        self._memory = SettingsRegister()
-        self._saved: dict[int, SettingsRegister] = {}
+        self._saved: dict[int, Memory] = {}
         self._errors: deque[int] = deque()
-        self._event_status, self._instrument_status = StandardEvent.PON, 0
-        self._line = b""
-        self._terminator = b"\r\n"
-        self._armed = False
-        self._published: GateOutput | None = None
+        self._recall(0)
+        self.power_cycle()
+
+    def power_cycle(self) -> None:
+        """Lose power and get it back: settings stay (recalled), the error queue is empty, PON is set."""
+        self._clear()
+        self._event_status, self._line = StandardEvent.PON, b""
 
     # The line
 
-    def receive(self, data: bytes) -> list[tuple[float, bytes]]:
-        """Take bytes; return answers, each with the time it takes to make, s. Sets answer nothing."""
-        *lines, self._line = (self._line + data.replace(b"\r", b"\n")).split(b"\n")
-        if len(self._line) > BUFFER_LENGTH:
-            self._line = b""
-            self._complain(Dg645Error.OVERRUN)
-        answers: list[tuple[float, bytes]] = []
-        for line in lines:
-            for command in commands_of(line.decode("ascii", "replace")):
-                answer = self._obey(command)
-                if answer is not None:
-                    slow = command is not None and command.mnemonic in ("*TST", "*CAL")
-                    answers.append((SELF_TEST_S if slow else COMMAND_S, answer.encode() + self._terminator))
-        return answers
+    def _overrun(self, line: bytes) -> bytes:
+        self._complain(Dg645Error.OVERRUN)
+        return b""
 
-    def _obey(self, command: Command | None) -> str | None:
-        try:
-            if command is None:
-                raise RefusedCommand(Dg645Error.ILLEGAL_COMMAND)
-            return self._dispatch(command)
-        except RefusedCommand as refusal:
-            self._complain(refusal.code)
-            return None
+    def _replies(self, line: str) -> Iterable[tuple[float, str]]:
+        for command in commands_of(line):
+            try:
+                if command is None:
+                    raise RefusedCommand(Dg645Error.ILLEGAL_COMMAND)
+                answer = self._dispatch(command)
+            except RefusedCommand as refusal:
+                self._complain(refusal.code)
+                continue
+            if answer is not None:
+                yield SELF_TEST_S if command.mnemonic in ("*TST", "*CAL") else self.command_s, answer
 
     def _dispatch(self, command: Command) -> str | None:
-        if setting := SETTINGS.get(command.mnemonic):
-            return self._setting(command, setting)
-        queries, sets = _QUERIES, _SETS
+        name = command.mnemonic
+        if name in SETTINGS:
+            return self._setting(command, SETTINGS[name])
         mine, other, wrong = (
-            (queries, sets, Dg645Error.ILLEGAL_QUERY) if command.query else (sets, queries, Dg645Error.ILLEGAL_SET)
+            (_QUERIES, _SETS, Dg645Error.ILLEGAL_QUERY) if command.query else (_SETS, _QUERIES, Dg645Error.ILLEGAL_SET)
         )
-        if command.mnemonic not in mine:
-            raise RefusedCommand(wrong if command.mnemonic in other else Dg645Error.UNDEFINED_COMMAND)
-        kinds, method = mine[command.mnemonic]
-        return method(self, *numbers(command.arguments, kinds))
+        if name not in mine:
+            raise RefusedCommand(wrong if name in other else Dg645Error.UNDEFINED_COMMAND)
+        kinds, method = mine[name]
+        return method(self, *_numbers(command.arguments, kinds))
 
     def _complain(self, code: int) -> None:
         self._event_status |= (
@@ -109,19 +181,15 @@ class DelayGenerator:
         else:
             self._errors[-1] = Dg645Error.TOO_MANY_ERRORS
 
-    # Settings of one number
-
-    def _setting(self, command: Command, setting: Dg645Setting) -> str | None:
+    def _setting(self, command: Command, setting: Setting) -> str | None:
         indices = (int,) if setting.count else ()
+        given = _numbers(command.arguments, indices if command.query else (*indices, setting.kind))
+        place = command.mnemonic, _within(given[0] if indices else 0, max(1, setting.count))
         if command.query:
-            (index,) = numbers(command.arguments, indices) or (0,)
-            return setting.form.format(setting.kind(self._memory.values[command.mnemonic, _within(index, setting)]))
-        *index, value = numbers(command.arguments, (*indices, setting.kind))
-        place = _within(index[0], setting) if index else 0
-        if not setting.low <= value <= setting.high:
-            raise RefusedCommand(Dg645Error.ILLEGAL_DELAY if setting.form == "{:+.12f}" else Dg645Error.ILLEGAL_VALUE)
-        rounded = round(value / setting.step) * setting.step if setting.step else value
-        self._memory.values[command.mnemonic, place] = rounded
+            return setting.form.format(setting.kind(self._memory.values[place]))
+        if not setting.low <= given[-1] <= setting.high:
+            raise RefusedCommand(setting.wrong)
+        self._memory.values[place] = round(given[-1] / setting.step) * setting.step if setting.step else given[-1]
         return None
 
     def _now(self, mnemonic: str, index: int = 0) -> float:
@@ -129,52 +197,48 @@ class DelayGenerator:
 
     # Delays
 
+    @property
+    def _delays(self) -> EdgeDelays:
+        return self._memory.delays
+
     def _set_delay(self, edge: int, reference: int, seconds: float) -> None:
         if not abs(seconds) < LONGEST_DELAY_S:
             raise RefusedCommand(Dg645Error.ILLEGAL_DELAY)
         self._move(edge, reference, round(seconds / STEP_S))
 
     def _set_link(self, edge: int, reference: int) -> None:
-        self._move(edge, reference, self._memory.delay_steps[_edge(edge)])
+        self._move(edge, reference, self._delays.steps[_within(edge, EDGES)])
 
     def _step_delay(self, edge: int, up: int) -> None:
-        steps = round(self._now("SSDL", _edge(edge)) / STEP_S)
-        self._move(edge, self._memory.reference[edge], self._memory.delay_steps[edge] + (steps if up else -steps))
+        steps = round(self._now("SSDL", _within(edge, EDGES)) / STEP_S)
+        self._move(edge, self._delays.reference[edge], self._delays.steps[edge] + (steps if up else -steps))
 
     def _move(self, edge: int, reference: int, steps: int) -> None:
         if not 2 <= edge < EDGES:
             raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
         if reference == 1 or not 0 <= reference < EDGES:
             raise RefusedCommand(Dg645Error.ILLEGAL_LINK)
-        tried = self._memory.copy()
-        tried.reference[edge], tried.delay_steps[edge] = reference, steps
+        tried = self._delays.moved(edge, reference, steps)
         try:
-            times = [tried.absolute_steps(other) for other in range(2, EDGES)]
+            times = [tried.total(other) for other in range(2, EDGES)]
         except RecursionError:
             raise RefusedCommand(Dg645Error.ILLEGAL_LINK) from None
         if min(times) < 0 or max(times) * STEP_S >= LONGEST_DELAY_S:
             raise RefusedCommand(Dg645Error.ILLEGAL_DELAY)
-        self._memory = tried
+        self._memory = Memory(values=self._memory.values, delays=tried)
 
     def _get_delay(self, edge: int) -> str:
-        memory = self._memory
-        steps = memory.absolute_steps(1) if edge == 1 else memory.delay_steps[_edge(edge)]
-        picoseconds = 5 * abs(steps)
-        seconds = f"{picoseconds // 10**12}.{picoseconds % 10**12:012d}"
-        return f"{memory.reference[edge]},{'-' if steps < 0 else '+'}{seconds}"
+        return self._delays.text(_within(edge, EDGES), self._longest() if edge == 1 else None)
 
-    def _get_link(self, edge: int) -> str:
-        return str(self._memory.reference[_edge(edge)])
+    def _longest(self) -> int:
+        """Steps from the trigger to T1, the last edge."""
+        return max(self._delays.total(edge) for edge in range(2, EDGES))
 
     # Registers and memory
 
-    def _pop_error(self) -> str:
-        return str(self._errors.popleft() if self._errors else 0)
-
     def _status_byte(self) -> str:
         inside = bool(self._instrument_status & int(self._now("INSE")))
-        event = bool(self._event_status & int(self._now("*ESE")))
-        byte = inside | event << 5
+        byte = inside | bool(self._event_status & int(self._now("*ESE"))) << 5
         return str(byte | bool(byte & int(self._now("*SRE"))) << 6)
 
     def _take_event_status(self) -> str:
@@ -189,28 +253,18 @@ class DelayGenerator:
         self._errors.clear()
         self._event_status = self._instrument_status = 0
 
-    def _reset(self) -> None:
-        self._memory = SettingsRegister()
-
     def _save(self, place: int) -> None:
         if not 1 <= place <= 9:
             raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
         self._saved[place] = self._memory.copy()
 
     def _recall(self, place: int) -> None:
-        if not 0 <= place <= 9:
-            raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
-        if place and place not in self._saved:
+        if place and _within(place, 10) not in self._saved:
             raise RefusedCommand(Dg645Error.RECALL_FAILED)
-        self._memory = self._saved[place].copy() if place else SettingsRegister()
+        self._memory = self._saved[place].copy() if place else Memory()
 
     def _set_terminator(self, *codes: int) -> None:
-        if any(not 0 <= code <= 255 for code in codes):
-            raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
-        self._terminator = bytes(code for code in codes if code)
-
-    def _get_terminator(self) -> str:
-        return ",".join(str(code) for code in self._terminator.ljust(3, b"\0"))
+        self.answer_end = bytes(code for code in codes if _within(code, 256))
 
     def _operation_complete(self) -> None:
         self._event_status |= StandardEvent.OPC
@@ -223,78 +277,53 @@ class DelayGenerator:
 
     # Physics
 
-    def gate(self) -> GateOutput:
-        """What the AB output does to a gate unit that opens above its threshold."""
-        idle_v, active_v = self._now("LOFF", 1), self._now("LOFF", 1) + self._now("LAMP", 1)
-        if not self._now("LPOL", 1):
-            idle_v, active_v = active_v, idle_v
-        if idle_v > GATE_UNIT_THRESHOLD_V:
-            return GateOutput(gate_open=True, gate_ns=math.inf, gate_hz=0.0)
-        width_ns = abs(self._memory.absolute_steps(3) - self._memory.absolute_steps(2)) * STEP_S * 1e9
-        rate_hz = self._pulse_hz()
-        if active_v <= GATE_UNIT_THRESHOLD_V or not width_ns or not rate_hz:
-            return GateOutput()
-        trigger: Trigger = _TRIGGERS.get(int(self._now("TSRC")), "clock")
-        delay_ns = self._memory.absolute_steps(2) * STEP_S * 1e9
-        return GateOutput(
-            gate_open=True, gate_ns=width_ns, gate_hz=rate_hz, gate_trigger=trigger, gate_delay_ns=delay_ns
-        )
+    def _levels_v(self) -> tuple[float, float]:
+        low_v, high_v = self._now("LOFF", 1), self._now("LOFF", 1) + self._now("LAMP", 1)
+        return (low_v, high_v) if self._now("LPOL", 1) else (high_v, low_v)
+
+    def _trigger(self) -> Trigger:
+        return _TRIGGERS.get(int(self._now("TSRC")), "clock")
 
     def _trigger_hz(self) -> float:
-        """Triggers a second; the trigger button is never pressed."""
         sources = {0: self._now("TRAT"), 1: self._external_hz, 2: self._external_hz, 6: LINE_HZ}
         return sources.get(int(self._now("TSRC")), 0.0)
 
     def _cycle_s(self) -> float:
         """Time after a trigger in which the instrument is busy and another is lost, s."""
-        cycle_s = self._memory.absolute_steps(1) * STEP_S + INSERTION_DEAD_S
+        cycle_s = self._longest() * STEP_S + INSERTION_DEAD_S
         if self._now("BURM"):
             cycle_s += self._now("BURD") + (self._now("BURC") - 1) * max(self._now("BURP"), cycle_s)
         return cycle_s
 
     def _busy_s(self) -> float:
-        """Time after a trigger in which none is taken, s: lost, or held off, which is no error (recalled)."""
+        # A trigger that is held off is no error (recalled).
         return max(self._cycle_s(), self._now("HOLD") if self._now("ADVT") else 0.0)
 
     def _pulse_hz(self) -> float:
-        triggers_hz = self._trigger_hz()
-        if not triggers_hz:
-            return 0.0
-        used_hz = triggers_hz / math.ceil(triggers_hz * self._busy_s() - 1e-12)
         prescale = self._now("PRES", 0) * self._now("PRES", 1) if self._now("ADVT") else 1.0
-        return used_hz * (self._now("BURC") if self._now("BURM") else 1.0) / prescale
+        return super()._pulse_hz() * (self._now("BURC") if self._now("BURM") else 1.0) / prescale
 
     def advance(self, now_s: float, faults: Faults) -> None:
         """Update the status of triggers used and lost."""
         self._external_hz = 0.0 if faults.untriggered else self._wired_hz
         if triggers_hz := self._trigger_hz():
-            self._instrument_status |= (
-                InstrumentStatus.TRIG
-                | InstrumentStatus.END_OF_DELAY
-                | (InstrumentStatus.RATE if triggers_hz * self._cycle_s() > 1 else 0)
-            )
-
-    def power_cycle(self) -> None:
-        """Lose power and get it back: settings stay (recalled), the error queue is empty, PON is set."""
-        self._clear()
-        self._event_status, self._line, self._armed = StandardEvent.PON, b"", False
-
-    def publish(self, folder: Path) -> None:
-        """Publish the gate drive if it changed."""
-        gate = self.gate()
-        if gate != self._published:
-            publish_gate(folder, gate)
-            self._published = gate
+            lost = InstrumentStatus.RATE if triggers_hz * self._cycle_s() > 1 else 0
+            self._instrument_status |= InstrumentStatus.TRIG | InstrumentStatus.END_OF_DELAY | lost
 
 
-def _edge(edge: int) -> int:
-    if not 0 <= edge < EDGES:
-        raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
-    return edge
+def _numbers(arguments: tuple[str, ...], kinds: tuple[type, ...]) -> list:
+    """Parse arguments as numbers of the given kinds; a wrong count or form raises its own code."""
+    if len(arguments) != len(kinds):
+        few = len(arguments) < len(kinds)
+        raise RefusedCommand(Dg645Error.MISSING_PARAMETERS if few else Dg645Error.EXTRA_PARAMETERS)
+    if not all(arguments):
+        raise RefusedCommand(Dg645Error.NULL_PARAMETER)
+    wrongs = {float: Dg645Error.BAD_FLOAT, int: Dg645Error.BAD_INTEGER}
+    return [parse_number(text, kind, wrongs[kind]) for text, kind in zip(arguments, kinds, strict=True)]
 
 
-def _within(index: int, setting: Dg645Setting) -> int:
-    if not 0 <= index < max(1, setting.count):
+def _within(index: int, count: int) -> int:
+    if not 0 <= index < count:
         raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
     return index
 
@@ -307,14 +336,14 @@ _QUERIES = {
     "*STB": ((), DelayGenerator._status_byte),
     "*ESR": ((), DelayGenerator._take_event_status),
     "INSR": ((), DelayGenerator._take_instrument_status),
-    "LERR": ((), DelayGenerator._pop_error),
+    "LERR": ((), lambda one: str(one._errors.popleft() if one._errors else 0)),
     "DLAY": ((int,), DelayGenerator._get_delay),
-    "LINK": ((int,), DelayGenerator._get_link),
-    "XTRM": ((), DelayGenerator._get_terminator),
+    "LINK": ((int,), lambda one, edge: str(one._delays.reference[_within(edge, EDGES)])),
+    "XTRM": ((), lambda one: ",".join(str(code) for code in one.answer_end.ljust(3, b"\0"))),
 }
 
 _SETS = {
-    "*RST": ((), DelayGenerator._reset),
+    "*RST": ((), lambda one: one._recall(0)),
     "*CLS": ((), DelayGenerator._clear),
     "*OPC": ((), DelayGenerator._operation_complete),
     "*WAI": ((), lambda _: None),

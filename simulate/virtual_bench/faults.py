@@ -9,60 +9,27 @@ from simulate.virtual_bench.outputs import faults_file, replace_file
 
 @dataclass(frozen=True, kw_only=True)
 class Faults:
-    """Faults of one instrument.
+    """Faults of one instrument."""
 
-    Parameters
-    ----------
-    silent
-        It hears nothing and says nothing.
-    mute
-        It obeys, but none of its answers arrives.
-    late_s
-        Extra time before each answer, s.
-    tripped
-        A short circuit of the load: a supply trips on current, a lamp goes out, as long as this holds.
-    garbage
-        Every byte of its answers arrives changed.
-    half_lines
-        Only the first half of each answer arrives.
-    unplugged
-        Its port is gone as long as this holds; its outputs stay as they are.
-    power_cycles
-        How often it has lost its power for a moment; each rise is one more time.
-    stalled
-        The camera answers, and sends no frame.
-    lost_packet_share
-        Fraction of the camera's packets that get lost, dimensionless.
-    clock_jump_s
-        How far the camera's clock is off its time, s.
-    panel
-        Commands entered at the front panel, in the instrument's own language: once, when they change.
-    disobedient
-        It answers as if it obeyed, and its outputs stay as they are; what it measures there is true.
-    untriggered
-        No pulses come to the delay generator's trigger input.
-    port_name
-        Name under which its port stands now; empty: its own.
-    room_light_lux
-        Of the surroundings: light that falls on the photocathode besides the source's, lux.
-    """
-
-    silent: bool = False
-    mute: bool = False
-    late_s: float = 0.0
+    silent: bool = False  # It hears nothing and says nothing
+    mute: bool = False  # It obeys, but none of its answers arrives
+    late_s: float = 0.0  # Extra time before each answer, s
+    # A short circuit of the load: a supply trips on current, a lamp goes out, as long as this holds
     tripped: bool = False
-    garbage: bool = False
-    half_lines: bool = False
-    unplugged: bool = False
-    power_cycles: int = 0
-    stalled: bool = False
-    lost_packet_share: float = 0.0
-    clock_jump_s: float = 0.0
+    garbage: bool = False  # Every byte of its answers arrives changed
+    half_lines: bool = False  # Only the first half of each answer arrives
+    unplugged: bool = False  # Its port is gone as long as this holds; its outputs stay as they are
+    power_cycles: int = 0  # How often it has lost its power for a moment; each rise is one more time
+    stalled: bool = False  # The camera answers, and sends no frame
+    lost_packet_share: float = 0.0  # Fraction of the camera's packets that get lost, dimensionless
+    clock_jump_s: float = 0.0  # How far the camera's clock is off its time, s
+    # Commands entered at the front panel, in the instrument's own language: once, when they change
     panel: tuple[str, ...] = ()
+    # It answers as if it obeyed, and its outputs stay as they are; what it measures there is true
     disobedient: bool = False
-    untriggered: bool = False
-    port_name: str = ""
-    room_light_lux: float = 0.0
+    untriggered: bool = False  # No pulses come to the delay generator's trigger input
+    port_name: str = ""  # Name under which its port stands now; empty: its own
+    room_light_lux: float = 0.0  # Of the surroundings: light that falls on the photocathode besides the source's, lux
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "panel", tuple(self.panel))  # JSON knows lists only
@@ -77,17 +44,7 @@ class Faults:
 
 
 def inject_faults(folder: Path, instrument: str, faults: Faults) -> None:
-    """Set the faults of an instrument; `Faults()` removes them.
-
-    Parameters
-    ----------
-    folder
-        Folder of the bench's wires.
-    instrument
-        Its place at the bench, such as "delay_generator", "high_voltage" or "camera", or "surroundings".
-    faults
-        What is wrong with it from now on.
-    """
+    """Set the faults of a place at the bench whose wires lie in a folder; `Faults()` removes them."""
     replace_file(faults_file(folder, instrument), json.dumps(asdict(faults)))
 
 

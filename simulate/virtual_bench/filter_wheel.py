@@ -1,31 +1,25 @@
 """Virtual Thorlabs FW102C filter wheel: echo, prompt and turning time."""
 
-import json
 import time
-from pathlib import Path
+from typing import Any
 
-from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.outputs import replace_file
+from simulate.virtual_bench.instrument import VirtualInstrument
+from simulate.virtual_bench.outputs import WHEEL_FILE
 
 IDENTITY = "THORLABS FW102C/FW212C Filter Wheel version 1.07"
 PROMPT = b"> "
 STEP_S = (0.45, 0.25)  # from one position to the next, slow and fast; recalled
 COMMAND_S = 2e-3
 BUFFER_LENGTH = 64
-OUTPUT = "filter_wheel.output.json"
 UNKNOWN, BAD_ARGUMENT = "Command error CMD_NOT_DEFINED", "Command error CMD_ARG_INVALID"  # the second is recalled
 _NEW = {"pcount": 6, "trig": 0, "speed": 1, "sensors": 1, "baud": 1}
 _ALLOWED = {"pcount": (6, 12), "trig": (0, 1), "speed": (0, 1), "sensors": (0, 1), "baud": (0, 1)}
 
 
-class FilterWheel:
-    """Filter wheel after power-on, at its first position.
+class FilterWheel(VirtualInstrument):
+    """Filter wheel after power-on, at its first position; it turns `time_scale` times faster than life."""
 
-    Parameters
-    ----------
-    time_scale
-        How much faster than life the wheel turns, dimensionless.
-    """
+    output_file = WHEEL_FILE
 
     def __init__(self, *, time_scale: float = 1.0) -> None:
         self._time_scale = time_scale
@@ -33,7 +27,6 @@ class FilterWheel:
         self._settings = dict(_NEW)
         self._position, self._line = 1, b""
         self._turns_until_s = 0.0
-        self._published: dict | None = None
 
     def power_cycle(self) -> None:
         """Lose power and get it back: what was not saved is lost, and the wheel stands where it stood."""
@@ -86,17 +79,10 @@ class FilterWheel:
         self._turns_until_s = time.monotonic() + turning_s
         return turning_s, ""
 
-    def advance(self, now_s: float, faults: Faults) -> None:
-        """Do nothing: the wheel turns by the clock, see `position`."""
-
     @property
     def position(self) -> int | None:
         """Position of the wheel, from 1; None while it turns and blocks the light."""
         return self._position if time.monotonic() >= self._turns_until_s else None
 
-    def publish(self, folder: Path) -> None:
-        """Publish the position and the state of the sensor lamps."""
-        now = {"position": self.position, "sensors_lit": bool(self._settings["sensors"])}
-        if now != self._published:
-            replace_file(folder / OUTPUT, json.dumps(now))
-            self._published = now
+    def outputs(self) -> dict[str, Any]:
+        return {"position": self.position, "sensors_lit": bool(self._settings["sensors"])}

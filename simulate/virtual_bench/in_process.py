@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import fields, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -16,25 +15,19 @@ from labdata.capture import CameraSettings, Frame
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, Role
 from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.instrument import SerialInstrument
+from simulate.virtual_bench.meters import TEMPERATURE_C
 from simulate.virtual_bench.models import virtual_model
 from simulate.virtual_bench.outputs import GateOutput, Outputs
 from simulate.virtual_bench.prologix import PrologixAdapter
-from simulate.virtual_bench.pseudo_terminal import SerialInstrument, enter_at_panel
-from simulate.virtual_bench.thermometer import TEMPERATURE_C
+from simulate.virtual_bench.pseudo_terminal import enter_at_panel
 from simulate.virtual_bench.tube import VirtualTube
 
-AT_ONCE_S = 2.5e-3
-"""Commands that take less time are answered at once, s."""
+AT_ONCE_S = 2.5e-3  # Commands that take less time are answered at once, s
 
 
 class InProcessPort:
-    """Port of an instrument in this process.
-
-    Parameters
-    ----------
-    instrument
-        The instrument.
-    """
+    """Port of an instrument in this process."""
 
     def __init__(self, instrument: SerialInstrument) -> None:
         self._instrument, self._answers = instrument, b""
@@ -114,15 +107,7 @@ class InProcessPort:
 
 
 class InProcessInstruments:
-    """The serial instruments of a bench in this process.
-
-    Parameters
-    ----------
-    wires
-        Which instruments there are; by default gate and supply.
-    time_scale
-        How much faster than life they move, dimensionless.
-    """
+    """The serial instruments of a bench in this process, by default gate and supply."""
 
     def __init__(self, wires: InstrumentConfig | None = None, *, time_scale: float = 1.0) -> None:
         there = (wires or InstrumentConfig()).instruments
@@ -158,20 +143,11 @@ def _behind_adapter(instrument: Any) -> Any:
     return instrument.only if isinstance(instrument, PrologixAdapter) else instrument
 
 
-POLL_S = 0.05
-"""Longest wait for a frame between two calls of `while_waiting`, s."""
+POLL_S = 0.05  # Longest wait for a frame between two calls of `while_waiting`, s
 
 
 class InProcessCamera:
-    """Camera with the driver's interface and the frames of the virtual camera.
-
-    Parameters
-    ----------
-    folder
-        Folder of the bench.
-    outputs
-        Returns what the instruments put on the tube's wires now.
-    """
+    """Camera with the driver's interface and the frames of the virtual camera, exposed to `outputs`."""
 
     identifier = "in-process"
 
@@ -193,9 +169,7 @@ class InProcessCamera:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         return None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -241,9 +215,7 @@ class InProcessCapture:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         return None
 
     def __iter__(self) -> Iterator[Frame]:

@@ -1,15 +1,13 @@
 """A virtual iseg SHQ high-voltage supply: echo, two-line exchanges, its own ramp, states, latches and a slow start."""
 
 import math
-from pathlib import Path
 
 from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.outputs import publish_voltage
+from simulate.virtual_bench.instrument import LOAD_OHM, VoltageSource
 
 IDENTITY = "480012;3.15;3000V;100uA"
 NOMINAL_V = 3000.0
 HARDWARE_LIMIT_PERCENT = 30  # position of the rotary switch
-LOAD_OHM = 100e6  # strip resistance of the microchannel plate
 END = b"\r\n"
 BUFFER_LENGTH = 64
 COMMAND_S = 2e-3
@@ -24,20 +22,11 @@ class _Refused(Exception):
     """The unit answers with an error."""
 
 
-class IsegSupply:
-    """High-voltage supply after power-on: 0 V, positive, remote control.
-
-    Parameters
-    ----------
-    time_scale
-        How much faster than life the output moves, dimensionless.
-    """
+class IsegSupply(VoltageSource):
+    """High-voltage supply after power-on: 0 V, positive, remote control; faster than life by `time_scale`."""
 
     def __init__(self, *, time_scale: float = 1.0) -> None:
-        self._time_scale = time_scale
-        self._now_s: float | None = None
-        self._published_v: float | None = None
-        self.output_v = 0.0
+        super().__init__(time_scale=time_scale)
         self.power_cycle()
 
     def power_cycle(self) -> None:
@@ -155,8 +144,7 @@ class IsegSupply:
 
     def advance(self, now_s: float, faults: Faults) -> None:
         """Advance the ramp to a time, s; after a trip or a loss of power the load discharges the output."""
-        elapsed_s = 0.0 if self._now_s is None else (now_s - self._now_s) * self._time_scale
-        self._now_s = now_s
+        elapsed_s = self._pass_time(now_s)
         if self._goal_v and (faults.tripped or 0 < self._trip_a < self.output_v / LOAD_OHM):
             self._tripped, self._goal_v = True, 0.0
         largest_v = self._ramp_v_per_s * elapsed_s
@@ -168,12 +156,6 @@ class IsegSupply:
             self.output_v = max(self._goal_v, self.output_v - largest_v)
         if self.output_v < 0.05:
             self.output_v = 0.0
-
-    def publish(self, folder: Path) -> None:
-        """Publish the voltage if it changed."""
-        if self.output_v != self._published_v:
-            publish_voltage(folder, self.output_v)
-            self._published_v = self.output_v
 
 
 def _format_scaled(value: float, exponent: int) -> str:

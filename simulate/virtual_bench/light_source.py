@@ -1,31 +1,28 @@
 """A virtual Thorlabs DC2100 driver of a light-emitting diode: constant current, limits, an error for each refusal."""
 
-import json
 import re
 from collections import deque
-from pathlib import Path
+from typing import Any
 
 from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.outputs import replace_file
+from simulate.virtual_bench.instrument import LineInstrument
+from simulate.virtual_bench.outputs import LAMP_FILE
 
-IDENTITY = "DC2100"
 MAXIMUM_MA = 2000
-OUTPUT = "light_source.output.json"
-COMMAND_S = 2e-3
-BUFFER_LENGTH = 64
-NO_DIODE, DIODE_OPEN, AT_LIMIT = 2, 8, 32
+DIODE_OPEN, AT_LIMIT = 8, 32
 UNKNOWN, OUT_OF_RANGE, NOT_NOW = (1, "unknown command"), (2, "value out of range"), (3, "not possible now")
 # Codes and words of errors are recalled; their form is looked up.
 _COMMAND = re.compile(r"([a-z]+)(\?)?(?: (-?\d{1,9}))?")
 
 
-class LightSource:
+class LightSource(LineInstrument):
     """LED driver after power-on: dark."""
+
+    output_file = LAMP_FILE
+    longest_line = 64
 
     def __init__(self) -> None:
         self._limit_ma = MAXIMUM_MA
-        self._published: dict | None = None
-        self._line = b""
         self.power_cycle()
 
     def power_cycle(self) -> None:
@@ -34,39 +31,29 @@ class LightSource:
         self._errors: deque[tuple[int, str]] = deque(maxlen=10)
         self._line = b""
 
-    def receive(self, data: bytes) -> list[tuple[float, bytes]]:
-        """Take bytes; return answers, each with the time it takes, s. Sets answer nothing."""
-        *lines, self._line = (self._line + data.replace(b"\r", b"\n")).split(b"\n")
-        self._line = self._line[-BUFFER_LENGTH:]
-        answers = (self._obey(line.decode("ascii", "replace").strip().lower()) for line in lines if line.strip())
-        return [(COMMAND_S, answer.encode() + b"\r\n") for answer in answers if answer is not None]
-
-    def _obey(self, line: str) -> str | None:
-        match = _COMMAND.fullmatch(line)
-        if match is None:
-            self._errors.append(UNKNOWN)
-            return None
-        name, asks, value = match.groups()
-        if asks:
-            return self._answer_query(name) if value is None else self._complain(UNKNOWN)
-        return self._complain(UNKNOWN) if value is None else self._set(name, int(value))
+    def _answer(self, line: str) -> str | None:
+        match = _COMMAND.fullmatch(line.lower())
+        name, asks, value = match.groups() if match else ("", None, None)
+        if asks and value is None:
+            return self._answer_query(name)
+        return self._set(name, int(value)) if value is not None and not asks else self._complain(UNKNOWN)
 
     def _answer_query(self, name: str) -> str | None:
         if name == "e":
             code, meaning = self._errors.popleft() if self._errors else (0, "no error")
             return f"ERROR {code}: {meaning}"
         known = {
-            "n": IDENTITY,
+            "n": "DC2100",
             "s": "M00123456",
             "v": "1.3.0",
-            "o": str(int(self._on)),
-            "m": str(self._mode),
-            "l": str(self._limit_ma),
-            "ml": str(MAXIMUM_MA),
-            "cc": str(self._current_ma),
-            "r": str(DIODE_OPEN * self._open | AT_LIMIT * (self._on and self._current_ma >= self._limit_ma > 0)),
+            "o": int(self._on),
+            "m": self._mode,
+            "l": self._limit_ma,
+            "ml": MAXIMUM_MA,
+            "cc": self._current_ma,
+            "r": DIODE_OPEN * self._open | AT_LIMIT * (self._on and self._current_ma >= self._limit_ma > 0),
         }
-        return known[name] if name in known else self._complain(UNKNOWN)
+        return str(known[name]) if name in known else self._complain(UNKNOWN)
 
     def _set(self, name: str, value: int) -> None:
         highest = {"o": 1, "m": 2, "l": MAXIMUM_MA, "cc": self._limit_ma}
@@ -81,8 +68,7 @@ class LightSource:
         elif name == "m":
             self._on, self._mode = False, value
         elif name == "l":
-            self._limit_ma = value
-            self._current_ma = min(self._current_ma, value)
+            self._limit_ma, self._current_ma = value, min(self._current_ma, value)
         else:
             self._current_ma = value
         return None
@@ -100,9 +86,5 @@ class LightSource:
         """Current through the diode, A."""
         return self._current_ma * 1e-3 if self._on and self._mode == 0 else 0.0
 
-    def publish(self, folder: Path) -> None:
-        """Publish the current through the diode."""
-        now = {"current_a": self.current_a}
-        if now != self._published:
-            replace_file(folder / OUTPUT, json.dumps(now))
-            self._published = now
+    def outputs(self) -> dict[str, Any]:
+        return {"current_a": self.current_a}

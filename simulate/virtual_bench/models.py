@@ -6,19 +6,18 @@ A package brings one with a Python entry point of the group `charact.virtual_ins
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
 
 from labdata.errors import BadInput
+from labdata.instrument_config import models_by_name
 from simulate.virtual_bench.delay_generator import DelayGenerator
 from simulate.virtual_bench.dg535 import Dg535
 from simulate.virtual_bench.filter_wheel import FilterWheel
 from simulate.virtual_bench.high_voltage import HighVoltageSupply
+from simulate.virtual_bench.instrument import SerialInstrument
 from simulate.virtual_bench.iseg import IsegSupply
 from simulate.virtual_bench.light_source import LightSource
-from simulate.virtual_bench.power_meter import PowerMeter
+from simulate.virtual_bench.meters import PowerMeter, Thermometer
 from simulate.virtual_bench.prologix import PrologixAdapter
-from simulate.virtual_bench.pseudo_terminal import SerialInstrument
-from simulate.virtual_bench.thermometer import Thermometer
 
 GROUP = "charact.virtual_instruments"
 GATE, SUPPLY, WHEEL, LIGHT, METER, THERMOMETER = PLACES = (
@@ -33,27 +32,15 @@ GATE, SUPPLY, WHEEL, LIGHT, METER, THERMOMETER = PLACES = (
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualModel:
-    """One model of virtual instrument.
+    """One model of virtual instrument."""
 
-    Parameters
-    ----------
-    name
-        Name of the model, such as "dg645".
-    place
-        Where it stands at the bench, one of `PLACES`: the name of its port and of its faults.
-    make
-        Makes it, from its address on a bus and how much faster than life it moves.
-    baud
-        Rate set on it, baud; None: a USB adapter, which has none.
-    panel
-        Commands that do what a hand at its panel does, by setting: of a gate "source", "idle level", "width" and
-        "busy" (every second trigger is lost), of a supply "voltage" and "on".
-    """
-
-    name: str
-    place: str
+    name: str  # Name of the model, such as "dg645"
+    place: str  # Where it stands at the bench, one of `PLACES`: the name of its port and of its faults
+    # Makes it, from its address on a bus and how much faster than life it moves
     make: Callable[[int, float], SerialInstrument]
-    baud: int | None
+    baud: int | None  # Rate set on it, baud; None: a USB adapter, which has none
+    # Commands that do what a hand at its panel does, by setting: of a gate "source", "idle level", "width" and "busy"
+    # (every second trigger is lost), of a supply "voltage" and "on"
     panel: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
@@ -100,13 +87,7 @@ SHIPPED = (
 
 def virtual_models() -> dict[str, VirtualModel]:
     """Return all virtual models by name."""
-    known = {each.name: each for each in SHIPPED}
-    for point in entry_points(group=GROUP):
-        brought = point.load()
-        if not isinstance(brought, VirtualModel) or brought.name != point.name or point.name in known:
-            raise BadInput(f"the entry point {point.name!r} must be a VirtualModel of that new name, got {brought!r}")
-        known[point.name] = brought
-    return known
+    return models_by_name(SHIPPED, VirtualModel, GROUP)
 
 
 def virtual_model(name: str) -> VirtualModel:

@@ -6,15 +6,15 @@ import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from labdata.conditions import Conditions
 from labdata.session import Kind
 from labdata.target import Target
 
-_GATE_FILE, _VOLTAGE_FILE = "gate.output.json", "high_voltage.output.json"
-_LAMP_FILE, _WHEEL_FILE = "light_source.output.json", "filter_wheel.output.json"
-_THERMOMETER_FILE = "thermometer.output.json"
+GATE_FILE, VOLTAGE_FILE, LAMP_FILE, WHEEL_FILE, THERMOMETER_FILE = (
+    f"{name}.output.json" for name in ("gate", "high_voltage", "light_source", "filter_wheel", "thermometer")
+)
 
 
 Trigger = Literal["clock", "mains", "camera"]
@@ -22,62 +22,31 @@ Trigger = Literal["clock", "mains", "camera"]
 
 @dataclass(frozen=True, kw_only=True)
 class GateOutput:
-    """What the delay generator's AB output does to the gate unit.
+    """What the delay generator's AB output does to the gate unit."""
 
-    Parameters
-    ----------
-    gate_open
-        Whether the gate opens at all.
-    gate_ns
-        Width of one opening, ns; infinite where the output idles in the state that opens the gate.
-    gate_hz
-        Openings per second, Hz.
-    gate_trigger
-        What triggers them: the generator's own clock, the mains, or the camera's field pulse at its input.
-    gate_delay_ns
-        From trigger to opening, ns.
-    """
-
-    gate_open: bool = False
-    gate_ns: float = 0.0
-    gate_hz: float = 0.0
+    gate_open: bool = False  # Whether the gate opens at all
+    gate_ns: float = 0.0  # Width of one opening, ns; infinite where the output idles in the state that opens the gate
+    gate_hz: float = 0.0  # Openings per second, Hz
+    # What triggers them: the generator's own clock, the mains, or the camera's field pulse at its input
     gate_trigger: Trigger = "clock"
-    gate_delay_ns: float = 0.0
+    gate_delay_ns: float = 0.0  # From trigger to opening, ns
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
-    """Present inputs of the tube.
+    """Present inputs of the tube."""
 
-    Parameters
-    ----------
-    mcp_v
-        Voltage across the microchannel plate, V.
-    gate_open, gate_ns, gate_hz, gate_trigger, gate_delay_ns
-        See `GateOutput`.
-    lamp_a
-        Current through the lamp of the bench, A; None: it has no lamp.
-    filter_position
-        Position of the wheel before the lamp; None: it turns, or there is none.
-    has_wheel
-        Whether there is a wheel before the lamp.
-    temperature_c
-        Temperature of the tube, degrees Celsius; None: nobody measures it.
-    room_light_lux
-        Light of the surroundings on the photocathode, lux.
-    """
-
-    mcp_v: float
-    gate_open: bool
-    gate_ns: float
-    gate_hz: float
-    gate_trigger: Trigger = "clock"
-    gate_delay_ns: float = 0.0
-    lamp_a: float | None = None
-    filter_position: int | None = None
-    has_wheel: bool = False
-    temperature_c: float | None = None
-    room_light_lux: float = 0.0
+    mcp_v: float  # Voltage across the microchannel plate, V
+    gate_open: bool  # See `GateOutput`
+    gate_ns: float  # See `GateOutput`
+    gate_hz: float  # See `GateOutput`
+    gate_trigger: Trigger = "clock"  # See `GateOutput`
+    gate_delay_ns: float = 0.0  # See `GateOutput`
+    lamp_a: float | None = None  # Current through the lamp of the bench, A; None: it has no lamp
+    filter_position: int | None = None  # Position of the wheel before the lamp; None: it turns, or there is none
+    has_wheel: bool = False  # Whether there is a wheel before the lamp
+    temperature_c: float | None = None  # Temperature of the tube, degrees Celsius; None: nobody measures it
+    room_light_lux: float = 0.0  # Light of the surroundings on the photocathode, lux
 
     def open_ns(self, exposure_s: float) -> float:
         """Time that the gate is open during one exposure of `exposure_s` seconds, ns, averaged over its phase."""
@@ -89,22 +58,17 @@ class Outputs:
         return min(self.gate_ns * self.gate_hz * exposure_s, exposure_ns)
 
 
-def publish_gate(folder: Path, gate: GateOutput) -> None:
-    """Publish the gate drive."""
-    replace_file(folder / _GATE_FILE, json.dumps(vars(gate)))
-
-
-def publish_voltage(folder: Path, mcp_v: float) -> None:
-    """Publish the voltage, V."""
-    replace_file(folder / _VOLTAGE_FILE, json.dumps({"mcp_v": mcp_v}))
+def publish(folder: Path, file: str, outputs: dict[str, Any]) -> None:
+    """Publish the outputs of an instrument in its file."""
+    replace_file(folder / file, json.dumps(outputs))
 
 
 def read_outputs(folder: Path) -> Outputs:
     """Read the outputs of the instruments of a bench; an instrument without a file has no output."""
-    gate = _read(Path(folder) / _GATE_FILE) or vars(GateOutput())
-    voltage = _read(Path(folder) / _VOLTAGE_FILE) or {"mcp_v": 0.0}
-    warm = _read(Path(folder) / _THERMOMETER_FILE)
-    lamp, wheel = _read(Path(folder) / _LAMP_FILE), _read(Path(folder) / _WHEEL_FILE)
+    gate = _read(Path(folder) / GATE_FILE) or vars(GateOutput())
+    voltage = _read(Path(folder) / VOLTAGE_FILE) or {"mcp_v": 0.0}
+    warm = _read(Path(folder) / THERMOMETER_FILE)
+    lamp, wheel = _read(Path(folder) / LAMP_FILE), _read(Path(folder) / WHEEL_FILE)
     return Outputs(
         **gate,
         **voltage,
@@ -147,42 +111,22 @@ _FILE = "operator.json"
 
 @dataclass(frozen=True, kw_only=True)
 class TargetPlacement:
-    """Target and light before the camera.
+    """Target and light before the camera."""
 
-    Parameters
-    ----------
-    number
-        Counts placements since the bench was built; no two have the same.
-    kind
-        What the frames will show.
-    target
-        The target.
-    illuminance_lux
-        Light on the photocathode as the meter reads it, lux.
-    """
-
-    number: int = 0
-    kind: Kind = "dark"
-    target: Target = field(default_factory=Target)
-    illuminance_lux: float = 0.0
+    number: int = 0  # Counts placements since the bench was built; no two have the same
+    kind: Kind = "dark"  # What the frames will show
+    target: Target = field(default_factory=Target)  # The target
+    illuminance_lux: float = 0.0  # Light on the photocathode as the meter reads it, lux
 
 
 class VirtualOperator:
-    """Places targets and light by a file in the bench's folder, which the virtual camera reads.
+    """Places targets and light by a file in the bench's folder, which the virtual camera reads."""
 
-    Parameters
-    ----------
-    folder
-        Folder of the bench.
-    """
-
-    is_by_hand = False
-    """Whether a person sets the light."""
+    is_by_hand = False  # Whether a person sets the light
 
     def __init__(self, folder: Path) -> None:
         self._folder = Path(folder)
-        self.while_waiting: Callable[[], None] = lambda: None
-        """Never called: the virtual operator acts at once."""
+        self.while_waiting: Callable[[], None] = lambda: None  # Never called: the virtual operator acts at once
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None

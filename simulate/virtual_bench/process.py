@@ -5,7 +5,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import TracebackType
 
 from labdata.errors import BadInput
 from simulate.virtual_bench.models import GATE, SUPPLY, virtual_model
@@ -18,18 +17,8 @@ class VirtualInstruments:
     """The serial instruments of one virtual bench, each a process of its own.
 
     They live in sessions of their own, so that Ctrl-C at the terminal does not unplug them, and outlive a killed
-    bench until their lines have been quiet for some seconds, so that a bench server can still reach them.
-
-    Parameters
-    ----------
-    folder
-        Folder of the bench: links to the ports, published outputs, faults. Made if absent.
-    models
-        Models to stand at the bench; by default a gate and a supply.
-    gate_address, supply_address
-        GPIB addresses of those behind an adapter.
-    time_scale
-        How much faster than life the supply's output moves, dimensionless.
+    bench until their lines have been quiet for some seconds, so that a bench server can still reach them. The folder
+    holds links to the ports, published outputs and faults.
     """
 
     def __init__(
@@ -74,9 +63,7 @@ class VirtualInstruments:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def unplug(self, instrument: str) -> None:

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Protocol
 
 from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.instrument import BusInstrument
 
 VERSION = "Prologix GPIB-USB Controller version 6.107"
 UNRECOGNIZED = b"Unrecognized command\r\n"
@@ -13,56 +13,18 @@ ENDINGS = (b"\r\n", b"\r", b"\n", b"")
 BUS_S = 1e-3
 
 
-class BusInstrument(Protocol):
-    """Instrument on the GPIB bus."""
-
-    def listen(self, data: bytes, *, end: bool) -> None:
-        """Take bytes; `end`: EOI came with the last."""
-        ...
-
-    def talk(self) -> bytes:
-        """Return the answer, EOI with its last byte; empty without an answer."""
-        ...
-
-    def serial_poll(self) -> int:
-        """Status byte."""
-        ...
-
-    def clear(self) -> None:
-        """Device clear."""
-        ...
-
-    def advance(self, now_s: float, faults: Faults) -> None:
-        """Advance the physics to a time, s."""
-        ...
-
-    def publish(self, folder: Path) -> None:
-        """Publish the outputs."""
-        ...
-
-    def power_cycle(self) -> None:
-        """Power cycle."""
-        ...
-
-
 class _Unrecognized(Exception):
     """Unknown ++ command."""
 
 
 class PrologixAdapter:
-    """GPIB-USB adapter with factory settings: controller, read after write, address 0.
-
-    Parameters
-    ----------
-    bus
-        Instruments by GPIB address.
-    """
+    """GPIB-USB adapter with factory settings (controller, read after write, address 0) before its instruments."""
 
     def __init__(self, bus: Mapping[int, BusInstrument]) -> None:
         self._bus = dict(bus)
         self._address = 0
-        self._settings = {"mode": 1, "auto": 1, "eoi": 1, "eos": 0, "eot_enable": 0, "eot_char": 10, "savecfg": 1}
-        self._read_timeout_ms = 500
+        self._settings = {"mode": 1, "auto": 1, "eoi": 1, "eos": 0, "eot_enable": 0, "eot_char": 10, "savecfg": 1,
+                          "read_tmo_ms": 500}  # fmt: skip
         self._line, self._escaped, self._plus = bytearray(), False, 0
 
     @property
@@ -123,8 +85,6 @@ class PrologixAdapter:
             return self._read()
         if name == "addr":
             return self._set_address(arguments)
-        if name == "read_tmo_ms":
-            return self._set_timeout(arguments)
         if name == "ver":
             return VERSION
         if name == "spoll":
@@ -143,8 +103,8 @@ class PrologixAdapter:
     def _setting(self, name: str, arguments: list[str]) -> str | list[tuple[float, bytes]]:
         if not arguments:
             return str(self._settings[name])
-        highest = {"eos": 3, "eot_char": 255}.get(name, 1)
-        self._settings[name] = _whole(arguments, 0, highest)
+        lowest, highest = {"eos": (0, 3), "eot_char": (0, 255), "read_tmo_ms": (1, 3000)}.get(name, (0, 1))
+        self._settings[name] = _whole(arguments, lowest, highest)
         return []
 
     def _set_address(self, arguments: list[str]) -> str | list[tuple[float, bytes]]:
@@ -153,12 +113,6 @@ class PrologixAdapter:
         if len(arguments) == 2 and not 96 <= int(arguments[1]) <= 126:
             raise _Unrecognized
         self._address = _whole(arguments[:1], 0, 30)
-        return []
-
-    def _set_timeout(self, arguments: list[str]) -> str | list[tuple[float, bytes]]:
-        if not arguments:
-            return str(self._read_timeout_ms)
-        self._read_timeout_ms = _whole(arguments, 1, 3000)
         return []
 
     def advance(self, now_s: float, faults: Faults) -> None:

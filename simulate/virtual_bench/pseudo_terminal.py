@@ -9,49 +9,20 @@ import tty
 from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Protocol
 
 from simulate.virtual_bench.faults import FaultFile, Faults
+from simulate.virtual_bench.instrument import SerialInstrument
 from simulate.virtual_bench.prologix import PrologixAdapter
 
-TICK_S = 0.02
-"""Longest time between two updates of an instrument's physics, s."""
-
+TICK_S = 0.02  # Longest time between two updates of an instrument's physics, s
 BITS_PER_CHARACTER = 10  # start, eight data bits, stop
-ORPHAN_S = 5.0
-"""An instrument whose bench is gone switches itself off after this time without a byte, s."""
-
-
-class SerialInstrument(Protocol):
-    """Instrument on a serial line."""
-
-    def receive(self, data: bytes) -> list[tuple[float, bytes]]:
-        """Take bytes from the line; return answers, each with the time it takes to make, s."""
-        ...
-
-    def advance(self, now_s: float, faults: Faults) -> None:
-        """Advance the physics to a time, s."""
-        ...
-
-    def publish(self, folder: Path) -> None:
-        """Publish the outputs that changed."""
-        ...
-
-    def power_cycle(self) -> None:
-        """Power cycle."""
-        ...
+ORPHAN_S = 5.0  # An instrument whose bench is gone switches itself off after this time without a byte, s
 
 
 class PseudoTerminal:
     """The instrument's end of a pseudo-terminal, with a link at a stable path to the other end.
 
-    Parameters
-    ----------
-    link
-        Path of a symbolic link to the terminal; an old one is replaced.
-    baud
-        The rate set on the instrument; another rate at the far end turns bytes to garbage. None: a USB adapter,
-        which has no rate.
+    Another rate than `baud` at the far end turns bytes to garbage; None: a USB adapter, which has no rate.
     """
 
     def __init__(self, link: Path, *, baud: int | None) -> None:
@@ -108,19 +79,7 @@ class PseudoTerminal:
 def serve(
     instrument: SerialInstrument, terminal: PseudoTerminal, *, folder: Path, faults: FaultFile, parent: int
 ) -> None:
-    """Answer on the terminal until the bench process has ended and the line has been idle for `ORPHAN_S`.
-
-    Parameters
-    ----------
-    instrument, terminal
-        The instrument and its line.
-    folder
-        Folder of the bench, where the outputs are published.
-    faults
-        Faults provoked from the simulator's side.
-    parent
-        Process that started this one; its death is noticed by adoption.
-    """
+    """Answer on the terminal until the bench process `parent` has ended and the line has been idle for `ORPHAN_S`."""
     waiting: deque[tuple[float, bytes]] = deque()
     heard_s, before = time.monotonic(), Faults()
     while os.getppid() == parent or time.monotonic() - heard_s < ORPHAN_S:

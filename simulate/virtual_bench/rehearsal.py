@@ -7,41 +7,26 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from labdata.errors import BadInput
 from labdata.event_log import EventLog, read_events
 from simulate.virtual_bench.faults import Faults
 
-Place = Literal[
-    "delay_generator",
-    "high_voltage",
-    "filter_wheel",
-    "light_source",
-    "light_meter",
-    "thermometer",
-    "camera",
-    "surroundings",
-]
-Kind = Literal[
-    "garbage",
-    "half lines",
-    "silence",
-    "no answers",
-    "late answers",
-    "unplugged",
-    "power cycle",
-    "trip",
-    "packet loss",
-    "stalled camera",
-    "clock jump",
-    "front panel",
-    "disobedience",
-    "no triggers",
-    "port renamed",
-    "room light",
-]
+Place = Literal["delay_generator", "high_voltage", "filter_wheel", "light_source", "light_meter", "thermometer",
+                "camera", "surroundings"]  # fmt: skip
+Kind = Literal["garbage", "half lines", "silence", "no answers", "late answers", "unplugged", "power cycle", "trip",
+               "packet loss", "stalled camera", "clock jump", "front panel", "disobedience", "no triggers",
+               "port renamed", "room light"]  # fmt: skip
+
+# Field of `Faults` by kind
+_FIELDS: dict[Kind, str] = {
+    "garbage": "garbage", "half lines": "half_lines", "silence": "silent", "no answers": "mute",
+    "late answers": "late_s", "unplugged": "unplugged", "power cycle": "power_cycles", "trip": "tripped",
+    "packet loss": "lost_packet_share", "stalled camera": "stalled", "clock jump": "clock_jump_s",
+    "front panel": "panel", "disobedience": "disobedient", "no triggers": "untriggered",
+    "port renamed": "port_name", "room light": "room_light_lux",
+}  # fmt: skip
 
 # Kinds that need a number, and what it counts; those that only some instruments can suffer.
 _COUNTED = {"late answers": "s late", "packet loss": "share of packets", "clock jump": "s off", "room light": "lux"}
@@ -57,34 +42,17 @@ _OF = {
 
 @dataclass(frozen=True, kw_only=True)
 class ScriptedFault:
-    """One fault.
+    """One fault."""
 
-    Parameters
-    ----------
-    instrument
-        Whose.
-    kind
-        What is wrong with it.
-    at_step
-        Label of the step whose beginning starts the clock; None: the beginning of the run.
-    at_s
-        How long after that it strikes, s.
-    for_s
-        How long it lasts, s; a power cycle is over at once.
-    value
-        For late answers how late, s; for packet loss the fraction lost; for a clock jump how far, s; for room light the
-        illuminance on the photocathode, lux.
-    panel
-        For the front panel: what is entered there, in the instrument's own language.
-    """
-
-    instrument: Place
-    kind: Kind
-    at_step: str | None = None
-    at_s: float = 0.0
-    for_s: float = 1.0
+    instrument: Place  # Whose
+    kind: Kind  # What is wrong with it
+    at_step: str | None = None  # Label of the step whose beginning starts the clock; None: the beginning of the run
+    at_s: float = 0.0  # How long after that it strikes, s
+    for_s: float = 1.0  # How long it lasts, s; a power cycle is over at once
+    # For late answers how late, s; for packet loss the fraction lost; for a clock jump how far, s; for room light the
+    # illuminance on the photocathode, lux
     value: float | None = None
-    panel: tuple[str, ...] = ()
+    panel: tuple[str, ...] = ()  # For the front panel: what is entered there, in the instrument's own language
 
     def __post_init__(self) -> None:
         if not self.at_s >= 0.0 or not self.for_s > 0.0:
@@ -112,39 +80,16 @@ class ScriptedFault:
     @property
     def faults(self) -> Faults:
         """The fault as `Faults`; the caller counts power cycles."""
-        value = self.value or 0.0
-        known = {
-            "garbage": Faults(garbage=True),
-            "half lines": Faults(half_lines=True),
-            "silence": Faults(silent=True),
-            "no answers": Faults(mute=True),
-            "late answers": Faults(late_s=value),
-            "unplugged": Faults(unplugged=True),
-            "power cycle": Faults(power_cycles=1),
-            "trip": Faults(tripped=True),
-            "packet loss": Faults(lost_packet_share=value),
-            "stalled camera": Faults(stalled=True),
-            "clock jump": Faults(clock_jump_s=value),
-            "front panel": Faults(panel=self.panel),
-            "disobedience": Faults(disobedient=True),
-            "no triggers": Faults(untriggered=True),
-            "port renamed": Faults(port_name=f"{self.instrument}.renamed"),
-            "room light": Faults(room_light_lux=value),
-        }
-        return known[self.kind]
+        others = {"power cycle": 1, "front panel": self.panel, "port renamed": f"{self.instrument}.renamed"}
+        value: Any = self.value if self.kind in _COUNTED else others.get(self.kind, True)
+        return Faults(**{_FIELDS[self.kind]: value})
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaultScript:
-    """A file of faults.
+    """A file of faults."""
 
-    Parameters
-    ----------
-    fault
-        The faults, in any order.
-    """
-
-    fault: tuple[ScriptedFault, ...]
+    fault: tuple[ScriptedFault, ...]  # The faults, in any order
 
     def __post_init__(self) -> None:
         if not self.fault:
@@ -152,15 +97,7 @@ class FaultScript:
 
 
 def combine_faults(strikes: list[ScriptedFault], power_cycles: int) -> Faults:
-    """Combine several faults of one instrument.
-
-    Parameters
-    ----------
-    strikes
-        Those that hold now; of two that count something, the worse one.
-    power_cycles
-        How often it has lost its power so far.
-    """
+    """Combine the faults of one instrument that hold now; of two that count something, the worse one."""
     names = vars(Faults())
     wrong = {name: max((getattr(each.faults, name) for each in strikes), default=names[name]) for name in names}
     return Faults(**{**wrong, "power_cycles": power_cycles})
@@ -175,21 +112,12 @@ class Rehearsal:
 
     Parameters
     ----------
-    script
-        The faults.
     provoke
-        Gives an instrument its faults, see `VirtualBench.provoke`.
+        Gives an instrument its faults, see `VirtualBench.provoke`; one that it does not know is BadInput on entering.
     steps
         Log of the session, which tells which step begins.
     log
         File that remembers what struck: a resumed run goes on with the rest of the script.
-    say
-        Called with a sentence on each fault.
-
-    Raises
-    ------
-    BadInput
-        On entering, if the script strikes an instrument that `provoke` does not know.
     """
 
     def __init__(
@@ -219,9 +147,7 @@ class Rehearsal:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join()
         for number in list(self._holding):

@@ -39,19 +39,7 @@ VARIED = (
 
 
 def draw_true_sensor(sensor: Sensor, seed: int) -> Sensor:
-    """Draw a device within the ranges of a description.
-
-    Parameters
-    ----------
-    sensor
-        The type: each varied parameter's `low` and `high` hold it with 95 % probability.
-    seed
-        Seed; it names the device.
-
-    Returns
-    -------
-    Sensor
-        The same description with the parameters of `VARIED` drawn and exact; its notes record the seed.
+    """Draw a device within the ranges of a description: the parameters of `VARIED`, exact; `seed` names the device.
 
     Notes
     -----
@@ -87,24 +75,12 @@ _LAMP = "lamp.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTruth:
-    """True state of the virtual bench.
+    """True state of the virtual bench."""
 
-    Parameters
-    ----------
-    sensor
-        The device, every parameter exact.
-    seed
-        Seed of the device and of every frame.
-    light_per_reading
-        True illuminance over the meter's reading, dimensionless.
-    lamp
-        What the lamp of the bench truly makes of its currents; None: there is none.
-    """
-
-    sensor: Sensor
-    seed: int
-    light_per_reading: float
-    lamp: LampCalibration | None = None
+    sensor: Sensor  # The device, every parameter exact
+    seed: int  # Seed of the device and of every frame
+    light_per_reading: float  # True illuminance over the meter's reading, dimensionless
+    lamp: LampCalibration | None = None  # What the lamp of the bench truly makes of its currents; None: there is none
 
     def illuminance_lux(self, placement: TargetPlacement, outputs: Outputs) -> float:
         """True illuminance on the photocathode, lux: room light plus lamp or, without a lamp, the operator's light."""
@@ -121,13 +97,7 @@ class BenchTruth:
 
 
 def load_or_draw_truth(folder: Path, sensor: Sensor, seed: int, lamp: LampCalibration | None = None) -> BenchTruth:
-    """Draw a device, its meter and its lamp and save them in a folder, or load them from there.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds the truth of another seed or sensor.
-    """
+    """Draw a device, its meter and its lamp into a folder, or load them; another seed or sensor is BadInput."""
     asked = {"seed": seed, "drawn_from": sensor.name}
     if lamp is not None:
         folder.mkdir(parents=True, exist_ok=True)

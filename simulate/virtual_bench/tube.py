@@ -16,36 +16,21 @@ from simulate.lab import LabBench
 from simulate.virtual_bench.outputs import Outputs, TargetPlacement, read_placement
 from simulate.virtual_bench.true_sensor import TRUTH, read_truth
 
+# Relative difference between the clock of a gate generator and that of a camera, two ordinary crystals
 CLOCKS_DIFFER = 2e-5
-"""Relative difference between the clock of a gate generator and that of a camera, two ordinary crystals."""
 
-STEPS = 32
-"""Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own."""
+STEPS = 32  # Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fields:
-    """Timing of gate and fields of a camera.
+    """Timing of gate and fields of a camera."""
 
-    Parameters
-    ----------
-    width_ns
-        Width of one opening, ns.
-    rate_hz
-        Openings a second, Hz.
-    field_hz
-        Fields a second, Hz.
-    exposure_s
-        Exposure of a field, which ends with it, s.
-    first_s
-        When the first field begins, s after an opening begins.
-    """
-
-    width_ns: float
-    rate_hz: float
-    field_hz: float
-    exposure_s: float
-    first_s: float
+    width_ns: float  # Width of one opening, ns
+    rate_hz: float  # Openings a second, Hz
+    field_hz: float  # Fields a second, Hz
+    exposure_s: float  # Exposure of a field, which ends with it, s
+    first_s: float  # When the first field begins, s after an opening begins
 
     @classmethod
     def of(cls, outputs: Outputs, *, field_hz: float, exposure_s: float, phase: float) -> "Fields":
@@ -81,8 +66,7 @@ class Scene:
 
     placement: TargetPlacement
     conditions: Conditions
-    fields: Fields | None = None
-    """How gate and fields run against one another, where they do not keep step."""
+    fields: Fields | None = None  # How gate and fields run against one another, where they do not keep step
 
 
 class VirtualTube:
@@ -91,13 +75,6 @@ class VirtualTube:
     Every frame is drawn when it is exposed, from the state of the bench at that moment, so that no frame can show
     conditions that are past. Its noise follows from the bench's seed, the number of the placement before the camera,
     and how many frames were exposed since: the same plan, taken again with the same seed, gives the same frames.
-
-    Parameters
-    ----------
-    folder
-        Folder of the bench: its truth, and what its operator placed.
-    outputs
-        Returns what the instruments put on its wires now.
     """
 
     def __init__(self, folder: Path, outputs: Callable[[], Outputs]) -> None:
@@ -115,15 +92,7 @@ class VirtualTube:
         return self._truth.sensor
 
     def scene(self, *, exposure_s: float, gain_db: float) -> Scene:
-        """Return the present target and the true conditions at the tube.
-
-        Parameters
-        ----------
-        exposure_s
-            Exposure of one field, s.
-        gain_db
-            Gain behind the sensor, dB.
-        """
+        """Return the present target and the true conditions at the tube for a field's exposure, s, and a gain, dB."""
         placement, outputs = read_placement(self._folder), self._outputs()
         if outputs.room_light_lux:
             placement = replace(placement, kind="flat", target=Target())  # it falls on everything, darks included

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from charact.cli.application import app
 from labdata.errors import BadInput
 from labdata.importers import read_frames
-from labdata.importers.frame_files import import_frames
+from labdata.importers.sessions import import_frames
 from labdata.session import open_session
 
 ROOT = Path(__file__).resolve().parents[2]

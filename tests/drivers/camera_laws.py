@@ -20,36 +20,18 @@ from labdata.errors import BadInput
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """A camera under test.
+    """A camera under test."""
 
-    Parameters
-    ----------
-    open
-        Returns the camera, not yet open.
-    quiet
-        Returns the camera, not yet open, as it is while no frame comes for at least 0.7 s after at most one.
-    is_whole
-        Whether a frame holds exactly the picture that the camera sent under its number.
-    asked
-        Settings that the camera can take, each tried alone.
-    refused
-        Settings that it must refuse, each with the rule that the sentence states.
-    frames
-        Whole frames to take at a time.
-    loses
-        Whether its wire loses frames.
-    counts_from
-        The number that the camera gives to the first frame it sends in a capture, be it lost or not.
-    """
-
-    open: Callable[[], AbstractContextManager[Any]]
+    open: Callable[[], AbstractContextManager[Any]]  # Returns the camera, not yet open
+    # Returns the camera, not yet open, as it is while no frame comes for at least 0.7 s after at most one
     quiet: Callable[[], AbstractContextManager[Any]]
-    is_whole: Callable[[Frame], bool]
-    asked: tuple[CameraSettings, ...] = ()
+    is_whole: Callable[[Frame], bool]  # Whether a frame holds exactly the picture that the camera sent under its number
+    asked: tuple[CameraSettings, ...] = ()  # Settings that the camera can take, each tried alone
+    # Settings that it must refuse, each with the rule that the sentence states
     refused: tuple[tuple[CameraSettings, str], ...] = field(default_factory=tuple)
-    frames: int = 12
-    loses: bool = False
-    counts_from: int = 0
+    frames: int = 12  # Whole frames to take at a time
+    loses: bool = False  # Whether its wire loses frames
+    counts_from: int = 0  # The number that the camera gives to the first frame it sends in a capture, be it lost or not
 
 
 def taken(camera: Any, frames: int, discard: int = 0) -> tuple[list[Frame], Any]:

@@ -22,16 +22,15 @@ from labdata.target import Target
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 LIMITS = replace(limits_in_force(Limits(), SENSOR), ramp_v_per_s=1000.0)
-SAFE_AFTER_S = 1.0
-"""A tube that should have been made safe this long ago is hurt, s."""
+SAFE_AFTER_S = 1.0  # A tube that should have been made safe this long ago is hurt, s
 
+# An instrument that fails or is changed must be noticed within this time, s: 0.5, and one answer that another look
+# awaits meanwhile, for looks take turns here
 NOTICED_AFTER_S = 0.9
-"""An instrument that fails or is changed must be noticed within this time, s: 0.5, and one answer that another look
-awaits meanwhile, for looks take turns here."""
 
 EXCHANGE_S, ANSWER_S = 0.01, 0.4
+# Of what stands in the wheel's positions; nobody calibrated the open hole, which is the last
 DENSITIES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.0)
-"""Of what stands in the wheel's positions; nobody calibrated the open hole, which is the last."""
 
 LAMP = LampCalibration(
     source="measured for this test",
@@ -127,10 +126,8 @@ class Laboratory:
     """Tube, instruments and light as they are, and what hurt the tube."""
 
     has_lamp: bool = True
-    between: Callable[[], None] = lambda: None
-    """Called between two exchanges of a procedure."""
-    lasts: Callable[[float], None] = CLOCK.sleep
-    """Called as lasts(seconds) by procedures that take their time."""
+    between: Callable[[], None] = lambda: None  # Called between two exchanges of a procedure
+    lasts: Callable[[float], None] = CLOCK.sleep  # Called as lasts(seconds) by procedures that take their time
     hurts: list[str] = field(default_factory=list)
     open: tuple[float, float] = (1e6, 50.0)  # a bench that somebody left on: width in ns, rate in Hz
     volts: float = 700.0
@@ -148,10 +145,10 @@ class Laboratory:
     stamp_s: float = -math.inf
     fault_s: float = math.inf
     cold_s: float = -math.inf  # when the tube was last seen safe
+    # What nothing may be made hotter after: the end of the server, a safe action since the present order began
     stopped_by: str = ""
-    """What nothing may be made hotter after: the end of the server, a safe action since the present order began."""
+    # What demands the safe state of a hot tube, and since when, s
     demands: dict[str, float] = field(default_factory=dict)
-    """What demands the safe state of a hot tube, and since when, s."""
 
     def __post_init__(self) -> None:
         if self.has_lamp:

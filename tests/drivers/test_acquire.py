@@ -20,7 +20,6 @@ from labdata.sensors import load_sensor
 from labdata.serialiser import from_toml
 from labdata.session import open_session
 from labdata.store import StackWriter
-from labdata.target import Target
 
 _spec = importlib.util.spec_from_file_location("fake_rig", Path(__file__).with_name("fake_rig.py"))
 fake_rig = importlib.util.module_from_spec(_spec)
@@ -196,11 +195,6 @@ def test_a_folder_with_a_session_is_not_written_over(tmp_path):
     take(FakeRig(), tmp_path / "s")
     with pytest.raises(BadInput, match="without a session"):
         take(FakeRig(), tmp_path / "s")
-
-
-def test_what_was_never_begun_is_not_resumed(tmp_path):
-    with pytest.raises(BadInput, match="must have been begun"):
-        take(FakeRig(), tmp_path / "s", resume=True)
 
 
 class Doubtful:
@@ -410,12 +404,6 @@ def test_progress_grows_to_one(tmp_path):
     take(FakeRig(), tmp_path / "s", progress=lambda sentence, share: shares.append(share))
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
-
-
-def test_a_bar_target_is_kept_with_its_stack(tmp_path):
-    bars = replace(step("bars", kind="bars"), target=Target(bars=4, frequency_cy_per_px=0.12, angle_deg=90.0))
-    session = take(FakeRig(), tmp_path / "s", Plan(name="p", steps=(bars,)))
-    assert session.stack("bars").target == bars.target
 
 
 def _frames(entry):

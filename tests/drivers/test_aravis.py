@@ -20,10 +20,11 @@ from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.in_process import InProcessCamera
 from simulate.virtual_bench.outputs import (
+    GATE_FILE,
+    VOLTAGE_FILE,
     GateOutput,
     VirtualOperator,
-    publish_gate,
-    publish_voltage,
+    publish,
     read_outputs,
     read_placement,
 )
@@ -46,8 +47,8 @@ def wired_bench(folder, *, rows, columns, seed=3):
     wires = folder / "wires"
     wires.mkdir(parents=True)
     load_or_draw_truth(folder / TRUTH, small, seed)
-    publish_gate(wires, OPEN)
-    publish_voltage(wires, 750.0)
+    publish(wires, GATE_FILE, vars(OPEN))
+    publish(wires, VOLTAGE_FILE, {"mcp_v": 750.0})
     return folder, wires
 
 
@@ -111,12 +112,12 @@ def test_no_frame_shows_light_that_is_gone(small):
 def test_a_closed_gate_leaves_the_black_level(small):
     folder, wires, process = small
     VirtualOperator(folder).place(kind="flat", target=Target(), illuminance_lux=1e-4)
-    publish_gate(wires, GateOutput())
+    publish(wires, GATE_FILE, vars(GateOutput()))
     try:
         with opened(process) as camera:
             frames, _ = taken(camera, 3)
     finally:
-        publish_gate(wires, OPEN)
+        publish(wires, GATE_FILE, vars(OPEN))
     black_dn = float(load_sensor("pulnix-ag5745ef3").video.black_level_dn)
     assert all(abs(float(frame.pixels.mean()) - black_dn) < 1.5 for frame in frames)
 

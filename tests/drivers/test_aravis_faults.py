@@ -16,7 +16,7 @@ from labdata.target import Target
 from simulate.lab import LabBench
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.camera import CameraProcess
-from simulate.virtual_bench.outputs import GateOutput, publish_gate, publish_voltage, read_outputs
+from simulate.virtual_bench.outputs import GATE_FILE, VOLTAGE_FILE, GateOutput, publish, read_outputs
 from simulate.virtual_bench.true_sensor import TRUTH, load_or_draw_truth
 from simulate.virtual_bench.tube import VirtualTube, frame_seed
 
@@ -36,8 +36,8 @@ def wired_bench(folder, *, rows, columns, seed=3):
     wires = folder / "wires"
     wires.mkdir(parents=True)
     load_or_draw_truth(folder / TRUTH, small, seed)
-    publish_gate(wires, OPEN)
-    publish_voltage(wires, 750.0)
+    publish(wires, GATE_FILE, vars(OPEN))
+    publish(wires, VOLTAGE_FILE, {"mcp_v": 750.0})
     return folder, wires
 
 

@@ -5,7 +5,7 @@ from functools import cache
 
 import pytest
 
-from charact.cli.virtual_pair import VirtualPair
+from charact.cli.reference import VirtualPair
 from drivers.instruments.conformance import rules_for
 from drivers.instruments.models import models
 from simulate.virtual_bench.models import virtual_models

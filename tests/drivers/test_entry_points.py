@@ -5,7 +5,7 @@ import textwrap
 
 import pytest
 
-from charact.cli.virtual_pair import VirtualPair
+from charact.cli.reference import VirtualPair
 from drivers.instruments.conformance import rules_for
 from drivers.instruments.models import models
 from labdata.errors import BadInput
@@ -17,7 +17,7 @@ MODULE = """
     from drivers.instruments.models import InstrumentModel
     from drivers.serial_lines.line import FramedLine, KnownAnswer
     from simulate.virtual_bench.models import VirtualModel
-    from simulate.virtual_bench.thermometer import Thermometer as Virtual
+    from simulate.virtual_bench.meters import Thermometer as Virtual
 
     class Thermometer:
         def __init__(self, line):

@@ -6,7 +6,6 @@ from drivers.errors import InstrumentRejected, InstrumentReplyError, InstrumentT
 from drivers.instruments.delay_generator import DelayGenerator
 from drivers.instruments.high_voltage import HighVoltage
 from drivers.serial_lines.line import InstrumentLine
-from labdata.errors import BadInput
 
 
 class Exchanges(InstrumentLine):
@@ -153,20 +152,6 @@ def test_a_refused_command_is_told_with_its_meaning():
     assert refusal.value.code == 171
 
 
-@pytest.mark.parametrize("width_ns", [0.001, 1.67e7, float("nan")])
-def test_a_gate_that_does_not_fit_between_triggers_is_refused_before_anything_is_said(width_ns):
-    with Exchanges() as line, pytest.raises(BadInput, match="gate_ns must lie between"):
-        DelayGenerator(line).open(width_ns=width_ns, rate_hz=60.0)
-
-
-def test_a_supply_on_the_gates_line_is_no_delay_generator():
-    with (
-        Exchanges(("*IDN?", "StanfordResearchSystems,PS350,2067,1.40")) as line,
-        pytest.raises(InstrumentReplyError, match="must be a DG645"),
-    ):
-        DelayGenerator(line).identify()
-
-
 def done(*commands: str) -> list[tuple[str, str | None]]:
     """Each command, and the event status asked after it."""
     return [exchange for command in commands for exchange in ((command, None), ("*ESR?", "0"))]
@@ -207,22 +192,6 @@ def test_a_trip_ends_a_ramp_at_the_next_step():
     tripped = [("VSET?", "50"), ON, *done("VSET 100"), ("*STB?", "4")]
     with Exchanges(*tripped) as line, pytest.raises(InstrumentTripped, match="on current"):
         HighVoltage(line).raise_to(800, rate_v_per_s=1000)
-
-
-def test_a_step_beyond_the_supplys_own_limit_is_refused_with_its_meaning():
-    with (
-        Exchanges(("VSET?", "50"), ON, ("VSET 100", None), ("*ESR?", "16")) as line,
-        pytest.raises(InstrumentRejected, match="'VSET 100', got event status 16: not possible"),
-    ):
-        HighVoltage(line).raise_to(100, rate_v_per_s=1000)
-
-
-def test_a_check_ends_the_ramp_at_once():
-    def tripped() -> None:
-        raise InstrumentTripped("the supply must stay on, got a trip")
-
-    with Exchanges(("VSET?", "50")) as line, pytest.raises(InstrumentTripped):
-        HighVoltage(line).raise_to(800, rate_v_per_s=1000, check=tripped)
 
 
 RAISED = [("VSET?", "50"), ON, *done("VSET 100"), ("VOUT?", "100"), ("VOUT?", "100"), ON]
@@ -277,11 +246,6 @@ def test_a_trip_not_cleared_at_the_instrument_keeps_it_off():
         with pytest.raises(InstrumentTripped, match="find its cause"):
             supply.switch_on()
         assert not supply.is_on
-
-
-def test_off_follows_the_output_until_it_is_discharged():
-    with Exchanges(*done("HVOF"), ("VOUT?", "300"), ("VOUT?", "30"), ("VOUT?", "9")) as line:
-        assert HighVoltage(line).off() == 9
 
 
 def test_words_where_a_number_belongs_are_confusion():

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.acquisition.plan_check import check_plan, forecast
 from labdata.errors import BadInput
-from labdata.importers.emva1288 import import_emva1288
+from labdata.importers.sessions import import_emva1288
 from labdata.phosphors import load_phosphor
 from labdata.plan import Plan
 from labdata.sensors import load_camera, load_sensor

@@ -26,11 +26,6 @@ def test_volts_lead_to_the_gain_and_back():
         assert TABLE.volts_for(TABLE.gain_at(volts)[0]) == pytest.approx(volts, rel=1e-9)
 
 
-def test_gain_rises_with_voltage():
-    gains = [TABLE.gain_at(volts)[0] for volts in range(600, 901)]
-    assert gains == sorted(set(gains))
-
-
 def test_where_the_power_changes_the_gain_between_points_is_less_certain():
     bent = GainTable(source="x", mcp_v=VOLTS, luminous_gain=(1e3, 1e4, 2e4, 3e4), relative_sd=(0.01,) * 4)
     assert bent.gain_at(700.0)[1] == pytest.approx(0.01)
@@ -41,11 +36,6 @@ def test_where_the_power_changes_the_gain_between_points_is_less_certain():
 def test_outside_the_table_nothing_is_said(volts):
     with pytest.raises(BadInput, match="must lie within the gain table, 600 to 900"):
         TABLE.gain_at(volts)
-
-
-def test_a_gain_that_was_not_calibrated_has_no_voltage():
-    with pytest.raises(BadInput, match="luminous_gain must lie within"):
-        TABLE.volts_for(1e9)
 
 
 @pytest.mark.parametrize("gains", [(1.0, 3.0, 2.0, 4.0), (0.0, 1.0, 2.0, 3.0), (1.0, 1.0, 2.0, 3.0), (1.0, 2.0)])

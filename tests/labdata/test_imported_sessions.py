@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, open_session
-from labdata.importers.emva1288 import import_emva1288
-from labdata.importers.frame_files import import_frames
+from labdata.importers.sessions import import_emva1288, import_frames
 
 DESCRIPTOR = """# a comment
 v 3.0
@@ -154,7 +153,7 @@ def test_loose_files_that_are_missing_or_of_no_known_kind_are_refused(tmp_path):
 
 def test_files_without_frames_and_stacks_of_several_sizes_are_not_imported(tmp_path):
     (tmp_path / "empty.tif").write_bytes(b"")
-    with pytest.raises(BadInput, match=r"got something else in .*empty\.tif"):
+    with pytest.raises(BadInput, match=r"must be whole and readable, got .*empty\.tif"):
         import_frames([tmp_path / "empty.tif"], tmp_path / "S")
     files = frames(tmp_path / "in", "700V_1.npy", "700V_2.npy")
     np.save(files[1], np.zeros((1, 3, 5), np.uint8))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.mtf.session.mtf_budget import MeasuredCurve, fit_mtf_budget
+from charact.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mtf_budget
 from charact.mtf.session.stage_transfers import STAGES, Direction, StageModel
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
@@ -40,11 +40,15 @@ def test_stages_of_specimens_lie_in_their_intervals(seed: int) -> None:
     for number in range(20):
         specimen = draw_true_sensor(described, seed + number)
         curves = [
-            MeasuredCurve(
-                direction=direction,
-                frequency_cy_per_px=FREQUENCY * per_pitch(specimen, direction),
-                value=true_quantities.true_mtf(specimen, FREQUENCY, direction)
-                + 0.004 * rng.standard_normal(FREQUENCY.size),
+            MeasuredCurves(
+                curves=(
+                    MeasuredCurve(
+                        direction=direction,
+                        frequency_cy_per_px=FREQUENCY * per_pitch(specimen, direction),
+                        value=true_quantities.true_mtf(specimen, FREQUENCY, direction)
+                        + 0.004 * rng.standard_normal(FREQUENCY.size),
+                    ),
+                ),
                 covariance=0.004**2 * np.eye(FREQUENCY.size),
             )
             for direction in DIRECTIONS
@@ -56,7 +60,7 @@ def test_stages_of_specimens_lie_in_their_intervals(seed: int) -> None:
         exact = StageModel.of(specimen, interlaced=True, halo=True)
         logs = exact.log_stages(exact.mean[None], np.array([0.2]), "horizontal")[:, 0, 0]
         for stage, value in zip(STAGES, np.exp(logs), strict=True):
-            low, high = np.quantile(found.mtf(stage, np.array([0.2]), "horizontal"), [0.025, 0.975])
+            low, high = np.quantile(found.product((stage,), np.array([0.2]), "horizontal"), [0.025, 0.975])
             if stage not in found.known:
                 held.append(low <= value <= high)
     assert abs(np.mean(held) - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / 20), np.mean(held)

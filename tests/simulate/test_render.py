@@ -7,11 +7,10 @@ import pytest
 
 from labdata.errors import BadInput
 from labdata.target import Target
-from simulate.radiance.bench_renderer import TargetView, outline_cells, render_bench, set_up
 from simulate.radiance.cube import RadianceCube
+from simulate.radiance.lab_target import TargetView, outline_cells, render_bench, set_up, target_mesh
 from simulate.radiance.scene import load_scene
 from simulate.radiance.spectrum import luminous_efficiency, planck
-from simulate.radiance.target_mesh import target_mesh
 
 NM = np.array([500.0, 600.0, 800.0])
 VIEW = TargetView(

@@ -110,10 +110,8 @@ def test_the_device_is_listed_with_what_it_offers() -> None:
     assert {"Gain", "Brightness", DROPPED} <= {one.name for one in controls}
 
 
-def test_every_value_of_a_menu_is_named_and_every_control_set_is_read_back() -> None:
+def test_every_control_set_is_read_back() -> None:
     with vivid() as camera:
-        menu = next(one for one in camera.controls() if one.name == "Test Pattern")
-        assert menu.choices[CHECKERS] == "16x16 Checkers"
         assert camera.set_control("Brightness", 77) == camera.control("Brightness") == 77
         camera.set_control("Brightness", 128)
 

@@ -45,20 +45,10 @@ def compare_extents(
 ) -> tuple[Measurement, ...]:
     """Combine measured diameters with those of the fitted model; differences widen the intervals.
 
-    Parameters
-    ----------
-    best
-        Model fitted to the stacks.
-    group
-        Stacks in the order of the series.
-    extents
-        Measurements of the stacks, including streaks.
-
-    Notes
-    -----
-    A streak belongs to the frame alone: an extent that it distorts stays as measured, and is flagged where the streak
-    may have joined it to a separate rim. Extents that the model contradicts are flagged, and all extents where the
-    differences over the stacks exceed noise.
+    `best`: model fitted to the stacks; `group`: stacks in the order of the series; `extents`: measurements of the
+    stacks, including streaks. A streak belongs to the frame alone: an extent that it distorts stays as measured, and is
+    flagged where the streak may have joined it to a separate rim. Extents that the model contradicts are flagged, and
+    all extents where the differences over the stacks exceed noise.
     """
     problem = best.problem
     light = problem.light_at(best.peak.point[None])[..., 0]

@@ -1,7 +1,7 @@
 """Blur models of a point series: core, halo and the parameters with their priors."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Literal
 
@@ -66,16 +66,9 @@ HALO_FRACTION = ModelParameter(name="halo_fraction", unit="1", low=1e-4, high=0.
 class HaloModel:
     """Blur model of a point source.
 
-    Parameters
-    ----------
-    core, halo
-        Families of core and halo.
-    reach_px
-        Radius of the outermost ring, which limits the halo diameter.
-    pitch_ratio
-        Row pitch over column pitch, for the pixel's aperture.
-    sensor
-        Sensor description, whose tube gives the core's priors; None if unknown.
+    `core`, `halo`: families of core and halo; `reach_px`: radius of the outermost ring, which limits the halo diameter;
+    `pitch_ratio`: row pitch over column pitch, for the pixel's aperture; `sensor`: sensor description, whose tube gives
+    the core's priors; None if unknown.
     """
 
     core: Core
@@ -91,7 +84,7 @@ class HaloModel:
 
     def _core_parameters(self) -> tuple[ModelParameter, ...]:
         if self.core == "tube":
-            return (*_tube_priors(self.sensor), CORE_SD)
+            return (*tube_priors(self.sensor), CORE_SD)
         return CORE_SD, *WINGS.get(self.core, ())
 
     def _halo_parameters(self) -> tuple[ModelParameter, ...]:
@@ -146,30 +139,26 @@ class HaloModel:
         if self.core not in WINGS:
             return blur
         of = self.at(points)
-        share = of["wing_share"][:, None]
         if self.core == "matern":
             wing = transfer.matern(frequencies(), of["wing_sd"], of["wing_peak"])
         else:
             wing = transfer.moffat(frequencies(), of["wing_radius"], of["wing_exponent"])
-        return blur * (1.0 - share) + share * wing
+        return transfer.mix(blur, of["wing_share"], wing)
 
     def halo_factor(self, points: Array) -> Array:
         """Factor of the halo on the core's transfer function, shape (draw, frequency), or 1."""
         halo = self.halo_transform(points)
         if halo is None:
             return np.ones((1, 1))
-        fraction = self.at(points)["halo_fraction"][:, None]
-        return 1.0 - fraction + fraction * halo
+        return transfer.mix(1.0, self.at(points)["halo_fraction"], halo)
 
     def blur_transform(self, points: Array) -> Array:
         """Transfer function of the core without wing and pixel, shape (draw, frequency)."""
         of = self.at(points)
         blur = transfer.gaussian(frequencies(), of["core_sd"] ** 2)
-        return (
-            blur * transfer.tube(frequencies(), of["core_frequency"], of["core_exponent"])
-            if self.core == "tube"
-            else blur
-        )
+        if self.core == "tube":
+            blur = blur * transfer.tube(frequencies(), of["core_frequency"], of["core_exponent"])
+        return blur
 
     def halo_transform(self, points: Array) -> Array | None:
         """Transfer function of the halo alone, shape (draw, frequency); None without a halo."""
@@ -190,15 +179,13 @@ def pixel_of(pitch_ratio: float) -> Array:
     return transfer.pixel(frequencies(), pitch_ratio)
 
 
-def _tube_priors(sensor: Sensor | None) -> tuple[ModelParameter, ModelParameter]:
+def tube_priors(sensor: Sensor | None) -> tuple[ModelParameter, ...]:
+    """Parameters of an image tube's core: as described, or of image tubes in general."""
+    frequency = ModelParameter(name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3)
+    exponent = ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
     if sensor is None:
-        return ModelParameter(
-            name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3
-        ), ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
-    tube = sensor.tube
+        return frequency, exponent
     scale = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
-    cut_off, exponent = float(tube.mtf_frequency_lp_per_mm) * scale, float(tube.mtf_exponent)
-    return (
-        ModelParameter(name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=cut_off, sd=0.15 * cut_off),
-        ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=exponent, sd=0.1),
-    )
+    cut_off = float(sensor.tube.mtf_frequency_lp_per_mm) * scale
+    own = replace(exponent, mean=float(sensor.tube.mtf_exponent), sd=0.1)
+    return replace(frequency, mean=cut_off, sd=0.15 * cut_off), own

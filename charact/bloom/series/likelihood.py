@@ -21,12 +21,8 @@ SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
 class Misfit:
     """Relative model error of the rings, the same in every model, since cameras are not rotationally symmetric.
 
-    Parameters
-    ----------
-    share
-        Relative error of rings beyond the core, dimensionless.
-    core
-        Relative error of rings near the core, at least that of the others, dimensionless.
+    `share`: relative error of rings beyond the core, dimensionless; `core`: relative error of rings near the core, at
+    least that of the others, dimensionless.
     """
 
     share: float
@@ -46,12 +42,7 @@ def about_core(radius_px: Array) -> NDArray[np.bool_]:
 class Modes:
     """Eigenmodes of the relative noise of some rings.
 
-    Parameters
-    ----------
-    variance
-        Variance of each mode, shape (level, mode).
-    modes
-        Shape (level, ring, mode).
+    `variance`: variance of each mode, shape (level, mode); `modes`: shape (level, ring, mode).
     """
 
     variance: Array
@@ -73,10 +64,7 @@ def modes_of(covariance: Array) -> Modes:
 def most_likely_misfit(of_core: Array, beyond: Array) -> tuple[Misfit, float]:
     """Return the most likely relative errors near the core and beyond, and the log-likelihood of both.
 
-    Parameters
-    ----------
-    of_core, beyond
-        Log-likelihoods for each trial error, shape (share,).
+    `of_core`, `beyond`: log-likelihoods for each trial error, shape (share,).
     """
     share = int(np.argmax(beyond))
     # Few rings near the core, to which the core was fitted, would underestimate the error.
@@ -94,26 +82,12 @@ LEAST_LIGHT_DN = 1e-6
 class RingSeries:
     """Ring means of all stacks of one source.
 
-    Parameters
-    ----------
-    labels
-        Labels of the stacks.
-    data
-        Ring means, shape (level, ring), DN.
-    cut
-        Rings with samples at full scale, shape (level, ring).
-    own_covariance
-        Covariance of the ring means due to noise alone, shape (level, ring, ring), DN^2.
-    node_sd
-        Standard deviation of a pixel at every node, shape (level, node), DN.
-    sector_sd
-        Root mean square deviation of sectors from their ring, shape (level, ring), DN.
-    averages
-        Matrix from signal at the nodes to ring means, shape (level, ring, node).
-    node_px, radius_px
-        Radii of the nodes and of the rings, column pitches.
-    full_dn
-        Full scale, DN.
+    `labels`: labels of the stacks; `data`: ring means, shape (level, ring), DN; `cut`: rings with samples at full
+    scale, shape (level, ring); `own_covariance`: covariance of the ring means due to noise alone, shape (level, ring,
+    ring), DN^2; `node_sd`: standard deviation of a pixel at every node, shape (level, node), DN; `sector_sd`: root mean
+    square deviation of sectors from their ring, shape (level, ring), DN; `averages`: matrix from signal at the nodes to
+    ring means, shape (level, ring, node); `node_px`, `radius_px`: radii of the nodes and of the rings, column pitches;
+    `full_dn`: full scale, DN.
     """
 
     labels: tuple[str, ...]
@@ -207,14 +181,9 @@ def _own_covariance(data: Array, frames: int, geometry: Geometry, noise: RingNoi
 class AmplitudeSolution:
     """Optimum amplitudes and residuals of every stack at some points.
 
-    Parameters
-    ----------
-    amplitudes
-        Source signal, DN px^2, and background, DN, of each stack, shape (level, amplitude, point).
-    residual
-        Whitened residuals at the optimum amplitudes, shape (level, ring, point).
-    slopes
-        Derivatives of the whitened rings by the amplitudes, shape (amplitude, level, ring, point).
+    `amplitudes`: source signal, DN px^2, and background, DN, of each stack, shape (level, amplitude, point);
+    `residual`: whitened residuals at the optimum amplitudes, shape (level, ring, point); `slopes`: derivatives of the
+    whitened rings by the amplitudes, shape (amplitude, level, ring, point).
     """
 
     amplitudes: Array
@@ -241,12 +210,8 @@ class AmplitudeSolution:
 class ModelParts:
     """Model of unit signal at some points, before the amplitudes.
 
-    Parameters
-    ----------
-    straight
-        Signal at the nodes of a source of one DN px^2, shape (node, point).
-    white, uncut
-        Its ring means, whitened and weighted by the unclipped rings' precision, shape (level, ring, point).
+    `straight`: signal at the nodes of a source of one DN px^2, shape (node, point); `white`, `uncut`: its ring means,
+    whitened and weighted by the unclipped rings' precision, shape (level, ring, point).
     """
 
     straight: Array
@@ -258,14 +223,8 @@ class ModelParts:
 class SeriesLikelihood:
     """Likelihood of a series under a model.
 
-    Parameters
-    ----------
-    series, form
-        Series and halo model.
-    misfit
-        Relative model error of the rings.
-    steps
-        Maximum number of steps to the optimum amplitudes.
+    `series`, `form`: series and halo model; `misfit`: relative model error of the rings; `steps`: maximum number of
+    steps to the optimum amplitudes.
     """
 
     series: RingSeries

@@ -123,12 +123,8 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
 class SaturatingModelParts(ModelParts):
     """Model parts with a saturating MCP.
 
-    Parameters
-    ----------
-    arriving, loading
-        Signal at the MCP of a source of one DN px^2, and its load relative to that at half gain, shape (node, point).
-    behind
-        Transfer function of the blur after the gain, shape (frequency, point).
+    `arriving`, `loading`: signal at the MCP of a source of one DN px^2, and its load relative to that at half gain,
+    shape (node, point); `behind`: transfer function of the blur after the gain, shape (frequency, point).
     """
 
     arriving: Array

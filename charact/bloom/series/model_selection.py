@@ -26,16 +26,8 @@ WORTHWHILE = 400.0
 class FittedHaloModel:
     """Halo model at its optimum.
 
-    Parameters
-    ----------
-    problem
-        Likelihood of the series under the model, with its relative model error.
-    peak
-        Optimum.
-    log_likelihood
-        Log-likelihood of the rings at the optimum, in DN.
-    bic
-        -2 log L + k ln N.
+    `problem`: likelihood of the series under the model, with its relative model error; `peak`: optimum;
+    `log_likelihood`: log-likelihood of the rings at the optimum, in DN; `bic`: -2 log L + k ln N.
     """
 
     problem: SeriesLikelihood
@@ -62,16 +54,9 @@ def candidates(
 ) -> list[FittedHaloModel]:
     """Fit all models and return them in order of the information criterion.
 
-    Parameters
-    ----------
-    series
-        Ring means of all levels.
-    pitch_ratio, sensor
-        Row pitch over column pitch; sensor description, None if unknown.
-    has_tube
-        Whether the camera has a tube, whose MCP may saturate.
-    first_diameter_px
-        Diameter of the clearest step of the rings; NaN where there is none.
+    `series`: ring means of all levels; `pitch_ratio`, `sensor`: row pitch over column pitch; sensor description, None
+    if unknown; `has_tube`: whether the camera has a tube, whose MCP may saturate; `first_diameter_px`: diameter of the
+    clearest step of the rings; NaN where there is none.
     """
     reach = float(series.radius_px[-1])
 
@@ -213,10 +198,7 @@ def edge_is_tied(best: FittedHaloModel) -> bool:
 def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
     """Diameter and standard error from each stack alone, with common core and profile, and their significance.
 
-    Returns
-    -------
-    diameter_px, sd_px, significance
-        Shape (level,) each; NaN for a stack without visible halo.
+    Returns shape (level,) each; NaN for a stack without visible halo.
     """
     names = best.form.names
     held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction"))

@@ -14,19 +14,9 @@ Places = NDArray[np.intp]
 def ring_means(light: Array, averages: Array, begin: Places, end: Places) -> Array:
     """Average light at the nodes over rings.
 
-    Parameters
-    ----------
-    light
-        Shape (level, node, column); nodes may end early, where light is none.
-    averages
-        Weight of each node in each ring, shape (level, ring, node).
-    begin, end
-        First node that has a part in each ring, and the one behind the last, shape (level, ring).
-
-    Returns
-    -------
-    Array
-        Shape (level, ring, column); rings end where the nodes have no part in them.
+    `light`: shape (level, node, column); nodes may end early, where light is none; `averages`: weight of each node in
+    each ring, shape (level, ring, node); `begin`, `end`: first node that has a part in each ring, and the one behind
+    the last, shape (level, ring). Returns shape (level, ring, column); rings end where the nodes have no part in them.
     """
     levels, nodes, columns = light.shape
     rings = averages.shape[1]
@@ -61,26 +51,11 @@ def residuals_and_slopes(white: Array, even: Array, data: Array, amplitudes: Arr
               ) -> tuple[Array, Array]:  # fmt: skip
     """Return what light leaves of the measured rings, and how that falls with source and background.
 
-    Parameters
-    ----------
-    white
-        Whitened ring means of one DN px^2 of source, shape (level, ring, point).
-    even, data
-        Those of an even light of 1 DN, and those measured, shape (level, ring).
-    amplitudes
-        Source and background of each level, shape (level, 2, point).
-    lost
-        Ring means of the light that is not read and of what it follows the amplitudes by, shape
-        (level, ring, 3, point); rings end where nothing is lost any more.
-    whitener
-        Makes residuals independent and of unit variance, shape (level, ring, ring).
-
-    Returns
-    -------
-    residual
-        Shape (level, ring, point).
-    slopes
-        Shape (amplitude, level, ring, point).
+    `white`: whitened ring means of one DN px^2 of source, shape (level, ring, point); `even`, `data`: those of an even
+    light of 1 DN, and those measured, shape (level, ring); `amplitudes`: source and background of each level, shape
+    (level, 2, point); `lost`: ring means of the light that is not read and of what it follows the amplitudes by, shape
+    (level, ring, 3, point); rings end where nothing is lost any more; `whitener`: makes residuals independent and of
+    unit variance, shape (level, ring, ring). Returns shape (level, ring, point). Shape (amplitude, level, ring, point).
     """
     levels, rings, points = white.shape
     residual, slopes = np.empty((levels, rings, points)), np.empty((2, levels, rings, points))
@@ -104,23 +79,10 @@ def residuals_and_slopes(white: Array, even: Array, data: Array, amplitudes: Arr
 def lost_at_top(straight: Array, amplitudes: Array, sd: Array, full: float, near: float) -> Array:
     """Light that codes cut at the top do not show, and how it follows source and background.
 
-    Parameters
-    ----------
-    straight
-        Light at the nodes of one DN px^2 of source, shape (node, point).
-    amplitudes
-        Source and background of each level, shape (level, 2, point).
-    sd
-        Standard deviation of a pixel, shape (level, node), DN.
-    full
-        Highest code, DN.
-    near
-        Standard deviations below the highest code within which codes are cut.
-
-    Returns
-    -------
-    Array
-        Shape (level, node, 3, point); nodes end where nothing is lost any more.
+    `straight`: light at the nodes of one DN px^2 of source, shape (node, point); `amplitudes`: source and background of
+    each level, shape (level, 2, point); `sd`: standard deviation of a pixel, shape (level, node), DN; `full`: highest
+    code, DN; `near`: standard deviations below the highest code within which codes are cut. Returns shape (level, node,
+    3, point); nodes end where nothing is lost any more.
     """
     levels, _, points = amplitudes.shape
     out = np.zeros((levels, _last_cut(straight, amplitudes, sd, full, near), 3, points))
@@ -160,17 +122,8 @@ def _last_cut(straight: Array, amplitudes: Array, sd: Array, full: float, near: 
 def best_step(source: Array, even: Array, residual: Array) -> tuple[Array, float]:
     """Step of source and background that whitened rings ask for by least squares.
 
-    Parameters
-    ----------
-    source, even, residual
-        Slopes of the rings and what is left of them, shape (level, ring, point).
-
-    Returns
-    -------
-    step
-        Shape (level, 2, point).
-    promise
-        Most that it promises of any level's chi squared.
+    `source`, `even`, `residual`: slopes of the rings and what is left of them, shape (level, ring, point). Returns
+    shape (level, 2, point). Most that it promises of any level's chi squared.
     """
     levels, rings, points = residual.shape
     step, promise = np.empty((levels, 2, points)), -np.inf

@@ -33,23 +33,10 @@ def refine_centre(
 ) -> tuple[float, float]:
     """Refine a source position so that the residuals of all images are symmetric.
 
-    Parameters
-    ----------
-    images
-        Mean frame of every stack, shape (row, col) each, DN.
-    row, col
-        Approximate position of the source, px.
-    pitch_ratio
-        Row pitch over column pitch.
-    full_dn
-        Full scale, DN; clipped rings are excluded.
-    spoiled
-        Pixels of each image to exclude.
-
-    Notes
-    -----
-    A position error d leaves the residual -L'(r) (d . e_r) of the signal L; the steepest rings, next to the clipped
-    core, determine d best. Gauss-Newton, with pixel weights for photon noise.
+    `images`: mean frame of every stack, shape (row, col) each, DN; `row`, `col`: approximate position of the source,
+    px; `pitch_ratio`: row pitch over column pitch; `full_dn`: full scale, DN; clipped rings are excluded; `spoiled`:
+    pixels of each image to exclude. A position error d leaves the residual -L'(r) (d . e_r) of the signal L; the
+    steepest rings, next to the clipped core, determine d best. Gauss-Newton, with pixel weights for photon noise.
     """
     first = row, col
     for _ in range(3):
@@ -113,10 +100,7 @@ def build_ring_series(
 ) -> tuple[RingSeries, tuple[PointStack, ...]] | str:
     """Average the stacks of one source position over rings around it.
 
-    Returns
-    -------
-    tuple or str
-        Series with its stacks at their common position; or a refusal reason.
+    Returns series with its stacks at their common position; or a refusal reason.
     """
     group = one_place(spots)
     clearest = max(group, key=lambda one: one.significance)

@@ -21,24 +21,11 @@ SECTORS = 16
 class Geometry:
     """Pixels of the rings around a position, and the radial nodes averaged over them.
 
-    Parameters
-    ----------
-    rows, cols
-        Slices of the frame that contain all rings.
-    order
-        Pixels of that window, ring by ring, flat indices.
-    first
-        First index of each ring in `order`, shape (ring,).
-    radius_px
-        Mean radius of each ring, column pitches, shape (ring,).
-    count
-        Pixels of each ring, shape (ring,).
-    lost
-        Rings with mostly excluded pixels: they retain them and are not used, shape (ring,).
-    node_px
-        Radii of the nodes, column pitches, shape (node,).
-    pixel_radius_px, pixel_angle
-        Radius, column pitches, and angle, radians, of each pixel of `order`.
+    `rows`, `cols`: slices of the frame that contain all rings; `order`: pixels of that window, ring by ring, flat
+    indices; `first`: first index of each ring in `order`, shape (ring,); `radius_px`: mean radius of each ring, column
+    pitches, shape (ring,); `count`: pixels of each ring, shape (ring,); `lost`: rings with mostly excluded pixels: they
+    retain them and are not used, shape (ring,); `node_px`: radii of the nodes, column pitches, shape (node,);
+    `pixel_radius_px`, `pixel_angle`: radius, column pitches, and angle, radians, of each pixel of `order`.
     """
 
     rows: slice
@@ -108,18 +95,9 @@ def geometry_of(
 ) -> Geometry:
     """Return rings of one column pitch around a position.
 
-    Parameters
-    ----------
-    shape
-        Of the frame.
-    row, col
-        Centre, px.
-    pitch_ratio
-        Row pitch over column pitch.
-    spoiled
-        Pixels to exclude, shape of the frame.
-    reach_px
-        Requested outermost ring; rings end where less than 34 % of one lies inside the frame.
+    `shape`: of the frame; `row`, `col`: centre, px; `pitch_ratio`: row pitch over column pitch; `spoiled`: pixels to
+    exclude, shape of the frame; `reach_px`: requested outermost ring; rings end where less than 34 % of one lies inside
+    the frame.
     """
     up = int(np.ceil(reach_px / pitch_ratio))
     rows = slice(max(0, int(row) - up), min(shape[0], int(row) + up + 2))
@@ -192,24 +170,11 @@ ADJACENT_RINGS = 2
 class LevelRings:
     """Ring means of one stack.
 
-    Parameters
-    ----------
-    label
-        Label of the stack.
-    geometry
-        Its rings.
-    mean_dn
-        Ring means over all frames, clipped values included, shape (ring,), DN.
-    cut_share
-        Fraction of each ring's samples at full scale, shape (ring,).
-    pixel_variance
-        Temporal variance of single pixels, averaged over the ring, shape (ring,), DN^2.
-    scatter
-        Ring means of single frames less their mean; for a single frame those of sectors, scaled to complete rings.
-    frames
-        Number of frames.
-    sector_sd
-        Root mean square deviation of sectors from their ring, shape (ring,), DN.
+    `label`: label of the stack; `geometry`: its rings; `mean_dn`: ring means over all frames, clipped values included,
+    shape (ring,), DN; `cut_share`: fraction of each ring's samples at full scale, shape (ring,); `pixel_variance`:
+    temporal variance of single pixels, averaged over the ring, shape (ring,), DN^2; `scatter`: ring means of single
+    frames less their mean; for a single frame those of sectors, scaled to complete rings; `frames`: number of frames;
+    `sector_sd`: root mean square deviation of sectors from their ring, shape (ring,), DN.
     """
 
     label: str
@@ -263,18 +228,9 @@ def _along(geometry: Geometry, mean: Array) -> Array:
 class RingNoise:
     """Noise of a series, estimated from its frames.
 
-    Parameters
-    ----------
-    floor_dn2, slope_dn
-        Variance of a pixel, floor + slope x (signal - dark).
-    dark_dn
-        Black level, DN.
-    sharing
-        Variance of a ring's mean over that of independent pixels, shape (ring,).
-    correlation
-        Correlation of ring means by distance 0, 1, 2, .., shape (lag,).
-    fewer
-        Frames per independent frame.
+    `floor_dn2`, `slope_dn`: variance of a pixel, floor + slope x (signal - dark); `dark_dn`: black level, DN;
+    `sharing`: variance of a ring's mean over that of independent pixels, shape (ring,); `correlation`: correlation of
+    ring means by distance 0, 1, 2, .., shape (lag,); `fewer`: frames per independent frame.
     """
 
     floor_dn2: float

@@ -28,18 +28,9 @@ def find_leak(
 ) -> list[Finding]:
     """Return a finding where the background near the source rises faster with its signal than far from it.
 
-    Parameters
-    ----------
-    group
-        Stacks of one source.
-    light
-        Source signal of each stack, DN px^2, shape (level,).
-    reach_px
-        Radius of the fitted background around the source, column pitches.
-    area_px2
-        Area of the frame, column pitches squared.
-    near
-        Uniformly spread light over the source signal from that background, and its standard error.
+    `group`: stacks of one source; `light`: source signal of each stack, DN px^2, shape (level,); `reach_px`: radius of
+    the fitted background around the source, column pitches; `area_px2`: area of the frame, column pitches squared;
+    `near`: uniformly spread light over the source signal from that background, and its standard error.
     """
     seen = [_far(one, reach_px) for one in group]
     if any(one is None for one in seen):
@@ -81,12 +72,8 @@ STEP_PX = 0.1
 class HaloHeights:
     """Plateau and rim of a halo, one number for each draw.
 
-    Parameters
-    ----------
-    plateau
-        Mean light between 0.3 and 0.7 of its radius over the source's total light, 1/px^2.
-    rim
-        Maximum light of the rim, blurred by the core without its wing, over the plateau, dimensionless.
+    `plateau`: mean light between 0.3 and 0.7 of its radius over the source's total light, 1/px^2; `rim`: maximum light
+    of the rim, blurred by the core without its wing, over the plateau, dimensionless.
     """
 
     plateau: Array
@@ -131,19 +118,9 @@ def energy_radii(form: HaloModel, points: Array, shares: tuple[float, ...], reac
 def glare(light: Array, background_dn: Array, sd_dn: Array, area_px2: float) -> tuple[float, float] | None:
     """Ratio of uniformly spread light to the source's signal, and its standard error.
 
-    Parameters
-    ----------
-    light
-        Source signal of each stack, DN px^2, shape (level,).
-    background_dn, sd_dn
-        Background of each stack and its standard error, shape (level,).
-    area_px2
-        Area of the frame, column pitches squared.
-
-    Returns
-    -------
-    tuple or None
-        Ratio and standard error, widened by excess scatter of the stacks; None with fewer than three stacks.
+    `light`: source signal of each stack, DN px^2, shape (level,); `background_dn`, `sd_dn`: background of each stack
+    and its standard error, shape (level,); `area_px2`: area of the frame, column pitches squared. Returns ratio and
+    standard error, widened by excess scatter of the stacks; None with fewer than three stacks.
     """
     if len(light) < 3:
         return None

@@ -16,40 +16,20 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Amplitudes:
-    """Light and fundamental of a target.
+    """Light and fundamental of a target."""
 
-    Parameters
-    ----------
-    light
-        Sum of the window's pixels above the pedestal, or below it for dark bars, DN.
-    fundamental
-        Fourier sum at the bar frequency in the phase of the bars, DN.
-    covariance
-        Covariance of (light, fundamental), DN2, shape (2, 2).
-    freedom
-        Degrees of freedom of the covariance.
-    phase_rad
-        Phase of the fundamental.
-    zeros
-        Largest modulus at the two zeros adjacent to the fundamental, over the fundamental.
-    flank
-        Modulus half way to the lower zero, over that expected from the fundamental; more bars give less.
-    fields_apart_px, fields_apart_sd_px
-        Displacement of the bars in odd rows from those in even rows, and its standard uncertainty, px across the bars.
-    frame_correlation
-        Variance factor of the mean by image lag.
-    """
-
-    light: float
-    fundamental: float
-    covariance: Array
-    freedom: float
-    phase_rad: float
-    zeros: float
-    flank: float
+    light: float  # Sum of the window's pixels above the pedestal, or below it for dark bars, DN
+    fundamental: float  # Fourier sum at the bar frequency in the phase of the bars, DN
+    covariance: Array  # Covariance of (light, fundamental), DN2, shape (2, 2)
+    freedom: float  # Degrees of freedom of the covariance
+    phase_rad: float  # Phase of the fundamental
+    zeros: float  # Largest modulus at the two zeros adjacent to the fundamental, over the fundamental
+    flank: float  # Modulus half way to the lower zero, over that expected from the fundamental; more bars give less
+    # fields_apart_px, fields_apart_sd_px: displacement of the bars in odd rows from those in even rows, and its
+    # standard uncertainty, px across the bars
     fields_apart_px: float
     fields_apart_sd_px: float
-    frame_correlation: float
+    frame_correlation: float  # Variance factor of the mean by image lag
 
     @property
     def signal_to_noise(self) -> float:
@@ -66,10 +46,7 @@ def amplitudes_of(
 ) -> Amplitudes:
     """Return the sums over frames (frame, row, col) of a target above the mean of the pixels beyond the window.
 
-    Parameters
-    ----------
-    memory
-        Image lag of the described phosphor; None: estimated from the frames.
+    `memory`: image lag of the described phosphor; None: estimated from the frames.
 
     Notes
     -----
@@ -200,18 +177,10 @@ def _slab_covariance(
 
 @dataclass(frozen=True, kw_only=True)
 class TargetBackground:
-    """Pixels that show a target's pedestal.
+    """Pixels that show a target's pedestal."""
 
-    Parameters
-    ----------
-    beyond
-        Pixels beyond the window without other light, shape (row, col).
-    crowded
-        Whether the blur of other light reaches into the window.
-    """
-
-    beyond: Mask
-    crowded: bool
+    beyond: Mask  # Pixels beyond the window without other light, shape (row, col)
+    crowded: bool  # Whether the blur of other light reaches into the window
 
 
 def target_background(mean: Array, target: BarTarget, margin_px: float) -> TargetBackground:

@@ -34,38 +34,19 @@ BOUNDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class BarShape:
-    """Shape parameters of an image of bars, without position.
+    """Shape parameters of an image of bars, without position."""
 
-    Parameters
-    ----------
-    bars
-        Number N.
-    frequency
-        Cycles per pixel across the bars, f = 1/P.
-    length_px
-        Length of the bars; infinite: they cross the complete region.
-    reference
-        Frequency at which the MTF is reported, cycles per pixel.
-    log_attenuation
-        ln(-ln c), c the core's transfer at the reference frequency, before the pixel.
-    form, form_one, form_two
-        Blur model, and its two parameters.
-    departure
-        Relative departure of the transfer from the blur model around the bar frequency.
-    angle_rad
-        Direction across the bars, for the pixel's aperture.
-    """
-
-    bars: int
-    frequency: float
-    length_px: float
-    reference: float
-    log_attenuation: float
+    bars: int  # Number N
+    frequency: float  # Cycles per pixel across the bars, f = 1/P
+    length_px: float  # Length of the bars; infinite: they cross the complete region
+    reference: float  # Frequency at which the MTF is reported, cycles per pixel
+    log_attenuation: float  # ln(-ln c), c the core's transfer at the reference frequency, before the pixel
+    # form, form_one, form_two: blur model, and its two parameters
     form: BarBlurModel
     form_one: float
     form_two: float
-    departure: float
-    angle_rad: float
+    departure: float  # Relative departure of the transfer from the blur model around the bar frequency
+    angle_rad: float  # Direction across the bars, for the pixel's aperture
 
     @property
     def pixel(self) -> float:
@@ -80,21 +61,12 @@ class BarShape:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """One quadrant of an image, which is even in both coordinates of the bars, tabulated.
+    """One quadrant of an image, which is even in both coordinates of the bars, tabulated."""
 
-    Parameters
-    ----------
-    step_across_px
-        Step across the bars, px.
-    along_px
-        Distance along the bars of each row, px; one row: the image does not vary along them.
-    values
-        Image, 1 on a wide bar, and its derivatives by log attenuation, both model parameters, departure, ln(frequency)
-        and ln(length), shape (7, along, across).
-    """
-
-    step_across_px: float
-    along_px: Array
+    step_across_px: float  # Step across the bars, px
+    along_px: Array  # Distance along the bars of each row, px; one row: the image does not vary along them
+    # Image, 1 on a wide bar, and its derivatives by log attenuation, both model parameters, departure,
+    # ln(frequency) and ln(length), shape (7, along, across)
     values: Array
 
     def at(self, across: Array, along: Array) -> Array:

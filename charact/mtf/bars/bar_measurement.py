@@ -47,26 +47,16 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class BarMeasurement:
-    """A measured bar target.
+    """A measured bar target."""
 
-    Parameters
-    ----------
-    target
-        Position of the bars.
-    posterior, mtf
-        Draws, and the MTF of each.
-    findings, notes
-        Findings, and notes.
-    margin_px
-        Margin of the window around the bars.
-    """
-
-    target: BarTarget
+    target: BarTarget  # Position of the bars
+    # posterior, mtf: draws, and the MTF of each
     posterior: Posterior
     mtf: Array
+    # findings, notes: findings, and notes
     findings: tuple[Finding, ...]
     notes: tuple[str, ...]
-    margin_px: float
+    margin_px: float  # Margin of the window around the bars
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.bars.thresholds import ACCURACY
+from charact.posterior.least_squares import Linearisation, least_squares, linearise_residual
 
 Array = NDArray[np.float64]
 
@@ -25,27 +26,15 @@ NONE: Normal = (0.0, 1e-3)
 
 @dataclass(frozen=True)
 class BarBlurModel:
-    """Blur model with the priors of its two parameters.
+    """Blur model with the priors of its two parameters."""
 
-    Parameters
-    ----------
-    name
-        Printed name.
-    one, two
-        Priors, mean and standard deviation.
-    bounds
-        Bounds of both.
-    start
-        Starting values of both.
-    ln
-        From ln(r/f), attenuation A = -ln c at f and both parameters to ln transfer.
-    """
-
-    name: str
+    name: str  # Printed name
+    # one, two: priors, mean and standard deviation
     one: Normal
     two: Normal
-    bounds: tuple[Bounds, Bounds]
-    start: tuple[float, float]
+    bounds: tuple[Bounds, Bounds]  # Bounds of both
+    start: tuple[float, float]  # Starting values of both
+    # From ln(r/f), attenuation A = -ln c at f and both parameters to ln transfer
     ln: Callable[[Array, float, float, float], Array]
 
     def slopes(self, ln_ratio: Array, attenuation: float, one: float, two: float) -> Array:
@@ -81,28 +70,21 @@ class BarBlurModel:
     def nearest(self, ln_ratio: Array, transfer: Array, attenuation: float) -> tuple[float, Array]:
         """Return scale and parameters (ln A, one, two) that approximate a transfer at ln(r/f), shape (point,).
 
-        Damped least squares; one prior standard deviation costs as much as an error of 0.001 in the transfer.
+        One prior standard deviation costs as much as an error of 0.001 in the transfer.
         """
-        prior = np.array([self.one, self.two])
-        bounds = np.array([(-9.0, 2.3), *self.bounds])
-        theta, damping = np.array([np.log(attenuation), *self.start]), 1e-3
-        best, least = (1.0, theta), np.inf
-        for _ in range(ACCURACY.matching_steps):
+        mean, sd = np.array([(0.0, np.inf), self.one, self.two, (0.0, np.inf)]).T
+
+        def linearise(theta: Array) -> Linearisation:
             table = self._table(ln_ratio, float(np.exp(theta[0])), theta[1], theta[2])
             own = np.exp(table[0])
             scale = float(own @ transfer) / float(own @ own)
-            slopes = np.vstack([own, scale * own * table[1:]])
-            left = transfer - scale * own
-            pull = np.array([0.0, 0.0, *((prior[:, 0] - theta[1:]) / prior[:, 1] ** 2)]) * 1e-6
-            cost = float(left @ left) + 1e-6 * float(np.sum(((theta[1:] - prior[:, 0]) / prior[:, 1]) ** 2))
-            if cost < least:
-                best, least, damping = (scale, theta), cost, 0.3 * damping
-            else:
-                damping *= 10.0
-            normal = slopes @ slopes.T + np.diag([0.0, 0.0, *(1e-6 / prior[:, 1] ** 2)])
-            normal += damping * np.diag(np.diag(normal)) + 1e-12 * np.eye(4)
-            theta = np.clip(best[1] + np.linalg.solve(normal, slopes @ left + pull)[1:], bounds[:, 0], bounds[:, 1])
-        return best
+            jacobian = np.vstack([scale * own * table[1:], own])
+            off = mean - np.append(theta, 0.0)
+            return linearise_residual(1e3 * (transfer - scale * own), 1e3 * jacobian, off, sd**-2.0, scale)
+
+        start, bounds = [np.log(attenuation), *self.start], [(-9.0, 2.3), *self.bounds]
+        found = least_squares(linearise, start, bounds, iterations=ACCURACY.matching_steps)
+        return found.at.model, found.point
 
 
 def _one_scale_model(attenuation_of: Callable[[Array], Array]) -> Callable[[Array, float], Array]:

@@ -1,6 +1,7 @@
 """Contrast methods for bar targets: contrast of the mean profile, Coltman's first term."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.bars.detection import LocatedBars, target_in
-from charact.mtf.bars.target import BarTarget, fitting_margin
+from charact.mtf.bars.target import fitting_margin
 from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.mean_frame import Region
 from charact.mtf.quantisation_checks import clipping_flags
@@ -21,29 +22,27 @@ Array = NDArray[np.float64]
 CONTRAST, COLTMAN = "bars-contrast", "bars-coltman"
 
 
-@register(
-    "bars",
-    CONTRAST,
-    quantities=("mtf",),
-    scope=(
-        "For comparison with visual readings, always suspect: up to a fifth low below a third of the cut-off by "
-        "harmonics, low near it by the outer bars; normalised to the light of the bars, not to all light."
-    ),
-)
-def bars_contrast(
+def measure_contrast(
     stack: FrameStack,
     *,
+    method: str,
+    read: Callable[[Array, LocatedBars], tuple[float, float] | None],
+    min_sd: float,
+    reason: str,
+    note: str,
     region: Region | None = None,
     bars: int | None = None,
     frequency_cy_per_px: float | None = None,
     context: Context,
 ) -> Result:
-    """Measure pi/4 (max - min)/(max + min) above the pedestal from the profile across the bars.
+    """Measure pi/4 of the contrast of one group of bars, by the difference of bars and gaps in the mean frame.
 
     Parameters
     ----------
     stack, region, bars, frequency_cy_per_px, context
         As for "bars-forward".
+    method, read, min_sd, reason, note
+        Name, value and standard uncertainty of a mean frame with bright bars, required significance, and words.
 
     Returns
     -------
@@ -56,67 +55,96 @@ def bars_contrast(
     the cut-off.
     """
     used = stack if region is None else stack.region(*region)
-    return _measure(
-        CONTRAST, used, lambda mean, seen: _profile_contrast(mean, seen.target), LIMITS.min_contrast_sd,
-        reason="no target: no significant bar contrast; state --bars and --frequency",
-        note="Contrast reading, for comparison only.", full_scale_dn=context.full_scale_dn,
-        region=region or (0, 0, *used.shape[1:]), bars=bars, frequency=frequency_cy_per_px, context=context,
-    )  # fmt: skip
-
-
-def _measure(
-    method: str,
-    used: FrameStack,
-    read: Callable[[Array, LocatedBars], tuple[float, float] | None],
-    min_sd: float,
-    *,
-    reason: str,
-    note: str,
-    full_scale_dn: float | None,
-    region: Region,
-    bars: int | None,
-    frequency: float | None,
-    context: Context,
-) -> Result:
-    """Return the measurement of a reading, value and standard uncertainty, of the mean frame with bright bars."""
-    provenance = Provenance(version=charact.__version__, seed=context.seed, settings={"bars": bars})
-    common: dict[str, Any] = {"method": method, "region": region, "provenance": provenance}
+    common: dict[str, Any] = {
+        "method": method,
+        "region": region or (0, 0, *used.shape[1:]),
+        "provenance": Provenance(version=charact.__version__, seed=context.seed, settings={"bars": bars}),
+    }
     mean = used.data.mean(axis=0, dtype=np.float64)
-    seen = target_in(mean, bars=bars, frequency=frequency, pitch_ratio=context.pitch_ratio)
+    seen = target_in(mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio)
     found = None if seen is None else read(seen.target.sign * mean, seen)
     if seen is None or found is None or not found[0] > min_sd * found[1]:
-        one = make_refusal("mtf", "1", reason, flags=("no-target",), frequency_cy_per_px=frequency, **common)
+        one = make_refusal("mtf", "1", reason, flags=("no-target",), frequency_cy_per_px=frequency_cy_per_px, **common)
         return Result(measurements=(one,))
-    target = seen.target
-    near = target.box((mean.shape[0], mean.shape[1]), 1.0)
+    target, full_scale_dn = seen.target, context.full_scale_dn or used.full_scale_dn
+    clipped = clipping_flags(used.data[:, target.box(mean.shape, 1.0)], full_scale_dn)
     one = measurement_from_sd(
-        "mtf", "1", *found, flags=("model-misfit", *clipping_flags(used.data[:, near], full_scale_dn)), notes=(note,),
-        frequency_cy_per_px=target.frequency, orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, **common,
+        "mtf", "1", *found, flags=("model-misfit", *clipped), notes=(note,), frequency_cy_per_px=target.frequency,
+        orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, **common,
     )  # fmt: skip
     return Result(measurements=(one,))
 
 
-def _profile_contrast(mean: Array, target: BarTarget) -> tuple[float, float] | None:
-    """Return contrast and standard uncertainty from the pixels at the centres of bars and gaps."""
-    across, along = target.coordinates(mean.shape)
-    margin, _ = fitting_margin(target, (mean.shape[0], mean.shape[1]), 1.5 / target.frequency)
-    pedestal = float(np.median(mean[~target.box(mean.shape, margin)]))
-    inner = np.abs(along) < 0.3 * target.length_px
-    phase = (across * target.frequency + (target.bars - 1) / 2.0) % 1.0
-    within = inner & (np.abs(across) < (target.bars - 1) / 2.0 / target.frequency + 0.1 / target.frequency)
+def _bars_and_gaps(
+    mean: Array, seen: LocatedBars, periods: float, *, inner: NDArray[np.bool_], ahead: float = 0.0
+) -> tuple[Array, Array]:
+    """Return the pixels within some periods of the centres of bars and of gaps; `ahead` is their phase, periods."""
+    target = seen.target
+    across, _ = target.coordinates(mean.shape)
+    phase = (across * target.frequency + ahead + (target.bars - 1) / 2.0) % 1.0
     near = np.minimum(phase, 1.0 - phase)
-    on, between = mean[within & (near < 0.12)], mean[within & (near > 0.38)]
+    within = inner & (np.abs(across) < ((target.bars - 1) / 2.0 + periods) / target.frequency)
+    return mean[within & (near < periods)], mean[within & (near > 0.5 - periods)]
+
+
+def _profile_contrast(mean: Array, seen: LocatedBars) -> tuple[float, float] | None:
+    """Return pi/4 (max - min)/(max + min) above the pedestal and its standard uncertainty."""
+    target = seen.target
+    margin, _ = fitting_margin(target, mean.shape, 1.5 / target.frequency)
+    pedestal = float(np.median(mean[~target.box(mean.shape, margin)]))
+    inner = np.abs(target.coordinates(mean.shape)[1]) < ACCURACY.inner_length * target.length_px
+    on, between = _bars_and_gaps(mean, seen, 2.0 * ACCURACY.extremum_periods, inner=inner)
     if min(on.size, between.size) < 3:
         return None
     high, low = on.mean() - pedestal, between.mean() - pedestal
     if not high + low > 0:
         return None
-    value = np.pi / 4.0 * (high - low) / (high + low)
-    error = np.hypot(on.std() / np.sqrt(on.size / 3.0), between.std() / np.sqrt(between.size / 3.0))
-    return float(value), float(np.pi / 4.0 * error / (high + low))
+    error = np.sqrt(3.0) * np.hypot(on.std() / np.sqrt(on.size), between.std() / np.sqrt(between.size))
+    return float(np.pi / 4.0 * (high - low) / (high + low)), float(np.pi / 4.0 * error / (high + low))
 
 
-@register(
+def _modulation(mean: Array, seen: LocatedBars) -> tuple[float, float] | None:
+    """Return pi/4 (max - min)/step and its standard uncertainty, the step that of a large area.
+
+    The step is the light of the target over the area of its bars, N w per unit length.
+    """
+    target, through = seen.target, seen.through
+    across, along = target.coordinates(mean.shape)
+    inner = np.ones(mean.shape, bool) if through else np.abs(along) < ACCURACY.inner_length * target.length_px
+    margin = 1.5 / target.frequency
+    reach = target.width_px / 2.0 + (min(12.0, margin) if through else fitting_margin(target, mean.shape, margin)[0])
+    background, patch = inner & (np.abs(across) > reach - 1.0), inner & (np.abs(across) < reach)
+    wave = np.exp(-2j * np.pi * target.frequency * across[patch])
+    fundamental = np.sum((mean[patch] - mean[background].mean()) * wave)
+    ahead = float(np.angle(fundamental * np.exp(1j * np.pi * (target.bars - 1)))) / (2.0 * np.pi)
+    on, between = _bars_and_gaps(mean, seen, ACCURACY.extremum_periods, inner=inner, ahead=ahead)
+    if min(on.size, between.size) < 3 or np.count_nonzero(background) < 3:
+        return None
+    light = float((mean[patch] - mean[background].mean()).mean()) * 2.0 * reach
+    step = light / (target.bars * 0.5 / target.frequency)
+    if not step > 0:
+        return None
+    # The mean of a fundamental over pixels near its extrema is lower than the extremum by a known factor.
+    value = np.pi / 4.0 * (on.mean() - between.mean()) / step / np.sinc(2.0 * ACCURACY.extremum_periods)
+    error = np.pi / 4.0 * np.hypot(on.std() / np.sqrt(on.size), between.std() / np.sqrt(between.size)) / step
+    return float(value), float(error)
+
+
+bars_contrast = register(
+    "bars",
+    CONTRAST,
+    quantities=("mtf",),
+    scope=(
+        "For comparison with visual readings, always suspect: up to a fifth low below a third of the cut-off by "
+        "harmonics, low near it by the outer bars; normalised to the light of the bars, not to all light."
+    ),
+)(partial(
+    measure_contrast, method=CONTRAST, read=_profile_contrast, min_sd=LIMITS.min_contrast_sd,
+    reason="no target: no significant bar contrast; state --bars and --frequency",
+    note="Contrast reading, for comparison only.",
+))  # fmt: skip
+
+bars_coltman = register(
     "bars",
     COLTMAN,
     quantities=("mtf",),
@@ -126,70 +154,8 @@ def _profile_contrast(mean: Array, target: BarTarget) -> tuple[float, float] | N
         "several percent for tubes (n near 1.1); high where the noise approaches the modulation; phase-dependent "
         "for untilted bars above half the sampling limit."
     ),
-)
-def bars_coltman(
-    stack: FrameStack,
-    *,
-    region: Region | None = None,
-    bars: int | None = None,
-    frequency_cy_per_px: float | None = None,
-    context: Context,
-) -> Result:
-    """Measure (pi/4)(max - min)/step at the inner bars of one group, the step being that of a large area.
-
-    Parameters
-    ----------
-    stack, region, bars, frequency_cy_per_px, context
-        As for "bars-forward".
-
-    Returns
-    -------
-    Result
-        `mtf` at the bar frequency, always suspect.
-
-    Notes
-    -----
-    Coltman, J. Opt. Soc. Am. 44, 468 (1954). The step of a large area is the light of the target over the area of its
-    bars, N w per unit length.
-    """
-    used = stack if region is None else stack.region(*region)
-    return _measure(
-        COLTMAN, used, _modulation, LIMITS.min_modulation_sd,
-        reason="no target: no significant bar modulation; state --bars and --frequency",
-        note="First term of Coltman's series, for comparison only.",
-        full_scale_dn=context.full_scale_dn or used.full_scale_dn,
-        region=region or (0, 0, *used.shape[1:]), bars=bars, frequency=frequency_cy_per_px, context=context,
-    )  # fmt: skip
-
-
-def _modulation(mean: Array, seen: LocatedBars) -> tuple[float, float] | None:
-    """Return modulation and standard uncertainty, for bars that are bright."""
-    target, through = seen.target, seen.through
-    bars, frequency = target.bars, target.frequency
-    across, along = target.coordinates((mean.shape[0], mean.shape[1]))
-    inner = np.ones(mean.shape, bool) if through else np.abs(along) < ACCURACY.inner_length * target.length_px
-    reach = target.width_px / 2.0 + min(12.0, 1.5 / frequency)
-    if not through:
-        reach = target.width_px / 2.0 + fitting_margin(target, (mean.shape[0], mean.shape[1]), 1.5 / frequency)[0]
-    background = inner & (np.abs(across) > reach - 1.0)
-    patch = inner & (np.abs(across) < reach)
-    fundamental = np.sum((mean[patch] - mean[background].mean()) * np.exp(-2j * np.pi * frequency * across[patch]))
-    ahead = float(np.angle(fundamental * np.exp(1j * np.pi * (bars - 1)))) / (2.0 * np.pi)
-    phase = (across * frequency + ahead + (bars - 1) / 2.0) % 1.0
-    near = np.minimum(phase, 1.0 - phase)
-    within = inner & (np.abs(across) < ((bars - 1) / 2.0 + ACCURACY.extremum_periods) / frequency)
-    on, between = (
-        mean[within & (near < ACCURACY.extremum_periods)],
-        mean[within & (near > 0.5 - ACCURACY.extremum_periods)],
-    )
-    if min(on.size, between.size) < 3 or np.count_nonzero(background) < 3:
-        return None
-    pedestal = float(mean[background].mean())
-    light = float((mean[patch] - pedestal).mean()) * 2.0 * reach
-    step = light / (bars * 0.5 / frequency)
-    if not step > 0:
-        return None
-    # The mean of a fundamental over pixels near its extrema is lower than the extremum by a known factor.
-    value = np.pi / 4.0 * (on.mean() - between.mean()) / step / np.sinc(2.0 * ACCURACY.extremum_periods)
-    error = np.pi / 4.0 * np.hypot(on.std() / np.sqrt(on.size), between.std() / np.sqrt(between.size)) / step
-    return float(value), float(error)
+)(partial(
+    measure_contrast, method=COLTMAN, read=_modulation, min_sd=LIMITS.min_modulation_sd,
+    reason="no target: no significant bar modulation; state --bars and --frequency",
+    note="First term of Coltman's series, for comparison only.",
+))  # fmt: skip

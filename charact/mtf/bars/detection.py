@@ -41,10 +41,7 @@ def spans_region(image: Array, *, bars: int, frequency: float) -> bool:
 def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> BarTarget | None:
     """Return the target that crosses a region along either axis, or None.
 
-    Parameters
-    ----------
-    image
-        Mean frame, shape (row, col).
+    `image`: mean frame, shape (row, col).
 
     Notes
     -----
@@ -121,12 +118,7 @@ class LocatedBars:
 def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> LocatedBars | None:
     """Return the bars in a region; None where there are none.
 
-    Parameters
-    ----------
-    image
-        Mean frame, shape (row, col).
-    bars, frequency
-        Their number and cycles per column pitch, where stated.
+    `image`: mean frame, shape (row, col); `bars`, `frequency`: their number and cycles per column pitch, where stated.
 
     Notes
     -----
@@ -257,12 +249,8 @@ def _count_bars(image: Array, patch: Mask, wave: BarTarget, bars: int | None) ->
 def _match_profile(place: Array, value: Array, bars: int, peak: float) -> tuple[float, int, float, float, int]:
     """Return the explained fraction of a profile, and number, frequency, centre and sign of the bars.
 
-    Parameters
-    ----------
-    place
-        Positions across the bars in periods of the wave, shape (point,).
-    peak
-        Position of a maximum of the wave, periods: centre of a bar or a gap.
+    `place`: positions across the bars in periods of the wave, shape (point,); `peak`: position of a maximum of the
+    wave, periods: centre of a bar or a gap.
     """
     from scipy.special import ndtr
 
@@ -292,12 +280,7 @@ def _match_profile(place: Array, value: Array, bars: int, peak: float) -> tuple[
 def target_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> LocatedBars | None:
     """Return the target of a region, unstated properties measured; None where there is none.
 
-    Parameters
-    ----------
-    image
-        Mean frame, shape (row, col).
-    bars, frequency
-        Their number and cycles per column pitch, or None.
+    `image`: mean frame, shape (row, col); `bars`, `frequency`: their number and cycles per column pitch, or None.
     """
     if bars is None or frequency is None:
         seen = bars_in(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)

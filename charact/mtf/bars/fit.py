@@ -11,6 +11,8 @@ from charact.mtf.bars.noise import BarWindowNoise, noise_of, noise_of_one
 from charact.mtf.bars.target import BarTarget
 from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.quantisation_checks import rounding_shifts
+from charact.posterior.laplace import covariance_root
+from charact.posterior.least_squares import Linearisation, Optimum, least_squares, linearise_residual, weigh_by_evidence
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -18,55 +20,28 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class BarFit:
-    """A fitted image.
+    """A fitted image."""
 
-    Parameters
-    ----------
-    target
-        Position of the bars.
-    shape
-        Parameters of their image.
-    names, value, covariance
-        Parameter names, values and covariance.
-    residual_dn, model_dn
-        Pixels less the image, and the image, shape (pixel,).
-    slope
-        Derivatives of the image, shape (parameter, pixel).
-    inverse
-        Inverse of the normal matrix, priors included, shape (parameter, parameter).
-    estimator
-        Weight of each pixel in each parameter, shape (parameter, pixel).
-    noise_covariance
-        The part of the covariance that is due to noise.
-    prior_mean, precision
-        Of the priors, shape (parameter,); precision 0: none.
-    window
-        Pixels used, shape (row, col).
-    noise
-        Noise of the pixels.
-    strip
-        Whether the bars cross the complete window.
-    cost
-        Chi squared with the priors' terms.
-    """
-
-    target: BarTarget
-    shape: BarShape
+    target: BarTarget  # Position of the bars
+    shape: BarShape  # Parameters of their image
+    # names, value, covariance: parameter names, values and covariance
     names: tuple[str, ...]
     value: Array
     covariance: Array
+    # residual_dn, model_dn: pixels less the image, and the image, shape (pixel,)
     residual_dn: Array
     model_dn: Array
-    slope: Array
-    inverse: Array
-    estimator: Array
-    noise_covariance: Array
+    slope: Array  # Derivatives of the image, shape (parameter, pixel)
+    inverse: Array  # Inverse of the normal matrix, priors included, shape (parameter, parameter)
+    estimator: Array  # Weight of each pixel in each parameter, shape (parameter, pixel)
+    noise_covariance: Array  # The part of the covariance that is due to noise
+    # prior_mean, precision: of the priors, shape (parameter,); precision 0: none
     prior_mean: Array
     precision: Array
-    window: Mask
-    noise: BarWindowNoise
-    strip: bool
-    cost: float
+    window: Mask  # Pixels used, shape (row, col)
+    noise: BarWindowNoise  # Noise of the pixels
+    strip: bool  # Whether the bars cross the complete window
+    cost: float  # Chi squared with the priors' terms
 
     def __getitem__(self, name: str) -> float:
         return float(self.value[self.names.index(name)])
@@ -99,7 +74,7 @@ def fit_bars(
     tolerance: float = ACCURACY.fit_tolerance,
     hopeless: float = np.inf,
 ) -> BarFit:
-    """Fit the image by damped Gauss-Newton steps; stop early if the cost cannot fall below `hopeless`.
+    """Fit the image by least squares; stop early if the cost cannot fall below `hopeless`.
 
     The noise, if given, sets the covariance.
 
@@ -108,90 +83,53 @@ def fit_bars(
     Near its optimum weighted least squares is a linear estimator, E = (J' W J + P)^-1 J' W. For any correlation between
     pixels its covariance is E S E' plus the priors' part.
     """
-    image, names = BarImageModel(problem, target), problem.names
-    theta = np.array([start[name] for name in names])
-    here = _evaluate_point(image, theta, image.shape(start).pixel)
-    bounds = np.array([problem.bounds.get(name, (-np.inf, np.inf)) for name in names])
-    for step in range(ACCURACY.fit_iterations):
-        there, expected = _gauss_newton_step(image, here, bounds)
-        if there is None:
-            break
-        gained, here = here.cost - there.cost, there
-        # Near the optimum a step gains at least as much as all later steps.
-        if expected < tolerance or (step >= ACCURACY.give_up_after and here.cost - max(gained, expected) > hopeless):
-            break
-    return _fit_at(problem, target, image, here, noise)
+    image = BarImageModel(problem, target)
+    # The transfer of the aperture, which the priors need, hardly changes during the fit.
+    pixel = image.shape(start).pixel
+    data, weight = problem.image[problem.window], 1.0 / np.sqrt(problem.variance)
 
+    def linearise(theta: Array) -> Linearisation:
+        model, slope = image(dict(zip(problem.names, theta, strict=True)))
+        mean, precision = priors(problem, float(pixel * np.exp(-np.exp(theta[0]))))
+        return linearise_residual((data - model) * weight, slope * weight, mean - theta, precision,
+                                  (model, slope, mean, precision))  # fmt: skip
 
-@dataclass(frozen=True, kw_only=True)
-class _FitPoint:
-    """A point of the optimisation: image, slopes, cost and priors."""
-
-    theta: Array
-    model: Array
-    slope: Array
-    cost: float
-    mean: Array
-    precision: Array
-    pixel: float
-
-
-def _evaluate_point(picture: BarImageModel, theta: Array, pixel: float) -> _FitPoint:
-    """Return the image at a point; the priors need `pixel`, the transfer of the aperture."""
-    problem = picture.problem
-    model, slope = picture(dict(zip(problem.names, theta, strict=True)))
-    mean, precision = priors(problem, float(pixel * np.exp(-np.exp(theta[0]))))
-    left = (problem.image[problem.window] - model) ** 2
-    cost = float(np.sum(left / problem.variance) + precision @ (theta - mean) ** 2)
-    return _FitPoint(theta=theta, model=model, slope=slope, cost=cost, mean=mean, precision=precision, pixel=pixel)
-
-
-def _gauss_newton_step(picture: BarImageModel, here: _FitPoint, bounds: Array) -> tuple[_FitPoint | None, float]:
-    """Return a better point along the Gauss-Newton step, None if there is none, and the expected gain."""
-    problem = picture.problem
-    weighted = here.slope / problem.variance
-    normal = weighted @ here.slope.T + np.diag(here.precision)
-    gradient = weighted @ (problem.image[problem.window] - here.model) + here.precision * (here.mean - here.theta)
-    # Parameters without effect, such as the shape of bars without light, have no slope.
-    felt = np.diag(normal)
-    scale = 1.0 / np.sqrt(np.where(felt > 0.0, felt, 1.0))
-    step = scale * np.linalg.solve(normal * np.outer(scale, scale) + 1e-9 * np.eye(len(scale)), scale * gradient)
-    for fraction in ACCURACY.step_fractions:
-        there = _evaluate_point(picture, np.clip(here.theta + fraction * step, bounds[:, 0], bounds[:, 1]), here.pixel)
-        if there.cost < here.cost:
-            return there, float(gradient @ step)
-    return None, 0.0
+    bounds = [problem.bounds.get(name, (-np.inf, np.inf)) for name in problem.names]
+    begin = [start[name] for name in problem.names]
+    found = least_squares(linearise, begin, bounds, iterations=ACCURACY.fit_iterations, tolerance=tolerance,
+                          damping=1e-6, grow=1e3, hopeless=hopeless)  # fmt: skip
+    return _fit_at(problem, target, image, found, noise)
 
 
 def _fit_at(
-    problem: BarLikelihood, target: BarTarget, picture: BarImageModel, here: _FitPoint, noise: BarWindowNoise | None
+    problem: BarLikelihood, target: BarTarget, image: BarImageModel, found: Optimum, noise: BarWindowNoise | None
 ) -> BarFit:
-    """Return the fit at a point with its covariance."""
-    weighted = here.slope / problem.variance
-    normal = weighted @ here.slope.T + np.diag(here.precision)
-    inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=np.float64)
+    """Return the fit at an optimum with its covariance."""
+    model, slope, mean, precision = found.at.model
+    weighted = slope / problem.variance
+    inverse = np.asarray(np.linalg.pinv(found.at.normal, rcond=1e-14, hermitian=True), dtype=np.float64)
     estimator = inverse @ weighted
     noise = noise or BarWindowNoise(variance=problem.variance, correlation=np.ones((1, 1)))
     spread = noise.spread(estimator, problem.window)
-    point = dict(zip(problem.names, here.theta.tolist(), strict=True))
+    point = dict(zip(problem.names, found.point.tolist(), strict=True))
     return BarFit(
         target=_target_at(target, point),
-        shape=picture.shape(point),
+        shape=image.shape(point),
         names=problem.names,
-        value=here.theta,
-        covariance=spread + (inverse * here.precision) @ inverse,
-        residual_dn=problem.image[problem.window] - here.model,
-        model_dn=here.model,
-        slope=here.slope,
+        value=found.point,
+        covariance=spread + (inverse * precision) @ inverse,
+        residual_dn=problem.image[problem.window] - model,
+        model_dn=model,
+        slope=slope,
         inverse=inverse,
         estimator=estimator,
         noise_covariance=spread,
-        prior_mean=here.mean,
-        precision=here.precision,
+        prior_mean=mean,
+        precision=precision,
         window=problem.window,
         noise=noise,
         strip=problem.strip,
-        cost=here.cost,
+        cost=found.at.cost,
     )
 
 
@@ -213,12 +151,8 @@ def fit_frames(
 ) -> tuple[BarFit, BarLikelihood]:
     """Fit the mean of frames with its noise; return the likelihood with each pixel's variance too.
 
-    Parameters
-    ----------
-    frames
-        Shape (frame, row, col); for one frame the noise is estimated from the residuals of a first fit.
-    inflation
-        Variance factor of the mean by image lag.
+    `frames`: shape (frame, row, col); for one frame the noise is estimated from the residuals of a first fit;
+    `inflation`: variance factor of the mean by image lag.
     """
     first = fit_bars(problem, target, initial_parameters(problem, target), tolerance=ACCURACY.rough_tolerance)
     window, background = problem.window, first["pedestal_dn"]
@@ -228,7 +162,7 @@ def fit_frames(
         # Start from white noise.
         spread = first.noise_covariance * np.mean(first.residual_dn**2) / np.mean(problem.variance)
         for _ in range(2):
-            absorbed = _root(spread).T @ first.slope
+            absorbed = covariance_root(spread).T @ first.slope
             noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window, ground_dn=background)
             spread = noise.spread(first.estimator, window)
         # A common quantisation shift is absorbed by the image: the residuals do not contain it.
@@ -243,12 +177,7 @@ def fit_frames(
 def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, BarFit, BarLikelihood]]:
     """Fit all blur models; return weight, fit and likelihood of those that count, the preferred one first.
 
-    Parameters
-    ----------
-    fit
-        Fit of one blur model.
-    problem
-        Its likelihood; the reported frequency may differ from that of the fit.
+    `fit`: fit of one blur model; `problem`: its likelihood; the reported frequency may differ from that of the fit.
 
     Notes
     -----
@@ -275,26 +204,12 @@ def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, Bar
         hopeless = least - 2.0 * fit.noise.correlation_sum * np.log(ACCURACY.min_model_weight)
         fits.append((fit_bars(own, fit.target, start, fit.noise, hopeless=hopeless), own))
         least = min(least, fits[-1][0].cost)
-    is_preferred = (
-        min(one.cost for one, _ in fits[1:])
-        < fits[0][0].cost - LIMITS.min_model_preference_sd**2 * fit.noise.correlation_sum
-    )
-    weighted = [
-        (fraction, *one)
-        for fraction, one in zip(_weights(fits), fits, strict=True)
-        if fraction > ACCURACY.min_model_weight
-    ]
-    if not is_preferred:
-        plain = (_weights(fits)[0], *fits[0])
-        return [plain, *(one for one in weighted if one[1] is not fits[0][0])]
-    return sorted(weighted, key=lambda one: -one[0])
-
-
-def _weights(fits: list[tuple[BarFit, BarLikelihood]]) -> list[float]:
-    """Return the evidence of each fit over their sum."""
-    ln_evidence = np.array([_ln_evidence(fit, problem) for fit, problem in fits])
-    weight = np.exp(ln_evidence - ln_evidence.max())
-    return (weight / weight.sum()).tolist()
+    gain = fits[0][0].cost - min(one.cost for one, _ in fits[1:])
+    weights = dict(weigh_by_evidence([_ln_evidence(*one) for one in fits]))
+    order = [index for index, weight in weights.items() if weight > ACCURACY.min_model_weight]
+    if gain <= LIMITS.min_model_preference_sd**2 * fit.noise.correlation_sum:
+        order = [0, *(index for index in sorted(order) if index)]
+    return [(weights.get(index, 0.0), *fits[index]) for index in order]
 
 
 def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
@@ -304,12 +219,6 @@ def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
         for name, prior in (("form_one", problem.form.one), ("form_two", problem.form.two))
     ]
     return -0.5 * fit.cost / fit.noise.correlation_sum + float(np.sum(np.log(np.maximum(left, 1e-6))))
-
-
-def _root(covariance: Array) -> Array:
-    """Return a matrix R with R R' equal to a covariance, shape (parameter, parameter)."""
-    values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:

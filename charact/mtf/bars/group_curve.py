@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,51 +41,17 @@ FINE = np.arange(0.002, 1.2, 0.002)
 
 @dataclass(frozen=True, kw_only=True)
 class GroupHaloPrior:
-    """Halo of a described intensifier.
-
-    Parameters
-    ----------
-    diameter_px
-        Column pitches.
-    elastic_share
-        Fraction of elastically scattered electrons, dimensionless.
-    mean, sd
-        Prior of its fraction of the light, dimensionless.
-    """
+    """Halo of a described intensifier: diameter, column pitches, and elastic share; prior of its share of the light."""
 
     diameter_px: float
     elastic_share: float
     mean: float
     sd: float
 
-    @classmethod
-    def of(cls, context: Context) -> "GroupHaloPrior | None":
-        """Return the halo of the camera; None without a description."""
-        if context.sensor is None:
-            return None
-        sensor, fraction = context.sensor, context.sensor.photocathode.halo_fraction
-        column_um = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
-        return cls(
-            diameter_px=4e3 * float(sensor.photocathode.gap_mm) / column_um,
-            elastic_share=float(sensor.photocathode.halo_elastic_share),
-            mean=float(fraction),
-            sd=prior_sd_of(fraction),
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class GroupCurveModel:
-    """c^((f/f2)^n) along one direction, times pixel and video filter and, if described, the halo.
-
-    Parameters
-    ----------
-    angle_rad
-        Direction from that of the rows.
-    known
-        Pixel aperture, and the described video filter.
-    halo
-        The halo, or None.
-    """
+    """c^((f/f2)^n) along one direction, `angle_rad` from the rows, times the known transfer and the described halo."""
 
     angle_rad: float
     known: KnownCameraTransfer
@@ -94,7 +60,17 @@ class GroupCurveModel:
     @classmethod
     def of(cls, context: Context, *, angle_rad: float) -> "GroupCurveModel":
         """Return the model for a camera and a direction."""
-        return cls(angle_rad=angle_rad, known=KnownCameraTransfer.of(context), halo=GroupHaloPrior.of(context))
+        halo, sensor = None, context.sensor
+        if sensor is not None:
+            fraction = sensor.photocathode.halo_fraction
+            column_um = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
+            halo = GroupHaloPrior(
+                diameter_px=4e3 * float(sensor.photocathode.gap_mm) / column_um,
+                elastic_share=float(sensor.photocathode.halo_elastic_share),
+                mean=float(fraction),
+                sd=prior_sd_of(fraction),
+            )
+        return cls(angle_rad=angle_rad, known=KnownCameraTransfer.of(context), halo=halo)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -133,19 +109,8 @@ class GroupCurveModel:
         return core * self.known(frequency * np.cos(self.angle_rad), frequency * np.sin(self.angle_rad))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Group:
-    """Measurement of one bar group.
-
-    Parameters
-    ----------
-    frequency
-        Cycles per pixel.
-    mtf, sd
-        MTF there, pixel included, and its standard uncertainty.
-    angle_rad
-        Direction across the bars.
-    """
+class Group(NamedTuple):
+    """One bar group: frequency, cycles per pixel, MTF there, its standard uncertainty, direction across the bars."""
 
     frequency: float
     mtf: float
@@ -154,22 +119,12 @@ class Group:
 
 
 def group_of(measurement: Measurement) -> Group:
-    """Return the group of a measurement of "mtf" at a bar frequency.
-
-    Raises
-    ------
-    BadInput
-        If it has no value, interval or frequency.
-    """
+    """Return the group of a measurement of "mtf" at a bar frequency; BadInput without value, interval or frequency."""
     value, interval, frequency = measurement.value, measurement.interval68, measurement.frequency_cy_per_px
     if value is None or interval is None or frequency is None:
         raise BadInput(f"a group of bars must have an MTF with an interval at a frequency, got {measurement.status}")
-    return Group(
-        frequency=frequency,
-        mtf=value,
-        sd=(interval[1] - interval[0]) / (2.0 * HALF68_SD),
-        angle_rad=float(np.deg2rad(measurement.orientation_deg or 0.0)),
-    )
+    sd = (interval[1] - interval[0]) / (2.0 * HALF68_SD)
+    return Group(frequency, value, sd, float(np.deg2rad(measurement.orientation_deg or 0.0)))
 
 
 def frame_curves(result: Result, *, context: Context) -> Result:
@@ -196,27 +151,28 @@ def session_curves(result: Result, kinds: Mapping[str, str], *, context: Context
 
     Parameters
     ----------
-    result
-        Measurements of one session.
+    result, context
+        Measurements of one session; seed, speed and camera.
     kinds
         Kind of each stack ("edge", "bars", "point") by its label.
-    context
-        Seed, speed and camera.
 
     Returns
     -------
     Result
-        As for one frame, without a stack; the curves are named "mtf_bars" and "mtf_bars_vertical", to be distinct from
-        those of single targets.
+        As for one frame; the curves are named "mtf_bars" and "mtf_bars_vertical", unlike those of single targets.
     """
     own = [m for m in result.measurements if kinds.get(m.stack or "") == "bars"]
     return _by_direction(own, ("mtf_bars", "mtf_bars_vertical"), context)
 
 
 def _by_direction(measurements: Sequence[Measurement], names: tuple[str, str], context: Context) -> Result:
-    """Return one curve along rows and one along columns, each where groups of two frequencies exist."""
+    """Return one curve along rows and one along columns, each where valid groups of two frequencies exist."""
+    sound = [
+        m for m in measurements if m.quantity == "mtf" and m.method == GROUPS_BY and m.status == "ok" and m.interval68
+    ]
     out = Result()
-    for (way, own), name in zip(_directions(measurements).items(), names, strict=True):
+    for way, axis_deg, name in zip(("rows", "columns"), (0.0, 90.0), names, strict=True):
+        own = _parallel_groups(sound, axis_deg)
         frequencies = [m.frequency_cy_per_px for m in own if m.frequency_cy_per_px]
         if not frequencies or max(frequencies) < LIMITS.min_frequency_ratio * min(frequencies):
             continue
@@ -229,24 +185,12 @@ def _by_direction(measurements: Sequence[Measurement], names: tuple[str, str], c
     return out
 
 
-def _directions(measurements: Sequence[Measurement]) -> dict[str, list[Measurement]]:
-    """Return the valid groups near the rows' and near the columns' direction."""
-    sound = [
-        m for m in measurements if m.quantity == "mtf" and m.method == GROUPS_BY and m.status == "ok" and m.interval68
-    ]
-    return {way: _parallel_groups(sound, axis_deg) for way, axis_deg in (("rows", 0.0), ("columns", 90.0))}
-
-
 def _parallel_groups(sound: Sequence[Measurement], axis_deg: float) -> list[Measurement]:
     """Return the largest set of groups near an axis within half the permitted angle of one of them."""
     near = [m for m in sound if _angle_between_deg(m.orientation_deg, axis_deg) < LIMITS.max_axis_angle_deg]
+    spread = 0.5 * LIMITS.max_direction_spread_deg
     sets = [
-        [
-            m
-            for m in near
-            if _angle_between_deg(m.orientation_deg, centre.orientation_deg) <= 0.5 * LIMITS.max_direction_spread_deg
-        ]
-        for centre in near
+        [m for m in near if _angle_between_deg(m.orientation_deg, centre.orientation_deg) <= spread] for centre in near
     ]
     return max(sets, key=len, default=[])
 
@@ -292,15 +236,20 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
     if len({group.frequency for group in groups}) < 2:
         reason = f"too few groups: a curve needs bars of two frequencies measured ok, got {len(groups)}"
         return Result(measurements=(make_refusal("mtf50", "cy/px", reason, flags=("low-signal",), **common),))
-    _require_one_direction(groups)
+    apart = max(_angle_between_deg(*np.rad2deg([group.angle_rad, groups[0].angle_rad])) for group in groups)
+    if apart > LIMITS.max_direction_spread_deg:
+        within = f"groups of bars for one curve must lie within {LIMITS.max_direction_spread_deg:g} degrees"
+        raise BadInput(f"{within}, got {apart:.0f} apart")
     # Directions half a turn apart are equal: average the doubled angles.
     turned = np.sum(np.exp(2j * np.array([group.angle_rad for group in groups])))
     form = GroupCurveModel.of(context, angle_rad=0.5 * float(np.angle(turned)))
     posterior, left = _posterior(groups, form, context)
+    freedom = len(groups) - 2
+    misfit = ["model-misfit"] if freedom > 0 and chdtrc(freedom, left) < LIMITS.min_group_p_value else []
     curves = form.mtf(posterior.draws, REPORTED)
     curves[:, 0] = 1.0
     common |= {
-        "flags": (*(flag for flag in posterior.flags if flag != "prior-bound"), *_misfit(left, len(groups) - 2)),
+        "flags": (*(flag for flag in posterior.flags if flag != "prior-bound"), *misfit),
         "orientation_deg": float(np.rad2deg(form.angle_rad)) % 180.0,
         "posterior": posterior,
     }
@@ -336,21 +285,6 @@ def _mtf50(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Me
             "MTF50 lies beyond the groups; it is extrapolated by the model exp(-(f/fc)^n) times the known transfer."
         )
     return measurement_from_draws("mtf50", "cy/px", crossing[np.isfinite(crossing)], notes=tuple(notes), **common)
-
-
-def _misfit(left: float, freedom: int) -> list[str]:
-    return ["model-misfit"] if freedom > 0 and chdtrc(freedom, left) < LIMITS.min_group_p_value else []
-
-
-def _require_one_direction(groups: Sequence[Group]) -> None:
-    """Reject groups of different directions, whose MTFs may differ."""
-    apart = [abs(np.rad2deg(group.angle_rad - groups[0].angle_rad)) % 180.0 for group in groups]
-    largest = max(min(one, 180.0 - one) for one in apart)
-    if largest > LIMITS.max_direction_spread_deg:
-        raise BadInput(
-            f"groups of bars for one curve must lie within {LIMITS.max_direction_spread_deg:g} degrees, "
-            f"got {largest:.0f} apart"
-        )
 
 
 def _posterior(groups: Sequence[Group], form: GroupCurveModel, context: Context) -> tuple[Posterior, float]:

@@ -14,27 +14,14 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class BarWindowNoise:
-    """Noise of the pixels of a window.
+    """Noise of the pixels of a window."""
 
-    Parameters
-    ----------
-    variance
-        Of each pixel, shape (pixel,).
-    correlation
-        Correlation of two pixels by their separation, shape (2 k + 1, 2 k + 1), 1 in the centre.
-    inflation
-        Factor on all variances by image lag.
-    rounding
-        Possible shifts of the pixels by quantisation, shape (offset, pixel), DN; the offsets are equally likely.
-    row_variance
-        Variance of an offset common to the pixels of a row, DN^2.
-    """
-
-    variance: Array
-    correlation: Array
-    inflation: float = 1.0
+    variance: Array  # Of each pixel, shape (pixel,)
+    correlation: Array  # Correlation of two pixels by their separation, shape (2 k + 1, 2 k + 1), 1 in the centre
+    inflation: float = 1.0  # Factor on all variances by image lag
+    # Possible shifts of the pixels by quantisation, shape (offset, pixel), DN; the offsets are equally likely
     rounding: Array | None = None
-    row_variance: float = 0.0
+    row_variance: float = 0.0  # Variance of an offset common to the pixels of a row, DN^2
 
     @property
     def correlation_sum(self) -> float:
@@ -44,12 +31,7 @@ class BarWindowNoise:
     def spread(self, estimator: Array, window: Mask) -> Array:
         """Return the covariance of linear estimates by the noise, shape (estimate, estimate).
 
-        Parameters
-        ----------
-        estimator
-            Weight of each pixel in each estimate, shape (estimate, pixel).
-        window
-            Pixels, shape (row, col).
+        `estimator`: weight of each pixel in each estimate, shape (estimate, pixel); `window`: pixels, shape (row, col).
         """
         return estimator @ self.covariance_with(estimator, window).T
 
@@ -82,16 +64,8 @@ class BarWindowNoise:
 def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inflation: float) -> BarWindowNoise:
     """Return the noise of the mean of frames, from their scatter.
 
-    Parameters
-    ----------
-    frames
-        At least two, shape (frame, row, col); integers are taken as quantised.
-    model
-        Image of the window's pixels, shape (pixel,).
-    ground_dn
-        Background level.
-    inflation
-        Variance factor of the mean by image lag.
+    `frames`: at least two, shape (frame, row, col); integers are taken as quantised; `model`: image of the window's
+    pixels, shape (pixel,); `ground_dn`: background level; `inflation`: variance factor of the mean by image lag.
     """
     left = frames - frames.mean(axis=0)
     fraction = len(frames) / (len(frames) - 1.0)
@@ -110,12 +84,8 @@ def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inf
 def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask, *, ground_dn: float) -> BarWindowNoise:
     """Return the noise of one frame from the residuals of a fit.
 
-    Parameters
-    ----------
-    residual, model
-        Pixels less the image, and the image, shape (pixel,).
-    absorbed
-        Uncertainty of the fit as independent fields, shape (field, pixel): noise that the fit absorbed.
+    `residual`, `model`: pixels less the image, and the image, shape (pixel,); `absorbed`: uncertainty of the fit as
+    independent fields, shape (field, pixel): noise that the fit absorbed.
     """
     variance = variance_of(model, residual**2 + np.sum(absorbed**2, axis=0))
     scale = 1.0 / np.sqrt(variance)
@@ -131,14 +101,8 @@ def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask, *
 def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
     """Return the variance of an offset common to the pixels of a row, DN^2; 0 where it is not significant.
 
-    Parameters
-    ----------
-    left
-        Residuals of frames, shape (frame, row, col), DN.
-    height
-        Image above the background, shape (pixel,), DN; only background pixels are used.
-    window
-        Pixels, shape (row, col).
+    `left`: residuals of frames, shape (frame, row, col), DN; `height`: image above the background, shape (pixel,), DN;
+    only background pixels are used; `window`: pixels, shape (row, col).
 
     Notes
     -----

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from charact.mtf.bars.fit import BarFit
 from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR, contrast_of, curvatures, usable_black_level
+from charact.posterior.least_squares import Linearisation, least_squares, linearise_residual
 from labdata.flags import Finding
 from labdata.frames import FrameStack
 
@@ -140,14 +141,7 @@ def _curvature(fit: BarFit) -> tuple[float, float, float]:
 def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | None, Power | None]:
     """Return the powers of the light with which the covariance of row neighbours and the pixel variance grow.
 
-    Parameters
-    ----------
-    data
-        Shape (frame, row, col), DN.
-    fit
-        The image fitted to their mean.
-    black_dn
-        Black level, DN.
+    `data`: shape (frame, row, col), DN; `fit`: the image fitted to their mean; `black_dn`: black level, DN.
 
     Returns
     -------
@@ -219,16 +213,8 @@ def _between(field: Array, lag: int) -> Array:
 def _power(share: Array, product: Array, variance: Array, tied: float) -> Power | None:
     """Return the power of the light in proportion to which noise grows; None: there is too little.
 
-    Parameters
-    ----------
-    share
-        Light over the brightest, shape (pixel,).
-    product
-        Products of noise, DN^2.
-    variance
-        Approximate scale of their uncertainties, DN^2.
-    tied
-        Variance factor of averages relative to independent products.
+    `share`: light over the brightest, shape (pixel,); `product`: products of noise, DN^2; `variance`: approximate scale
+    of their uncertainties, DN^2; `tied`: variance factor of averages relative to independent products.
 
     Notes
     -----
@@ -236,23 +222,24 @@ def _power(share: Array, product: Array, variance: Array, tied: float) -> Power 
     """
     ln_light = np.log(np.maximum(share, ACCURACY.min_light))
     found, weight = product / variance, 1.0 / variance
-    theta = _start(found, weight, ln_light)
-    for _ in range(ACCURACY.power_iterations if np.isfinite(theta).all() else 0):
+    start = _start(found, weight, ln_light)
+    if not np.isfinite(start).all():
+        return None
+
+    def linearise(theta: Array) -> Linearisation:
         expected = weight * np.exp(theta[0] + theta[1] * ln_light)
         slopes = np.stack([expected, expected * ln_light])
-        inverse, left = np.linalg.pinv(slopes @ slopes.T), found - expected
-        step = np.clip(inverse @ (slopes @ left), -ACCURACY.max_power_step, ACCURACY.max_power_step)
-        theta = theta + step
-        if float(np.abs(step).max()) < ACCURACY.power_tolerance:
-            covariance = inverse @ ((slopes * left**2) @ slopes.T) @ inverse * tied
-            # The scale at the level where it is most precise.
-            size_sd = np.sqrt(np.linalg.det(covariance) / covariance[1, 1])
-            return (
-                Power(float(theta[1]), float(np.sqrt(covariance[1, 1])))
-                if size_sd < 1.0 / LIMITS.min_power_sd
-                else None
-            )
-    return None
+        return linearise_residual(found - expected, slopes, model=(slopes, found - expected))
+
+    bounds = start[:, None] + ACCURACY.power_range * np.array([-1.0, 1.0])
+    at = least_squares(linearise, start, bounds, iterations=ACCURACY.power_iterations, tolerance=0.0,
+                       relative_tolerance=1e-12, max_step=0.5 / ACCURACY.power_range)  # fmt: skip
+    (slopes, left), inverse = at.at.model, np.linalg.pinv(at.at.normal)
+    covariance = inverse @ ((slopes * left**2) @ slopes.T) @ inverse * tied
+    # The scale at the level where it is most precise.
+    size_sd = np.sqrt(np.linalg.det(covariance) / covariance[1, 1])
+    exponent, sd = float(at.point[1]), float(np.sqrt(covariance[1, 1]))
+    return Power(exponent, sd) if size_sd < 1.0 / LIMITS.min_power_sd else None
 
 
 def _start(found: Array, weight: Array, ln_light: Array) -> Array:

@@ -22,34 +22,17 @@ SD_OF_RANGE = 2.0 * 1.959964
 
 @dataclass(frozen=True, kw_only=True)
 class BarTarget:
-    """Bars in an image, in column pitches; rows are scaled by the pitch ratio.
+    """Bars in an image, in column pitches; rows are scaled by the pitch ratio."""
 
-    Parameters
-    ----------
-    bars
-        Number of bars.
-    frequency
-        Cycles per column pitch.
-    angle_rad
-        Direction across the bars, from the row direction.
-    row, col
-        Centre, px.
-    pitch_ratio
-        Row pitch over column pitch.
-    length_px
-        Length of the bars, column pitches.
-    sign
-        1: brighter than the background, -1: darker.
-    """
-
-    bars: int
-    frequency: float
-    angle_rad: float
+    bars: int  # Number of bars
+    frequency: float  # Cycles per column pitch
+    angle_rad: float  # Direction across the bars, from the row direction
+    # row, col: centre, px
     row: float
     col: float
-    pitch_ratio: float
-    length_px: float
-    sign: int = 1
+    pitch_ratio: float  # Row pitch over column pitch
+    length_px: float  # Length of the bars, column pitches
+    sign: int = 1  # 1: brighter than the background, -1: darker
 
     @property
     def width_px(self) -> float:
@@ -98,10 +81,7 @@ def amplitude(image: Array, target: BarTarget, frequency: float, window: NDArray
 def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> BarTarget | None:
     """Return the target with the largest response to a matched filter, or None below the noise.
 
-    Parameters
-    ----------
-    image
-        Mean frame, shape (row, col).
+    `image`: mean frame, shape (row, col).
     """
     from scipy.fft import next_fast_len, rfft2
 
@@ -248,12 +228,8 @@ def fitting_margin(target: BarTarget, shape: tuple[int, int], wanted: float) -> 
 def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
     """Return the fraction of the light beyond the window, and its standard uncertainty.
 
-    Parameters
-    ----------
-    context
-        Its sensor description; without one the fraction is taken as 0.
-    margin
-        Margin of the window around the bars, column pitches.
+    `context`: its sensor description; without one the fraction is taken as 0; `margin`: margin of the window around the
+    bars, column pitches.
 
     Notes
     -----

@@ -100,11 +100,9 @@ class BarAccuracy:
     max_position_step_px: float = 0.25  # The same, at most, px
     # Relative uncertainty below which the bias, of the order of its square, is under a thousandth.
     negligible_bias_sd: float = 0.015
-    fit_iterations: int = 12  # Gauss-Newton iterations
+    fit_iterations: int = 24  # Steps tried by a fit
     fit_tolerance: float = 3e-3  # Gain in chi squared at which a fit has converged
     rough_tolerance: float = 0.1  # The same for a rough fit
-    give_up_after: int = 2  # Iterations before a hopeless fit is abandoned
-    step_fractions: tuple[float, ...] = (1.0, 0.4, 0.1, 0.02)  # Fractions of a step that are tried
     min_model_weight: float = 0.01  # A model of less weight changes no interval
     matched_range: tuple[float, float] = (0.02, 3.0)  # Frequencies over the bar frequency at which models are matched
     matched_points: int = 40  # Number of them
@@ -150,9 +148,8 @@ class BarAccuracy:
     # strips.
     nonlinear_prior: float = 0.1
     power_starts: tuple[float, ...] = (0.0, 1.0, 2.0)  # Starting exponents
-    power_iterations: int = 60  # Gauss-Newton iterations
-    max_power_step: float = 1.0  # Longest step
-    power_tolerance: float = 1e-5  # Step at which they end
+    power_iterations: int = 60  # Iterations of the exponent
+    power_range: float = 20.0  # Range of exponent and ln scale about the start
     halo_margin_px: float = 12.0  # Margin beyond a halo, px
     window_margin_px: float = 12.0  # Smallest margin, px
     description_draws: int = 200  # Draws over the ranges of a sensor description

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from charact.mtf.blur_models.one_dimensional import BlurModel, ExtendedComponent
 from charact.mtf.blur_models.pupil_table import OBSCURATION, pupil
-from charact.mtf.point.forward_model import pinhole
 
 Array = NDArray[np.float64]
 
@@ -36,7 +35,8 @@ DEFOCUS_SQUARE, DEFOCUS_SQUARE_SD = (0.0, 2.25), 0.5
 BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
 # Half frequencies of a tube at which a Gaussian blur is distinguishable, ln of cycles per column pitch.
 TUBE = (float(np.log(0.02)), float(np.log(0.6)))
-
+# The video filter's bandwidth as a parameter, and the powers of its logarithm in the image, from 0.
+BANDWIDTH, BANDWIDTH_ORDERS = "ln_video_bandwidth", 3
 
 Core = Literal["gaussian", "kolmogorov", "exponential", "moffat", "airy", "hole", "defocus", "pupil"]
 # Free parameters of each pupil besides its cut-off.
@@ -54,35 +54,22 @@ PUPIL_PARAMETERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class BlurModel2D:
-    """Transfer of blur and source, without aperture and video filter.
+    """Transfer of blur and source, without aperture and video filter."""
 
-    Parameters
-    ----------
-    core
-        "gaussian", "exponential" and "moffat" as of `charact.mtf.forms.families.Family`; "kolmogorov": exponential of
-        exponent 5/3; "airy", "hole", "defocus", "pupil": diffraction, alone, with central obscuration, with defocus,
-        with both.
-    round
-        Whether rows and columns are blurred alike.
-    lens
-        Whether a Gaussian multiplies the core: a tube behind a lens, or before its fibres.
-    separable
-        Whether horizontal and vertical blur multiply, T(fx, 0) T(0, fy), instead of being elliptical.
-    wide
-        Extended component, round; None: none.
-    pinhole_px
-        Diameter of the source, column pitches, or its bounds if unknown.
-    departures
-        Prior standard deviation of model departures, fraction of the transfer; 0: none.
-    """
-
+    # "gaussian", "exponential" and "moffat" as of `charact.mtf.forms.families.Family`; "kolmogorov": exponential
+    # of exponent 5/3; "airy", "hole", "defocus", "pupil": diffraction, alone, with central obscuration, with
+    # defocus, with both
     core: Core
-    round: bool = False
-    lens: bool = False
+    round: bool = False  # Whether rows and columns are blurred alike
+    lens: bool = False  # Whether a Gaussian multiplies the core: a tube behind a lens, or before its fibres
+    # Whether horizontal and vertical blur multiply, T(fx, 0) T(0, fy), instead of being elliptical
     separable: bool = False
-    wide: ExtendedComponent | None = None
-    pinhole_px: float | tuple[float, float] = 0.0
-    departures: float = 0.0
+    wide: ExtendedComponent | None = None  # Extended component, round; None: none
+    pinhole_px: float | tuple[float, float] = 0.0  # Diameter of the source, column pitches, or its bounds if unknown
+    departures: float = 0.0  # Prior standard deviation of model departures, fraction of the transfer; 0: none
+    # Described parameters: name, mean and standard deviation. "ln_video_bandwidth", ln of the video bandwidth
+    # over the described one, is a parameter only if it is among them
+    known: tuple[tuple[str, float, float], ...] = ()
 
     @property
     def name(self) -> str:
@@ -145,20 +132,15 @@ class BlurModel2D:
             "ln_half_frequency": ln_half_frequency, "exponent": 1.3 if self.lens else 1.5, "moffat_exponent": 2.5,
             "blur_px": 0.4, "stretch": 0.0, "obscuration_square": 0.08, "defocus_square": 0.05,
             **{f"departure_{number}": 0.0 for number in range(len(BUMPS))},
+            **{name: mean for name, mean, _ in self.known},
         }  # fmt: skip
         return np.array([begin.get(name, 0.7 * low + 0.3 * high) for name, (_, (low, high)) in self.parameters.items()])
 
     def camera(self, theta: Array, frequency: Array, cosine: Array) -> Array:
         """Return the transfer of the camera's blur, without aperture, shape (n, direction, frequency).
 
-        Parameters
-        ----------
-        theta
-            Parameters, shape (n, parameter).
-        frequency
-            Radial frequency, cycles per column pitch, shape (frequency,).
-        cosine
-            Cosine of twice the angle of each direction to the rows, shape (direction,).
+        `theta`: parameters, shape (n, parameter); `frequency`: radial frequency, cycles per column pitch, shape
+        (frequency,); `cosine`: cosine of twice the angle of each direction to the rows, shape (direction,).
         """
         p = {name: theta[:, index] for index, name in enumerate(self.parameters)}
         lens = self._core(theta, p.get("stretch"), frequency, cosine)
@@ -210,14 +192,36 @@ class BlurModel2D:
         """Return the transfer of the pinhole, shape (n, frequency)."""
         if isinstance(self.pinhole_px, float):
             return np.tile(pinhole(frequency, self.pinhole_px), (len(theta), 1))
-        from scipy.special import j1
-
-        u = np.maximum(np.pi * theta[:, -1:] * frequency, 1e-9)
-        return np.asarray(2.0 * j1(u) / u, np.float64)
+        return pinhole(frequency, theta[:, -1:])
 
     def transfer(self, theta: Array, frequency: Array, cosine: Array) -> Array:
         """Return the transfer of blur and source, shape (n, direction, frequency)."""
         return self.camera(theta, frequency, cosine) * self.source(theta, frequency)[:, None]
+
+    def ln_bandwidth(self, theta: Array) -> Array | None:
+        """Return ln of the video bandwidth over the described one, shape (n,); None: no parameter."""
+        names = list(self.parameters)
+        return theta[:, names.index(BANDWIDTH)] if BANDWIDTH in names else None
+
+    @property
+    def bandwidth_order(self) -> int:
+        """Number of powers of ln bandwidth in the image: 1 without the parameter."""
+        return BANDWIDTH_ORDERS if BANDWIDTH in self.parameters else 1
+
+    def nodes(self, theta: Array, frequency: Array, cosine: Array) -> Array:
+        """Return the transfer of blur and source times powers of ln bandwidth, for `pixel_matrix`, shape (n, node)."""
+        transfer, bandwidth = self.transfer(theta, frequency, cosine).reshape(len(theta), -1), self.ln_bandwidth(theta)
+        if bandwidth is None:
+            return transfer
+        return np.concatenate([bandwidth[:, None] ** order * transfer for order in range(BANDWIDTH_ORDERS)], axis=1)
+
+
+def pinhole(frequency: Array, diameter_px: float | Array) -> Array:
+    """Return 2 J1(u)/u, u = pi d f, the transfer of a uniform disc."""
+    from scipy.special import j1
+
+    u = np.maximum(np.pi * diameter_px * frequency, 1e-9)
+    return np.asarray(2.0 * j1(u) / u, np.float64)
 
 
 @lru_cache(maxsize=512)
@@ -234,6 +238,7 @@ def _parameters(form: BlurModel2D) -> dict[str, tuple[str, tuple[float, float]]]
     if form.departures:
         most = 4.0 * form.departures
         out.update({f"departure_{number}": ("1", (-most, most)) for number in range(len(BUMPS))})
+    out.update({name: ("1", (-6.0 * sd, 6.0 * sd)) for name, _, sd in form.known if name == BANDWIDTH})
     if isinstance(form.pinhole_px, tuple):
         out["pinhole_px"] = ("px", form.pinhole_px)
     return out
@@ -255,4 +260,6 @@ def _prior(form: BlurModel2D) -> tuple[Array, Array]:
             precision[index] = known[name] ** -2
     if form.wide is not None:
         precision[form.blur_parameters] = WIDE_SHARE_SD**-2
+    for name, own, sd in form.known:
+        mean[names.index(name)], precision[names.index(name)] = own, sd**-2
     return mean, precision

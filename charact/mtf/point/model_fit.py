@@ -1,42 +1,33 @@
-"""Gauss-Newton fit of blur models to one or several points, with their evidence."""
+"""Fit of blur models to one or several points, with their evidence."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
 from charact.mtf.point.blur_models_2d import BlurModel2D
 from charact.mtf.point.spot_image_matrix import cosines, radial
 from charact.mtf.point.thresholds import ACCURACY
+from charact.posterior.least_squares import Linearisation, covariance_at, least_squares, ln_evidence
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Censored:
-    """Pixels that are clipped in at least one frame.
+    """Pixels that are clipped in at least one frame."""
 
-    Parameters
-    ----------
-    matrix
-        From a transfer at the nodes to their height at unit light, background and position at their optimum for the
-        other pixels, shape (pixel, node).
-    limit
-        Full scale above the background, shape (pixel,), DN.
-    sd
-        Standard deviation of one frame, shape (pixel,), DN.
-    cut, left
-        Number of frames in which the pixel is clipped, and is not, shape (pixel,).
-    mean
-        Mean of the latter above the background, shape (pixel,), DN.
-    """
-
+    # From a transfer at the nodes to their height at unit light, background and position at their optimum for
+    # the other pixels, shape (pixel, node)
     matrix: Array
-    limit: Array
-    sd: Array
+    limit: Array  # Full scale above the background, shape (pixel,), DN
+    sd: Array  # Standard deviation of one frame, shape (pixel,), DN
+    # cut, left: number of frames in which the pixel is clipped, and is not, shape (pixel,)
     cut: Array
     left: Array
-    mean: Array
+    mean: Array  # Mean of the latter above the background, shape (pixel,), DN
 
     def terms(self, height: Array) -> tuple[Array, Array, float]:
         """Return slope and minus curvature of ln likelihood, each pixel's, and its sum, for heights (pixel,).
@@ -50,8 +41,6 @@ class Censored:
         return slope[0], np.maximum(curvature[0], 1e-12 / self.sd**2), float(value[0])
 
     def _terms(self, height: Array) -> tuple[Array, Array, Array]:
-        from scipy.special import log_ndtr
-
         z = (height - self.limit) / self.sd
         log_tail = log_ndtr(z)
         # Inverse Mills ratio phi/Phi, from logarithms to remain finite far below the limit.
@@ -90,31 +79,16 @@ class Censored:
 
 @dataclass(frozen=True, kw_only=True)
 class WhitenedPixels:
-    """Whitened pixels of one source, position and other linear parameters but the light marginalised.
+    """Whitened pixels of one source, position and other linear parameters but the light marginalised."""
 
-    Parameters
-    ----------
-    data
-        Whitened values, shape (value,).
-    matrix
-        From a transfer at the nodes to them at unit light, shape (value, node).
-    root, basis
-        Inverse root of the covariance, and marginalised whitened directions, shape (value, direction).
-    rounding
-        Part of the covariance by quantisation, shape (value, value), DN^2.
-    censored
-        Clipped pixels; None: none.
-    free
-        Values less linear parameters.
-    """
-
-    data: Array
-    matrix: Array
-    free: int
+    data: Array  # Whitened values, shape (value,)
+    matrix: Array  # From a transfer at the nodes to them at unit light, shape (value, node)
+    free: int  # Values less linear parameters
+    # root, basis: inverse root of the covariance, and marginalised whitened directions, shape (value, direction)
     root: Array
     basis: Array
-    rounding: Array
-    censored: Censored | None = None
+    rounding: Array  # Part of the covariance by quantisation, shape (value, value), DN^2
+    censored: Censored | None = None  # Clipped pixels; None: none
 
     def whiten(self, columns: Array) -> Array:
         """Return columns (value, column) whitened, without the marginalised directions."""
@@ -124,50 +98,23 @@ class WhitenedPixels:
 
 @dataclass(frozen=True, kw_only=True)
 class BlurModelFit2D:
-    """A blur model fitted to points.
+    """A blur model fitted to points."""
 
-    Parameters
-    ----------
-    form
-        The blur model.
-    point, covariance
-        Optimum of the posterior and the inverse curvature there; light, position and background marginalised.
-    light
-        Light of each source, DN px^2.
-    log_evidence
-        ln evidence by Laplace's approximation, up to a constant common to all models.
-    cost
-        -2 ln of likelihood and Gaussian priors at the optimum.
-    chi2, free
-        Chi squared of the pixels below full scale, and its degrees of freedom.
-    """
-
-    form: BlurModel2D
+    form: BlurModel2D  # The blur model
+    # point, covariance: optimum of the posterior and the inverse curvature there; light, position and background
+    # marginalised
     point: Array
     covariance: Array
-    light: Array
-    log_evidence: float
-    cost: float
+    light: Array  # Light of each source, DN px^2
+    log_evidence: float  # ln evidence by Laplace's approximation, up to a constant common to all models
+    cost: float  # -2 ln of likelihood and Gaussian priors at the optimum
+    # chi2, free: chi squared of the pixels below full scale, and its degrees of freedom
     chi2: float
     free: int
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Linearisation:
-    cost: float
-    chi2: float
-    gradient: Array
-    normal: Array
-    light: Array
-    curvature: Array
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Source:
-    """One source at its most probable light; clipped pixels enter as weighted pseudo-residuals.
-
-    Pixels at unit light, their derivatives, residuals, and -2 ln likelihood.
-    """
+class _Source(NamedTuple):
+    """One source at its most probable light; clipped pixels enter as weighted pseudo-residuals."""
 
     light: float
     unit: Array
@@ -190,33 +137,33 @@ class PointFitter:
 
     def nodes(self, form: BlurModel2D, theta: Array) -> Array:
         """Return transfers at the nodes, shape (n, node)."""
-        return form.transfer(theta, self._frequency, self._cosine).reshape(len(theta), -1)
+        return form.nodes(theta, self._frequency, self._cosine)
 
     def fit(self, form: BlurModel2D, start: Array, *, iterations: int = ACCURACY.model_iterations) -> BlurModelFit2D:
         """Fit a model from starting values."""
         bounds = form.bounds
-        point, damping = np.clip(start, bounds[:, 0], bounds[:, 1]), 1e-3
-        here = self._linearise(form, point)
-        for _ in range(iterations):
-            trial = np.clip(point + _step(here, point, bounds, damping), bounds[:, 0], bounds[:, 1])
-            there = self._linearise(form, trial)
-            gain = here.cost - there.cost
-            if gain >= 0:
-                point, here, damping = trial, there, max(damping * 0.1, 1e-9)
-                if gain < 1e-5 * max(1.0, 1e-3 * here.cost):
-                    break
-            else:
-                damping *= 10.0
-                if damping > 1e9:
-                    break
-        return self._fit_at(form, point, here)
+        point, here = least_squares(
+            lambda theta: self._linearise(form, theta), start, bounds, iterations=iterations, relative_tolerance=1e-8
+        )
+        sources: list[_Source] = here.model
+        covariance = covariance_at(here.normal, bounds)
+        height = -0.5 * here.cost + form.log_volume() - 0.5 * sum(float(np.log(one.curvature)) for one in sources)
+        return BlurModelFit2D(
+            form=form,
+            point=point,
+            covariance=covariance,
+            light=np.array([one.light for one in sources]),
+            log_evidence=ln_evidence(height, covariance, point, bounds, here.gradient),
+            cost=here.cost,
+            chi2=sum(one.chi2 for one in sources),
+            free=max(sum(one.free for one in self.pixels) - point.size - len(self.pixels), 1),
+        )
 
-    def _linearise(self, form: BlurModel2D, point: Array) -> _Linearisation:
+    def _linearise(self, form: BlurModel2D, point: Array) -> Linearisation:
         """Return cost, gradient and curvature at a point, lights at their optimum."""
         bounds = form.bounds
-        width = bounds[:, 1] - bounds[:, 0]
         # Differences point inwards, to stay within the bounds.
-        moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * ACCURACY.difference * width
+        moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * ACCURACY.difference * np.ptp(bounds, axis=1)
         nodes = self.nodes(form, np.concatenate([point[None], point + np.diag(moves)]))
         sources = [_source(one, nodes, moves) for one in self.pixels]
         mean, precision = form.prior()
@@ -226,38 +173,7 @@ class PointFitter:
             design = one.light * (one.slopes - np.outer(one.unit, one.unit @ one.slopes) / one.curvature)
             gradient = gradient + design.T @ one.residual
             normal = normal + design.T @ design
-        return _Linearisation(
-            cost=float(off**2 @ precision) + sum(one.cost for one in sources),
-            chi2=sum(one.chi2 for one in sources),
-            gradient=gradient,
-            normal=normal,
-            light=np.array([one.light for one in sources]),
-            curvature=np.array([one.curvature for one in sources]),
-        )
-
-    def _fit_at(self, form: BlurModel2D, point: Array, here: _Linearisation) -> BlurModelFit2D:
-        bounds = form.bounds
-        scale = np.sqrt(np.maximum(np.diag(here.normal), 1e-300))
-        covariance = np.linalg.pinv(here.normal / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-        covariance = covariance / np.outer(scale, scale)
-        # A parameter without effect is uniform over its bounds.
-        widest = (bounds[:, 1] - bounds[:, 0]) / np.sqrt(12.0)
-        shrink = np.minimum(1.0, widest / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
-        covariance = covariance * np.outer(shrink, shrink)
-        log_volume = 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1] + _ln_inside(
-            point, covariance, bounds, here.gradient
-        )
-        log_light = -0.5 * float(np.sum(np.log(here.curvature)))
-        return BlurModelFit2D(
-            form=form,
-            point=point,
-            covariance=covariance,
-            light=here.light,
-            log_evidence=float(-0.5 * here.cost + form.log_volume() + log_light + log_volume),
-            cost=here.cost,
-            chi2=here.chi2,
-            free=max(sum(one.free for one in self.pixels) - point.size - len(self.pixels), 1),
-        )
+        return Linearisation(float(off**2 @ precision) + sum(one.cost for one in sources), gradient, normal, sources)
 
     def log_probability(self, form: BlurModel2D, theta: Array) -> Array:
         """Return ln posterior with lights, positions and backgrounds marginalised, shape (n,)."""
@@ -270,77 +186,37 @@ class PointFitter:
 
 
 def _log_likelihood(one: WhitenedPixels, nodes: Array) -> Array:
-    unit = nodes @ one.matrix.T
+    unit = nodes @ one.matrix[:, : nodes.shape[1]].T
     overlap, curvature = unit @ one.data, np.maximum(np.einsum("nv,nv->n", unit, unit), 1e-300)
     if one.censored is None:
         return 0.5 * overlap**2 / curvature - 0.5 * np.log(curvature)
-    hidden = nodes @ one.censored.matrix.T
-    return one.censored.log_likelihood(overlap, curvature, hidden)
+    return one.censored.log_likelihood(overlap, curvature, nodes @ one.censored.matrix[:, : nodes.shape[1]].T)
 
 
 def _source(pixels: WhitenedPixels, nodes: Array, moves: Array) -> _Source:
     """Return a source from transfers at a point and displaced by each parameter, shape (1 + parameter, node)."""
+    data, censored = pixels.data, pixels.censored
     unit, slopes = _unit_and_slopes(pixels.matrix, nodes, moves)
-    light = float(pixels.data @ unit) / max(float(unit @ unit), 1e-300)
-    source = _source_at_light(light, pixels.data, unit, slopes)
-    if pixels.censored is None:
-        return source
-    hidden, hidden_slopes = _unit_and_slopes(pixels.censored.matrix, nodes, moves)
-    return _add_clipped_pixels(source, pixels.data, pixels.censored, hidden, hidden_slopes)
-
-
-def _source_at_light(light: float, data: Array, unit: Array, slopes: Array) -> _Source:
+    light = float(data @ unit) / max(float(unit @ unit), 1e-300)
+    if censored is None:
+        chi2 = float((data - light * unit) @ (data - light * unit))
+        return _Source(light, unit, slopes, data - light * unit, chi2, chi2)
+    hidden, hidden_slopes = _unit_and_slopes(censored.matrix, nodes, moves)
+    light = censored.light(data, unit, hidden, light)
     residual = data - light * unit
-    chi2 = float(residual @ residual)
-    return _Source(light=light, unit=unit, slopes=slopes, residual=residual, chi2=chi2, cost=chi2)
-
-
-def _add_clipped_pixels(
-    source: _Source, data: Array, censored: Censored, hidden: Array, hidden_slopes: Array
-) -> _Source:
-    """Add the clipped pixels to a source."""
-    seen = _source_at_light(censored.light(data, source.unit, hidden, source.light), data, source.unit, source.slopes)
-    pull, weight, height = censored.terms(seen.light * hidden)
-    root = np.sqrt(weight)
-    return replace(
-        seen,
-        unit=np.append(seen.unit, root * hidden),
-        slopes=np.concatenate([seen.slopes, root[:, None] * hidden_slopes]),
-        residual=np.append(seen.residual, pull / root),
-        cost=seen.chi2 - 2.0 * height,
+    pull, weight, height = censored.terms(light * hidden)
+    root, chi2 = np.sqrt(weight), float(residual @ residual)
+    return _Source(
+        light=light,
+        unit=np.append(unit, root * hidden),
+        slopes=np.concatenate([slopes, root[:, None] * hidden_slopes]),
+        residual=np.append(residual, pull / root),
+        chi2=chi2,
+        cost=chi2 - 2.0 * height,
     )
 
 
 def _unit_and_slopes(matrix: Array, nodes: Array, moves: Array) -> tuple[Array, Array]:
     """Return pixels at unit light and their derivatives, shapes (pixel,) and (pixel, parameter)."""
-    shapes = matrix @ nodes.T
+    shapes = matrix[:, : nodes.shape[1]] @ nodes.T
     return shapes[:, 0], (shapes[:, 1:] - shapes[:, :1]) / moves
-
-
-def _step(here: _Linearisation, point: Array, bounds: Array, damping: float) -> Array:
-    """Return the damped Gauss-Newton step; parameters at a bound do not move outwards."""
-    blocked = ((point <= bounds[:, 0]) & (here.gradient < 0)) | ((point >= bounds[:, 1]) & (here.gradient > 0))
-    free = np.flatnonzero(~blocked)
-    step = np.zeros(point.size)
-    if not free.size:
-        return step
-    normal = here.normal[np.ix_(free, free)]
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal / np.outer(scale, scale) + (damping + 1e-12) * np.eye(free.size)
-    step[free] = np.linalg.solve(scaled, here.gradient[free] / scale) / scale
-    widest = 0.25 * (bounds[:, 1] - bounds[:, 0])
-    return np.clip(step, -widest, widest)
-
-
-def _ln_inside(point: Array, covariance: Array, bounds: Array, gradient: Array) -> float:
-    """Return ln of the fraction of a Gaussian's volume inside the bounds, relative to its height at a point.
-
-    At a bound the Gaussian's optimum lies z standard deviations beyond, exp(z^2 / 2) higher.
-    """
-    from scipy.special import log_ndtr, ndtr
-
-    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    low, high = (point - bounds[:, 0]) / sd, (bounds[:, 1] - point) / sd
-    pull = np.where(low < 1e-6, np.maximum(-gradient, 0.0), np.where(high < 1e-6, np.maximum(gradient, 0.0), 0.0)) * sd
-    fraction = np.maximum(ndtr(high) - ndtr(-low), 1e-3)
-    return float(np.sum(np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), np.log(fraction))))

@@ -11,6 +11,7 @@ from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.mtf.point.source_pixels import SourcePixels, add_noise, noise_likelihood, position_source, whiten_source
 from charact.mtf.point.spot_image_matrix import cosines, radial
 from charact.mtf.point.thresholds import ACCURACY
+from charact.posterior.least_squares import weigh_by_evidence
 
 Array = NDArray[np.float64]
 
@@ -36,17 +37,21 @@ class EvidenceWeightedModels2D:
     share: float
 
 
+def candidate_cores(pinhole: float | tuple[float, float], *, described: bool) -> list[BlurModel2D]:
+    """Return the cores of any camera, or of a described tube."""
+    return [BlurModel2D(core=core, round=not described, pinhole_px=pinhole) for core in (TUBES if described else CORES)]
+
+
 def fit_sources(
-    sites: list[SourcePixels], pinhole: float | tuple[float, float], wide: tuple[ExtendedComponent, ...]
+    sites: list[SourcePixels], cores: list[BlurModel2D], wide: tuple[ExtendedComponent, ...] | None
 ) -> tuple[list[SourcePixels], PointFitter, list[EvidenceWeightedModels2D]]:
-    """Fit sources of one camera: positions, noise and blur models in turn; the most probable model comes first."""
+    """Fit sources of one camera: positions, noise and blur models in turn; the most probable model comes first.
+
+    `wide` are the extended components to be tried with refined cores; None: the cores are the only models.
+    """
     begun = [position_source(site) for site in sites]
     sites = [site for site, _ in begun]
     half = float(np.median([guess for _, guess in begun]))
-    described = sites[0].screen
-    cores = [
-        BlurModel2D(core=core, round=not described, pinhole_px=pinhole) for core in (TUBES if described else CORES)
-    ]
     first = next(form for form in cores if form.core == "exponential")
     fitter = _fitter_for(sites, first, first.start(np.log(half)), None)
     starts = {form: form.start(np.log(half)) for form in cores}
@@ -115,10 +120,12 @@ def _start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
 
 
 def fit_models(
-    fitter: PointFitter, starts: dict[BlurModel2D, Array], wide: tuple[ExtendedComponent, ...]
+    fitter: PointFitter, starts: dict[BlurModel2D, Array], wide: tuple[ExtendedComponent, ...] | None
 ) -> list[EvidenceWeightedModels2D]:
     """Fit candidate blur models and return them with their weights, the most probable first."""
     found = [fitter.fit(form, start) for form, start in starts.items()]
+    if wide is None:
+        return _rank_by_evidence(found)
     found += [
         fitter.fit(form, _start_from(one, form))
         for one in _cores_within(found, ACCURACY.candidate_ln_evidence)
@@ -138,7 +145,7 @@ def fit_models(
             found += [] if more is None else [more]
     if any(isinstance(light, HaloComponent) for light in wide):
         # A described intensifier has a halo.
-        found = [one for one in found if one.form.wide is not None and np.isfinite(one.log_evidence)] or found
+        found = [one for one in found if one.form.wide is not None] or found
     best = max(found, key=_weight)
     found += [
         fitter.fit(form, _start_from(best, form))
@@ -190,15 +197,11 @@ def _fit_extended(
     best = min(begun, key=lambda one: one.cost)
     if best.cost > core.cost - worth:
         return None
-    return fitter.fit(form, best.point)
+    fit = fitter.fit(form, best.point)
+    # Without light in it the component is the core alone.
+    return fit if fit.point[first] > bounds[0, 0] else None
 
 
 def _rank_by_evidence(found: list[BlurModelFit2D]) -> list[EvidenceWeightedModels2D]:
-    evidence = np.array([_weight(fit) for fit in found])
-    fraction = np.exp(evidence - evidence.max())
-    fraction /= fraction.sum()
-    return [
-        EvidenceWeightedModels2D(fit=found[i], share=float(fraction[i]))
-        for i in np.argsort(-fraction)
-        if fraction[i] > ACCURACY.min_model_weight
-    ]
+    ranked = weigh_by_evidence([_weight(fit) for fit in found], least=ACCURACY.min_model_weight)
+    return [EvidenceWeightedModels2D(fit=found[index], share=share) for index, share in ranked]

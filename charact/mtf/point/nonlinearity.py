@@ -20,21 +20,11 @@ FINE_POWERS = np.linspace(POWERS[0], POWERS[-1], 421)
 
 @dataclass(frozen=True, kw_only=True)
 class SpotNonlinearity:
-    """Nonlinearity of a response from the noise of a spot.
+    """Nonlinearity of a response from the noise of a spot."""
 
-    Parameters
-    ----------
-    significance
-        Root of twice the gain in ln likelihood over a linear response, standard deviations.
-    power
-        Likeliest extra power of the light in the noise.
-    exponents
-        Range of response exponents, within 0.4 to 2.5, that the noise does not exclude.
-    """
-
-    significance: float
-    power: float
-    exponents: tuple[float, float]
+    significance: float  # Root of twice the gain in ln likelihood over a linear response, standard deviations
+    power: float  # Likeliest extra power of the light in the noise
+    exponents: tuple[float, float]  # Range of response exponents, within 0.4 to 2.5, that the noise does not exclude
 
     @property
     def is_nonlinear(self) -> bool:
@@ -74,14 +64,9 @@ def fit_nonlinearity(profiles: list[Array]) -> SpotNonlinearity:
 def power_log_likelihoods(samples: Array, mean: Array, pulses: Array, dark: Array) -> Array:
     """Return ln likelihood of each of `POWERS`, maximised over the size of the noise.
 
-    Parameters
-    ----------
-    samples
-        Independent deviations, each of the noise of one frame, shape (sample, pixel), DN.
-    mean
-        Light in every pixel, DN.
-    pulses, dark
-        Covariance of a frame's light under a linear response and of its dark noise, shape (pixel, pixel).
+    `samples`: independent deviations, each of the noise of one frame, shape (sample, pixel), DN; `mean`: light in every
+    pixel, DN; `pulses`, `dark`: covariance of a frame's light under a linear response and of its dark noise, shape
+    (pixel, pixel).
 
     Notes
     -----

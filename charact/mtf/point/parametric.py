@@ -1,8 +1,9 @@
-"""Parametric method for points: blur models fitted to pixels and averaged by evidence."""
+"""Points measured by blur models that are fitted to pixels and averaged by evidence; the parametric method."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,21 +24,21 @@ from charact.mtf.curve import (
 from charact.mtf.image_lag import image_lag_model
 from charact.mtf.known_transfer import halo_diameters_px
 from charact.mtf.mean_frame import Region
-from charact.mtf.point.findings import finding, flag_undersampled
+from charact.mtf.point.blur_models_2d import BANDWIDTH_ORDERS, BlurModel2D
+from charact.mtf.point.checks import camera_nonlinearity, finding, flag_undersampled, light_sd, source_findings
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
-from charact.mtf.point.model_selection import EvidenceWeightedModels2D, fit_sources
-from charact.mtf.point.parametric_checks import camera_nonlinearity, light_sd, source_findings
+from charact.mtf.point.model_selection import EvidenceWeightedModels2D, candidate_cores, fit_sources
 from charact.mtf.point.parametric_noise import measure_surroundings_noise
-from charact.mtf.point.source import detect_source
+from charact.mtf.point.source import PointRefusal, detect_source, refuse_all
 from charact.mtf.point.source_pixels import SourcePixels
 from charact.mtf.point.source_window import neighbour_mask, rounding_note, source_figure_data, source_window
 from charact.mtf.point.spot_image_matrix import Aperture
 from charact.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.posterior import has_several_peaks, importance_sample, sample_posterior
-from charact.video_filter import VideoFilter
+from charact.video_filter import VideoFilter, powers
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
+from labdata.measurement import Measurement, Posterior, Provenance, Result, measurement_from_draws
 
 Array = NDArray[np.float64]
 
@@ -101,27 +102,79 @@ def point_parametric(
     slopes and the shift from the best position are marginalised in closed form; pixels at full scale enter by the
     probability of at least that value. The draws are those of every blur model in proportion to its evidence.
     """
-    task = _Task(context=context, region=region or (0, 0, *stack.shape[1:]), pinhole=_pinhole(pinhole_px))
+    cores = partial(candidate_cores, described=context.sensor is not None)
+
+    def forms(pinhole: float | tuple[float, float], holds_halo: bool, reach_px: float):
+        return cores(pinhole), _extended_components(context, holds_halo, reach_px)
+
+    method = PointMethod(name=METHOD, quantities=("mtf50", "mtf10", "mtf"), forms=forms)
+    return measure_points(method, stack, region, regions, pinhole_px, context)
+
+
+def _extended_components(context: Context, holds_halo: bool, reach_px: float) -> tuple[ExtendedComponent, ...]:
+    """Return the extended components that regions can show."""
+    if context.sensor is not None:
+        return (HaloComponent(size_px=halo_diameters_px(context, transposed=False)),) if holds_halo else ()
+    if not reach_px:
+        return ()
+    return DiscComponent(size_px=(6.0, 2.0 * reach_px)), ScatterComponent(size_px=(2.0, reach_px / 3.0))
+
+
+class PointMethod(NamedTuple):
+    """A method for points: its name, quantities and blur models.
+
+    `forms` takes the pinhole's diameter, whether the regions hold a described halo, and the distance to which they can
+    show light, px. It returns cores, and extended components to refine them with, or None.
+    """
+
+    name: str
+    quantities: tuple[str, ...]
+    forms: Callable[..., tuple[list[BlurModel2D], tuple[ExtendedComponent, ...] | None]]
+
+
+def measure_points(
+    method: PointMethod,
+    stack: FrameStack,
+    region: Region | None,
+    regions: tuple[Region, ...] | None,
+    pinhole_px: float | tuple[float, float] | None,
+    context: Context,
+) -> Result:
+    """Measure the MTF from points by the blur models of a method."""
+    pinhole = _pinhole(pinhole_px)
     if regions is not None and not regions:
         raise BadInput("several sources require at least one region, got none")
-    parts = [stack.region(*one) for one in regions] if regions else [stack if region is None else stack.region(*region)]
+    common = {
+        "method": method.name,
+        "region": region or (0, 0, *stack.shape[1:]),
+        "provenance": Provenance(
+            version=charact.__version__,
+            seed=context.seed,
+            settings={"quick": context.quick, "pinhole_px": pinhole},
+        ),
+    }
     sites = []
-    for part in parts:
+    for part in [stack.region(*one) for one in regions] if regions else [stack.region(*region) if region else stack]:
         site = _locate_source(part, context)
-        if isinstance(site, tuple):
-            return task.nothing(*site)
+        if isinstance(site, PointRefusal):
+            return refuse_all(site, common)
         sites.append(site)
-    sites, fitter, found = fit_sources(sites, task.pinhole, _extended_components(sites, parts, context))
+    # Rings beyond the light are needed to separate it from the background.
+    rings = min((site.window.ring_px for site in sites), key=len)
+    reach = float(rings[-1 - ACCURACY.empty_rings].max()) if len(rings) > ACCURACY.empty_rings else 0.0
+    cores, wide = method.forms(pinhole, all(site.window.holds_halo for site in sites), reach)
+    if any(form.bandwidth_order > 1 for form in cores):
+        sites = [replace(site, aperture=replace(site.aperture, orders=BANDWIDTH_ORDERS)) for site in sites]
+    sites, fitter, found = fit_sources(sites, cores, wide)
     best = found[0].fit
     # The noise of a single frame's light is poorly known; there the detection decides.
     weak = best.light < LIMITS.min_light_sd * light_sd(fitter, best)
     if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
         n_neighbours = sum(len(site.window.neighbours) for site in sites)
         crowd = f"; {n_neighbours} neighbours interfere, use --roi around an isolated one" if n_neighbours else ""
-        return task.nothing(
-            f"no target: the light must be at least {LIMITS.min_light_sd:g} standard uncertainties{crowd}", "no-target"
-        )
-    return task.result(sites, fitter, found, stack.notes)
+        required = f"no target: the light must be at least {LIMITS.min_light_sd:g} standard uncertainties{crowd}"
+        return refuse_all(PointRefusal(required, "no-target"), common)
+    return _result(method, sites, fitter, found, {**common, "notes": stack.notes}, pinhole, context)
 
 
 def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[float, float]:
@@ -137,24 +190,23 @@ def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[fl
     return float(pinhole_px or 0.0)
 
 
-def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[str, str]:
-    """Return the source of a part of the frames, or reason and flag of a refusal."""
+def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRefusal:
+    """Return the source of a part of the frames."""
     if min(part.shape[1:]) < LIMITS.min_region_px:
-        return (
-            f"a point needs a region of at least {LIMITS.min_region_px} x {LIMITS.min_region_px} px",
-            "window-too-small",
-        )
+        least = f"{LIMITS.min_region_px} x {LIMITS.min_region_px} px"
+        return PointRefusal(f"a point needs a region of at least {least}, got {part.shape[1:]}", "window-too-small")
     full = context.full_scale_dn or part.full_scale_dn
     source = detect_source(part.data, context.pitch_ratio)
-    if isinstance(source, str):
+    if isinstance(source, PointRefusal):
         bright = full is not None and np.median(part.data, axis=0).max() >= full
-        return ("the source is too bright: there is no background", "saturated") if bright else (source, "no-target")
+        return PointRefusal("the source is too bright: there is no background", "saturated") if bright else source
     window = source_window(part, source, context, source.neighbours)
     height = np.maximum(window.core - np.median(window.core), 0.0)
     if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
-        return "the source is too bright: pixels below full scale contain too little of its light", "saturated"
+        reason = "the source is too bright: pixels below full scale contain too little of its light"
+        return PointRefusal(reason, "saturated")
     rows = 2.0 if context.interlaced else 1.0
-    site = SourcePixels(
+    return SourcePixels(
         window=window,
         aperture=Aperture(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor)),
         dark=measure_surroundings_noise(
@@ -164,140 +216,98 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[s
         full_scale_dn=full,
         screen=context.sensor is not None,
     )
-    return site
 
 
-def _extended_components(
-    sites: list[SourcePixels], parts: list[FrameStack], context: Context
-) -> tuple[ExtendedComponent, ...]:
-    """Return the extended components that the regions can show."""
-    if context.sensor is not None:
-        low, high = halo_diameters_px(context, transposed=False)
-        return (HaloComponent(size_px=(low, high)),) if all(site.window.holds_halo for site in sites) else ()
-    # Rings beyond the light are needed to separate it from the background.
-    rings = min((site.window.ring_px for site in sites), key=len)
-    if len(rings) <= ACCURACY.empty_rings:
-        return ()
-    reach = float(rings[-1 - ACCURACY.empty_rings].max())
-    return DiscComponent(size_px=(6.0, 2.0 * reach)), ScatterComponent(size_px=(2.0, reach / 3.0))
+def _result(
+    method: PointMethod,
+    sites: list[SourcePixels],
+    fitter: PointFitter,
+    found: list[EvidenceWeightedModels2D],
+    common: dict[str, Any],
+    pinhole: float | tuple[float, float],
+    context: Context,
+) -> Result:
+    """Return measurements, curves and figure data of fitted sources."""
+    drawn = [_posterior(fitter, one, number, context) for number, one in enumerate(found)]
+    response = camera_nonlinearity(sites, found[0].fit)
+    findings = source_findings(sites, fitter, found)
+    # Of a described tube the pulse widths are tried coarsely, so that noise may appear to grow faster than the light.
+    known = bool(found[0].fit.form.known)
+    if response.is_nonlinear and (response.power < -LIMITS.max_negative_power or not known):
+        findings.append(finding("gamma", response.effect))
+    if context.sensor and any(site.cut.any() for site in sites):
+        findings.append(finding("saturated", "wells may fill before the digitiser clips; MTF50 may be 26 to 43 % low"))
+    if any("not-converged" in one.flags for one in drawn):
+        findings.append(finding("not-converged", "interval from the curvature at the optimum"))
+    common["notes"] = (*common["notes"], *_notes(sites, found, pinhole, context), response.note)
+    total = sum(one.share for one in found)
+    wanted = ACCURACY.quick_draws if context.quick else ACCURACY.draws
+    counts = [max(1, round(wanted * one.share / total)) for one in found]
+    measurements: list[Measurement] = []
+    curves, aperture = {}, sites[0].aperture
+    frequency = np.concatenate([FINE, PINNED, np.maximum(REPORTED, 1e-6)])
+    for name, vertical, angle in (("mtf", False, 0.0), ("mtf_vertical", True, 90.0)):
+        draws = np.concatenate([
+            mtf_of_camera(one.fit.form, posterior.draws[:count], frequency, aperture, vertical=vertical)
+            for one, posterior, count in zip(found, drawn, counts, strict=True)
+        ])  # fmt: skip
+        fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
+        one = {**common, "orientation_deg": angle}
+        own = [
+            _note_several_peaks(crossing_measurement(quantity, fine, drawn[0], one), crossing_frequency(FINE, fine, at))
+            for quantity, at in LEVELS.items()
+        ]
+        for values, at in zip(pinned.T, PINNED, strict=True) if "mtf" in method.quantities else ():
+            measured = measurement_from_draws("mtf", "1", values, frequency_cy_per_px=float(at), **one)
+            own.append(_note_several_peaks(measured, values))
+        exact = aperture.video is None or vertical or found[0].fit.form.bandwidth_order > 1
+        doubt = None if exact or aperture.video is None else aperture.video.doubt
+        measurements += [flag_filter_uncertainty(number, doubt, partial(_crossing, fine)) for number in own]
+        curves[name] = curve_of(REPORTED, reported)
+    measurements = [one.with_(findings=findings) for one in measurements]
+    return Result(
+        measurements=flag_undersampled(measurements, sites[0].window),
+        curves=curves,
+        evidence={"point-profile": _model_figure_data(sites[0], fitter, found[0].fit)},
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Task:
-    """Arguments of a measurement."""
+def mtf_of_camera(form: BlurModel2D, draws: Array, frequency: Array, aperture: Aperture, *, vertical: bool) -> Array:
+    """Return the MTF of draws along rows or columns, aperture and video filter included, shape (draw, frequency)."""
+    blur = np.abs(form.camera(draws, frequency, np.array([-1.0 if vertical else 1.0]))[:, 0])
+    if vertical:
+        return blur * np.abs(aperture.vertical(frequency))
+    bandwidth = form.ln_bandwidth(draws)
+    if bandwidth is not None and aperture.video is not None:
+        blur = blur * np.exp(powers(bandwidth) @ aperture.video.bend(frequency).real)
+    return blur * np.abs(aperture.horizontal(frequency))
 
-    context: Context
-    region: Region
-    pinhole: float | tuple[float, float]
 
-    @property
-    def _common(self) -> dict[str, Any]:
-        settings = {"quick": self.context.quick, "pinhole_px": self.pinhole}
-        provenance = Provenance(version=charact.__version__, seed=self.context.seed, settings=settings)
-        return {"method": METHOD, "region": self.region, "provenance": provenance}
-
-    def nothing(self, reason: str, flag: str) -> Result:
-        """Return the refusal of all quantities."""
-        return Result(measurements=tuple(
-            make_refusal(name, "cy/px", reason, orientation_deg=angle, flags=(flag,), **self._common)
-            for angle in (0.0, 90.0) for name in ("mtf50", "mtf10")
-        ))  # fmt: skip
-
-    def result(
-        self,
-        sites: list[SourcePixels],
-        fitter: PointFitter,
-        found: list[EvidenceWeightedModels2D],
-        notes: tuple[str, ...],
-    ) -> Result:
-        """Return measurements and curves of fitted sources."""
-        drawn = [self._posterior(fitter, one, number) for number, one in enumerate(found)]
-        pedestals = np.array([float(np.median(site.window.core)) for site in sites])
-        response = camera_nonlinearity(sites, found[0].fit)
-        findings = source_findings(sites, fitter, found, pedestals)
-        if response.is_nonlinear:
-            findings.append(finding("gamma", response.effect))
-        if self.context.sensor and any(site.cut.any() for site in sites):
-            findings.append(
-                finding("saturated", "wells may fill before the digitiser clips; MTF50 may be 26 to 43 % low")
-            )
-        if any("not-converged" in one.flags for one in drawn):
-            findings.append(finding("not-converged", "interval from the curvature at the optimum"))
-        common = {
-            **self._common,
-            "notes": (*notes, *_notes(sites, found, self.pinhole, self.context), response.note),
-        }
-        total = sum(one.share for one in found)
-        wanted = ACCURACY.quick_draws if self.context.quick else ACCURACY.draws
-        counts = [max(1, round(wanted * one.share / total)) for one in found]
-        measurements: list[Measurement] = []
-        curves = {}
-        frequency = np.concatenate([FINE, PINNED, np.maximum(REPORTED, 1e-6)])
-        for name, cosine, angle in (("mtf", 1.0, 0.0), ("mtf_vertical", -1.0, 90.0)):
-            aperture = sites[0].aperture
-            known = np.abs(aperture.horizontal(frequency) if cosine > 0 else aperture.vertical(frequency))
-            draws = known * np.abs(np.concatenate([
-                one.fit.form.camera(posterior.draws[:count], frequency, np.array([cosine]))[:, 0]
-                for one, posterior, count in zip(found, drawn, counts, strict=True)
-            ]))  # fmt: skip
-            fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
-            one = {**common, "orientation_deg": angle}
-            own = [
-                _note_several_peaks(
-                    crossing_measurement(quantity, fine, drawn[0], one), crossing_frequency(FINE, fine, at)
-                )
-                for quantity, at in LEVELS.items()
-            ]
-            own += [
-                _note_several_peaks(
-                    measurement_from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **one),
-                    pinned[:, index],
-                )
-                for index, f in enumerate(PINNED)
-            ]
-            doubt = aperture.video.doubt if aperture.video is not None and cosine > 0 else None
-            crossing = partial(_crossing, fine)
-            measurements += [flag_filter_uncertainty(number, doubt, crossing) for number in own]
-            curves[name] = curve_of(REPORTED, reported)
-        measurements = [one.with_(findings=findings) for one in measurements]
-        return Result(
-            measurements=flag_undersampled(measurements, sites[0].window),
-            curves=curves,
-            evidence={"point-profile": _model_figure_data(sites[0], fitter, found[0].fit)},
-        )
-
-    def _posterior(self, fitter: PointFitter, one: EvidenceWeightedModels2D, number: int) -> Posterior:
-        """Sample the posterior of one blur model, by importance sampling if quick."""
-        fit = one.fit
-        arguments = {
-            "names": tuple(fit.form.parameters),
-            "units": tuple(unit for unit, _ in fit.form.parameters.values()),
-            "start": fit.point,
-            "covariance": fit.covariance,
-            "seed": self.context.seed + number,
-            "bounds": fit.form.bounds,
-            "draws": ACCURACY.quick_draws if self.context.quick else ACCURACY.draws,
-        }
-
-        def log_probability(theta: Array) -> Array:
-            return fitter.log_probability(fit.form, theta)
-
-        if self.context.quick:
-            fraction = max(one.share, ACCURACY.min_quick_effort)
-            enough, first = ACCURACY.quick_ess * fraction, round(ACCURACY.quick_first_draws * fraction)
-            return importance_sample(log_probability, **arguments, enough=enough, first_draws=first)
-        return sample_posterior(
-            log_probability,
-            **arguments,
-            max_steps=ACCURACY.parametric_chain_steps,
-            effort=max(one.share, ACCURACY.min_full_effort),
-        )
+def _posterior(fitter: PointFitter, one: EvidenceWeightedModels2D, number: int, context: Context) -> Posterior:
+    """Sample the posterior of one blur model, by importance sampling if quick."""
+    fit = one.fit
+    arguments = {
+        "names": tuple(fit.form.parameters),
+        "units": tuple(unit for unit, _ in fit.form.parameters.values()),
+        "start": fit.point,
+        "covariance": fit.covariance,
+        "seed": context.seed + number,
+        "bounds": fit.form.bounds,
+        "draws": ACCURACY.quick_draws if context.quick else ACCURACY.draws,
+    }
+    log_probability = partial(fitter.log_probability, fit.form)
+    effort = max(one.share, ACCURACY.min_effort)
+    if context.quick:
+        enough, first = ACCURACY.quick_ess * effort, round(ACCURACY.quick_first_draws * effort)
+        return importance_sample(log_probability, **arguments, enough=enough, first_draws=first)
+    return sample_posterior(log_probability, **arguments, max_steps=ACCURACY.chain_steps, effort=effort)
 
 
 def _model_figure_data(site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D) -> dict[str, Any]:
     """Return the figure data of the most probable model for the first source, with the estimated quantisation shift."""
     pixels, light, background = fitter.pixels[0], float(fit.light[0]), site.background()
-    lit = light * (site.matrix() @ fitter.nodes(fit.form, fit.point[None])[0])
+    nodes = fitter.nodes(fit.form, fit.point[None])[0]
+    lit = light * (site.matrix()[:, : nodes.size] @ nodes)
     white = pixels.root @ background[site.value_mask]
     level = np.linalg.lstsq(white, pixels.root @ (site.values - lit)[site.value_mask], rcond=None)[0]
     mean, used = lit + background @ level, site.value_mask

@@ -23,18 +23,11 @@ RADII_PX = np.linspace(0.0, 16.0, 80)
 
 @dataclass(frozen=True, kw_only=True)
 class SurroundingsNoise:
-    """Noise of the surroundings of a source.
+    """Noise of the surroundings of a source."""
 
-    Parameters
-    ----------
-    variance
-        Of one pixel in one frame, DN^2.
-    common, width_px
-        Correlated fraction of it, and the correlation widths along rows and columns, px: the correlation is common
-        exp(-x^2 / 4 w^2) in either direction.
-    """
-
-    variance: float
+    variance: float  # Of one pixel in one frame, DN^2
+    # common, width_px: correlated fraction of it, and the correlation widths along rows and columns, px: the
+    # correlation is common exp(-x^2 / 4 w^2) in either direction
     common: float = 0.0
     width_px: tuple[float, float] = (0.01, 0.01)
 
@@ -114,18 +107,10 @@ def _fit_correlation(off: Array, far: NDArray[np.bool_], norm: float, variance: 
 
 @dataclass(frozen=True, kw_only=True)
 class Pulses:
-    """Noise of the light.
+    """Noise of the light."""
 
-    Parameters
-    ----------
-    gain
-        Variance over light, DN.
-    unit
-        Covariance of one frame at unit gain, shape (pixel, pixel), DN.
-    """
-
-    gain: float
-    unit: Array
+    gain: float  # Variance over light, DN
+    unit: Array  # Covariance of one frame at unit gain, shape (pixel, pixel), DN
 
     @property
     def covariance(self) -> Array:
@@ -136,14 +121,8 @@ class Pulses:
 def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Array) -> list[Array]:
     """Return candidate covariances at unit gain of light with correlated pulses, shape (pixel, pixel) each, DN.
 
-    Parameters
-    ----------
-    radial
-        Frequencies, cycles per column pitch, and the blur's transfer there averaged over directions.
-    mean
-        Light in every pixel, DN.
-    x, y
-        Positions of columns and rows from the source, column pitches.
+    `radial`: frequencies, cycles per column pitch, and the blur's transfer there averaged over directions; `mean`:
+    light in every pixel, DN; `x`, `y`: positions of columns and rows from the source, column pitches.
 
     Notes
     -----
@@ -173,10 +152,7 @@ def _width(frequency: Array, log: Array) -> float:
 def _covariance(frequency: Array, log_before: Array, width_px: float, mean: Array, x: Array, y: Array) -> Array:
     """Return the covariance at unit gain of pulses of a width, shape (pixel, pixel), DN.
 
-    Parameters
-    ----------
-    log_before
-        ln transfer before the gain.
+    `log_before`: ln transfer before the gain.
 
     Notes
     -----
@@ -221,20 +197,10 @@ def fit_pulses(
 ) -> Pulses:  # fmt: skip
     """Return the pulses that make independent samples of the noise most probable.
 
-    Parameters
-    ----------
-    samples
-        Deviations, each of the noise of one frame, shape (sample, pixel), DN.
-    dark
-        Covariance of the dark noise, shape (pixel, pixel).
-    units
-        Candidate covariances at unit gain.
-    factor
-        Image lag of each pair of pixels, shape (pixel, pixel).
-    near
-        Pixels used.
-    fitted
-        Directions in which a fit absorbed noise, shape (pixel, direction); None: none.
+    `samples`: deviations, each of the noise of one frame, shape (sample, pixel), DN; `dark`: covariance of the dark
+    noise, shape (pixel, pixel); `units`: candidate covariances at unit gain; `factor`: image lag of each pair of
+    pixels, shape (pixel, pixel); `near`: pixels used; `fitted`: directions in which a fit absorbed noise, shape (pixel,
+    direction); None: none.
 
     Notes
     -----
@@ -272,10 +238,7 @@ def fit_pulses(
 def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
     """Return the standard deviation of a pixel without light, DN; a default where quantisation hides it.
 
-    Parameters
-    ----------
-    codes
-        Values around a source, any shape.
+    `codes`: values around a source, any shape.
 
     Notes
     -----
@@ -297,10 +260,7 @@ def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
 def is_clipped_at_black(codes: NDArray) -> bool:
     """Return whether the noise is clipped at the lowest grey value.
 
-    Parameters
-    ----------
-    codes
-        Values around a source, any shape.
+    `codes`: values around a source, any shape.
 
     Notes
     -----

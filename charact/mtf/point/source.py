@@ -1,40 +1,46 @@
 """Detection of point sources: light that is steady over frames, unlike single bright events."""
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.point.thresholds import ACCURACY, LIMITS
+from labdata.measurement import Result, make_refusal
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedSource:
-    """A detected source.
+    """A detected source."""
 
-    Parameters
-    ----------
-    row, col
-        Brightest smoothed pixel.
-    significance
-        Height above the background in standard deviations of the smoothed background.
-    others
-        Whether other sources are detected too.
-    neighbours
-        Rows and columns of the other peaks in the region, px.
-    """
-
+    # row, col: brightest smoothed pixel
     row: int
     col: int
-    significance: float
-    others: bool
-    neighbours: tuple[tuple[int, int], ...] = ()
+    significance: float  # Height above the background in standard deviations of the smoothed background
+    others: bool  # Whether other sources are detected too
+    neighbours: tuple[tuple[int, int], ...] = ()  # Rows and columns of the other peaks in the region, px
 
 
-def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
-    """Find the brightest steady source of frames (frame, row, col); a sentence where there is none.
+class PointRefusal(NamedTuple):
+    """Why no point is measured, and the flag."""
+
+    reason: str
+    flag: str = "no-target"
+
+
+def refuse_all(why: PointRefusal, common: dict[str, Any]) -> Result:
+    """Return the refusal of all quantities."""
+    return Result(measurements=tuple(
+        make_refusal(name, "cy/px", why.reason, flags=(why.flag,), orientation_deg=angle, **common)
+        for angle in (0.0, 90.0) for name in ("mtf50", "mtf10")
+    ))  # fmt: skip
+
+
+def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | PointRefusal:
+    """Find the brightest steady source of frames (frame, row, col).
 
     Notes
     -----
@@ -65,7 +71,7 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
             f"{round_down(height / spread):.1f} standard deviations; at least {LIMITS.min_height_sd:g} are required"
         )
         crowd = "; neighbours or a nonuniform background interfere" if over > LIMITS.min_height_sd * bare else ""
-        return f"no target: the brightest spot is {stands}{crowd}"
+        return PointRefusal(f"no target: the brightest spot is {stands}{crowd}")
     least = max(LIMITS.min_height_sd * spread, LIMITS.min_other_height * height)
     (row, col), *peaks = _peaks(steady, level, least)
     significance = (float(steady[row, col]) - level) / spread
@@ -73,7 +79,7 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
     if steadiness < LIMITS.min_steadiness_sd:
         needed = f"at least {LIMITS.min_steadiness_sd:g} are required"
         stands = f"{round_down(steadiness):.1f} standard uncertainties over the frames; {needed}"
-        return f"no target: the brightest spot is {stands}"
+        return PointRefusal(f"no target: the brightest spot is {stands}")
     high = _surroundings(steady.shape, row, col, pitch_ratio) & (steady - level > least)
     others = bool(high.any() and _steadiness(smooth[:, high] - level, spread).max() >= LIMITS.min_steadiness_sd)
     steady_ones = tuple(at for at in peaks if _steadiness(smooth[:, *at] - level, spread) >= LIMITS.min_steadiness_sd)

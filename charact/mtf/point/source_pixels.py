@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from charact.mtf.image_lag import ImageLagModel
 from charact.mtf.point.blur_models_2d import BlurModel2D
-from charact.mtf.point.forward_fit import rounding_covariance
 from charact.mtf.point.model_fit import BlurModelFit2D, Censored, WhitenedPixels
 from charact.mtf.point.parametric_noise import GAINS, Pulses, SurroundingsNoise, fit_pulses, pulse_covariances
 from charact.mtf.point.source_window import Window
@@ -23,36 +22,17 @@ GUESSED = BlurModel2D(core="exponential")
 
 @dataclass(frozen=True, kw_only=True)
 class SourcePixels:
-    """A source in its window.
+    """A source in its window."""
 
-    Parameters
-    ----------
-    window
-        Its pixels and rings.
-    aperture
-        Known part of the camera's transfer.
-    dark
-        Noise of its surroundings.
-    memory
-        Image lag.
-    full_scale_dn
-        Full scale, DN; None: unknown.
-    screen
-        Whether a phosphor pattern makes pixels unequal.
-    place
-        Column and row of the source from the centre of the window, column pitches.
-    pulses
-        Noise of its light; None before it is estimated.
-    """
-
-    window: Window
-    aperture: Aperture
-    dark: SurroundingsNoise
-    memory: ImageLagModel
-    full_scale_dn: float | None
-    screen: bool
+    window: Window  # Its pixels and rings
+    aperture: Aperture  # Known part of the camera's transfer
+    dark: SurroundingsNoise  # Noise of its surroundings
+    memory: ImageLagModel  # Image lag
+    full_scale_dn: float | None  # Full scale, DN; None: unknown
+    screen: bool  # Whether a phosphor pattern makes pixels unequal
+    # Column and row of the source from the centre of the window, column pitches
     place: tuple[float, float] = (0.0, 0.0)
-    pulses: Pulses | None = None
+    pulses: Pulses | None = None  # Noise of its light; None before it is estimated
 
     @property
     def axes(self) -> tuple[Array, Array]:
@@ -121,7 +101,8 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
     data = site.values[used] / sd[used]
     thetas = np.stack([np.log(GUESSES), np.full_like(GUESSES, 1.5), np.zeros_like(GUESSES)], axis=1)
     transfers = GUESSED.transfer(thetas, radial(site.aperture.top)[1], cosines())
-    shapes = transfers.reshape(len(thetas), -1) @ site.matrix()[used].T / sd[used]
+    described = replace(site.aperture, orders=1)
+    shapes = transfers.reshape(len(thetas), -1) @ replace(site, aperture=described).matrix()[used].T / sd[used]
     basis = np.linalg.qr(flat)[0]
     free, left = shapes - (shapes @ basis) @ basis.T, data - basis @ (basis.T @ data)
     best = int(np.argmax((free @ left) * np.abs(free @ left) / np.sum(free**2, axis=1)))
@@ -134,21 +115,11 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class _CoreResidual:
-    """Residual of the core's pixels for a fixed transfer.
+    """Residual of the core's pixels for a fixed transfer."""
 
-    Parameters
-    ----------
-    coefficients
-        Light, light times the shift along rows and columns, level and slopes.
-    design
-        Their images, shape (pixel, coefficient).
-    residual
-        Shape (pixel,), DN.
-    """
-
-    coefficients: Array
-    design: Array
-    residual: Array
+    coefficients: Array  # Light, light times the shift along rows and columns, level and slopes
+    design: Array  # Their images, shape (pixel, coefficient)
+    residual: Array  # Shape (pixel,), DN
 
 
 def _core_residual(site: SourcePixels, transfer: Array, sd: Array) -> _CoreResidual:
@@ -226,8 +197,7 @@ def _slopes(site: SourcePixels, fit: BlurModelFit2D) -> Array:
     """Return the derivatives of the core's pixels at unit light by a model's parameters, shape (pixel, parameter)."""
     bounds = fit.form.bounds
     moves = np.where(fit.point > bounds.mean(axis=1), -1e-4, 1e-4) * (bounds[:, 1] - bounds[:, 0])
-    nodes = fit.form.transfer(np.concatenate([fit.point[None], fit.point + np.diag(moves)]), *_nodes(site))
-    nodes = nodes.reshape(len(nodes), -1)
+    nodes = fit.form.nodes(np.concatenate([fit.point[None], fit.point + np.diag(moves)]), *_nodes(site))
     return pixel_matrix(site.aperture, *site.axes) @ ((nodes[1:] - nodes[0]) / moves[:, None]).T
 
 
@@ -268,7 +238,7 @@ def rounding(site: SourcePixels, mean: Array) -> Array:
         pulse = np.diag(site.pulses.covariance) * site.memory.frame_same
     gain = 0.0 if site.pulses is None else site.pulses.gain
     scatter = np.append(pulse, np.full(mean.size - size, np.inf))
-    common = rounding_covariance(
+    common = _rounding_covariance(
         mean, scatter, window.quiet_sd, ACCURACY.pulse_height_square / gain if gain > 0 else ACCURACY.pulses_per_dn
     )
     # A height is known to a fraction of a step only where it is small: otherwise quantisation errors are independent.
@@ -279,16 +249,12 @@ def rounding(site: SourcePixels, mean: Array) -> Array:
 def whiten_source(site: SourcePixels, transfer: Array, light: float) -> WhitenedPixels:
     """Return the whitened pixels of a source, its position and background marginalised.
 
-    Parameters
-    ----------
-    transfer
-        Approximate transfer, shape (direction, frequency), for weights and the effect of a shift.
-    light
-        Approximate light, DN px^2.
+    `transfer`: approximate transfer, shape (direction, frequency), for weights and the effect of a shift; `light`:
+    approximate light, DN px^2.
     """
     used, size = site.value_mask, site.window.core.size
     matrix, level = site.matrix(), site.background()
-    mean = light * (matrix @ transfer.ravel())
+    mean = light * (matrix[:, : transfer.size] @ transfer.ravel())
     slopes = np.zeros((used.size, 2))
     slopes[:size] = light * pictures(site.aperture, transfer, *site.axes)[1:3].T
     nuisance = np.concatenate([level, slopes, _neighbours(site, transfer)], axis=1)
@@ -319,7 +285,7 @@ def _neighbours(site: SourcePixels, transfer: Array) -> Array:
         if np.hypot(*at) > LIMITS.max_neighbour_px:
             continue
         core = pictures(site.aperture, transfer, window.x - at[0], window.y - at[1])[:3]
-        rings = ring_matrix(site.aperture, ring_px) @ transfer.ravel()
+        rings = ring_matrix(site.aperture, ring_px)[:, : transfer.size] @ transfer.ravel()
         columns += [np.append(core[0], rings), *(np.append(one, np.zeros(rings.size)) for one in core[1:])]
     return np.stack(columns, axis=1) if columns else np.empty((site.value_mask.size, 0))
 
@@ -344,3 +310,22 @@ def _pixels_at_full_scale(
         left=left.astype(float),
         mean=mean - level,
     )
+
+
+def _rounding_covariance(height: Array, pulse_variance: Array, quiet_sd: float, pulses_per_dn: float) -> Array:
+    """Return the covariance of mean values by quantisation, shape (value, value).
+
+    `height`: values above the pedestal, shape (value,), DN; `pulse_variance`: variance of one frame by pulses, shape
+    (value,), DN^2; `quiet_sd`: noise of a pixel without light, DN; `pulses_per_dn`: number of pulses per DN.
+
+    Notes
+    -----
+    Quantisation of a value x with Gaussian noise sd adds -exp(-2 (pi sd)^2) sin(2 pi x) / pi to its mean (first term of
+    the sawtooth's series). The fractional part of the pedestal is unknown, so that x = pedestal + height has any phase
+    and the errors of two values covary as the cosine of their difference. With few pulses the factor is at least
+    exp(-their number): some frames have none.
+    """
+    damping = np.minimum(2.0 * np.pi**2 * pulse_variance, pulses_per_dn * np.maximum(height, 0.0))
+    size = np.exp(-2.0 * np.pi**2 * quiet_sd**2 - damping) / np.pi
+    phase = 2.0 * np.pi * height
+    return 0.5 * np.outer(size, size) * np.cos(phase[:, None] - phase)

@@ -20,61 +20,34 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
-    """Pixels around a source.
+    """Pixels around a source."""
 
-    Parameters
-    ----------
-    core
-        Mean frame of the core, shape (row, col), DN.
-    deviations
-        Frames of the core less their mean, shape (frame, row x col), DN.
-    keep
-        Valid core pixels: not affected by full scale or a neighbour, shape (row, col).
-    sound
-        Whether full scale affects no core pixel.
-    x, y
-        Positions of columns and rows from the centre of the core, column pitches.
-    parity
-        Field of every core pixel, shape (row x col,).
-    ring_px
-        Distances of sample pixels of each ring, shape (ring, pixel), column pitches.
-    ring_dn, ring_variance, ring_correlation
-        Mean of each ring, its variance, shape (ring,), and the correlation between rings, shape (ring, ring).
-    floor
-        Temporal variance of a pixel in the outermost ring, DN^2.
-    quiet_sd
-        Noise of a pixel without light, DN, infinite without quantisation. Small noise lets quantisation hide faint
-        light.
-    frames
-        Number of frames.
-    holds_halo, cut
-        Whether the region contains the complete halo, and whether it cuts into the core.
-    clipped
-        Whether the noise of pixels without light is clipped at black.
-    neighbours
-        Columns and rows of other sources from the centre of the core, shape (neighbour, 2), column pitches.
-    neighbour_ring_px
-        Distances of sample pixels of each ring from each neighbour, shape (neighbour, ring, pixel), column pitches.
-    """
-
-    core: Array
-    deviations: Array
-    keep: NDArray[np.bool_]
-    sound: bool
+    core: Array  # Mean frame of the core, shape (row, col), DN
+    deviations: Array  # Frames of the core less their mean, shape (frame, row x col), DN
+    keep: NDArray[np.bool_]  # Valid core pixels: not affected by full scale or a neighbour, shape (row, col)
+    sound: bool  # Whether full scale affects no core pixel
+    # x, y: positions of columns and rows from the centre of the core, column pitches
     x: Array
     y: Array
-    parity: NDArray[np.bool_]
-    ring_px: Array
+    parity: NDArray[np.bool_]  # Field of every core pixel, shape (row x col,)
+    ring_px: Array  # Distances of sample pixels of each ring, shape (ring, pixel), column pitches
+    # ring_dn, ring_variance, ring_correlation: mean of each ring, its variance, shape (ring,), and the
+    # correlation between rings, shape (ring, ring)
     ring_dn: Array
     ring_variance: Array
     ring_correlation: Array
-    floor: float
+    floor: float  # Temporal variance of a pixel in the outermost ring, DN^2
+    # Noise of a pixel without light, DN, infinite without quantisation. Small noise lets quantisation hide faint
+    # light
     quiet_sd: float
-    frames: int
+    frames: int  # Number of frames
+    # holds_halo, cut: whether the region contains the complete halo, and whether it cuts into the core
     holds_halo: bool
     cut: bool
-    clipped: bool
+    clipped: bool  # Whether the noise of pixels without light is clipped at black
+    # Columns and rows of other sources from the centre of the core, shape (neighbour, 2), column pitches
     neighbours: Array
+    # Distances of sample pixels of each ring from each neighbour, shape (neighbour, ring, pixel), column pitches
     neighbour_ring_px: Array
 
     def ring_covariance(self, variance: Array) -> Array:
@@ -133,16 +106,9 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
               neighbours: tuple[tuple[int, int], ...] = ()) -> Window:  # fmt: skip
     """Return the pixels around a position.
 
-    Parameters
-    ----------
-    data
-        Frames of the region, shape (frame, row, col).
-    halo_radius_px
-        Largest radius of the halo, column pitches; None: unknown.
-    filtered
-        Whether a causal video filter follows the sensor.
-    neighbours
-        Rows and columns of other sources, px.
+    `data`: frames of the region, shape (frame, row, col); `halo_radius_px`: largest radius of the halo, column pitches;
+    None: unknown; `filtered`: whether a causal video filter follows the sensor; `neighbours`: rows and columns of other
+    sources, px.
     """
     frames, rows, cols = data.shape
     top, bottom = max(0, row - ACCURACY.half_rows), min(rows, row + ACCURACY.half_rows + 1)
@@ -267,12 +233,8 @@ def _sectors(values: Array, angle: Array, count: int) -> Array:
 def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Array, Array]:
     """Return variances of rings' means, shape (ring,), and their correlations, shape (ring, ring).
 
-    Parameters
-    ----------
-    sectors
-        Sector means of every ring less their mean, DN.
-    pixels, borders
-        Pixels of every ring, shape (ring,), and its inner and outer radius, px, shape (ring, 2).
+    `sectors`: sector means of every ring less their mean, DN; `pixels`, `borders`: pixels of every ring, shape (ring,),
+    and its inner and outer radius, px, shape (ring, 2).
 
     Notes
     -----
@@ -314,14 +276,9 @@ def source_figure_data(
 ) -> dict[str, Any]:
     """Return mean frame, model and the lines through the source's centre, as figure data.
 
-    Parameters
-    ----------
-    place
-        Column and row of the source from the centre of the window, column pitches.
-    core_dn, rings_dn
-        Model of the core, shape (row, col), and of the rings, shape (ring,), DN.
-    fitted
-        Numbers of the fit that are printed: light, level, chi squared.
+    `place`: column and row of the source from the centre of the window, column pitches; `core_dn`, `rings_dn`: model of
+    the core, shape (row, col), and of the rings, shape (ring,), DN; `fitted`: numbers of the fit that are printed:
+    light, level, chi squared.
     """
     x_px, y_px = place
     row, col = int(np.argmin(np.abs(window.y - y_px))), int(np.argmin(np.abs(window.x - x_px)))

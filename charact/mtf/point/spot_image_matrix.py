@@ -28,27 +28,25 @@ TURNS, TURNS_PER_CYCLE = 12, 36
 
 @dataclass(frozen=True, kw_only=True)
 class Aperture:
-    """Known part of the camera's transfer.
+    """Known part of the camera's transfer."""
 
-    Parameters
-    ----------
-    width_px, height_px
-        Extent of a pixel as read, column pitches.
-    video
-        Video filter along rows, or None.
-    top
-        Highest frequency with contrast, cycles per column pitch.
-    """
-
+    # width_px, height_px: extent of a pixel as read, column pitches
     width_px: float = 1.0
     height_px: float = 1.0
-    video: VideoFilter | None = None
-    top: float = 2.0
+    video: VideoFilter | None = None  # Video filter along rows, or None
+    top: float = 2.0  # Highest frequency with contrast, cycles per column pitch
+    orders: int = 1  # Powers of ln bandwidth, from 0, for which matrices have columns
 
-    def horizontal(self, frequency: Array) -> NDArray[np.complex128]:
-        """Return aperture and video filter along rows."""
+    def horizontal(self, frequency: Array, order: int = 0) -> NDArray[np.complex128]:
+        """Return aperture and video filter along rows, as the coefficient of a power of ln bandwidth, at most 2."""
         plain = np.sinc(frequency * self.width_px).astype(complex)
-        return plain if self.video is None else plain * self.video(frequency)
+        if self.video is None:
+            return plain if order == 0 else np.zeros_like(plain)
+        plain *= self.video(frequency)
+        if order == 0:
+            return plain
+        first, second = self.video.bend(frequency)[:2]
+        return plain * (first if order == 1 else second + 0.5 * first**2)
 
     def vertical(self, frequency: Array) -> Array:
         """Return the aperture along columns."""
@@ -89,8 +87,8 @@ class _Panel:
     between: Array
 
 
-@lru_cache(maxsize=8)
-def _panels(aperture: Aperture) -> list[_Panel]:
+@lru_cache(maxsize=24)
+def _panels(aperture: Aperture, order: int = 0) -> list[_Panel]:
     borders, nodes = radial(aperture.top)
     weights = np.polynomial.legendre.leggauss(NODES)[1]
     panels = []
@@ -101,21 +99,23 @@ def _panels(aperture: Aperture) -> list[_Panel]:
         fx, fy = f[:, None] * np.cos(turn), f[:, None] * np.sin(turn)
         # Four quadrants of the plane.
         area = 4.0 * (0.5 * (high - low) * weights * f)[:, None] * share
-        known = aperture.horizontal(fx.ravel()).reshape(fx.shape) * aperture.vertical(fy)
+        known = aperture.horizontal(fx.ravel(), order).reshape(fx.shape) * aperture.vertical(fy)
         panels.append(_Panel(fx.ravel(), fy.ravel(), (area * known).ravel(), _lagrange(cosines(), np.cos(2.0 * turn))))
     return panels
 
 
 def pixel_matrix(aperture: Aperture, x: Array, y: Array) -> Array:
-    """Return the matrix from a transfer (direction x frequency) to pixels of unit light, shape (pixel, node), 1/px^2.
+    """Return the matrix from a transfer (order x direction x frequency) to pixels of unit light, (pixel, node), 1/px^2.
 
-    Parameters
-    ----------
-    x, y
-        Places of columns and rows from the source, column pitches, shape (col,) and (row,).
+    `x`, `y`: positions of columns and rows from the source, column pitches, shape (col,) and (row,).
     """
+    return np.concatenate([_pixel_matrix(aperture, order, x, y) for order in range(aperture.orders)], axis=1)
+
+
+def _pixel_matrix(aperture: Aperture, order: int, x: Array, y: Array) -> Array:
+    """Return the matrix's columns of one power of ln bandwidth."""
     parts = []
-    for panel in _panels(aperture):
+    for panel in _panels(aperture, order):
         phase = 2.0 * np.pi * panel.fx[:, None] * x
         along = panel.weight.real[:, None] * np.cos(phase)
         if aperture.video is not None:
@@ -129,10 +129,7 @@ def pixel_matrix(aperture: Aperture, x: Array, y: Array) -> Array:
 def pictures(aperture: Aperture, transfer: Array, x: Array, y: Array) -> Array:
     """Return image, its slopes along x and y, and their product's, shape (4, row x col), 1/px^2 and so on.
 
-    Parameters
-    ----------
-    transfer
-        Shape (direction, frequency).
+    `transfer`: shape (direction, frequency).
     """
     out = np.zeros((4, y.size, x.size))
     for number, panel in enumerate(_panels(aperture)):
@@ -150,16 +147,14 @@ def pictures(aperture: Aperture, transfer: Array, x: Array, y: Array) -> Array:
 def ring_matrix(aperture: Aperture, ring_px: Array) -> Array:
     """Return the matrix from a transfer (direction x frequency) to the means of rings, shape (ring, node), 1/px^2.
 
-    Parameters
-    ----------
-    ring_px
-        Distances of some pixels of every ring, shape (ring, pixel), column pitches.
+    `ring_px`: distances of some pixels of every ring, shape (ring, pixel), column pitches.
     """
     from scipy.special import j0
 
     borders, nodes = radial(aperture.top)
+    out = np.zeros((len(ring_px), aperture.orders * DIRECTIONS * nodes.size))
     if not len(ring_px):
-        return np.empty((0, DIRECTIONS * nodes.size))
+        return out
     some = ring_px[:, np.linspace(0, ring_px.shape[1] - 1, PER_RING).round().astype(int)]
     at, weight = np.polynomial.legendre.leggauss(FINE)
     between = _lagrange(np.polynomial.legendre.leggauss(NODES)[0], at)
@@ -170,4 +165,6 @@ def ring_matrix(aperture: Aperture, ring_px: Array) -> Array:
     radially = np.einsum("pfr,pf,fn->rpn", kernel, half[:, None] * weight, between).reshape(len(ring_px), -1)
     turns = np.cos(np.pi * (np.arange(64) + 0.5) / 64)
     round_about = _lagrange(cosines(), turns).mean(axis=0)
-    return (round_about[None, :, None] * radially[:, None, :]).reshape(len(ring_px), -1)
+    # The video filter moves hardly any light between rings.
+    out[:, : DIRECTIONS * nodes.size] = (round_about[None, :, None] * radially[:, None, :]).reshape(len(ring_px), -1)
+    return out

@@ -9,9 +9,10 @@ import charact
 from charact.method import Context, register
 from charact.mtf.curve import crossing_frequency
 from charact.mtf.mean_frame import Region
-from charact.mtf.point.findings import finding, motion_findings, motion_flags
+from charact.mtf.point.blur_models_2d import pinhole
+from charact.mtf.point.checks import finding, motion_findings, motion_flags
 from charact.mtf.point.parametric_noise import is_clipped_at_black
-from charact.mtf.point.source import DetectedSource, detect_source
+from charact.mtf.point.source import DetectedSource, PointRefusal, detect_source, refuse_all
 from charact.mtf.point.thresholds import ACCURACY, LIMITS
 from labdata.frames import FrameStack
 from labdata.measurement import Curve, Measurement, Provenance, Result, make_refusal, measurement_from_sd
@@ -66,22 +67,32 @@ def point_spread(
         "provenance": Provenance(version=charact.__version__, seed=context.seed, settings=settings),
     }
     if min(used.shape[1:]) < 2 * ACCURACY.background_radius_px:
-        return _nothing(
-            f"a spot needs a region of at least {2 * ACCURACY.background_radius_px:.0f} px", "window-too-small", common
+        return refuse_all(
+            PointRefusal(
+                f"a spot needs a region of at least {2 * ACCURACY.background_radius_px:.0f} px", "window-too-small"
+            ),
+            common,
         )
     source = detect_source(used.data, context.pitch_ratio)
-    if isinstance(source, str):
-        return _nothing(source, "no-target", common)
+    if isinstance(source, PointRefusal):
+        return refuse_all(source, common)
     if len(used) < LIMITS.min_transform_frames:
-        return _nothing(
-            f"a spot needs at least {LIMITS.min_transform_frames} frames, got {len(used)}", "too-few-frames", common
+        return refuse_all(
+            PointRefusal(
+                f"a spot needs at least {LIMITS.min_transform_frames} frames, got {len(used)}", "too-few-frames"
+            ),
+            common,
         )
     spots, flags, missing = _spots(used, source, context)
     if "saturated" in flags:
-        return _nothing("the spot must stay below full scale: clipped light has no transform", "saturated", common)
+        return refuse_all(
+            PointRefusal("the spot must stay below full scale: clipped light has no transform", "saturated"), common
+        )
     light = spots.sum(axis=(1, 2))
     if light.mean() < LIMITS.min_light_sd * ACCURACY.lag_factor * light.std(ddof=1) / np.sqrt(len(light)):
-        return _nothing("no target: the spot's light is not significant over the frames", "no-target", common)
+        return refuse_all(
+            PointRefusal("no target: the spot's light is not significant over the frames", "no-target"), common
+        )
     positions = _places(used.shape[1:], source, context)
     still = [finding(flag, EFFECTS[flag]) for flag in flags if flag in EFFECTS]
     findings = [*still, *motion_findings(tuple(flag for flag in flags if flag not in EFFECTS))]
@@ -166,8 +177,6 @@ def _direction(
     spots: Array, place: Array, pinhole_px: float, missing: float, common: dict
 ) -> tuple[list[Measurement], Curve]:
     """Return levels and curve along one direction, with jackknife uncertainties."""
-    from charact.mtf.point.forward_model import pinhole
-
     waves = np.exp(-2j * np.pi * FREQUENCY[:, None] * place.ravel())
     lines = spots.sum(axis=1 if place.shape[0] == 1 else 2)
     mean = lines.mean(axis=0)
@@ -199,14 +208,3 @@ def _direction(
         interval95=np.stack([curves[0] - half95, curves[0] + half95]),
     )
     return measurements, curve
-
-
-def _nothing(reason: str, flag: str, common: dict) -> Result:
-    """Return the refusal of all quantities."""
-    return Result(
-        measurements=tuple(
-            make_refusal(name, "cy/px", reason, flags=(flag,), orientation_deg=angle, **common)
-            for angle in (0.0, 90.0)
-            for name in ("mtf50", "mtf10")
-        )
-    )

@@ -20,11 +20,9 @@ class PointLimits:
     max_chi2_sd: float = 5.0  # Its noise, standard deviations
     low_light_sd: float = 10.0  # Light down to which intervals are validated, standard uncertainties
     max_prior_sd: float = 3.0  # Distance of the cut-off from the description, standard deviations
-    min_halo_sd: float = 3.0  # Significance of a halo, standard uncertainties
     max_negative_power: float = 0.35  # Extra negative power of the noise that only a nonlinear response explains
     min_region_px: int = 9  # Side of a region, px
     min_light_sd: float = 6.0  # Light of a source, standard uncertainties
-    min_valid_light: float = 0.3  # Fraction of the light in valid pixels
     full_fraction: float = 0.97  # Fraction of full scale at which frames clip or the wells of a sensor fill
     min_variance_dn2: float = 0.25  # Variance to which quantisation only adds its own, DN^2
     min_rounding_shift_dn: float = 0.02  # Quantisation shift of faint light that is reported, DN
@@ -77,13 +75,8 @@ class PointAccuracy:
     light_iterations: int = 25  # Newton iterations for the light of clipped sources
     model_iterations: int = 40  # Gauss-Newton iterations
     difference: float = 1e-5  # Finite difference, fraction of the bounds' width
-    # Trial halo diameters of a camera without a description, px.
-    trial_halos_px: tuple[float, ...] = (8.0, 11.0, 15.0, 20.0, 27.0, 36.0)
-    halo_rim_px: float = 2.0  # Softness of their rims, px
-    min_noise_frames: int = 4  # Frames whose noise shows a nonlinear response
     quick_ess: float = 500.0  # Effective sample size of a quick answer
     quick_first_draws: int = 1000  # First draws of a quick answer
-    forward_chain_steps: int = 1200  # Longest Markov chain
     min_model_weight: float = 0.02  # A model of less weight contributes no draws
     candidate_ln_evidence: float = 8.0  # Models within this of the best ln evidence are refined
     # Cores within this are always tried with extended components, which noise may hide.
@@ -103,28 +96,14 @@ class PointAccuracy:
     phosphor_pattern_px: float = 1.5  # Its correlation length, px
     pulse_height_square: float = 3.0  # Mean square over squared mean of pulse heights
     pulses_per_dn: float = 1.0  # Pulses per DN before they are estimated
-    noise_turns: int = 3  # Turns of noise and transfer
-    # Frequencies of transfers per batch; more exceed the processor's cache and take twice as long.
-    batch_size: int = 100_000
-    near_landing_px: tuple[float, float] = (0.5, 3.0)  # Step and extent of landing positions near the core, px
-    far_landing_px: tuple[float, float] = (1.5, 15.0)  # The same far from it, px
-    noise_radius_px: float = 5.5  # Pixels whose frames are compared, px from the source
-    image_period_px: float = 40.0  # Distance of periodic copies, beyond core and halo, px
-    ring_frequency_step: float = 1.0 / 160.0  # Frequency step of the rings' transform, cy/px
-    ring_max_frequency: float = 0.5  # Its highest frequency, cy/px
-    ring_smoothing_px: float = 1.0  # Smoothing that ends the rings' integral, px; rings are wider
-    frequency_aspect: float = 0.85  # Highest frequency along columns over that along rows
-    negligible_amplitude: float = 1e-6  # Amplitude of the image that omitted frequencies may hold
-    frequency_margin_sd: float = 5.0  # Distance from the optimum to which that holds, standard deviations
     motion_radius_px: float = 5.0  # Pixels in which motion is followed, px from the centre
     motion_min_height: float = 0.1  # Their height over the peak
     min_motion_frames: int = 4  # Frames that motion needs
     total_light_radius_px: float = 10.0  # Radius that holds all light, also of a moving source, px
     draws: int = 1000  # Draws of the parametric method
     quick_draws: int = 500  # The same for a quick answer
-    min_quick_effort: float = 0.25  # Smallest fraction of them for a model of little weight
-    min_full_effort: float = 0.25  # The same of a full chain
-    parametric_chain_steps: int = 1500  # Longest Markov chain
+    min_effort: float = 0.25  # Smallest fraction of them for a model of little weight
+    chain_steps: int = 1500  # Longest Markov chain
     empty_rings: int = 2  # Rings that an extended component must leave empty
     position_turns: int = 3  # Turns of the position
     min_near_pixels: int = 9  # Pixels near a source whose noise is used

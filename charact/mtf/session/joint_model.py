@@ -12,32 +12,27 @@ from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
 
-# ln of the vertical half frequency over the horizontal one, both in column pitches: its bounds, and its prior's width.
-STRETCH = (-1.0, 1.0)
-# Variance of a Gaussian blur besides the core's, px^2: a lens before a tube, a screen and a taper behind it.
-BLUR_PX2 = (0.0, 3.0)
-
 
 @dataclass(frozen=True, kw_only=True)
 class KnownCameraTransfer:
-    """What is known of the camera: aperture in column pitches, and the video filter along rows or None."""
+    """Described part of the transfer: aperture in column pitches, and the video filter along rows or None."""
 
     height_px: float = 1.0
     video: VideoFilter | None = None
 
     @classmethod
     def of(cls, context: Context) -> "KnownCameraTransfer":
-        """Return what a context says."""
+        """Return the described transfer of a context's camera."""
         rows = 2.0 if context.interlaced else 1.0
         return cls(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor))
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of what is known within a range only, by name."""
+        """Unit and bounds by name of a parameter that is known within a range only."""
         return self.video.parameters if self.video else {}
 
     def bend(self, fx: Array) -> Array | None:
-        """Return how ln of the modulus moves with the video's bandwidth, see `VideoFilter.bend`; None: it does not."""
+        """Return how ln of the modulus moves with the video's bandwidth, see `VideoFilter.bend`; None: it is exact."""
         return self.video.bend(fx).real if self.video and self.video.parameters else None
 
     def __call__(self, fx: Array, fy: Array) -> Array:
@@ -50,24 +45,10 @@ class KnownCameraTransfer:
 class JointBlurModel:
     """A form of the camera's transfer in all directions.
 
-    Parameters
-    ----------
-    core
-        Form of the core, as in `charact.mtf.blur_models.one_dimensional`.
-    blurred
-        Whether a Gaussian blur comes on top of it, as where a tube of one form stands before a screen of another.
-    wide
-        Halo, or None.
-    elliptical
-        Whether the core's vertical half frequency is one of its own: where targets tell of it.
-    known
-        Aperture and video filter, whose bandwidth is one more parameter where it is known within a range only.
-
-    Notes
-    -----
-    M(fx, fy) = C(r/f2) exp(-2 (pi r)^2 b) [(1 - q) + q W(f)] A(fx, fy), with r^2 = fx^2 + (fy e^-s)^2 the frequency in
-    an ellipse's measure, f2 the core's half frequency, b the variance of the further blur, q the halo's share and
-    f^2 = fx^2 + fy^2.
+    M(fx, fy) = C(r/f2) exp(-2 (pi r)^2 b) [(1 - q) + q W(f)] A(fx, fy), with r^2 = fx^2 + (fy e^-s)^2 the elliptical
+    frequency, f2 the half frequency of the core C, b the variance of a further Gaussian blur (`blurred`), q the
+    fraction of the halo W (`wide`), s the stretch (`elliptical`), f^2 = fx^2 + fy^2, and A aperture and video
+    (`known`).
     """
 
     core: Core
@@ -83,15 +64,15 @@ class JointBlurModel:
 
     @property
     def name(self) -> str:
-        """Name for people."""
+        """Display name."""
         core = f"{self.core} x gaussian" if self.blurred else self.core
         return core if self.wide is None else f"{core} + {self.wide.name}"
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
         """Unit and bounds of each parameter by name."""
-        stretch = {"ln_vertical_stretch": ("1", STRETCH)} if self.elliptical else {}
-        blur = {"blur_px2": ("px2", BLUR_PX2)} if self.blurred else {}
+        blur = {"blur_px2": ("px2", (0.0, 3.0))} if self.blurred else {}
+        stretch = {"ln_vertical_stretch": ("1", (-1.0, 1.0))} if self.elliptical else {}
         wide = self.wide.parameters if self.wide else {}
         return {**self.family.parameters, **blur, **stretch, **wide, **self.known.parameters}
 
@@ -102,10 +83,9 @@ class JointBlurModel:
 
     @property
     def start(self) -> Array:
-        """A starting point of the optimisation, half frequency aside."""
-        stretch = [0.0] if self.elliptical else []
-        blur = [0.3] if self.blurred else []
+        """A starting point of the optimisation."""
         wide = [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()] if self.wide else []
+        blur, stretch = [0.3] * self.blurred, [0.0] * self.elliptical
         return np.array([*self.family.start(0.2), *blur, *stretch, *wide, *(0.0 for _ in self.known.parameters)])
 
     def transfer(self, theta: Array, fx: Array, fy: Array) -> Array:
@@ -117,14 +97,8 @@ class JointBlurModel:
     ) -> Array:
         """Return the MTF over aperture and described video, shape (n, parameter) and (f,) -> (n, f).
 
-        Parameters
-        ----------
-        fx, fy
-            Cycles per column pitch along rows and along columns.
-        bend
-            What `known.bend` says of `fx`.
-        within
-            Where it is normalised to the light in a window narrower than the halo, whose light is then left out.
+        Frequencies are cycles per column pitch; `bend` is `known.bend` of `fx`; `within`: where it is normalised to a
+        window narrower than the halo, whose light is then left out.
         """
         size, place = self.family.core_parameters, self._stretch_index
         stretch = np.exp(theta[:, place : place + 1]) if self.elliptical else 1.0
@@ -142,11 +116,8 @@ class JointBlurModel:
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds."""
-        bounds = self.bounds
-        size = self.family.core_parameters
-        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
-        free = np.ones(len(bounds), bool)
-        free[:size] = False
+        bounds, size = self.bounds, self.family.core_parameters
+        free = np.arange(len(bounds)) >= size
         density = self.family.log_prior(theta[:, :size])
         if self.elliptical:
             free[self._stretch_index] = False
@@ -156,13 +127,12 @@ class JointBlurModel:
             free[-1] = False
             density += self.known.video.log_prior(theta[:, -1])
         density -= np.sum(np.log(bounds[free, 1] - bounds[free, 0]))
-        return np.where(inside, density, -np.inf)
+        return np.where(np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1), density, -np.inf)
 
     @property
     def prior_precision(self) -> Array:
         """Inverse variance of the prior of each parameter, flat ones as wide as their bounds, shape (parameter,)."""
-        bounds = self.bounds
-        precision = 12.0 / (bounds[:, 1] - bounds[:, 0]) ** 2
+        precision = 12.0 / np.ptp(self.bounds, axis=1) ** 2
         precision[: self.family.core_parameters] += self.family.prior_precision()[1]
         if self.elliptical:
             precision[self._stretch_index] += THRESHOLDS.stretch_sd**-2

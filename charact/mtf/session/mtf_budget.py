@@ -1,94 +1,69 @@
-"""Stage budget: which stage of the camera costs how much of the MTF, from curves along rows and columns together.
+"""MTF budget: the MTF of each stage of the camera, fitted to curves along rows and columns together.
 
-Curves in both directions, and the one after the gain, weigh the stages against each other. What they cannot tell apart
-is said: a stage known no better than before, and groups of which only the product is known.
+The curves are those of the joint fit, or of a point source if the session has one target; the noise of flats adds the
+post-gain MTF. Stages known no better than from the description, and groups known as a product only, are listed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
-from charact.mtf.session.stage_transfers import PARAMETERS, STAGES, Direction, StageModel
+from charact.method import Context
+from charact.mtf.curve import REPORTED, quantiles
+from charact.mtf.session.constraints import FREQUENCIES, POST_GAIN, interpolate_draws, sources
+from charact.mtf.session.stage_transfers import AFTER_GAIN, PARAMETERS, STAGES, Direction, StageModel
 from charact.mtf.session.thresholds import ACCURACY, THRESHOLDS
 from charact.posterior import find_maximum, laplace, sample
 from labdata.errors import BadInput
-from labdata.measurement import Posterior
+from labdata.measurement import Curve, Measurement, Posterior, Result
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
+EVIDENCE = "stage budget"
+# Frequencies at which the stages are shown, cycles per column pitch in both directions.
+SHOWN = np.maximum(REPORTED, 1e-6)
+DIRECTIONS: tuple[Direction, ...] = ("horizontal", "vertical")
+
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredCurve:
-    """A measured MTF along one direction.
+    """A measured MTF along one direction, shape (f,).
 
-    Parameters
-    ----------
-    direction
-        "horizontal" (along rows) or "vertical".
-    after_gain
-        Whether it holds what comes after the gain only, as that of the noise of flats.
-    frequency_cy_per_px
-        Frequencies, cycles per column pitch or, vertically, per row pitch, shape (f,).
-    value
-        MTF, shape (f,).
-    covariance
-        Its covariance, shape (f, f).
+    Frequencies are cycles per column pitch, vertically per row pitch; `after_gain`: the post-gain MTF.
     """
 
     direction: Direction
-    after_gain: bool = False
     frequency_cy_per_px: Array
     value: Array
-    covariance: Array
-
-    def __post_init__(self) -> None:
-        size = len(self.frequency_cy_per_px)
-        if self.direction not in ("horizontal", "vertical"):
-            raise BadInput(f"a direction must be horizontal or vertical, got {self.direction!r}")
-        if np.shape(self.value) != (size,) or np.shape(self.covariance) != (size, size):
-            raise BadInput(f"a curve of {size} frequencies must have as many values and a covariance of that size")
-
-    @classmethod
-    def of_draws(
-        cls, direction: Direction, frequency_cy_per_px: Array, draws: Array, *, after_gain: bool = False
-    ) -> "MeasuredCurve":
-        """Return the curve of posterior draws, shape (draw, frequency)."""
-        return cls(
-            direction=direction, after_gain=after_gain, frequency_cy_per_px=np.asarray(frequency_cy_per_px, float),
-            value=np.mean(draws, axis=0), covariance=np.atleast_2d(np.cov(draws.T)),
-        )  # fmt: skip
+    after_gain: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class CurvesWithCovariance:
-    """Curves whose errors go together, as those of one fit along rows and along columns.
+class MeasuredCurves:
+    """Curves with the covariance of all their values, one curve after the other; it may be of low rank.
 
-    Parameters
-    ----------
-    curves
-        The curves.
-    covariance
-        Covariance of all their values, one curve after the other, shape (n, n). It may fill few directions only.
+    Raises
+    ------
+    BadInput
+        If the sizes do not agree.
     """
 
     curves: tuple[MeasuredCurve, ...]
     covariance: Array
 
     def __post_init__(self) -> None:
-        size = sum(len(curve.value) for curve in self.curves)
-        if np.shape(self.covariance) != (size, size):
+        size = sum(len(curve.frequency_cy_per_px) for curve in self.curves)
+        if np.shape(self.value) != (size,) or np.shape(self.covariance) != (size, size):
             raise BadInput(
-                f"curves of {size} values together must have a covariance of that size, got {np.shape(self.covariance)}"
+                f"curves of {size} frequencies together must have as many values and a covariance of that size, got "
+                f"{len(self.value)} values and {np.shape(self.covariance)}"
             )
-
-    @classmethod
-    def of_one(cls, curve: MeasuredCurve) -> "CurvesWithCovariance":
-        """Return a curve alone."""
-        return cls(curves=(curve,), covariance=curve.covariance)
 
     @property
     def value(self) -> Array:
@@ -98,22 +73,11 @@ class CurvesWithCovariance:
 
 @dataclass(frozen=True, kw_only=True)
 class MtfBudget:
-    """What the curves say of the stages.
+    """Fitted stages.
 
-    Parameters
-    ----------
-    posterior
-        Draws of the parameters.
-    identified
-        Stages that the curves tell beyond what the description said.
-    products
-        Groups of the others of which only the product is identified.
-    known
-        Stages that have nothing to fit: the pixel, and a video that a digital camera has not.
-    statement
-        The same in sentences.
-    chance
-        Probability of residuals as large, were the model right.
+    `identified`: stages that the curves determine better than the description; `products`: groups of the others of
+    which only the product is identified; `known`: stages without parameters; `statement`: the same in sentences;
+    `chance`: p-value of the residuals.
     """
 
     posterior: Posterior
@@ -124,71 +88,38 @@ class MtfBudget:
     chance: float
     camera: StageModel = field(repr=False)
 
-    def mtf(self, stage: str, frequency_cy_per_px: Array, direction: Direction) -> Array:
-        """Return draws of one stage's MTF, shape (draw, frequency), frequencies per pitch of the direction."""
-        return self.product((stage,), frequency_cy_per_px, direction)
-
     def product(self, stages: Sequence[str], frequency_cy_per_px: Array, direction: Direction) -> Array:
         """Return draws of the product of stages, shape (draw, frequency), frequencies per pitch of the direction."""
-        if unknown := [stage for stage in stages if stage not in STAGES]:
-            raise BadInput(f"a stage must be one of {', '.join(STAGES)}, got {unknown[0]!r}")
         logs = self.camera.log_stages(self.posterior.draws, np.asarray(frequency_cy_per_px, float), direction)
         return np.exp(np.sum(logs[[STAGES.index(stage) for stage in stages]], axis=0))
 
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """The stages that the curves were taken to hold."""
-        return self.camera.stages
-
 
 def fit_mtf_budget(
-    curves: Sequence[MeasuredCurve | CurvesWithCovariance],
-    sensor: Sensor,
-    *,
-    interlaced: bool,
-    seed: int,
-    quick: bool = False,
+    measured: Sequence[MeasuredCurves], sensor: Sensor, *, interlaced: bool, seed: int, quick: bool = False,
     halo: bool = False,
-) -> MtfBudget:
-    """Fit the stages of a camera to its measured curves.
+) -> MtfBudget:  # fmt: skip
+    """Fit the stages of a camera to its measured curves, best along rows and columns.
 
-    Parameters
-    ----------
-    curves
-        Curves of the whole camera, best along rows and columns, and those after the gain; such whose errors go together
-        as one.
-    sensor
-        Description: pitches and pixel, and ranges of the stages as priors.
-    interlaced
-        Whether a row of a frame sums two rows of the chip.
-    seed, quick
-        Seed of the draws; without a Markov chain.
-    halo
-        Whether the curves are normalised to all light, so that the halo of the cathode's gap lowers them.
-
-    Raises
-    ------
-    BadInput
-        If there is no curve.
-
-    Notes
-    -----
     The stages are those of `StageModel`, with the description's ranges as normal priors; errors of the curves are
-    normal. A curve after the gain lacks the lens, the halo and the tube's share before it.
+    normal. A post-gain curve lacks the lens, the halo and the tube's share before the gain. `interlaced`: a row of a
+    frame sums two rows of the chip; `halo`: the curves are normalised to all light, so that the halo lowers them.
+    Raises BadInput if there is no curve.
     """
-    if not curves:
+    if not measured:
         raise BadInput("a stage budget must have at least one measured curve, got none")
-    measured = [one if isinstance(one, CurvesWithCovariance) else CurvesWithCovariance.of_one(one) for one in curves]
     camera = StageModel.of(sensor, interlaced=interlaced, halo=halo)
     whitened = [(one, _whitener(one.covariance)) for one in measured]
     bounds = camera.bounds
 
     def chi2(theta: Array) -> Array:
-        off = [
-            (np.concatenate([_predict(camera, theta, curve) for curve in one.curves], axis=1) - one.value) @ root
-            for one, root in whitened
-        ]
-        return np.sum([np.sum(each**2, axis=1) for each in off], axis=0)
+        total = np.zeros(len(theta))
+        for one, root in whitened:
+            predicted = [
+                camera.mtf(theta, curve.frequency_cy_per_px, curve.direction, after_gain=curve.after_gain)
+                for curve in one.curves
+            ]
+            total += np.sum(((np.concatenate(predicted, axis=1) - one.value) @ root) ** 2, axis=1)
+        return total
 
     def log_probability(theta: Array) -> Array:
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
@@ -201,14 +132,12 @@ def fit_mtf_budget(
         log_probability, names=camera.names, units=tuple(PARAMETERS[name][0] for name in camera.names),
         start=point, covariance=covariance, seed=seed, bounds=bounds,
     )  # fmt: skip
-    from scipy.stats import chi2 as chi_squared
-
     rank = sum(root.shape[1] for _, root in whitened)
-    chance = float(chi_squared.sf(float(chi2(point[None])[0]), rank))
+    chance = float(chdtrc(rank, float(chi2(point[None])[0])))
     prior = np.random.default_rng([seed, 1]).normal(camera.mean, camera.sd, (ACCURACY.prior_draws, len(camera.mean)))
     prior = np.clip(prior, bounds[:, 0] + 1e-6, bounds[:, 1])
     identified, products, known = _identify_stages(
-        camera, posterior.draws, prior, [c for one in measured for c in one.curves]
+        camera, posterior.draws, prior, [curve for one in measured for curve in one.curves]
     )
     return MtfBudget(
         posterior=posterior, identified=identified, products=products, known=known, chance=chance, camera=camera,
@@ -216,15 +145,9 @@ def fit_mtf_budget(
     )  # fmt: skip
 
 
-def _predict(camera: StageModel, theta: Array, curve: MeasuredCurve) -> Array:
-    """Return the MTF of a curve, shape (n, frequency)."""
-    return camera.mtf(theta, curve.frequency_cy_per_px, curve.direction, after_gain=curve.after_gain)
-
-
 def _whitener(covariance: Array) -> Array:
-    """Return the matrix that makes a curve's errors white, along directions that they fill."""
+    """Return the matrix that whitens errors; directions without variance only reflect the fitted form."""
     value, vector = np.linalg.eigh(np.asarray(covariance, float))
-    # A curve of a few parameters has errors in as few directions; the others say nothing but the form it was given.
     kept = value > 1e-6 * value.max()
     return vector[:, kept] / np.sqrt(value[kept])
 
@@ -232,43 +155,41 @@ def _whitener(covariance: Array) -> Array:
 def _identify_stages(
     camera: StageModel, draws: Array, prior: Array, curves: Sequence[MeasuredCurve]
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]:
-    """Return the identified stages, the groups identified as products, and stages without parameters."""
-    here, before = (_ln_stages_at_mtf50(camera, theta, curves) for theta in (draws, prior))
+    """Return the identified stages, the groups identified as products, and stages without parameters.
+
+    They are compared along rows at the MTF50 of the sharpest measured curve.
+    """
+    across = [curve for curve in curves if curve.direction == "horizontal"] or list(curves)
+    half = np.array([max(_half_frequency(curve.frequency_cy_per_px, curve.value) for curve in across)])
+    here, before = (camera.log_stages(theta, half, across[0].direction)[:, :, 0] for theta in (draws, prior))
     sd, prior_sd = here.std(axis=1), before.std(axis=1)
     there = [i for i in range(len(STAGES)) if STAGES[i] in camera.stages]
     known = [i for i in there if prior_sd[i] < 1e-9]
     alone = [i for i in there if i not in known and sd[i] < THRESHOLDS.identified * prior_sd[i]]
     left = [i for i in there if i not in known and i not in alone]
-    products = []
-    for size in range(2, len(left) + 1):
-        for group in combinations(left, size):
-            members = list(group)
-            if any(set(found) & set(members) for found in products):
-                continue
-            together = here[members].sum(axis=0).std()
-            if together < THRESHOLDS.product * np.sqrt(np.sum(sd[members] ** 2)):
-                products.append(members)
-    return (
-        tuple(STAGES[i] for i in alone),
-        tuple(tuple(STAGES[i] for i in group) for group in products),
-        tuple(STAGES[i] for i in known),
-    )
+    products: list[tuple[int, ...]] = []
+    for group in (group for size in range(2, len(left) + 1) for group in combinations(left, size)):
+        members = list(group)
+        together = here[members].sum(axis=0).std()
+        if not any(set(found) & set(group) for found in products) and (
+            together < THRESHOLDS.product * np.sqrt(np.sum(sd[members] ** 2))
+        ):
+            products.append(group)
+
+    def names(indices: Sequence[int]) -> tuple[str, ...]:
+        return tuple(STAGES[i] for i in indices)
+
+    return names(alone), tuple(names(group) for group in products), names(known)
 
 
-def _ln_stages_at_mtf50(camera: StageModel, theta: Array, curves: Sequence[MeasuredCurve]) -> Array:
-    """Return ln of the MTF of each stage along rows, where the sharpest measured curve is one half, (stage, draw)."""
-    across = [curve for curve in curves if curve.direction == "horizontal"] or list(curves)
-    half = max(float(np.interp(0.5, curve.value[::-1], curve.frequency_cy_per_px[::-1])) for curve in across)
-    return camera.log_stages(theta, np.array([half]), across[0].direction)[:, :, 0]
+def _half_frequency(frequency: Array, value: Array) -> float:
+    return float(np.interp(0.5, value[::-1], frequency[::-1]))
 
 
 def _sentences(
-    stages: tuple[str, ...],
-    identified: tuple[str, ...],
-    products: tuple[tuple[str, ...], ...],
-    known: tuple[str, ...],
-    chance: float,
-) -> tuple[str, ...]:
+    stages: tuple[str, ...], identified: tuple[str, ...], products: tuple[tuple[str, ...], ...],
+    known: tuple[str, ...], chance: float,
+) -> tuple[str, ...]:  # fmt: skip
     grouped = {stage for group in products for stage in group}
     rest = [stage for stage in stages if stage not in (*identified, *known, *grouped)]
     out = [f"identified by the curves: {', '.join(identified) or 'none'}"]
@@ -280,3 +201,153 @@ def _sentences(
     if chance < THRESHOLDS.budget_p_value:
         out.append(f"the stages do not describe the curves (chance {chance:.2g})")
     return tuple(out)
+
+
+def add_mtf_budget(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
+    """Return the result of a session with its MTF budget, as evidence and as notes on the MTF50 that it explains.
+
+    The result is unchanged without an intensifier, or without valid curves with draws along both rows and columns.
+    These are of the same draws and are taken together, so that shared errors count once. The difference of a joint MTF
+    of two or three parameters from a product of stages adds the covariance s^2 exp(-|f - f'|/0.08) along each
+    direction.
+    """
+    whole = None if context.sensor is None else _system_curves(result, kinds)
+    if context.sensor is None or whole is None:
+        return result
+    curves, explained, halo = whole
+    after = _post_gain_curves(result)
+    measured = [_with_covariance(curves, context)]
+    measured += [] if after is None else [_with_covariance(after, context, after_gain=True)]
+    budget = fit_mtf_budget(
+        measured, context.sensor, interlaced=context.interlaced, seed=context.seed, quick=context.quick, halo=halo
+    )
+    sentences = (*_stage_losses(budget, curves, context), *budget.statement)
+    notes = tuple(f"Stages: {sentence}." for sentence in sentences)
+    noted = tuple(m.with_(notes=(*m.notes, *notes)) if m is explained else m for m in result.measurements)
+    evidence = {EVIDENCE: _figure_data(budget, curves, after, sentences, context)}
+    return Result(measurements=noted, curves=result.curves, evidence={**result.evidence, **evidence})
+
+
+def _system_curves(result: Result, kinds: Mapping[str, str]) -> tuple[tuple[Curve, Curve], Measurement, bool] | None:
+    """Return the joint curves along rows and columns, else those of a valid point, their MTF50, and whether the halo
+    is counted: a point's method counts it.
+    """
+    across, down = (result.curves.get(name) for name in ("mtf_joint", "mtf_joint_vertical"))
+    vouching, halo = result.find("mtf50", method="joint"), True
+    if across is not None and down is not None:
+        halo = result.evidence["joint MTF"]["counts_halo"]
+    else:
+        points = [source for source in sources(result, kinds) if source.kind == "point" and len(source.curves) == 2]
+        if not points:
+            return None
+        (across, _), (down, _) = points[0].curves
+        of = points[0].of
+        vouching = tuple(m for m in result.find("mtf50", stack=of.stack) if m.region == of.region)
+    if not _drawn_together(across, down) or not vouching or any(m.value is None for m in vouching):
+        return None
+    return (across, down), vouching[0], halo
+
+
+def _drawn_together(one: Curve, other: Curve) -> bool:
+    return one.draws is not None and other.draws is not None and len(one.draws) == len(other.draws)
+
+
+def _post_gain_curves(result: Result) -> tuple[Curve, Curve] | None:
+    """Return the valid curves of the flats' noise, vertical ones in cycles per row pitch."""
+    found = result.find("post_gain_mtf50")
+    across, down = (result.curves.get(name) for name in POST_GAIN)
+    if not found or any(m.status != "ok" for m in found) or across is None or down is None:
+        return None
+    return (across, down) if _drawn_together(across, down) else None
+
+
+def _with_covariance(curves: tuple[Curve, Curve], context: Context, *, after_gain: bool = False) -> MeasuredCurves:
+    """Return curves along rows and columns with the errors that their draws share."""
+    parts, drawn = [], []
+    for curve, direction in zip(curves, DIRECTIONS, strict=True):
+        per_pitch = _per_pitch(direction, context)
+        # Curves of the whole camera count column pitches in both directions, those after the gain each its own.
+        own = FREQUENCIES * per_pitch if after_gain else FREQUENCIES
+        used = (own <= curve.frequency_cy_per_px[-1]) & (
+            np.interp(own, curve.frequency_cy_per_px, curve.value) > THRESHOLDS.min_mtf
+        )
+        drawn.append(interpolate_draws(own[used], curve))
+        parts.append(MeasuredCurve(
+            direction=direction, frequency_cy_per_px=FREQUENCIES[used] * per_pitch, value=drawn[-1].mean(axis=0),
+            after_gain=after_gain,
+        ))  # fmt: skip
+    covariance = np.atleast_2d(np.cov(np.concatenate(drawn, axis=1).T))
+    first = len(parts[0].value)
+    for part, own in zip(parts, (slice(None, first), slice(first, None)), strict=True):
+        apart = np.abs(part.frequency_cy_per_px[:, None] - part.frequency_cy_per_px)
+        covariance[own, own] += THRESHOLDS.cascade_sd**2 * np.exp(-apart / THRESHOLDS.cascade_correlation_cy_per_px)
+    return MeasuredCurves(curves=tuple(parts), covariance=covariance)
+
+
+def _per_pitch(direction: Direction, context: Context) -> float:
+    """Return the pitch of a direction's pixels in column pitches."""
+    return context.pitch_ratio if direction == "vertical" else 1.0
+
+
+def _stage_losses(budget: MtfBudget, curves: tuple[Curve, Curve], context: Context) -> list[str]:
+    """Return the MTF of each stage at the MTF50 of the whole, along rows and along columns, in sentences."""
+    out = []
+    for curve, direction, lines in zip(curves, DIRECTIONS, ("rows", "columns"), strict=True):
+        half = _half_frequency(curve.frequency_cy_per_px, curve.value)
+        own = np.array([half * _per_pitch(direction, context)])
+        left = {stage: float(np.median(budget.product((stage,), own, direction))) for stage in budget.camera.stages}
+        measured = ", ".join(f"{stage} {value:.2f}" for stage, value in left.items() if value < 0.9995)
+        out.append(f"along {lines} at {half:.3f} cycles per column pitch the stages leave {measured}")
+    return out
+
+
+def _figure_data(
+    budget: MtfBudget, curves: tuple[Curve, Curve], after: tuple[Curve, Curve] | None, sentences: Sequence[str],
+    context: Context,
+) -> dict[str, Any]:  # fmt: skip
+    misfit = budget.chance < THRESHOLDS.budget_p_value
+    parameters = quantiles(budget.posterior.draws, (0.5, 0.025, 0.975)).T.tolist()
+    return {
+        "figure": "stage-budget",
+        "status": "suspect" if misfit or budget.posterior.flags else "ok",
+        "flags": sorted({*budget.posterior.flags, *(["model-misfit"] if misfit else [])}),
+        "chance": budget.chance,
+        "the_curves_say": "; ".join(sentences),
+        "statement": list(sentences),
+        "identified": list(budget.identified),
+        "products": [list(group) for group in budget.products],
+        "known": list(budget.known),
+        "parameters": dict(zip(budget.posterior.names, parameters, strict=True)),
+        **{
+            direction: _panel(budget, direction, curves[i], None if after is None else after[i], context)
+            for i, direction in enumerate(DIRECTIONS)
+        },
+    }
+
+
+def _panel(
+    budget: MtfBudget, direction: Direction, curve: Curve, after: Curve | None, context: Context
+) -> dict[str, Any]:
+    """Return one direction: stages, their product and the measured curves, with 95 % intervals."""
+    assert context.sensor is not None
+    own, stages = SHOWN * _per_pitch(direction, context), budget.camera.stages
+    mm = float(context.sensor.ccd.pitch_x_um) * 1e-3 * float(context.sensor.taper.demagnification)
+    panel = {
+        "frequency_cy_per_column": SHOWN.tolist(),
+        "cathode_lp_per_mm": (SHOWN / mm).tolist(),
+        "stages": {stage: _band(budget.product((stage,), own, direction)) for stage in stages},
+        "product": _band(budget.product(stages, own, direction)),
+        "measured": _band(interpolate_draws(SHOWN, curve)),
+    }
+    if after is not None:
+        panel["product_after_gain"] = _band(budget.product(AFTER_GAIN, own, direction))
+        # Beyond its last frequency a curve holds nothing; null is a gap in what is drawn.
+        known = np.where(own <= after.frequency_cy_per_px[-1], 1.0, np.nan)
+        panel["measured_after_gain"] = _band(interpolate_draws(own, after) * known)
+    return panel
+
+
+def _band(draws: Array) -> dict[str, list[float]]:
+    """Return median and 95 % interval of draws at every frequency."""
+    lines = quantiles(draws, (0.5, 0.025, 0.975))
+    return {name: line.tolist() for name, line in zip(("value", "low95", "high95"), lines, strict=True)}

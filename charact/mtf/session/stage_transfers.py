@@ -1,7 +1,6 @@
-"""The stages that light passes in an intensified camera: the MTF of each, from the parameters of a description.
+"""MTF of each stage of an intensified camera, from the parameters of a description.
 
-Lens, halo, tube and taper spread light alike in all directions in millimetres; the pixel is 11 by 26 um of summed rows
-and the video blurs along rows only.
+Lens, halo, tube and taper are isotropic; pixel and video differ between rows and columns.
 """
 
 from dataclasses import dataclass
@@ -41,25 +40,13 @@ BANDWIDTHS_MHZ = np.geomspace(2.0, 20.0, 120)
 
 @dataclass(frozen=True, kw_only=True)
 class StageModel:
-    """Geometry of a camera and the parameters that are fitted, with their priors.
-
-    Parameters
-    ----------
-    sensor
-        Description.
-    rows_summed
-        Rows of the chip in a row of the frame.
-    names
-        Paths of the parameters.
-    mean, sd
-        Of their priors, shape (parameter,).
+    """Geometry of a camera, and names, means and standard deviations of the priors of the fitted parameters.
 
     Notes
     -----
     At the cathode: lens exp(-2 (pi f s)^2) times diffraction, halo (1 - q) + q H(f), tube exp(-(f/fc)^n), of whose
     exponent a share acts after the gain. At the detector: fibres 2 J1(pi p f)/(pi p f) and their interfaces
-    exp(-(f/f0)^2), pixel sinc, and video, a Butterworth low pass that rounds stairs one clock wide and is read once a
-    clock.
+    exp(-(f/f0)^2), pixel sinc, and video, a Butterworth low pass of the register's stairs, read once a clock.
     """
 
     sensor: Sensor
@@ -70,10 +57,9 @@ class StageModel:
 
     @classmethod
     def of(cls, sensor: Sensor, *, interlaced: bool, halo: bool) -> "StageModel":
-        """Return the model of a description; without a halo where the curves are normalised to what lies within it."""
-        wanted = [path for path in PARAMETERS if halo or path not in HALO]
-        known = {path: parameter for path, parameter in sensor.parameters().items() if path in wanted}
-        names = tuple(name for name in wanted if name in known)
+        """Return the model of a description; `halo`: whether the curves are normalised to all light."""
+        known = sensor.parameters()
+        names = tuple(name for name in PARAMETERS if name in known and (halo or name not in HALO))
         return cls(
             sensor=sensor,
             rows_summed=2.0 if interlaced else 1.0,
@@ -111,32 +97,28 @@ class StageModel:
         fibres = forms.disc(detector, float(taper.fibre_pitch_um) * 1e-3)
         pixel = np.abs(np.sinc(frequency * (1.0 if along else self.rows_summed)))
         none = np.zeros((len(theta), len(frequency)))
-        return np.stack(
-            [
-                np.log(self._diffraction(cathode)) - 2.0 * (np.pi * cathode * blur_um * 1e-3) ** 2,
-                none + self._log_halo(get, cathode),
-                (1.0 - share) * tube,
-                share * tube,
-                np.log(np.maximum(np.abs(fibres), 1e-12)) - (detector / interface) ** 2,
-                none + np.log(np.maximum(pixel, 1e-12)),
-                none + (self._log_video(get, frequency) if along else 0.0),
-            ]
-        )
-
-    def _diffraction(self, cathode: Array) -> Array:
-        """MTF of a round pupil at frequencies at the cathode, lp/mm."""
+        # Diffraction by a round pupil.
         x = np.minimum(cathode * THRESHOLDS.wavelength_mm * float(self.sensor.optics.f_number), 0.999)
-        return 2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
+        diffraction = 2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
+        return np.stack([
+            np.log(diffraction) - 2.0 * (np.pi * cathode * blur_um * 1e-3) ** 2,
+            none + self._log_halo(get, cathode),
+            (1.0 - share) * tube,
+            share * tube,
+            np.log(np.maximum(np.abs(fibres), 1e-12)) - (detector / interface) ** 2,
+            none + np.log(np.maximum(pixel, 1e-12)),
+            none + (self._log_video(get, frequency) if along else 0.0),
+        ])  # fmt: skip
 
     def _log_halo(self, get: dict[str, Array], cathode: Array) -> Array | float:
-        """ln of (1 - q) + q times the transfer of a halo four gaps wide."""
+        """Return ln of (1 - q) + q times the transfer of a halo four gaps wide."""
         if HALO[0] not in get:
             return 0.0
         share, elastic, gap_mm = (get[name] for name in HALO)
         return np.log1p(share * (forms.halo(cathode, 4.0 * gap_mm[:, 0], elastic[:, 0]) - 1.0))
 
     def _log_video(self, get: dict[str, Array], frequency: Array) -> Array | float:
-        """ln of the low pass that rounds the chip's stairs, read once a clock."""
+        """Return ln of the transfer of the video, interpolated in bandwidth."""
         if "video.bandwidth_mhz" not in get:
             return 0.0
         video = self.sensor.video
@@ -156,7 +138,7 @@ def _video_table(frequency: tuple[float, ...], clock_mhz: float, order: int) -> 
 
 
 def prior_sd_of(parameter: Parameter) -> float:
-    """Prior standard deviation: a quarter of the 95 % range."""
+    """Return the prior standard deviation, a quarter of the 95 % range."""
     if parameter.low is None or parameter.high is None or parameter.high == parameter.low:
         return THRESHOLDS.unstated_sd * max(abs(float(parameter)), 1e-3)
     return (parameter.high - parameter.low) / 3.92

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+# Half of a 68 % interval in standard deviations.
+HALF68_SD = 0.994458
+
 
 @dataclass(frozen=True)
 class SessionThresholds:
@@ -13,8 +16,7 @@ class SessionThresholds:
     level: float = 0.05
     # MTF below which a curve is not used.
     min_mtf: float = 0.04
-    # Standard deviation of a principal component over the largest: smaller ones are curvature of the blur model, not
-    # data.
+    # Standard deviation of a principal component over the largest: smaller ones are curvature of the blur model.
     min_component: float = 0.1
     # Standard deviation between the blur models of the methods at high SNR.
     model_sd: float = 0.002
@@ -54,8 +56,9 @@ class SessionAccuracy:
     chain_steps: int = 3000
     # Newton steps of a fit.
     newton_steps: int = 20
-    # Draws of the prior.
+    # Draws of the prior, and of the joint MTF.
     prior_draws: int = 2000
+    draws: int = 1000
 
 
 THRESHOLDS = SessionThresholds()

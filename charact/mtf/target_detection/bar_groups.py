@@ -88,27 +88,14 @@ MIN_BARS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedBarGroup:
-    """A group of bars found in a frame.
+    """A group of bars found in a frame."""
 
-    Parameters
-    ----------
-    region
-        ROW, COL, HEIGHT, WIDTH that holds the group and its surroundings up to the next one, px.
-    frequency_cy_per_px
-        Cycles per pixel across the bars, known to a few per cent.
-    orientation_deg
-        Direction across the bars from the row direction: 0 for bars that lie along columns, 90 along rows.
-    bars
-        How many they are.
-    significance
-        Response of a filter for these bars over its spread.
-    """
-
-    region: Region
-    frequency_cy_per_px: float
+    region: Region  # ROW, COL, HEIGHT, WIDTH that holds the group and its surroundings up to the next one, px
+    frequency_cy_per_px: float  # Cycles per pixel across the bars, known to a few per cent
+    # Direction across the bars from the row direction: 0 for bars that lie along columns, 90 along rows
     orientation_deg: float
-    bars: int
-    significance: float
+    bars: int  # How many they are
+    significance: float  # Response of a filter for these bars over its spread
 
 
 def find_bar_groups(pictures: NDArray | FrameStack, bars: int | None = None) -> tuple[DetectedBarGroup, ...]:

@@ -15,21 +15,11 @@ from labdata.frames import FrameStack
 
 @dataclass(frozen=True, kw_only=True)
 class ClearRectangle:
-    """A rectangle that holds one edge.
+    """A rectangle that holds one edge."""
 
-    Parameters
-    ----------
-    region
-        ROW, COL, HEIGHT, WIDTH, px.
-    rows
-        Extent along the edge's nearer axis, px.
-    reach_px
-        Shorter of its plateaus, px.
-    """
-
-    region: Region
-    rows: int
-    reach_px: float
+    region: Region  # ROW, COL, HEIGHT, WIDTH, px
+    rows: int  # Extent along the edge's nearer axis, px
+    reach_px: float  # Shorter of its plateaus, px
 
     @property
     def worth(self) -> float:
@@ -138,21 +128,11 @@ SCALES_PX = (1.4, 2.8, 5.6)
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedEdge:
-    """An edge found in a frame.
+    """An edge found in a frame."""
 
-    Parameters
-    ----------
-    region
-        ROW, COL, HEIGHT, WIDTH that holds the edge, its plateaus and nothing else, px.
-    orientation_deg
-        Direction of its normal from the row direction, degrees in [0, 180).
-    worth
-        Rows of the region, less where plateaus are short: what orders edges, px.
-    """
-
-    region: Region
-    orientation_deg: float
-    worth: float
+    region: Region  # ROW, COL, HEIGHT, WIDTH that holds the edge, its plateaus and nothing else, px
+    orientation_deg: float  # Direction of its normal from the row direction, degrees in [0, 180)
+    worth: float  # Rows of the region, less where plateaus are short: what orders edges, px
 
 
 def find_edges(pictures: NDArray | FrameStack) -> tuple[DetectedEdge, ...]:

@@ -19,21 +19,11 @@ SMOOTHING_PX = 1.2
 
 @dataclass(frozen=True, kw_only=True)
 class SteadySpots:
-    """Smoothed light over its ground.
+    """Smoothed light over its ground."""
 
-    Parameters
-    ----------
-    groups
-        Frames, or means of as many as make few enough groups, shape (group, row, col), DN.
-    height
-        Their median over the median of the picture, shape (row, col), DN; of too few frames their mean.
-    spread
-        Standard deviation of the background, DN.
-    """
-
-    groups: Array
-    height: Array
-    spread: float
+    groups: Array  # Frames, or means of as many as make few enough groups, shape (group, row, col), DN
+    height: Array  # Their median over the median of the picture, shape (row, col), DN; of too few frames their mean
+    spread: float  # Standard deviation of the background, DN
 
     def stays(self, row: int, col: int) -> bool:
         """Tell whether light at a place stands out of its own changes from frame to frame."""
@@ -60,10 +50,7 @@ class SteadySpots:
 def steady_light(pictures: NDArray | FrameStack, replaced: tuple[NDArray[np.bool_], Array]) -> SteadySpots:
     """Return the steady light of a picture (row, col), stack or frames (frame, row, col).
 
-    Parameters
-    ----------
-    replaced
-        Which pixels say nothing, shape (row, col), and what stands for them, DN.
+    `replaced`: which pixels say nothing, shape (row, col), and what stands for them, DN.
     """
     data = pictures.data if isinstance(pictures, FrameStack) else np.asarray(pictures)
     data = data[None] if data.ndim == 2 else data
@@ -93,25 +80,16 @@ MIN_REACH_PX = 12
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedPoint:
-    """A point source found in a frame.
+    """A point source found in a frame."""
 
-    Parameters
-    ----------
-    region
-        ROW, COL, HEIGHT, WIDTH that holds the source alone, px.
-    row, col
-        Centroid of its light, px.
-    significance
-        Height over the standard deviation of the smoothed background, that of its far tail where pulses make it heavy.
-    saturated
-        Whether its core stands at full scale.
-    """
-
-    region: Region
+    region: Region  # ROW, COL, HEIGHT, WIDTH that holds the source alone, px
+    # row, col: centroid of its light, px
     row: float
     col: float
+    # Height over the standard deviation of the smoothed background, that of its far tail where pulses make it
+    # heavy
     significance: float
-    saturated: bool
+    saturated: bool  # Whether its core stands at full scale
 
 
 def find_pinholes(

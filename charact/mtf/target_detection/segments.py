@@ -13,34 +13,17 @@ MIN_LENGTH_PX = 16.0
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
-    """A straight piece of an edge.
+    """A straight piece of an edge."""
 
-    Parameters
-    ----------
-    row, col
-        Its middle, px.
-    normal_rad
-        Direction from dark to bright, from the columns' direction towards higher rows, rad.
-    length_px
-        Extent along the edge, px.
-    width_px
-        Standard deviation of the gradient's profile across, the smoothing included, px.
-    scale_px
-        Smoothing it was found at, px.
-    slope_dn
-        Median gradient along its middle, DN per px.
-    weight
-        Sum of the significance of its pixels.
-    """
-
+    # row, col: its middle, px
     row: float
     col: float
-    normal_rad: float
-    length_px: float
-    width_px: float
-    scale_px: float
-    slope_dn: float
-    weight: float
+    normal_rad: float  # Direction from dark to bright, from the columns' direction towards higher rows, rad
+    length_px: float  # Extent along the edge, px
+    width_px: float  # Standard deviation of the gradient's profile across, the smoothing included, px
+    scale_px: float  # Smoothing it was found at, px
+    slope_dn: float  # Median gradient along its middle, DN per px
+    weight: float  # Sum of the significance of its pixels
 
     @property
     def blur_px(self) -> float:

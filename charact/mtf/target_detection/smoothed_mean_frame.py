@@ -37,25 +37,15 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True)
 class Gradient:
-    """Derivatives of a picture smoothed with a Gaussian.
+    """Derivatives of a picture smoothed with a Gaussian."""
 
-    Parameters
-    ----------
-    scale_px
-        Standard deviation of the Gaussian, px.
-    down, right
-        Derivatives along rows' and columns' index, shape (row, col), DN per px.
-    modulus
-        Their modulus, DN per px.
-    significance
-        Modulus over the standard deviation of one component in noise alone, and 0 where it is less than that of the
-        lowest step that counts.
-    """
-
-    scale_px: float
+    scale_px: float  # Standard deviation of the Gaussian, px
+    # down, right: derivatives along rows' and columns' index, shape (row, col), DN per px
     down: Array
     right: Array
-    modulus: Array
+    modulus: Array  # Their modulus, DN per px
+    # Modulus over the standard deviation of one component in noise alone, and 0 where it is less than that of
+    # the lowest step that counts
     significance: Array
 
 

@@ -117,14 +117,7 @@ def _common(rng: np.random.Generator, tube: bool) -> dict[str, Any]:
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another blur, tilt and phase, and frames of noise alone.
 
-    Parameters
-    ----------
-    seed
-        Seed of the draws.
-    repeats
-        Draws at each position.
-    axes
-        Names of `AXES`.
+    `seed`: seed of the draws; `repeats`: draws at each position; `axes`: names of `AXES`.
     """
     rng = np.random.default_rng([seed, 7])
 

@@ -51,68 +51,38 @@ def spectrum_of_bars(bars: int, frequency: float, angle_deg: float, fx: NDArray,
 
 @dataclass(frozen=True, kw_only=True)
 class BarScene:
-    """A bar target as a camera would digitise it, with one knob for each way in which bar methods break.
+    """A bar target as a camera would digitise it, with one knob for each way in which bar methods break."""
 
-    Parameters
-    ----------
-    blur
-        The blur whose MTF is the truth.
-    bars, frequency_cy_per_px
-        Number of bars, and their frequency across them.
-    rows, cols, frames
-        Size of the stack.
-    angle_deg
-        Direction across the bars from the row direction, degrees.
-    row_px, col_px
-        Where the target's middle stands off the middle of the frame, px.
-    pedestal_dn, level_dn
-        Ground, and what a wide bar adds to it, DN.
-    snr
-        `level_dn` over the standard deviation of one pixel's noise half way up, dimensionless. Infinite: no noise.
-    shot_share, noise_blur_px
-        As for `charact.study.edge.scene.EdgeScene`.
-    gamma
-        Exponent of the response, on a scale from black to full scale.
-    gradient
-        Illumination at the right border over that at the left, minus 1.
-    motion_px
-        Horizontal displacement of odd rows, exposed in the later field, px.
-    jitter_px
-        Standard deviation of a horizontal displacement that each frame has for itself, px.
-    clip_share
-        Share of `level_dn` that lies above full scale.
-    hot_share
-        Share of pixels stuck at full scale.
-    neighbour_px
-        Gap between the target and another of three quarters of its frequency along the bars, px; infinite: none.
-    sharpening
-        Share by which the camera raises fine detail, see `charact.study.sharpening_camera`.
-    black_dn, full_scale_dn
-        Codes at no light and at the top, DN.
-    """
-
-    blur: TrueBlur = field(default_factory=TrueBlur)
+    blur: TrueBlur = field(default_factory=TrueBlur)  # The blur whose MTF is the truth
+    # bars, frequency_cy_per_px: number of bars, and their frequency across them
     bars: int = 4
     frequency_cy_per_px: float = 0.12
+    # rows, cols, frames: size of the stack
     rows: int = 160
     cols: int = 180
     frames: int = 8
-    angle_deg: float = 4.0
+    angle_deg: float = 4.0  # Direction across the bars from the row direction, degrees
+    # row_px, col_px: where the target's middle stands off the middle of the frame, px
     row_px: float = 0.0
     col_px: float = 0.0
+    # pedestal_dn, level_dn: ground, and what a wide bar adds to it, DN
     pedestal_dn: float = 15.0
     level_dn: float = 150.0
+    # `level_dn` over the standard deviation of one pixel's noise half way up, dimensionless. Infinite: no noise
     snr: float = 20.0
+    # shot_share, noise_blur_px: as for `charact.study.edge.scene.EdgeScene`
     shot_share: float = 0.8
     noise_blur_px: float = 0.0
-    gamma: float = 1.0
-    gradient: float = 0.0
-    motion_px: float = 0.0
-    jitter_px: float = 0.0
-    clip_share: float = 0.0
-    hot_share: float = 0.0
-    sharpening: float = 0.0
+    gamma: float = 1.0  # Exponent of the response, on a scale from black to full scale
+    gradient: float = 0.0  # Illumination at the right border over that at the left, minus 1
+    motion_px: float = 0.0  # Horizontal displacement of odd rows, exposed in the later field, px
+    jitter_px: float = 0.0  # Standard deviation of a horizontal displacement that each frame has for itself, px
+    clip_share: float = 0.0  # Share of `level_dn` that lies above full scale
+    hot_share: float = 0.0  # Share of pixels stuck at full scale
+    sharpening: float = 0.0  # Share by which the camera raises fine detail, see `charact.study.sharpening_camera`
+    # Gap between the target and another of three quarters of its frequency along the bars, px; infinite: none
     neighbour_px: float = np.inf
+    # black_dn, full_scale_dn: codes at no light and at the top, DN
     black_dn: float = 10.0
     full_scale_dn: float = 255.0
 
@@ -152,10 +122,7 @@ class BarScene:
     def light(self, moved_px: float = 0.0) -> NDArray[np.floating]:
         """Noiseless light signal over black, DN of a straight response, shape (row, col).
 
-        Parameters
-        ----------
-        moved_px
-            Horizontal displacement of the target, px.
+        `moved_px`: horizontal displacement of the target, px.
         """
         light = self._light(moved_px)
         if self.motion_px:

@@ -28,42 +28,24 @@ def _profile(blur: TrueBlur, bars: int, frequency: float, angle_deg: float) -> N
 
 @dataclass(frozen=True, kw_only=True)
 class StripScene:
-    """Some rows across bars that run through them, as a camera would digitise them.
+    """Some rows across bars that run through them, as a camera would digitise them."""
 
-    Parameters
-    ----------
-    blur
-        The blur whose MTF is the truth.
-    bars, frequency_cy_per_px
-        Number of bars, and their frequency across them.
-    rows, reach_px, frames
-        Rows, ground on either side of the bars, and frames.
-    angle_deg, phase_px
-        Tilt of the bars from the columns, degrees, and where their middle lies, px.
-    turned
-        Whether rows and columns are exchanged: horizontal bars.
-    snr
-        Step of a wide bar over the standard deviation of one pixel's noise, dimensionless.
-    noise_blur_px
-        Gaussian blur of the noise behind the gain, px; the noise of a pixel stays what it is.
-    noise_sign
-        1, or -1: the same draw with its noise upside down.
-    pedestal_dn, level_dn, full_scale_dn
-        Ground, step, and highest code, DN.
-    """
-
-    blur: TrueBlur = field(default_factory=TrueBlur)
+    blur: TrueBlur = field(default_factory=TrueBlur)  # The blur whose MTF is the truth
+    # bars, frequency_cy_per_px: number of bars, and their frequency across them
     bars: int = 4
     frequency_cy_per_px: float = 0.12
+    # rows, reach_px, frames: rows, ground on either side of the bars, and frames
     rows: int = 20
     reach_px: int = 16
     frames: int = 1
+    # angle_deg, phase_px: tilt of the bars from the columns, degrees, and where their middle lies, px
     angle_deg: float = 4.0
     phase_px: float = 0.0
-    turned: bool = False
-    snr: float = 10.0
-    noise_blur_px: float = 0.0
-    noise_sign: int = 1
+    turned: bool = False  # Whether rows and columns are exchanged: horizontal bars
+    snr: float = 10.0  # Step of a wide bar over the standard deviation of one pixel's noise, dimensionless
+    noise_blur_px: float = 0.0  # Gaussian blur of the noise behind the gain, px; the noise of a pixel stays what it is
+    noise_sign: int = 1  # 1, or -1: the same draw with its noise upside down
+    # pedestal_dn, level_dn, full_scale_dn: ground, step, and highest code, DN
     pedestal_dn: float = 400.0
     level_dn: float = 1000.0
     full_scale_dn: float = 4095.0

@@ -1,4 +1,8 @@
-"""A point source far too bright, as it lies before the camera: core, wing, halo, glare, and all that may be wrong."""
+"""Point source far too bright, as it lies before the camera: core, wing, halo and glare in closed form.
+
+Each part is a density of volume 1 on the plane, per square column pitch. A ring blurred by a Gaussian is
+exp(-(r - a)^2 / 2 s^2) I0e(r a / s^2) / 2 pi s^2; a halo is a sum of rings, a Moffat wing a sum of Gaussians.
+"""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -6,7 +10,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.bloom.light import gaussian, halo_blurred, halo_rings, moffat_as_gaussians, moffat_blurred
 from labdata.errors import BadInput
 from labdata.frames import read_only
 
@@ -19,6 +22,12 @@ STEP_PX = 0.2
 SMOOTH_RINGS, SMOOTH_STEP_PX = 60, 0.5
 # Samples of light along a pixel's side.
 FINE = 2
+# Rings that make up a halo: enough for a blur of a hundredth of its diameter.
+RINGS = 200
+# Gaussians that make up a Moffat wing where it blurs a halo, and the least weight of those left out on either side.
+GAUSSIANS, LEAST_WEIGHT = 48, 1e-8
+# Standard deviations beyond which a Gaussian is nothing.
+NOTHING = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +62,8 @@ class BloomScene:
         White noise, DN.
     plate_saturation_dn
         Level s (DN per pixel before any clip) at which the gain of the plate has halved: x/(1 + x/s). None: linear.
-    full_well_dn, drain_ratio
-        What a pixel holds, DN, and the times that a drain takes before charge spills along the column; None: no spill.
+    full_well_dn
+        What a pixel holds before charge spills along the column, DN; None: no spill.
     smear_fraction
         Share of a column's summed light that is spread evenly over the column.
     lag
@@ -96,7 +105,6 @@ class BloomScene:
     read_noise_dn: float = 0.6
     plate_saturation_dn: float | None = None
     full_well_dn: float | None = None
-    drain_ratio: float = 1.0
     smear_fraction: float = 0.0
     lag: float = 0.0
     motion_px: float = 0.0
@@ -139,15 +147,79 @@ class BloomScene:
         return overload * self.span_dn / (self.core_peak * core_share)
 
 
+def gaussian(radius_px: Array, sigma_px: float) -> Array:
+    """Return the density of a Gaussian, 1/px2."""
+    return np.exp(-0.5 * (radius_px / sigma_px) ** 2) / (2.0 * np.pi * sigma_px**2)
+
+
+def moffat(radius_px: Array, scale_px: float, exponent: float) -> Array:
+    """Return the density (b - 1) / (pi a^2) (1 + r^2/a^2)^-b of a Moffat wing, 1/px2; b > 1."""
+    return (exponent - 1.0) / (np.pi * scale_px**2) * (1.0 + (radius_px / scale_px) ** 2) ** -exponent
+
+
+def moffat_as_gaussians(scale_px: float, exponent: float) -> tuple[Array, Array]:
+    """Return standard deviations and weights of the Gaussians whose sum is a Moffat wing, shape (gaussian,).
+
+    With t from a gamma law of shape b - 1, the Gaussian of variance a^2 / 2t is on average the wing.
+    """
+    from scipy.special import gamma
+
+    shape = exponent - 1.0
+    log_t = np.linspace(np.log(LEAST_WEIGHT) / shape, np.log(30.0), GAUSSIANS)
+    weight = np.exp(shape * log_t - np.exp(log_t)) / gamma(shape)
+    return scale_px / np.sqrt(2.0 * np.exp(log_t)), weight / weight.sum()
+
+
+def halo_rings(diameter_px: float, elastic_share: float, count: int = RINGS) -> tuple[Array, Array]:
+    """Return radii and weights of the rings that make up a halo, px and dimensionless, shape (ring,).
+
+    `diameter_px`: outer diameter, four gaps between photocathode and plate; `elastic_share`: share of the halo's
+    electrons that keep their energy; the others keep any part of it alike; `count`: number of rings. With x = 2r/D,
+    electrons that leave by the cosine law land with the density 1/sqrt(1 - x^2) if they keep their energy, and
+    arccos(x)/x if it is uniform. In the angle of x = sin(angle) the weight of their rings is sin(angle) and (pi/2 -
+    angle) cos(angle): nothing is singular.
+    """
+    angle, weight = _angles(count, 0.0, 0.5 * np.pi)
+    return 0.5 * diameter_px * np.sin(angle), weight * _weight(angle, elastic_share)
+
+
+def halo_share_between(first: float, last: float, elastic_share: float) -> float:
+    """Return the share of a halo's light between two radii, each a share of the halo's own."""
+    angle, weight = _angles(RINGS, float(np.arcsin(first)), float(np.arcsin(last)))
+    return float(weight @ _weight(angle, elastic_share))
+
+
+@lru_cache
+def _angles(count: int, first: float, last: float) -> tuple[Array, Array]:
+    """Angles and weights of the quadrature by Gauss and Legendre."""
+    node, weight = np.polynomial.legendre.leggauss(count)
+    half = 0.5 * (last - first)
+    return first + half * (node + 1.0), half * weight
+
+
+def _weight(angle: Array, elastic_share: float) -> Array:
+    """Light of a halo per angle."""
+    return elastic_share * np.sin(angle) + (1.0 - elastic_share) * (0.5 * np.pi - angle) * np.cos(angle)
+
+
+def rings_blurred(radius_px: Array, rings: tuple[Array, Array], sigma_px: float) -> Array:
+    """Return the density at some radii of rings blurred by a Gaussian, 1/px2."""
+    from scipy.special import i0e
+
+    at, weight = rings
+    out = np.zeros(len(radius_px))
+    near = radius_px < at.max() + NOTHING * sigma_px
+    apart = np.subtract.outer(radius_px[near], at) / sigma_px
+    blurred = np.exp(-0.5 * apart**2) * i0e(np.multiply.outer(radius_px[near], at) / sigma_px**2)
+    out[near] = blurred @ weight / (2.0 * np.pi * sigma_px**2)
+    return out
+
+
 def radial_light(scene: BloomScene, radius_px: Array, *, before_gain: bool = False) -> Array:
     """Return the light of a source of volume 1 over the radius, per square column pitch, glare left out.
 
-    Parameters
-    ----------
-    radius_px
-        Distances from the source, column pitches.
-    before_gain
-        Whether the blur after the gain is still to come.
+    `radius_px`: distances from the source, column pitches; `before_gain`: whether the blur after the gain is still to
+    come.
     """
     light = (1.0 - scene.halo_fraction - scene.glare_fraction) * _core(scene, radius_px, before_gain=before_gain)
     if scene.halo_fraction <= 0:
@@ -159,7 +231,7 @@ def radial_halo(scene: BloomScene, radius_px: Array, *, before_gain: bool = Fals
     """Return the halo alone, blurred by core and wing, as a density of volume 1."""
     (sigma, after), wing = _sigmas(scene, before_gain), scene.wing_share
     rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share)
-    light = halo_blurred(radius_px, rings, [(sigma, 1.0 - wing)])
+    light = (1.0 - wing) * rings_blurred(radius_px, rings, sigma)
     if wing <= 0:
         return light
     from scipy.interpolate import CubicSpline
@@ -167,7 +239,7 @@ def radial_halo(scene: BloomScene, radius_px: Array, *, before_gain: bool = Fals
     coarse = np.arange(0.0, radius_px.max() + 1.0, SMOOTH_STEP_PX)
     rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share, SMOOTH_RINGS)
     gaussians = zip(*moffat_as_gaussians(scene.wing_radius_px, scene.wing_exponent), strict=True)
-    far = halo_blurred(coarse, rings, [(np.hypot(wide, after), wing * weight) for wide, weight in gaussians])
+    far = np.sum([wing * weight * rings_blurred(coarse, rings, np.hypot(wide, after)) for wide, weight in gaussians], 0)
     return light + np.asarray(CubicSpline(coarse, far)(radius_px))
 
 
@@ -177,7 +249,11 @@ def _core(scene: BloomScene, radius_px: Array, *, before_gain: bool) -> Array:
     light = (1.0 - wing) * gaussian(radius_px, sigma)
     if wing <= 0:
         return light
-    return light + wing * moffat_blurred(radius_px, scene.wing_radius_px, scene.wing_exponent, after)
+    widths, weights = moffat_as_gaussians(scene.wing_radius_px, scene.wing_exponent)
+    variance = widths**2 + after**2
+    return light + wing * (
+        np.exp(-0.5 * np.divide.outer(radius_px**2, variance)) @ (weights / (2.0 * np.pi * variance))
+    )
 
 
 def _sigmas(scene: BloomScene, before_gain: bool) -> tuple[float, float]:
@@ -190,8 +266,8 @@ def optics_of(scene: BloomScene) -> BloomScene:
     """Return the scene with all that its light before the plate does not depend on set alike: a key to keep it by."""
     return replace(
         scene, frames=1, background_dn=0.0, photoelectron_dn=1.0, excess=1.0, read_noise_dn=0.0, full_well_dn=None,
-        plate_saturation_dn=None, drain_ratio=1.0, smear_fraction=0.0, lag=0.0, motion_px=0.0, agc=False,
-        wrong_dark_dn=0.0, light_sd=0.0, dark_dn=0.0, full_scale_dn=1.0,
+        plate_saturation_dn=None, smear_fraction=0.0, lag=0.0, motion_px=0.0, agc=False, wrong_dark_dn=0.0,
+        light_sd=0.0, dark_dn=0.0, full_scale_dn=1.0,
     )  # fmt: skip
 
 

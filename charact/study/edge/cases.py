@@ -1,98 +1,74 @@
 """The cases of the edge methods: what they must cope with, and each way they break, past its breaking point."""
 
-from typing import Any
-
 import numpy as np
 
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.harness import Case
-from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope, scene_at
 
-# Axis: unit, positions, and the first and last position inside the scope that edge methods declare.
 # Bounds of the scope follow the failure table of the slanted edge: biases under a percent or two.
 AXES: Axes = {
-    "edge SNR": ("step / noise", (100, 50, 30, 20, 10, 5, 3, 2, 1), (20, 100)),
-    "edge SNR, 16 frames": ("step / noise", (100, 30, 10, 5, 2, 1, 0.5), (10, 100)),
-    "tilt": ("deg", (0, 0.3, 1, 2, 3, 5, 10, 20, 30, 40, 45), (3, 15)),
-    "blur": ("px, Gaussian sigma", (0.1, 0.3, 0.5, 1, 2, 4, 8), (0.5, 2)),
-    "gamma": ("1", (0.45, 0.6, 0.8, 0.9, 1, 1.1, 1.25, 1.6, 2.2), (1, 1)),
-    "gamma, low contrast": ("1", (0.45, 1, 2.2), (1, 1)),
-    "clipped share of the step": ("%", (0, 1, 3, 5, 10, 20, 40), (0, 0)),
-    "illumination gradient": ("% over the frame", (-60, -30, -10, -3, 0, 3, 10, 30, 60), (0, 0)),
-    "noise blur after the gain": ("px, Gaussian sigma", (0, 0.3, 0.5, 0.8, 1.2, 2), (0, 1.2)),
-    "interlace motion": ("px a field", (0, 0.1, 0.25, 0.5, 1, 2, 4), (0, 0)),
-    "frames": ("1", (1, 2, 4, 16), (1, 16)),
-    "region": ("px square", (200, 100, 60, 40, 24, 16, 10), (60, 200)),
-    "offset of the edge": ("px", (0, 10, 25, 40, 47, 60), (0, 10)),
-    "bow of the edge": ("px", (0, 0.25, 0.5, 1, 2, 5), (0, 0)),
-    "stuck pixels": ("%", (0, 0.01, 0.1, 1, 5), (0, 0)),
-    "sharpening": ("of detail finer than 2 px", (0, 0.1, 0.2, 0.3, 0.5, 1, 3), (0, 0)),
-    "contrast": ("DN of step, noise 0.6 DN", (200, 100, 30, 10, 4, 2), (100, 200)),
-    "noise under a code": ("DN of noise, step 30 DN", (1, 0.5, 0.3, 0.2, 0.1, 0.05), (1, 1)),
-    "motion from frame to frame": ("px rms, 8 frames", (0, 0.05, 0.1, 0.2, 0.4, 0.8, 2), (0, 0)),
-    "roughness of the edge": ("px rms", (0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5), (0, 0)),
-    "lowest code over the dark side": ("DN, noise 2 DN", (-20, -4, -2, 0, 2, 5, 10, 30), (-20, -20)),
-}
-
-
-def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
-    """The scene of an axis at a position, all other knobs at harmless values."""
-    knob: dict[str, Any] = {
-        "edge SNR": {"snr": position},
-        "edge SNR, 16 frames": {"snr": position, "frames": 16},
-        "tilt": {"angle_deg": position},
-        "blur": {"blur": TrueBlur(sigma_px=position)},
-        "gamma": {"gamma": position},
-        "gamma, low contrast": {"gamma": position, "dark_dn": 110.0, "bright_dn": 150.0, "snr": 25.0},
-        "clipped share of the step": {"clip_share": position / 100},
-        "lowest code over the dark side": {"floor_dn": 40.0 + position},
-        "noise under a code": {"dark_dn": 60.3, "bright_dn": 90.7, "snr": 30.4 / max(position, 1e-3)},
-        "illumination gradient": {"gradient": position / 100},
-        "noise blur after the gain": {"noise_blur_px": position, "snr": 25.0},
-        "interlace motion": {"motion_px": position},
-        "motion from frame to frame": {"jitter_px": position, "frames": 8},
-        "frames": {"frames": int(position), "snr": 25.0, "noise_blur_px": 0.7},
-        "region": {"rows": int(position), "cols": int(position)},
-        "offset of the edge": {"offset_px": position},
-        "bow of the edge": {"sagitta_px": position},
-        "roughness of the edge": {"roughness_px": position},
-        "stuck pixels": {"hot_share": position / 100},
-        "sharpening": {"sharpening": position},
-        "contrast": {"bright_dn": 40.0 + position, "snr": position / 0.6},
-    }[axis]
-    return EdgeScene(**{**common, **knob})
+    "edge SNR": ("step / noise", (100, 50, 30, 20, 10, 5, 3, 2, 1), (20, 100), lambda x, _: {"snr": x}),
+    "edge SNR, 16 frames": (
+        "step / noise", (100, 30, 10, 5, 2, 1, 0.5), (10, 100), lambda x, _: {"snr": x, "frames": 16},
+    ),
+    "tilt": ("deg", (0, 0.3, 1, 2, 3, 5, 10, 20, 30, 40, 45), (3, 15), lambda x, _: {"angle_deg": x}),
+    "blur": ("px, Gaussian sigma", (0.1, 0.3, 0.5, 1, 2, 4, 8), (0.5, 2), lambda x, _: {"blur": TrueBlur(sigma_px=x)}),
+    "gamma": ("1", (0.45, 0.6, 0.8, 0.9, 1, 1.1, 1.25, 1.6, 2.2), (1, 1), lambda x, _: {"gamma": x}),
+    "gamma, low contrast": (
+        "1", (0.45, 1, 2.2), (1, 1), lambda x, _: {"gamma": x, "dark_dn": 110.0, "bright_dn": 150.0, "snr": 25.0},
+    ),
+    "clipped share of the step": ("%", (0, 1, 3, 5, 10, 20, 40), (0, 0), lambda x, _: {"clip_share": x / 100}),
+    "illumination gradient": (
+        "% over the frame", (-60, -30, -10, -3, 0, 3, 10, 30, 60), (0, 0), lambda x, _: {"gradient": x / 100},
+    ),
+    "noise blur after the gain": (
+        "px, Gaussian sigma", (0, 0.3, 0.5, 0.8, 1.2, 2), (0, 1.2), lambda x, _: {"noise_blur_px": x, "snr": 25.0},
+    ),
+    "interlace motion": ("px a field", (0, 0.1, 0.25, 0.5, 1, 2, 4), (0, 0), lambda x, _: {"motion_px": x}),
+    "frames": ("1", (1, 2, 4, 16), (1, 16), lambda x, _: {"frames": int(x), "snr": 25.0, "noise_blur_px": 0.7}),
+    "region": ("px square", (200, 100, 60, 40, 24, 16, 10), (60, 200), lambda x, _: {"rows": int(x), "cols": int(x)}),
+    "offset of the edge": ("px", (0, 10, 25, 40, 47, 60), (0, 10), lambda x, _: {"offset_px": x}),
+    "bow of the edge": ("px", (0, 0.25, 0.5, 1, 2, 5), (0, 0), lambda x, _: {"sagitta_px": x}),
+    "stuck pixels": ("%", (0, 0.01, 0.1, 1, 5), (0, 0), lambda x, _: {"hot_share": x / 100}),
+    "sharpening": ("of detail finer than 2 px", (0, 0.1, 0.2, 0.3, 0.5, 1, 3), (0, 0), lambda x, _: {"sharpening": x}),
+    "contrast": (
+        "DN of step, noise 0.6 DN", (200, 100, 30, 10, 4, 2), (100, 200),
+        lambda x, _: {"bright_dn": 40.0 + x, "snr": x / 0.6},
+    ),
+    "noise under a code": (
+        "DN of noise, step 30 DN", (1, 0.5, 0.3, 0.2, 0.1, 0.05), (1, 1),
+        lambda x, _: {"dark_dn": 60.3, "bright_dn": 90.7, "snr": 30.4 / max(x, 1e-3)},
+    ),
+    "motion from frame to frame": (
+        "px rms, 8 frames", (0, 0.05, 0.1, 0.2, 0.4, 0.8, 2), (0, 0), lambda x, _: {"jitter_px": x, "frames": 8},
+    ),
+    "roughness of the edge": ("px rms", (0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5), (0, 0), lambda x, _: {"roughness_px": x}),
+    "lowest code over the dark side": (
+        "DN, noise 2 DN", (-20, -4, -2, 0, 2, 5, 10, 30), (-20, -20), lambda x, _: {"floor_dn": 40.0 + x},
+    ),
+}  # fmt: skip
 
 
 def _case(at: AxisPosition, scene: EdgeScene, seeds: np.random.Generator, *, edge: bool = True) -> Case:
     return at.case(
-        seeds,
-        kind="edge",
-        quantity="mtf50",
-        truth=scene.truth_mtf50 if edge else None,
-        draw=scene.frames_drawn,
+        seeds, kind="edge", quantity="mtf50", truth=scene.truth_mtf50 if edge else None, draw=scene.frames_drawn,
         context={"interlaced": at.axis == "interlace motion", "full_scale_dn": scene.full_scale_dn},
-    )
+    )  # fmt: skip
 
 
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another blur, angle and phase, and frames of noise alone.
 
-    Parameters
-    ----------
-    seed
-        Seed of the draws.
-    repeats
-        Draws at each position.
-    axes
-        Names of `AXES`.
+    `seed`: seed of the draws; `repeats`: draws at each position; `axes`: names of `AXES`.
     """
     seeds, rng = np.random.default_rng(seed), np.random.default_rng([seed, 1])
 
     def make_case(at: AxisPosition, repeat: int) -> Case:
         tube = TrueBlur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
         blur = tube if repeat % 2 else TrueBlur(sigma_px=float(rng.uniform(0.7, 1.3)))
-        common = {"blur": blur, "angle_deg": rng.uniform(4, 8), "offset_px": rng.uniform(-1, 1)}
-        return _case(at, _scene(at.axis, at.position, common), seeds)
+        base = EdgeScene(blur=blur, angle_deg=rng.uniform(4, 8), offset_px=rng.uniform(-1, 1))
+        return _case(at, scene_at(AXES, at, base), seeds)
 
     cases = cases_along_axes(AXES, axes, repeats, make_case)
     return (*cases, *(_noise_case(kind, seeds) for kind in ("white", "correlated") for _ in range(repeats)))

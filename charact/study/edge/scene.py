@@ -51,8 +51,6 @@ class TrueBlur:
     def mtf(self, frequency_cy_per_px: NDArray[np.floating] | float, angle_deg: float) -> NDArray[np.floating]:
         """MTF along the normal of an edge whose normal stands at an angle to the rows, pixel included.
 
-        Notes
-        -----
         The square pixel's transform along the direction a is sinc(f cos a) sinc(f sin a), sinc(x) = sin(pi x)/(pi x).
         """
         f = np.asarray(frequency_cy_per_px, float)
@@ -118,12 +116,7 @@ def _edge_spread(blur: TrueBlur, angle_deg: float) -> tuple[NDArray[np.floating]
 def edge_spread(blur: TrueBlur, distance_px: NDArray[np.floating], angle_deg: float) -> NDArray[np.floating]:
     """Edge spread, 0 on the dark and 1 on the bright side, at signed distances from the edge.
 
-    Parameters
-    ----------
-    distance_px
-        Distance along the normal, px, any shape.
-    angle_deg
-        Angle of the normal to the rows, degrees.
+    `distance_px`: distance along the normal, px, any shape; `angle_deg`: angle of the normal to the rows, degrees.
     """
     distance, spread = _edge_spread(blur, round(float(angle_deg), 9))
     return np.interp(distance_px, distance, spread)
@@ -140,18 +133,9 @@ def distance_across(
 ) -> NDArray[np.floating]:
     """Signed distance along its normal from an edge through the middle of a frame, px.
 
-    Parameters
-    ----------
-    row, col
-        Places from the middle, shapes (row, 1) and (1, col), px.
-    size
-        Rows and columns of the frame.
-    angle_deg
-        Angle of the normal to the rows, degrees.
-    moved_px
-        Displacement of the edge along the rows, px.
-    sagitta_px
-        Bow of the edge over its length in the frame, px.
+    `row`, `col`: places from the middle, shapes (row, 1) and (1, col), px; `size`: rows and columns of the frame;
+    `angle_deg`: angle of the normal to the rows, degrees; `moved_px`: displacement of the edge along the rows, px;
+    `sagitta_px`: bow of the edge over its length in the frame, px.
     """
     angle = np.deg2rad(angle_deg)
     along = row * np.cos(angle) - col * np.sin(angle)
@@ -251,12 +235,8 @@ class EdgeScene:
     def light(self, moved_px: float = 0.0, course_px: NDArray[np.floating] | float = 0.0) -> NDArray[np.floating]:
         """Noiseless light signal over black, DN of a straight response, shape (row, col).
 
-        Parameters
-        ----------
-        moved_px
-            Horizontal displacement of the edge, px.
-        course_px
-            How far the edge lies off its line along the normal, seen from each pixel, shape (row, col), px.
+        `moved_px`: horizontal displacement of the edge, px; `course_px`: how far the edge lies off its line along the
+        normal, seen from each pixel, shape (row, col), px.
         """
         row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
         col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
@@ -302,11 +282,9 @@ class EdgeScene:
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
         """Draw the stack: noise of the light correlated after the gain, the response, white read noise, digitised.
 
-        Notes
-        -----
-        The noise is sqrt(v_s(mean)) w blurred by a kernel h of unit sum of squares, plus white noise: variance
-        v_s + v_r, covariance v_s R_h. The signal's part of the variance is proportional to the light; the response
-        bends light and its noise alike.
+        The noise is sqrt(v_s(mean)) w blurred by a kernel h of unit sum of squares, plus white noise: variance v_s +
+        v_r, covariance v_s R_h. The signal's part of the variance is proportional to the light; the response bends
+        light and its noise alike.
         """
         light = self._frames_light(rng)
         sd = (self.bright_dn - self.dark_dn) / self.snr if np.isfinite(self.snr) else 0.0

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.study.harness import Case
-from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope, scene_at
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.session import Kind, Session, StackEntry
@@ -22,6 +22,12 @@ class InMemoryStack(StackEntry):
     def read(self) -> FrameStack:
         """The frames held."""
         return self.held
+
+
+def in_memory_stack(kind: Kind, label: str, frames: FrameStack, lux: float) -> InMemoryStack:
+    """Return a stack at the settings of an intensified camera and some illuminance."""
+    conditions = Conditions(illuminance_lux=lux, mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167)
+    return InMemoryStack(label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=frames)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,14 +102,8 @@ class FlatScene:
 
             noisy = gaussian_filter(noisy, (0, self.resampling_px, self.resampling_px), mode="wrap")
         codes = np.clip(np.rint(noisy), 0, self.full_scale_dn).astype(np.uint16)
-        stack = FrameStack(
-            data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn, black_level_dn=None
-        )
-        lux = 1e-6 * level if level else 0.0
-        conditions = Conditions(illuminance_lux=lux, mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167)
-        return InMemoryStack(
-            label=f"{kind}-{number}", kind=kind, frames="", conditions=conditions, folder=Path("."), held=stack
-        )
+        stack = FrameStack(data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn)
+        return in_memory_stack(kind, f"{kind}-{number}", stack, 1e-6 * level)
 
     def _light(self, level: float, rng: np.random.Generator) -> NDArray[np.floating]:
         """Light signal, DN, shape (frame, row, col): pulses, blur after the gain, then electrons."""
@@ -140,51 +140,36 @@ def _pulse_heights(counts: NDArray, factor: float, rng: np.random.Generator) -> 
 
 
 AXES: Axes = {
-    "blur after the gain": ("px, Gaussian sigma", (0, 0.3, 0.6, 1, 1.5, 2.5), (0, 1)),
-    "frames": ("a stack", (2, 4, 8, 24, 48), (24, 48)),
-    "levels": ("flat stacks", (1, 2, 3, 5), (3, 5)),
-    "brightest level": ("photoelectrons a pixel", (0.05, 0.3, 2, 32, 100), (2, 32)),
-    "saturated": ("% of full scale at the brightest", (70, 100, 130, 300), (70, 70)),
-    "lag": ("share a frame", (0, 0.05, 0.1, 0.2, 0.4), (0, 0)),
-    "flicker": ("% rms", (0, 0.5, 2, 5, 10), (0, 0)),
-    "automatic gain": ("1 = on", (0, 1), (0, 0)),
-    "steps of the digitiser": ("DN a photoelectron", (20, 3, 1, 0.3, 0.1), (3, 20)),
-}
-
-
-def _scene(axis: str, position: float, base: FlatScene) -> FlatScene:
-    """The flat series of an axis at a position."""
-    number = int(position)
-    white = 32 * base.photoelectron_gain_dn
-    knob = {
-        "blur after the gain": lambda: {"blur_px": position},
-        "frames": lambda: {"frames": number},
-        "levels": lambda: {"photoelectrons": base.photoelectrons[-number:]},
-        "brightest level": lambda: {"photoelectrons": tuple(position * np.array([0.1, 0.25, 0.5, 0.75, 1.0]))},
-        "saturated": lambda: {"full_scale_dn": float(round(base.black_dn + white * 100 / position))},
-        "lag": lambda: {"lag": position},
-        "flicker": lambda: {"flicker": position / 100},
-        "automatic gain": lambda: {"agc": bool(position)},
-        "steps of the digitiser": lambda: {
-            "photoelectron_gain_dn": position,
-            "electron_gain_dn": position / 400,
-            "read_noise_dn": position / 13,
-        },
-    }[axis]()
-    return replace(base, **knob)
+    "blur after the gain": ("px, Gaussian sigma", (0, 0.3, 0.6, 1, 1.5, 2.5), (0, 1), lambda x, _: {"blur_px": x}),
+    "frames": ("a stack", (2, 4, 8, 24, 48), (24, 48), lambda x, _: {"frames": int(x)}),
+    "levels": (
+        "flat stacks", (1, 2, 3, 5), (3, 5), lambda x, base: {"photoelectrons": base.photoelectrons[-int(x) :]},
+    ),
+    "brightest level": (
+        "photoelectrons a pixel", (0.05, 0.3, 2, 32, 100), (2, 32),
+        lambda x, _: {"photoelectrons": tuple(x * np.array([0.1, 0.25, 0.5, 0.75, 1.0]))},
+    ),
+    "saturated": (
+        "% of full scale at the brightest", (70, 100, 130, 300), (70, 70),
+        lambda x, base: {"full_scale_dn": float(round(base.black_dn + 3200 * base.photoelectron_gain_dn / x))},
+    ),
+    "lag": ("share a frame", (0, 0.05, 0.1, 0.2, 0.4), (0, 0), lambda x, _: {"lag": x}),
+    "flicker": ("% rms", (0, 0.5, 2, 5, 10), (0, 0), lambda x, _: {"flicker": x / 100}),
+    "automatic gain": ("1 = on", (0, 1), (0, 0), lambda x, _: {"agc": bool(x)}),
+    "steps of the digitiser": (
+        "DN a photoelectron", (20, 3, 1, 0.3, 0.1), (3, 20),
+        lambda x, _: {"photoelectron_gain_dn": x, "electron_gain_dn": x / 400, "read_noise_dn": x / 13},
+    ),
+}  # fmt: skip
 
 
 def flat_case(quantity: str, at: AxisPosition, scene: FlatScene, rng: np.random.Generator) -> Case:
     """Return a case of a flat series whose covariance gain or, without an intensifier, system gain is known."""
     truth = scene.truth_covariance_gain if quantity == "covariance_gain" else scene.electron_gain_dn
     return at.case(
-        rng,
-        kind="flats",
-        quantity=quantity,
-        truth=truth,
-        draw=scene.session_drawn,
+        rng, kind="flats", quantity=quantity, truth=truth, draw=scene.session_drawn,
         context={"full_scale_dn": scene.full_scale_dn},
-    )
+    )  # fmt: skip
 
 
 def _base(rng: np.random.Generator) -> FlatScene:
@@ -200,7 +185,7 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
     rng = np.random.default_rng([seed, 3])
 
     def make_case(at: AxisPosition, _: int) -> Case:
-        return flat_case("covariance_gain", at, _scene(at.axis, at.position, _base(rng)), rng)
+        return flat_case("covariance_gain", at, scene_at(AXES, at, _base(rng)), rng)
 
     return cases_along_axes(AXES, axes, repeats, make_case)
 

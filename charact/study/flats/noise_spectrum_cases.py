@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.flats.flat_cases import InMemoryStack
+from charact.study.flats.flat_cases import InMemoryStack, in_memory_stack
 from charact.study.harness import Case
-from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
-from labdata.conditions import Conditions
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope, scene_at
 from labdata.frames import FrameStack
 from labdata.session import Kind, Session
 
@@ -134,9 +133,7 @@ class ScintillatingFlats:
         curved = np.sign(signal) * top * (np.abs(signal) / top) ** self.gamma
         codes = np.clip(np.rint(self.black_dn + curved), 0, self.full_scale_dn).astype(np.uint16)
         held = FrameStack(data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn)
-        conditions = Conditions(illuminance_lux=1e-6 * level, mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167)
-        label = f"{kind}-{number}"
-        return InMemoryStack(label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=held)
+        return in_memory_stack(kind, f"{kind}-{number}", held, 1e-6 * level)
 
     def _frames(self, level: float, rng: np.random.Generator) -> Sequence[Array]:
         """Light signal of each frame, DN; of interlaced ones each field has an exposure of its own."""
@@ -201,64 +198,49 @@ class ScintillatingFlats:
 
 
 AXES: Axes = {
-    "half frequency after the gain": ("cy/px", (0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 1.0), (0.08, 0.4)),
-    "exponent": ("1", (1.0, 1.2, 1.5, 2.0, 2.5), (1.2, 2.0)),
-    "frames": ("a stack", (2, 3, 4, 8, 24), (4, 24)),
-    "size": ("px square", (40, 64, 96, 192), (96, 192)),
-    "light": ("photoelectrons a pixel", (0.01, 0.1, 1, 10, 50), (0.1, 10)),
-    "read noise": ("DN", (0.5, 3, 30, 100, 300), (0.5, 30)),
-    "coloured read noise": ("DN", (3, 30, 100), (3, 30)),
-    "coloured read noise, no darks": ("DN", (3, 30, 100), (0, 0)),
-    "no darks": ("1 = none", (0, 1), (0, 0)),
-    "no intensifier": ("1 = none", (0, 1), (0, 0)),
-    "lag": ("share an exposure", (0, 0.1, 0.3, 0.5), (0, 0.3)),
-    "lag between fields": ("share a field", (0, 0.1, 0.3, 0.5), (0, 0.3)),
-    "gamma": ("1", (0.45, 0.7, 1, 1.4, 2.2), (1, 1)),
-    "gamma, one level": ("1", (0.45, 0.7, 1, 1.4, 2.2), (1, 1)),
-    "saturated": ("% of full scale at the brighter level", (20, 60, 90, 120), (20, 60)),
-    "veil after the gain": ("% of the light", (0, 2, 5, 15), (0, 0)),
-    "anisotropy": ("1", (0.6, 0.8, 1, 1.25, 1.6), (0.8, 1.25)),
-}
+    "half frequency after the gain": (
+        "cy/px", (0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 1.0), (0.08, 0.4), lambda x, _: {"half_frequency_cy_per_px": x},
+    ),
+    "exponent": ("1", (1.0, 1.2, 1.5, 2.0, 2.5), (1.2, 2.0), lambda x, _: {"exponent": x}),
+    "frames": ("a stack", (2, 3, 4, 8, 24), (4, 24), lambda x, _: {"frames": int(x)}),
+    "size": ("px square", (40, 64, 96, 192), (96, 192), lambda x, _: {"rows": int(x), "cols": int(x)}),
+    "light": (
+        "photoelectrons a pixel", (0.01, 0.1, 1, 10, 50), (0.1, 10), lambda x, _: {"photoelectrons": (0.3 * x, x)},
+    ),
+    "read noise": ("DN", (0.5, 3, 30, 100, 300), (0.5, 30), lambda x, _: _noisy(x)),
+    "coloured read noise": ("DN", (3, 30, 100), (3, 30), lambda x, _: _noisy(x) | {"read_smoothing_px": 1.0}),
+    "coloured read noise, no darks": (
+        "DN", (3, 30, 100), (0, 0), lambda x, _: _noisy(x) | {"read_smoothing_px": 1.0, "darks": False},
+    ),
+    "no darks": ("1 = none", (0, 1), (0, 0), lambda x, _: {"darks": x == 0}),
+    "no intensifier": ("1 = none", (0, 1), (0, 0), lambda x, base: {"gain_dn": 0.0 if x else base.gain_dn}),
+    "lag": ("share an exposure", (0, 0.1, 0.3, 0.5), (0, 0.3), lambda x, _: {"lag": x}),
+    "lag between fields": (
+        "share a field", (0, 0.1, 0.3, 0.5), (0, 0.3),
+        lambda x, base: {"lag": x, "interlaced": True, "rows": 2 * base.rows},
+    ),
+    "gamma": ("1", (0.45, 0.7, 1, 1.4, 2.2), (1, 1), lambda x, _: {"gamma": x}),
+    "gamma, one level": (
+        "1", (0.45, 0.7, 1, 1.4, 2.2), (1, 1), lambda x, _: {"gamma": x, "photoelectrons": (8.0,)},
+    ),
+    "saturated": (
+        "% of full scale at the brighter level", (20, 60, 90, 120), (20, 60),
+        lambda x, base: {"gain_dn": 4035.0 * x / 100 / max(base.photoelectrons)},
+    ),
+    "veil after the gain": ("% of the light", (0, 2, 5, 15), (0, 0), lambda x, _: {"halo_fraction": x / 100}),
+    "anisotropy": ("1", (0.6, 0.8, 1, 1.25, 1.6), (0.8, 1.25), lambda x, _: {"anisotropy": x}),
+}  # fmt: skip
 
 
-def _scene(axis: str, position: float, base: ScintillatingFlats) -> ScintillatingFlats:
-    """The flats of an axis at a position."""
-    number = int(position)
-    knob = {
-        "half frequency after the gain": lambda: {"half_frequency_cy_per_px": position},
-        "exponent": lambda: {"exponent": position},
-        "frames": lambda: {"frames": number},
-        "size": lambda: {"rows": number, "cols": number},
-        "light": lambda: {"photoelectrons": (0.3 * position, position)},
-        "read noise": lambda: {"read_noise_dn": position, "black_dn": 60.0 + 5.0 * position},
-        "coloured read noise": lambda: {
-            "read_noise_dn": position, "read_smoothing_px": 1.0, "black_dn": 60.0 + 5.0 * position,
-        },
-        "coloured read noise, no darks": lambda: {
-            "read_noise_dn": position, "read_smoothing_px": 1.0, "black_dn": 60.0 + 5.0 * position, "darks": False,
-        },
-        "no darks": lambda: {"darks": position == 0},
-        "no intensifier": lambda: {"gain_dn": 0.0 if position else base.gain_dn},
-        "lag": lambda: {"lag": position},
-        "lag between fields": lambda: {"lag": position, "interlaced": True, "rows": 2 * base.rows},
-        "gamma": lambda: {"gamma": position},
-        "gamma, one level": lambda: {"gamma": position, "photoelectrons": (8.0,)},
-        "saturated": lambda: {"gain_dn": 4035.0 * position / 100 / max(base.photoelectrons)},
-        "veil after the gain": lambda: {"halo_fraction": position / 100},
-        "anisotropy": lambda: {"anisotropy": position},
-    }[axis]()  # fmt: skip
-    return replace(base, **knob)
+def _noisy(read_noise_dn: float) -> dict[str, float]:
+    return {"read_noise_dn": read_noise_dn, "black_dn": 60.0 + 5.0 * read_noise_dn}
 
 
 def _case(at: AxisPosition, scene: ScintillatingFlats, rng: np.random.Generator) -> Case:
     return at.case(
-        rng,
-        kind="post-gain",
-        quantity="post_gain_mtf50",
-        truth=scene.mtf50() if scene.gain_dn > 0 else None,
-        draw=scene.session_drawn,
-        context={"full_scale_dn": scene.full_scale_dn, "interlaced": scene.interlaced},
-    )
+        rng, kind="post-gain", quantity="post_gain_mtf50", truth=scene.mtf50() if scene.gain_dn > 0 else None,
+        draw=scene.session_drawn, context={"full_scale_dn": scene.full_scale_dn, "interlaced": scene.interlaced},
+    )  # fmt: skip
 
 
 def _base(rng: np.random.Generator) -> ScintillatingFlats:
@@ -272,7 +254,7 @@ def _base(rng: np.random.Generator) -> ScintillatingFlats:
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another blur and read noise."""
     rng = np.random.default_rng([seed, 8])
-    return cases_along_axes(AXES, axes, repeats, lambda at, _: _case(at, _scene(at.axis, at.position, _base(rng)), rng))
+    return cases_along_axes(AXES, axes, repeats, lambda at, _: _case(at, scene_at(AXES, at, _base(rng)), rng))
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:

@@ -1,22 +1,27 @@
 """The cases of the system gain: a camera without an intensifier, whose noise is white, and what makes it less so."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from charact.study.flats.flat_cases import FlatScene, flat_case
 from charact.study.harness import Case
-from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope, scene_at
 
 AXES: Axes = {
-    "system gain": ("DN an electron", (0.01, 0.03, 0.1, 0.3, 1, 5), (0.1, 1)),
-    "frames": ("a stack", (2, 3, 4, 8, 16), (8, 16)),
-    "levels": ("flat stacks", (1, 2, 3, 5), (3, 5)),
-    "saturated": ("% of full scale at the brightest", (70, 100, 130, 300), (70, 70)),
-    "smoothing after the camera": ("px, Gaussian sigma", (0, 0.2, 0.3, 0.5, 1), (0, 0)),
-    "flicker": ("% rms", (0, 0.2, 0.5, 2, 10), (0, 0)),
-    "automatic gain": ("1 = on", (0, 1), (0, 0)),
-}
+    "system gain": ("DN an electron", (0.01, 0.03, 0.1, 0.3, 1, 5), (0.1, 1), lambda x, _: {"electron_gain_dn": x}),
+    "frames": ("a stack", (2, 3, 4, 8, 16), (8, 16), lambda x, _: {"frames": int(x)}),
+    "levels": (
+        "flat stacks", (1, 2, 3, 5), (3, 5), lambda x, base: {"photoelectrons": base.photoelectrons[-int(x) :]},
+    ),
+    "saturated": (
+        "% of full scale at the brightest", (70, 100, 130, 300), (70, 70),
+        lambda x, base: {"full_scale_dn": float(round(base.black_dn + WHITE_DN * 100 / x))},
+    ),
+    "smoothing after the camera": (
+        "px, Gaussian sigma", (0, 0.2, 0.3, 0.5, 1), (0, 0), lambda x, _: {"resampling_px": x},
+    ),
+    "flicker": ("% rms", (0, 0.2, 0.5, 2, 10), (0, 0), lambda x, _: {"flicker": x / 100}),
+    "automatic gain": ("1 = on", (0, 1), (0, 0), lambda x, _: {"agc": bool(x)}),
+}  # fmt: skip
 WHITE_DN = 2400.0
 
 
@@ -30,27 +35,12 @@ def _base(rng: np.random.Generator) -> FlatScene:
     )
 
 
-def _scene(axis: str, position: float, rng: np.random.Generator) -> FlatScene:
-    """The flat series of an axis at a position."""
-    base = _base(rng)
-    knob = {
-        "system gain": lambda: {"electron_gain_dn": position},
-        "frames": lambda: {"frames": int(position)},
-        "levels": lambda: {"photoelectrons": base.photoelectrons[-int(position) :]},
-        "saturated": lambda: {"full_scale_dn": float(round(base.black_dn + WHITE_DN * 100 / position))},
-        "smoothing after the camera": lambda: {"resampling_px": position},
-        "flicker": lambda: {"flicker": position / 100},
-        "automatic gain": lambda: {"agc": bool(position)},
-    }[axis]()
-    return replace(base, **knob)
-
-
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another gain."""
     rng = np.random.default_rng([seed, 6])
 
     def make_case(at: AxisPosition, _: int) -> Case:
-        return flat_case("system_gain", at, _scene(at.axis, at.position, rng), rng)
+        return flat_case("system_gain", at, scene_at(AXES, at, _base(rng)), rng)
 
     return cases_along_axes(AXES, axes, repeats, make_case)
 

@@ -51,71 +51,37 @@ def _disc(diameter_px: float, count: int, rng: np.random.Generator) -> NDArray[n
 
 @dataclass(frozen=True, kw_only=True)
 class PointScene:
-    """A point source as a camera would digitise it, with one knob for each way in which point methods break.
+    """A point source as a camera would digitise it, with one knob for each way in which point methods break."""
 
-    Parameters
-    ----------
-    blur
-        The blur before the gain.
-    pulse_px
-        Standard deviation of a photoelectron's Gaussian pulse, the blur behind the gain, px; 0: an ordinary camera.
-    photoelectrons
-        Mean number of a frame.
-    peak_dn
-        Height of the brightest pixel over the background, DN.
-    background
-        Photoelectrons of a pixel and frame without the source.
-    rows, cols, frames
-        Size of the stack.
-    row_px, col_px
-        Where the source stands off the middle of the frame, px.
-    read_dn
-        Standard deviation of white read noise, DN.
-    gain_spread
-        Relative variance of the pulses' heights: 1 is exponential, 0 has none.
-    gamma
-        Exponent of the response, on a scale from black to full scale.
-    gradient
-        Background at the right border over that at the left, minus 1.
-    motion_px
-        Horizontal displacement of odd rows, exposed in the later field, px.
-    drift_px, jitter_px
-        Horizontal displacement from the first frame to the last, and standard deviation of one that each frame has for
-        itself, px.
-    neighbour_px, neighbour_share
-        Distance of another source along the rows, px, and its light; infinite: none.
-    pinhole_px
-        Diameter of the source, px.
-    hot_share
-        Share of pixels stuck at full scale.
-    sharpening
-        Share by which the camera raises fine detail, see `charact.study.sharpening_camera`.
-    black_dn, full_scale_dn
-        Codes at no light and at the top, DN.
-    """
-
-    blur: TrueBlur = field(default_factory=TrueBlur)
+    blur: TrueBlur = field(default_factory=TrueBlur)  # The blur before the gain
+    # Standard deviation of a photoelectron's Gaussian pulse, the blur behind the gain, px; 0: an ordinary camera
     pulse_px: float = 0.6
-    photoelectrons: float = 3000.0
-    peak_dn: float = 150.0
-    background: float = 0.02
+    photoelectrons: float = 3000.0  # Mean number of a frame
+    peak_dn: float = 150.0  # Height of the brightest pixel over the background, DN
+    background: float = 0.02  # Photoelectrons of a pixel and frame without the source
+    # rows, cols, frames: size of the stack
     rows: int = 96
     cols: int = 96
     frames: int = 8
+    # row_px, col_px: where the source stands off the middle of the frame, px
     row_px: float = 0.0
     col_px: float = 0.0
-    read_dn: float = 1.0
-    gain_spread: float = 0.6
-    gamma: float = 1.0
-    gradient: float = 0.0
-    motion_px: float = 0.0
+    read_dn: float = 1.0  # Standard deviation of white read noise, DN
+    gain_spread: float = 0.6  # Relative variance of the pulses' heights: 1 is exponential, 0 has none
+    gamma: float = 1.0  # Exponent of the response, on a scale from black to full scale
+    gradient: float = 0.0  # Background at the right border over that at the left, minus 1
+    motion_px: float = 0.0  # Horizontal displacement of odd rows, exposed in the later field, px
+    # drift_px, jitter_px: horizontal displacement from the first frame to the last, and standard deviation of
+    # one that each frame has for itself, px
     drift_px: float = 0.0
     jitter_px: float = 0.0
+    # neighbour_px, neighbour_share: distance of another source along the rows, px, and its light; infinite: none
     neighbour_px: float = np.inf
     neighbour_share: float = 0.5
-    pinhole_px: float = 0.0
-    hot_share: float = 0.0
-    sharpening: float = 0.0
+    pinhole_px: float = 0.0  # Diameter of the source, px
+    hot_share: float = 0.0  # Share of pixels stuck at full scale
+    sharpening: float = 0.0  # Share by which the camera raises fine detail, see `charact.study.sharpening_camera`
+    # black_dn, full_scale_dn: codes at no light and at the top, DN
     black_dn: float = 12.0
     full_scale_dn: float = 255.0
 

@@ -3,7 +3,6 @@
 import ctypes
 import math
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 from drivers.cameras.aravis.capture import PIXELS, AravisCapture
@@ -23,18 +22,11 @@ class AravisCamera:
     resend
         Whether missing packets are requested again (GigE Vision).
     silence_s
-        Longest time without a frame before the camera counts as dead, s; exposure and four frame periods are
-        added.
+        Longest time without a frame before the camera counts as dead, s; exposure and four frame periods are added.
     control_s
-        Longest wait for a camera in use by another program, s. A camera whose client died is released after its
-        heartbeat time.
+        Longest wait for a camera in use by another program, s; that of a dead client is released after its heartbeat.
     say
         Called with a sentence if opening takes long.
-
-    Raises
-    ------
-    CameraError
-        On entering: if the camera is missing, or in use by another program.
     """
 
     def __init__(
@@ -67,9 +59,7 @@ class AravisCamera:
         self._open = Connection(self._name, control_s=self._control_s, say=self._say)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         connection, self._open = self._open, None
         if connection is not None:
             connection.close()
@@ -77,12 +67,7 @@ class AravisCamera:
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None and return the read-back of all.
 
-        Raises
-        ------
-        BadInput
-            If a value lies outside the range of the camera.
-        CameraError
-            If the camera refuses, or reads back another value than requested.
+        A value outside the camera's range is BadInput, a refused one or another read-back CameraError.
         """
         features = AravisSettings(self.connection)
 

@@ -47,18 +47,11 @@ def _mono12_packed(byte: _Bytes) -> tuple[_Bytes, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Packing:
-    """Packing of pixels into bytes.
+    """Packing of pixels into bytes."""
 
-    Parameters
-    ----------
-    pixels, bytes
-        Pixels of one group, and its bytes.
-    split
-        Converts the bytes of all groups, shape (byte, group), to the pixels, one array each.
-    """
-
-    pixels: int
-    bytes: int
+    pixels: int  # Pixels of one group, and its bytes
+    bytes: int  # Pixels of one group, and its bytes
+    # Converts the bytes of all groups, shape (byte, group), to the pixels, one array each
     split: Callable[[_Bytes], tuple[_Bytes, ...]]
 
     def size_bytes(self, pixels: int) -> int:
@@ -95,21 +88,7 @@ BLOCK_NUMBERS = 65535  # of GigE Vision's 16 bits, 1..65535
 
 
 class AravisCapture(FrameCapture):
-    """A capture that runs in its `with` block; iterate it for complete frames.
-
-    Parameters
-    ----------
-    connection
-        The open camera.
-    settings
-        Settings in force.
-    patience_s
-        Longest wait for a frame, s.
-    resend
-        Whether missing packets are requested again (GigE Vision).
-    frames, discard, while_waiting
-        As in `FrameCapture`.
-    """
+    """Complete frames of an open camera; `patience_s` is the longest wait for one, s."""
 
     def __init__(
         self,
@@ -134,10 +113,8 @@ class AravisCapture(FrameCapture):
         self._shape = (settings.rows or 0, settings.columns or 0)
         self._stream: int | None = None
         self._numbers = RunningNumbers(BLOCK_NUMBERS)
-        self.lost_packets = 0
-        """Number of missing packets, after the end of the capture (GigE Vision)."""
-        self.resent_packets = 0
-        """Number of packets received after a repeated request."""
+        self.lost_packets = 0  # Number of missing packets, after the end of the capture (GigE Vision)
+        self.resent_packets = 0  # Number of packets received after a repeated request
 
     def _start(self) -> None:
         self._connection.while_alive(self._start_stream, self._while_waiting)

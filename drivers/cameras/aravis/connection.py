@@ -22,8 +22,7 @@ T = TypeVar("T")
 CONTROL_PORT = 3956
 CONTROL_S = 0.08  # longest wait for an answer on the control port
 UNANSWERED = 6  # consecutive unanswered queries before a camera counts as dead
-SUSPICION_S = 0.2
-"""Time without a frame or an answer after which the control port of a camera is queried, s."""
+SUSPICION_S = 0.2  # Time without a frame or an answer after which the control port of a camera is queried, s
 HEARTBEAT_S = 3.0  # time that a camera stays locked after its client died
 # GVCP discovery command: key, acknowledge required, command 0x0002, no payload, request number.
 _DISCOVERY = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 0x7FFF)
@@ -60,34 +59,19 @@ def only_camera() -> str:
 
 
 class Connection:
-    """Control of one camera, from its construction to `close`.
+    """Control of one camera by identifier or IP address, from its construction to `close`.
 
-    Parameters
-    ----------
-    name
-        Aravis identifier or IP address.
-    control_s
-        Longest wait for a camera in use by another program, s.
-    say
-        Called with a sentence if opening takes long.
-
-    Raises
-    ------
-    CameraError
-        If the camera is missing, or in use by another program.
+    A camera that is missing, or in use by another program for `control_s`, is CameraError; `say` reports the wait.
     """
 
     def __init__(self, name: str, *, control_s: float, say: Callable[[str], None]) -> None:
         self.library: Aravis = aravis()
         self.identifier = name
-        self.is_dead = False
-        """Whether the camera was found dead."""
-        self.address: str | None = None
-        """IP address of a camera whose frames come over a network."""
+        self.is_dead = False  # Whether the camera was found dead
+        self.address: str | None = None  # IP address of a camera whose frames come over a network
         self._unanswered = 0
         self._act: threading.Thread | None = None
-        self.camera = camera = self._take_control(control_s, say)
-        """The library's handle."""
+        self.camera = camera = self._take_control(control_s, say)  # The library's handle
         if self.library.plain("arv_camera_is_gv_device", camera):
             self.address = self.library.address(self.library.plain("arv_camera_get_device", camera))
             self.library.plain("arv_camera_gv_set_stream_options", camera, PACKET_SOCKET_DISABLED)
@@ -184,20 +168,10 @@ class Connection:
 
 
 def ask_control_port(address: str, *, timeout_s: float = CONTROL_S) -> bool | None:
-    """Send one GigE Vision discovery command to a camera.
+    """Send one GigE Vision discovery command to a camera's address.
 
-    Parameters
-    ----------
-    address
-        IPv4 address of the camera.
-    timeout_s
-        Longest wait for the acknowledgement, s.
-
-    Returns
-    -------
-    bool or None
-        Whether it came in time; None if no camera listens there (known at once on loopback, when the
-        camera's process is gone).
+    Returns whether the acknowledgement came within `timeout_s`; None if no camera listens there (known at once on
+    loopback, when the camera's process is gone).
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
         control.settimeout(timeout_s)

@@ -3,8 +3,7 @@
 import math
 from collections.abc import Callable
 from fractions import Fraction
-from types import TracebackType
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from drivers.cameras.v4l2 import fields, listing, structures
 from drivers.cameras.v4l2.capture import V4l2Capture
@@ -16,11 +15,8 @@ from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
-BEGINS = 3.0
-"""Additional wait for the first frame, as a multiple of `silence_s`."""
-
-LONGEST_WAIT_S = 600.0
-"""Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s."""
+BEGINS = 3.0  # Additional wait for the first frame, as a multiple of `silence_s`
+LONGEST_WAIT_S = 600.0  # Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s
 
 FULL_RANGE = 1
 _FINEST_PERIOD = 100_000
@@ -43,13 +39,6 @@ class V4l2Camera:
     silence_s
         Longest time without a frame before the camera counts as dead, s; exposure and four frame periods are added,
         and three times as much before the first frame: USB cameras take a second or more to start.
-    open_device
-        Opens the device; replaced in tests.
-
-    Raises
-    ------
-    CameraError
-        On entering: if the device is missing, cannot be opened, or cannot capture.
     """
 
     def __init__(
@@ -86,20 +75,13 @@ class V4l2Camera:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None and return the read-back of all.
 
-        Raises
-        ------
-        BadInput
-            If a value lies outside the range of the camera.
-        CameraError
-            If the camera refuses, or reads back another value than requested.
+        A value outside the camera's range is BadInput, a refused one or another read-back CameraError.
         """
         own = V4l2Settings(self._open, self.identifier)
         own.apply(settings)
@@ -204,7 +186,7 @@ class V4l2Settings:
             notes=self._notes(form, picture),
         )
 
-    def form(self) -> Format:
+    def form(self) -> Any:
         """Return the format in force."""
         form = Format(type=CAPTURE)
         query_device(
@@ -236,10 +218,10 @@ class V4l2Settings:
             self._ask_format(before)
             raise BadInput(complaint)
 
-    def _ask_format(self, form: Format) -> None:
+    def _ask_format(self, form: Any) -> None:
         query_device(self._device, structures.SET_FORMAT, form, f"camera {self._identifier} must take a picture format")
 
-    def _complaint(self, settings: CameraSettings, given: Format, *, code: int) -> str | None:
+    def _complaint(self, settings: CameraSettings, given: Any, *, code: int) -> str | None:
         """Return the first difference between the format in force and the requested one; None if there is none."""
         pix = given.of.pix
         there = fields.rows_of(pix.height, pix.field)
@@ -295,11 +277,11 @@ class V4l2Settings:
                 f"but reads back {'none' if is_now is None else f'{is_now:g}'}"
             )
 
-    def _ask_parameters(self, parameters: StreamParameters) -> None:
+    def _ask_parameters(self, parameters: Any) -> None:
         rule = f"camera {self._identifier} must take a frame rate"
         query_device(self._device, structures.SET_PARAMETERS, parameters, rule)
 
-    def _parameters(self) -> StreamParameters | None:
+    def _parameters(self) -> Any:
         parameters = StreamParameters(type=CAPTURE)
         return parameters if offers(self._device, structures.GET_PARAMETERS, parameters) else None
 
@@ -344,7 +326,7 @@ class V4l2Settings:
         control = listing.find_control(self._device, identifier)
         return None if control is None else listing.read_control(self._device, control)
 
-    def _notes(self, form: Format, picture: BufferImage) -> tuple[str, ...]:
+    def _notes(self, form: Any, picture: BufferImage) -> tuple[str, ...]:
         notes = []
         if picture.layout.is_video and form.of.pix.quantization != FULL_RANGE:
             notes.append(f"grey is the luma of {picture.layout.name} video: black is 16 and white is 235 DN")

@@ -19,7 +19,6 @@ from drivers.cameras.v4l2.structures import (
     MEMORY_MAPPED,
     Buffer,
     BufferRequest,
-    Format,
     Request,
 )
 from drivers.errors import CameraError
@@ -35,29 +34,16 @@ T = TypeVar("T")
 
 
 class V4l2Capture(FrameCapture):
-    """A capture that runs in its `with` block; iterate it for complete frames.
+    """Complete frames of an open device in one image format and the kernel's bits of its video standards.
 
-    Parameters
-    ----------
-    device
-        The open device.
-    form
-        Image format.
-    standard
-        Video standards of the input, as the kernel's bits.
-    patience_s
-        Longest wait for a frame, s.
-    start_s
-        Additional wait allowed for the first frame, s.
-    frames, discard, while_waiting, identifier
-        As in `FrameCapture`.
+    `patience_s` is the longest wait for a frame, s, and `start_s` the additional one for the first.
     """
 
     def __init__(
         self,
         device: Device,
         *,
-        form: Format,
+        form: Any,
         standard: int,
         patience_s: float,
         start_s: float,
@@ -93,16 +79,16 @@ class V4l2Capture(FrameCapture):
     def _next_frame(self) -> Frame | IncompleteFrame:
         return self._take_buffer(self._as_frame) if self._pairs is None else self._pairs.frame()
 
-    def _as_frame(self, buffer: Buffer, pixels: NDArray, number: int) -> Frame:
+    def _as_frame(self, buffer: Any, pixels: NDArray, number: int) -> Frame:
         order = field_order(buffer.field, self._standard)
         return Frame(pixels=pixels, number=number, time_s=_time_s(buffer), field_order=order)
 
-    def _as_field(self, buffer: Buffer, pixels: NDArray, number: int) -> Field:
+    def _as_field(self, buffer: Any, pixels: NDArray, number: int) -> Field:
         if buffer.field not in (TOP, BOTTOM):
             raise BadInput(f"a buffer must say which field it holds, got {buffer.field}")
         return Field(pixels=pixels, parity=buffer.field, number=number, time_s=_time_s(buffer))
 
-    def _take_buffer(self, made: Callable[[Buffer, NDArray, int], T]) -> T | IncompleteFrame:
+    def _take_buffer(self, made: Callable[[Any, NDArray, int], T]) -> T | IncompleteFrame:
         """Copy the next image out of its buffer, convert it, and return the buffer to the device."""
         buffer = self._next_buffer()
         if not buffer.index < len(self._memory):
@@ -120,14 +106,14 @@ class V4l2Capture(FrameCapture):
         finally:
             self._give_back(buffer.index)
 
-    def _fault_of(self, buffer: Buffer) -> str:
+    def _fault_of(self, buffer: Any) -> str:
         if buffer.flags & BUFFER_FAULTY:
             return "marked as spoiled by its driver"
         if buffer.bytesused < self._picture.size_bytes:
             return f"{buffer.bytesused} bytes instead of {self._picture.size_bytes}"
         return ""
 
-    def _next_buffer(self) -> Buffer:
+    def _next_buffer(self) -> Any:
         """Wait for a filled buffer; an unplugged device raises at once."""
         patience_s = self._patience_s + self._start_s
         until_s = time.monotonic() + patience_s
@@ -180,10 +166,10 @@ class V4l2Capture(FrameCapture):
         return CameraError(f"camera {self._identifier} has gone or failed ({error.strerror})")
 
 
-def _buffer(index: int = 0) -> Buffer:
+def _buffer(index: int = 0) -> Any:
     return Buffer(index=index, type=CAPTURE, memory=MEMORY_MAPPED)
 
 
-def _time_s(buffer: Buffer) -> float:
+def _time_s(buffer: Any) -> float:
     """Return the kernel's time stamp of a buffer, s."""
     return buffer.timestamp.seconds + buffer.timestamp.microseconds * 1e-6

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from drivers.cameras.v4l2.structures import Request
 from drivers.errors import CameraError
 
-MOST_LISTED = 256
-"""Largest number of formats, sizes, inputs or controls; more is an endless list."""
+MOST_LISTED = 256  # Largest number of formats, sizes, inputs or controls; more is an endless list
 _GONE = {errno.ENODEV, errno.ENXIO, errno.EBADF}
 
 
@@ -67,22 +66,7 @@ class MappedBuffer:
 
 
 def list_structures(device: Device, request: Request, **known: int) -> Iterator[Any]:
-    """Yield the structures of a list that ends with a refusal of the kernel.
-
-    Parameters
-    ----------
-    device
-        The device.
-    request
-        Request whose structure has an `index`.
-    known
-        Other fields that select the list.
-
-    Raises
-    ------
-    CameraError
-        If the device is gone, or the list is endless.
-    """
+    """Yield the structures of a list, selected by `known` fields, that ends with a refusal of the kernel."""
     for index in range(MOST_LISTED):
         structure = request.structure(index=index, **known)
         if not offers(device, request, structure):

@@ -19,11 +19,10 @@ from labdata.errors import BadInput
 ANY, PROGRESSIVE, TOP, BOTTOM, INTERLACED, TOP_THEN_BOTTOM, BOTTOM_THEN_TOP, ALTERNATE = range(8)
 INTERLACED_TOP_FIRST, INTERLACED_BOTTOM_FIRST = 8, 9
 
+# First row of the first field, for fields stored one after the other
 FIRST_ROW = {TOP_THEN_BOTTOM: 0, BOTTOM_THEN_TOP: 1}
-"""First row of the first field, for fields stored one after the other."""
 
-STANDARDS = {525: 0x0000B000, 625: 0x000000FF}
-"""V4L2_STD_NTSC and V4L2_STD_PAL by number of lines."""
+STANDARDS = {525: 0x0000B000, 625: 0x000000FF}  # V4L2_STD_NTSC and V4L2_STD_PAL by number of lines
 
 _ORDERS: dict[int, FieldOrder] = {
     PROGRESSIVE: "progressive",
@@ -34,25 +33,12 @@ _ORDERS: dict[int, FieldOrder] = {
     INTERLACED_TOP_FIRST: "top first",
     INTERLACED_BOTTOM_FIRST: "bottom first",
 }
+# The kernel's number of each field order; of two, the one with interleaved rows
 NUMBERS = {order: number for number, order in _ORDERS.items()}
-"""The kernel's number of each field order; of two, the one with interleaved rows."""
 
 
 def field_order(field: int, standard: int) -> FieldOrder:
-    """Return the order of a frame's fields.
-
-    Parameters
-    ----------
-    field
-        The kernel's number.
-    standard
-        Video standards of the input, as the kernel's bits; 0 for a digital camera.
-
-    Raises
-    ------
-    BadInput
-        If the number is none of the kernel's.
-    """
+    """Return the order of a frame's fields from the kernel's number and the bits of the input's standards."""
     if field in (INTERLACED, ALTERNATE):
         return "bottom first" if older_field(standard) == BOTTOM else "top first"
     if field not in _ORDERS:
@@ -72,36 +58,16 @@ def rows_of(height: int, field: int) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """One field.
+    """One field."""
 
-    Parameters
-    ----------
-    pixels
-        Pixels of the field, shape (row, col), DN.
-    parity
-        The kernel's number of the field: TOP or BOTTOM.
-    number
-        Number of its frame.
-    time_s
-        Time stamp, s of the kernel's clock.
-    """
-
-    pixels: NDArray
-    parity: int
-    number: int
-    time_s: float
+    pixels: NDArray  # Pixels of the field, shape (row, col), DN
+    parity: int  # The kernel's number of the field: TOP or BOTTOM
+    number: int  # Number of its frame
+    time_s: float  # Time stamp, s of the kernel's clock
 
 
 class FieldPairs:
-    """Combines fields into frames.
-
-    Parameters
-    ----------
-    older
-        Field of a frame that is exposed first, TOP or BOTTOM.
-    next_field
-        Returns the next field or incomplete frame.
-    """
+    """Combines the fields that `next_field` returns into frames; `older` is exposed first, TOP or BOTTOM."""
 
     def __init__(self, older: int, next_field: Callable[[], Field | IncompleteFrame]) -> None:
         self._older, self._next_field = older, next_field

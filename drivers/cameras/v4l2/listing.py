@@ -1,8 +1,8 @@
 """Video devices of the machine, with their inputs, pixel formats, sizes and controls."""
 
 import glob
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.device import MOST_LISTED, Device, list_structures, offers, query_device
@@ -18,39 +18,21 @@ MANUAL_EXPOSURE = 1
 
 Kind = Literal["integer", "boolean", "menu", "button", "integer menu", "bitmask"]
 _KINDS: dict[int, Kind] = {1: "integer", 2: "boolean", 3: "menu", 4: "button", 8: "bitmask", 9: "integer menu"}
-_MOST_CHOICES = 64
 _DISCRETE = 1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Control:
-    """One control.
+    """One control."""
 
-    Parameters
-    ----------
-    identifier
-        The kernel's number.
-    name
-        Name given by the driver.
-    kind
-        Kind of its values.
-    minimum, maximum, step, default
-        Range of its values, in its own unit.
-    is_read_only
-        Whether it cannot be set, also while inactive because of another control.
-    choices
-        Names of a menu's values.
-    """
-
-    identifier: int
-    name: str
-    kind: Kind
-    minimum: int
-    maximum: int
-    step: int
-    default: int
-    is_read_only: bool
-    choices: dict[int, str] = field(default_factory=dict)
+    identifier: int  # The kernel's number
+    name: str  # Name given by the driver
+    kind: Kind  # Kind of its values
+    minimum: int  # Range of its values, in its own unit
+    maximum: int  # Range of its values, in its own unit
+    step: int  # Range of its values, in its own unit
+    default: int  # Range of its values, in its own unit
+    is_read_only: bool  # Whether it cannot be set, also while inactive because of another control
 
 
 def list_controls(device: Device) -> tuple[Control, ...]:
@@ -87,12 +69,7 @@ def read_control(device: Device, control: Control) -> int:
 def write_control(device: Device, control: Control, value: int) -> int | None:
     """Set a control and return its read-back; None for a button, which has no value.
 
-    Raises
-    ------
-    BadInput
-        If the value lies outside the control's range, or the control is read only.
-    CameraError
-        If the device refuses, or its read-back differs by more than the control's step.
+    A value outside its range, or a read-only control, is BadInput; a read-back off by more than a step CameraError.
     """
     if control.is_read_only:
         raise BadInput(f"the control {control.name!r} must be one that can be set, this one can only be read")
@@ -110,9 +87,8 @@ def write_control(device: Device, control: Control, value: int) -> int | None:
     return is_now
 
 
-def _control(device: Device, query: structures.ControlQuery) -> Control:
+def _control(device: Device, query: Any) -> Control:
     kind = _KINDS[query.type]
-    is_menu = kind in ("menu", "integer menu")
     return Control(
         identifier=query.id,
         name=words(query.name),
@@ -122,39 +98,16 @@ def _control(device: Device, query: structures.ControlQuery) -> Control:
         step=query.step,
         default=query.default_value,
         is_read_only=bool(query.flags & (structures.CONTROL_READ_ONLY | structures.CONTROL_INACTIVE)),
-        choices=_choices(device, query, numbers=kind == "integer menu") if is_menu else {},
     )
-
-
-def _choices(device: Device, query: structures.ControlQuery, *, numbers: bool) -> dict[int, str]:
-    """Return the names of a menu's values; the driver may skip values."""
-    choices = {}
-    first = max(0, query.minimum)
-    for index in range(first, min(query.maximum, first + _MOST_CHOICES) + 1):
-        entry = structures.MenuQuery(id=query.id, index=index)
-        if offers(device, structures.QUERY_MENU, entry):
-            raw = bytes(entry)[8:40]
-            choices[index] = str(int.from_bytes(raw[:8], "little", signed=True)) if numbers else words(raw)
-    return choices
 
 
 @dataclass(frozen=True, kw_only=True)
 class OfferedFormat:
-    """A pixel format of a device.
+    """A pixel format of a device."""
 
-    Parameters
-    ----------
-    letters
-        FourCC of the format.
-    name
-        Name as a camera setting; None for an unsupported format, such as a compressed one.
-    sizes
-        Rows and columns of the images; empty where any size within bounds is offered.
-    """
-
-    letters: str
-    name: str | None
-    sizes: tuple[tuple[int, int], ...]
+    letters: str  # FourCC of the format
+    name: str | None  # Name as a camera setting; None for an unsupported format, such as a compressed one
+    sizes: tuple[tuple[int, int], ...]  # Rows and columns of the images; empty where any size within bounds is offered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,24 +120,14 @@ class OfferedInput:
 
 @dataclass(frozen=True, kw_only=True)
 class VideoDevice:
-    """A device that can capture.
+    """A device that can capture."""
 
-    Parameters
-    ----------
-    path
-        Device file, such as "/dev/video0".
-    card, driver, bus
-        Name of the card, kernel driver and bus position.
-    inputs, formats
-        Inputs and pixel formats.
-    """
-
-    path: str
-    card: str
-    driver: str
-    bus: str
-    inputs: tuple[OfferedInput, ...]
-    formats: tuple[OfferedFormat, ...]
+    path: str  # Device file, such as "/dev/video0"
+    card: str  # Name of the card, kernel driver and bus position
+    driver: str  # Name of the card, kernel driver and bus position
+    bus: str  # Name of the card, kernel driver and bus position
+    inputs: tuple[OfferedInput, ...]  # Inputs and pixel formats
+    formats: tuple[OfferedFormat, ...]  # Inputs and pixel formats
 
 
 def list_devices() -> tuple[VideoDevice, ...]:
@@ -220,7 +163,7 @@ def describe(device: Device, path: str) -> VideoDevice:
     )
 
 
-def capture_capability(device: Device, path: str) -> structures.Capability:
+def capture_capability(device: Device, path: str) -> Any:
     """Return the capabilities of a device that captures video into mapped memory."""
     capability = structures.Capability()
     try:

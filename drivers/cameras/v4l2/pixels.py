@@ -1,12 +1,13 @@
 """Grey images from the memory of V4L2 buffers."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.cameras.v4l2.fields import FIRST_ROW, weave
-from drivers.cameras.v4l2.structures import BIG_ENDIAN, Format, code_of, four_letters
+from drivers.cameras.v4l2.structures import BIG_ENDIAN, code_of, four_letters
 from labdata.errors import BadInput
 
 MOST_PIXELS_A_SIDE = 65536
@@ -14,25 +15,13 @@ MOST_PIXELS_A_SIDE = 65536
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Position of the grey values in memory.
+    """Position of the grey values in memory."""
 
-    Parameters
-    ----------
-    name
-        Name of the format, as in `labdata.capture.PIXEL_BITS`.
-    kind
-        NumPy type of one value.
-    first, step
-        Position of the first value of a row, and distance to the next one, in values.
-    planes
-        Size of the complete image relative to the plane of grey values, dimensionless.
-    """
-
-    name: str
-    kind: str = "u1"
-    first: int = 0
-    step: int = 1
-    planes: float = 1.0
+    name: str  # Name of the format, as in `labdata.capture.PIXEL_BITS`
+    kind: str = "u1"  # NumPy type of one value
+    first: int = 0  # Position of the first value of a row, and distance to the next one, in values
+    step: int = 1  # Position of the first value of a row, and distance to the next one, in values
+    planes: float = 1.0  # Size of the complete image relative to the plane of grey values, dimensionless
 
     @property
     def is_video(self) -> bool:
@@ -55,31 +44,19 @@ def _layouts() -> dict[int, Layout]:
     return known | {code_of("Y16 ") | BIG_ENDIAN: Layout(name="Mono16", kind=">u2")}
 
 
-LAYOUTS = _layouts()
-"""Supported formats by the kernel's number, in order of preference."""
+LAYOUTS = _layouts()  # Supported formats by the kernel's number, in order of preference
 
 
 @dataclass(frozen=True, kw_only=True)
 class BufferImage:
-    """Layout of one image in a buffer.
+    """Layout of one image in a buffer."""
 
-    Parameters
-    ----------
-    rows, columns
-        Size of the image, px.
-    row_bytes
-        Bytes from one row to the next.
-    layout
-        Position of the grey values.
-    first_field
-        First row of the field stored first, 0 (top) or 1 (bottom), for fields one after the other; None for
-        interleaved rows.
-    """
-
-    rows: int
-    columns: int
-    row_bytes: int
-    layout: Layout
+    rows: int  # Size of the image, px
+    columns: int  # Size of the image, px
+    row_bytes: int  # Bytes from one row to the next
+    layout: Layout  # Position of the grey values
+    # First row of the field stored first, 0 (top) or 1 (bottom), for fields one after the other; None for interleaved
+    # rows
     first_field: int | None = None
 
     def __post_init__(self) -> None:
@@ -105,18 +82,7 @@ class BufferImage:
         return plane if self.layout.planes == 1.0 else int(self.rows * self.row_bytes * self.layout.planes)
 
     def grey(self, data: NDArray[np.uint8]) -> NDArray:
-        """Return the grey values of a complete image.
-
-        Parameters
-        ----------
-        data
-            At least `size_bytes` bytes.
-
-        Returns
-        -------
-        NDArray
-            Shape (row, col), DN, uint8 or uint16.
-        """
+        """Return the grey values of at least `size_bytes` bytes, shape (row, col), DN, uint8 or uint16."""
         kind, layout = np.dtype(self.layout.kind), self.layout
         plane = np.zeros((self.rows, self.row_bytes), np.uint8)
         there = data[: plane.size]
@@ -128,7 +94,7 @@ class BufferImage:
         return weave(rows[: self.rows // 2], rows[self.rows // 2 :], first_row=self.first_field)
 
 
-def picture_of(form: Format) -> BufferImage:
+def picture_of(form: Any) -> BufferImage:
     """Return the image layout of a kernel format; an unsupported one is a BadInput."""
     pix = form.of.pix
     if pix.pixelformat not in LAYOUTS:

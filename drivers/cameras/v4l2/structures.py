@@ -4,8 +4,8 @@ Names, order and sizes are those of the kernel's `linux/videodev2.h` (Linux Medi
 """
 
 import ctypes
-from ctypes import c_char, c_int32, c_int64, c_uint8, c_uint32, c_uint64
 from dataclasses import dataclass
+from typing import Any
 
 CAPTURE = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
 MEMORY_MAPPED = 1  # V4L2_MEMORY_MMAP
@@ -20,152 +20,63 @@ CONTROL_DISABLED, CONTROL_READ_ONLY, CONTROL_INACTIVE = 0x0001, 0x0004, 0x0010
 NEXT_CONTROL = 0x80000000
 BIG_ENDIAN = 0x80000000
 
-STANDARDS_525 = 0x0000F900
-"""V4L2_STD_525_60: NTSC in its kinds, and PAL of 525 lines (M, 60)."""
+STANDARDS_525 = 0x0000F900  # V4L2_STD_525_60: NTSC in its kinds, and PAL of 525 lines (M, 60)
 
 
-def _u32(*names: str) -> tuple[tuple[str, type], ...]:
-    """Return unsigned 32-bit fields."""
-    return tuple((name, c_uint32) for name in names)
+_KINDS: dict[str, Any] = {
+    "u8": ctypes.c_uint8, "u32": ctypes.c_uint32, "u64": ctypes.c_uint64, "i32": ctypes.c_int32,
+    "i64": ctypes.c_int64, "char": ctypes.c_char,
+}  # fmt: skip
 
 
-class Capability(ctypes.Structure):
-    """VIDIOC_QUERYCAP."""
-
-    _fields_ = (
-        ("driver", c_char * 16),
-        ("card", c_char * 32),
-        ("bus_info", c_char * 32),
-        *_u32("version", "capabilities", "device_caps"),
-        ("reserved", c_uint32 * 3),
-    )
-
-
-class FormatDescription(ctypes.Structure):
-    """VIDIOC_ENUM_FMT."""
-
-    _fields_ = (
-        *_u32("index", "type", "flags"),
-        ("description", c_char * 32),
-        *_u32("pixelformat", "mbus_code"),
-        ("reserved", c_uint32 * 3),
-    )
+def _structure(name: str, fields: str, *, base: type = ctypes.Structure, pack: int = 0, **parts: Any) -> Any:
+    """Return a structure of fields "name:kind*count"; kinds are those of `_KINDS`, by default u32, or parts."""
+    made = []
+    for one in fields.split():
+        field, _, kind = one.partition(":")
+        kind, _, count = (kind or "u32").partition("*")
+        type_ = parts[kind] if kind in parts else _KINDS[kind]
+        made.append((field, type_ * int(count) if count else type_))
+    return type(name, (base,), {"_fields_": made} | ({"_pack_": pack} if pack else {}))
 
 
-class FrameSize(ctypes.Structure):
-    """VIDIOC_ENUM_FRAMESIZES; a discrete size has its width and height in the first two of `sizes`.
-
-    Stepwise: smallest width, largest width, step of width, smallest height, largest height, step of height.
-    """
-
-    _fields_ = (*_u32("index", "pixel_format", "type"), ("sizes", c_uint32 * 6), ("reserved", c_uint32 * 2))
-
-
-class PixelFormat(ctypes.Structure):
-    """Image in memory."""
-
-    _fields_ = (
-        *_u32("width", "height", "pixelformat", "field", "bytesperline", "sizeimage"),
-        *_u32("colorspace", "priv", "flags", "ycbcr_enc", "quantization", "xfer_func"),
-    )
-
-
-class _FormatOf(ctypes.Union):
-    # Another member of the kernel's union is a pointer, which determines the alignment.
-    _fields_ = (("pix", PixelFormat), ("raw", c_uint8 * 200), ("alignment", c_uint64))
-
-
-class Format(ctypes.Structure):
-    """VIDIOC_G_FMT, VIDIOC_S_FMT."""
-
-    _fields_ = (("type", c_uint32), ("of", _FormatOf))
-
-
-class BufferRequest(ctypes.Structure):
-    """VIDIOC_REQBUFS."""
-
-    _fields_ = (*_u32("count", "type", "memory", "capabilities"), ("flags", c_uint8), ("reserved", c_uint8 * 3))
-
-
-class TimeStamp(ctypes.Structure):
-    """Seconds and microseconds of the kernel's clock."""
-
-    _fields_ = (("seconds", c_int64), ("microseconds", c_int64))
-
-
-class _TimeCode(ctypes.Structure):
-    _fields_ = (("type", c_uint32), ("flags", c_uint32), ("digits", c_uint8 * 8))
-
-
-class Buffer(ctypes.Structure):
-    """VIDIOC_QUERYBUF, VIDIOC_QBUF, VIDIOC_DQBUF."""
-
-    _fields_ = (
-        *_u32("index", "type", "bytesused", "flags", "field"),
-        ("timestamp", TimeStamp),
-        ("timecode", _TimeCode),
-        *_u32("sequence", "memory"),
-        ("offset", c_uint64),  # a union of 8 bytes; the offset is its lower half on a little-endian machine
-        *_u32("length", "reserved2"),
-        ("request_fd", c_int32),
-    )
-
-
-class ControlQuery(ctypes.Structure):
-    """VIDIOC_QUERYCTRL."""
-
-    _fields_ = (
-        *_u32("id", "type"),
-        ("name", c_char * 32),
-        *((name, c_int32) for name in ("minimum", "maximum", "step", "default_value")),
-        ("flags", c_uint32),
-        ("reserved", c_uint32 * 2),
-    )
-
-
-class MenuQuery(ctypes.Structure):
-    """VIDIOC_QUERYMENU."""
-
-    _pack_ = 1
-    _fields_ = (("id", c_uint32), ("index", c_uint32), ("name", c_char * 32), ("reserved", c_uint32))
-
-
-class ControlValue(ctypes.Structure):
-    """VIDIOC_G_CTRL, VIDIOC_S_CTRL."""
-
-    _fields_ = (("id", c_uint32), ("value", c_int32))
-
-
-class CaptureParameters(ctypes.Structure):
-    """Frame period as a fraction of a second."""
-
-    _fields_ = (
-        *_u32("capability", "capturemode", "numerator", "denominator", "extendedmode", "readbuffers"),
-        ("reserved", c_uint32 * 4),
-    )
-
-
-class _ParametersOf(ctypes.Union):
-    _fields_ = (("capture", CaptureParameters), ("raw", c_uint8 * 200))
-
-
-class StreamParameters(ctypes.Structure):
-    """VIDIOC_G_PARM, VIDIOC_S_PARM."""
-
-    _fields_ = (("type", c_uint32), ("of", _ParametersOf))
-
-
-class Input(ctypes.Structure):
-    """VIDIOC_ENUMINPUT."""
-
-    _fields_ = (
-        ("index", c_uint32),
-        ("name", c_char * 32),
-        *_u32("type", "audioset", "tuner"),
-        ("std", c_uint64),
-        *_u32("status", "capabilities"),
-        ("reserved", c_uint32 * 3),
-    )
+Capability = _structure(
+    "Capability", "driver:char*16 card:char*32 bus_info:char*32 version capabilities device_caps reserved:u32*3"
+)
+FormatDescription = _structure(
+    "FormatDescription", "index type flags description:char*32 pixelformat mbus_code reserved:u32*3"
+)
+# A discrete size has its width and height in the first two of `sizes`; stepwise: smallest, largest, step of each
+FrameSize = _structure("FrameSize", "index pixel_format type sizes:u32*6 reserved:u32*2")
+PixelFormat = _structure(
+    "PixelFormat",
+    "width height pixelformat field bytesperline sizeimage colorspace priv flags ycbcr_enc quantization xfer_func",
+)
+# Another member of the kernel's union is a pointer, which determines the alignment.
+_FormatOf = _structure("_FormatOf", "pix:pix raw:u8*200 alignment:u64", base=ctypes.Union, pix=PixelFormat)
+Format = _structure("Format", "type of:of", of=_FormatOf)
+BufferRequest = _structure("BufferRequest", "count type memory capabilities flags:u8 reserved:u8*3")
+TimeStamp = _structure("TimeStamp", "seconds:i64 microseconds:i64")
+_TimeCode = _structure("_TimeCode", "type flags digits:u8*8")
+# The offset is the lower half of a union of 8 bytes on a little-endian machine.
+Buffer = _structure(
+    "Buffer",
+    "index type bytesused flags field timestamp:time timecode:code sequence memory offset:u64 length reserved2 "
+    "request_fd:i32",
+    time=TimeStamp,
+    code=_TimeCode,
+)
+ControlQuery = _structure(
+    "ControlQuery",
+    "id type name:char*32 minimum:i32 maximum:i32 step:i32 default_value:i32 flags reserved:u32*2",
+)
+ControlValue = _structure("ControlValue", "id value:i32")
+CaptureParameters = _structure(
+    "CaptureParameters", "capability capturemode numerator denominator extendedmode readbuffers reserved:u32*4"
+)
+_ParametersOf = _structure("_ParametersOf", "capture:capture raw:u8*200", base=ctypes.Union, capture=CaptureParameters)
+StreamParameters = _structure("StreamParameters", "type of:of", of=_ParametersOf)
+Input = _structure("Input", "index name:char*32 type audioset tuner std:u64 status capabilities reserved:u32*3")
 
 
 _READ, _WRITE, _BOTH = 2, 1, 3
@@ -173,21 +84,11 @@ _READ, _WRITE, _BOTH = 2, 1, 3
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """One kind of ioctl.
+    """One kind of ioctl."""
 
-    Parameters
-    ----------
-    name
-        Name in the kernel, without VIDIOC_.
-    code
-        Number: direction, size of the structure, the letter V, and a running number (asm-generic/ioctl.h).
-    structure
-        Structure passed to the kernel and filled in by it.
-    """
-
-    name: str
-    code: int
-    structure: type
+    name: str  # Name in the kernel, without VIDIOC_
+    code: int  # Number: direction, size of the structure, the letter V, and a running number (asm-generic/ioctl.h)
+    structure: Any  # Structure passed to the kernel and filled in by it
 
 
 def _request(name: str, number: int, structure: type, direction: int = _BOTH) -> Request:
@@ -213,7 +114,6 @@ LIST_INPUTS = _request("ENUMINPUT", 26, Input)
 GET_CONTROL = _request("G_CTRL", 27, ControlValue)
 SET_CONTROL = _request("S_CTRL", 28, ControlValue)
 QUERY_CONTROL = _request("QUERYCTRL", 36, ControlQuery)
-QUERY_MENU = _request("QUERYMENU", 37, MenuQuery)
 GET_INPUT = _request("G_INPUT", 38, ctypes.c_int, _READ)
 SET_INPUT = _request("S_INPUT", 39, ctypes.c_int)
 LIST_SIZES = _request("ENUM_FRAMESIZES", 74, FrameSize)

@@ -10,8 +10,8 @@ from drivers.instruments.instrument import InstrumentModel
 from drivers.serial_lines.port import ANSWER_S
 from labdata.instrument_config import Role
 
+# Faults of a pair; a late reply comes 0.6 s after its time, "panel" changes a setting by hand
 WRONGS = ("silent", "mute", "garbage", "half-lines", "late", "unplugged", "power-cycle", "trip", "panel")
-"""Faults of a pair; a late reply comes 0.6 s after its time, "panel" changes a setting by hand."""
 
 
 class ConformancePair(Protocol):

@@ -1,11 +1,13 @@
-"""Glossy dielectrics over a diffuse base (paint, plastic, wet ground, water) and rough metals."""
+"""Glossy dielectrics (paint, plastic, wet ground, water) and retroreflectors over a diffuse base, and rough metals."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
+from labdata.frames import read_only
 from simulate.radiance.brdf import microfacet
 from simulate.radiance.brdf.microfacet import (
     AlbedoTable,
@@ -15,28 +17,45 @@ from simulate.radiance.brdf.microfacet import (
     schlick_albedo,
     specular_albedo,
 )
-from simulate.radiance.brdf.protocol import Reflectance, both_above, cosine_density
+from simulate.radiance.brdf.protocol import Reflectance, both_above, cosine_density, directions_at_cosine
 
+Array = NDArray[np.floating]
 # Mean of (1 - cos)^5 over the hemisphere, cosine-weighted.
 MEAN_RISE = 1.0 / 21.0
 
 
-def require_roughness(roughness: float) -> None:
-    """Refuse a roughness that the facet model does not reach."""
-    if not microfacet.SMOOTHEST <= roughness <= microfacet.ROUGHEST:
-        raise BadInput(f"roughness must lie in [{microfacet.SMOOTHEST:g}, {microfacet.ROUGHEST:g}], got {roughness:g}")
+@dataclass(frozen=True, kw_only=True)
+class Facets:
+    """A first layer of GGX facets: it is sampled by mirrored directions, the rest by the cosine law."""
+
+    reflectance: Reflectance  # of the metal at normal incidence, or of the base under a dielectric
+    roughness: float  # GGX's a, the spread of the facets' slopes, dimensionless
+
+    def __post_init__(self) -> None:
+        if not microfacet.SMOOTHEST <= self.roughness <= microfacet.ROUGHEST:
+            limits = f"[{microfacet.SMOOTHEST:g}, {microfacet.ROUGHEST:g}]"
+            raise BadInput(f"roughness must lie in {limits}, got {self.roughness:g}")
+
+    def mirrored_share(self, outgoing: Array) -> Array:
+        """Return the fraction of mirrored samples, shape (ray,)."""
+        raise NotImplementedError
+
+    def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Draw mirrored directions or by the cosine law; and their densities."""
+        normals = microfacet.sample_visible_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
+        drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self.mirrored_share(outgoing), rng)
+        return drawn, self.pdf(drawn, outgoing)
+
+    def pdf(self, incoming: Array, outgoing: Array) -> Array:
+        """Return the density of `sample`, sr-1, shape (ray,)."""
+        share = self.mirrored_share(outgoing)
+        mirrored = microfacet.mirror_density(incoming, outgoing, self.roughness)
+        return share * mirrored + (1.0 - share) * cosine_density(incoming)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Metal:
+class Metal(Facets):
     """GGX facets of a metal, the light that hits several facets given back.
-
-    Parameters
-    ----------
-    reflectance
-        At normal incidence, over wavelength.
-    roughness
-        GGX's a, the spread of the facets' slopes, dimensionless.
 
     Notes
     -----
@@ -45,19 +64,11 @@ class Metal:
     any roughness sends all light back. Without the second term roughness 1 loses up to 69 %.
     """
 
-    reflectance: Reflectance
-    roughness: float
-
-    def __post_init__(self) -> None:
-        require_roughness(self.roughness)
-
     @property
     def _perfect(self) -> AlbedoTable:
         return specular_albedo(self.roughness)
 
-    def value(
-        self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating], wavelength_nm: ArrayLike
-    ) -> NDArray[np.float64]:
+    def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return f, sr-1, shape (band, ray)."""
         normal = self.reflectance.at(wavelength_nm)[:, None]
         facing = np.sum(outgoing * microfacet.halfway(incoming, outgoing), axis=1)
@@ -67,27 +78,17 @@ class Metal:
         many = base_value(perfect.at(incoming), perfect.at(outgoing), perfect.mean, self._between(normal))
         return one + many * both_above(incoming, outgoing)
 
-    def sample(
-        self, outgoing: NDArray[np.floating], rng: np.random.Generator
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Draw mirrored directions, or by the cosine law as often as light hits several facets; and their densities."""
-        normals = microfacet.sample_visible_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
-        drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self._perfect.at(outgoing), rng)
-        return drawn, self.pdf(drawn, outgoing)
+    def mirrored_share(self, outgoing: Array) -> Array:
+        """Return the albedo of perfect facets: the rest hits several facets."""
+        return self._perfect.at(outgoing)
 
-    def pdf(self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the density of `sample`, sr-1, shape (ray,)."""
-        share = self._perfect.at(outgoing)
-        mirrored = microfacet.mirror_density(incoming, outgoing, self.roughness)
-        return share * mirrored + (1.0 - share) * cosine_density(incoming)
-
-    def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
         normal = self.reflectance.at(wavelength_nm)[:, None]
         perfect, rise = self._perfect.at(outgoing), schlick_albedo(self.roughness).at(outgoing)
         return normal * perfect + (1.0 - normal) * rise + (1.0 - perfect) * self._between(normal)
 
-    def _between(self, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _between(self, normal: Array) -> Array:
         """Return F_m, the reflectance of light that bounces between facets."""
         facet, perfect = normal + (1.0 - normal) * MEAN_RISE, self._perfect.mean
         return facet**2 * perfect / (1.0 - facet * (1.0 - perfect))
@@ -98,29 +99,18 @@ LEAST_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Glossy:
+class Glossy(Facets):
     """GGX microfacets of a dielectric over a diffuse base that receives all transmitted light.
-
-    Parameters
-    ----------
-    reflectance
-        Of the base, over wavelength.
-    roughness
-        GGX's a of the coat, dimensionless.
-    refractive_index
-        Of the coat, dimensionless; 1.5 of paint and plastic, 1.33 of water.
 
     Notes
     -----
     f = F D G/(4 cos cos) + rho (1 - E(i)) (1 - E(o))/(pi (1 - E_mean)), F by Fresnel, E the coat's albedo.
     """
 
-    reflectance: Reflectance
-    roughness: float
-    refractive_index: float = 1.5
+    refractive_index: float = 1.5  # of the coat, dimensionless; 1.5 of paint and plastic, 1.33 of water
 
     def __post_init__(self) -> None:
-        require_roughness(self.roughness)
+        super().__post_init__()
         if not 1.0 < self.refractive_index <= 4.0:
             raise BadInput(f"refractive_index must lie in (1, 4], got {self.refractive_index:g}")
 
@@ -128,9 +118,7 @@ class Glossy:
     def _coat(self) -> AlbedoTable:
         return dielectric_albedo(self.roughness, self.refractive_index)
 
-    def value(
-        self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating], wavelength_nm: ArrayLike
-    ) -> NDArray[np.float64]:
+    def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return f, sr-1, shape (band, ray)."""
         facing = np.sum(outgoing * microfacet.halfway(incoming, outgoing), axis=1)
         mirrored = microfacet.lobe(incoming, outgoing, self.roughness)
@@ -139,26 +127,115 @@ class Glossy:
         below = base_value(coat.at(incoming), coat.at(outgoing), coat.mean, base)
         return mirrored + below * both_above(incoming, outgoing)
 
-    def sample(
-        self, outgoing: NDArray[np.floating], rng: np.random.Generator
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Draw specular directions or by the cosine law, in the ratio of coat and base; and their densities."""
-        normals = microfacet.sample_visible_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
-        drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self._coat_share(outgoing), rng)
-        return drawn, self.pdf(drawn, outgoing)
-
-    def pdf(self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the density of `sample`, sr-1, shape (ray,)."""
-        share = self._coat_share(outgoing)
-        mirrored = microfacet.mirror_density(incoming, outgoing, self.roughness)
-        return share * mirrored + (1.0 - share) * cosine_density(incoming)
-
-    def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
         coat = self._coat.at(outgoing)
         return coat + (1.0 - coat) * self.reflectance.at(wavelength_nm)[:, None]
 
-    def _coat_share(self, outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+    def mirrored_share(self, outgoing: Array) -> Array:
+        """Return the fraction of mirrored samples, in the ratio of coat and base."""
         coat, base = self._coat.at(outgoing), float(np.mean(self.reflectance.share))
         share = coat / np.maximum(coat + (1.0 - coat) * base, 1e-12)
         return np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE)
+
+
+NARROWEST_DEG, WIDEST_DEG = 0.02, 20.0
+# Directions of which the lobe's albedo is the mean.
+LATTICE = 8192
+
+
+@dataclass(frozen=True, kw_only=True)
+class Retroreflector:
+    """A lobe around the direction to the light, over a diffuse base.
+
+    Notes
+    -----
+    f = R N(angle)/max(cos(i), cos(o)) + rho (1 - R e(i)) (1 - R e(o))/(pi (1 - R e_mean)), N = k exp(k (cos - 1))/(2 pi
+    (1 - exp(-2 k))) with an integral of 1 over all directions, e the lobe's albedo: 1 but for grazing light. The
+    coefficient of retroreflection, as sheets state it, is R N(0) cd lx-1 m-2 at normal incidence.
+    """
+
+    share: Reflectance  # fraction of the light in the lobe, over wavelength
+    reflectance: Reflectance  # of the base, over wavelength
+    half_width_deg: float = 0.5  # angle between light and viewer at half of the lobe's maximum, degrees
+
+    def __post_init__(self) -> None:
+        if not NARROWEST_DEG <= self.half_width_deg <= WIDEST_DEG:
+            raise BadInput(
+                f"half_width_deg must lie in [{NARROWEST_DEG:g}, {WIDEST_DEG:g}], got {self.half_width_deg:g}"
+            )
+
+    @property
+    def concentration(self) -> float:
+        """k of the lobe, dimensionless."""
+        return float(np.log(2.0) / (2.0 * np.sin(0.5 * np.deg2rad(self.half_width_deg)) ** 2))
+
+    @property
+    def _lobe_albedo(self) -> AlbedoTable:
+        return _lobe_albedo(self.concentration)
+
+    def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
+        """Return f, sr-1, shape (band, ray)."""
+        above = both_above(incoming, outgoing)
+        back = _lobe(incoming, outgoing, self.concentration)
+        back = back * above / np.maximum(np.maximum(incoming[:, 2], outgoing[:, 2]), 1e-12)
+        share, base = self.share.at(wavelength_nm)[:, None], self.reflectance.at(wavelength_nm)[:, None]
+        table = self._lobe_albedo
+        below = base_value(share * table.at(incoming), share * table.at(outgoing), share * table.mean, base)
+        return share * back + below * above
+
+    def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Draw directions from the lobe or by the cosine law, half of each; and their densities."""
+        back = _lobe_directions(outgoing, self.concentration, rng.random((len(outgoing), 2)))
+        drawn = sample_mixture(back, np.full(len(outgoing), 0.5), rng)
+        return drawn, self.pdf(drawn, outgoing)
+
+    def pdf(self, incoming: Array, outgoing: Array) -> Array:
+        """Return the density of `sample`, sr-1, shape (ray,)."""
+        return 0.5 * _lobe(incoming, outgoing, self.concentration) + 0.5 * cosine_density(incoming)
+
+    def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
+        back = self.share.at(wavelength_nm)[:, None] * self._lobe_albedo.at(outgoing)
+        return back + (1.0 - back) * self.reflectance.at(wavelength_nm)[:, None]
+
+
+def _lobe(incoming: Array, outgoing: Array, concentration: float) -> Array:
+    # 1 - cos of the angle between, by the chord, which keeps its digits for narrow lobes.
+    apart = 0.5 * np.sum(np.square(incoming - outgoing), axis=1)
+    return concentration / (-2.0 * np.pi * np.expm1(-2.0 * concentration)) * np.exp(-concentration * apart)
+
+
+def _lobe_directions(outgoing: Array, concentration: float, even: Array) -> Array:
+    """Return directions of the lobe from pairs of uniform numbers in [0, 1)."""
+    apart = -np.log1p(even[:, 0] * np.expm1(-2.0 * concentration)) / concentration
+    aside = np.sqrt(np.maximum(apart * (2.0 - apart), 0.0))
+    turn = 2.0 * np.pi * even[:, 1]
+    # Two directions normal to the viewing direction (Duff et al., J. Comput. Graph. Tech. 6(1), 2017).
+    sign = np.copysign(1.0, outgoing[:, 2])
+    a = -1.0 / (sign + outgoing[:, 2])
+    b = outgoing[:, 0] * outgoing[:, 1] * a
+    x, y = outgoing[:, 0], outgoing[:, 1]
+    one = np.column_stack([1.0 + sign * x**2 * a, sign * b, -sign * x])
+    other = np.column_stack([b, sign + y**2 * a, -y])
+    across = (aside * np.cos(turn))[:, None] * one + (aside * np.sin(turn))[:, None] * other
+    return (1.0 - apart)[:, None] * outgoing + across
+
+
+@lru_cache(maxsize=64)
+def _lobe_albedo(concentration: float) -> AlbedoTable:
+    """Return int N cos(i)/max(cos(i), cos(o)) di; light below the surface is lost."""
+    width = 1.0 / np.sqrt(concentration)
+    near = min(8.0 * width, 1.0) * np.linspace(0.0, 1.0, 65) ** 2
+    cosine = np.union1d(near, np.linspace(0.0, 1.0, 33))
+    # A lattice (Korobov, golden ratio): rows of a square grid would all meet the horizon at once.
+    steps = np.arange(LATTICE)
+    even = np.column_stack([(steps + 0.5) / LATTICE, (steps * 0.6180339887498949) % 1.0])
+    albedo = []
+    for mu in cosine:
+        incoming = _lobe_directions(
+            np.broadcast_to(directions_at_cosine(np.array([mu])), (len(even), 3)), concentration, even
+        )
+        height = np.maximum(incoming[:, 2], 0.0)
+        albedo.append(float(np.mean(height / np.maximum(np.maximum(height, mu), 1e-12))))
+    return AlbedoTable(read_only(cosine), read_only(np.array(albedo)))

@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
-from simulate.radiance.brdf.protocol import both_above, cosine_density, cosine_directions
+from simulate.radiance.brdf.protocol import CosineSampled, both_above
+
+Array = NDArray[np.floating]
 
 # Largest deviation from f(i, o) = f(o, i), as a fraction of the largest value.
 ASYMMETRY = 0.05
@@ -18,19 +20,8 @@ EXCESS = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MeasuredTable:
+class MeasuredTable(CosineSampled):
     """An isotropic BRDF, linear between the table's angles and wavelengths.
-
-    Parameters
-    ----------
-    wavelength_nm
-        Wavelengths, ascending, shape (band,), nm; constant outside.
-    polar_deg
-        Angles of light and viewer from the normal, ascending from 0 to 90, shape (polar,), degrees.
-    azimuth_deg
-        Azimuth between light and viewer, ascending from 0 (both on one side) to 180 (specular side), degrees.
-    table
-        f, sr-1, shape (band, polar of light, polar of eye, azimuth).
 
     Raises
     ------
@@ -43,11 +34,13 @@ class MeasuredTable:
     The mean of f(i, o) and f(o, i) is kept, and along the normal the mean over azimuths, which has no meaning there.
     """
 
-    wavelength_nm: NDArray[np.floating]
-    polar_deg: NDArray[np.floating]
-    azimuth_deg: NDArray[np.floating]
-    table: NDArray[np.floating]
-    _albedo: NDArray[np.float64] = field(init=False, repr=False)
+    wavelength_nm: Array  # wavelengths, ascending, shape (band,), nm; constant outside
+    # Angles of light and viewer from the normal, ascending from 0 to 90, shape (polar,), degrees.
+    polar_deg: Array
+    # Azimuth between light and viewer, ascending from 0 (both on one side) to 180 (specular side), degrees.
+    azimuth_deg: Array
+    table: Array  # f, sr-1, shape (band, polar of light, polar of eye, azimuth)
+    _albedo: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         axes = [np.asarray(axis, float) for axis in (self.wavelength_nm, self.polar_deg, self.azimuth_deg)]
@@ -87,34 +80,21 @@ class MeasuredTable:
         if highest > 1.0 + EXCESS:
             raise BadInput(f"a BRDF must not give off more light than arrives, got {highest:g} of it")
 
-    def value(
-        self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating], wavelength_nm: ArrayLike
-    ) -> NDArray[np.float64]:
+    def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return f, sr-1, shape (band, ray)."""
         return self._linear(self._bands(wavelength_nm), incoming, outgoing) * both_above(incoming, outgoing)
 
-    def sample(
-        self, outgoing: NDArray[np.floating], rng: np.random.Generator
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Draw directions by the cosine law and return them with their densities."""
-        drawn = cosine_directions(len(outgoing), rng)
-        return drawn, cosine_density(drawn)
-
-    def pdf(self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return cos(i) / pi."""
-        return cosine_density(incoming)
-
-    def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
         column, along = _place(self.polar_deg, _polar_deg(outgoing))
         table = self._between(self._albedo, wavelength_nm)
         return table[:, column] * (1.0 - along) + table[:, column + 1] * along
 
-    def _bands(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def _bands(self, wavelength_nm: ArrayLike) -> Array:
         """Return the table at wavelengths."""
         return self._between(self.table, wavelength_nm)
 
-    def _between(self, values: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def _between(self, values: Array, wavelength_nm: ArrayLike) -> Array:
         wanted = np.clip(np.atleast_1d(np.asarray(wavelength_nm, float)), self.wavelength_nm[0], self.wavelength_nm[-1])
         if self.wavelength_nm.size == 1:
             return np.repeat(np.asarray(values, float), wanted.size, axis=0)
@@ -122,9 +102,7 @@ class MeasuredTable:
         along = along.reshape(-1, *[1] * (values.ndim - 1))
         return values[band] * (1.0 - along) + values[band + 1] * along
 
-    def _linear(
-        self, table: NDArray[np.floating], incoming: NDArray[np.floating], outgoing: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
+    def _linear(self, table: Array, incoming: Array, outgoing: Array) -> Array:
         """Return the table's bands at directions: linear in both polar angles and in azimuth, shape (band, ray)."""
         places = [
             _place(self.polar_deg, _polar_deg(incoming)),
@@ -140,7 +118,7 @@ class MeasuredTable:
             total += weight * table[:, index[0], index[1], index[2]]
         return total
 
-    def _albedos(self) -> NDArray[np.float64]:
+    def _albedos(self) -> Array:
         """Return the albedo towards each polar angle of the table, shape (band, polar).
 
         It is linear in between, as f is; rings of light are summed by Gauss-Legendre between the table's angles.
@@ -159,18 +137,18 @@ class MeasuredTable:
         return total
 
 
-def _place(axis: NDArray[np.floating], value: NDArray[np.floating]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _place(axis: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
     """Return the interval of an ascending axis that each value lies in, and how far along."""
     index = np.clip(np.searchsorted(axis, value, side="right") - 1, 0, axis.size - 2)
     along = (value - axis[index]) / (axis[index + 1] - axis[index])
     return index, np.clip(along, 0.0, 1.0)
 
 
-def _polar_deg(direction: NDArray[np.floating]) -> NDArray[np.float64]:
+def _polar_deg(direction: Array) -> Array:
     return np.rad2deg(np.arctan2(np.hypot(direction[:, 0], direction[:, 1]), direction[:, 2]))
 
 
-def _azimuth_between_deg(incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+def _azimuth_between_deg(incoming: Array, outgoing: Array) -> Array:
     across = incoming[:, 0] * outgoing[:, 1] - incoming[:, 1] * outgoing[:, 0]
     along = incoming[:, 0] * outgoing[:, 0] + incoming[:, 1] * outgoing[:, 1]
     return np.rad2deg(np.arctan2(np.abs(across), along))
@@ -182,10 +160,7 @@ ARRAYS = ("wavelength_nm", "polar_deg", "azimuth_deg", "table")
 def read_measured(path: Path) -> MeasuredTable:
     """Return the BRDF of an .npz file with the arrays of `simulate.radiance.brdf.measured.MeasuredTable`.
 
-    Raises
-    ------
-    BadInput
-        If the file cannot be read, lacks an array, or the table is not a BRDF.
+    Raises BadInput if the file cannot be read, lacks an array, or the table is not a BRDF.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

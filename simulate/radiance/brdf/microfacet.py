@@ -10,11 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from labdata.frames import read_only
 from simulate.radiance.brdf.protocol import cosine_directions, directions_at_cosine
 
+Array = NDArray[np.floating]
+
 # Limits of the roughness.
 SMOOTHEST, ROUGHEST = 0.002, 1.0
 
 
-def normals_density(half: NDArray[np.floating], roughness: float) -> NDArray[np.float64]:
+def normals_density(half: Array, roughness: float) -> Array:
     """Return the GGX density of facet normals D, sr-1: a^2 / (pi (z^2 (a^2 - 1) + 1)^2), shape (ray,)."""
     square = roughness**2
     # sin^2 + a^2 cos^2, which keeps its digits for smooth surfaces.
@@ -22,19 +24,19 @@ def normals_density(half: NDArray[np.floating], roughness: float) -> NDArray[np.
     return np.where(half[:, 2] > 0.0, square / (np.pi * spread**2), 0.0)
 
 
-def smith_lambda(cosine: NDArray[np.floating], roughness: float) -> NDArray[np.float64]:
+def smith_lambda(cosine: Array, roughness: float) -> Array:
     """Return Smith's Lambda, (sqrt(1 + a^2 tan^2) - 1)/2: the fraction 1/(1 + Lambda) of the facets is visible."""
     tangent2 = (1.0 - cosine**2) / np.maximum(cosine**2, 1e-300)
     return 0.5 * (np.sqrt(1.0 + roughness**2 * np.maximum(tangent2, 0.0)) - 1.0)
 
 
-def halfway(incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+def halfway(incoming: Array, outgoing: Array) -> Array:
     """Return the normals of the facets that reflect one direction into the other, shape (ray, 3)."""
     total = incoming + outgoing
     return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
 
 
-def lobe(incoming: NDArray[np.floating], outgoing: NDArray[np.floating], roughness: float) -> NDArray[np.float64]:
+def lobe(incoming: Array, outgoing: Array, roughness: float) -> Array:
     """Return D G / (4 cos cos) with the height-correlated Smith term, sr-1, shape (ray,): times Fresnel it is a BRDF.
 
     Notes
@@ -49,9 +51,7 @@ def lobe(incoming: NDArray[np.floating], outgoing: NDArray[np.floating], roughne
     return np.where(above, density * seen / (4.0 * safe_in * safe_out), 0.0)
 
 
-def sample_visible_normals(
-    outgoing: NDArray[np.floating], roughness: float, even: NDArray[np.floating]
-) -> NDArray[np.float64]:
+def sample_visible_normals(outgoing: Array, roughness: float, even: Array) -> Array:
     """Return visible facet normals from pairs of uniform numbers in [0, 1), shape (ray, 2).
 
     Notes
@@ -70,14 +70,12 @@ def sample_visible_normals(
     return back / np.linalg.norm(back, axis=1)[:, None]
 
 
-def mirror_direction(outgoing: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.float64]:
+def mirror_direction(outgoing: Array, normal: Array) -> Array:
     """Return the direction that a facet reflects to the viewer, shape (ray, 3)."""
     return 2.0 * np.sum(outgoing * normal, axis=1)[:, None] * normal - outgoing
 
 
-def mirror_density(
-    incoming: NDArray[np.floating], outgoing: NDArray[np.floating], roughness: float
-) -> NDArray[np.float64]:
+def mirror_density(incoming: Array, outgoing: Array, roughness: float) -> Array:
     """Return the density of mirrored `sample_visible_normals`, D / (4 cos(o) (1 + Lambda(o))), sr-1, shape (ray,).
 
     Directions below the surface have a density too: they are drawn and give zero.
@@ -87,13 +85,13 @@ def mirror_density(
     return density / (4.0 * cos_out * (1.0 + smith_lambda(cos_out, roughness)))
 
 
-def dielectric(cosine: ArrayLike, refractive_index: float) -> NDArray[np.float64]:
+def dielectric(cosine: ArrayLike, refractive_index: float) -> Array:
     """Return the reflectance of unpolarised light on glass, water, lacquer; cosine of the angle from the normal."""
     parallel, perpendicular = dielectric_polarised(cosine, refractive_index)
     return 0.5 * (parallel + perpendicular)
 
 
-def dielectric_polarised(cosine: ArrayLike, refractive_index: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def dielectric_polarised(cosine: ArrayLike, refractive_index: float) -> tuple[Array, Array]:
     """Return the reflectances of light polarised parallel and perpendicular to the plane of incidence."""
     cos_in = np.clip(np.asarray(cosine, float), 0.0, 1.0)
     cos_on = np.sqrt(1.0 - (1.0 - cos_in**2) / refractive_index**2)
@@ -102,17 +100,7 @@ def dielectric_polarised(cosine: ArrayLike, refractive_index: float) -> tuple[ND
     return parallel**2, perpendicular**2
 
 
-def conductor(cosine: ArrayLike, refractive_index: float, extinction: float) -> NDArray[np.float64]:
-    """Return the reflectance of unpolarised light on a metal of index n + i k, for cosines from the normal."""
-    cos_in = np.clip(np.asarray(cosine, float), 0.0, 1.0).astype(complex)
-    index = refractive_index + 1j * extinction
-    cos_on = np.sqrt(1.0 - (1.0 - cos_in**2) / index**2)
-    parallel = (index * cos_in - cos_on) / (index * cos_in + cos_on)
-    perpendicular = (cos_in - index * cos_on) / (cos_in + index * cos_on)
-    return 0.5 * (np.abs(parallel) ** 2 + np.abs(perpendicular) ** 2)
-
-
-def schlick_rise(cosine: ArrayLike) -> NDArray[np.float64]:
+def schlick_rise(cosine: ArrayLike) -> Array:
     """Return (1 - cosine)^5: a metal of normal reflectance F0 has about F0 + (1 - F0) (1 - cosine)^5 (Schlick 1994)."""
     return (1.0 - np.clip(np.asarray(cosine, float), 0.0, 1.0)) ** 5
 
@@ -124,18 +112,13 @@ TAIL_POWER = 4
 
 @dataclass(frozen=True, eq=False)
 class AlbedoTable:
-    """Directional albedo over the cosine of the viewing angle, linear between nodes.
+    """Directional albedo over the cosine of the viewing angle, linear between nodes."""
 
-    Parameters
-    ----------
-    cosine, albedo
-        Nodes from 0 to 1, and values, both of shape (node,).
-    """
+    # Nodes from 0 to 1, and values, both of shape (node,).
+    cosine: Array
+    albedo: Array
 
-    cosine: NDArray[np.float64]
-    albedo: NDArray[np.float64]
-
-    def at(self, outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+    def at(self, outgoing: Array) -> Array:
         """Return the albedo towards directions (ray, 3), shape (ray,)."""
         return np.interp(outgoing[:, 2], self.cosine, self.albedo)
 
@@ -166,7 +149,7 @@ def dielectric_albedo(roughness: float, refractive_index: float) -> AlbedoTable:
     return _rough_albedo(roughness, lambda cosine: dielectric(cosine, refractive_index))
 
 
-def _rough_albedo(roughness: float, reflectance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> AlbedoTable:
+def _rough_albedo(roughness: float, reflectance: Callable[[Array], Array]) -> AlbedoTable:
     """Integrate over the visible facets: reflectance times the probability that the reflected ray is unmasked."""
     # Nodes are denser at grazing angles, where the albedo changes most.
     cosine = np.linspace(0.0, 1.0, NODES) ** 2
@@ -180,12 +163,7 @@ def _rough_albedo(roughness: float, reflectance: Callable[[NDArray[np.float64]],
     return AlbedoTable(read_only(cosine), read_only(np.array(albedo, float)))
 
 
-def _one_albedo(
-    cosine: float,
-    roughness: float,
-    reflectance: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    even: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _one_albedo(cosine: float, roughness: float, reflectance: Callable[[Array], Array], even: Array) -> Array:
     """Return the fraction of light that each sampled facet reflects."""
     outgoing = np.broadcast_to(directions_at_cosine(np.array([cosine])), (len(even), 3))
     normal = sample_visible_normals(outgoing, roughness, even)
@@ -197,22 +175,8 @@ def _one_albedo(
     return free * reflectance(np.sum(outgoing * normal, axis=1))
 
 
-def base_value(
-    first_in: NDArray[np.floating],
-    first_out: NDArray[np.floating],
-    first_mean: NDArray[np.floating] | float,
-    base: NDArray[np.floating],
-) -> NDArray[np.float64]:
-    """Return the BRDF of the base under a first layer, sr-1.
-
-    Parameters
-    ----------
-    first_in, first_out
-        Albedo of the first layer towards light and viewer, dimensionless.
-    first_mean
-        Its cosine-weighted mean, dimensionless.
-    base
-        Reflectance of the base, dimensionless.
+def base_value(first_in: Array, first_out: Array, first_mean: Array | float, base: Array) -> Array:
+    """Return the BRDF of a base under a first layer of given albedo towards light and viewer and its mean, sr-1.
 
     Notes
     -----
@@ -222,9 +186,7 @@ def base_value(
     return base * (1.0 - first_in) * (1.0 - first_out) / (np.pi * (1.0 - first_mean))
 
 
-def sample_mixture(
-    first: NDArray[np.float64], share: NDArray[np.floating], rng: np.random.Generator
-) -> NDArray[np.float64]:
+def sample_mixture(first: Array, share: Array, rng: np.random.Generator) -> Array:
     """Return the first directions with a probability `share` (ray,), else draws by the cosine law, shape (ray, 3)."""
     takes_first = rng.random(len(first)) < share
     return np.where(takes_first[:, None], first, cosine_directions(len(first), rng))

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 
+Array = NDArray[np.floating]
+
 
 class Brdf(Protocol):
     """Bidirectional reflectance distribution function of a surface that is the same in all azimuths.
@@ -20,66 +22,32 @@ class Brdf(Protocol):
     f(i, o) = f(o, i), and int f cos(i) di <= 1 for every o. A direction at or below the surface gives zero.
     """
 
-    def value(
-        self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating], wavelength_nm: ArrayLike
-    ) -> NDArray[np.float64]:
-        """Return f, sr-1, shape (band, ray).
+    def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
+        """Return f for directions (ray, 3) to light and viewer at wavelengths (band,), sr-1, shape (band, ray)."""
+        ...
 
-        Parameters
-        ----------
-        incoming
-            Directions to the light, shape (ray, 3).
-        outgoing
-            Directions to the viewer, shape (ray, 3).
-        wavelength_nm
-            Wavelengths, shape (band,), nm.
+    def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Draw a direction to the light for each direction (ray, 3) to the viewer; return them, and densities as `pdf`.
+
+        Some may lie below the surface, where `value` is zero.
         """
         ...
 
-    def sample(
-        self, outgoing: NDArray[np.floating], rng: np.random.Generator
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Draw one direction to the light for each direction to the viewer.
-
-        Parameters
-        ----------
-        outgoing
-            Directions to the viewer, shape (ray, 3).
-        rng
-            Source of chance.
-
-        Returns
-        -------
-        incoming
-            Directions, shape (ray, 3); some may lie below the surface, where `value` is zero.
-        density
-            Their probability densities, sr-1, shape (ray,), as `pdf`.
-        """
-        ...
-
-    def pdf(self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+    def pdf(self, incoming: Array, outgoing: Array) -> Array:
         """Return the probability density of `sample`, sr-1, shape (ray,)."""
         ...
 
-    def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return the fraction of a uniform sky's light that goes to the viewer, int f cos(i) di, shape (band, ray)."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reflectance:
-    """Fraction of light over wavelength, linear between the given values and constant outside.
+    """Fraction of light over wavelength, linear between the given values and constant outside."""
 
-    Parameters
-    ----------
-    wavelength_nm
-        Wavelengths, ascending, nm; one makes a grey.
-    share
-        Fraction at each, 0 to 1, dimensionless.
-    """
-
-    wavelength_nm: tuple[float, ...] = (550.0,)
-    share: tuple[float, ...] = (0.0,)
+    wavelength_nm: tuple[float, ...] = (550.0,)  # wavelengths, ascending, nm; one makes a grey
+    share: tuple[float, ...] = (0.0,)  # fraction at each, 0 to 1, dimensionless
 
     def __post_init__(self) -> None:
         if not self.wavelength_nm or len(self.wavelength_nm) != len(self.share):
@@ -93,7 +61,7 @@ class Reflectance:
             if not 0.0 <= share <= 1.0:
                 raise BadInput(f"a share of light must lie in [0, 1], got {share:g}")
 
-    def at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def at(self, wavelength_nm: ArrayLike) -> Array:
         """Return the fraction at wavelengths, dimensionless, shape (band,)."""
         return np.interp(np.atleast_1d(np.asarray(wavelength_nm, float)), self.wavelength_nm, self.share)
 
@@ -103,58 +71,52 @@ def grey(share: float) -> Reflectance:
     return Reflectance(share=(share,))
 
 
-def both_above(incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+def both_above(incoming: Array, outgoing: Array) -> Array:
     """Return 1 where both directions lie above the surface and 0 elsewhere, shape (ray,)."""
     return ((incoming[:, 2] > 0.0) & (outgoing[:, 2] > 0.0)).astype(float)
 
 
-def cosine_directions(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def cosine_directions(count: int, rng: np.random.Generator) -> Array:
     """Draw directions with density cos/pi, shape (count, 3)."""
     square, turn = rng.random(count), 2.0 * np.pi * rng.random(count)
     radius = np.sqrt(square)
     return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - square)])
 
 
-def cosine_density(incoming: NDArray[np.floating]) -> NDArray[np.float64]:
+def cosine_density(incoming: Array) -> Array:
     """Return cos/pi, sr-1, zero below the surface, shape (ray,)."""
     return np.maximum(incoming[:, 2], 0.0) / np.pi
 
 
-def directions_at_cosine(cosine: NDArray[np.floating]) -> NDArray[np.float64]:
+def directions_at_cosine(cosine: Array) -> Array:
     """Return unit vectors (x, 0, z) with z given, shape (ray, 3)."""
     sine = np.sqrt(np.maximum(1.0 - np.square(cosine), 0.0))
     return np.asarray(np.column_stack([sine, np.zeros_like(sine), cosine]), float)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Lambert:
-    """Lambert's law, f = rho / pi.
+class CosineSampled:
+    """Sampling by the cosine law, for BRDFs without a lobe."""
 
-    Parameters
-    ----------
-    reflectance
-        rho over wavelength.
-    """
-
-    reflectance: Reflectance
-
-    def value(
-        self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating], wavelength_nm: ArrayLike
-    ) -> NDArray[np.float64]:
-        """Return f, sr-1, shape (band, ray)."""
-        return self.reflectance.at(wavelength_nm)[:, None] / np.pi * both_above(incoming, outgoing)
-
-    def sample(
-        self, outgoing: NDArray[np.floating], rng: np.random.Generator
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Draw directions by the cosine law and return them with their densities."""
+    def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Draw directions and return them with their densities."""
         drawn = cosine_directions(len(outgoing), rng)
         return drawn, cosine_density(drawn)
 
-    def pdf(self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+    def pdf(self, incoming: Array, outgoing: Array) -> Array:
         """Return cos(i) / pi."""
         return cosine_density(incoming)
 
-    def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+
+@dataclass(frozen=True, kw_only=True)
+class Lambert(CosineSampled):
+    """Lambert's law, f = rho / pi."""
+
+    reflectance: Reflectance
+
+    def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
+        """Return f, sr-1, shape (band, ray)."""
+        return self.reflectance.at(wavelength_nm)[:, None] / np.pi * both_above(incoming, outgoing)
+
+    def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return rho, shape (band, ray)."""
         return self.reflectance.at(wavelength_nm)[:, None] * np.ones(len(outgoing))

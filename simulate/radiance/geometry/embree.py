@@ -14,40 +14,12 @@ from weakref import finalize
 import llvmlite.binding
 import numba
 import numpy as np
-from numba.core import cgutils, types
-from numba.extending import intrinsic
-from numba.np.arrayobj import make_array
+from numba.core import types
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 
-
-def _without_reference_count(typingctx: Any, value: Any) -> Any:
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return _strip_reference_count(context, builder, signature.args[0], args[0])
-
-    return value(value), codegen
-
-
-# Returns an array, or a tuple of arrays, tuples and numbers, without reference counts. The caller must hold them: an
-# array allocated in the compiled loop itself would be released while in use.
-without_reference_count: Any = intrinsic(_without_reference_count)
-
-
-def _strip_reference_count(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    if isinstance(kind, types.Array):
-        array = make_array(kind)(context, builder, value)
-        array.meminfo = cgutils.get_null_value(array.meminfo.type)
-        return array._getvalue()
-    if isinstance(kind, types.BaseTuple):
-        kinds: Any = kind
-        parts = [
-            _strip_reference_count(context, builder, part, builder.extract_value(value, i))
-            for i, part in enumerate(kinds)
-        ]
-        return context.make_tuple(builder, kind, parts)
-    return value
-
+Array = NDArray[np.floating]
 
 # Constants of Embree 4's C interface: kinds of geometry and of buffers, and formats.
 TRIANGLES, INSTANCE, INDEX, VERTEX, UINT3, FLOAT3, ROWS_3X4 = 0, 121, 0, 1, 0x5003, 0x9003, 0x9134
@@ -65,7 +37,7 @@ COPY_BITS = 32
 ROW = (1 << COPY_BITS) - 1
 # A corner and the unit normal of each triangle, each of shape (row, 3). Of each copy (number 0 is the mesh without
 # copies): row of its first triangle, rotation times scale (copy, 3, 3), translation (copy, 3) and scale.
-Planes = tuple[NDArray[np.float64], ...]
+Planes = tuple[Array, ...]
 
 
 @cache
@@ -79,16 +51,13 @@ def _library() -> ctypes.CDLL:
     path = str(held[0].locate())
     llvmlite.binding.load_library_permanently(path)
     library = ctypes.CDLL(path)
-    handle, number = ctypes.c_void_p, ctypes.c_uint
+    handle, number, size = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t
     for name, result, arguments in (
         ("rtcNewDevice", handle, [ctypes.c_char_p]),
         ("rtcNewScene", handle, [handle]),
         ("rtcNewGeometry", handle, [handle, ctypes.c_int]),
-        (
-            "rtcSetNewGeometryBuffer",
-            handle,
-            [handle, ctypes.c_int, number, ctypes.c_int, ctypes.c_size_t, ctypes.c_size_t],
-        ),
+        ("rtcSetNewGeometryBuffer", handle, [handle, ctypes.c_int, number, ctypes.c_int, size, size]),
+        ("rtcGetDeviceProperty", size, [handle, ctypes.c_int]),
         ("rtcSetGeometryInstancedScene", None, [handle, handle]),
         ("rtcSetGeometryTransform", None, [handle, number, ctypes.c_int, handle]),
         ("rtcCommitGeometry", None, [handle]),
@@ -105,25 +74,22 @@ def _library() -> ctypes.CDLL:
 
 @cache
 def _device() -> int:
-    return _library().rtcNewDevice(None)
+    device = _library().rtcNewDevice(None)
+    # Property 0 is the version, 40400 for 4.4.0; the layout of packets and the constants above are those of 4.
+    version = _library().rtcGetDeviceProperty(device, 0)
+    if version // 10000 != 4:
+        raise BadInput(f"rays need Embree 4, got version {version}")
+    return device
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Copied:
-    """A mesh with many copies, stored once.
+    """A mesh with many copies, stored once."""
 
-    Parameters
-    ----------
-    vertices_m, faces
-        The mesh, shapes (vertex, 3), m, and (face, 3).
-    turn, shift_m
-        Pose of each copy: rotation times scale, shape (copy, 3, 3), then translation, shape (copy, 3), m.
-    """
-
-    vertices_m: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    turn: NDArray[np.float64]
-    shift_m: NDArray[np.float64]
+    vertices_m: Array  # shape (vertex, 3)
+    faces: NDArray[np.int64]  # shape (face, 3)
+    turn: Array  # rotation times scale of each copy, shape (copy, 3, 3)
+    shift_m: Array  # and then translation, shape (copy, 3)
 
 
 class EmbreeScene:
@@ -142,11 +108,7 @@ class EmbreeScene:
     """
 
     def __init__(
-        self,
-        vertices_m: NDArray[np.floating],
-        faces: NDArray[np.integer],
-        centre_m: NDArray[np.float64],
-        copied: tuple[Copied, ...] = (),
+        self, vertices_m: Array, faces: NDArray[np.integer], centre_m: Array, copied: tuple[Copied, ...] = ()
     ) -> None:
         library, device = _library(), _device()
         scene = library.rtcNewScene(device)
@@ -170,9 +132,7 @@ class EmbreeScene:
         self.centre_m = centre_m
         finalize(self, library.rtcReleaseScene, scene)
 
-    def hits(
-        self, planes: Planes, origin: NDArray[np.float64], direction: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def hits(self, planes: Planes, origin: Array, direction: Array) -> tuple[NDArray[np.int64], Array]:
         """Return the triangle that each ray (ray, 3) hits first, -1 for none, and its distance, each of shape (ray,).
 
         Distances are those of the triangles' planes in double precision.
@@ -181,16 +141,14 @@ class EmbreeScene:
         _trace_hits(self.address, self.centre_m, planes, (origin, direction), new_packets(PACKET), face, range_m)
         return face, range_m
 
-    def is_occluded(
-        self, origin: NDArray[np.float64], direction: NDArray[np.float64], reach: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
+    def is_occluded(self, origin: Array, direction: Array, reach: Array) -> NDArray[np.bool_]:
         """Return whether rays hit a surface within a number of direction lengths, shape (ray,)."""
         found = np.empty(len(origin), np.bool_)
         _trace_occlusions(self.address, self.centre_m, (origin, direction, reach), new_packets(PACKET), found)
         return found
 
 
-def _triangles(vertices_m: NDArray[np.floating], faces: NDArray[np.integer]) -> int:
+def _triangles(vertices_m: Array, faces: NDArray[np.integer]) -> int:
     """Return a geometry of triangles."""
     library = _library()
     mesh = library.rtcNewGeometry(_device(), TRIANGLES)
@@ -298,11 +256,22 @@ def is_ray_occluded(packets, slot):
     return packets[slot >> BITS, REACH, slot & (PACKET - 1)] < 0.0
 
 
+@numba.njit(**INLINED)
+def meet_plane(planes, face, origin, direction):
+    """Return the distance along a ray to a face's plane in double precision, the slope on its normal, and that."""
+    corner, normal = plane_of(planes, face)
+    height, slope = 0.0, 0.0
+    for axis in range(3):
+        height += (corner[axis] - origin[axis]) * normal[axis]
+        slope += direction[axis] * normal[axis]
+    # A ray within the plane, or with the plane behind it by rounding, starts on the triangle.
+    length = height / slope
+    return (max(length, 0.0) if np.isfinite(length) else 0.0), slope, normal
+
+
 @numba.njit(**COMPILED)
 def _trace_hits(scene, centre, planes, rays, packets, face, range_m):
-    planes = without_reference_count(planes)
-    origin, direction = without_reference_count(rays)
-    packets = without_reference_count(packets)
+    origin, direction = rays
     for first in range(0, len(face), PACKET):
         many = min(PACKET, len(face) - first)
         for slot in range(many):
@@ -310,24 +279,14 @@ def _trace_hits(scene, centre, planes, rays, packets, face, range_m):
         intersect(scene, packets, many)
         for slot in range(many):
             i = first + slot
-            hit = triangle_of(packets, slot, planes)
-            face[i], range_m[i] = hit, np.inf
-            if hit < 0:
-                continue
-            height, slope = 0.0, 0.0
-            corner, normal = plane_of(planes, hit)
-            for axis in range(3):
-                height += (corner[axis] - origin[i, axis]) * normal[axis]
-                slope += direction[i, axis] * normal[axis]
-            # A ray within the plane, or with the plane behind it by rounding, starts on the triangle.
-            length = height / slope
-            range_m[i] = max(length, 0.0) if np.isfinite(length) else 0.0
+            face[i], range_m[i] = triangle_of(packets, slot, planes), np.inf
+            if face[i] >= 0:
+                range_m[i] = meet_plane(planes, face[i], origin[i], direction[i])[0]
 
 
 @numba.njit(**COMPILED)
 def _trace_occlusions(scene, centre, rays, packets, found):
-    origin, direction, reach = without_reference_count(rays)
-    packets = without_reference_count(packets)
+    origin, direction, reach = rays
     for first in range(0, len(found), PACKET):
         many = min(PACKET, len(found) - first)
         for slot in range(many):

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.geometry.embree import COPY_BITS, ROW, Copied, EmbreeScene, Planes
 
+Array = NDArray[np.floating]
+
 # A ray starts at least so far above the surface it leaves, m, or so large a share of the coordinates there. Measured on
 # a scene of 60 m, shifted by up to 10 km: no ray then hits its own triangle.
 CLEARANCE_M, CLEARANCE_SHARE = 1e-4, 3e-6
@@ -21,18 +23,10 @@ NOTHING = -1
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of rays.
+    """First hits of rays."""
 
-    Parameters
-    ----------
-    face
-        Triangle that each ray hits first, `NOTHING` for none, shape (ray,).
-    range_m
-        Distance to it along a direction of unit length, infinite for none, shape (ray,), m.
-    """
-
-    face: NDArray[np.int64]
-    range_m: NDArray[np.float64]
+    face: NDArray[np.int64]  # triangle that each ray hits first, `NOTHING` for none, shape (ray,)
+    range_m: Array  # distance to it along a direction of unit length, infinite for none, shape (ray,), m
 
     @property
     def met(self) -> NDArray[np.int64]:
@@ -44,33 +38,19 @@ class Hits:
 class RayTracer:
     """Ray tracer of a triangle mesh.
 
-    Parameters
-    ----------
-    scene
-        The embree scene; None without a triangle.
-    centre_m
-        Centre of the Embree scene, shape (3,), m.
-    planes
-        First corner and unit normal of each triangle, each of shape (row, 3), and poses of copies (`embree.Planes`).
-    clearance_m
-        Distance of ray starts from each triangle, shape (row,), m.
-
     Notes
     -----
     A face is the row of a triangle, combined with the number of the copy for meshes with copies (`embree.COPY_BITS`).
     """
 
-    scene: EmbreeScene | None
-    centre_m: NDArray[np.float64]
+    scene: EmbreeScene | None  # the embree scene; None without a triangle
+    centre_m: Array  # centre of the Embree scene, shape (3,), m
+    # First corner and unit normal of each triangle, each of shape (row, 3), and poses of copies
+    # (`embree.Planes`).
     planes: Planes
-    clearance_m: NDArray[np.float64]
+    clearance_m: Array  # distance of ray starts from each triangle, shape (row,), m
 
-    @property
-    def corner_m(self) -> NDArray[np.float64]:
-        """First corner of each triangle, of a copied mesh in its own frame, shape (row, 3), m."""
-        return self.planes[0]
-
-    def normals(self, face: NDArray[np.integer]) -> NDArray[np.float64]:
+    def normals(self, face: NDArray[np.integer]) -> Array:
         """Return unit normals of faces, shape (face, 3)."""
         found, copy = self.planes[1][face & ROW], face >> COPY_BITS
         of = np.flatnonzero(copy)
@@ -79,61 +59,35 @@ class RayTracer:
             found[of] = np.einsum("fij,fj->fi", turn, found[of]) / size[:, None]
         return found
 
-    def first_hit(self, origin_m: NDArray[np.floating], direction: NDArray[np.floating]) -> NDArray[np.int64]:
-        """Return the triangle that each ray hits first, `NOTHING` for none, shape (ray,). Rays have shape (ray, 3)."""
-        return self.hits(origin_m, direction).face
-
-    def hits(self, origin_m: NDArray[np.floating], direction: NDArray[np.floating]) -> Hits:
+    def hits(self, origin_m: Array, direction: Array) -> Hits:
         """Return where rays of unit direction hit first, on the plane of the triangle in double precision."""
         count = len(origin_m)
         if self.scene is None:
             return Hits(np.full(count, NOTHING, np.int64), np.full(count, np.inf))
         return Hits(*self.scene.hits(self.planes, _plain(origin_m), _plain(direction)))
 
-    def is_occluded(
-        self, origin_m: NDArray[np.floating], direction: NDArray[np.floating], reach: ArrayLike | None = None
-    ) -> NDArray[np.bool_]:
-        """Return whether each ray is occluded, shape (ray,).
-
-        Parameters
-        ----------
-        origin_m, direction
-            Rays, each of shape (ray, 3).
-        reach
-            Length of the rays in units of the direction, one number or shape (ray,); None: infinite.
-        """
+    def is_occluded(self, origin_m: Array, direction: Array, reach: ArrayLike | None = None) -> NDArray[np.bool_]:
+        """Return whether rays (ray, 3) are occluded within so many lengths of their direction; None: infinite."""
         if self.scene is None:
             return np.zeros(len(origin_m), np.bool_)
         limits = np.full(len(origin_m), np.inf if reach is None else reach, np.float64)
         return self.scene.is_occluded(_plain(origin_m), _plain(direction), limits)
 
-    def facing(
-        self, face: NDArray[np.integer], direction: NDArray[np.floating]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def facing(self, face: NDArray[np.integer], direction: Array) -> tuple[Array, Array]:
         """Return normals of triangles on the side of ray origins, shape (ray, 3), and cosines to them, shape (ray,)."""
         normal = self.normals(face)
         cosine = -np.einsum("ij,ij->i", normal, direction)
         return np.where(cosine < 0.0, -1.0, 1.0)[:, None] * normal, np.abs(cosine)
 
-    def above(
-        self, face: NDArray[np.integer], place_m: NDArray[np.floating], side: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
-        """Return positions displaced from triangles towards one side, as starts of rays.
-
-        Parameters
-        ----------
-        face, place_m
-            Triangle, shape (point,), and position on it, shape (point, 3), m.
-        side
-            Normal of the triangle on the side of the ray, shape (point, 3).
-        """
+    def above(self, face: NDArray[np.integer], place_m: Array, side: Array) -> Array:
+        """Return positions (point, 3) on triangles displaced towards the side of a normal, as starts of rays, m."""
         # Column by column: ten times as fast in NumPy as over rows of three.
         away = reduce(np.maximum, np.abs(place_m - self.centre_m).T)
         shift = np.maximum(self.clearance_m[face & ROW], CLEARANCE_SHARE * away)
         return place_m + shift[:, None] * side
 
 
-def tracer(vertices_m: NDArray[np.floating], faces: NDArray[np.integer], copied: tuple[Copied, ...] = ()) -> RayTracer:
+def tracer(vertices_m: Array, faces: NDArray[np.integer], copied: tuple[Copied, ...] = ()) -> RayTracer:
     """Return the ray tracer of a mesh, vertices (vertex, 3) in m and faces (face, 3), and of meshes with copies.
 
     Rows of triangles are those of the mesh, which must not be empty, and then those of each copied mesh.
@@ -154,7 +108,7 @@ def tracer(vertices_m: NDArray[np.floating], faces: NDArray[np.integer], copied:
     )
 
 
-def _planes(corners: NDArray[np.float64], copied: tuple[Copied, ...]) -> Planes:
+def _planes(corners: Array, copied: tuple[Copied, ...]) -> Planes:
     every = np.concatenate([corners, *(mesh.vertices_m[mesh.faces] for mesh in copied)])
     starts = np.cumsum([len(corners), *(len(mesh.faces) for mesh in copied)])[: len(copied)]
     first = np.repeat(starts, np.array([len(mesh.turn) for mesh in copied], np.int64))
@@ -164,18 +118,18 @@ def _planes(corners: NDArray[np.float64], copied: tuple[Copied, ...]) -> Planes:
     return np.ascontiguousarray(every[:, 0]), normals(every), np.concatenate([[0], first]), turn, shift, size
 
 
-def _extent(mesh: Copied) -> NDArray[np.float64]:
+def _extent(mesh: Copied) -> Array:
     """Return the diameter of the triangles in the largest copy, shape (face,), m."""
     corners = mesh.vertices_m[mesh.faces]
     return np.ptp(corners, axis=1).max(axis=1) * np.sqrt(3.0) * np.cbrt(np.linalg.det(mesh.turn)).max()
 
 
-def normals(corners_m: NDArray[np.floating]) -> NDArray[np.float64]:
+def normals(corners_m: Array) -> Array:
     """Return unit normals of triangles (face, corner, 3), zero for those without area, shape (face, 3)."""
     across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
     length = np.linalg.norm(across, axis=1, keepdims=True)
     return np.divide(across, length, out=np.zeros_like(across), where=length > 0.0)
 
 
-def _plain(rays: NDArray[np.floating]) -> NDArray[np.float64]:
+def _plain(rays: Array) -> Array:
     return np.ascontiguousarray(rays, np.float64)

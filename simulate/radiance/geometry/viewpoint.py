@@ -44,25 +44,14 @@ class RasterGeometry:
 
 @dataclass(frozen=True, kw_only=True)
 class Exposure:
-    """Rows that a camera takes from one position at one time.
+    """Rows that a camera takes from one position at one time."""
 
-    Parameters
-    ----------
-    eye_m
-        Position of the lens, shape (3,), m.
-    turn_rad
-        Rotation about the vertical, counterclockwise from above, rad.
-    first, rows
-        First row through the lens, as `Viewpoint.project` counts them, and number of rows.
-    picture_row
-        Row of the image that the first one is.
-    """
-
-    eye_m: Array
-    turn_rad: float
+    eye_m: Array  # position of the lens, shape (3,), m
+    turn_rad: float  # rotation about the vertical, counterclockwise from above, rad
+    # First row through the lens, as `Viewpoint.project` counts them, and number of rows.
     first: float
     rows: int
-    picture_row: int
+    picture_row: int  # row of the image that the first one is
 
     def direction_before_turn(self, direction: Array) -> Array:
         """Return directions (ray, 3) in the frame of the camera before its rotation."""
@@ -71,32 +60,16 @@ class Exposure:
 
 @dataclass(frozen=True, kw_only=True)
 class Viewpoint:
-    """A camera with a pose and a lens: a pinhole with radial distortion.
+    """A camera with a pose and a lens: a pinhole with radial distortion."""
 
-    Parameters
-    ----------
-    position_m
-        Position of the lens (east, north, up), m.
-    forward
-        Direction of its axis, shape (3,), unit length.
-    roll_deg
-        Rotation about the axis, clockwise as the camera sees it, deg.
-    shape
-        Pixels, (row, col).
-    focal_px
-        Focal length over the pitch of columns and of rows (x, y), dimensionless.
-    distortion_fraction
-        D of r' = r (1 + D (r/R)^2), R the corner's distance from the axis; positive is pincushion.
-    scan
-        For a line scanner, whose rows all view the central row, each at its own time; None: framing camera.
-    """
-
-    position_m: tuple[float, float, float]
-    forward: tuple[float, float, float]
-    shape: tuple[int, int]
-    focal_px: tuple[float, float]
-    roll_deg: float = 0.0
+    position_m: tuple[float, float, float]  # position of the lens (east, north, up), m
+    forward: tuple[float, float, float]  # direction of its axis, shape (3,), unit length
+    shape: tuple[int, int]  # pixels, (row, col)
+    focal_px: tuple[float, float]  # focal length over the pitch of columns and of rows (x, y), dimensionless
+    roll_deg: float = 0.0  # rotation about the axis, clockwise as the camera sees it, deg
+    # D of r' = r (1 + D (r/R)^2), R the corner's distance from the axis; positive is pincushion.
     distortion_fraction: float = 0.0
+    # For a line scanner, whose rows all view the central row, each at its own time; None: framing camera.
     scan: RasterGeometry | None = None
 
     def __post_init__(self) -> None:
@@ -108,7 +81,7 @@ class Viewpoint:
             raise BadInput(f"a distortion must lie between -1/12 and 1 at the corner, got {self.distortion_fraction:g}")
 
     @cached_property
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Array:
         """Directions to the right, down and forward in the image, rows of a (3, 3) array."""
         ahead = np.asarray(self.forward) / np.linalg.norm(self.forward)
         # A camera that looks straight up or down has north at the top of the image.
@@ -127,12 +100,9 @@ class Viewpoint:
         return replace(self, shape=(shape[0], shape[1]), focal_px=(focal[0], focal[1]), scan=scan)
 
     def rays(self, row: Array, col: Array) -> tuple[Array, Array]:
-        """Return origins, m, and unit directions of rays through image coordinates, each of shape (ray, 3).
+        """Return origins, m, and unit directions of rays, each of shape (ray, 3), through image coordinates (ray,).
 
-        Parameters
-        ----------
-        row, col
-            Coordinates, integers at the corners of pixels, shape (ray,).
+        Coordinates are integers at the corners of pixels.
         """
         along = 0.5 * self.shape[0] + row % 1.0 - 0.5 if self.scan else row
         x = (col - 0.5 * self.shape[1]) / self.focal_px[0]

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from simulate.radiance.geometry.embree import ROW
 from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator import direct_lighting
-from simulate.radiance.integrator.spectral_scene import SpectralScene
+from simulate.radiance.integrator.direct_lighting import dot, ray_starts
+from simulate.radiance.integrator.light_sources import SHORT, DiscLight
+from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
 
 Array = NDArray[np.floating]
-ROWS = 64
 # Bits of the shadow map; further sources have none.
 BITS = 32
 # Neighbours whose normals differ by more than acos(0.98) = 11 degrees belong to different faces.
@@ -21,31 +21,18 @@ SAME_NORMAL = 0.98
 
 @dataclass(frozen=True, kw_only=True)
 class AuxiliaryLayers:
-    """Auxiliary layers of the pixel centres.
+    """Auxiliary layers of the pixel centres."""
 
-    Parameters
-    ----------
-    material, object
-        Numbers into `materials` and `objects`, -1 for the sky, shape (row, col).
-    range_m
-        Distance from the lens, infinite for the sky, shape (row, col), m.
-    normal
-        Unit normal on the camera's side, zero for the sky, shape (row, col, 3).
-    shadow
-        Bit n is set where source n of `sources` gives no light, because it is occluded or behind the surface, shape
-        (row, col).
-    temperature_k
-        Layer of the thermal model, here NaN, shape (row, col), K.
-    materials, objects, sources
-        Names.
-    """
-
+    # Numbers into `materials` and `objects`, -1 for the sky, shape (row, col).
     material: NDArray[np.int16]
     object: NDArray[np.int32]
-    range_m: NDArray[np.float32]
-    normal: NDArray[np.float32]
+    range_m: NDArray[np.float32]  # distance from the lens, infinite for the sky, shape (row, col), m
+    normal: NDArray[np.float32]  # unit normal on the camera's side, zero for the sky, shape (row, col, 3)
+    # Bit n is set where source n of `sources` gives no light, because it is occluded or behind the surface,
+    # shape (row, col).
     shadow: NDArray[np.uint32]
-    temperature_k: NDArray[np.float32]
+    temperature_k: NDArray[np.float32]  # layer of the thermal model, here NaN, shape (row, col), K
+    # Names.
     materials: tuple[str, ...]
     objects: tuple[str, ...]
     sources: tuple[str, ...]
@@ -83,11 +70,24 @@ class AuxiliaryLayers:
 
 def truth(stage: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:
     """Return the auxiliary layers of a view."""
-    rows, columns = view.shape
-    parts = [_band(stage, view, start, min(start + ROWS, rows)) for start in range(0, rows, ROWS)]
-    maps = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    shaped = {name: values.reshape(rows, columns, *values.shape[1:]) for name, values in maps.items()}
-    surfaces = stage.surfaces
+    surfaces, count = stage.surfaces, view.shape[0] * view.shape[1]
+    row, col = (axis.ravel() + 0.5 for axis in np.indices(view.shape))
+    origin, towards = view.rays(row, col)
+    hit = surfaces.tracer.hits(origin, towards)
+    met = hit.met
+    points = stage.points(hit, origin, towards, met)
+    layers = {
+        "material": np.full(count, -1, np.int16),
+        "object": np.full(count, -1, np.int32),
+        "normal": np.zeros((count, 3), np.float32),
+        "shadow": np.zeros(count, np.uint32),
+    }
+    row_of = hit.face[met] & ROW
+    seen = (surfaces.material_of[row_of], surfaces.object_of[row_of], points.normal, _shadows(stage, points))
+    for layer, values in zip(layers.values(), seen, strict=True):
+        layer[met] = values
+    layers["range_m"] = hit.range_m.astype(np.float32)
+    shaped = {name: values.reshape(*view.shape, *values.shape[1:]) for name, values in layers.items()}
     return AuxiliaryLayers(
         **shaped,
         temperature_k=np.full(view.shape, np.nan, np.float32),
@@ -97,41 +97,16 @@ def truth(stage: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:
     )
 
 
-def _band(stage: SpectralScene, view: Viewpoint, start: int, stop: int) -> dict[str, NDArray]:
-    row, col = np.meshgrid(np.arange(start, stop) + 0.5, np.arange(view.shape[1]) + 0.5, indexing="ij")
-    origin, towards = view.rays(row.ravel(), col.ravel())
-    surfaces = stage.surfaces
-    hit = surfaces.tracer.hits(origin, towards)
-    met = hit.met
-    face = hit.face[met]
-    points = stage.points(hit, origin, towards, met)
-    count = len(hit.face)
-    material, thing = np.full(count, -1, np.int16), np.full(count, -1, np.int32)
-    material[met], thing[met] = surfaces.material_of[face & ROW], surfaces.object_of[face & ROW]
-    normal, shadow = np.zeros((count, 3), np.float32), np.zeros(count, np.uint32)
-    normal[met] = points.normal
-    shadow[met] = _shadows(stage, points)
-    return {
-        "material": material,
-        "object": thing,
-        "range_m": hit.range_m.astype(np.float32),
-        "normal": normal,
-        "shadow": shadow,
-    }
-
-
-def _shadows(stage: SpectralScene, points: direct_lighting.ShadingPoints) -> NDArray[np.uint32]:
+def _shadows(stage: SpectralScene, points: ShadingPoints) -> NDArray[np.uint32]:
     """Return the bits of the sources whose centres are not visible from the points."""
-    found = np.zeros(len(points), np.uint32)
-    every = np.arange(len(points))
-    lights = (*stage.lighting.discs, *stage.lighting.lamps)[:BITS]
-    for bit, light in enumerate(lights):
-        if isinstance(light, direct_lighting.DiscLight):
+    found, tracer = np.zeros(len(points), np.uint32), stage.surfaces.tracer
+    for bit, light in enumerate((*stage.lighting.discs, *stage.lighting.lamps)[:BITS]):
+        if isinstance(light, DiscLight):
             way, reach = np.broadcast_to(light.direction, points.normal.shape), None
         else:
-            way, reach = light.position_m - points.place_m, direct_lighting.SHORT
-        dark = np.einsum("ij,ij->i", way, points.normal) <= 0.0
-        lit = every[~dark]
-        dark[lit] = direct_lighting.is_occluded(points, lit, way[lit], stage.surfaces.tracer, reach)
+            way, reach = light.position_m - points.place_m, SHORT
+        dark = dot(way, points.normal) <= 0.0
+        lit = np.flatnonzero(~dark)
+        dark[lit] = tracer.is_occluded(ray_starts(points, lit, tracer), way[lit], reach)
         found |= dark.astype(np.uint32) << np.uint32(bit)
     return found

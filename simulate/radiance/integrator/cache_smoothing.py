@@ -7,51 +7,31 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.geometry.embree import COMPILED, INLINED, without_reference_count
+from simulate.radiance.geometry.embree import COMPILED, INLINED
 from simulate.radiance.geometry.ray_tracer import NOTHING
-from simulate.radiance.integrator.integrator_settings import Run
+from simulate.radiance.integrator.integrator_settings import Run, local_mean
 
 # Neighbours belong to one smooth surface if their normals differ by less than acos(0.98) = 11 degrees, and if neither
 # deviates from the other's plane by more than this fraction of their distance, or by the single-precision error.
 SAME_NORMAL, OFF_PLANE, LEAST_OFF_M = 0.98, 0.05, 1e-5
-# A plane fit needs at least this many nodes, else the mean is used.
-ENOUGH = 4
-
-
-# Rows of nodes in one job.
-STRIP = 16
+# A plane fit needs at least this many nodes, else the mean is used; and rows of nodes in one job.
+ENOUGH, STRIP = 4, 16
+Array = NDArray[np.floating]
+Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """A grid of surface points in view of a camera.
+    """A grid of surface points in view of a camera."""
 
-    Parameters
-    ----------
-    row, col
-        Indices of the nodes that see a surface, shape (node,).
-    place_m, normal
-        Positions, m, and unit normals, shape (row, col, 3).
-    face
-        Triangles, -1 where there is no surface, shape (row, col).
-    """
-
-    row: NDArray[np.int64]
-    col: NDArray[np.int64]
-    place_m: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    face: NDArray[np.int64]
+    row: Rows  # of the nodes that see a surface, shape (node,)
+    col: Rows
+    place_m: Array  # shape (row, col, 3)
+    normal: Array
+    face: Rows  # triangles, -1 where there is no surface, shape (row, col)
 
     @classmethod
-    def of(
-        cls,
-        row: NDArray[np.int64],
-        col: NDArray[np.int64],
-        shape: tuple[int, int],
-        place_m: NDArray[np.floating],
-        normal: NDArray[np.floating],
-        face: NDArray[np.int64],
-    ) -> "Nodes":
+    def of(cls, row: Rows, col: Rows, shape: tuple[int, int], place_m: Array, normal: Array, face: Rows) -> "Nodes":
         """Return a grid of positions and normals (node, 3) and triangles (node,) at rows and columns (node,)."""
         grid = cls(row, col, np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.full(shape, NOTHING))
         grid.place_m[row, col], grid.normal[row, col], grid.face[row, col] = place_m, normal, face
@@ -68,16 +48,11 @@ class Nodes:
         grid[self.row, self.col] = values
         return grid
 
-    def near(self, values: NDArray[np.floating], reach: int) -> NDArray[np.floating]:
+    def near(self, values: Array, half_width: int) -> Array:
         """Return means of values (row, col) over squares of nodes around each."""
-        from scipy.ndimage import uniform_filter
+        return local_mean(values, self.there, half_width)
 
-        size = 2 * reach + 1
-        share = uniform_filter(self.there.astype(float), size, mode="constant")
-        total = uniform_filter(np.where(self.there, values, 0.0), size, mode="constant")
-        return np.divide(total, share, out=np.zeros_like(total), where=share > 1e-9)
-
-    def smooth(self, values: NDArray[np.floating], width: NDArray[np.int64], run: Run) -> NDArray[np.floating]:
+    def smooth(self, values: Array, width: NDArray[np.int64], run: Run) -> Array:
         """Return values (row, col, band) smoothed over windows of half widths (row, col), nodes."""
         found, rows = np.zeros_like(values), len(values)
 
@@ -88,35 +63,18 @@ class Nodes:
         return found
 
     def between(
-        self,
-        values: NDArray[np.float32],
-        row: NDArray[np.floating],
-        col: NDArray[np.floating],
-        place_m: NDArray[np.floating],
-        normal: NDArray[np.floating],
+        self, values: NDArray[np.float32], row: Array, col: Array, place_m: Array, normal: Array
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Interpolate values (row, col, band) at points; return also which points had a node on their surface.
 
-        Parameters
-        ----------
-        values
-            Values of the nodes.
-        row, col
-            Coordinates of the points, integers at nodes, shape (point,).
-        place_m, normal
-            Positions and normals of the points, shape (point, 3).
+        Coordinates (point,) are integers at nodes; positions and normals have shape (point, 3).
         """
         found, has = np.zeros((len(row), values.shape[2]), np.float32), np.zeros(len(row), np.bool_)
         _interpolate(values, self.place_m, self.normal, self.face, row, col, place_m, normal, found, has)
         return found, has
 
 
-def all_alike(
-    place_m: NDArray[np.floating],
-    normal: NDArray[np.floating],
-    other_place_m: NDArray[np.floating],
-    other_normal: NDArray[np.floating],
-) -> NDArray[np.bool_]:
+def all_alike(place_m: Array, normal: Array, other_place_m: Array, other_normal: Array) -> NDArray[np.bool_]:
     """Return which pairs of points (pair, 3), with unit normals, lie on one smooth surface, shape (pair,)."""
     found = np.empty(len(place_m), np.bool_)
     _all_alike(place_m, normal, other_place_m, other_normal, found)
@@ -139,7 +97,6 @@ def alike(place: Any, normal: Any, other_place: Any, other_normal: Any) -> bool:
 
 @numba.njit(**COMPILED)
 def _all_alike(place: Any, normal: Any, other_place: Any, other_normal: Any, found: Any) -> None:
-    place, normal, other_place, other_normal = without_reference_count((place, normal, other_place, other_normal))
     for pair in range(len(found)):
         found[pair] = alike(place[pair], normal[pair], other_place[pair], other_normal[pair])
 
@@ -148,28 +105,8 @@ def _all_alike(place: Any, normal: Any, other_place: Any, other_normal: Any, fou
 def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int, last: int, found: Any) -> None:
     """Fit a plane over row and column to the values in the window of each node, and store its value at the centre.
 
-    Parameters
-    ----------
-    values
-        Shape (row, col, band).
-    place, normal
-        Positions and normals of the nodes, shape (row, col, 3).
-    face
-        Triangle of each node, -1 without values, shape (row, col).
-    width
-        Half width of each node's window, nodes, shape (row, col).
-    first, last
-        Range of rows.
-    found
-        Output, shape (row, col, band).
+    Arrays are those of `Nodes` and shape (row, col, band); windows have half widths (row, col).
     """
-    values, found, face, width = (
-        without_reference_count(values),
-        without_reference_count(found),
-        without_reference_count(face),
-        without_reference_count(width),
-    )
-    place, normal = without_reference_count(place), without_reference_count(normal)
     rows, columns, bands = values.shape
     plane = np.zeros((3, bands))
     for r in range(first, last):
@@ -214,31 +151,7 @@ def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int
 def _interpolate(
     values: Any, place: Any, normal: Any, face: Any, row: Any, col: Any, at: Any, facing: Any, found: Any, has: Any
 ) -> None:
-    """Interpolate nodes at points between them, among nodes on the same surface.
-
-    Parameters
-    ----------
-    values, place, normal, face
-        As of `_fit`.
-    row, col
-        Coordinates, integers at nodes, shape (ray,).
-    at, facing
-        Positions and normals, shape (ray, 3).
-    found, has
-        Output values, shape (ray, band), and whether there were any, shape (ray,).
-    """
-    values, found, face, has = (
-        without_reference_count(values),
-        without_reference_count(found),
-        without_reference_count(face),
-        without_reference_count(has),
-    )
-    place, normal, at, facing = (
-        without_reference_count(place),
-        without_reference_count(normal),
-        without_reference_count(at),
-        without_reference_count(facing),
-    )
+    """Interpolate nodes at points (ray,) between them, among nodes on the same surface."""
     rows, columns, bands = values.shape
     for ray in range(len(row)):
         top, left = int(np.floor(row[ray])), int(np.floor(col[ray]))

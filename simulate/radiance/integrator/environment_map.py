@@ -1,13 +1,16 @@
-"""Environment map of the sky, and the unoccluded irradiance of surfaces by their normal."""
+"""Environment map of the sky, the unoccluded irradiance by normal, and importance sampling; also in compiled loops."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.geometry.embree import INLINED
 from simulate.radiance.integrator.integrator_settings import LIMITS
-from simulate.radiance.integrator.low_discrepancy import fraction
+from simulate.radiance.integrator.sampling import fraction
 
 Array = NDArray[np.floating]
 # Cells of the radiance table, in height and azimuth; step between the normals of the irradiance table.
@@ -16,18 +19,10 @@ HEIGHTS, AROUND, NORMAL_STEP_DEG = 90, 120, 4.0
 
 @dataclass(frozen=True)
 class EnvironmentMap:
-    """Radiance of the sky above the horizon; zero below it.
+    """Radiance of the sky above the horizon; zero below it."""
 
-    Parameters
-    ----------
-    radiance_table
-        Spectral radiance at heights (rows) from horizon to zenith and azimuths (columns) from east by north, both ends
-        of each included, shape (height, azimuth, band), W m-2 sr-1 nm-1.
-    irradiance_table
-        Irradiance of surfaces without obstacles, by the angle of their normal from the zenith (rows) and its azimuth
-        (columns), both ends included, shape (angle, azimuth, band), W m-2 nm-1.
-    """
-
+    # By height from horizon to zenith and azimuth from east by north, both ends of each included, shape (height,
+    # azimuth, band), W m-2 sr-1 nm-1; and without obstacles by the normal's angle from the zenith and azimuth.
     radiance_table: NDArray[np.float32]
     irradiance_table: NDArray[np.float32]
 
@@ -74,10 +69,7 @@ def black(bands: int) -> EnvironmentMap:
 
 
 def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Integrate the interpolated radiance table over the hemisphere of each normal.
-
-    Height is sampled in equal steps of its sine, so that all samples have the same solid angle.
-    """
+    """Integrate the radiance table over the hemisphere of each normal, in equal steps of the sine of the height."""
     bands = table.shape[2]
     if not table.any():
         return np.zeros((2, 2, bands), np.float32)
@@ -93,13 +85,13 @@ def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.concatenate(found).reshape(len(tilt), len(turn), bands)
 
 
-def _normals() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _normals() -> tuple[Array, Array]:
     """Heights and azimuths of the irradiance table."""
     tilts, turns = round(180.0 / NORMAL_STEP_DEG) + 1, round(360.0 / NORMAL_STEP_DEG) + 1
     return 0.5 * np.pi - np.linspace(0.0, np.pi, tilts), np.linspace(0.0, 2.0 * np.pi, turns)
 
 
-def _directions(height: Array, azimuth: Array) -> NDArray[np.float64]:
+def _directions(height: Array, azimuth: Array) -> Array:
     up, turn = np.meshgrid(height, azimuth, indexing="ij")
     flat = np.cos(up)
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sin(up)], axis=-1).reshape(-1, 3)
@@ -129,18 +121,10 @@ def _interpolate(table: NDArray[np.float32], down: Array, across: Array) -> NDAr
 
 @dataclass(frozen=True)
 class SkyImportance:
-    """Sampling probabilities of the cells of the environment map, by their light.
+    """Sampling probabilities of the cells of the environment map, by their light."""
 
-    Parameters
-    ----------
-    cumulated
-        Cumulative probability of the cells, height by height, shape (cell,).
-    per_sr
-        Density in each, sr-1, shape (height, azimuth).
-    """
-
-    cumulated: NDArray[np.float64]
-    per_sr: NDArray[np.float64]
+    cumulated: Array  # height by height, shape (cell,)
+    per_sr: Array  # shape (height, azimuth), sr-1
 
     @classmethod
     def of(cls, environment: EnvironmentMap) -> "SkyImportance | None":
@@ -157,7 +141,7 @@ class SkyImportance:
         chance = light / light.sum()
         return cls(np.cumsum(chance.ravel()), chance / cell_sr)
 
-    def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    def draw(self, count: int, rng: np.random.Generator) -> Array:
         """Draw unit directions, uniform over the solid angle of each cell, shape (count, 3)."""
         heights, around = self.per_sr.shape
         cell = np.minimum(np.searchsorted(self.cumulated, rng.random(count), side="right"), self.per_sr.size - 1)
@@ -168,10 +152,65 @@ class SkyImportance:
         flat = np.sqrt(np.maximum(1.0 - up**2, 0.0))
         return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), up])
 
-    def density(self, direction: Array) -> NDArray[np.float64]:
+    def density(self, direction: Array) -> Array:
         """Return the density of `draw` in unit directions (ray, 3), sr-1, zero below the horizon."""
         heights, around = self.per_sr.shape
         row = np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)) / (0.5 * np.pi) * heights
         col = azimuth_turns(direction) * around
         cell = np.minimum(row.astype(np.int64), heights - 1), np.minimum(col.astype(np.int64), around - 1)
         return np.where(direction[:, 2] >= 0.0, self.per_sr[cell], 0.0)
+
+
+def sky_arrays(environment: EnvironmentMap, bright: SkyImportance | None) -> tuple:
+    """Return tables, whether there is light, probabilities (empty without importance sampling) and sines of heights."""
+    cumulated, per_sr = (np.zeros(0), np.zeros((0, 0))) if bright is None else (bright.cumulated, bright.per_sr)
+    sines = np.sin(np.linspace(0.0, 0.5 * np.pi, len(per_sr) + 1))
+    return environment.radiance_table, environment.irradiance_table, not environment.dark, cumulated, per_sr, sines
+
+
+@numba.njit(**INLINED)
+def sky_light(table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any) -> None:
+    """Add a fraction of the radiance from a unit direction above the horizon, weighted by band."""
+    _add(table, np.arcsin(min(z, 1.0)) / (0.5 * np.pi), x, y, share, weight, found)
+
+
+@numba.njit(**INLINED)
+def sky_irradiance(table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any) -> None:
+    """Add a fraction of the unoccluded sky irradiance of a surface with a unit normal, weighted by band."""
+    _add(table, np.arccos(min(max(z, -1.0), 1.0)) / np.pi, x, y, share, weight, found)
+
+
+@numba.njit(**INLINED)
+def _add(table: Any, down: float, x: float, y: float, share: float, weight: Any, found: Any) -> None:
+    """Add the interpolated value of a table at a fraction of its height and the azimuth of a direction."""
+    rows, columns, bands = table.shape
+    row, col = down * (rows - 1), np.arctan2(y, x) / (2.0 * np.pi)
+    col = (col - np.floor(col)) * (columns - 1)
+    top, left = min(int(row), rows - 2), min(int(col), columns - 2)
+    below, right = row - top, col - left
+    for band in range(bands):
+        upper = table[top, left, band] * (1.0 - right) + table[top, left + 1, band] * right
+        lower = table[top + 1, left, band] * (1.0 - right) + table[top + 1, left + 1, band] * right
+        found[band] += share * weight[band] * (upper * (1.0 - below) + lower * below)
+
+
+@numba.njit(**INLINED)
+def bright_density(per_sr: Any, x: float, y: float, z: float) -> float:
+    """Return the density with which `bright_way` draws a unit direction above the horizon, sr-1; zero without any."""
+    heights, around = per_sr.shape
+    if heights == 0:
+        return 0.0
+    col = np.arctan2(y, x) / (2.0 * np.pi)
+    row = min(int(np.arcsin(min(z, 1.0)) / (0.5 * np.pi) * heights), heights - 1)
+    return per_sr[row, min(int((col - np.floor(col)) * around), around - 1)]
+
+
+@numba.njit(**INLINED)
+def bright_way(cumulated: Any, sines: Any, a: float, b: float, c: float, way: Any) -> None:
+    """Set a direction drawn by the brightness of the sky, from three uniform numbers."""
+    around = len(cumulated) // (len(sines) - 1)
+    cell = min(np.searchsorted(cumulated, a, side="right"), len(cumulated) - 1)
+    row, col = cell // around, cell % around
+    way[2] = sines[row] + b * (sines[row + 1] - sines[row])
+    turn, flat = 2.0 * np.pi * (col + c) / around, np.sqrt(max(1.0 - way[2] ** 2, 0.0))
+    way[0], way[1] = flat * np.cos(turn), flat * np.sin(turn)

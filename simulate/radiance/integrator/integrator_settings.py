@@ -1,10 +1,17 @@
-"""Integrator settings: which light paths are followed, and the threads that follow them."""
+"""Settings of the integrator: light paths, numbers of rays, the sensor whose noise limits errors, and threads."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulate.radiance.cube import band_widths
+
+Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,37 +21,19 @@ class SamplingLimits:
     Values without another source are a trade of time against variance in the scenes of `benchmarks.radiance`.
     """
 
-    # Pilot run of the adaptive sampling: side of a tile, least tiles along the shorter side of a small frame, pilot
-    # pixels of a tile and at its edges, and rays of each.
-    pilot_tile_px: int = 8
-    min_tiles: int = 16
-    pilot_pixels: int = 4
-    pilot_edge_pixels: int = 2
-    pilot_rays: int = 2
-    # Rays of the pilot over those that it allocates, most rounds, and least rays: rare bright rays need many.
-    pilot_fraction: float = 0.1
-    max_pilot_rounds: int = 1024
-    min_pilot_rays: int = 4096
-    # Variance of the mean of n rays at an edge over v n^(-3/2): 1.3 where a straight line crosses a pixel, more where
-    # several edges meet or the pilot missed one; measured in the scenes of `benchmarks.radiance`.
-    edge_variance_factor: float = 2.0
-    # Largest growth of a pixel's rays in a turn, least addition as 1/n of its rays, and steps of their number.
-    max_ray_growth: int = 4
-    min_growth_divisor: int = 8
-    ray_steps_per_doubling: int = 2
+    # Largest growth of the rays of a pixel or cache node in a turn, and half widths over which variances of single
+    # rays and errors are averaged, pixels or nodes.
+    max_growth: int = 8
+    variance_half_width: int = 8
+    error_half_width: int = 2
     # Irradiance cache: pixels between nodes; for fine nodes least ray origins and most rays from each, because the
-    # number of origins limits the accuracy in a penumbra.
+    # number of origins limits the accuracy in a penumbra; candidate half widths of the smoothing window, nodes; most
+    # turns, and rays of a batch.
     cache_step_px: int = 2
     min_ray_origins: int = 4
     max_rays_per_origin: int = 8
-    # Candidate half widths of the smoothing window, and half widths over which its error and single-ray variances are
-    # averaged, nodes.
     smoothing_half_widths: tuple[int, ...] = (0, 1, 2, 4, 8)
-    error_half_width: int = 2
-    variance_half_width: int = 8
-    # Most turns of gather rays, largest growth of a node's rays in a turn, and rays of a batch.
     max_cache_turns: int = 6
-    max_cache_growth: int = 8
     cache_batch_rays: int = 64_000
     # Fraction of the allowed variance for the cache, which costs most; the rest is for the camera rays.
     cache_variance_fraction: float = 0.8
@@ -63,9 +52,8 @@ class SamplingLimits:
     max_sampled_lamps: int = 2
     # Mean square over squared mean of the sky radiance from which it is importance-sampled.
     min_sky_contrast: float = 2.0
-    # Panes along a ray, light beyond is lost; and panes at which a camera ray is split into both continuations.
+    # Panes along a ray, light beyond is lost.
     max_panes: int = 64
-    max_pane_splits: int = 3
     # Visible discs: corners of the polygon, rays for a covered pixel, and for a disc at least and at most.
     disc_corners: int = 128
     disc_rays_per_pixel: int = 64
@@ -81,51 +69,149 @@ class SamplingLimits:
 LIMITS = SamplingLimits()
 
 
-class Named(Protocol):
-    """A light with a name."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        ...
-
-
-Light = TypeVar("Light", bound=Named)
-
-
 @dataclass(frozen=True, kw_only=True)
 class IntegratorSettings:
-    """Which light paths are followed.
+    """Which light paths are followed."""
 
-    Parameters
-    ----------
-    max_bounces
-        Most reflections by other surfaces between a source and the surface that the camera sees. Longer paths are
-        neglected, so that the bias is never positive.
-    sky_shadowing
-        Whether objects occlude the sky; without this and without bounces there is no final gather.
-    path_air
-        Whether air attenuates light between lamps and the surfaces that the camera sees.
-    neglected
-        Names of neglected lamps and discs.
-    roulette_depth
-        First bounce with Russian roulette; None: never.
-    """
-
+    # Most reflections by other surfaces between a source and the surface that the camera sees. Longer paths
+    # are neglected, so that the bias is never positive.
     max_bounces: int = 1
+    # Whether objects occlude the sky; without this and without bounces there is no final gather.
     sky_shadowing: bool = True
-    path_air: bool = True
-    neglected: frozenset[str] = frozenset()
-    roulette_depth: int | None = None
+    path_air: bool = True  # whether air attenuates light between lamps and the surfaces that the camera sees
+    neglected: frozenset[str] = frozenset()  # names of neglected lamps and discs
+    roulette_depth: int | None = None  # first bounce with Russian roulette; None: never
 
     @property
     def gathers(self) -> bool:
         """Whether there is a final gather."""
         return self.sky_shadowing or self.max_bounces > 0
 
-    def active_lights(self, lights: tuple[Light, ...]) -> tuple[Light, ...]:
+    def active_lights(self, lights: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the lights that are not neglected."""
         return tuple(light for light in lights if light.name not in self.neglected)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SamplingSettings:
+    """Number of rays."""
+
+    # Fewest rays of a pixel (at least 2), of a pixel where objects or shadows meet, and most rays of any
+    # pixel.
+    min_rays: int = 2
+    edge: int = 8
+    max_rays: int = 32
+    total_rays: int | None = None  # most rays of all pixels together, apart from the fewest of each; None: no limit
+    gather_rays: int = 2  # final-gather rays of each point that a camera ray hits
+    # First and most gather rays of each node of the irradiance cache; None: no cache, every ray gathers for
+    # itself, which is slower and makes no smoothness assumption.
+    cache_rays: int | None = 8
+    max_cache_rays: int = 512
+    # Whether the cache has one node per pixel instead of one per four, and pixels in which surfaces meet
+    # gather for themselves: for shadows narrower than two pixels, in twice the time. No effect where only sky
+    # shadowing is computed.
+    refine: bool = False
+    # Allowed Monte Carlo variance of a pixel's signal, as a function of the signal: rays are added until the
+    # mean of measured variance over limit is 1 over the rendering. None: each pixel gets its fewest rays.
+    error_limit: Callable[[Array], Array] | None = None
+
+
+def excess_variance(variance: Array, signal: Array, error_limit: Callable[[Array], Array]) -> Array:
+    """Return variances over those allowed; zero where none is, as in the dark, which no number of rays reaches."""
+    limit = error_limit(np.maximum(signal, 0.0))
+    return np.divide(variance, limit, out=np.zeros(limit.shape), where=(variance > 0.0) & (limit > 0.0))
+
+
+def local_mean(values: Array, among: NDArray[np.bool_], half_width: int) -> Array:
+    """Return means of values (row, col) over those `among` in squares around each."""
+    from scipy.ndimage import uniform_filter
+
+    share, total = (
+        uniform_filter(of, 2 * half_width + 1, mode="constant")
+        for of in (among.astype(float), np.where(among, values, 0.0))
+    )
+    return np.divide(total, share, out=np.zeros_like(total), where=share > 1e-9)
+
+
+def additional_rays(
+    excess: Array,
+    sent: NDArray[np.integer],
+    groups: tuple[NDArray[np.bool_], ...],
+    max_rays: int,
+    total: float = np.inf,
+) -> NDArray[np.int64]:
+    """Return the additional rays of pixels or cache nodes by their measured variance, powers of two or zero.
+
+    Parameters
+    ----------
+    excess
+        Variance of each over its limit, shape (row, col).
+    sent, max_rays, total
+        Rays of each so far, shape (row, col), most rays of each and of all.
+    groups
+        Those that are alike, by masks of shape (row, col); others get none.
+
+    Notes
+    -----
+    n proportional to the root of the single-ray variance v brings the mean of v/n to 1 with the fewest rays (Neyman,
+    1934). The estimate of v from few rays is used for at most `LIMITS.max_growth` times as many. The excess of those at
+    the limit of rays is not compensated by others. Each uses at least the mean variance of its group nearby, because
+    its rays may have missed rare bright light.
+    """
+    # Running sums leave small negative values where nothing varies.
+    single, some = np.clip(excess * sent, 0.0, max_rays), np.zeros(sent.shape, bool)
+    for group in groups:
+        near = local_mean(single, group, LIMITS.variance_half_width)
+        single, some = np.where(group, np.maximum(single, near), single), some | group
+    root = np.sqrt(single[some])
+    before = sent[some]
+    if not before.size or (single[some] / before).mean() <= 1.0 or before.sum() >= total:
+        return np.zeros(sent.shape, np.int64)
+    wanted = root * root.mean()
+    wanted *= min(1.0, total / wanted.sum())
+    more = np.minimum(wanted, np.minimum(LIMITS.max_growth * before, max_rays)) - before
+    step = 2 ** np.round(np.log2(np.maximum(more, 1.0))).astype(np.int64)
+    found = np.zeros(sent.shape, np.int64)
+    found[some] = np.where(more >= 0.5 * before, np.where(before + step > max_rays, step // 2, step), 0)
+    return found
+
+
+# Differences are compared with the noise, or with this fraction of the signal where that is larger. At a tolerance of
+# 10 % light is then correct to 1 %, better than lamps and materials are specified.
+KNOWN = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderSensor:
+    """A sensor's response and noise."""
+
+    # Signal of a pixel and exposure for each W m-2 sr-1 of radiance at wavelengths, linear between them and
+    # zero outside, in any unit, such as photoelectrons.
+    response_nm: tuple[float, ...]
+    response: tuple[float, ...]
+    # Variance of a pixel's signal in the dark, in that unit squared, and its growth with the signal.
+    dark_variance: float
+    variance_per_signal: float
+    # Factor by which blur after the pixels reduces the standard deviation of noise that is independent
+    # between pixels.
+    noise_averaging_factor: float = 1.0
+    name: str = "sensor"  # name of the sensor
+
+    def weight(self, wavelength_nm: ArrayLike) -> NDArray[np.float32]:
+        """Return the signal for spectral radiance in the bands of a grid, shape (band,), per W m-2 sr-1 nm-1."""
+        grid = np.asarray(wavelength_nm, float)
+        at = np.interp(grid, self.response_nm, self.response, left=0.0, right=0.0)
+        return (at * band_widths(grid)).astype(np.float32)
+
+    def noise_floor(self, signal: ArrayLike, *, smooth: bool = False) -> Array:
+        """Return the noise of a pixel in one frame, at least `KNOWN` of the signal: what differences are compared with.
+
+        Differences that extend over many pixels (`smooth`) are not reduced by blur, but the noise is; random
+        differences between pixels are reduced like the noise.
+        """
+        bright = np.maximum(np.asarray(signal, float), 0.0)
+        noise = np.sqrt(self.dark_variance + self.variance_per_signal * bright)
+        return np.maximum(noise * (self.noise_averaging_factor if smooth else 1.0), KNOWN * bright)
 
 
 # Applies a function to a list of jobs, and yields the results in their order.

@@ -16,57 +16,37 @@ from numpy.typing import NDArray
 
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.cache_smoothing import Nodes, all_alike
-from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings, Run
-from simulate.radiance.integrator.low_discrepancy import R2, SequenceSlice, fraction, low_discrepancy_points
+from simulate.radiance.integrator.integrator_settings import (
+    LIMITS,
+    IntegratorSettings,
+    Run,
+    additional_rays,
+    excess_variance,
+)
 from simulate.radiance.integrator.outgoing_radiance import lamp_and_disc_radiance, surroundings_radiance
-from simulate.radiance.integrator.shading_points import ShadingPoints
-from simulate.radiance.integrator.spectral_scene import SpectralScene
+from simulate.radiance.integrator.sampling import R2, SequenceSlice, fraction, low_discrepancy_points
+from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
 
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
 class IrradianceCache:
-    """Irradiance of diffuse surfaces in a frame, without lamps and discs.
-
-    Parameters
-    ----------
-    stage
-        The scene.
-    nodes
-        Points at which it is computed.
-    change
-        Irradiance minus that of an unoccluded sky, shape (row, col, band), W m-2 nm-1.
-    variance
-        Estimated squared error of the signal of a white surface, shape (row, col).
-    rays
-        Gather rays of each node, shape (row, col).
-    fine
-        Whether each pixel is a node.
-    """
+    """Irradiance of diffuse surfaces in a frame, without lamps and discs."""
 
     stage: SpectralScene
     nodes: Nodes
-    change: NDArray[np.float32]
-    variance: NDArray[np.float64]
-    rays: NDArray[np.int64]
-    fine: bool = False
+    change: NDArray[np.float32]  # irradiance minus that of an unoccluded sky, shape (row, col, band), W m-2 nm-1
+    variance: Array  # estimated squared error of the signal of a white surface, shape (row, col)
+    rays: NDArray[np.int64]  # gather rays of each node, shape (row, col)
+    fine: bool = False  # whether each pixel is a node
 
     def at(self, points: ShadingPoints, row: Array, col: Array) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Return which points have a cached irradiance, and that irradiance, shape (cached point, band).
 
-        Parameters
-        ----------
-        points
-            Points that rays meet.
-        row, col
-            Image coordinates of those rays, shape (point,), integers at the corners of pixels.
+        Image coordinates of the rays that meet the points, shape (point,), are integers at the corners of pixels.
         """
-        at = (
-            (np.floor(row), np.floor(col))
-            if self.fine
-            else (row / LIMITS.cache_step_px - 0.5, col / LIMITS.cache_step_px - 0.5)
-        )
+        at = [np.floor(axis) if self.fine else axis / LIMITS.cache_step_px - 0.5 for axis in (row, col)]
         light, has = self.nodes.between(self.change, *at, points.place_m, points.normal)
         shares = np.flatnonzero(has & points.is_diffuse)
         light = light[shares]
@@ -114,7 +94,7 @@ def build_irradiance_cache(
     white = seen.points.on_white_surface()
     places = _Places(stage, view, seen, white, fine)
     grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal, white.face)
-    budget = None if error_limit is None else _Budget.of(stage, seen.points, effort, error_limit, weight)
+    direct, reflected = _known_signal(stage, seen.points, effort, weight)
     light = np.zeros((2, len(white), stage.bands), np.float32)
     sent, half, turn = np.zeros(len(white), np.int64), np.full(len(white), max(rays // 2, 1)), 0
     while True:
@@ -129,16 +109,28 @@ def build_irradiance_cache(
         signals = np.stack([grid.spread(part @ weight) for part in light], axis=2).astype(np.float64)
         width, variance, smooth = _windows(grid, signals, run)
         turn += 1
-        if budget is None or turn == LIMITS.max_cache_turns:
+        if error_limit is None or turn == LIMITS.max_cache_turns or not len(white):
             break
-        excess = budget.excess(smooth[seen.row, seen.col], variance[seen.row, seen.col])
-        half = _further(grid, excess, sent, max_rays // 2)
+        signal = direct + reflected * smooth[seen.row, seen.col]
+        excess = excess_variance(reflected**2 * variance[seen.row, seen.col], signal, error_limit)
+        grids = grid.spread(excess), np.maximum(grid.spread(sent), 1)
+        half = additional_rays(*grids, (grid.there,), max_rays // 2)[seen.row, seen.col]
         if not half.any():
             break
     change = _smooth(grid, grid.spread(light.mean(axis=0)), width, run)
     return IrradianceCache(
         stage=stage, nodes=grid, change=change, variance=variance, rays=grid.spread(2 * sent), fine=fine
     )
+
+
+def _known_signal(
+    stage: SpectralScene, points: ShadingPoints, effort: IntegratorSettings, weight: Array
+) -> tuple[Array, Array]:
+    """Return the signal of nodes by direct light and open sky, and their mean reflectance over the sensor's weights."""
+    reflected = stage.bsdfs.diffuse_brdf(points) @ weight / max(float(weight.sum()), 1e-30)
+    sky = stage.lighting.environment_map
+    signal = lamp_and_disc_radiance(stage, points, effort, np.random.default_rng(0)).total() @ weight
+    return (signal if sky.dark else signal + reflected * (sky.irradiance(points.normal) @ weight)), reflected
 
 
 @dataclass(frozen=True)
@@ -200,71 +192,6 @@ class _Places:
         return middle
 
 
-@dataclass(frozen=True)
-class _Budget:
-    """Error limit of the nodes' signal, from their reflectance and direct light."""
-
-    error_limit: Callable[[Array], Array]
-    reflected: Array
-    besides: Array
-
-    @classmethod
-    def of(
-        cls,
-        stage: SpectralScene,
-        points: ShadingPoints,
-        effort: IntegratorSettings,
-        error_limit: Callable[[Array], Array],
-        weight: Array,
-    ) -> "_Budget":
-        # Mean reflectance over the sensor's weights, in which the cache's errors are stated.
-        reflected = stage.bsdfs.diffuse_brdf(points) @ weight / max(float(weight.sum()), 1e-30)
-        sky = (
-            0.0
-            if stage.lighting.environment_map.dark
-            else stage.lighting.environment_map.irradiance(points.normal) @ weight
-        )
-        direct = lamp_and_disc_radiance(stage, points, effort, np.random.default_rng(0)).total() @ weight
-        return cls(error_limit, reflected, direct + reflected * sky)
-
-    def excess(self, change: Array, variance: Array) -> Array:
-        """Return the variances of nodes over their limit, given the signal of their irradiance change."""
-        signal = np.maximum(self.besides + self.reflected * change, 0.0)
-        spread, limit = self.reflected**2 * variance, self.error_limit(signal)
-        # Where the limit is zero, as in the dark, no number of rays reaches it: none are requested.
-        return np.divide(spread, limit, out=np.zeros_like(spread), where=limit > 0.0)
-
-
-def _further(grid: Nodes, excess: Array, sent: NDArray[np.int64], max_rays: int) -> NDArray[np.int64]:
-    """Return the additional rays of each node, a power of two or zero.
-
-    Parameters
-    ----------
-    grid
-        The nodes.
-    excess
-        Variance of each node over its limit, shape (node,).
-    sent, max_rays
-        Rays of each node so far, shape (node,), and most rays.
-
-    Notes
-    -----
-    n proportional to the root of the single-ray variance v brings the mean of v/n to 1 with the fewest rays (Neyman,
-    1934). The estimate of v from few rays is used for at most `LIMITS.max_cache_growth` times as many. The excess of
-    nodes at the limit of rays is not compensated by other nodes. A node uses at least the mean variance of its
-    neighbourhood, because its rays may have missed rare bright light.
-    """
-    # Running sums leave small negative values where nothing varies.
-    single = np.clip(excess * sent, 0.0, max_rays)
-    single = np.maximum(single, grid.near(grid.spread(single), LIMITS.variance_half_width)[grid.row, grid.col])
-    if not sent.size or (single / sent).mean() <= 1.0:
-        return np.zeros_like(sent)
-    wanted = np.minimum(np.sqrt(single) * np.sqrt(single).mean(), np.minimum(LIMITS.max_cache_growth * sent, max_rays))
-    more = wanted - sent
-    step = 2 ** np.round(np.log2(np.maximum(more, 1.0))).astype(np.int64)
-    return np.where(more >= 0.5 * sent, np.where(sent + step > max_rays, step // 2, step), 0)
-
-
 def _gather(
     stage: SpectralScene,
     start_from: _Places,
@@ -281,7 +208,7 @@ def _gather(
         part = np.arange(start, min(start + count, len(nodes)))
         rng = np.random.default_rng([*seed, start])
         here, shared = start_from.of(nodes[part], places, rng), even.some(part).divide(places)
-        light = surroundings_radiance(stage, here, effort, rng, rays=shared.rays, even=shared).total()
+        light = surroundings_radiance(stage, here, effort, rng, shared).total()
         light *= np.float32(np.pi)
         if not sky.dark:
             light -= sky.irradiance(here.normal)
@@ -305,9 +232,7 @@ def _smooth(grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], 
     return evened
 
 
-def _windows(
-    grid: Nodes, signals: NDArray[np.float64], run: Run
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def _windows(grid: Nodes, signals: Array, run: Run) -> tuple[NDArray[np.int64], Array, Array]:
     """Choose each node's window by cross-validation of the two halves; return it, its squared error and the fit.
 
     Notes

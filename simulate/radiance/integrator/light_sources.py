@@ -1,113 +1,77 @@
-"""Light sources on the bands of a rendering: sky, lamps, discs of sun and moon, and emitting surfaces."""
+"""Light sources on the bands of a rendering: sky, lamps, discs of sun and moon, and emitting surfaces.
+
+Each is an object, and for compiled loops a tuple of arrays.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.geometry.embree import COMPILED, INLINED
 from simulate.radiance.geometry.ray_tracer import normals
 from simulate.radiance.geometry.surfaces import Surfaces
 from simulate.radiance.integrator.environment_map import EnvironmentMap, SkyImportance
-from simulate.radiance.lamps.distribution import Distribution
+from simulate.radiance.integrator.sampling import in_disc, set_direction, shading_frames
+from simulate.radiance.lamps.distribution import POWER, Distribution
 
 Array = NDArray[np.floating]
-
-
-@dataclass(frozen=True)
-class LampPattern:
-    """Intensity distribution of a lamp in the scene.
-
-    Parameters
-    ----------
-    distribution
-        Fraction of its light per solid angle, in the lamp's frame.
-    frame
-        Axes of that frame in scene coordinates, as rows, shape (3, 3).
-    """
-
-    distribution: Distribution
-    frame: NDArray[np.float64]
-
-    def __call__(self, direction: Array) -> Array:
-        """Return the fraction per sr in unit directions (ray, 3) away from the lamp, shape (ray,)."""
-        return self.distribution.per_sr(direction @ self.frame.T)
+# Shadow rays end before their source, at this fraction of the distance.
+SHORT = 1.0 - 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampLight:
-    """A small spherical lamp with an intensity distribution.
-
-    Parameters
-    ----------
-    name
-        Its name.
-    position_m
-        Its centre, shape (3,), m.
-    radius_m
-        Radius of the sphere, m; it sets the width of penumbrae.
-    spectrum
-        Radiant flux, shape (band,), W nm-1.
-    pattern
-        Its intensity distribution.
-    """
+    """A small spherical lamp with an intensity distribution."""
 
     name: str
-    position_m: NDArray[np.float64]
-    radius_m: float
-    spectrum: NDArray[np.float32]
-    pattern: LampPattern
+    position_m: Array  # of its centre
+    radius_m: float  # it sets the width of penumbrae
+    spectrum: NDArray[np.float32]  # radiant flux, shape (band,), W nm-1
+    distribution: Distribution
+    frame: Array  # axes of the distribution in scene coordinates, as rows, shape (3, 3)
+
+    def per_sr(self, direction: Array) -> Array:
+        """Return the fraction of its light per sr in unit directions (ray, 3) away from it, shape (ray,)."""
+        return self.distribution.per_sr(direction @ self.frame.T)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DiscLight:
-    """Sun or moon.
-
-    Parameters
-    ----------
-    name
-        "sun" or "moon".
-    direction
-        Unit direction to its centre, shape (3,).
-    angular_radius_rad
-        Radius, rad.
-    irradiance
-        Irradiance at normal incidence, shape (band,), W m-2 nm-1.
-    """
+    """Sun or moon."""
 
     name: str
-    direction: NDArray[np.float64]
+    direction: Array  # unit vector to its centre
     angular_radius_rad: float
-    irradiance: NDArray[np.float32]
+    irradiance: NDArray[np.float32]  # at normal incidence, shape (band,), W m-2 nm-1
 
 
 @dataclass(frozen=True)
 class Panels:
-    """Emitting triangles, Lambertian on their outer side.
+    """Emitting triangles, Lambertian on their outer side."""
 
-    Parameters
-    ----------
-    face
-        Numbers of the triangles, shape (panel,).
-    corners_m, normal
-        Their corners, shape (panel, 3, 3), m, and unit normals, shape (panel, 3).
-    spectra
-        Radiance of each kind of emitter, shape (kind, band), W m-2 sr-1 nm-1.
-    kind_of_face
-        Kind of emitter of each triangle of the scene, -1 for none, shape (face,).
-    per_m2_of_face
-        Sampling density on each triangle of the scene, shape (face,), m-2.
-    cumulated
-        Cumulative probability of the panels, shape (panel,).
-    """
+    face: NDArray[np.int64]  # numbers of the triangles, shape (panel,)
+    corners_m: Array  # shape (panel, 3, 3)
+    normal: Array  # shape (panel, 3)
+    spectra: NDArray[np.float32]  # radiance of each kind of emitter, shape (kind, band), W m-2 sr-1 nm-1
+    kind_of_face: NDArray[np.int64]  # of each triangle of the scene, -1 for none
+    per_m2_of_face: Array  # sampling density on each triangle of the scene
+    cumulated: Array  # cumulative probability of the panels, shape (panel,)
 
-    face: NDArray[np.int64]
-    corners_m: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    spectra: NDArray[np.float32]
-    kind_of_face: NDArray[np.int64]
-    per_m2_of_face: NDArray[np.float64]
-    cumulated: NDArray[np.float64]
+    @classmethod
+    def of(cls, surfaces: Surfaces, kind_of_face: NDArray[np.int64], spectra: NDArray[np.float32]) -> "Panels | None":
+        """Return the emitting triangles of surfaces, or None without any."""
+        face = np.flatnonzero(kind_of_face >= 0)
+        power = surfaces.area_m2[face] * spectra.sum(axis=1)[kind_of_face[face]] if len(face) else np.zeros(0)
+        if not power.sum() > 0.0:
+            return None
+        chance = power / power.sum()
+        per_m2, area, corners = np.zeros(len(kind_of_face)), surfaces.area_m2[face], surfaces.mesh.corners_m[face]
+        per_m2[face] = np.divide(chance, area, out=np.zeros_like(area), where=area > 0.0)
+        return cls(face, corners, normals(corners), spectra, kind_of_face, per_m2, np.cumsum(chance))
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
         """Draw panels by power and a uniform point on each: indices (count,) and positions (count, 3), m."""
@@ -119,17 +83,7 @@ class Panels:
 
 @dataclass(frozen=True, kw_only=True)
 class Lighting:
-    """All light sources of a scene.
-
-    Parameters
-    ----------
-    environment_map
-        The sky without discs.
-    lamps, discs
-        Lamps; sun and moon.
-    panels
-        Emitting surfaces, or None.
-    """
+    """All light sources of a scene: the sky without discs, lamps, sun and moon, and emitting surfaces."""
 
     environment_map: EnvironmentMap
     lamps: tuple[LampLight, ...] = ()
@@ -147,25 +101,95 @@ class Lighting:
         return tuple(light.name for light in (*self.discs, *self.lamps))
 
 
-def panels_of(surfaces: Surfaces, kind_of_face: NDArray[np.int64], spectra: NDArray[np.float32]) -> Panels | None:
-    """Return the emitting triangles of surfaces, or None without any.
+def disc_arrays(discs: tuple[DiscLight, ...], bands: int) -> tuple[NDArray, NDArray, NDArray]:
+    """Return axes with z towards the centre (disc, 3, 3), cosines of radii (disc,) and irradiances (disc, band)."""
+    axes = np.array([shading_frames(disc.direction[None])[0] for disc in discs]).reshape(-1, 3, 3)
+    least = np.array([np.cos(disc.angular_radius_rad) for disc in discs])
+    return axes, least, np.array([disc.irradiance for disc in discs], np.float32).reshape(-1, bands)
 
-    Parameters
-    ----------
-    surfaces
-        All surfaces.
-    kind_of_face
-        Kind of emitter of each triangle, -1 for none, shape (face,).
-    spectra
-        Radiance of each kind, shape (kind, band), W m-2 sr-1 nm-1.
-    """
-    face = np.flatnonzero(kind_of_face >= 0)
-    power = surfaces.area_m2[face] * spectra.sum(axis=1)[kind_of_face[face]] if len(face) else np.zeros(0)
-    if not power.sum() > 0.0:
-        return None
-    chance = power / power.sum()
-    per_m2 = np.zeros(len(kind_of_face))
-    area = surfaces.area_m2[face]
-    per_m2[face] = np.divide(chance, area, out=np.zeros_like(area), where=area > 0.0)
-    corners = surfaces.mesh.corners_m[face]
-    return Panels(face, corners, normals(corners), spectra, kind_of_face, per_m2, np.cumsum(chance))
+
+def lamp_arrays(lamps: tuple[LampLight, ...], bands: int) -> tuple:
+    """Return positions, radii, spectra and their sums, and the distributions' axes and concatenated tables."""
+    tables = [lamp.distribution.encoded() for lamp in lamps]
+    ends = np.cumsum([0, *(len(table) for table in tables)])
+    return (
+        np.array([lamp.position_m for lamp in lamps], float).reshape(-1, 3),
+        np.array([lamp.radius_m for lamp in lamps], float),
+        np.array([lamp.spectrum for lamp in lamps], np.float32).reshape(-1, bands),
+        np.array([float(lamp.spectrum.sum()) for lamp in lamps]),
+        np.array([lamp.frame for lamp in lamps], float).reshape(-1, 3, 3),
+        ends,
+        np.concatenate([*tables, np.zeros(0)]),
+    )
+
+
+def panel_arrays(panels: Panels | None, bands: int) -> tuple:
+    """Return the arrays of emitting triangles, see `Panels`; empty ones without any."""
+    if panels is None:
+        none, no_face = np.zeros(0), np.zeros(0, np.int64)
+        return none, no_face, np.zeros((0, 3, 3)), np.zeros((0, 3)), none, no_face, np.zeros((0, bands), np.float32)
+    drawn = (panels.cumulated, panels.face, panels.corners_m, panels.normal)
+    return (*drawn, panels.per_m2_of_face, panels.kind_of_face, panels.spectra)
+
+
+@numba.njit(**COMPILED)
+def _cell(values: Any, value: float) -> Any:
+    """Return the interval of ascending values that contains a value, and the relative position in it."""
+    at = min(max(np.searchsorted(values, value, side="right") - 1, 0), len(values) - 2)
+    return at, (value - values[at]) / (values[at + 1] - values[at])
+
+
+@numba.njit(**INLINED)
+def lamp_pattern(pattern: Any, axes: Any, x: float, y: float, z: float) -> float:
+    """Return the fraction of a lamp's light per sr in a unit direction away from it."""
+    up = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    if pattern[0] == POWER:
+        return pattern[1] * max(up, 0.0) ** pattern[2] if pattern[2] > 0.0 else pattern[1]
+    first = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+    second = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+    polar = np.rad2deg(np.arccos(min(max(up, -1.0), 1.0)))
+    azimuth = np.rad2deg(np.arctan2(second, first)) % 360.0
+    heights, around = int(pattern[2]), int(pattern[3])
+    polars, azimuths = pattern[4 : 4 + heights], pattern[4 + heights : 4 + heights + around]
+    candela = pattern[4 + heights + around :]
+    if polar < polars[0] or polar > polars[-1]:
+        return 0.0
+    last = azimuths[-1]
+    if last <= 180.0 and azimuth > 180.0:
+        azimuth = 360.0 - azimuth
+    if last <= 90.0 and azimuth > 90.0:
+        azimuth = 180.0 - azimuth
+    col, along = _cell(polars, polar)
+    row, across = (0, 0.0) if around == 1 else _cell(azimuths, azimuth)
+    following = min(row + 1, around - 1)
+    near = candela[row * heights + col] * (1.0 - along) + candela[row * heights + col + 1] * along
+    far = candela[following * heights + col] * (1.0 - along) + candela[following * heights + col + 1] * along
+    return pattern[1] * (near * (1.0 - across) + far * across)
+
+
+@numba.njit(**INLINED)
+def lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
+    """Return the unoccluded irradiance of a lamp over its spectrum, as `direct_lighting.lamp_factor`."""
+    position, _, _, _, axes, ends, tables = lamps
+    x, y, z = (position[lamp, 0] - place[0], position[lamp, 1] - place[1], position[lamp, 2] - place[2])
+    square = x * x + y * y + z * z
+    distance = np.sqrt(square)
+    cosine = (x * normal[0] + y * normal[1] + z * normal[2]) / distance
+    if not cosine > 0.0:
+        return 0.0
+    pattern = tables[ends[lamp] : ends[lamp + 1]]
+    return cosine * lamp_pattern(pattern, axes[lamp], -x / distance, -y / distance, -z / distance) / square
+
+
+@numba.njit(**INLINED)
+def towards_lamp(lamps: Any, lamp: int, place: Any, state: Any, way: Any) -> None:
+    """Set the vector from a point to one drawn on a lamp."""
+    position, radius, square = lamps[0][lamp], lamps[1][lamp], 0.0
+    for axis in range(3):
+        way[axis] = position[axis] - place[axis]
+        square += way[axis] ** 2
+    distance = np.sqrt(square)
+    middle = (way[0] / distance, way[1] / distance, way[2] / distance)
+    square, along, across = in_disc(state)
+    off = radius * np.sqrt(square)
+    set_direction(middle, off * along, off * across, distance, way)

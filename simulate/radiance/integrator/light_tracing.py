@@ -19,16 +19,16 @@ from simulate.radiance.geometry.embree import (
     ROW,
     intersect,
     is_ray_occluded,
-    plane_of,
+    meet_plane,
     set_ray,
     trace_occlusion,
     triangle_of,
 )
 from simulate.radiance.geometry.ray_tracer import NOTHING, RayTracer
-from simulate.radiance.integrator.compiled_light_sources import SHORT, lamp_factor, towards_lamp
-from simulate.radiance.integrator.light_sources import LampLight
-from simulate.radiance.integrator.path_states import set_ray_start, uniform
-from simulate.radiance.integrator.shading_points import shading_frames
+from simulate.radiance.integrator.light_sources import SHORT, LampLight, lamp_factor, towards_lamp
+from simulate.radiance.integrator.sampling import cosine_lobe, set_ray_start, shading_frames, uniform
+
+Array = NDArray[np.floating]
 
 # Rings of equal light about a lamp's axis, from which directions are drawn; samples in both angles that define them.
 RINGS, ANGLES, AROUND = 64, 2000, 24
@@ -41,18 +41,10 @@ LEAST = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class LightTracingSettings:
-    """Sampling of lamp directions by intensity.
+    """Sampling of lamp directions by intensity."""
 
-    Parameters
-    ----------
-    worth
-        Whether each lamp is light-traced, shape (lamp,).
-    falls
-        1 less the cosines between rings about the lamps' axes, ascending, shape (lamp, ring + 1).
-    """
-
-    worth: NDArray[np.bool_]
-    falls: NDArray[np.float64]
+    worth: NDArray[np.bool_]  # whether each lamp is light-traced
+    falls: Array  # 1 less the cosines between rings about the lamps' axes, shape (lamp, ring + 1)
 
     @classmethod
     def of(cls, lamps: tuple[LampLight, ...], tracer: RayTracer) -> "LightTracingSettings":
@@ -69,13 +61,13 @@ class LightTracingSettings:
         return chance, np.cumsum(chance), self.falls[some]
 
 
-def _rings(lamp: LampLight) -> NDArray[np.float64]:
+def _rings(lamp: LampLight) -> Array:
     """Return 1 minus the cosines of the limits of rings of equal light about a lamp's axis, shape (ring + 1,)."""
     polar = np.pi * np.linspace(0.0, 1.0, ANGLES) ** 2
     turn = 2.0 * np.pi * (np.arange(AROUND) + 0.5) / AROUND
     sine = np.sin(polar)[:, None]
     way = np.stack(np.broadcast_arrays(sine * np.cos(turn), sine * np.sin(turn), np.cos(polar)[:, None]), axis=-1)
-    density = lamp.pattern.distribution.per_sr(way.reshape(-1, 3)).reshape(ANGLES, AROUND).mean(axis=1) * sine[:, 0]
+    density = lamp.distribution.per_sr(way.reshape(-1, 3)).reshape(ANGLES, AROUND).mean(axis=1) * sine[:, 0]
     so_far = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(polar))])
     # A uniform part of 1e-6 keeps rings distinct where a table is dark.
     so_far += 1e-6 * so_far[-1] * polar / np.pi
@@ -83,7 +75,7 @@ def _rings(lamp: LampLight) -> NDArray[np.float64]:
     return 2.0 * np.sin(0.5 * edge) ** 2
 
 
-def _worth(lamp: LampLight, falls: NDArray[np.float64], tracer: RayTracer) -> bool:
+def _worth(lamp: LampLight, falls: Array, tracer: RayTracer) -> bool:
     """Return whether light tracing samples a lamp's light by one reflection much better than gather rays.
 
     Notes
@@ -96,14 +88,13 @@ def _worth(lamp: LampLight, falls: NDArray[np.float64], tracer: RayTracer) -> bo
     ring, along, turn = rng.integers(RINGS, size=TRIED), rng.random(TRIED), 2.0 * np.pi * rng.random(TRIED)
     fall, per_sr = falls[ring] + along * np.diff(falls)[ring], 1.0 / (2.0 * np.pi * RINGS * np.diff(falls)[ring])
     flat = np.sqrt(fall * (2.0 - fall))
-    way = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), 1.0 - fall]) @ lamp.pattern.frame
+    way = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), 1.0 - fall]) @ lamp.frame
     first = tracer.hits(np.broadcast_to(lamp.position_m, way.shape), way)
     met = np.flatnonzero(first.face != NOTHING)
     way, face, range_m, per_sr = way[met], first.face[met], first.range_m[met], per_sr[met]
     place, (normal, leaving) = lamp.position_m + range_m[:, None] * way, tracer.facing(face, way)
     by_light = per_sr * leaving / range_m**2
-    square, turn = rng.random(len(met)), 2.0 * np.pi * rng.random(len(met))
-    local = np.column_stack([np.sqrt(square) * np.cos(turn), np.sqrt(square) * np.sin(turn), np.sqrt(1.0 - square)])
+    local = cosine_lobe(rng.random((len(met), 2)))
     onwards = np.einsum("ri,rij->rj", local, shading_frames(normal))
     then = tracer.hits(tracer.above(face, place, normal), onwards)
     back = np.flatnonzero(then.face != NOTHING)
@@ -113,7 +104,7 @@ def _worth(lamp: LampLight, falls: NDArray[np.float64], tracer: RayTracer) -> bo
     with np.errstate(divide="ignore"):
         by_ray = local[back, 2] * arriving / (np.pi * then.range_m[back] ** 2)
     share = by_light[back] / (by_light[back] + by_ray)
-    bright = lamp.pattern(way[back]) * leaving[back] / range_m[back] ** 2
+    bright = lamp.per_sr(way[back]) * leaving[back] / range_m[back] ** 2
     return bool(share.mean() >= SHARE or bright.sum() >= GAIN * (bright * (1.0 - share)).sum())
 
 
@@ -187,8 +178,11 @@ def add_light_traced_paths(
         # The vertex keeps its normal, from which the path continues; the array of shadow rays is used for the new
         # normal.
         up = lanes.target_direction[lane]
-        corner, normal = plane_of(planes, face)
-        _land(corner, normal, position[lanes.chosen[lane]], there[lane], up)
+        origin = position[lanes.chosen[lane]]
+        length, slope, normal = meet_plane(planes, face, origin, there[lane])
+        for axis in range(3):
+            there[lane, axis] = origin[axis] + length * there[lane, axis]
+            up[axis] = -normal[axis] if slope > 0.0 else normal[axis]
         lanes.face[lane], lanes.factor[lane] = face, _path_irradiance(lamps, beams, lanes, lane, up)
         if lanes.factor[lane] > 0.0:
             set_ray_start(clearance, centre, face, there[lane], up, there[lane])
@@ -215,20 +209,6 @@ def add_light_traced_paths(
             for band in range(found.shape[1]):
                 light = lanes.factor[lane] * spectrum[chosen, band] * rho_by_pi[material, band]
                 found[owner, band] += lanes.throughput[lane, band] * light
-
-
-@numba.njit(**INLINED)
-def _land(corner: Any, normal: Any, origin: Any, there: Any, up: Any) -> None:
-    """Move a ray to a triangle's plane, and set the normal on the side of its origin."""
-    height, slope = 0.0, 0.0
-    for axis in range(3):
-        height += (corner[axis] - origin[axis]) * normal[axis]
-        slope += there[axis] * normal[axis]
-    length = height / slope
-    length = max(length, 0.0) if np.isfinite(length) else 0.0
-    for axis in range(3):
-        there[axis] = origin[axis] + length * there[axis]
-        up[axis] = -normal[axis] if slope > 0.0 else normal[axis]
 
 
 @numba.njit(**INLINED)

@@ -1,22 +1,108 @@
-"""Outgoing radiance of surfaces and radiance along camera rays: direct light, sky, final gather, panes and air."""
+"""Outgoing radiance of surfaces and radiance along camera rays: direct light, sky, final gather, panes and air.
 
-from collections.abc import Callable, Iterator
+The unoccluded sky irradiance is a control variate. A gather ray that meets nothing adds nothing, so that a point in the
+open has no noise; a ray that meets an object adds the object's radiance and subtracts the sky behind it. Where little
+of the sky is visible the fraction of the control variate is low, see `ShadingPoints`.
+
+Diffuse points gather by the compiled path tracer. Batches of NumPy gather at glossy points and behind panes, and where
+light is requested by source and bounce.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.integrator import direct_lighting
-from simulate.radiance.integrator.final_gather import add_by_batches, add_by_paths
+from simulate.radiance.integrator.direct_lighting import LightSamples
 from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings
-from simulate.radiance.integrator.low_discrepancy import SequenceSlice
-from simulate.radiance.integrator.panes import Met, Panes, choose_mirror_rays, reflect_direction
-from simulate.radiance.integrator.shading_points import ShadingPoints
-from simulate.radiance.integrator.shading_request import RadianceComponents, ShadingRequest
-from simulate.radiance.integrator.spectral_scene import SpectralScene
+from simulate.radiance.integrator.panes import Segments, trace_segments
+from simulate.radiance.integrator.path_tracer import LEAST_CHANCE, MOST_CHANCE, follow_paths
+from simulate.radiance.integrator.sampling import SequenceSlice
+from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
 
+Array = NDArray[np.floating]
+Rows = NDArray[np.int64]
+Light = NDArray[np.float32]
 # Points with a cached irradiance (without lamps and discs), and that irradiance, shape (cached point, band).
-Shared = tuple[NDArray[np.int64], NDArray[np.float32]]
+Shared = tuple[Rows, Light]
+# Cached irradiance of points, by the numbers of the rays that met them.
+Sharing = Callable[[ShadingPoints, Rows], Shared]
+
+
+class RadianceComponents:
+    """Radiance (point, band) in components by name, or their sum if not split."""
+
+    def __init__(self, shape: tuple[int, int], *, split: bool = False) -> None:
+        self.shape, self.split = shape, split
+        self.found: dict[str, Light] = {}
+
+    def add(self, name: str, which: Rows, light: Light) -> None:
+        """Add light to a component at some points, each named once."""
+        if len(which):
+            found = self.found.setdefault(name if self.split else "", np.zeros(self.shape, np.float32))
+            found[slice(None) if len(which) == self.shape[0] else which] += light
+
+    def total(self) -> Light:
+        """Return the sum of all components."""
+        return sum(self.found.values(), start=np.zeros(self.shape, np.float32))
+
+
+def bounce_order(name: str) -> tuple[int, str]:
+    """Return the number of reflections of a component of `outgoing_radiance`, and its source."""
+    if not name.startswith("bounce "):
+        return 0, name
+    order, source = name.removeprefix("bounce ").split(" of ", 1)
+    return int(order), source
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShadingRequest:
+    """Points whose outgoing radiance is requested."""
+
+    points: ShadingPoints
+    parts: RadianceComponents  # that the light is added to
+    rows: Rows  # row of each point there
+    effort: IntegratorSettings
+    rng: np.random.Generator
+    rays: int  # gather rays of each point
+    depth: int = 0  # bounces between the points and the surface that the camera sees
+    even: SequenceSlice | None = None  # pairs from which directions of gather rays follow; None: drawn
+
+    @property
+    def reflections(self) -> bool:
+        """Whether indirect light (at least one reflection before the points) is included."""
+        return self.depth < self.effort.max_bounces
+
+    @property
+    def slices(self) -> SequenceSlice:
+        """The pairs of the gather rays, drawn where none are given."""
+        return SequenceSlice.random(len(self.points), self.rays, self.rng) if self.even is None else self.even
+
+    @cached_property
+    def control(self) -> Light:
+        """Control-variate fraction of the sky: 0 where not diffuse, 1 where sky shadowing is off."""
+        diffuse = self.points.is_diffuse.astype(np.float32)
+        return self.points.sky_control_fraction * diffuse if self.effort.sky_shadowing else diffuse
+
+    def some(self, which: Rows) -> "ShadingRequest":
+        """Return the request for some of the points."""
+        even = None if self.even is None else self.even.some(which)
+        return replace(self, points=self.points.some(which), rows=self.rows[which], even=even)
+
+    def add(self, name: str, which: Rows, light: Light) -> None:
+        """Add light to a component at some of the points, each named once."""
+        self.parts.add(name, self.rows[which], light)
+
+    def add_rays(self, name: str, which: Rows, light: Light) -> None:
+        """Add light of some gather rays to a component; the rays of a point are consecutive."""
+        if len(which):
+            owner = which // self.rays
+            first = np.flatnonzero(np.diff(owner, prepend=-1))
+            self.parts.add(name, self.rows[owner[first]], np.add.reduceat(light, first, axis=0))
 
 
 def outgoing_radiance(
@@ -26,7 +112,7 @@ def outgoing_radiance(
     rng: np.random.Generator,
     *,
     rays: int,
-    into: tuple[RadianceComponents, NDArray[np.int64]] | None = None,
+    into: tuple[RadianceComponents, Rows] | None = None,
     split: bool = False,
     depth: int = 0,
     shared: Shared | None = None,
@@ -35,14 +121,8 @@ def outgoing_radiance(
 
     Parameters
     ----------
-    stage
-        The scene.
-    points
-        Where.
-    effort
-        How far light is followed.
-    rng
-        Source of chance.
+    stage, points, effort, rng
+        The scene, where, how far light is followed, and the random generator.
     rays
         Gather rays of each point.
     into
@@ -56,8 +136,7 @@ def outgoing_radiance(
     shared
         Points with a cached irradiance, which do not gather: their component is "shared".
     """
-    parts, rows = into or _new(stage, points, split)
-    asked = ShadingRequest(points=points, parts=parts, rows=rows, effort=effort, rng=rng, rays=rays, depth=depth)
+    asked = _request(stage, points, effort, rng, rays, into=into, split=split, depth=depth)
     _add_direct(stage, asked)
     if shared is not None:
         sharing, irradiance = shared
@@ -65,16 +144,16 @@ def outgoing_radiance(
         asked = asked.some(np.setdiff1d(np.arange(len(points)), sharing, assume_unique=True))
     if len(asked.points):
         _add_around(stage, asked)
-    return parts
+    return asked.parts
 
 
 def lamp_and_disc_radiance(
     stage: SpectralScene, points: ShadingPoints, effort: IntegratorSettings, rng: np.random.Generator
 ) -> RadianceComponents:
     """Return the outgoing radiance by lamps and discs alone, as `outgoing_radiance`."""
-    parts, rows = _new(stage, points)
-    _add_direct(stage, ShadingRequest(points=points, parts=parts, rows=rows, effort=effort, rng=rng, rays=0))
-    return parts
+    asked = _request(stage, points, effort, rng, 0)
+    _add_direct(stage, asked)
+    return asked.parts
 
 
 def surroundings_radiance(
@@ -82,48 +161,41 @@ def surroundings_radiance(
     points: ShadingPoints,
     effort: IntegratorSettings,
     rng: np.random.Generator,
-    *,
-    rays: int,
-    even: SequenceSlice | None = None,
+    even: SequenceSlice,
 ) -> RadianceComponents:
-    """Return the outgoing radiance by all light but lamps and discs, as `outgoing_radiance`.
+    """Return the outgoing radiance by all light but lamps and discs, as `outgoing_radiance`, by rays of given pairs."""
+    asked = _request(stage, points, effort, rng, even.rays, even=even)
+    _add_around(stage, asked)
+    return asked.parts
 
-    Parameters
-    ----------
-    stage, points, effort, rng, rays
-        As of `outgoing_radiance`.
-    even
-        Two quasi-random numbers for each ray, from which directions follow; None: drawn.
-    """
-    parts, rows = _new(stage, points)
-    _add_around(
-        stage, ShadingRequest(points=points, parts=parts, rows=rows, effort=effort, rng=rng, rays=rays, even=even)
+
+def _request(stage, points, effort, rng, rays, *, into=None, split=False, depth=0, even=None) -> ShadingRequest:
+    """Return a request, with new components where none are given."""
+    parts, rows = into or (RadianceComponents((len(points), stage.bands), split=split), np.arange(len(points)))
+    return ShadingRequest(
+        points=points, parts=parts, rows=rows, effort=effort, rng=rng, rays=rays, depth=depth, even=even
     )
-    return parts
-
-
-def _new(
-    stage: SpectralScene, points: ShadingPoints, split: bool = False
-) -> tuple[RadianceComponents, NDArray[np.int64]]:
-    return RadianceComponents((len(points), stage.bands), split=split), np.arange(len(points))
 
 
 def _add_direct(stage: SpectralScene, asked: ShadingRequest) -> None:
     """Add light of lamps and discs."""
-    points, rng, reflect = asked.points, asked.rng, (stage.bsdfs, stage.surfaces.tracer)
-    through = _between(stage, asked)
+    points, rng, through = asked.points, asked.rng, _air_before(stage, asked)
+
+    def add(name: str, samples: LightSamples) -> None:
+        asked.add(name, *direct_lighting.reflect(stage, points, samples, through))
+
     for disc in asked.effort.active_lights(stage.lighting.discs):
-        asked.add(disc.name, *direct_lighting.from_disc(points, disc, *reflect, rng))
+        add(disc.name, direct_lighting.sample_disc(points, disc, rng))
     lamps = asked.effort.active_lights(stage.lighting.lamps)
     if asked.depth > 0 and len(lamps) > LIMITS.max_sampled_lamps:
-        for name, found in direct_lighting.from_one_lamp(points, lamps, *reflect, rng, through):
-            asked.add(name, *found)
+        for name, samples in direct_lighting.sample_one_lamp(points, lamps, rng):
+            add(name, samples)
     else:
         for lamp in lamps:
-            asked.add(lamp.name, *direct_lighting.from_lamp(points, lamp, *reflect, rng, through))
+            add(lamp.name, direct_lighting.sample_lamp(points, lamp, rng))
 
 
-def _between(stage: SpectralScene, asked: ShadingRequest) -> direct_lighting.Through | None:
+def _air_before(stage: SpectralScene, asked: ShadingRequest) -> direct_lighting.Through | None:
     """Return the transmittance of air between lamps and surfaces that the camera sees, if it is included."""
     return stage.air.through if asked.effort.path_air and stage.air.absorbs and asked.depth == 0 else None
 
@@ -134,36 +206,139 @@ def _add_around(stage: SpectralScene, asked: ShadingRequest) -> None:
     # Glossy points need rays even for an unoccluded sky.
     gathers = effort.gathers or bool(points.glossy)
     if light.panels is not None:
-        through, sharing = _between(stage, asked), asked.rays if gathers else 0
-        tracer = stage.surfaces.tracer
-        asked.add(
-            "glow", *direct_lighting.from_panels(points, light.panels, bsdfs, tracer, asked.rng, through, sharing)
-        )
+        tracer, rays = stage.surfaces.tracer, asked.rays if gathers else 0
+        samples = direct_lighting.sample_panels(points, light.panels, bsdfs, tracer, asked.rng, rays)
+        asked.add("glow", *direct_lighting.reflect(stage, points, samples, _air_before(stage, asked)))
     if not light.environment_map.dark:
-        open_sky = bsdfs.diffuse_brdf(points)
-        open_sky *= light.environment_map.irradiance(points.normal)
-        if effort.sky_shadowing:
-            open_sky *= points.sky_control_fraction[:, None]
-        asked.parts.add("sky", asked.rows, open_sky)
+        open_sky = bsdfs.diffuse_brdf(points) * light.environment_map.irradiance(points.normal)
+        asked.parts.add("sky", asked.rows, open_sky * asked.control[:, None])
     if not gathers or stage.surfaces.tracer.scene is None:
         return
-
-    def further(there: ShadingPoints, depth: int) -> RadianceComponents:
-        return outgoing_radiance(stage, there, effort, asked.rng, rays=1, split=asked.parts.split, depth=depth)
-
     if asked.parts.split or bsdfs.panes is not None:
-        add_by_batches(stage, asked, further)
+        _gather(stage, asked)
         return
     if points.glossy:
-        add_by_batches(stage, asked.some(np.flatnonzero(~points.is_diffuse)), further)
+        _gather(stage, asked.some(np.flatnonzero(~points.is_diffuse)))
         asked = asked.some(np.flatnonzero(points.is_diffuse))
     if len(asked.points):
-        add_by_paths(stage, asked, further)
+        _add_paths(stage, asked)
 
 
-Array = NDArray[np.floating]
-# Cached irradiance of points, by the numbers of the rays that met them.
-Sharing = Callable[[ShadingPoints, NDArray[np.int64]], Shared]
+def _beyond(stage: SpectralScene, asked: ShadingRequest, there: ShadingPoints, depth: int) -> RadianceComponents:
+    """Return the outgoing radiance of points that rays of a request meet."""
+    return outgoing_radiance(stage, there, asked.effort, asked.rng, rays=1, split=asked.parts.split, depth=depth)
+
+
+def _add_paths(stage: SpectralScene, asked: ShadingRequest) -> None:
+    """Add indirect light on diffuse points by the compiled path tracer, which defers what is not diffuse."""
+    points, light = asked.points, stage.lighting
+    last = not asked.reflections and light.panels is None
+    if last and (not asked.effort.sky_shadowing or light.environment_map.dark):
+        return
+    # Low-discrepancy rays of neighbouring points sample the sky well enough where only its shadowing is computed.
+    bright = None if asked.even is not None and last else stage.bright_sky
+    even = asked.slices
+    if bright is not None:
+        _add_bright_sky(stage, asked)
+    found, back = follow_paths(
+        stage,
+        points,
+        even,
+        asked.effort,
+        bright,
+        control=asked.control,
+        depth=asked.depth,
+        seed=int(asked.rng.integers(1 << 63)),
+    )
+    for behind in np.unique(back.depth).tolist():
+        these = np.flatnonzero(back.depth == behind)
+        owner, at = back.owner[these], (back.face[these], back.place_m[these], back.direction[these])
+        there = stage.bsdfs.points(stage.surfaces, *at, points.sky_control_fraction[owner])
+        np.add.at(found, owner, _beyond(stage, asked, there, behind).total() * back.weight[these])
+    asked.parts.add("around", asked.rows, found * stage.bsdfs.diffuse_brdf(points))
+
+
+def _gather(stage: SpectralScene, asked: ShadingRequest) -> None:
+    """Add indirect light on any surface, in batches of rays."""
+    rays, bsdfs, tracer = asked.rays, stage.bsdfs, stage.surfaces.tracer
+    many = asked.points if rays == 1 else asked.points.some(np.repeat(np.arange(len(asked.points)), rays))
+    direction, density = bsdfs.sample(many, asked.slices.pairs().reshape(-1, 2), asked.rng)
+    cosine = direct_lighting.dot(many.normal, direction)
+    gives = (cosine > 0.0) & (density > 0.0)
+    factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=gives).astype(np.float32)
+    start = direct_lighting.ray_starts(many, np.arange(len(many)), tracer)
+    end = trace_segments(tracer, bsdfs.panes, start, direction, asked.rng)
+    # BRDF times cosine over density and number of rays.
+    weight = bsdfs.value(many, direction) * factor[:, None]
+    if not stage.lighting.environment_map.dark:
+        _add_sky(stage, asked, direction, density, weight, end)
+        _add_bright_sky(stage, asked)
+    met = np.flatnonzero((end.hit.face != NOTHING) & gives)
+    if not len(met) or not (asked.reflections or stage.lighting.panels):
+        return
+    there = stage.points(end.hit, end.start_m, end.direction, met, many.sky_control_fraction[met])
+    weight = weight[met] * end.weight[met]
+    glows, glow = stage.emission(there)
+    if stage.lighting.panels is not None and len(glows):
+        ray = met[glows]
+        leaving, way = -direct_lighting.dot(there.normal[glows], end.direction[ray]), end.hit.range_m + end.earlier_m
+        share = direct_lighting.gather_mis_weight(
+            stage.lighting.panels, there.face[glows], way[ray], leaving, density[ray], rays
+        )
+        # Only gather rays sample light reflected by panes.
+        share = np.where(end.mirrored[ray], 1.0, share).astype(np.float32)
+        asked.add_rays("glow", ray, glow * share[:, None] * weight[glows])
+    if not asked.reflections:
+        return
+    roulette_depth = asked.effort.roulette_depth
+    if roulette_depth is not None and asked.depth >= roulette_depth:
+        chance = np.clip(weight.mean(axis=1) * rays, LEAST_CHANCE, MOST_CHANCE)
+        stays = np.flatnonzero(asked.rng.random(len(met)) < chance)
+        there, met, weight = there.some(stays), met[stays], weight[stays] / chance[stays, None]
+    if len(met):
+        for name, light in _beyond(stage, asked, there, asked.depth + 1).found.items():
+            order, source = bounce_order(name)
+            asked.add_rays(f"bounce {order + 1} of {source}", met, light * weight)
+
+
+def _add_sky(
+    stage: SpectralScene, asked: ShadingRequest, direction: Array, density: Array, weight: Light, end: Segments
+) -> None:
+    """Add the sky that gather rays meet, and subtract the occluded part of the control variate."""
+    sky, bright, shadowing = stage.lighting.environment_map, stage.bright_sky, asked.effort.sky_shadowing
+    control, missed = np.repeat(asked.control, asked.rays), end.hit.face == NOTHING
+    # Balance heuristic against `_add_bright_sky`.
+    own = asked.rays * density
+    share = np.ones(len(own)) if bright is None else own / (own + bright.density(direction))
+    # Behind panes the control variate does not apply to the transmitted light.
+    unknown = (1.0 - control * ~(end.crossed & shadowing)) * share
+    seen = np.flatnonzero(missed & (unknown > 0.0))
+    light = weight[seen] * end.weight[seen] * sky.radiance(end.direction[seen])
+    asked.add_rays("sky", seen, light * unknown[seen, None].astype(np.float32))
+    behind = np.flatnonzero((~missed | end.crossed) & (control > 0.0)) if shadowing else seen[:0]
+    light = weight[behind] * sky.radiance(direction[behind])
+    asked.add_rays("hidden sky", behind, light * (-control * share)[behind, None].astype(np.float32))
+
+
+def _add_bright_sky(stage: SpectralScene, asked: ShadingRequest) -> None:
+    """Add the importance-sampled part of the sky, one ray from each point (balance heuristic, Veach 1995).
+
+    Visible and occluded directions count as for gather rays: 1 minus, or minus, the control-variate fraction.
+    """
+    bright, points, shadowing, control = stage.bright_sky, asked.points, asked.effort.sky_shadowing, asked.control
+    if bright is None:
+        return
+    towards = bright.draw(len(points), asked.rng)
+    cosine = direct_lighting.dot(points.normal, towards)
+    which = np.flatnonzero(((control < 1.0) | shadowing) & (cosine > 0.0))
+    some, towards, tracer = points.some(which), towards[which], stage.surfaces.tracer
+    hidden = tracer.is_occluded(direct_lighting.ray_starts(points, which, tracer), towards)
+    counts = 1.0 - control[which] - hidden if shadowing else np.where(hidden, 0.0, 1.0 - control[which])
+    density = asked.rays * stage.bsdfs.density(some, towards) + bright.density(towards)
+    light = stage.bsdfs.value(some, towards) * stage.lighting.environment_map.radiance(towards)
+    light *= (counts * cosine[which] / density).astype(np.float32)[:, None]
+    for name, these in (("sky", ~hidden), ("hidden sky", hidden)):
+        asked.add(name, which[these], light[these])
 
 
 def radiance_along(
@@ -174,74 +349,41 @@ def radiance_along(
     rng: np.random.Generator,
     *,
     gather_rays: int,
-    sky_control_fraction: NDArray[np.float32] | None = None,
+    sky_control_fraction: Light | None = None,
     split: bool = False,
     share: Sharing | None = None,
-    behind: int = 0,
 ) -> RadianceComponents:
     """Return the radiance along rays of unit direction (ray, 3), in components as of `outgoing_radiance`.
 
     Apart from the sources, components are "in view" (sky and emission that the ray meets) and "air" (path radiance less
     the light that air removes from all other components). `share` gives the cached irradiance of points by ray number.
-    Rays that meet a pane continue both transmitted and reflected; after a few panes (`behind`) one of both at random.
+    Panes transmit or reflect each ray at random.
     """
-    hit = stage.surfaces.tracer.hits(origin, towards)
     parts = RadianceComponents((len(towards), stage.bands), split=split)
-    here = np.ones(len(towards), np.bool_)
-    if stage.bsdfs.panes is not None:
-        glass = stage.bsdfs.panes.met(origin, towards, hit.range_m)
-        here[glass.which] = False
-        for which, start, ways, left, straight in _ways_on(stage.bsdfs.panes, glass, towards, behind, rng):
-            seen = None if sky_control_fraction is None else sky_control_fraction[which]
-            sharing = _of_some(share, which) if straight else None
-            onwards = radiance_along(
-                stage, start, ways, effort, rng,
-                gather_rays=gather_rays, sky_control_fraction=seen, split=split, share=sharing, behind=behind + 1,
-            )  # fmt: skip
-            for name, light in onwards.found.items():
-                parts.add(name, which, light * left)
-        if stage.air.absorbs and "air" not in effort.neglected:
-            _through_air(stage, parts, glass.range_m, towards[glass.which], glass.which)
-    met = np.flatnonzero(here & (hit.face != NOTHING))
-    away = np.flatnonzero(here & (hit.face == NOTHING))
-    parts.add("in view", away, stage.lighting.environment_map.radiance(towards[away]))
-    points = stage.points(
-        hit, origin, towards, met, None if sky_control_fraction is None else sky_control_fraction[met]
-    )
+    end = trace_segments(stage.surfaces.tracer, stage.bsdfs.panes, origin, towards, rng)
+    met, away = end.hit.met, np.flatnonzero(end.hit.face == NOTHING)
+    parts.add("in view", away, stage.lighting.environment_map.radiance(end.direction[away]))
+    control = None if sky_control_fraction is None else sky_control_fraction[met]
+    points = stage.points(end.hit, end.start_m, end.direction, met, control)
     glows, glow = stage.emission(points)
     parts.add("in view", met[glows], glow)
-    shared = None if share is None else share(points, met)
+    shared = None
+    if share is not None:
+        which, irradiance = share(points, met)
+        straight = ~end.mirrored[met[which]]
+        shared = which[straight], irradiance[straight]
     outgoing_radiance(stage, points, effort, rng, rays=gather_rays, into=(parts, met), shared=shared)
-    if stage.air.absorbs and "air" not in effort.neglected:
-        _through_air(stage, parts, hit.range_m[met], towards[met], met)
+    airy = stage.air.absorbs and "air" not in effort.neglected
+    if airy:
+        _through_air(stage, parts, end.hit.range_m[met], end.direction[met], met)
+    crossed = np.flatnonzero(end.crossed)
+    for light in parts.found.values():
+        light[crossed] *= end.weight[crossed]
+    if airy:
+        _through_air(stage, parts, end.earlier_m[crossed], towards[crossed], crossed)
     return parts
 
 
-def _of_some(share: Sharing | None, which: NDArray[np.int64]) -> Sharing | None:
-    """Restrict a cache look-up to some of the rays."""
-    return None if share is None else lambda points, numbers: share(points, which[numbers])
-
-
-def _ways_on(
-    panes: Panes, glass: Met, towards: Array, behind: int, rng: np.random.Generator
-) -> Iterator[tuple[NDArray[np.int64], Array, Array, NDArray[np.float32], bool]]:
-    """Yield continuations at panes: ray numbers, starts, directions, fractions of light, and whether transmitted."""
-    if not len(glass.which) or behind >= LIMITS.max_panes:
-        return
-    ahead = towards[glass.which]
-    by_chance = choose_mirror_rays(glass, rng) if behind >= LIMITS.max_pane_splits else None
-    for turns, start, ways, left in (
-        (False, panes.beyond(glass), ahead, glass.through),
-        (True, panes.before(glass), reflect_direction(ahead, glass.normal), glass.mirrored),
-    ):
-        rows = np.arange(len(ahead)) if by_chance is None else np.flatnonzero(by_chance[0] == turns)
-        if len(rows):
-            share = left[rows] if by_chance is None else by_chance[1][rows]
-            yield glass.which[rows], start[rows], ways[rows], share, not turns
-
-
-def _through_air(
-    stage: SpectralScene, parts: RadianceComponents, range_m: Array, towards: Array, met: NDArray[np.int64]
-) -> None:
+def _through_air(stage: SpectralScene, parts: RadianceComponents, range_m: Array, towards: Array, met: Rows) -> None:
     """Add the path radiance of air, and subtract the light that it removes from all other components."""
     parts.add("air", met, stage.air.change_of(parts.total()[met], range_m, towards))

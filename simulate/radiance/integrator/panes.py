@@ -5,11 +5,12 @@ rays are not displaced. Two panes closer to each other than the clearance of ray
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.geometry.ray_tracer import NOTHING, RayTracer
+from simulate.radiance.geometry.ray_tracer import NOTHING, Hits, RayTracer
 from simulate.radiance.integrator.integrator_settings import LIMITS
 from simulate.radiance.materials import pane_shares
 
@@ -17,83 +18,49 @@ Array = NDArray[np.floating]
 Rows = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class Met:
-    """Rays that meet a pane.
+class Met(NamedTuple):
+    """Rays that meet a pane, shape (meeting ray, ...)."""
 
-    Parameters
-    ----------
-    which
-        Indices of the rays, shape (meeting ray,).
-    range_m
-        Distance, shape (meeting ray,), m.
-    place_m, normal
-        Position, and the pane's unit normal on the side of the ray's origin, shape (meeting ray, 3).
-    face
-        Triangles of the panes.
-    mirrored, through
-        Reflected and transmitted fractions, shape (meeting ray, band).
-    """
-
-    which: Rows
+    which: Rows  # numbers of the rays
     range_m: Array
     place_m: Array
-    normal: Array
+    normal: Array  # on the side of the ray's origin
     face: Rows
-    mirrored: NDArray[np.float32]
-    through: NDArray[np.float32]
+    mirrored: NDArray[np.float32]  # reflected fraction, shape (meeting ray, band)
+    through: NDArray[np.float32]  # transmitted fraction
 
 
 @dataclass(frozen=True, kw_only=True)
 class Panes:
-    """All panes of a scene, on bands.
-
-    Parameters
-    ----------
-    tracer
-        Ray tracer of their triangles.
-    kind_of_face
-        Kind of glass of each, shape (face,).
-    transmittance
-        Of each kind at normal incidence, shape (kind, band).
-    refractive_index
-        Of each kind.
-    """
+    """All panes of a scene, on bands."""
 
     tracer: RayTracer
-    kind_of_face: NDArray[np.int64]
-    transmittance: NDArray[np.float64]
-    refractive_index: tuple[float, ...]
+    kind_of_face: NDArray[np.int64]  # kind of glass of each triangle
+    transmittance: Array  # of each kind at normal incidence, shape (kind, band)
+    refractive_index: tuple[float, ...]  # of each kind
 
     def met(self, origin_m: Array, direction: Array, reach_m: Array) -> Met:
         """Return the rays of unit direction (ray, 3) that meet a pane within a distance (ray,), m."""
         hit = self.tracer.hits(origin_m, direction)
         which = np.flatnonzero((hit.face != NOTHING) & (hit.range_m < reach_m))
         face, range_m, along = hit.face[which], hit.range_m[which], direction[which]
-        normal = self.tracer.normals(face)
-        cosine = np.einsum("ij,ij->i", normal, along)
-        mirrored, through = self._shares(self.kind_of_face[face], cosine)
-        facing = np.where(cosine[:, None] < 0.0, normal, -normal)
-        place = origin_m[which] + range_m[:, None] * along
-        return Met(which, range_m, place, facing, face, mirrored, through)
+        facing, cosine = self.tracer.facing(face, along)
+        mirrored = np.zeros((len(face), self.transmittance.shape[1]), np.float32)
+        through = np.zeros_like(mirrored)
+        for number, index in enumerate(self.refractive_index):
+            of = np.flatnonzero(self.kind_of_face[face] == number)
+            mirrored[of], through[of] = pane_shares(cosine[of], self.transmittance[number], index)
+        return Met(which, range_m, origin_m[which] + range_m[:, None] * along, facing, face, mirrored, through)
 
-    def beyond(self, met: Met) -> NDArray[np.float64]:
-        """Return starts of transmitted rays, shape (meeting ray, 3), m."""
-        return self.tracer.above(met.face, met.place_m, -met.normal)
-
-    def before(self, met: Met) -> NDArray[np.float64]:
-        """Return starts of reflected rays, shape (meeting ray, 3), m."""
-        return self.tracer.above(met.face, met.place_m, met.normal)
+    def start(self, met: Met, mirrored: NDArray[np.bool_] | bool = False) -> Array:
+        """Return starts of transmitted or reflected rays, shape (meeting ray, 3), m."""
+        side = np.where(np.broadcast_to(mirrored, met.which.shape)[:, None], met.normal, -met.normal)
+        return self.tracer.above(met.face, met.place_m, side)
 
     def transmittance_along(self, start_m: Array, way: Array, reach: float | None) -> tuple[Rows, NDArray[np.float32]]:
         """Return indices of rays that meet panes, and their transmittances (ray, band).
 
-        Parameters
-        ----------
-        start_m, way
-            Rays, each of shape (ray, 3).
-        reach
-            Length of the rays, in lengths of the vectors; None: infinite.
+        Rays have a length of `reach` times that of their vectors `way` (ray, 3), or none.
         """
         length = np.linalg.norm(way, axis=1)
         ahead = way / np.maximum(length, 1e-300)[:, None]
@@ -104,97 +71,57 @@ class Panes:
             met = self.met(start, ahead[rows], rest[rows])
             rows = rows[met.which]
             if not len(rows):
-                return np.flatnonzero(touched), share[touched]
+                break
             share[rows] *= met.through
-            touched[rows], start = True, self.beyond(met)
+            touched[rows], start = True, self.start(met)
             rest[rows] -= met.range_m
         share[rows] = 0.0
         return np.flatnonzero(touched), share[touched]
 
-    def _shares(self, kind: Rows, cosine: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        mirrored = np.zeros((len(kind), self.transmittance.shape[1]), np.float32)
-        through = np.zeros_like(mirrored)
-        for number, index in enumerate(self.refractive_index):
-            of = np.flatnonzero(kind == number)
-            mirrored[of], through[of] = pane_shares(cosine[of], self.transmittance[number], index)
-        return mirrored, through
 
+class Segments(NamedTuple):
+    """Last segments of rays that panes reflect or transmit at random, shape (ray, ...)."""
 
-@dataclass(frozen=True)
-class Passed:
-    """Rays that met panes, and their last segments.
-
-    Parameters
-    ----------
-    which
-        Indices of the rays, shape (meeting ray,).
-    start_m, direction
-        Last segments, shape (meeting ray, 3).
-    face, range_m
-        Opaque surface that these hit, and distance, m.
-    earlier_length_m
-        Path length before the last segments, m.
-    is_reflected
-        Whether a pane reflected them.
-    weight
-        Fractions of the light over the probability of the path, shape (meeting ray, band).
-    """
-
-    which: Rows
     start_m: Array
     direction: Array
-    face: Rows
-    range_m: Array
-    earlier_length_m: Array
-    is_reflected: NDArray[np.bool_]
-    weight: NDArray[np.float32]
+    hit: Hits  # opaque surface that the segment hits
+    earlier_m: Array  # path length before the segment
+    crossed: NDArray[np.bool_]  # whether the ray met a pane
+    mirrored: NDArray[np.bool_]  # whether a pane reflected it
+    weight: NDArray[np.float32]  # fraction of the light over the probability of the path, shape (ray, band or 1)
 
 
-def trace_through_panes(
-    panes: Panes, tracer: RayTracer, start_m: Array, direction: Array, range_m: Array, rng: np.random.Generator
-) -> Passed:
-    """Follow rays that meet panes before the opaque surface at a range (ray,): transmitted or reflected at random."""
-    met = panes.met(start_m, direction, range_m)
-    which = met.which
-    ends = Passed(
-        which,
-        np.array(start_m[which]),
-        np.array(direction[which]),
-        np.full(len(which), NOTHING, np.int64),
-        np.full(len(which), np.inf),
-        np.zeros(len(which)),
-        np.zeros(len(which), bool),
-        np.ones((len(which), panes.transmittance.shape[1]), np.float32),
-    )
-    rows = np.arange(len(which))
+def trace_segments(
+    tracer: RayTracer, panes: Panes | None, start_m: Array, direction: Array, rng: np.random.Generator
+) -> Segments:
+    """Follow rays of unit direction (ray, 3) to the opaque surface."""
+    hit, many = tracer.hits(start_m, direction), len(start_m)
+    no, plain = np.zeros(many, bool), np.ones((many, 1), np.float32)
+    if panes is None:
+        return Segments(start_m, direction, hit, np.zeros(many), no, no, plain)
+    start, ahead, face, range_m = np.array(start_m), np.array(direction), hit.face, hit.range_m
+    earlier, crossed, mirrored = np.zeros(many), no.copy(), no.copy()
+    weight, rows = plain.repeat(panes.transmittance.shape[1], axis=1), np.arange(many)
     for _ in range(LIMITS.max_panes):
-        if not len(rows):
-            return ends
-        turns, share = choose_mirror_rays(met, rng)
-        ends.weight[rows] *= share
-        ends.start_m[rows] = np.where(turns[:, None], panes.before(met), panes.beyond(met))
-        ends.direction[rows] = np.where(
-            turns[:, None], reflect_direction(ends.direction[rows], met.normal), ends.direction[rows]
-        )
-        ends.earlier_length_m[rows] += met.range_m
-        ends.is_reflected[rows] |= turns
-        hit = tracer.hits(ends.start_m[rows], ends.direction[rows])
-        ends.face[rows], ends.range_m[rows] = hit.face, hit.range_m
-        met = panes.met(ends.start_m[rows], ends.direction[rows], hit.range_m)
+        met = panes.met(start[rows], ahead[rows], range_m[rows])
         rows = rows[met.which]
-    ends.weight[rows] = 0.0
-    return ends
+        if not len(rows):
+            break
+        back, on = met.mirrored.mean(axis=1), met.through.mean(axis=1)
+        chance = back / np.maximum(back + on, 1e-30)
+        turns = rng.random(len(rows)) < chance
+        weight[rows] *= np.where(turns[:, None], met.mirrored, met.through)
+        weight[rows] /= np.where(turns, chance, 1.0 - chance)[:, None].astype(np.float32)
+        start[rows] = panes.start(met, turns)
+        ahead[rows] = np.where(turns[:, None], reflect_direction(ahead[rows], met.normal), ahead[rows])
+        earlier[rows] += met.range_m
+        crossed[rows], mirrored[rows] = True, mirrored[rows] | turns
+        onwards = tracer.hits(start[rows], ahead[rows])
+        face[rows], range_m[rows] = onwards.face, onwards.range_m
+    weight[rows] = 0.0
+    return Segments(start, ahead, Hits(face, range_m), earlier, crossed, mirrored, weight)
 
 
-def choose_mirror_rays(met: Met, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """Draw which rays are reflected; return that, and fractions of the light over the probability (ray, band)."""
-    back, on = met.mirrored.mean(axis=1), met.through.mean(axis=1)
-    chance = back / np.maximum(back + on, 1e-30)
-    turns = rng.random(len(chance)) < chance
-    share = np.where(turns[:, None], met.mirrored, met.through)
-    return turns, share / np.where(turns, chance, 1.0 - chance)[:, None].astype(np.float32)
-
-
-def reflect_direction(direction: Array, normal: Array) -> NDArray[np.float64]:
+def reflect_direction(direction: Array, normal: Array) -> Array:
     """Return directions (ray, 3) reflected by planes of unit normals (ray, 3)."""
     return direction - 2.0 * np.einsum("ij,ij->i", direction, normal)[:, None] * normal

@@ -1,35 +1,34 @@
 """Path tracer of diffuse surfaces, in compiled loops over waves of paths.
 
-It computes for diffuse points what `final_gather` computes in batches for any surface. Paths that meet a surface which
-is not diffuse are deferred to that code.
+It computes for diffuse points what batches of NumPy (`outgoing_radiance`) compute for any surface: paths by the cosine
+law, next-event estimation of all light sources at each vertex, multiple importance sampling, and light tracing. Paths
+that meet a surface which is not diffuse are deferred to the batches.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.brdf.protocol import Lambert
 from simulate.radiance.geometry.embree import (
     COMPILED,
     ROW,
     intersect,
     is_ray_occluded,
+    meet_plane,
     new_packets,
-    plane_of,
     set_ray,
     trace_occlusion,
     triangle_of,
-    without_reference_count,
 )
-from simulate.radiance.geometry.ray_tracer import RayTracer
-from simulate.radiance.integrator.compiled_light_sources import bright_density, sky_light
+from simulate.radiance.integrator.environment_map import SkyImportance, bright_density, sky_arrays, sky_light
+from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings
+from simulate.radiance.integrator.light_sources import disc_arrays, lamp_arrays, panel_arrays
 from simulate.radiance.integrator.light_tracing import add_light_traced_paths
-from simulate.radiance.integrator.low_discrepancy import SequenceSlice
-from simulate.radiance.integrator.path_states import (
-    WAVE,
-    PathStates,
+from simulate.radiance.integrator.sampling import (
+    SequenceSlice,
     by_cosine,
     first_even,
     in_disc,
@@ -37,7 +36,6 @@ from simulate.radiance.integrator.path_states import (
     set_ray_start,
     uniform,
 )
-from simulate.radiance.integrator.shading_points import ShadingPoints
 from simulate.radiance.integrator.source_sampling_loops import (
     add_bright,
     add_discs,
@@ -45,132 +43,122 @@ from simulate.radiance.integrator.source_sampling_loops import (
     add_known_sky,
     add_lamps,
     add_panels,
-)  # fmt: skip
+)
+from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
 
+Array = NDArray[np.floating]
+
+# Paths traced together: enough that the active ones fill Embree's packets.
+WAVE = 256
 # Limits of the survival probability in Russian roulette.
 LEAST_CHANCE, MOST_CHANCE = 0.05, 0.95
-NEVER = 1 << 30
 
 
-@dataclass(frozen=True, kw_only=True)
-class DeferredPaths:
-    """Paths that met a surface which is not diffuse.
+class PathStates(NamedTuple):
+    """The paths of a wave, one a row."""
+
+    active: NDArray[np.int64]  # paths still followed, in order; their number is passed separately
+    shadow_rays: NDArray[np.int64]  # paths with a shadow ray, by the slot of the ray
+    point: NDArray[np.int64]  # shading point at which each path starts
+    face: NDArray[np.int64]  # triangle of its current vertex
+    weight: NDArray[np.float32]  # contribution to the irradiance of the start per radiance from ahead, (path, band)
+    throughput: NDArray[np.float32]  # and per irradiance of the current vertex
+    place: Array  # current vertex, (path, 3)
+    start: Array  # ray start above it
+    normal: Array  # on the side of the path
+    direction: Array  # of the ray
+    target_direction: Array  # of a shadow ray
+    cosine: Array  # of the direction at the last vertex
+    reflectance: Array  # mean reflectance of the current vertex
+    factor: Array  # irradiance over spectrum of the chosen source
+    chosen: NDArray[np.int64]  # number of the chosen source
+    by_ray: Array  # density with which paths reach the vertex, m-2
+
+    @classmethod
+    def of(cls, bands: int) -> "PathStates":
+        """Return empty arrays for a wave."""
+        shape = {"weight": (bands,), "throughput": (bands,)}
+        shape |= dict.fromkeys(("place", "start", "normal", "direction", "target_direction"), (3,))
+        whole = ("active", "shadow_rays", "point", "face", "chosen")
+        kind = dict.fromkeys(whole, np.int64) | {"weight": np.float32, "throughput": np.float32}
+        return cls(*(np.zeros((WAVE, *shape.get(name, ())), kind.get(name, np.float64)) for name in cls._fields))
+
+
+class DeferredPaths(NamedTuple):
+    """Paths that met a surface which is not diffuse, shape (path, ...)."""
+
+    owner: NDArray[np.int64]  # point at which the path started
+    depth: NDArray[np.int64]  # bounces between there and the surface that the camera sees
+    face: NDArray[np.int64]  # of the last hit
+    place_m: Array
+    direction: Array  # of the last segment
+    weight: NDArray[np.float32]  # contribution to the irradiance of the start per radiance from there, (path, band)
+
+
+def follow_paths(
+    stage: SpectralScene,
+    points: ShadingPoints,
+    even: SequenceSlice,
+    effort: IntegratorSettings,
+    bright: SkyImportance | None,
+    *,
+    control: NDArray[np.float32],
+    depth: int,
+    seed: int,
+) -> tuple[NDArray[np.float32], DeferredPaths]:
+    """Return the indirect irradiance of points, shape (point, band), and the deferred paths.
 
     Parameters
     ----------
-    owner
-        Point at which each path started, shape (ray,).
+    stage, points, effort, bright
+        The scene, where, how far light is followed, and the importance sampling of the sky or None.
+    even
+        Pairs of numbers for each ray of each point: directions follow by the cosine law.
+    control
+        Control-variate fraction of the sky of each point, and of all that its rays meet.
     depth
-        Bounces between there and the surface that the camera sees, shape (ray,).
-    face, place_m, direction
-        Triangle and position of the last hit, and direction of the last segment, shapes (ray,), (ray, 3) and (ray, 3).
-    weight
-        Contribution to the irradiance of the start per radiance from there, shape (ray, band).
+        Bounces between the points and the surface that the camera sees.
+    seed
+        Seed of the random numbers.
+
+    Notes
+    -----
+    pi/rays times the sum over rays. With the control-variate fraction c, a ray to the sky adds 1 - c of its radiance;
+    one that hits a surface subtracts c of it and adds the outgoing radiance there. Emission is sampled by rays and by
+    next-event estimation with multiple importance sampling; the latter is done elsewhere for the points themselves.
     """
-
-    owner: NDArray[np.int64]
-    depth: NDArray[np.int64]
-    face: NDArray[np.int64]
-    place_m: NDArray[np.float64]
-    direction: NDArray[np.float64]
-    weight: NDArray[np.float32]
-
-
-@dataclass(frozen=True, kw_only=True)
-class CompiledScene:
-    """A scene in the form of the compiled loops.
-
-    Parameters
-    ----------
-    tracer
-        Ray tracer of its surfaces, at least one.
-    material_of
-        Material of each triangle, shape (face,).
-    rho_by_pi, is_diffuse
-        Of each material, shape (material, band), sr-1, and (material,).
-    sky, discs, lamps, panels
-        Sources, see `compiled_lights`.
-    beams
-        Light-tracing settings of the lamps, see `LightTracingSettings`.
-    """
-
-    tracer: RayTracer
-    material_of: NDArray[np.int64]
-    rho_by_pi: NDArray[np.float32]
-    is_diffuse: NDArray[np.bool_]
-    sky: tuple
-    discs: tuple
-    lamps: tuple
-    panels: tuple
-    beams: tuple
-
-    def irradiance(
-        self,
-        points: ShadingPoints,
-        even: SequenceSlice,
-        *,
-        sky_control_fraction: NDArray[np.float32],
-        sky_shadowing: bool,
-        depth: int,
-        max_bounces: int,
-        roulette_depth: int | None,
-        asked_lamps: int,
-        seed: int,
-    ) -> tuple[NDArray[np.float32], DeferredPaths]:
-        """Return the indirect irradiance of points, shape (point, band), and the deferred paths.
-
-        Parameters
-        ----------
-        points
-            Places.
-        even
-            Two quasi-random numbers for each ray of each point: directions follow by the cosine law.
-        sky_control_fraction
-            Control-variate fraction of the sky of each point, and of all that its rays meet.
-        sky_shadowing
-            Whether objects occlude the sky.
-        depth, max_bounces
-            Bounces between the points and the surface that the camera sees, and most bounces.
-        roulette_depth
-            As of `Effort`.
-        asked_lamps
-            Most lamps that are all sampled at a vertex; with more, one is drawn.
-        seed
-            Seed of the random numbers.
-
-        Notes
-        -----
-        pi/rays times the sum over rays. With the control-variate fraction c, a ray to the sky adds 1 - c of its
-        radiance; one that hits a surface subtracts c of it and adds the outgoing radiance there. Emission is sampled by
-        rays and by next-event estimation with multiple importance sampling; the latter is done elsewhere for the points
-        themselves.
-        """
-        found = np.zeros((len(points), self.rho_by_pi.shape[1]), np.float32)
-        tracer, room = self.tracer, 0 if self.is_diffuse.all() else len(points) * even.rays
-        back = DeferredPaths(
-            owner=np.empty(room, np.int64),
-            depth=np.empty(room, np.int64),
-            face=np.empty(room, np.int64),
-            place_m=np.empty((room, 3)),
-            direction=np.empty((room, 3)),
-            weight=np.empty((room, found.shape[1]), np.float32),
-        )
-        assert tracer.scene is not None
-        start = tracer.above(points.face, points.place_m, points.normal)
-        roulette = NEVER if roulette_depth is None else roulette_depth
-        count = _follow(
-            (tracer.scene.address, tracer.centre_m, tracer.planes, tracer.clearance_m),
-            (self.material_of, self.rho_by_pi, self.is_diffuse),
-            (self.sky, self.discs, self.lamps, self.panels, self.beams),
-            (start, np.asarray(points.normal, np.float64), sky_control_fraction),
-            (even.start, even.rays),
-            (depth, max_bounces, roulette, sky_shadowing, asked_lamps),
-            np.array([seed], np.uint64),
-            (PathStates.of(found.shape[1]), new_packets(WAVE)),
-            found,
-            (back.owner, back.depth, back.face, back.place_m, back.direction, back.weight),
-        )
-        return found, DeferredPaths(**{name: values[:count] for name, values in vars(back).items()})
+    tracer, bsdfs, light, bands = stage.surfaces.tracer, stage.bsdfs, stage.lighting, stage.bands
+    diffuse = np.array([isinstance(brdf, Lambert) for brdf in bsdfs.brdfs])
+    shine = np.array([lamp.name not in effort.neglected for lamp in light.lamps], np.bool_)
+    found = np.zeros((len(points), bands), np.float32)
+    room = 0 if diffuse.all() else len(points) * even.rays
+    back = DeferredPaths(
+        *(np.empty(room, np.int64) for _ in range(3)),
+        *(np.empty((room, 3)) for _ in range(2)),
+        np.empty((room, bands), np.float32),
+    )
+    assert tracer.scene is not None
+    start = tracer.above(points.face, points.place_m, points.normal)
+    roulette = np.iinfo(np.int64).max if effort.roulette_depth is None else effort.roulette_depth
+    count = _follow(
+        (tracer.scene.address, tracer.centre_m, tracer.planes, tracer.clearance_m),
+        (stage.surfaces.material_of, bsdfs.rho_by_pi, diffuse),
+        (
+            sky_arrays(light.environment_map, bright),
+            disc_arrays(effort.active_lights(light.discs), bands),
+            lamp_arrays(effort.active_lights(light.lamps), bands),
+            panel_arrays(light.panels, bands),
+            stage.beams.arrays(light.lamps, shine),
+        ),
+        (start, np.asarray(points.normal, np.float64), control),
+        (even.start, even.rays),
+        (depth, effort.max_bounces, roulette, effort.sky_shadowing, LIMITS.max_sampled_lamps),
+        np.array([seed], np.uint64),
+        (PathStates.of(bands), new_packets(WAVE)),
+        found,
+        tuple(back),
+    )
+    return found, DeferredPaths(*(values[:count] for values in back))
 
 
 @numba.njit(**COMPILED)
@@ -187,19 +175,7 @@ def _follow(
     back: Any,
 ) -> int:
     """Follow all paths of points, a wave at a time, and return the number of deferred ones."""
-    scene, bsdfs, lights, points = (
-        without_reference_count(scene),
-        without_reference_count(bsdfs),
-        without_reference_count(lights),
-        without_reference_count(points),
-    )
-    state, room, found, back = (
-        without_reference_count(state),
-        without_reference_count(room),
-        without_reference_count(found),
-        without_reference_count(back),
-    )
-    begin, each = without_reference_count(even)
+    begin, each = even
     sky, discs, lamps, panels, beams = lights
     depth_first, max_bounces, _, sky_shadowing, asked_lamps = limits
     lanes, packets = room
@@ -283,7 +259,7 @@ def _meet_sky(
     packets: Any,
     lanes: Any,
     many: int,
-    sky_control_fraction: Any,
+    control: Any,
     sent: int,
     meets: bool,
     sky_counts: bool,
@@ -299,7 +275,7 @@ def _meet_sky(
             hit = lanes.face[lane] >= 0
         else:
             hit = is_ray_occluded(packets, slot)
-        share = -float(sky_control_fraction[i]) if hit else 1.0 - float(sky_control_fraction[i])
+        share = -float(control[i]) if hit else 1.0 - float(control[i])
         if hit and meets:
             lanes.active[kept] = lane
             kept += 1
@@ -316,13 +292,7 @@ def _arrive(scene: Any, lanes: Any, many: int) -> None:
     """Move paths to the surfaces that they met."""
     for k in range(many):
         lane = lanes.active[k]
-        height, slope = 0.0, 0.0
-        corner, normal = plane_of(scene[2], lanes.face[lane])
-        for axis in range(3):
-            height += (corner[axis] - lanes.start[lane, axis]) * normal[axis]
-            slope += lanes.direction[lane, axis] * normal[axis]
-        length = height / slope
-        length = max(length, 0.0) if np.isfinite(length) else 0.0
+        length, slope, normal = meet_plane(scene[2], lanes.face[lane], lanes.start[lane], lanes.direction[lane])
         side = 1.0 if slope < 0.0 else -1.0
         lanes.by_ray[lane] = lanes.cosine[lane] * abs(slope) / (np.pi * length * length)
         for axis in range(3):

@@ -4,46 +4,29 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from simulate.radiance.geometry.embree import (
     COMPILED,
     INLINED,
-    PACKET,
     ROW,
     is_ray_occluded,
-    new_packets,
     plane_of,
     set_ray,
     trace_occlusion,
-    without_reference_count,
 )
-from simulate.radiance.geometry.ray_tracer import RayTracer
-from simulate.radiance.integrator.compiled_light_sources import (
-    SHORT,
-    bright_density,
-    bright_way,
-    lamp_factor,
-    sky_irradiance,
-    sky_light,
-    towards_lamp,
-)
-from simulate.radiance.integrator.environment_map import EnvironmentMap
+from simulate.radiance.integrator.environment_map import bright_density, bright_way, sky_irradiance, sky_light
+from simulate.radiance.integrator.light_sources import SHORT, lamp_factor, towards_lamp
 from simulate.radiance.integrator.light_tracing import light_tracing_weight
-from simulate.radiance.integrator.low_discrepancy import SequenceSlice
-from simulate.radiance.integrator.path_states import by_cosine, first_even, next_even, set_ray_start, uniform
-from simulate.radiance.integrator.shading_points import ShadingPoints
+from simulate.radiance.integrator.sampling import set_ray_start, uniform
 
 
 @numba.njit(**COMPILED)
-def add_known_sky(
-    irradiance: Any, lanes: Any, many: int, sky_control_fraction: Any, sky_shadowing: bool, found: Any
-) -> None:
+def add_known_sky(irradiance: Any, lanes: Any, many: int, control: Any, sky_shadowing: bool, found: Any) -> None:
     """Add the control variate of the sky at path vertices."""
     for k in range(many):
         lane = lanes.active[k]
         i, up = lanes.point[lane], lanes.normal[lane]
-        share = float(sky_control_fraction[i]) if sky_shadowing else 1.0
+        share = float(control[i]) if sky_shadowing else 1.0
         if share != 0.0:
             sky_irradiance(irradiance, up[0], up[1], up[2], share, lanes.throughput[lane], found[i])
 
@@ -128,7 +111,7 @@ def _leave_to_light(scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any
 
 @numba.njit(**COMPILED)
 def add_panels(scene: Any, panels: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any) -> None:
-    """Add light of emitting surfaces from points drawn by power, as `direct_lighting.from_panels`."""
+    """Add light of emitting surfaces from points drawn by power, as `direct_lighting.sample_panels`."""
     address, centre, _, clearance = scene
     cumulated, faces, corners, normals, per_m2, kind, spectra = panels
     asked = 0
@@ -197,10 +180,8 @@ def _add_unless_stopped(address: Any, packets: Any, lanes: Any, asked: int, spec
 
 
 @numba.njit(**COMPILED)
-def add_bright(
-    scene: Any, sky: Any, packets: Any, lanes: Any, many: int, sky_control_fraction: Any, state: Any, found: Any
-) -> None:
-    """Add the importance-sampled part of the sky, as `final_gather.add_bright_sky`."""
+def add_bright(scene: Any, sky: Any, packets: Any, lanes: Any, many: int, control: Any, state: Any, found: Any) -> None:
+    """Add the importance-sampled part of the sky, as `outgoing_radiance` does in batches."""
     radiance, _, _, cumulated, per_sr, sines = sky
     asked = 0
     for k in range(many):
@@ -217,9 +198,7 @@ def add_bright(
     for slot in range(asked):
         lane = lanes.shadow_rays[slot]
         i, way = lanes.point[lane], lanes.direction[lane]
-        share = (
-            -float(sky_control_fraction[i]) if is_ray_occluded(packets, slot) else 1.0 - float(sky_control_fraction[i])
-        )
+        share = -float(control[i]) if is_ray_occluded(packets, slot) else 1.0 - float(control[i])
         sky_light(radiance, way[0], way[1], way[2], share * lanes.factor[lane], lanes.throughput[lane], found[i])
 
 
@@ -240,60 +219,3 @@ def _draw_lamp(lamps: Any, place: Any, normal: Any, even: float) -> tuple[int, f
         if so_far > even * total:
             break
     return chosen, might / total
-
-
-def sky_residual_irradiance(
-    points: ShadingPoints, even: SequenceSlice, environment: EnvironmentMap, tracer: RayTracer
-) -> NDArray[np.float32]:
-    """Return the irradiance of the sky minus its control variate, shape (point, band).
-
-    Half the time of the path tracer, for scenes in which only sky shadowing is computed.
-
-    Parameters
-    ----------
-    points
-        Points, with their control-variate fraction of the sky.
-    even
-        Two quasi-random numbers for each ray of each point: directions follow by the cosine law.
-    environment_map, tracer
-        The sky, and what may hide it.
-
-    Notes
-    -----
-    pi/rays times the sum of (1 - c) L over visible directions and of -c L over occluded ones, c the fraction.
-    """
-    bands = environment.radiance_table.shape[2]
-    found = np.zeros((len(points), bands), np.float32)
-    if tracer.scene is not None:
-        start = tracer.above(points.face, points.place_m, points.normal)
-        room = (new_packets(PACKET), np.zeros(PACKET, np.int64), np.zeros((PACKET, 3)), np.ones(bands, np.float32))
-        scene, here = (tracer.scene.address, tracer.scene.centre_m), (start, points.normal, points.sky_control_fraction)
-        _add_sky(scene, here, (even.start, even.rays), environment.radiance_table, room, found)
-    return found
-
-
-@numba.njit(**COMPILED)
-def _add_sky(scene: Any, points: Any, even: Any, table: Any, room: Any, found: Any) -> None:
-    address, centre = scene
-    place, normal, sky_control_fraction = without_reference_count(points)
-    begin, each = without_reference_count(even)
-    table, found = without_reference_count(table), without_reference_count(found)
-    packets, owner, ways, whole = without_reference_count(room)
-    i, ray, now = 0, 0, (0.0, 1.0, 0.0)
-    # Rays of consecutive points share packets, so that packets are full however few rays each point has.
-    while i < len(place):
-        asked = 0
-        while asked < PACKET and i < len(place):
-            now = next_even(now) if ray else first_even(begin[i])
-            by_cosine(normal[i], now, ways[asked])
-            if ways[asked, 2] >= 0.0:
-                owner[asked] = i
-                set_ray(packets, asked, centre, place[i], ways[asked], np.inf)
-                asked += 1
-            i, ray = (i, ray + 1) if ray + 1 < each else (i + 1, 0)
-        trace_occlusion(address, packets, asked)
-        for slot in range(asked):
-            one, way = owner[slot], ways[slot]
-            share = -sky_control_fraction[one] if is_ray_occluded(packets, slot) else 1.0 - sky_control_fraction[one]
-            if share != 0.0:
-                sky_light(table, way[0], way[1], way[2], share * np.pi / each, whole, found[one])

@@ -1,12 +1,13 @@
-"""A scene on the bands of a rendering: surfaces, BSDFs, light sources and air."""
+"""A scene on the bands of a rendering: surfaces, BSDFs, light sources and air; and its shading points."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.brdf.protocol import Brdf, Lambert
 from simulate.radiance.geometry.embree import ROW
 from simulate.radiance.geometry.ray_tracer import Hits
 from simulate.radiance.geometry.surfaces import Surfaces
@@ -14,34 +15,166 @@ from simulate.radiance.integrator import environment_map
 from simulate.radiance.integrator.environment_map import SkyImportance
 from simulate.radiance.integrator.light_sources import Lighting
 from simulate.radiance.integrator.light_tracing import LightTracingSettings
-from simulate.radiance.integrator.shading_points import BsdfSet, ShadingPoints
+from simulate.radiance.integrator.panes import Panes
+from simulate.radiance.integrator.sampling import cosine_lobe, shading_frames
 
 if TYPE_CHECKING:
     from simulate.radiance.atmosphere import Atmosphere
 
-
 Array = NDArray[np.floating]
+Rows = NDArray[np.int64]
+# Number of an additional, perfectly reflecting material.
+WHITE = -1
+
+
+@dataclass(frozen=True)
+class ShadingPoints:
+    """Points on surfaces at which radiance is computed, shape (point, ...)."""
+
+    place_m: Array
+    face: Rows
+    normal: Array  # on the side of the viewer
+    outgoing: Array  # unit direction to the viewer
+    outside: NDArray[np.bool_]  # whether the viewer sees the outer side of the triangle
+    material: Rows
+    glossy: tuple[tuple[Rows, Brdf], ...]  # points of each surface that is not diffuse, and its BRDF
+    # Fraction of the unoccluded sky irradiance of diffuse points that serves as control variate; the rest is gathered.
+    # Any fraction independent of the samples gives the same mean: 1 has no noise in the open, 0 has least where little
+    # sky is visible.
+    sky_control_fraction: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+    @property
+    def is_diffuse(self) -> NDArray[np.bool_]:
+        """Whether each point is on a diffuse surface, shape (point,)."""
+        found = np.ones(len(self), np.bool_)
+        for which, _ in self.glossy:
+            found[which] = False
+        return found
+
+    def on_white_surface(self) -> "ShadingPoints":
+        """Return the same points on a perfectly reflecting diffuse surface."""
+        return replace(self, material=np.full(len(self), WHITE), glossy=())
+
+    def some(self, which: Rows) -> "ShadingPoints":
+        """Return a selection of the points, with repetition."""
+        glossy = []
+        for of, brdf in self.glossy:
+            shines = np.zeros(len(self), bool)
+            shines[of] = True
+            found = np.flatnonzero(shines[which])
+            glossy += [(found, brdf)] if len(found) else []
+        arrays = {name: values[which] for name, values in vars(self).items() if name != "glossy"}
+        return ShadingPoints(glossy=tuple(glossy), **arrays)
+
+
+@dataclass(frozen=True)
+class BsdfSet:
+    """BRDFs of the materials, on bands (band,), nm, and panes of glass."""
+
+    wavelength_nm: Array
+    brdfs: tuple[Brdf, ...]  # one for each material of the surfaces
+    rho_by_pi: NDArray[np.float32]  # of the diffuse ones, and last of `WHITE`, shape (material + 1, band), sr-1
+    panes: Panes | None = None
+
+    @classmethod
+    def of(cls, brdfs: tuple[Brdf, ...], wavelength_nm: Array) -> "BsdfSet":
+        """Return materials on bands."""
+        table = np.zeros((len(brdfs) + 1, len(wavelength_nm)), np.float32)
+        table[WHITE] = 1.0 / np.pi
+        for row, brdf in zip(table[:WHITE], brdfs, strict=True):
+            if isinstance(brdf, Lambert):
+                row[:] = brdf.reflectance.at(wavelength_nm) / np.pi
+        return cls(wavelength_nm, brdfs, table)
+
+    def points(
+        self,
+        surfaces: Surfaces,
+        face: Rows,
+        place_m: Array,
+        direction: Array,
+        control: NDArray[np.float32] | None = None,
+    ) -> ShadingPoints:
+        """Return shading points for rays of unit direction (ray, 3) that hit triangles (ray,) at positions (ray, 3), m.
+
+        `control` is the control-variate fraction of the sky; None: 1.
+        """
+        normal = surfaces.tracer.normals(face)
+        outside = np.einsum("ij,ij->i", normal, direction) < 0.0
+        material = surfaces.material_of[face & ROW]
+        glossy = tuple(
+            (np.flatnonzero(material == number), brdf)
+            for number, brdf in enumerate(self.brdfs)
+            if not isinstance(brdf, Lambert) and (material == number).any()
+        )
+        facing = np.where(outside[:, None], normal, -normal)
+        control = np.ones(len(face), np.float32) if control is None else control
+        return ShadingPoints(place_m, face, facing, -direction, outside, material, glossy, control)
+
+    def diffuse_brdf(self, points: ShadingPoints) -> NDArray[np.float32]:
+        """Return rho / pi of diffuse points and zero for others, shape (point, band), sr-1."""
+        return self.rho_by_pi[points.material]
+
+    def value(self, points: ShadingPoints, incoming: Array) -> NDArray[np.float32]:
+        """Return the BRDF of points for unit directions to the light above them, shape (point, band), sr-1."""
+        found = self.diffuse_brdf(points)
+        for which, brdf in points.glossy:
+            frame = shading_frames(points.normal[which])
+            light, eye = within(frame, incoming[which]), within(frame, points.outgoing[which])
+            found[which] = brdf.value(light, eye, self.wavelength_nm).T
+        return found
+
+    def sample(self, points: ShadingPoints, pairs: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Draw gather directions and their density, sr-1: by the cosine law from pairs of uniform numbers (point, 2).
+
+        Half of those of glossy points are by the specular lobe.
+        """
+        frame, local = shading_frames(points.normal), cosine_lobe(pairs)
+        for which, brdf in points.glossy:
+            by_gloss = which[rng.random(len(which)) < 0.5]
+            local[by_gloss] = brdf.sample(within(frame[by_gloss], points.outgoing[by_gloss]), rng)[0]
+        direction = np.einsum("ij,ijk->ik", local, frame)
+        return direction, self.density(points, direction)
+
+    def density(self, points: ShadingPoints, direction: Array) -> Array:
+        """Return the density of `sample` in unit directions (point, 3), sr-1, shape (point,)."""
+        found = np.maximum(np.einsum("ij,ij->i", points.normal, direction), 0.0) / np.pi
+        for which, brdf in points.glossy:
+            frame = shading_frames(points.normal[which])
+            light, eye = within(frame, direction[which]), within(frame, points.outgoing[which])
+            found[which] = 0.5 * (found[which] + brdf.pdf(light, eye))
+        return found
+
+
+def within(frame: Array, direction: Array) -> Array:
+    """Return directions (point, 3) in the axes of frames (point, 3, 3)."""
+    return np.einsum("ijk,ik->ij", frame, direction)
+
+
 # Gas transmittance is tabulated at ranges of 2^(n / NODES) m from 1 m; shorter paths lose nothing to gases.
 NODES, OCTAVES = 16, 20
 
 
 @dataclass(frozen=True)
 class Air:
-    """Air of a scene, on bands.
+    """Air of a scene, on bands."""
 
-    Parameters
-    ----------
-    extinction_per_m
-        Extinction by haze and molecules, shape (band,), m-1; None: no air.
-    gas_transmittance
-        Gas transmittance over paths of 2^(n / `NODES`) m, shape (length, band).
-    endless
-        Radiance of an infinite path by direction; None for unlit air.
-    """
+    extinction_per_m: NDArray[np.float32] | None = None  # by haze and molecules, shape (band,); None: no air
+    gas_transmittance: NDArray[np.float32] | None = None  # over paths of 2^(n / `NODES`) m, shape (length, band)
+    endless: environment_map.EnvironmentMap | None = None  # radiance of an infinite path; None for unlit air
 
-    extinction_per_m: NDArray[np.float32] | None = None
-    gas_transmittance: NDArray[np.float32] | None = None
-    endless: environment_map.EnvironmentMap | None = None
+    @classmethod
+    def of(cls, lit: "Atmosphere", wavelength_nm: Array) -> "Air":
+        """Tabulate an atmosphere on bands (band,), nm."""
+        lengths = 2.0 ** (np.arange(NODES * OCTAVES + 1) / NODES)
+        light = lit.light
+        return cls(
+            lit.extinction_per_m(wavelength_nm).astype(np.float32),
+            np.ascontiguousarray(lit.gas_transmittance(lengths, wavelength_nm).T, np.float32),
+            None if light is None else environment_map.sphere(lambda way: light.air_radiance(way, wavelength_nm)),
+        )
 
     @property
     def absorbs(self) -> bool:
@@ -61,20 +194,14 @@ class Air:
         `Atmosphere.path_radiance`.
         """
         left = self._particle_transmittance(range_m)
-        change = left * self._gas_transmittance(range_m)
-        change -= np.float32(1.0)
-        change *= light
+        change = (left * self._gas_transmittance(range_m) - np.float32(1.0)) * light
         if self.endless is not None:
-            np.subtract(np.float32(1.0), left, out=left)
-            left *= self.endless.irradiance(direction)
-            left *= self._gas_transmittance(0.5 * range_m)
-            change += left
+            change += (1.0 - left) * self.endless.irradiance(direction) * self._gas_transmittance(0.5 * range_m)
         return change
 
     def _particle_transmittance(self, range_m: Array) -> NDArray[np.float32]:
         assert self.extinction_per_m is not None
-        depth = np.asarray(-range_m, np.float32)[:, None] * self.extinction_per_m
-        return np.exp(depth, out=depth)
+        return np.exp(np.asarray(-range_m, np.float32)[:, None] * self.extinction_per_m)
 
     def _gas_transmittance(self, range_m: Array) -> NDArray[np.float32]:
         """Interpolate the gas transmittance in the logarithm of the length, shape (ray, band)."""
@@ -82,36 +209,12 @@ class Air:
         assert table is not None
         place = np.clip(NODES * np.log2(np.maximum(range_m, 1.0)), 0.0, len(table) - 1.0)
         below = np.minimum(place.astype(np.int64), len(table) - 2)
-        share = (place - below).astype(np.float32)[:, None]
-        found = table[below]
-        found += share * (table[below + 1] - found)
-        return found
-
-
-def air(lit: "Atmosphere", wavelength_nm: NDArray[np.float64]) -> Air:
-    """Tabulate an atmosphere on bands (band,), nm."""
-    lengths = 2.0 ** (np.arange(NODES * OCTAVES + 1) / NODES)
-    light = lit.light
-    return Air(
-        lit.extinction_per_m(wavelength_nm).astype(np.float32),
-        np.ascontiguousarray(lit.gas_transmittance(lengths, wavelength_nm).T, np.float32),
-        None if light is None else environment_map.sphere(lambda way: light.air_radiance(way, wavelength_nm)),
-    )
+        return table[below] + (place - below).astype(np.float32)[:, None] * (table[below + 1] - table[below])
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpectralScene:
-    """A scene on the bands of a rendering.
-
-    Parameters
-    ----------
-    surfaces, bsdfs
-        Surfaces and their BSDFs.
-    lighting
-        Light sources.
-    air
-        Attenuation and path radiance of air.
-    """
+    """A scene on the bands of a rendering."""
 
     surfaces: Surfaces
     bsdfs: BsdfSet
@@ -134,28 +237,13 @@ class SpectralScene:
         return self.lighting.bright_sky if self.bsdfs.panes is None else None
 
     def points(
-        self,
-        hit: Hits,
-        origin_m: Array,
-        direction: Array,
-        which: NDArray[np.int64],
-        sky_control_fraction: NDArray[np.float32] | None = None,
+        self, hit: Hits, origin_m: Array, direction: Array, which: Rows, control: NDArray[np.float32] | None = None
     ) -> ShadingPoints:
-        """Return the shading points of some of the rays of unit direction (ray, 3).
-
-        Parameters
-        ----------
-        hit, origin_m, direction
-            All rays, and their hits.
-        which
-            Indices of the requested rays, which hit a surface, shape (point,).
-        sky_control_fraction
-            Of these points, see `ShadingPoints`, shape (point,); None: all known.
-        """
+        """Return the shading points of some of the rays of unit direction (ray, 3), which hit a surface."""
         place = origin_m[which] + hit.range_m[which, None] * direction[which]
-        return self.bsdfs.points(self.surfaces, hit.face[which], place, direction[which], sky_control_fraction)
+        return self.bsdfs.points(self.surfaces, hit.face[which], place, direction[which], control)
 
-    def emission(self, points: ShadingPoints) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    def emission(self, points: ShadingPoints) -> tuple[Rows, NDArray[np.float32]]:
         """Return the indices of emitting points and their emitted radiance, shape (emitting point, band)."""
         panels = self.lighting.panels
         if panels is None:

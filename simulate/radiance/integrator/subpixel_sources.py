@@ -10,24 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.geometry.viewpoint import Exposure, Viewpoint
-from simulate.radiance.integrator import direct_lighting
+from simulate.radiance.integrator.direct_lighting import dot
 from simulate.radiance.integrator.integrator_settings import LIMITS
-from simulate.radiance.integrator.light_sources import DiscLight, LampLight
+from simulate.radiance.integrator.light_sources import SHORT, DiscLight, LampLight
 from simulate.radiance.integrator.panes import Panes, reflect_direction
+from simulate.radiance.integrator.sampling import shading_frames
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 
 Array = NDArray[np.floating]
 
 
-def coverage(row: Array, col: Array, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the fraction of each pixel that a polygon covers, shape (row, col).
-
-    Parameters
-    ----------
-    row, col
-        Its corners in order, integers at the corners of pixels, shape (corner,).
-    shape
-        Pixels, from (0, 0); the polygon may extend beyond them.
+def coverage(row: Array, col: Array, shape: tuple[int, int]) -> Array:
+    """Return the fraction of each pixel that a polygon with corners (corner,) covers, shape (row, col).
 
     Notes
     -----
@@ -87,11 +81,14 @@ def add_small_sources(stage: SpectralScene, view: Viewpoint, radiance: NDArray[n
                 _add_disc(stage, view, exposure, source, plane, radiance)
 
 
+Source = DiscLight | LampLight
+
+
 def _add_disc(
     stage: SpectralScene,
     view: Viewpoint,
     exposure: Exposure,
-    source: DiscLight | LampLight,
+    source: Source,
     plane: "_Plane | None",
     radiance: NDArray[np.float32],
 ) -> None:
@@ -99,11 +96,12 @@ def _add_disc(
     eye = exposure.eye_m
     # The reflected lens sees the source as the lens sees the source's image.
     from_m = eye if plane is None else eye - 2.0 * plane.height(eye) * plane.normal
-    if plane is not None and isinstance(source, LampLight) and plane.height(source.position_m) * plane.height(eye) <= 0:
-        return
-    # A camera inside a lamp, as inside a ring of diodes, does not see it.
-    if isinstance(source, LampLight) and np.linalg.norm(source.position_m - from_m) <= source.radius_m:
-        return
+    if isinstance(source, LampLight):
+        if plane is not None and plane.height(source.position_m) * plane.height(eye) <= 0:
+            return
+        # A camera inside a lamp, as inside a ring of diodes, does not see it.
+        if np.linalg.norm(source.position_m - from_m) <= source.radius_m:
+            return
     swollen = 2.0 * np.pi / LIMITS.disc_corners / np.sin(2.0 * np.pi / LIMITS.disc_corners)
     turn = 2.0 * np.pi * np.arange(LIMITS.disc_corners) / LIMITS.disc_corners
     rim = _image_directions(_places(source, from_m, np.full(LIMITS.disc_corners, swollen), turn), plane)
@@ -122,9 +120,7 @@ def _add_disc(
     many = int(np.clip(LIMITS.disc_rays_per_pixel * covered.sum(), LIMITS.min_disc_rays, LIMITS.max_disc_rays))
     way = _places(source, from_m, (np.arange(many) + 0.5) / many, GOLDEN_TURN * np.arange(many))
     share = (
-        _source_transmittance(stage, eye, way, source)
-        if plane is None
-        else _image_transmittance(stage, eye, from_m, way, plane, source)
+        _transmittance(stage, eye, way, source) if plane is None else _by_pane(stage, eye, from_m, way, plane, source)
     )
     row, col, _ = view.project(exposure.direction_before_turn(_image_directions(way, plane)))
     left = _means(np.stack([row - exposure.first, col], axis=1), share, np.stack(middle, axis=1))
@@ -133,10 +129,7 @@ def _add_disc(
 
 
 def _means(place: Array, share: NDArray[np.float32], middle: Array) -> NDArray[np.float32]:
-    """Return mean fractions of pixels from the points in them, or from the nearest point, shape (pixel, band or 1).
-
-    Points (point, 2) and centres of pixels (pixel, 2) are coordinates (row, col).
-    """
+    """Return means of pixels over the points (row, col) in them, or of the nearest, shape (pixel, band or 1)."""
     if (share == share[0]).all():
         return share[:1]
     last = middle.max(axis=0) + 1.5
@@ -152,17 +145,10 @@ def _means(place: Array, share: NDArray[np.float32], middle: Array) -> NDArray[n
     return mean
 
 
-def _places(source: DiscLight | LampLight, eye: Array, within: Array, turn: Array) -> Array:
+def _places(source: Source, eye: Array, within: Array, turn: Array) -> Array:
     """Return vectors from the lens to points of a source, shape (point, 3); of unit length for sun and moon.
 
-    Parameters
-    ----------
-    source, eye
-        The source, and the lens position, m.
-    within
-        Fraction of the disc's area closer to its centre than each point.
-    turn
-        Angle about the centre, rad.
+    The points have an angle about the centre, rad, and a fraction of the disc's area that is closer to it.
     """
     if isinstance(source, DiscLight):
         middle, radius, length = source.direction, 1.0, 1.0 - within * (1.0 - np.cos(source.angular_radius_rad))
@@ -170,36 +156,32 @@ def _places(source: DiscLight | LampLight, eye: Array, within: Array, turn: Arra
     else:
         middle = source.position_m - eye
         radius, length, across = source.radius_m, np.ones(len(turn)), np.sqrt(within)
-    frame = direct_lighting.shading_frames((middle / np.linalg.norm(middle))[None])[0]
+    frame = shading_frames((middle / np.linalg.norm(middle))[None])[0]
     offset = np.cos(turn)[:, None] * frame[0] + np.sin(turn)[:, None] * frame[1]
     return length[:, None] * middle + radius * across[:, None] * offset
 
 
-def _source_transmittance(
-    stage: SpectralScene, eye: Array, way: Array, source: DiscLight | LampLight
-) -> NDArray[np.float32]:
+def _transmittance(stage: SpectralScene, eye: Array, way: Array, source: Source) -> NDArray[np.float32]:
     """Return the transmittance to points of a source past surfaces and through panes, shape (point, band or 1)."""
-    reach = None if isinstance(source, DiscLight) else direct_lighting.SHORT
+    reach = None if isinstance(source, DiscLight) else SHORT
     start = np.broadcast_to(eye, way.shape)
     share = (~stage.surfaces.tracer.is_occluded(start, way, reach)).astype(np.float32)[:, None]
     if stage.bsdfs.panes is None:
         return share
-    share = np.repeat(share, stage.bands, axis=1)
-    _weaken(stage.bsdfs.panes, start, way, reach, share)
-    return share
+    return _weaken(stage.bsdfs.panes, start, way, reach, np.repeat(share, stage.bands, axis=1))
 
 
-def _irradiance(stage: SpectralScene, source: DiscLight | LampLight, eye: Array) -> NDArray[np.float32]:
+def _irradiance(stage: SpectralScene, source: Source, eye: Array) -> NDArray[np.float32]:
     """Return the irradiance by a source through air alone, shape (band,)."""
     if isinstance(source, DiscLight):
         return source.irradiance
     middle = source.position_m - eye
     distance = float(np.linalg.norm(middle))
-    found = source.spectrum * np.float32(source.pattern(-middle[None] / distance)[0] / distance**2)
+    found = source.spectrum * np.float32(source.per_sr(-middle[None] / distance)[0] / distance**2)
     return found * stage.air.through(np.array([distance]))[0] if stage.air.absorbs else found
 
 
-def _solid_angle_sr(source: DiscLight | LampLight, eye: Array) -> float:
+def _solid_angle_sr(source: Source, eye: Array) -> float:
     """Return the solid angle of a source's disc, 4 pi sin^2 of half its angular radius, sr."""
     radius = (
         source.angular_radius_rad
@@ -209,9 +191,13 @@ def _solid_angle_sr(source: DiscLight | LampLight, eye: Array) -> float:
     return float(4.0 * np.pi * np.sin(0.5 * radius) ** 2)
 
 
-def _weaken(panes: Panes, start: Array, way: Array, reach: float | None, light: NDArray[np.float32]) -> None:
+def _weaken(
+    panes: Panes, start: Array, way: Array, reach: float | None, light: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Attenuate light along paths by panes, in place."""
     which, left = panes.transmittance_along(start, way, reach)
     light[which] *= left
+    return light
 
 
 @dataclass(frozen=True)
@@ -229,7 +215,7 @@ class _Plane:
 
 def _planes(panes: Panes) -> list[_Plane]:
     normal = panes.tracer.planes[1]
-    offset = np.einsum("ij,ij->i", normal, panes.tracer.corner_m)
+    offset = dot(normal, panes.tracer.planes[0])
     first = np.argmax(np.abs(normal) > 10.0**-LIMITS.plane_decimals, axis=1)
     sign = np.sign(normal[np.arange(len(normal)), first])
     keys = np.round(sign[:, None] * np.column_stack([normal, offset]), LIMITS.plane_decimals)
@@ -244,8 +230,8 @@ def _image_directions(way: Array, plane: _Plane | None) -> Array:
     return unit if plane is None else reflect_direction(unit, np.broadcast_to(plane.normal, unit.shape))
 
 
-def _image_transmittance(
-    stage: SpectralScene, eye: Array, image_eye: Array, way: Array, plane: _Plane, source: DiscLight | LampLight
+def _by_pane(
+    stage: SpectralScene, eye: Array, image_eye: Array, way: Array, plane: _Plane, source: Source
 ) -> NDArray[np.float32]:
     """Return the transmittance to points of an image, over both segments of its path, shape (point, band)."""
     panes, tracer = stage.bsdfs.panes, stage.surfaces.tracer
@@ -256,21 +242,19 @@ def _image_transmittance(
     way, leg = way[on], height / rises[on]
     foot = image_eye + leg[:, None] * way
     ahead = way / np.linalg.norm(way, axis=1, keepdims=True)
-    near = panes.met(
-        foot - LIMITS.pane_test_length_m * ahead, ahead, np.full(len(way), 2.0 * LIMITS.pane_test_length_m)
-    )
+    off_m = LIMITS.pane_test_length_m
+    near = panes.met(foot - off_m * ahead, ahead, np.full(len(way), 2.0 * off_m))
     near_plane = np.isin(near.face, plane.faces)
     which, back = near.which[near_plane], near.mirrored[near_plane]
     foot, way, rest = foot[which], way[which], (1.0 - leg[which])[:, None] * way[which]
     start = np.broadcast_to(eye, foot.shape)
     # The reflected segment starts at a small distance from the pane, on the side of the lens.
     side = np.sign(np.einsum("ij,j->i", start - foot, plane.normal))[:, None] * plane.normal
-    above = foot + LIMITS.pane_test_length_m * side
-    reach = None if isinstance(source, DiscLight) else direct_lighting.SHORT
-    onward = way if isinstance(source, DiscLight) else rest
-    clear = ~tracer.is_occluded(start, foot - start, direct_lighting.SHORT) & ~tracer.is_occluded(above, onward, reach)
+    above = foot + off_m * side
+    reach, onward = (None, way) if isinstance(source, DiscLight) else (SHORT, rest)
+    clear = ~tracer.is_occluded(start, foot - start, SHORT) & ~tracer.is_occluded(above, onward, reach)
     light = back[clear]
-    _weaken(panes, start[clear], above[clear] - start[clear], direct_lighting.SHORT, light)
+    _weaken(panes, start[clear], above[clear] - start[clear], SHORT, light)
     _weaken(panes, above[clear], onward[clear], reach, light)
     share[on[which[clear]]] = light
     return share

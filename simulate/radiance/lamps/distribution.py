@@ -1,21 +1,31 @@
-"""Lamps and their intensity distributions, in the lamp's frame with the axis as z."""
+"""Lamps, their intensity distributions in the lamp's frame with the axis as z, and photometric files (IES LM-63)."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
 from simulate.radiance.spectrum import SourceSpectrum
 
+Array = NDArray[np.floating]
+# How compiled loops know a distribution: its kind, then factor and power, or sizes, angles and intensities of a table.
+POWER, MEASURED = 1.0, 2.0
+
 
 class Distribution(Protocol):
     """Fraction of a lamp's light per solid angle."""
 
-    def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
+    def per_sr(self, direction: Array) -> Array:
         """Return the fraction of the flux per sr in directions (ray, 3), shape (ray,); its integral is 1."""
+        ...
+
+    def encoded(self) -> Array:
+        """Return the numbers from which `light_sources.lamp_pattern` finds the same; `tabulated` serves any shape."""
         ...
 
 
@@ -23,29 +33,31 @@ class Distribution(Protocol):
 class Isotropic:
     """The same in all directions."""
 
-    def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
+    def per_sr(self, direction: Array) -> Array:
         """Return 1/(4 pi), sr-1."""
         return np.full(len(direction), 0.25 / np.pi)
+
+    def encoded(self) -> Array:
+        """Return the numbers for `light_sources.lamp_pattern`."""
+        return np.array([POWER, 0.25 / np.pi, 0.0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cosine:
     """A Lambertian emitter: the cosine of the angle from the axis."""
 
-    def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
+    def per_sr(self, direction: Array) -> Array:
         """Return cos/pi, sr-1, zero behind."""
         return np.maximum(direction[:, 2], 0.0) / np.pi
+
+    def encoded(self) -> Array:
+        """Return the numbers for `light_sources.lamp_pattern`."""
+        return np.array([POWER, 1.0 / np.pi, 1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpotBeam:
-    """A beam, cos^m of the angle from the axis.
-
-    Parameters
-    ----------
-    half_angle_deg
-        Angle from the axis at half intensity, degrees.
-    """
+    """A beam, cos^m of the angle from the axis; `half_angle_deg` is that at half intensity."""
 
     half_angle_deg: float
 
@@ -58,29 +70,25 @@ class SpotBeam:
         """m of cos^m, dimensionless."""
         return float(np.log(0.5) / np.log(np.cos(np.deg2rad(self.half_angle_deg))))
 
-    def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
+    def per_sr(self, direction: Array) -> Array:
         """Return (m + 1)/(2 pi) cos^m, sr-1, zero behind."""
         return (self.power + 1.0) / (2.0 * np.pi) * np.maximum(direction[:, 2], 0.0) ** self.power
+
+    def encoded(self) -> Array:
+        """Return the numbers for `light_sources.lamp_pattern`."""
+        return np.array([POWER, (self.power + 1.0) / (2.0 * np.pi), self.power])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredDistribution:
-    """Measured intensities, as in goniophotometer and IES files.
+    """Measured intensities, as in goniophotometer and IES files."""
 
-    Parameters
-    ----------
-    polar_deg
-        Angles from the axis, ascending from 0 or more to at most 180, shape (polar,), degrees; dark outside.
-    azimuth_deg
-        Angles around it from the frame's x towards its y, ascending from 0, shape (azimuth,), degrees: one angle for a
-        lamp that is the same all around, else up to 90 or 180 (mirrored) or 360.
-    candela
-        Intensities in any unit, shape (azimuth, polar).
-    """
-
-    polar_deg: NDArray[np.floating]
-    azimuth_deg: NDArray[np.floating]
-    candela: NDArray[np.floating]
+    # Angles from the axis, ascending from 0 or more to at most 180, shape (polar,), degrees; dark outside.
+    polar_deg: Array
+    # Angles around it from the frame's x towards its y, ascending from 0, shape (azimuth,), degrees: one
+    # angle for a lamp that is the same all around, else up to 90 or 180 (mirrored) or 360.
+    azimuth_deg: Array
+    candela: Array  # intensities in any unit, shape (azimuth, polar)
     _total: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -105,13 +113,18 @@ class MeasuredDistribution:
         """Integral of the intensities over all directions: lumens where they are candela."""
         return self._total
 
-    def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
+    def encoded(self) -> Array:
+        """Return the numbers for `light_sources.lamp_pattern`."""
+        head = [MEASURED, 1.0 / self.integral, float(self.polar_deg.size), float(self.azimuth_deg.size)]
+        return np.concatenate([head, self.polar_deg, self.azimuth_deg, self.candela.ravel()])
+
+    def per_sr(self, direction: Array) -> Array:
         """Return the fraction of the flux per sr, linear in both angles between the table's."""
         polar = np.rad2deg(np.arccos(np.clip(direction[:, 2], -1.0, 1.0)))
         azimuth = np.rad2deg(np.arctan2(direction[:, 1], direction[:, 0])) % 360.0
         return self._candela(polar, azimuth) / self._total
 
-    def _candela(self, polar: NDArray[np.floating], azimuth: NDArray[np.floating]) -> NDArray[np.float64]:
+    def _candela(self, polar: Array, azimuth: Array) -> Array:
         column = np.clip(np.searchsorted(self.polar_deg, polar, side="right") - 1, 0, self.polar_deg.size - 2)
         along = (polar - self.polar_deg[column]) / np.diff(self.polar_deg)[column]
         inside = (polar >= self.polar_deg[0]) & (polar <= self.polar_deg[-1])
@@ -121,7 +134,7 @@ class MeasuredDistribution:
         far = self.candela[following, column] * (1.0 - along) + self.candela[following, column + 1] * along
         return np.where(inside, near * (1.0 - across) + far * across, 0.0)
 
-    def _row(self, azimuth: NDArray[np.floating]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    def _row(self, azimuth: Array) -> tuple[NDArray[np.intp], Array]:
         last = self.azimuth_deg[-1]
         if last == 0.0:
             return np.zeros(azimuth.shape, np.intp), np.zeros(azimuth.shape)
@@ -145,34 +158,172 @@ class MeasuredDistribution:
         return float(2.0 * np.pi * np.sum(np.interp(middle, self.polar_deg, around) * ring))
 
 
+def tabulated(distribution: Distribution, steps: int = 721) -> MeasuredDistribution:
+    """Return the table of any distribution, in steps of a quarter of a degree from the axis and 5 degrees around it."""
+    polar, azimuth = np.linspace(0.0, 180.0, steps), np.linspace(0.0, 360.0, 73)
+    up, turn = np.meshgrid(np.deg2rad(polar), np.deg2rad(azimuth))
+    way = np.stack([np.sin(up) * np.cos(turn), np.sin(up) * np.sin(turn), np.cos(up)], axis=-1)
+    candela = distribution.per_sr(way.reshape(-1, 3)).reshape(up.shape)
+    return MeasuredDistribution(polar_deg=polar, azimuth_deg=azimuth, candela=candela)
+
+
+class Beam(Protocol):
+    """What a scene says of a lamp's beam."""
+
+    @property
+    def half_angle_deg(self) -> float:
+        """Angle from the axis at half intensity, deg."""
+        ...
+
+
+# Beams by name, made from what a scene's lamp says.
+BEAMS: dict[str, Callable[[Beam], Distribution]] = {
+    "isotropic": lambda lamp: Isotropic(),
+    "cosine": lambda lamp: Cosine(),
+    "spot": lambda lamp: SpotBeam(half_angle_deg=lamp.half_angle_deg),
+}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lamp:
-    """Spectrum and intensity distribution of a lamp, without a position.
-
-    Parameters
-    ----------
-    flux
-        Radiant flux, W over wavelength (`spectrum`).
-    distribution
-        Intensity distribution in the lamp's frame, z along its axis.
-    """
+    """Radiant flux, W over wavelength, and intensity distribution of a lamp, without a position; z is its axis."""
 
     flux: SourceSpectrum
     distribution: Distribution = field(default_factory=Isotropic)
 
-    def intensity(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the spectral radiant intensity, W sr-1 nm-1, shape (band, ray).
 
-        Parameters
-        ----------
-        direction
-            Unit vectors away from the lamp in its frame, shape (ray, 3).
-        wavelength_nm
-            The whole spectral grid, shape (band,), nm; a line's power lies in the bands around it
-            (`SourceSpectrum.on`).
-        """
-        return self.flux.on(wavelength_nm)[:, None] * self.distribution.per_sr(direction)
+# Most angles and bytes of a valid file.
+MOST_ANGLES = 20_000
+LARGEST_BYTES = 16_000_000
+TYPE_C = 1.0
 
-    def exitance(self, area_m2: float, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return what a surface of an area gives off when it is this lamp, W m-2 nm-1, shape (band,)."""
-        return self.flux.on(wavelength_nm) / area_m2
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Photometry:
+    """Photometry of a lamp from a file."""
+
+    table: MeasuredDistribution  # its intensities over direction
+    lumens: float  # its luminous flux: the integral of the intensities with all factors of the file, lm
+
+
+def read_ies(path: str | Path) -> Photometry:
+    """Return the photometry of a file.
+
+    Read: IES LM-63 editions of 1986, 1991, 1995, 2002 and 2019, photometry of type C, and no correction for tilt. The
+    lamp shines along its axis at vertical angle 0; horizontal angles grow from the plane C0 counterclockwise as seen
+    from above a lamp that shines down. Not read: types A and B, as floodlights and cars have, and tilt factors but 1.
+
+    Raises BadInput if the file cannot be read, breaks the form, or needs what is not read here.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError:
+        raise BadInput(f"a lamp's photometry must be a readable file, got {path}") from None
+    if len(data) > LARGEST_BYTES:
+        raise BadInput(f"a lamp's photometry must not be larger than {LARGEST_BYTES} bytes, got {len(data)} in {path}")
+    try:
+        return parse_photometry(data.decode("latin-1"))
+    except BadInput as error:
+        raise BadInput(f"{error}, in {path.name}") from None
+
+
+def parse_photometry(text: str) -> Photometry:
+    """Return the photometry of a file's text."""
+    numbers = _Numbers(_after_tilt(text.splitlines()))
+    lamps, lumens_each, multiplier, polar_count, azimuth_count, kind, unit = numbers.take("head", 7)
+    numbers.take("sizes of the luminous opening", 3)
+    ballast, _, _ = numbers.take("ballast factor, future use and watts", 3)
+    if kind != TYPE_C:
+        raise BadInput(f"photometry must be of type C (1), got {kind:g}")
+    if unit not in (1.0, 2.0):
+        raise BadInput(f"the unit of sizes must be 1 (feet) or 2 (metres), got {unit:g}")
+    for name, value in (("candela multiplier", multiplier), ("ballast factor", ballast)):
+        if not value > 0.0:
+            raise BadInput(f"the {name} must be positive, got {value:g}")
+    if lamps < 1.0 or (lumens_each < 0.0 and lumens_each != -1.0):
+        raise BadInput(f"a file must state lamps and their lumens, or -1, got {lamps:g} of {lumens_each:g} lm")
+    polar = numbers.take("vertical angles", _count("vertical angles", polar_count))
+    azimuth = numbers.take("horizontal angles", _count("horizontal angles", azimuth_count))
+    candela = numbers.take("candela", polar.size * azimuth.size).reshape(azimuth.size, polar.size)
+    numbers.end()
+    around, intensities = _from_zero(azimuth, candela)
+    table = MeasuredDistribution(polar_deg=polar, azimuth_deg=around, candela=intensities * multiplier * ballast)
+    return Photometry(table=table, lumens=table.integral)
+
+
+def _after_tilt(lines: list[str]) -> Iterator[str]:
+    """Return the lines after the keywords; raise BadInput if there is a correction for tilt."""
+    for number, line in enumerate(lines):
+        said = line.strip()
+        if said.upper().startswith("TILT"):
+            what = said.partition("=")[2].strip().upper()
+            if what == "NONE":
+                return iter(lines[number + 1 :])
+            if what == "INCLUDE":
+                return _without_tilt(lines[number + 1 :])
+            raise BadInput(f"TILT must be NONE or INCLUDE, got {said[:40]!r}")
+    raise BadInput("a photometric file must have a line TILT=, got none")
+
+
+def _without_tilt(lines: list[str]) -> Iterator[str]:
+    numbers = _Numbers(iter(lines))
+    _, count = numbers.take("geometry and number of tilts", 2)
+    pairs = _count("tilts", count)
+    numbers.take("angles of tilt", pairs)
+    factors = numbers.take("factors of tilt", pairs)
+    if (factors != 1.0).any():
+        raise BadInput(
+            f"a lamp's light must not depend on its tilt, got factors of {factors.min():g} to {factors.max():g}"
+        )
+    return numbers.lines
+
+
+class _Numbers:
+    """Reader of numbers that are separated by blanks or commas, over several lines."""
+
+    def __init__(self, lines: Iterator[str]) -> None:
+        self.lines = lines
+        self._held: list[str] = []
+
+    def take(self, what: str, count: int) -> Array:
+        while len(self._held) < count:
+            line = next(self.lines, None)
+            if line is None:
+                raise BadInput(f"a photometric file must hold {count} numbers for {what}, got {len(self._held)}")
+            self._held += line.replace(",", " ").split()
+        words, self._held = self._held[:count], self._held[count:]
+        try:
+            found = np.array([float(word) for word in words])
+        except ValueError:
+            raise BadInput(f"{what} must be numbers, got {' '.join(words)[:60]!r}") from None
+        if not np.isfinite(found).all():
+            raise BadInput(f"{what} must be finite, got {' '.join(words)[:60]!r}")
+        return found
+
+    def end(self) -> None:
+        left = [*self._held, *(word for line in self.lines for word in line.split())]
+        if left:
+            raise BadInput(f"a photometric file must end after its candela, got {len(left)} more")
+
+
+def _count(what: str, number: float) -> int:
+    if not (1 <= number <= MOST_ANGLES and number == int(number)):
+        raise BadInput(f"the number of {what} must be whole and within 1 to {MOST_ANGLES}, got {number:g}")
+    return int(number)
+
+
+def _from_zero(azimuth: Array, candela: Array) -> tuple[Array, Array]:
+    """Return horizontal angles from 0: a lamp given from 90 to 270 deg is symmetric about that plane."""
+    if (azimuth[0], azimuth[-1]) != (90.0, 270.0):
+        return azimuth, candela
+    mirrored = (180.0 - azimuth) % 360.0
+    every = np.concatenate([azimuth, mirrored])
+    angles, first = np.unique(every, return_index=True)
+    rows = np.concatenate([candela, candela])[first]
+    if angles[0] != 0.0:
+        # Between the last angle and 360 + the first lies 0: by both, linearly.
+        share = angles[0] / (360.0 - angles[-1] + angles[0])
+        angles = np.concatenate([[0.0], angles])
+        rows = np.concatenate([[(1.0 - share) * rows[0] + share * rows[-1]], rows])
+    return np.append(angles, 360.0), np.concatenate([rows, rows[:1]])

@@ -5,38 +5,30 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from simulate.radiance.outdoor.scene import NARROW
+from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.spectrum import SourceSpectrum, planck, table
 
+NARROW = "narrow-band"
 FIRST_NM, LAST_NM = 300.0, 1200.0
-# Lines, nm, and power relative to the lamp's visible continuum table (380 to 780 nm, lines included, is 1).
-SODIUM_D = ((589.0, 2.0 / 3.0), (589.6, 1.0 / 3.0))
-SODIUM_NEAR_INFRARED = ((818.3, 0.36), (819.5, 0.64))
-MERCURY = ((404.7, 0.0852), (435.8, 0.1751), (546.1, 0.2185), (577.0, 0.0978), (579.1, 0.0978))
-MERCURY_COATED = ((404.7, 0.0579), (435.8, 0.1239), (546.1, 0.1605), (577.0, 0.0699), (579.1, 0.0699))
-# Visible power of the tables, W; near-infrared lines are relative to it.
+# Column of the table of visible spectra (380 to 780 nm, in all 1 W with the lines), and lines, nm, with their power.
 COLUMNS = {
     "high-pressure-sodium": ("high_pressure_sodium", ()),
-    "mercury": ("mercury", MERCURY),
-    "mercury-coated": ("mercury_coated", MERCURY_COATED),
+    "mercury": ("mercury", ((404.7, 0.0852), (435.8, 0.1751), (546.1, 0.2185), (577.0, 0.0978), (579.1, 0.0978))),
+    "mercury-coated": (
+        "mercury_coated",
+        ((404.7, 0.0579), (435.8, 0.1239), (546.1, 0.1605), (577.0, 0.0699), (579.1, 0.0699)),
+    ),
     "metal-halide": ("metal_halide", ()),
     "led-cool": ("led_cool", ()),
     "led-warm": ("led_warm", ()),
 }
 NEAR_INFRARED_LINES = {
-    "high-pressure-sodium": SODIUM_NEAR_INFRARED,
-    "low-pressure-sodium": SODIUM_NEAR_INFRARED,
-    "mercury": ((1014.0, 1.0),),
-    "mercury-coated": ((1014.0, 1.0),),
+    **dict.fromkeys(("high-pressure-sodium", "low-pressure-sodium"), ((818.3, 0.36), (819.5, 0.64))),
+    **dict.fromkeys(("mercury", "mercury-coated"), ((1014.0, 1.0),)),
 }
 # Default power beyond 780 nm over that before: the published 10 to 30 % of high-pressure sodium is uncertain.
 NEAR_INFRARED_SHARE = {"high-pressure-sodium": 0.2}
 KINDS = ("incandescent", "low-pressure-sodium", *COLUMNS)
-COLDEST_K, HOTTEST_K = 1000.0, 20000.0
-# Exitance of a black body over T^4, W m-2 K-4.
-STEFAN_BOLTZMANN = 5.670374419e-8
-# A narrow band is a normal distribution: range in standard deviations, and samples.
-REACH, SAMPLES = 4.0, 65
 
 
 def spectrum(
@@ -129,7 +121,8 @@ def _narrow(wavelength_nm: float, width_nm: float) -> SourceSpectrum:
     if width_nm == 0.0:
         ends = np.array([FIRST_NM, LAST_NM])
         return SourceSpectrum(wavelength_nm=ends, density=np.zeros(2), line_nm=(wavelength_nm,), line_power=(1.0,))
-    off = np.linspace(-REACH, REACH, SAMPLES)
+    # A normal distribution to four standard deviations.
+    off = np.linspace(-4.0, 4.0, 65)
     at = wavelength_nm + off * width_nm / np.sqrt(8.0 * np.log(2.0))
     return SourceSpectrum(wavelength_nm=at, density=np.exp(-0.5 * off**2))
 
@@ -159,8 +152,8 @@ def _is_number(cell: str) -> bool:
 
 
 def _incandescent(temperature_k: float) -> SourceSpectrum:
-    if not COLDEST_K <= temperature_k <= HOTTEST_K:
-        raise BadInput(f"temperature_k must lie in [{COLDEST_K:g}, {HOTTEST_K:g}], got {temperature_k:g}")
+    if not 1000.0 <= temperature_k <= 20000.0:
+        raise BadInput(f"temperature_k must lie in [1000, 20000], got {temperature_k:g}")
     fine = np.arange(FIRST_NM, LAST_NM + 1.0, 5.0)
     return SourceSpectrum(wavelength_nm=fine, density=planck(fine, temperature_k))
 
@@ -174,7 +167,8 @@ def _discharge(kind: str, near_infrared_share: float) -> SourceSpectrum:
             f"near_infrared_share must be 0 for {kind}, of which no lines are known, got {near_infrared_share:g}"
         )
     if kind == "low-pressure-sodium":
-        wavelength, density, lines = np.array([FIRST_NM, LAST_NM]), np.zeros(2), SODIUM_D
+        wavelength, density = np.array([FIRST_NM, LAST_NM]), np.zeros(2)
+        lines = ((589.0, 2.0 / 3.0), (589.6, 1.0 / 3.0))
     else:
         column, lines = COLUMNS[kind]
         visible = table("visible")

@@ -12,31 +12,21 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.geometry.embree import Copied
-from simulate.radiance.geometry.shapes import Mesh, shape
-from simulate.radiance.geometry.surfaces import Surfaces, collect_surfaces
+from simulate.radiance.geometry.surfaces import Mesh, Surfaces, collect_surfaces, shape
 from simulate.radiance.outdoor.scene import METRE, Object, OutdoorScene, Pose
+
+Array = NDArray[np.floating]
 
 # Each run of one material along a row becomes a rectangle; an image with more runs is not a map.
 MOST_RUNS = 500_000
 
 
 def split_by_material(path: Path, size_m: tuple[float, ...], materials: Sequence[str]) -> list[tuple[str, Mesh]]:
-    """Return the parts of a plane, one for each material of an image that covers it.
+    """Return the parts of a plane of a size (x, y), m, one for each material of an image that covers it.
 
-    Parameters
-    ----------
-    path
-        An image of one channel whose values are indices of the materials; its first row lies at +y, its first column at
-        -x.
-    size_m
-        Size of the plane, (x, y), m.
-    materials
-        Names of materials.
+    The image has one channel of indices of the materials; its first row lies at +y, its first column at -x.
 
-    Raises
-    ------
-    BadInput
-        If the image cannot be read, contains other numbers, or changes too often for a map.
+    Raises BadInput if the image cannot be read, contains other numbers, or changes too often for a map.
     """
     from labdata.importers import read_frames
 
@@ -74,7 +64,7 @@ def _runs(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
     return row, first, last, values.ravel()[place]
 
 
-def _rectangles(x: NDArray[np.float64], y: NDArray[np.float64]) -> Mesh:
+def _rectangles(x: Array, y: Array) -> Mesh:
     """Return rectangles at z = 0 that face up, x from left to right and y from top to bottom, (rectangle, 2) each."""
     corners = np.stack([x[:, [0, 1, 1, 0]], y[:, [1, 1, 0, 0]], np.zeros((len(x), 4))], axis=-1)
     first = 4 * np.arange(len(x))[:, None]
@@ -92,11 +82,8 @@ KINDS = (".obj", ".ply", ".stl", ".glb")
 def build_surfaces(scene: OutdoorScene) -> Surfaces:
     """Return the surfaces of a scene.
 
-    Raises
-    ------
-    BadInput
-        If a mesh file cannot be read, contains no triangle, or is open although its surface emits light; if an object
-        with gaps has too few triangles.
+    Raises BadInput if a mesh file cannot be read, contains no triangle, or is open although its surface emits
+    light; if an object with gaps has too few triangles.
     """
     glass = frozenset(surface.label for surface in scene.material if surface.pane_transmittance is not None)
     glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
@@ -136,10 +123,7 @@ def _copies(mesh: Mesh, poses: tuple[Pose, ...]) -> Copied:
 def remove_triangles(mesh: Mesh, gaps: float, label: str) -> Mesh:
     """Remove random triangles up to a fraction of the area, the same ones for the same label.
 
-    Raises
-    ------
-    BadInput
-        If the mesh has too few triangles for gaps among them.
+    Raises BadInput if the mesh has too few triangles for gaps among them.
     """
     if len(mesh.faces) < FINE:
         raise BadInput(
@@ -158,7 +142,7 @@ def place_mesh(mesh: Mesh, pose: Pose) -> Mesh:
     return Mesh(turned + np.asarray(pose.position_m), mesh.faces)
 
 
-def _rotation(pose: Pose) -> NDArray[np.float64]:
+def _rotation(pose: Pose) -> Array:
     """Return the rotation: roll about y, then pitch about x, then heading about z, clockwise from above."""
     roll, pitch, heading = np.deg2rad([pose.roll_deg, pose.pitch_deg, -pose.heading_deg])
     about_y = np.array([[np.cos(roll), 0, np.sin(roll)], [0, 1, 0], [-np.sin(roll), 0, np.cos(roll)]])

@@ -13,19 +13,16 @@ from simulate.radiance.brdf.measured import read_measured
 from simulate.radiance.brdf.protocol import Brdf
 from simulate.radiance.geometry.surfaces import Surfaces
 from simulate.radiance.integrator import environment_map
-from simulate.radiance.integrator.light_sources import DiscLight, LampLight, LampPattern, Lighting, Panels, panels_of
+from simulate.radiance.integrator.light_sources import DiscLight, LampLight, Lighting, Panels
 from simulate.radiance.integrator.panes import Panes
-from simulate.radiance.integrator.shading_points import BsdfSet, shading_frames
-from simulate.radiance.integrator.spectral_scene import Air, SpectralScene, air
-from simulate.radiance.lamps.distribution import Cosine, Isotropic, Lamp, SpotBeam
-from simulate.radiance.lamps.ies import read_ies
+from simulate.radiance.integrator.sampling import shading_frames
+from simulate.radiance.integrator.spectral_scene import Air, BsdfSet, SpectralScene
+from simulate.radiance.lamps.distribution import BEAMS, Lamp, read_ies
 from simulate.radiance.lamps.spectra import read_spectrum, spectrum
 from simulate.radiance.outdoor.build import build_surfaces
 from simulate.radiance.outdoor.materials import MaterialSpec
-from simulate.radiance.outdoor.scene import LampPlacement, OutdoorScene
-from simulate.radiance.outdoor.surroundings import Weather
-from simulate.radiance.sky.ephemeris import ObserverLocation
-from simulate.radiance.sky.moon import Disc
+from simulate.radiance.outdoor.scene import LampPlacement, OutdoorScene, Weather
+from simulate.radiance.sky.moon import ObserverLocation
 from simulate.radiance.sky.night_sky import NightSky
 from simulate.radiance.sky.sky_glow import TownGlow
 from simulate.radiance.spectrum import SourceSpectrum, spectral_grid
@@ -35,15 +32,9 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class BuiltScene:
-    """A scene with its surfaces and light sources.
+    """A scene with its surfaces and light sources."""
 
-    Parameters
-    ----------
-    scene
-        Its description.
-    """
-
-    scene: OutdoorScene
+    scene: OutdoorScene  # its description
 
     @cached_property
     def surfaces(self) -> Surfaces:
@@ -68,8 +59,7 @@ class BuiltScene:
         parts = {"airglow": sky.airglow, "zodiacal": sky.zodiacal, "starlight": sky.starlight, "towns": towns}
         found = NightSky.at(place, where.moment, atmosphere=_atmosphere(weather), **parts)
         shining = {"moon": sky.moon, "sun": sky.sun}
-        bodies = tuple(body for body in found.bodies if shining.get(body.name, True))
-        return found if len(bodies) == len(found.bodies) else _without(found, bodies)
+        return replace(found, bodies=tuple(body for body in found.bodies if shining[body.name]))
 
     @cached_property
     def lamps(self) -> tuple[tuple[LampPlacement, Lamp], ...]:
@@ -92,7 +82,7 @@ class BuiltScene:
         lamps = tuple(lamp.flux for _, lamp in self.lamps)
         return (*natural, *lamps, *(glow for _, glow in self.glows))
 
-    def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> NDArray[np.float64]:
+    def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> Array:
         """Return the bands for the sources, materials and a sensor, see `spectral_grid`."""
         used = {self.surfaces.materials[number] for number in np.unique(self.surfaces.material_of)}
         used |= set() if self.surfaces.panes is None else set(self.surfaces.panes.materials)
@@ -100,7 +90,7 @@ class BuiltScene:
         spectra = [(nm, share) for nm, share in spectra if len(nm) > 1]
         return spectral_grid(self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra)[0]
 
-    def on(self, wavelength_nm: NDArray[np.floating]) -> SpectralScene:
+    def on(self, wavelength_nm: Array) -> SpectralScene:
         """Return the scene on bands."""
         grid = np.asarray(wavelength_nm, float)
         surfaces = self.surfaces
@@ -123,7 +113,7 @@ class BuiltScene:
         upright = table.albedo(np.array([[0.0, 0.0, 1.0]]), table.wavelength_nm)[:, 0]
         return tuple(float(nm) for nm in table.wavelength_nm), upright
 
-    def _lighting(self, grid: NDArray[np.float64]) -> Lighting:
+    def _lighting(self, grid: Array) -> Lighting:
         sky = self.sky
         above = (
             environment_map.black(len(grid))
@@ -146,22 +136,22 @@ class BuiltScene:
             panels=self._panels(grid),
         )
 
-    def _panels(self, grid: NDArray[np.float64]) -> Panels | None:
+    def _panels(self, grid: Array) -> Panels | None:
         if not self.glows:
             return None
         names = [name for name, _ in self.glows]
         kinds = np.array([names.index(name) if name in names else -1 for name in self.surfaces.materials], np.int64)
         spectra = np.array([glow.on(grid) for _, glow in self.glows], np.float32)
-        return panels_of(self.surfaces, kinds[self.surfaces.material_of], spectra)
+        return Panels.of(self.surfaces, kinds[self.surfaces.material_of], spectra)
 
-    def _air(self, grid: NDArray[np.float64]) -> Air:
+    def _air(self, grid: Array) -> Air:
         """Return the air lit by the sky; without a place, that of the weather, with attenuation only."""
         if self.sky is not None:
-            return air(self.sky.air(), grid)
-        return Air() if self.scene.weather is None else air(_atmosphere(self.scene.weather), grid)
+            return Air.of(self.sky.air(), grid)
+        return Air() if self.scene.weather is None else Air.of(_atmosphere(self.scene.weather), grid)
 
 
-def _panes(surfaces: Surfaces, by_label: dict[str, MaterialSpec], grid: NDArray[np.float64]) -> Panes:
+def _panes(surfaces: Surfaces, by_label: dict[str, MaterialSpec], grid: Array) -> Panes:
     glass = [by_label[name] for name in surfaces.materials]
     return Panes(
         tracer=surfaces.tracer,
@@ -180,14 +170,9 @@ def _atmosphere(weather: Weather | None) -> Atmosphere:
     )
 
 
-def _without(sky: NightSky, bodies: tuple[Disc, ...]) -> NightSky:
-    return replace(sky, bodies=bodies)
-
-
 def _lamp(scene: OutdoorScene, post: LampPlacement) -> Lamp:
-    beams = {"isotropic": Isotropic, "cosine": Cosine, "spot": lambda: SpotBeam(half_angle_deg=post.half_angle_deg)}
     measured = read_ies(scene.file(post.beam)) if post.has_photometric_file else None
-    distribution = beams[post.beam]() if measured is None else measured.table
+    distribution = BEAMS[post.beam](post) if measured is None else measured.table
     power = {"watts": post.watts, "lumens": measured.lumens if post.lumens is None and measured else post.lumens or 0.0}
     if post.kind.endswith(".csv"):
         flux = read_spectrum(scene.file(post.kind), **power)
@@ -203,7 +188,7 @@ def _lamp(scene: OutdoorScene, post: LampPlacement) -> Lamp:
     return Lamp(flux=flux, distribution=distribution)
 
 
-def _lamp_light(post: LampPlacement, lamp: Lamp, grid: NDArray[np.float64]) -> LampLight:
+def _lamp_light(post: LampPlacement, lamp: Lamp, grid: Array) -> LampLight:
     position = np.asarray(post.position_m, float)
     axis = np.array([0.0, 0.0, -1.0]) if post.aim_m is None else np.asarray(post.aim_m, float) - position
     frame = _frame(axis / np.linalg.norm(axis), post.heading_deg)
@@ -212,11 +197,12 @@ def _lamp_light(post: LampPlacement, lamp: Lamp, grid: NDArray[np.float64]) -> L
         position_m=position,
         radius_m=post.radius_m,
         spectrum=lamp.flux.on(grid).astype(np.float32),
-        pattern=LampPattern(lamp.distribution, frame),
+        distribution=lamp.distribution,
+        frame=frame,
     )
 
 
-def _frame(axis: NDArray[np.float64], heading_deg: float) -> NDArray[np.float64]:
+def _frame(axis: Array, heading_deg: float) -> Array:
     """Return the axes of a lamp as rows: C0, C90 (counterclockwise from above for a lamp that shines down), axis."""
     heading = np.deg2rad(heading_deg)
     first = np.array([np.sin(heading), np.cos(heading), 0.0])

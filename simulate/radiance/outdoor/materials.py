@@ -10,6 +10,8 @@ from labdata.camera_description import Parameter, must_be_a_share, must_be_posit
 from labdata.errors import BadInput
 from simulate.radiance.materials import Finish, Material, clearest, material
 
+Array = NDArray[np.floating]
+
 # Refractive index of soda-lime glass.
 WINDOW_GLASS = 1.52
 
@@ -98,7 +100,7 @@ class MaterialSpec:
         """Refractive index of a pane's glass."""
         return WINDOW_GLASS if self.refractive_index is None else self.refractive_index
 
-    def let_through(self, wavelength_nm: NDArray[np.floating]) -> NDArray[np.float64]:
+    def let_through(self, wavelength_nm: Array) -> Array:
         """Return a pane's transmittance at normal incidence, shape (band,)."""
         shares = self.pane_transmittance or (0.0,)
         each = shares * len(self.wavelength_nm) if len(shares) == 1 else shares

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
 from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.outgoing_radiance import radiance_along
-from simulate.radiance.integrator.render_sensor import KNOWN, RenderSensor
-from simulate.radiance.integrator.shading_request import bounce_order
+from simulate.radiance.integrator.integrator_settings import KNOWN, IntegratorSettings, RenderSensor, SamplingSettings
+from simulate.radiance.integrator.outgoing_radiance import bounce_order, radiance_along
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
+
+Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,50 +68,27 @@ LAST_BOUNCE = f"bounce {RENDER_LIMITS.pilot_bounces} and further"
 
 @dataclass(frozen=True, kw_only=True)
 class MonteCarloTolerance:
-    """Allowed Monte Carlo variance of pixels, as a function of their signal.
-
-    Parameters
-    ----------
-    eye
-        Name of the sensor.
-    noise_floor_fraction
-        Fraction of the noise floor that the Monte Carlo error is, rms over the rendering.
-    """
+    """Allowed Monte Carlo variance of pixels by their signal: a fraction of the sensor's noise floor, rms."""
 
     eye: RenderSensor
     noise_floor_fraction: float
 
-    def __call__(self, signal: NDArray[np.floating]) -> NDArray[np.floating]:
+    def __call__(self, signal: Array) -> Array:
         return (self.noise_floor_fraction * self.eye.noise_floor(signal)) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderSettings:
-    """Settings of a rendering.
+    """Settings of a rendering."""
 
-    Parameters
-    ----------
-    wavelength_nm
-        Bands, shape (band,), nm.
-    spectral_error
-        Largest relative error of any source's signal because of the bands.
-    rays, effort
-        Numbers of rays, and integrator settings.
-    plan
-        Retained and neglected components, influences relative to the noise floor.
-    sensor_name
-        Name of the sensor.
-    exact
-        Whether nothing is neglected.
-    """
-
-    wavelength_nm: NDArray[np.float64]
-    spectral_error: float
+    wavelength_nm: Array  # bands, shape (band,), nm
+    spectral_error: float  # largest relative error of any source's signal because of the bands
+    # Numbers of rays, and integrator settings.
     rays: SamplingSettings
     effort: IntegratorSettings
-    plan: EffectSelection
-    sensor_name: str
-    exact: bool = False
+    plan: EffectSelection  # retained and neglected components, influences relative to the noise floor
+    sensor_name: str  # name of the sensor
+    exact: bool = False  # whether nothing is neglected
 
     @property
     def chance(self) -> float:
@@ -125,11 +101,9 @@ class RenderSettings:
 
     def text(self) -> str:
         """Return the settings as text."""
-        few, most, chance = self.rays.min_rays, self.rays.max_rays, self.chance
-        follows = self.effort
-        bounces = (
-            "to the end, by chance" if follows.max_bounces >= RENDER_LIMITS.exact_bounces else f"{follows.max_bounces}"
-        )
+        few, most, chance, bounces = self.rays.min_rays, self.rays.max_rays, self.chance, f"{self.effort.max_bounces}"
+        if self.effort.max_bounces >= RENDER_LIMITS.exact_bounces:
+            bounces = "to the end, by chance"
         return "\n".join(
             (
                 f"light, relative to the noise of {self.sensor_name}:",
@@ -165,20 +139,13 @@ class RenderSettings:
 class PilotEstimate:
     """Radiance components at a few points of a frame.
 
-    Parameters
-    ----------
-    signal
-        Signal of each point, or of each pixel that contains several, shape (point,).
-    parts
-        Signal of each component by ray, shape (point, ray), by name. Reflected light of a lamp or disc, or the part of
-        the bounces occluded from the sky, belongs both to the bounce and to the source: neglecting either removes it.
-    shape
-        Points (down, across).
+    Reflected light of a lamp or disc, or the part of the bounces occluded from the sky, belongs both to the bounce and
+    to the source: neglecting either removes it.
     """
 
-    signal: NDArray[np.floating]
-    parts: dict[str, NDArray[np.floating]]
-    shape: tuple[int, int]
+    signal: Array  # of each point, or of each pixel that contains several, shape (point,)
+    parts: dict[str, Array]  # signal of each component by ray, shape (point, ray)
+    shape: tuple[int, int]  # points (down, across)
 
 
 def choose_render_settings(
@@ -186,42 +153,28 @@ def choose_render_settings(
 ) -> tuple[RenderSettings, SpectralScene]:
     """Choose the settings of a rendering for a sensor, and return the scene on the chosen bands.
 
-    Parameters
-    ----------
-    site, view
-        The scene and the camera.
-    eye
-        The sensor's response and noise.
-    tolerance
-        Total rms error by neglected components and Monte Carlo noise, as a fraction of a pixel's noise floor.
-    seed
-        Seed of the pilot.
+    The tolerance is the total rms error by neglected components and Monte Carlo noise, as a fraction of a pixel's noise
+    floor.
     """
-    stage = site.on(site.bands(eye.response_nm, eye.response, RENDER_LIMITS.max_spectral_error))
+    limits = RENDER_LIMITS
+    stage = site.on(site.bands(eye.response_nm, eye.response, limits.max_spectral_error))
     tried = trial(stage, view, eye, seed)
-    chosen = select_effects(_effects(tried, eye, view, stage.bands), RENDER_LIMITS.neglect_fraction * tolerance)
-    bright = float(np.percentile(tried.signal, 100.0 - RENDER_LIMITS.saturated_percent)) if len(tried.signal) else 0.0
-    error = float(
-        np.clip(
-            RENDER_LIMITS.band_fraction * tolerance * float(eye.noise_floor(bright, smooth=True)) / max(bright, 1e-30),
-            RENDER_LIMITS.min_spectral_error,
-            RENDER_LIMITS.max_spectral_error,
-        )
-    )
-    if error < RENDER_LIMITS.max_spectral_error:
+    chosen = select_effects(_effects(tried, eye, view, stage.bands), limits.neglect_fraction * tolerance)
+    bright = float(np.percentile(tried.signal, 100.0 - limits.saturated_percent)) if len(tried.signal) else 0.0
+    error = limits.band_fraction * tolerance * float(eye.noise_floor(bright, smooth=True)) / max(bright, 1e-30)
+    error = float(np.clip(error, limits.min_spectral_error, limits.max_spectral_error))
+    if error < limits.max_spectral_error:
         stage = site.on(site.bands(eye.response_nm, eye.response, error))
     plan = EffectSelection(tolerance=tolerance, kept=chosen.kept, left_out=chosen.left_out)
     return RenderSettings(
         wavelength_nm=stage.bsdfs.wavelength_nm,
         spectral_error=error,
         rays=SamplingSettings(
-            max_rays=RENDER_LIMITS.max_rays,
-            total_rays=RENDER_LIMITS.total_rays,
-            cache_rays=_n_cache_rays(view),
-            refine=tolerance < RENDER_LIMITS.fine_cache_tolerance,
-            error_limit=MonteCarloTolerance(
-                eye=eye, noise_floor_fraction=RENDER_LIMITS.monte_carlo_fraction * tolerance
-            ),
+            max_rays=limits.max_rays,
+            total_rays=limits.total_rays,
+            cache_rays=SamplingSettings().cache_rays if min(view.shape) >= limits.min_cached_frame_px else None,
+            refine=tolerance < limits.fine_cache_tolerance,
+            error_limit=MonteCarloTolerance(eye=eye, noise_floor_fraction=limits.monte_carlo_fraction * tolerance),
         ),
         effort=_effort(plan),
         plan=plan,
@@ -229,28 +182,22 @@ def choose_render_settings(
     ), stage
 
 
-def _n_cache_rays(view: Viewpoint) -> int | None:
-    """Return the first rays of a cache node; None for a frame smaller than the largest smoothing window."""
-    return SamplingSettings().cache_rays if min(view.shape) >= RENDER_LIMITS.min_cached_frame_px else None
-
-
 def exact(site: BuiltScene, view: Viewpoint, eye: RenderSensor, seed: int) -> tuple[RenderSettings, SpectralScene]:
     """Return settings that neglect nothing, and the scene on their bands: a slow reference."""
-    stage = site.on(site.bands(eye.response_nm, eye.response, RENDER_LIMITS.min_spectral_error))
+    limits = RENDER_LIMITS
+    stage = site.on(site.bands(eye.response_nm, eye.response, limits.min_spectral_error))
     effects = _effects(trial(stage, view, eye, seed), eye, view, stage.bands)
     return RenderSettings(
         wavelength_nm=stage.bsdfs.wavelength_nm,
-        spectral_error=RENDER_LIMITS.min_spectral_error,
+        spectral_error=limits.min_spectral_error,
         rays=SamplingSettings(
             min_rays=4,
             edge=64,
-            max_rays=RENDER_LIMITS.exact_max_rays,
+            max_rays=limits.exact_max_rays,
             cache_rays=None,
-            error_limit=MonteCarloTolerance(eye=eye, noise_floor_fraction=RENDER_LIMITS.exact_noise_fraction),
+            error_limit=MonteCarloTolerance(eye=eye, noise_floor_fraction=limits.exact_noise_fraction),
         ),
-        effort=IntegratorSettings(
-            max_bounces=RENDER_LIMITS.exact_bounces, roulette_depth=RENDER_LIMITS.exact_roulette_depth
-        ),
+        effort=IntegratorSettings(max_bounces=limits.exact_bounces, roulette_depth=limits.exact_roulette_depth),
         plan=EffectSelection(tolerance=0.0, kept=tuple(effects), left_out=()),
         sensor_name=eye.name,
         exact=True,
@@ -259,75 +206,54 @@ def exact(site: BuiltScene, view: Viewpoint, eye: RenderSensor, seed: int) -> tu
 
 def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -> PilotEstimate:
     """Return the radiance components at points spread over a frame."""
-    rng = np.random.default_rng([seed, 2])
-    place = _Places.over(view)
-    row, col = place.draw(rng)
+    limits, rng, (rows, columns) = RENDER_LIMITS, np.random.default_rng([seed, 2]), view.shape
+    across = np.sqrt(limits.pilot_points * columns / rows)
+    shape = max(1, int(across * rows / columns)), max(1, int(across))
+    grid = np.meshgrid(
+        *((np.arange(n) + 0.5) * side / n for n, side in zip(shape, view.shape, strict=True)), indexing="ij"
+    )
+    at = np.stack([axis.ravel() for axis in grid])
+    # Several points in a pixel count as one.
+    pixel = np.arange(at.shape[1])
+    if min(shape[0] / rows, shape[1] / columns) >= 1.0:
+        (row, col), shape = at.astype(np.int64), view.shape
+        pixel = row * columns + col
+    count = np.bincount(pixel, minlength=shape[0] * shape[1])[:, None]
+
+    def means(signal: Array) -> Array:
+        """Return mean signals of each counted point, separately by first and second rays, shape (point, ray)."""
+        each = signal.reshape(-1, limits.pilot_rays).astype(float)
+        return np.stack([np.bincount(pixel, ray, minlength=len(count)) for ray in each.T], axis=1) / count
+
+    spread = np.minimum(1.0, np.array(view.shape) / [len(grid[0]), grid[0].shape[1]])[:, None]
+    row, col = (
+        np.repeat(at, limits.pilot_rays, axis=1) + (rng.random((2, len(pixel) * limits.pilot_rays)) - 0.5) * spread
+    )
     origin, towards = view.rays(row, col)
     weight = eye.weight(stage.bsdfs.wavelength_nm)
-    found = radiance_along(
-        stage,
-        origin,
-        towards,
-        IntegratorSettings(max_bounces=RENDER_LIMITS.pilot_max_bounces, roulette_depth=RENDER_LIMITS.pilot_bounces),
-        rng,
-        gather_rays=RENDER_LIMITS.pilot_gather_rays,
-        split=True,
-    ).found
-    by_name = {name: place.means(light @ weight) for name, light in found.items()}
-    signal = np.asarray(
-        sum(by_name.values(), start=np.zeros((int(np.prod(place.shape)), RENDER_LIMITS.pilot_rays)))
-    ).mean(axis=1)
-    parts: dict[str, NDArray[np.floating]] = {}
+    effort = IntegratorSettings(max_bounces=limits.pilot_max_bounces, roulette_depth=limits.pilot_bounces)
+    found = radiance_along(stage, origin, towards, effort, rng, gather_rays=limits.pilot_gather_rays, split=True).found
+    by_name = {name: means(light @ weight) for name, light in found.items()}
+    signal = np.asarray(sum(by_name.values(), start=np.zeros((len(count), limits.pilot_rays)))).mean(axis=1)
+    parts: dict[str, Array] = {}
     for name, light in by_name.items():
         for part in _parts_of(name, (*stage.lighting.names, "hidden sky")):
             parts[part] = parts.get(part, 0.0) + light
     if stage.air.absorbs and stage.lighting.lamps:
-        between = _air_between(stage, origin, towards, seed) @ weight
-        parts["air before surfaces"] = place.means(between)
-    return PilotEstimate(signal, parts, place.shape)
-
-
-@dataclass(frozen=True)
-class _Places:
-    """Points on a regular grid over a frame, shape (point,); several points in a pixel count as one."""
-
-    row: NDArray[np.floating]
-    col: NDArray[np.floating]
-    spread: tuple[float, float]
-    pixel: NDArray[np.int64]
-    shape: tuple[int, int]
-
-    @classmethod
-    def over(cls, view: Viewpoint) -> "_Places":
-        rows, columns = view.shape
-        across = np.sqrt(RENDER_LIMITS.pilot_points * columns / rows)
-        many = (max(1, int(across * rows / columns)), max(1, int(across)))
-        row, col = (
-            axis.ravel()
-            for axis in np.meshgrid(
-                *((np.arange(n) + 0.5) * side / n for n, side in zip(many, view.shape, strict=True)), indexing="ij"
-            )
+        # Lamp light that air takes before it reaches surfaces: the same rays with and without air.
+        with_air, without = (
+            radiance_along(
+                stage,
+                origin,
+                towards,
+                IntegratorSettings(max_bounces=0, sky_shadowing=False, path_air=between),
+                np.random.default_rng([seed, 3]),
+                gather_rays=1,
+            ).total()
+            for between in (True, False)
         )
-        spread = min(1.0, rows / many[0]), min(1.0, columns / many[1])
-        if min(many[0] / rows, many[1] / columns) < 1.0:
-            return cls(row, col, spread, np.arange(len(row)), many)
-        return cls(row, col, spread, row.astype(np.int64) * columns + col.astype(np.int64), view.shape)
-
-    def draw(self, rng: np.random.Generator) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Draw rows and columns of `RENDER_LIMITS.pilot_rays` rays around each point, (point and ray,)."""
-        jitter = rng.random((2, len(self.row) * RENDER_LIMITS.pilot_rays)) - 0.5
-        row, col = (
-            np.repeat(axis, RENDER_LIMITS.pilot_rays) + apart * spread
-            for axis, apart, spread in zip((self.row, self.col), jitter, self.spread, strict=True)
-        )
-        return row, col
-
-    def means(self, signal: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return mean signals of each counted point, separately by first and second rays, shape (point, ray)."""
-        each = signal.reshape(-1, RENDER_LIMITS.pilot_rays).astype(float)
-        count = np.bincount(self.pixel, minlength=int(np.prod(self.shape)))
-        total = [np.bincount(self.pixel, ray, minlength=len(count)) for ray in each.T]
-        return np.stack(total, axis=1) / count[:, None]
+        parts["air before surfaces"] = means((without - with_air) @ weight)
+    return PilotEstimate(signal, parts, shape)
 
 
 def _parts_of(name: str, sources: tuple[str, ...]) -> tuple[str, ...]:
@@ -337,24 +263,6 @@ def _parts_of(name: str, sources: tuple[str, ...]) -> tuple[str, ...]:
         return (name,)
     last = LAST_BOUNCE if order >= RENDER_LIMITS.pilot_bounces else f"bounce {order}"
     return (last, source) if source in sources else (last,)
-
-
-def _air_between(
-    stage: SpectralScene, origin: NDArray[np.floating], towards: NDArray[np.floating], seed: int
-) -> NDArray[np.float32]:
-    """Return the lamp light that air attenuates before it reaches surfaces: the same rays with and without air."""
-    with_air, without = (
-        radiance_along(
-            stage,
-            origin,
-            towards,
-            IntegratorSettings(max_bounces=0, sky_shadowing=False, path_air=between),
-            np.random.default_rng([seed, 3]),
-            gather_rays=1,
-        ).total()
-        for between in (True, False)
-    )
-    return without - with_air
 
 
 def _effects(tried: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: int) -> list[OptionalEffect]:
@@ -376,7 +284,7 @@ def _effects(tried: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: in
     ]
 
 
-def _influence(part: NDArray[np.floating], shape: tuple[int, int]) -> float:
+def _influence(part: Array, shape: tuple[int, int]) -> float:
     """Return the rms of a component (point, ray) over the region where it is largest.
 
     Notes
@@ -385,22 +293,14 @@ def _influence(part: NDArray[np.floating], shape: tuple[int, int]) -> float:
     the square of their mean would be.
     """
     square = (part[:, 0] * part[:, 1]).reshape(shape)
-    count = RENDER_LIMITS.regions
-    regions = [
-        region.mean()
-        for rows in np.array_split(square, count)
-        for region in np.array_split(rows, count, axis=1)
-        if region.size
-    ]
-    return float(np.sqrt(max(0.0, *regions)))
-
-
-def _is_gathered(name: str) -> bool:
-    return name.startswith("bounce") or name == "hidden sky"
+    rows = np.array_split(square, RENDER_LIMITS.regions)
+    regions = [region for row in rows for region in np.array_split(row, RENDER_LIMITS.regions, axis=1) if region.size]
+    return float(np.sqrt(max(0.0, *(region.mean() for region in regions))))
 
 
 def _cost(name: str) -> float:
-    return RENDER_LIMITS.bounce_cost_s if _is_gathered(name) else RENDER_LIMITS.source_cost_s
+    gathered = name.startswith("bounce") or name == "hidden sky"
+    return RENDER_LIMITS.bounce_cost_s if gathered else RENDER_LIMITS.source_cost_s
 
 
 def _effort(plan: EffectSelection) -> IntegratorSettings:

@@ -1,14 +1,170 @@
-"""Spectra of sun and moon, the latter by the ROLO model, and their discs as light sources."""
+"""Sun and moon for an observer: ephemeris, spectra (of the moon by the ROLO model), and discs as light sources."""
 
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labdata.errors import BadInput
 from simulate.radiance.atmosphere import Atmosphere
-from simulate.radiance.sky.ephemeris import AU_KM, Ephemeris
 from simulate.radiance.spectrum import SourceSpectrum, require_grid, table
+
+Array = NDArray[np.floating]
+AU_KM = 149_597_870.7
+SUN_RADIUS_KM, EARTH_RADIUS_KM = 695_700.0, 6371.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObserverLocation:
+    """Location of an observer."""
+
+    # Geodetic, north and east positive, degrees.
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float = 0.0  # over the sea, m
+
+    def __post_init__(self) -> None:
+        if not -90.0 <= self.latitude_deg <= 90.0:
+            raise BadInput(f"latitude_deg must lie in [-90, 90], got {self.latitude_deg:g}")
+        if not -180.0 <= self.longitude_deg <= 360.0:
+            raise BadInput(f"longitude_deg must lie in [-180, 360], east positive, got {self.longitude_deg:g}")
+        if not -500.0 <= self.altitude_m <= 9000.0:
+            raise BadInput(f"altitude_m must lie in [-500, 9000], got {self.altitude_m:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """Sun or moon for an observer, without refraction."""
+
+    direction: tuple[float, float, float]  # unit vector: x east, y north, z up
+    distance_km: float  # from the observer, km
+    radius_km: float  # of the body, km
+
+    @property
+    def elevation_deg(self) -> float:
+        """Height of the centre over the horizon, degrees."""
+        return float(np.rad2deg(np.arcsin(np.clip(self.direction[2], -1.0, 1.0))))
+
+    @property
+    def azimuth_deg(self) -> float:
+        """From north by east, degrees in [0, 360)."""
+        return float(np.rad2deg(np.arctan2(self.direction[0], self.direction[1])) % 360.0)
+
+    @property
+    def angular_radius_rad(self) -> float:
+        """Radius of the disc, rad."""
+        return float(np.arcsin(self.radius_km / self.distance_km))
+
+    @property
+    def position_km(self) -> Array:
+        """Vector from the observer, km."""
+        return self.distance_km * np.asarray(self.direction)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ephemeris:
+    """Sun and moon for an observer at one time."""
+
+    # Where they stand.
+    sun: Body
+    moon: Body
+    sun_selenographic_longitude_deg: float  # of the point on the moon under the sun: positive before full moon, degrees
+    # Libration: the point on the moon under the observer, degrees.
+    observer_selenographic_latitude_deg: float
+    observer_selenographic_longitude_deg: float
+
+    @property
+    def phase_deg(self) -> float:
+        """Angle at the moon between sun and observer: 0 at full moon, degrees."""
+        return angle_deg(self.sun.position_km - self.moon.position_km, -self.moon.position_km)
+
+    @property
+    def sunlit_share(self) -> float:
+        """Fraction of the sun visible from the moon's centre, 0 in the umbra of the earth, dimensionless."""
+        to_earth = np.array([0.0, 0.0, -EARTH_RADIUS_KM]) - self.moon.position_km
+        to_sun = self.sun.position_km - self.moon.position_km
+        sun, earth = (
+            float(np.arcsin(radius / np.linalg.norm(way)))
+            for radius, way in ((SUN_RADIUS_KM, to_sun), (EARTH_RADIUS_KM, to_earth))
+        )
+        return visible_disc_fraction(sun, earth, float(np.deg2rad(angle_deg(to_sun, to_earth))))
+
+    @property
+    def sun_share(self) -> float:
+        """Fraction of the sun's disc that the moon does not cover for the observer, dimensionless."""
+        apart = np.deg2rad(angle_deg(self.sun.position_km, self.moon.position_km))
+        return visible_disc_fraction(self.sun.angular_radius_rad, self.moon.angular_radius_rad, float(apart))
+
+
+def ephemeris(place: ObserverLocation, time: datetime) -> Ephemeris:
+    """Return sun and moon for an observer at a time with its zone, topocentric and without refraction.
+
+    Raises BadInput if the time has no zone, or lies outside 1900 to 2100.
+
+    Notes
+    -----
+    PyEphem (VSOP87, a moon of a few arc seconds) with no air; within 10" of DE421.
+    """
+    import ephem
+
+    observer = ephem.Observer()
+    observer.lat, observer.lon = str(place.latitude_deg), str(place.longitude_deg)
+    observer.elevation, observer.pressure = place.altitude_m, 0.0
+    observer.date = ephem.Date(_universal(time).replace(tzinfo=None))
+    sun, moon = ephem.Sun(observer), ephem.Moon(observer)
+    return Ephemeris(
+        sun=_body(sun, SUN_RADIUS_KM),
+        moon=_body(moon, 1737.4),
+        sun_selenographic_longitude_deg=_wrap_angle(90.0 - np.rad2deg(float(moon.colong))),
+        observer_selenographic_latitude_deg=float(np.rad2deg(float(moon.libration_lat))),
+        observer_selenographic_longitude_deg=float(np.rad2deg(float(moon.libration_long))),
+    )
+
+
+def _universal(time: datetime) -> datetime:
+    if time.tzinfo is None:
+        raise BadInput(f"a time must know its zone, as in 2024-02-24T06:00:00Z, got {time.isoformat()}")
+    universal = time.astimezone(UTC)
+    if not 1900 <= universal.year <= 2100:
+        raise BadInput(f"a time must lie between 1900 and 2100, got {universal.isoformat()}")
+    return universal
+
+
+def _body(found: object, radius_km: float) -> Body:
+    elevation, azimuth = float(found.alt), float(found.az)  # pyright: ignore[reportAttributeAccessIssue]
+    distance_km = float(found.earth_distance) * AU_KM  # pyright: ignore[reportAttributeAccessIssue]
+    level = np.cos(elevation)
+    direction = (float(level * np.sin(azimuth)), float(level * np.cos(azimuth)), float(np.sin(elevation)))
+    return Body(direction=direction, distance_km=distance_km, radius_km=radius_km)
+
+
+def _wrap_angle(angle: float) -> float:
+    return float((angle + 180.0) % 360.0 - 180.0)
+
+
+def angle_deg(one: Array, other: Array) -> float:
+    """Return the angle between two vectors, degrees, exact for small ones."""
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(one, other)), np.dot(one, other))))
+
+
+def visible_disc_fraction(radius: float, cover_radius: float, apart: float) -> float:
+    """Return the fraction of a disc that another one in front of it does not cover; radii and distance in rad."""
+    if apart >= radius + cover_radius:
+        return 1.0
+    if apart <= abs(radius - cover_radius):
+        return max(0.0, 1.0 - (cover_radius / radius) ** 2)
+    own = (apart**2 + radius**2 - cover_radius**2) / (2.0 * apart * radius)
+    others = (apart**2 + cover_radius**2 - radius**2) / (2.0 * apart * cover_radius)
+    kite = 0.5 * np.sqrt(
+        (radius + cover_radius - apart)
+        * (apart + radius - cover_radius)
+        * (apart - radius + cover_radius)
+        * (apart + radius + cover_radius)
+    )
+    covered = radius**2 * np.arccos(own) + cover_radius**2 * np.arccos(others) - kite
+    return float(1.0 - covered / (np.pi * radius**2))
 
 
 def sun_spectrum(distance_au: float = 1.0) -> SourceSpectrum:
@@ -24,13 +180,7 @@ def sun_spectrum(distance_au: float = 1.0) -> SourceSpectrum:
     )
 
 
-SOLID_ANGLE_SR = 6.4177e-5
 STANDARD_KM = 384_400.0
-# Terms common to all bands: libration (per degree), and the widths of the opposition surge, degrees.
-LIBRATION = (0.00034115, -0.0013425, 0.00095906, 0.00066229)
-SURGE_DEG = (4.06054, 12.8802, -30.5858, 16.7498)
-# ln A is smoothed over wavelength by a polynomial: the bands' own calibration scatters by a few percent.
-SMOOTHING_DEGREE = 3
 
 
 def band_reflectance(
@@ -38,22 +188,11 @@ def band_reflectance(
     sun_longitude_deg: float | None = None,
     observer_latitude_deg: float = 0.0,
     observer_longitude_deg: float = 0.0,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the disc-equivalent reflectance of the moon at the model's bands.
+) -> tuple[Array, Array]:
+    """Return the model's bands, nm, and the disc-equivalent reflectance of the moon at them, both of shape (band,).
 
-    Parameters
-    ----------
-    phase_deg
-        Angle at the moon between sun and observer, degrees.
-    sun_longitude_deg
-        Selenographic longitude of the sun, degrees, positive before full moon; by default the phase.
-    observer_latitude_deg, observer_longitude_deg
-        Selenographic, degrees.
-
-    Returns
-    -------
-    wavelength_nm, reflectance
-        Both of shape (band,).
+    By the angle at the moon between sun and observer, the selenographic longitude of the sun (positive before full
+    moon; by default the phase), and the selenographic position of the observer, degrees.
 
     Notes
     -----
@@ -66,26 +205,28 @@ def band_reflectance(
     sun = np.deg2rad(phase_deg if sun_longitude_deg is None else sun_longitude_deg)
     logarithm = sum(rolo[f"a{i}"] * phase**i for i in range(4))
     logarithm = logarithm + sum(rolo[f"b{j}"] * sun ** (2 * j - 1) for j in (1, 2, 3))
-    c1, c2, c3, c4 = LIBRATION
+    # Terms common to all bands: libration (per degree), and the widths of the opposition surge, degrees.
+    c1, c2, c3, c4 = (0.00034115, -0.0013425, 0.00095906, 0.00066229)
     logarithm = logarithm + (c1 + c3 * sun) * observer_latitude_deg + (c2 + c4 * sun) * observer_longitude_deg
-    p1, p2, p3, p4 = SURGE_DEG
+    p1, p2, p3, p4 = (4.06054, 12.8802, -30.5858, 16.7498)
     surge = rolo["d1"] * np.exp(-phase_deg / p1) + rolo["d2"] * np.exp(-phase_deg / p2)
     ripple = rolo["d3"] * np.cos((phase_deg - p3) / p4)
     return rolo["wavelength_nm"], np.exp(logarithm + surge + ripple)
 
 
 @cache
-def _smoother() -> NDArray[np.float64]:
+def _smoother() -> Array:
     """Return the matrix that takes values at the bands to polynomial coefficients, by least squares."""
-    powers = np.vander(_scale_wavelength(table("rolo")["wavelength_nm"]), SMOOTHING_DEGREE + 1)
+    # ln A is smoothed over wavelength by a polynomial: the bands' own calibration scatters by a few percent.
+    powers = np.vander(_scale_wavelength(table("rolo")["wavelength_nm"]), 3 + 1)
     return np.asarray(np.linalg.pinv(powers), float)
 
 
-def _scale_wavelength(wavelength_nm: NDArray[np.floating]) -> NDArray[np.float64]:
+def _scale_wavelength(wavelength_nm: Array) -> Array:
     return (np.asarray(wavelength_nm, float) - 700.0) / 350.0
 
 
-def moon_reflectance(wavelength_nm: ArrayLike, *geometry: float) -> NDArray[np.float64]:
+def moon_reflectance(wavelength_nm: ArrayLike, *geometry: float) -> Array:
     """Return the reflectance at any wavelengths, smoothed over the bands; geometry as for `band_reflectance`.
 
     Outside 405 to 1059.5 nm it is that of the nearer end.
@@ -98,22 +239,13 @@ def moon_reflectance(wavelength_nm: ArrayLike, *geometry: float) -> NDArray[np.f
 def moon_spectrum(
     *geometry: float, moon_distance_km: float = STANDARD_KM, sun_distance_au: float = 1.0
 ) -> SourceSpectrum:
-    """Return the moon's irradiance before the atmosphere, W m-2.
-
-    Parameters
-    ----------
-    geometry
-        Phase and libration, as for `band_reflectance`.
-    moon_distance_km
-        From the observer, km.
-    sun_distance_au
-        From moon to sun, astronomical units.
+    """Return the moon's irradiance before the atmosphere, W m-2, by phase and libration as for `band_reflectance`.
 
     Notes
     -----
     E = A Omega / pi E_sun / (d_sun/AU)^2 (384,400 km / d_moon)^2, Omega 6.4177e-5 sr.
     """
-    share = SOLID_ANGLE_SR / np.pi * (STANDARD_KM / moon_distance_km) ** 2
+    share = 6.4177e-5 / np.pi * (STANDARD_KM / moon_distance_km) ** 2
     return sun_spectrum(sun_distance_au).multiply(lambda nm: share * moon_reflectance(nm, *geometry))
 
 
@@ -133,27 +265,13 @@ def moonlight(at: Ephemeris) -> SourceSpectrum:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Disc:
-    """Sun or moon.
+    """Sun or moon."""
 
-    Parameters
-    ----------
-    name
-        "sun" or "moon".
-    direction
-        Unit vector (x east, y north, z up) to its centre.
-    angular_radius_rad
-        Radius, rad.
-    extraterrestrial
-        Irradiance before the atmosphere, normal to the beam, W m-2.
-    atmosphere
-        Air that its light crosses.
-    """
-
-    name: str
-    direction: tuple[float, float, float]
-    angular_radius_rad: float
-    extraterrestrial: SourceSpectrum
-    atmosphere: Atmosphere
+    name: str  # "sun" or "moon"
+    direction: tuple[float, float, float]  # unit vector (x east, y north, z up) to its centre
+    angular_radius_rad: float  # radius, rad
+    extraterrestrial: SourceSpectrum  # irradiance before the atmosphere, normal to the beam, W m-2
+    atmosphere: Atmosphere  # air that its light crosses
 
     @property
     def elevation_deg(self) -> float:
@@ -166,14 +284,8 @@ class Disc:
         height = np.clip(np.deg2rad(self.elevation_deg) / self.angular_radius_rad, -1.0, 1.0)
         return float(0.5 + (np.arcsin(height) + height * np.sqrt(1.0 - height**2)) / np.pi)
 
-    def irradiance(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the irradiance at the ground, normal to the beam, W m-2 nm-1, shape (band,); zero when set.
-
-        Parameters
-        ----------
-        wavelength_nm
-            The complete spectral grid, shape (band,), nm.
-        """
+    def irradiance(self, wavelength_nm: ArrayLike) -> Array:
+        """Return the irradiance at the ground, normal to the beam, on the complete grid, W m-2 nm-1; zero when set."""
         grid = require_grid(wavelength_nm)
         # Absorption bands of gases are narrower than spectral bands: transmittance is applied before averaging.
         air, height = self.atmosphere, self.elevation_deg

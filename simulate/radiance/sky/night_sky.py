@@ -10,10 +10,11 @@ from labdata.errors import BadInput
 from simulate.radiance.atmosphere import Atmosphere, airmass
 from simulate.radiance.cube import band_widths
 from simulate.radiance.sky import scattering, sky_glow
-from simulate.radiance.sky.ephemeris import AU_KM, Ephemeris, ObserverLocation, ephemeris
-from simulate.radiance.sky.moon import Disc, moonlight, sun_spectrum
+from simulate.radiance.sky.moon import AU_KM, Disc, Ephemeris, ObserverLocation, ephemeris, moonlight, sun_spectrum
 from simulate.radiance.sky.sky_glow import TownGlow, dark_sky, van_rhijn
 from simulate.radiance.spectrum import LUMENS_PER_WATT, SourceSpectrum, luminous_efficiency, require_grid, sum_spectra
+
+Array = NDArray[np.floating]
 
 # Irradiance over pi times the zenith's radiance of a layer of airglow, above the air (`van_rhijn`).
 AIRGLOW_HEMISPHERE = 1.715
@@ -23,31 +24,19 @@ AIRGLOW_HEMISPHERE = 1.715
 class NightSky:
     """Everything above the horizon.
 
-    Parameters
-    ----------
-    atmosphere
-        The air.
-    bodies
-        Sun and moon, also when below the horizon, where they still make twilight.
-    airglow, zodiacal, starlight
-        Strength of each over a dark site's, dimensionless.
-    towns
-        Glow of towns.
-    ground_albedo
-        Albedo of the surrounding land, which lights the sky from below.
-
     Notes
     -----
     Directions have x east, y north, z up. There are no clouds.
     """
 
-    atmosphere: Atmosphere = field(default_factory=Atmosphere)
-    bodies: tuple[Disc, ...] = ()
+    atmosphere: Atmosphere = field(default_factory=Atmosphere)  # the air
+    bodies: tuple[Disc, ...] = ()  # sun and moon, also when below the horizon, where they still make twilight
+    # Strength of each over a dark site's, dimensionless.
     airglow: float = 1.0
     zodiacal: float = 1.0
     starlight: float = 1.0
-    towns: tuple[TownGlow, ...] = ()
-    ground_albedo: float = 0.2
+    towns: tuple[TownGlow, ...] = ()  # glow of towns
+    ground_albedo: float = 0.2  # albedo of the surrounding land, which lights the sky from below
 
     def __post_init__(self) -> None:
         for name in ("airglow", "zodiacal", "starlight"):
@@ -60,21 +49,11 @@ class NightSky:
     def at(
         cls, place: ObserverLocation, time: datetime, *, atmosphere: Atmosphere | None = None, **parts: object
     ) -> "NightSky":
-        """Return the sky over a place at a time.
+        """Return the sky over a place at a time with its zone; by default in air of 23 km of visibility.
 
-        Parameters
-        ----------
-        place, time
-            Where and when; the time knows its zone.
-        atmosphere
-            The air; by default 23 km of visibility.
-        parts
-            Other fields of the sky: `airglow`, `towns` and so on.
+        Other fields of the sky (`airglow`, `towns` and so on) are passed on.
 
-        Raises
-        ------
-        BadInput
-            If the time has no zone or lies outside 1900 to 2100.
+        Raises BadInput if the time has no zone or lies outside 1900 to 2100.
         """
         air = atmosphere or Atmosphere()
         return cls(atmosphere=air, bodies=_bodies(ephemeris(place, time), air), **parts)  # pyright: ignore[reportArgumentType]
@@ -88,15 +67,10 @@ class NightSky:
         bodies = [body.extraterrestrial for body in self.bodies if body.elevation_deg > -sky_glow.LAST_DEG]
         return (*bodies, self._night(), *(town.spectrum for town in self.towns))
 
-    def radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the sky's radiance without the discs themselves, W m-2 sr-1 nm-1, shape (band, path).
+    def radiance(self, direction: Array, wavelength_nm: ArrayLike) -> Array:
+        """Return the sky's radiance without the discs in directions (path, 3), W m-2 sr-1 nm-1, shape (band, path).
 
-        Parameters
-        ----------
-        direction
-            Unit vectors, shape (path, 3); below the horizon there is no sky and the radiance is zero.
-        wavelength_nm
-            The complete spectral grid, shape (band,), nm.
+        On the complete spectral grid (band,), nm; zero below the horizon.
         """
         grid = require_grid(wavelength_nm)
         total = self._night_radiance(direction, grid)
@@ -109,7 +83,7 @@ class NightSky:
                 total += glow.on(grid)[:, None] * sky_glow.twilight_shape(direction, body.direction)
         return total * (direction[:, 2] >= 0.0)
 
-    def air_radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def air_radiance(self, direction: Array, wavelength_nm: ArrayLike) -> Array:
         """Return the radiance of an endless level path of the air near the ground, shape (band, path).
 
         Notes
@@ -138,7 +112,7 @@ class NightSky:
         """Return the atmosphere, lit by this sky."""
         return replace(self.atmosphere, light=self)
 
-    def irradiance(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def irradiance(self, wavelength_nm: ArrayLike) -> Array:
         """Return the irradiance of open level ground, W m-2 nm-1, shape (band,): sky and discs."""
         grid = require_grid(wavelength_nm)
         directions, weight = scattering.sky_quadrature()
@@ -153,7 +127,7 @@ class NightSky:
         weight = LUMENS_PER_WATT * luminous_efficiency(grid) * band_widths(grid)
         return float(np.sum(self.irradiance(grid) * weight))
 
-    def _endless(self, body: Disc, direction: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _endless(self, body: Disc, direction: Array, grid: Array) -> Array:
         """Return the radiance of an endless path lit by one body; the sky it makes has the diffuse irradiance known."""
         depth, molecules = scattering.scattering_parts(self.atmosphere, grid)
         # Followed through the narrow bands of gases before it is put on the grid.
@@ -169,14 +143,10 @@ class NightSky:
     def _night(self) -> SourceSpectrum:
         dark = dark_sky()
         return sum_spectra(
-            [
-                dark.airglow.scale(self.airglow),
-                dark.zodiacal.scale(self.zodiacal),
-                dark.starlight.scale(self.starlight),
-            ]
+            [dark.airglow.scale(self.airglow), dark.zodiacal.scale(self.zodiacal), dark.starlight.scale(self.starlight)]
         )
 
-    def _night_radiance(self, direction: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _night_radiance(self, direction: Array, grid: Array) -> Array:
         """Return airglow, zodiacal light, stars and towns, shape (band, path).
 
         Each part comes through the air, and what the air takes from it it gives back evenly from above and below.
@@ -191,15 +161,13 @@ class NightSky:
             total += town.spectrum.on(grid)[:, None] * town.shape(direction)
         return total
 
-    def _night_air(self, grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _night_air(self, grid: Array) -> Array:
         """Return the radiance of an endless path lit by airglow, zodiacal light and stars, shape (band,)."""
         straight = self._direct_fraction(np.array([90.0]), grid)[:, 0]
         parts = self._night_parts(np.array([90.0]), grid)
         return np.sum([zenith * back / (straight + back * (1.0 - straight)) for zenith, _, back in parts], axis=0)
 
-    def _night_parts(
-        self, elevation_deg: NDArray[np.floating], grid: NDArray[np.float64]
-    ) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], float], ...]:
+    def _night_parts(self, elevation_deg: Array, grid: Array) -> tuple[tuple[Array, Array, float], ...]:
         """Return of even light and of airglow: the zenith, its shape above the air, and what an endless path has of it.
 
         Half of what lights the air comes from above and half from ground of the albedo given.
@@ -208,12 +176,9 @@ class NightSky:
         even = self.zodiacal * dark.zodiacal.on(grid) + self.starlight * dark.starlight.on(grid)
         glow = self.airglow * dark.airglow.on(grid)
         half = 0.5 * (1.0 + self.ground_albedo)
-        return (
-            (even, np.ones(elevation_deg.shape), half),
-            (glow, van_rhijn(elevation_deg), half * AIRGLOW_HEMISPHERE),
-        )
+        return ((even, np.ones(elevation_deg.shape), half), (glow, van_rhijn(elevation_deg), half * AIRGLOW_HEMISPHERE))
 
-    def _direct_fraction(self, elevation_deg: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _direct_fraction(self, elevation_deg: Array, grid: Array) -> Array:
         """Return the transmittance for isotropic light, shape (band, path).
 
         Haze scatters forward: only 1 - g of its depth counts.

@@ -5,8 +5,8 @@ import pytest
 
 from charact.bloom.bloom_map import NEAR_PX, bloom_map, pixel_noise
 from charact.bloom.posterior_psf import PosteriorPsf, spread_of
-from charact.study.bloom.scene import BloomScene, noiseless_frame, stack
-from charact.study.bloom.source import GLARE_SIDE_PX, radial_light
+from charact.study.bloom.scene import noiseless_frame, stack
+from charact.study.bloom.source import GLARE_SIDE_PX, BloomScene, radial_light
 from labdata.errors import BadInput
 from labdata.measurement import Posterior
 

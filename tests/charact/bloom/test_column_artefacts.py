@@ -8,7 +8,8 @@ import pytest
 from charact.bloom.column_artefacts import column_artefact_mask
 from charact.bloom.point_stack import read_point_stacks
 from charact.method import Context
-from charact.study.bloom.scene import BloomScene, bloom_session
+from charact.study.bloom.scene import bloom_session
+from charact.study.bloom.source import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 HALO_OVERLOADS = (0.5, 30.0, 3e3, 1e5)
@@ -34,7 +35,7 @@ def test_nothing_is_spoiled_where_the_source_is_round(seed):
 @pytest.mark.parametrize("core_sigma_px", [1.3, 4.0])
 def test_every_column_that_spills_is_left_out_as_far_as_it_does(seed, core_sigma_px):
     """Columns wider than the bloom's own: what is brighter than a camera with endless wells would show is masked."""
-    scene = BloomScene(core_sigma_px=core_sigma_px, full_well_dn=300.0, drain_ratio=10.0, halo_fraction=0.05)
+    scene = BloomScene(core_sigma_px=core_sigma_px, full_well_dn=3000.0, halo_fraction=0.05)
     spot = spots_of(scene, (0.5, 300.0), np.random.default_rng(seed))[1]
     mask = column_artefact_mask(spot, QUICK)
     away = np.abs(np.arange(scene.rows) - spot.row)[:, None] > 26.0

@@ -9,8 +9,7 @@ from charact.bloom.extent import extent_at
 from charact.bloom.point_stack import read_point_stacks
 from charact.bloom.source_view import view_of
 from charact.method import Context
-from charact.study.bloom.camera import stack
-from charact.study.bloom.scene import bloom_session
+from charact.study.bloom.scene import bloom_session, stack
 from charact.study.bloom.source import BloomScene
 from charact.study.bloom.truth import truth
 from labdata.frames import FrameStack
@@ -162,7 +161,7 @@ def test_a_round_source_is_round_and_a_wrong_row_pitch_makes_it_oval(seed, row_p
 @pytest.mark.parametrize("overloads", [(1e5,), (3e3, 1e5), (0.5, 1e5)])
 @pytest.mark.parametrize("trouble", ["none", "streak"])
 def test_the_middle_is_pulled_neither_by_saturation_nor_by_streaks(seed, overloads, trouble):
-    scene = BloomScene(row=70.3, col=95.4, full_well_dn=None if trouble == "none" else 300.0, drain_ratio=200.0)
+    scene = BloomScene(row=70.3, col=95.4, full_well_dn=None if trouble == "none" else 6e4)
     for spot in read_point_stacks(bloom_session(scene, overloads, np.random.default_rng(seed)), context=QUICK):
         assert abs(spot.row - 70.3) < 0.5 and abs(spot.col - 95.4) < 0.3
 

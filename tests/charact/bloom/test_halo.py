@@ -5,7 +5,7 @@ import pytest
 
 from charact import bloom
 from charact.bloom.series.series_measurements import levels_apart
-from charact.bloom.transfer import backscatter_profile, disc
+from charact.bloom.transfer import disc
 from charact.method import Context
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -90,7 +90,7 @@ def test_the_transform_of_the_halo_is_that_of_thrown_electrons(thrown, seed):
     for share in (1.0, 0.3, 0.0):
         x, _ = thrown(rng, count, 40.0, share)
         waves = np.cos(2.0 * np.pi * frequency * x[:, None])
-        expected = disc(frequency, np.array([40.0]), backscatter_profile(np.array([share])))[0]
+        expected = disc(frequency, np.array([40.0]), np.array([[share, 1.0 - share, 0.0, 0.0]]))[0]
         assert np.all(np.abs(waves.mean(axis=0) - expected) < 4.5 * waves.std(axis=0) / np.sqrt(count))
 
 

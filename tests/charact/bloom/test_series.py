@@ -17,7 +17,8 @@ from charact.bloom.series.rings import geometry_of, level_of, noise_of
 from charact.bloom.transfer import frequencies, onto_nodes
 from charact.method import Context
 from charact.method.registry import methods_of_kind
-from charact.study.bloom.scene import BloomScene, bloom_session
+from charact.study.bloom.scene import bloom_session
+from charact.study.bloom.source import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 TWO_DECADES = tuple(np.geomspace(0.5, 5e4, 7))
@@ -68,7 +69,7 @@ def test_the_disc_is_where_thrown_electrons_land(rings, thrown, seed):
         radius = np.hypot(x + 1.2 * rng.standard_normal(len(x)), y + 1.2 * rng.standard_normal(len(y)))
         edges = np.arange(0.0, 30.0, 2.0)
         core = transfer.gaussian(frequencies(), np.array([1.44]))
-        blurred = core * transfer.disc(frequencies(), np.array([40.0]), transfer.backscatter_profile(np.array([share])))
+        blurred = core * transfer.disc(frequencies(), np.array([40.0]), np.array([[share, 1.0 - share, 0.0, 0.0]]))
         at = np.arange(0.02, 30.0, 0.04)
         light = (blurred @ onto_nodes(at))[0] * 2 * np.pi * at * 0.04
         expected = np.histogram(at, bins=edges, weights=light)[0] * len(x)
@@ -184,7 +185,7 @@ def test_a_source_in_the_corner_has_the_same_halo(seed):
 
 
 def test_overflow_and_smear_do_not_pull_the_halo(seed):
-    scene = BloomScene(full_well_dn=400.0, drain_ratio=2.0, smear_fraction=0.002)
+    scene = BloomScene(full_well_dn=800.0, smear_fraction=0.002)
     found = only(measured(scene, seed), "halo_diameter")
     assert found.value == pytest.approx(scene.halo_diameter_px, rel=0.02)
     assert abs(errors(found, scene.halo_diameter_px)) < 4.5

@@ -9,8 +9,8 @@ import pytest
 from charact.bloom.point_stack import read_point_stacks
 from charact.bloom.series_consistency import check_consistency
 from charact.method import Context
-from charact.study.bloom.camera import noiseless_frame
-from charact.study.bloom.scene import BloomScene, bloom_session
+from charact.study.bloom.scene import bloom_session, noiseless_frame
+from charact.study.bloom.source import BloomScene
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.frames import FrameStack
 

@@ -6,7 +6,8 @@ import pytest
 from charact.bloom.bloom_map import map_of, spread_from
 from charact.method import Context
 from charact.report.bloom_images import write_bloom_map
-from charact.study.bloom.scene import BloomScene, bloom_session
+from charact.study.bloom.scene import bloom_session
+from charact.study.bloom.source import BloomScene
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result, make_refusal, measurement_from_draws, measurement_from_sd
 

@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 from charact.bloom.single_frame import BEYOND_ONE_FRAME, bare_session, measure_frame
 from charact.cli.application import app
 from charact.method import Context
-from charact.study.bloom.camera import stack
-from charact.study.bloom.scene import bloom_session
+from charact.study.bloom.scene import bloom_session, stack
 from charact.study.bloom.source import BloomScene
 from charact.study.bloom.truth import truth
 from labdata.errors import BadInput

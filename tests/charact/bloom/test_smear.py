@@ -9,7 +9,8 @@ import pytest
 from charact.bloom.point_stack import read_point_stacks
 from charact.bloom.smear import smear_measurement
 from charact.method import Context
-from charact.study.bloom.scene import BloomScene, bloom_session
+from charact.study.bloom.scene import bloom_session
+from charact.study.bloom.source import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 LEVELS = (0.5, 30.0, 300.0, 3e3)

@@ -9,7 +9,8 @@ import pytest
 from charact.bloom.column_artefacts import streak_measurements, streak_of
 from charact.bloom.point_stack import read_point_stacks
 from charact.method import Context
-from charact.study.bloom.scene import BloomScene, bloom_session, noiseless_frame
+from charact.study.bloom.scene import bloom_session, noiseless_frame
+from charact.study.bloom.source import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 
@@ -33,7 +34,7 @@ def rows_above(scene, overload):
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"full_well_dn": 220.0}, {"full_well_dn": 300.0, "drain_ratio": 3.0, "smear_fraction": 2e-3, "col": 50.2}],
+    [{}, {"full_well_dn": 220.0}, {"full_well_dn": 900.0, "smear_fraction": 2e-3, "col": 50.2}],
     ids=["no overflow", "wells below full scale", "drain and smear"],
 )
 def test_the_bright_column_is_as_long_as_that_of_the_noiseless_picture(seed, settings):

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from charact.cli.application import app
+from tests.charact.cli.runner import assert_one_sentence, charact
 
 SESSION = """
 name = "trial"
@@ -18,20 +19,6 @@ kind = "flat"
 frames = "flat.npy"
 {line}
 """
-
-
-def charact(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(a) for a in arguments])
-
-
-def assert_one_sentence(done: Result, *words: str) -> None:
-    assert done.exit_code == 1, done.output
-    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
-    sentence = done.stderr.strip()
-    assert len(sentence.splitlines()) == 1, sentence
-    assert "Traceback" not in done.output
-    for word in words:
-        assert word in sentence, sentence
 
 
 @pytest.fixture
@@ -49,21 +36,19 @@ def session(folder: Path, line: str) -> Path:
     return folder
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    assert_one_sentence(charact("mtf", "edge", tmp_path / "missing.tif"), "missing.tif")
-
-
-def test_text_named_tif_is_not_an_image(tmp_path: Path) -> None:
-    path = tmp_path / "letter.tif"
-    path.write_text("Dear lab, the frames are in the other folder.")
-    assert_one_sentence(charact("mtf", "edge", path), "letter.tif")
-
-
-def test_a_truncated_tiff_is_not_measured(tmp_path: Path) -> None:
-    path = tmp_path / "cut.tif"
-    tifffile.imwrite(path, np.zeros((64, 64), np.uint16))
-    path.write_bytes(path.read_bytes()[:3000])
-    assert_one_sentence(charact("mtf", "edge", path), "cut.tif")
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("missing.tif", None, ("missing.tif",)),
+        ("letter.tif", b"Dear lab, the frames are in the other folder.", ("letter.tif",)),
+        ("cut.tif", b"II*\x00" + bytes(3000), ("cut.tif",)),
+        ("frames.xyz", b"1234", (".xyz", ".tif", ".fits", ".dng")),
+    ],
+)
+def test_a_file_that_is_no_image_is_named(tmp_path: Path, name: str, content: bytes | None, words) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    assert_one_sentence(charact("mtf", "edge", tmp_path / name), *words)
 
 
 def test_a_pixel_that_is_not_a_number_is_counted(tmp_path: Path) -> None:
@@ -73,27 +58,28 @@ def test_a_pixel_that_is_not_a_number_is_counted(tmp_path: Path) -> None:
     assert_one_sentence(charact("mtf", "edge", tmp_path / "nan.tif"), "finite", "6 ")
 
 
-def test_an_unknown_kind_of_file_gets_the_list_of_known_ones(tmp_path: Path) -> None:
-    path = tmp_path / "frames.xyz"
-    path.write_bytes(b"1234")
-    assert_one_sentence(charact("mtf", "edge", path), ".xyz", ".tif", ".fits", ".dng")
-
-
-def test_an_unknown_key_is_refused_by_name_and_place(tmp_path: Path) -> None:
+def test_a_session_file_is_refused_by_key_and_place(tmp_path: Path) -> None:
+    assert_one_sentence(charact("measure", tmp_path), "session.toml")
     assert_one_sentence(charact("noise", session(tmp_path, "mcp_volt = 780.0")), "mcp_volt", "flat-1")
-
-
-def test_a_negative_gain_is_refused(tmp_path: Path) -> None:
     assert_one_sentence(charact("noise", session(tmp_path, "mcp_v = -780.0")), "mcp_v", "-780")
-
-
-def test_an_empty_session_is_refused(tmp_path: Path) -> None:
     (tmp_path / "session.toml").write_text('name = "empty"\n')
     assert_one_sentence(charact("noise", tmp_path), "stack")
 
 
-def test_a_folder_without_a_manifest_is_refused(tmp_path: Path) -> None:
-    assert_one_sentence(charact("measure", tmp_path), "session.toml")
+@pytest.mark.parametrize(
+    ("kind", "option", "words"),
+    [
+        ("edge", "--roi=0,0,65,10", ("64 rows and 96 columns", "0,0,65,10")),
+        ("edge", "--roi=-1,0,10,10", ("64 rows and 96 columns",)),
+        ("edge", "--roi=10,10,all", ("ROW,COL,HEIGHT,WIDTH", "10,10,all")),
+        ("edge", "--method=sorcery", ("sorcery", "edge-forward")),
+        ("edge", "--units=furlongs", ("furlongs", "lp/mm")),
+        ("edge", "--units=lp/mm", ("pitch_um",)),
+        ("bars", "--frequency=-0.1", ("-0.1",)),
+    ],
+)
+def test_an_option_out_of_its_range_is_refused(edge: Path, kind: str, option: str, words: tuple[str, ...]) -> None:
+    assert_one_sentence(charact("mtf", kind, edge, option), *words)
 
 
 def test_a_session_of_bars_that_shows_none_is_refused_in_one_sentence(edge: Path, tmp_path: Path) -> None:
@@ -131,27 +117,6 @@ def test_a_map_of_a_bare_picture_and_the_mtf_of_a_session_name_what_is_needed(ed
     assert_one_sentence(charact("mtf", "flats", tmp_path / "nope"), "session folder", "file of frames", "nope")
 
 
-@pytest.mark.parametrize("region", ["0,0,65,10", "-1,0,10,10", "0,90,10,10", "0,0,0,10"])
-def test_a_region_outside_the_image_is_refused(edge: Path, region: str) -> None:
-    assert_one_sentence(charact("mtf", "edge", edge, f"--roi={region}"), "64 rows and 96 columns", region)
-
-
-def test_a_region_that_is_no_region_is_refused(edge: Path) -> None:
-    assert_one_sentence(charact("mtf", "edge", edge, "--roi", "10,10,all"), "ROW,COL,HEIGHT,WIDTH", "10,10,all")
-
-
-def test_an_unknown_method_gets_the_list_of_known_ones(edge: Path) -> None:
-    assert_one_sentence(charact("mtf", "edge", edge, "--method", "sorcery"), "sorcery", "edge-forward")
-
-
-def test_an_unknown_frequency_unit_is_refused(edge: Path) -> None:
-    assert_one_sentence(charact("mtf", "edge", edge, "--units", "furlongs"), "furlongs", "lp/mm")
-
-
-def test_lines_per_millimetre_need_a_pitch(edge: Path) -> None:
-    assert_one_sentence(charact("mtf", "edge", edge, "--units", "lp/mm"), "pitch_um")
-
-
 def test_a_length_of_nothing_is_refused_whatever_the_sensor_has(edge: Path) -> None:
     for unit, option in (("cy/mrad", "--focal-length-mm"), ("lp/mm-cathode", "--demagnification")):
         done = charact("mtf", "edge", edge, "--sensor", "pulnix-ag5745ef3", "--units", unit, option, "0", "--quick")
@@ -168,10 +133,6 @@ def test_flats_in_lines_per_millimetre_take_a_pitch(tmp_path: Path) -> None:
 def test_a_stack_of_a_map_without_a_map_is_misuse(edge: Path) -> None:
     done = charact("bloom", edge, "--map-of", "point-1")
     assert done.exit_code == 2 and "needs --map" in done.output
-
-
-def test_bars_of_a_negative_frequency_are_refused(edge: Path) -> None:
-    assert_one_sentence(charact("mtf", "bars", edge, "--frequency", "-0.1"), "-0.1")
 
 
 @pytest.mark.parametrize(

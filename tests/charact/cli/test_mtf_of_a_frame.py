@@ -6,21 +6,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 from charact.cli.annotate import COLOURS, place_captions, render_annotations
-from charact.cli.application import app
 from charact.cli.output import FrequencyUnit
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Result as Measured
 from labdata.measurement import make_measurement, make_refusal
+from tests.charact.cli.runner import charact
 from tests.charact.mtf.bars.photoelectron_bars import PulsedBars
-
-
-def charact(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")
@@ -42,18 +37,6 @@ def test_each_edge_of_a_frame_has_its_region_and_its_curve(two_edges: Path) -> N
     left, right = sorted(regions, key=lambda region: region[1])
     assert left[1] + left[3] <= 185
     assert right[1] >= 55
-
-
-def test_people_get_one_line_a_region(two_edges: Path) -> None:
-    lines = charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted").stdout.splitlines()
-    assert [line[:3] for line in lines[:2]] == ["  1", "  2"]
-    assert all("mtf50" in line and "95 %" in line for line in lines[:2])
-
-
-def test_a_region_overrides_the_search(two_edges: Path) -> None:
-    done = charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--roi", "10,10,90,100", "--json")
-    regions = {tuple(m["region"]) for m in json.loads(done.stdout)["measurements"]}
-    assert len(regions) == 1
 
 
 def test_a_black_level_is_taken_as_told_and_said(two_edges: Path) -> None:
@@ -114,12 +97,6 @@ def test_each_colour_channel_has_its_own_mtf(tmp_path: Path) -> None:
     ]
     assert values[0]["value"] == values[1]["value"]
     assert scenes[2].truth_mtf50 < values[0]["value"] < scenes[0].truth_mtf50
-
-
-def test_bars_that_are_nowhere_are_refused_in_one_sentence(two_edges: Path) -> None:
-    done = charact("mtf", "bars", two_edges, "--quick")
-    assert done.exit_code == 1
-    assert "no target: " in done.stderr and "--roi" in done.stderr
 
 
 def test_lines_at_the_cathode_are_wider_by_the_taper() -> None:

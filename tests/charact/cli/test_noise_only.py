@@ -29,10 +29,8 @@ def noise_frame(kind: str, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("noise", ["white", "correlated", "poisson", "constant"])
 @pytest.mark.parametrize("verb", VERBS)
 def test_noise_is_never_an_mtf(verb: str, noise: str, tmp_path: Path, seed: int) -> None:
-    for trial in range(3):
-        frame = noise_frame(noise, np.random.default_rng((seed, trial)))
-        np.save(tmp_path / "noise.npy", frame)
-        assert not ok_measurements("mtf", verb, tmp_path / "noise.npy", "--quick", *VERBS[verb])
+    np.save(tmp_path / "noise.npy", noise_frame(noise, np.random.default_rng(seed)))
+    assert not ok_measurements("mtf", verb, tmp_path / "noise.npy", "--quick", *VERBS[verb])
 
 
 @pytest.mark.parametrize("kind", ["flat", "point", "edge", "dark"])
@@ -64,7 +62,7 @@ FLATS = {
 }
 
 
-@pytest.mark.parametrize("kinds", [("flat",), ("flat", "flat"), ("dark", "flat")])
+@pytest.mark.parametrize("kinds", [("flat", "flat"), ("dark", "flat")])
 @pytest.mark.parametrize("case", FLATS)
 def test_flats_that_tell_nothing_are_never_a_gain(case: str, kinds: tuple[str, ...], tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -4,15 +4,14 @@ import json
 from dataclasses import replace
 
 import pytest
-from typer.testing import CliRunner, Result
 
-from charact.cli.application import app
 from charact.cli.benches import builtin_plan_names, load_plan
 from charact.report.page import page
 from labdata.measurement import Result as Measured
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
 from labdata.tube_dose import FOLDER_VARIABLE, Dose, ledger_of
+from tests.charact.cli.runner import charact
 
 PLAN = """
 name = "small"
@@ -32,10 +31,6 @@ mcp_v = 600.0
 gate_ns = 1.6e7
 illuminance_lux = [1e-4, 2e-4]
 """
-
-
-def charact(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 @pytest.fixture

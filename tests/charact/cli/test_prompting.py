@@ -88,41 +88,6 @@ def test_the_end_of_the_input_is_one_sentence(typed):
         typed_placer.place(kind="edge", target=Target(), illuminance_lux=1.0)
 
 
-def test_what_is_no_number_is_refused(typed):
-    typed("bright\n")
-    with pytest.raises(BadInput, match="must be a number in lux, got 'bright'"):
-        reading(PromptingOperator())
-
-
-def test_an_input_that_is_no_file_is_read_beside_the_run(monkeypatch):
-    released = threading.Event()
-
-    class Notebook(io.StringIO):
-        def readline(self, *_: object) -> str:
-            released.wait(20.0)
-            return "5e-5\n"
-
-    monkeypatch.setattr(sys, "stdin", Notebook())
-    operator, calls = PromptingOperator(), []
-
-    def waiting() -> None:
-        calls.append(1)
-        if len(calls) == 3:
-            raise ZeroDivisionError
-
-    operator.while_waiting = waiting
-    with pytest.raises(ZeroDivisionError):
-        reading(operator)
-    released.set()
-    assert reading(operator) == 5e-5
-
-
-def test_without_any_input_the_prompt_ends(monkeypatch):
-    monkeypatch.setattr(sys, "stdin", None)
-    with pytest.raises(BadInput, match="got the end of the input"):
-        reading(PromptingOperator())
-
-
 def test_a_terminal_that_takes_no_more_is_waited_for_in_slices_and_not_at_all_to_darken(monkeypatch):
     there, full = os.pipe()
     os.set_blocking(full, False)

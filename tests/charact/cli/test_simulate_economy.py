@@ -6,17 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
-from charact.cli.application import app
 from labdata.sensors import load_camera, save_sensor
 from labdata.session import open_session
+from tests.charact.cli.runner import charact
 
 ROWS, COLS = 64, 96
-
-
-def charact(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")
@@ -35,17 +31,9 @@ def folder(tmp_path_factory) -> Path:
 
 def _simulated(folder: Path, picture: str, out: str, *more: object) -> Result:
     done = charact(
-        "simulate",
-        folder / f"{picture}.npy",
-        folder / out,
-        "--sensor",
-        folder / "camera.toml",
-        "--photoelectrons-per-dn",
-        1,
-        "--frames",
-        2,
-        *more,
-    )
+        "simulate", folder / f"{picture}.npy", folder / out, "--sensor", folder / "camera.toml",
+        "--photoelectrons-per-dn", 1, "--frames", 2, *more,
+    )  # fmt: skip
     assert done.exit_code == 0, done.output
     return done
 
@@ -93,8 +81,3 @@ def test_a_camera_without_a_tube_keeps_every_stage_and_says_so(folder):
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "all effects are retained" in done.stdout
-
-
-def test_a_tolerance_below_zero_is_a_usage_error(folder):
-    done = charact("simulate", folder / "dim.npy", folder / "no", "--sensor", folder / "camera.toml", "--within", -1)
-    assert done.exit_code == 2

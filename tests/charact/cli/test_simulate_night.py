@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from charact.cli.application import app
 from labdata.sensors import load_camera, save_sensor
 from labdata.session import open_session
+from tests.charact.cli.runner import charact
 
 SCENE = """
 name = "a ball on a lawn"
@@ -33,10 +32,6 @@ size_m = [0.15]
 material = "paint"
 position_m = [0, 0, 1]
 """
-
-
-def charact(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")

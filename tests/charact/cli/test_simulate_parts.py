@@ -5,11 +5,10 @@ import pytest
 import tifffile
 from numpy.testing import assert_allclose, assert_array_equal
 
-from charact.cli.image_source import centre_on_frame, cube_of, photoelectrons_of
-from charact.cli.simulated_session import SHEET, save_stages, sheet
-from charact.cli.simulation_sources import conditions_of
+from charact.cli.image_figures import SHEET, save_stages, sheet
 from labdata import BadInput
 from labdata.sensors import load_camera, load_sensor
+from simulate.api import centre_on_frame, conditions_of, read_cube, read_image
 
 
 @pytest.fixture(scope="module")
@@ -29,29 +28,20 @@ def saved(folder, picture, name="picture.npy"):
 
 def test_every_dn_above_black_is_so_many_photoelectrons(tmp_path):
     picture = np.array([[10.0, 12.0], [20.0, 10.0]])
-    image, notes = photoelectrons_of(saved(tmp_path, picture), photoelectrons_per_dn=0.5, black_dn=10.0, shape=(2, 2))
+    image, notes = read_image(saved(tmp_path, picture), photoelectrons_per_dn=0.5, black_dn=10.0, shape=(2, 2))
     assert_allclose(image, [[0.0, 1.0], [5.0, 0.0]])
     assert image.dtype == np.float32
     assert "0.5 photoelectrons per DN above 10 DN" in notes[0]
 
 
-def test_what_lies_below_black_is_dark_and_counted(tmp_path):
-    image, notes = photoelectrons_of(
-        saved(tmp_path, np.array([[3, 4], [5, 6]], np.uint8)), photoelectrons_per_dn=1.0, black_dn=5.0, shape=(2, 2)
-    )
-    assert_array_equal(image, [[0, 0], [0, 1]])
-    assert any("2 pixels below 5 DN count as dark" in note for note in notes)
-
-
 def test_the_first_frame_of_several_is_taken_and_said_so(tmp_path):
     stack = np.stack([np.full((2, 2), 7), np.full((2, 2), 9)]).astype(np.uint16)
-    image, notes = photoelectrons_of(saved(tmp_path, stack), photoelectrons_per_dn=1.0, black_dn=0.0, shape=(2, 2))
+    image, notes = read_image(saved(tmp_path, stack), photoelectrons_per_dn=1.0, black_dn=0.0, shape=(2, 2))
     assert_array_equal(image, 7.0)
     assert any("first of 2 frames" in note for note in notes)
 
 
-@pytest.mark.parametrize("rows", [3, 4, 5, 8, 9])
-@pytest.mark.parametrize("cols", [3, 6, 7, 10])
+@pytest.mark.parametrize(("rows", "cols"), [(3, 3), (4, 7), (5, 10), (8, 6), (9, 10)])
 def test_a_picture_stands_in_the_middle_of_the_frame_to_half_a_pixel(rows, cols):
     picture = np.arange(1.0, rows * cols + 1).reshape(rows, cols)
     frame, notes = centre_on_frame(picture, (5, 7))
@@ -73,26 +63,23 @@ def test_a_picture_stands_in_the_middle_of_the_frame_to_half_a_pixel(rows, cols)
     [
         (np.ones((2, 2)), {"photoelectrons_per_dn": None}, "an image needs --photoelectrons-per-dn"),
         (np.ones((2, 2)), {"photoelectrons_per_dn": 0.0}, "--photoelectrons-per-dn must be positive, got 0"),
-        (np.ones((2, 2)), {"photoelectrons_per_dn": -1.0}, "--photoelectrons-per-dn must be positive, got -1"),
         (np.ones((2, 2)), {"photoelectrons_per_dn": float("nan")}, "must be positive, got nan"),
-        (np.ones((2, 2)), {"photoelectrons_per_dn": float("inf")}, "must be positive, got inf"),
         (np.ones((2, 2)), {"black_dn": float("nan")}, "--black-dn must be a number, got nan"),
         (-np.ones((2, 2)), {}, "an image must have no negative pixel, got -1 in picture.npy"),
         (np.array([[np.nan, 1.0]]), {}, "every pixel must be finite"),
-        (np.array([[np.inf, 1.0]]), {}, "every pixel must be finite"),
     ],
 )
 def test_what_is_no_light_is_refused(tmp_path, picture, options, sentence):
     keys = {"photoelectrons_per_dn": 1.0, "black_dn": 0.0, "shape": (2, 2), **options}
     with pytest.raises(BadInput) as error:
-        photoelectrons_of(saved(tmp_path, picture), **keys)
+        read_image(saved(tmp_path, picture), **keys)
     assert sentence in str(error.value)
 
 
 def test_a_cube_is_read_as_it_was_written(tmp_path):
     radiance = np.random.default_rng(0).random((3, 4, 5))
     np.savez(tmp_path / "c.npz", wavelength_nm=np.array([500.0, 600.0, 700.0]), radiance=radiance)
-    cube = cube_of(tmp_path / "c.npz")
+    cube = read_cube(tmp_path / "c.npz")
     assert_array_equal(cube.radiance, radiance)
     assert_array_equal(cube.wavelength_nm, [500.0, 600.0, 700.0])
 
@@ -111,7 +98,7 @@ def test_a_cube_is_read_as_it_was_written(tmp_path):
 def test_what_is_no_radiance_is_refused(tmp_path, arrays, sentence):
     np.savez(tmp_path / "c.npz", **arrays)
     with pytest.raises(BadInput) as error:
-        cube_of(tmp_path / "c.npz")
+        read_cube(tmp_path / "c.npz")
     assert sentence in str(error.value)
 
 
@@ -119,7 +106,7 @@ def test_a_file_that_is_no_cube_is_refused(tmp_path):
     for name, content in (("text.npz", b"radiance"), ("empty.npz", b""), ("cut.npz", b"PK\x03\x04 and no more")):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(BadInput, match=r"must be a complete \.npz file, got " + name.replace(".", r"\.")):
-            cube_of(tmp_path / name)
+            read_cube(tmp_path / name)
     whole = tmp_path / "whole.npz"
     np.savez_compressed(whole, wavelength_nm=np.arange(2.0), radiance=np.random.default_rng(0).random((2, 40, 40)))
     spoilt = bytearray(whole.read_bytes())
@@ -128,9 +115,9 @@ def test_a_file_that_is_no_cube_is_refused(tmp_path):
     np.save(tmp_path / "array", np.ones(3))
     for name in ("whole.npz", "array.npy"):
         with pytest.raises(BadInput, match=r"must be a complete \.npz file"):
-            cube_of(tmp_path / name)
+            read_cube(tmp_path / name)
     with pytest.raises(BadInput, match="must exist to be read"):
-        cube_of(tmp_path / "none.npz")
+        read_cube(tmp_path / "none.npz")
 
 
 def test_a_luminous_gain_is_the_voltage_that_gives_it(tube):
@@ -150,16 +137,10 @@ def test_what_is_left_open_is_nominal_and_recorded(tube, emccd):
     assert conditions_of(emccd, gain=300.0).em_gain == 300.0
 
 
-def test_a_control_word_stands_alone(tube):
-    asked = conditions_of(tube, gain_control=102.0)
-    assert (asked.gain_control, asked.mcp_v) == (102.0, None)
-
-
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         ({"gain": 0.0}, "--gain must be positive, got 0"),
-        ({"gain": float("nan")}, "--gain must be positive, got nan"),
         ({"gain": 100.0, "mcp_v": 700.0}, "the gain must be set once, got --mcp-v and --gain"),
         ({"gain_control": 10.0, "mcp_v": 700.0}, "the gain must be set once, got --mcp-v and --gain-control"),
         ({"gate_ns": -1.0}, "gate_ns must not be negative, got -1"),
@@ -175,7 +156,6 @@ def test_settings_that_no_tube_takes_are_refused(tube, options, sentence):
     ("options", "sentence"),
     [
         ({"gain": 2000.0}, "--gain of 'EMCCD 512' must lie between 1 and 1000, got 2000"),
-        ({"gain": 0.5}, "--gain of 'EMCCD 512' must lie between 1 and 1000, got 0.5"),
         ({"mcp_v": 800.0}, "--mcp-v needs a camera with a tube, got 'EMCCD 512'"),
         ({"gate_ns": 100.0}, "--gate-ns needs a camera with a tube, got 'EMCCD 512'"),
         ({"brightness_control": True}, "--brightness-control needs a camera with a tube, got 'EMCCD 512'"),

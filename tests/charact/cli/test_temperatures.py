@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from charact.cli.application import app
 from labdata.sensors import load_camera, save_sensor
+from tests.charact.cli.runner import charact
 
 SCENE = """
 name = "crate on paving"
@@ -33,10 +32,6 @@ shape = "box"
 size_m = [2, 2, 2]
 material = "paint"
 """
-
-
-def charact(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 @pytest.fixture

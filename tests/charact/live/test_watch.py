@@ -116,8 +116,3 @@ def test_the_verb_prints_one_line_a_stack_with_interval_and_saturation(session) 
     lines = CliRunner().invoke(app, ["watch", str(writer.folder), "--once", "--json"]).stdout.splitlines()
     told = json.loads(lines[0])
     assert len(lines) == 1 and told["stack"] == "edge" and told["most_saturated_px"] == 5
-
-
-def test_what_is_no_session_is_one_sentence(tmp_path) -> None:
-    refused = CliRunner().invoke(app, ["watch", str(tmp_path)])
-    assert refused.exit_code == 1 and "session.toml" in refused.stderr and "Traceback" not in refused.output

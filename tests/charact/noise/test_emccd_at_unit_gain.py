@@ -8,7 +8,7 @@ import tifffile
 
 from charact import noise
 from charact.method import Context
-from labdata.importers.frame_files import import_frames
+from labdata.importers.sessions import import_frames
 
 # The authors' fit.
 PHOTOELECTRONS_PER_COUNT = 3.859

@@ -4,7 +4,7 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from labdata.importers.emva1288 import import_emva1288
+from labdata.importers.sessions import import_emva1288
 
 # The standard's reference implementation on this subset; see the README beside the images.
 REFERENCE = {

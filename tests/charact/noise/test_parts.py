@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from charact.method.cluster import parallel_map
+from charact.method.registry import parallel_map
 from charact.noise.gain.series import read_levels
 from charact.noise.stack import stack_statistics
 from charact.session_measurement import method_context
@@ -113,7 +113,7 @@ def test_what_is_no_address_of_a_scheduler_ends_in_one_sentence_before_there_is_
 
 def test_a_scheduler_that_does_not_answer_ends_in_one_sentence(monkeypatch):
     pytest.importorskip("distributed", reason="Dask is not installed: pip install 'charact[dask]'")
-    monkeypatch.setattr("charact.method.cluster.CONNECT_S", 0.5)
+    monkeypatch.setattr("charact.method.registry.CONNECT_S", 0.5)
     with pytest.raises(BadInput, match="running Dask scheduler"), parallel_map("tcp://127.0.0.1:9"):
         pass
 

@@ -8,7 +8,9 @@ from charact.report.bloom_images import add_extent_data, plot_bloom_frames, plot
 from charact.report.corner import varying
 from charact.report.figure_registry import figure_of
 from charact.report.style import white_style
-from charact.study.bloom.scene import BloomScene, bloom_session, truth
+from charact.study.bloom.scene import bloom_session
+from charact.study.bloom.source import BloomScene
+from charact.study.bloom.truth import truth
 from labdata.measurement import Posterior, Result, measurement_from_draws, measurement_from_sd
 
 SCENE = BloomScene(frames=2)

@@ -23,12 +23,12 @@ def test_every_line_is_a_quantity_of_the_vocabulary():
 
 def test_figures_stand_under_the_standards_names_and_what_is_missing_is_named():
     found = emva_summary(Result(measurements=white()))
-    assert found is not None and not found.reason
-    assert [(name.split(" ")[0], section) for name, section, _ in found.rows] == [
+    assert found is not None and not found["reason"]
+    assert [(name.split(" ")[0], section) for name, section, _ in found["rows"]] == [
         ("Quantum", "2.1"), ("Overall", "2.2"), ("Temporal", "2.2"),
     ]  # fmt: skip
-    assert found.rows[1][2].plus_minus.startswith("0.28")
-    assert any("SNR_max" in name for name in found.left_out)
+    assert found["rows"][1][2]["plus_minus"].startswith("0.28")
+    assert any("SNR_max" in name for name in found["left_out"])
 
 
 def test_an_intensified_camera_gets_a_reason_and_no_figure():
@@ -36,7 +36,7 @@ def test_an_intensified_camera_gets_a_reason_and_no_figure():
     gain = measurement_from_sd("covariance_gain", "DN", 40.0, 0.3, method="covariance-sum")
     for measurements in (white(flags=("correlated-noise",)), (gain,)):
         found = emva_summary(Result(measurements=measurements))
-        assert found is not None and not found.rows and "blur factor" in found.reason
+        assert found is not None and "rows" not in found and "blur factor" in found["reason"]
 
 
 def test_without_a_gain_there_is_nothing_to_say():

@@ -5,10 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.study.bloom.camera import apply_column_blooming
-from charact.study.bloom.light import gaussian, halo_rings, moffat, moffat_as_gaussians, rings_blurred
-from charact.study.bloom.scene import BloomScene, bloom_session, noiseless_frame, stack, truth
-from charact.study.bloom.source import radial_light
+from charact.study.bloom.scene import apply_column_blooming, bloom_session, noiseless_frame, stack
+from charact.study.bloom.source import (
+    BloomScene,
+    gaussian,
+    halo_rings,
+    moffat,
+    moffat_as_gaussians,
+    radial_light,
+    rings_blurred,
+)
+from charact.study.bloom.truth import truth
 from labdata.errors import BadInput
 
 # Densities of electrons that land at r/d = 0.1, 0.3 .. 1.9, in units of 1/d^2, by Monte Carlo of the cosine law.

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import charact.bloom  # noqa: F401  # registers the methods
-from charact.method import choose
+from charact.method import Context, choose
 from charact.method.registry import chart_table, methods_of_kind
-from charact.study.bloom.scene import BloomScene, truth
-from charact.study.bloom.series import BloomSeries, halo_overload, measure_series, series_in_scope
+from charact.study.bloom.cases import BloomSeries, halo_overload, series_in_scope
+from charact.study.bloom.source import BloomScene
+from charact.study.bloom.truth import truth
 
 
 def test_series_in_scope_show_the_halo_over_two_decades_and_saturate_beyond():
@@ -39,8 +40,8 @@ def test_streak_and_halo_are_told_apart_where_columns_overflow_and_smear():
         overloads = tuple(float(one) for one in halo_overload(spoilt) * np.array([0.003, 0.03, 0.3, 1.5]))
         series = BloomSeries(scene=spoilt, overloads=overloads)
         drawn = series.session_drawn(np.random.default_rng(7))
-        found, _ = measure_series(methods_of_kind("bloom")["series-forward"], series, drawn, seed=7, quick=True)
-        assert found is not None
+        context = Context(quick=True, seed=7, full_scale_dn=scene.full_scale_dn)
+        found = methods_of_kind("bloom")["series-forward"].function(drawn, context=context).measurements
         sure = {(one.quantity, one.stack): one for one in found if one.status == "ok"}
         assert sure["halo_diameter", None].value == pytest.approx(40.0, abs=1.0)
         streaks = [(one.value, series.truth(*key)) for key, one in sure.items() if key[0] == "streak_length"]

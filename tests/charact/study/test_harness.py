@@ -219,7 +219,7 @@ def test_an_honest_method_covers_and_never_lies_on_the_map():
 
 @pytest.mark.parametrize("cases", [edge_cases, bar_cases, point_cases, bloom_cases])
 def test_every_axis_is_swept_past_its_scope_or_lies_wholly_inside(cases):
-    for axis, (_, positions, (low, high)) in cases.AXES.items():
+    for axis, (_, positions, (low, high), *_) in cases.AXES.items():
         inside = [low <= position <= high for position in positions]
         assert any(inside), axis
         assert not all(inside) or axis == "frames"

@@ -31,20 +31,12 @@ def test_a_moving_mean_of_two_columns_correlates_neighbours_by_half(seed: int) -
 
 def test_errors_told_are_the_scatter_over_repetitions(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    found = [frame_features.correlation_features(frame_features.tiles_of(_white(rng))) for _ in range(60)]
+    found = [frame_features.correlation_features(frame_features.tiles_of(_white(rng))) for _ in range(40)]
     scatter = np.std([one.value for one in found], axis=0, ddof=1)
     told = np.sqrt(np.mean([np.diag(one.covariance) for one in found], axis=0))
-    # A scatter of 60 is known to 9 %, a mean of 60 jackknives to a few.
+    # A scatter of 40 is known to 11 %, a mean of 40 jackknives to a few.
     assert told == pytest.approx(scatter, rel=0.5)
     assert np.mean(told / scatter) == pytest.approx(1.0, abs=0.25)
-
-
-def test_signal_scales_out_of_the_noise(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    dark = frame_features.tiles_of(_white(rng, 10.0, 1.0))
-    lit = [frame_features.tiles_of(_white(rng, 10.0 + level, np.sqrt(1.0 + 3.0 * level))) for level in (20.0, 80.0)]
-    features = frame_features.noise_features(lit, dark)
-    assert features.value[[0, 2]] == pytest.approx(np.log(3.0), abs=0.05)
 
 
 def test_equal_noise_has_equal_grey_levels_and_other_noise_has_not(seed: int) -> None:

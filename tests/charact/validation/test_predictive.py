@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from charact.validation.predictive import Features, compare
+from charact.validation.frame_features import Features, compare
 
 SIZE, DRAWS, REPEATED = 5, 12, 499
 
@@ -18,7 +18,7 @@ def _vectors(rng: np.random.Generator, spread: float, count: int) -> list[Featur
     return out
 
 
-def _p_values(seed: int, spread: float, shift: float = 0.0, count: int = 100) -> np.ndarray:
+def _p_values(seed: int, spread: float, shift: float = 0.0, count: int = 60) -> np.ndarray:
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(count):
@@ -29,16 +29,12 @@ def _p_values(seed: int, spread: float, shift: float = 0.0, count: int = 100) ->
 
 
 def test_a_right_sensor_is_seldom_refused_however_wide_its_posterior(seed: int) -> None:
-    for spread in (0.0, 1.0, 5.0):
-        p = _p_values(seed, spread)
+    p_values = [_p_values(seed, spread) for spread in (0.0, 5.0)]
+    for p in p_values:
         # At most 1 % below 0.01 and 4.5 standard errors.
         assert np.mean(p < 0.01) < 0.01 + 4.5 * np.sqrt(0.01 * 0.99 / p.size)
-
-
-def test_a_right_sensor_gets_every_p_value(seed: int) -> None:
-    p = _p_values(seed, 0.0)
-    assert 0.3 < np.mean(p) < 0.8
-    assert np.mean(p < 0.5) > 0.15
+    assert 0.3 < np.mean(p_values[0]) < 0.8
+    assert np.mean(p_values[0] < 0.5) > 0.15
 
 
 def test_a_shift_of_twelve_standard_errors_is_refused(seed: int) -> None:

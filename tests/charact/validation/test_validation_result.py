@@ -44,22 +44,13 @@ def good() -> Validation:
     )
 
 
-def test_all_pass_and_controls_hold(good: Validation) -> None:
+def test_a_verdict_needs_every_statistic_and_both_controls(good: Validation) -> None:
+    null, negative = good.controls
+    failing, passing = (_statistic(0.001),), (_statistic(0.9),)
     assert good.passed
-
-
-def test_one_failing_statistic_fails(good: Validation) -> None:
-    assert not replace(good, statistics=(*good.statistics, _statistic(0.001))).passed
-
-
-def test_a_null_control_that_fails_fails(good: Validation) -> None:
-    null = replace(good.controls[0], statistics=(_statistic(0.001),))
-    assert not replace(good, controls=(null, good.controls[1])).passed
-
-
-def test_a_negative_control_that_passes_fails(good: Validation) -> None:
-    negative = replace(good.controls[1], statistics=(_statistic(0.9),))
-    assert not replace(good, controls=(good.controls[0], negative)).passed
+    assert not replace(good, statistics=(*good.statistics, *failing)).passed
+    assert not replace(good, controls=(replace(null, statistics=failing), negative)).passed
+    assert not replace(good, controls=(null, replace(negative, statistics=passing))).passed
 
 
 def test_kept_and_read_back(good: Validation, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.faults.campaign.trial import Outcome
 
-INTRODUCTION = """# Faults that the tube survives
+INTRODUCTION = """# Injected faults
 
 `make study NAME=fault-campaign` runs a plan of a dark and a flat on the virtual bench, with camera and instruments
 on real wires,

@@ -4,14 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.brdf.protocol import Brdf, Lambert, grey
-from simulate.radiance.geometry.shapes import Mesh
-from simulate.radiance.geometry.surfaces import collect_surfaces
+from simulate.radiance.geometry.surfaces import Mesh, collect_surfaces
 from simulate.radiance.integrator.environment_map import black, environment_map
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.light_sources import DiscLight, LampLight, LampPattern, Lighting, panels_of
+from simulate.radiance.integrator.light_sources import DiscLight, LampLight, Lighting, Panels
 from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
-from simulate.radiance.integrator.shading_points import BsdfSet
-from simulate.radiance.integrator.spectral_scene import Air, SpectralScene
+from simulate.radiance.integrator.spectral_scene import Air, BsdfSet, SpectralScene
 from simulate.radiance.lamps.distribution import Isotropic
 
 NM = np.array([500.0, 600.0])
@@ -35,7 +33,7 @@ def staged(parts, rho, *, glow=None, sky=None, lamps=(), discs=()) -> SpectralSc
         environment_map=environment_map(sky) if sky else black(2),
         lamps=lamps,
         discs=discs,
-        panels=panels_of(found, of_material[found.material_of], spectra) if glow else None,
+        panels=Panels.of(found, of_material[found.material_of], spectra) if glow else None,
     )
     return SpectralScene(surfaces=found, bsdfs=BsdfSet.of(brdfs, NM), lighting=lighting, air=Air())
 
@@ -60,7 +58,7 @@ def lamp(position, intensity=1.0, radius=1e-3) -> LampLight:
     spectrum = np.full(2, 4.0 * np.pi * intensity, np.float32)
     place = np.asarray(position, float)
     return LampLight(
-        name="lamp", position_m=place, radius_m=radius, spectrum=spectrum, pattern=LampPattern(Isotropic(), np.eye(3))
+        name="lamp", position_m=place, radius_m=radius, spectrum=spectrum, distribution=Isotropic(), frame=np.eye(3)
     )
 
 

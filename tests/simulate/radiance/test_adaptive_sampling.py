@@ -5,128 +5,43 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulate.radiance.integrator.adaptive_sampling import SamplingSettings, allocate_samples, further
-from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers
-from simulate.radiance.integrator.integrator_settings import LIMITS
-from simulate.radiance.integrator.render_sensor import KNOWN, RenderSensor
+from simulate.radiance.integrator.integrator_settings import KNOWN, LIMITS, RenderSensor, additional_rays
 from simulate.radiance.outdoor.render_settings import RENDER_LIMITS, _influence
 
-SHAPE = (32, 64)
-ALLOWED = 0.01
+SHAPE = (32, 96)
+LEFT = np.broadcast_to(np.arange(SHAPE[1]) < SHAPE[1] // 2, SHAPE)
+GROUPS = (LEFT, ~LEFT)
 
 
-def halves() -> AuxiliaryLayers:
-    """Two objects side by side on one plane, so that only their border is an edge."""
-    right = np.broadcast_to(np.arange(SHAPE[1]) >= SHAPE[1] // 2, SHAPE)
-    return AuxiliaryLayers(
-        material=right.astype(np.int16),
-        object=right.astype(np.int32),
-        range_m=np.ones(SHAPE, np.float32),
-        normal=np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (*SHAPE, 3)),
-        shadow=np.zeros(SHAPE, np.uint32),
-        temperature_k=np.full(SHAPE, np.nan, np.float32),
-        materials=("a", "b"),
-        objects=("a", "b"),
-        sources=(),
-    )
-
-
-def tried(variance):
-    """Trials whose single rays have a variance by pixel, (row, col), around a signal of 1."""
-    return lambda pixels, rays, together=False: (np.ones(len(pixels)), variance.ravel()[pixels])
-
-
-def spread(left: float, right: float) -> np.ndarray:
-    return np.where(halves().object == 0, left, right)
+def sent_for(variance, allowed, max_rays=100_000, total=np.inf):
+    """Rays of pixels whose single rays have a variance, turn by turn, and the number of turns."""
+    sent, turns = np.full(SHAPE, 8, np.int64), 0
+    while (more := additional_rays(variance / sent / allowed, sent, GROUPS, max_rays, total)).any():
+        assert (more <= LIMITS.max_growth * sent).all(), "few rays are not trusted for many times as many"
+        sent, turns = sent + more, turns + 1
+    return sent, turns
 
 
 def test_rays_are_as_the_root_of_the_variance_and_bring_its_mean_to_what_is_allowed():
-    variance = spread(0.04, 1.0)
-    rays = SamplingSettings(max_rays=10_000, edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED))
-    wanted = allocate_samples(halves(), rays, tried(variance), 1)
-    plain = ~halves().edges()
-    left, right = (wanted[plain & (halves().object == side)] for side in (0, 1))
-    assert np.ptp(left) == 0 and np.ptp(right) == 0
-    assert right[0] / left[0] == pytest.approx(5.0, rel=0.2), "numbers are steps of 2^(1/2)"
-    assert np.mean((variance / ALLOWED / wanted)[plain]) == pytest.approx(1.0, rel=0.2)
-    even = np.mean(variance) / ALLOWED
-    assert wanted[plain].mean() < 0.75 * even, "the same error by as many rays everywhere costs more"
-
-
-def test_where_nothing_differs_and_where_nobody_asks_pixels_get_the_fewest():
-    for rays in (SamplingSettings(error_limit=lambda signal: np.full_like(signal, ALLOWED)), SamplingSettings()):
-        wanted = allocate_samples(halves(), rays, tried(spread(0.0, 0.0)), 1)
-        assert set(wanted[~halves().edges()]) == {rays.min_rays}
-        assert set(wanted[halves().edges()]) == {rays.edge}
-
-
-def test_at_edges_only_what_lies_apart_is_evened_out_by_rays_that_are_spread():
-    edges = halves().edges()
-    rays = SamplingSettings(max_rays=10_000, edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED))
-    grain = allocate_samples(halves(), rays, tried(spread(1.0, 1.0)), 1)
-    assert np.ptp(grain) == 0, "rays that differ at the same place do so at edges as elsewhere"
-
-    def steps(pixel, rays, together=False):
-        return np.ones(len(pixel)), np.full(len(pixel), 0.0 if together else 1.0)
-
-    step = allocate_samples(halves(), rays, steps, 1)
-    assert step[edges].max() < 0.8 * grain[edges].min()
-
-
-@pytest.mark.parametrize("limit", [{"max_rays": 16}, {"max_rays": 10_000, "total_rays": 10_000}])
-def test_limits_are_kept_and_what_is_missing_goes_to_nobody(limit):
-    rays = SamplingSettings(edge=2, error_limit=lambda signal: np.full_like(signal, 1e-6), **limit)
-    wanted = allocate_samples(halves(), rays, tried(spread(0.0, 1.0)), 1)
-    assert wanted.max() <= rays.max_rays
-    assert wanted.sum() < 1.2 * (rays.total_rays or np.inf)
-    assert set(wanted[:, :24].ravel()) == {rays.min_rays}
-
-
-def test_rare_bright_rays_are_found_by_longer_trials():
-    rng = np.random.default_rng(5)
-    pixels = []
-
-    def specks(pixel, rays, together=False):
-        pixels.append(len(pixel))
-        return np.ones(len(pixel)), np.where(rng.random(len(pixel)) < 0.01, 100.0, 0.0)
-
-    rays = SamplingSettings(max_rays=10_000, edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED))
-    wanted = allocate_samples(halves(), rays, specks, 1)
-    assert len(pixels) > 5
-    assert wanted.sum() == pytest.approx(100 * wanted.size, rel=0.5)
-
-
-def test_rays_go_on_until_the_error_measured_is_what_was_allowed():
-    rays = SamplingSettings(max_rays=100_000, edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED))
-    single, signal = spread(0.1, 40.0), np.ones(SHAPE)
-    sent, turns = np.full(SHAPE, 8, np.int32), 0
-    while (more := further(halves(), rays, signal, single / sent, sent)).any():
-        assert (sent + more <= 1.5 * LIMITS.max_ray_growth * sent).all(), (
-            "few rays are not trusted for many times as many"
-        )
-        sent, turns = sent + more, turns + 1
-    assert 2 < turns < 8
-    assert np.mean(single / sent) / ALLOWED == pytest.approx(1.0, rel=0.15)
-    plain = ~halves().edges()
-    left, right = (sent[plain & (halves().object == side)].mean() for side in (0, 1))
-    assert right / left == pytest.approx(20.0, rel=0.4), "as the root of the variance"
-    assert not further(halves(), rays, signal, 0.9 * spread(ALLOWED, ALLOWED), sent).any()
+    variance = np.where(LEFT, 0.1, 40.0)
+    sent, turns = sent_for(variance, 0.01)
+    assert 1 < turns < 8
+    assert 0.4 < np.mean(variance / sent) / 0.01 < 1.1
+    assert 10.0 < sent[~LEFT].mean() / sent[LEFT].mean() < 40.0, "as the root, in powers of two"
+    assert sent.mean() < 0.75 * np.mean(variance) / 0.01, "the same error by as many rays everywhere costs more"
 
 
 def test_a_pixel_that_met_nothing_bright_goes_on_with_those_around_it_that_did():
-    rays = SamplingSettings(max_rays=100_000, edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED))
-    sent = np.full(SHAPE, 64, np.int32)
-    met = np.where(np.random.default_rng(4).random(SHAPE) < 0.1, 100.0 * ALLOWED, 0.0)
-    more = further(halves(), rays, np.ones(SHAPE), np.where(halves().object == 0, met, 0.0), sent)
-    assert (more[:, :24] > 0).mean() > 0.95
-    assert not more[:, 40:].any(), "nor do those of another thing"
+    met = np.where(np.random.default_rng(4).random(SHAPE) < 0.1, 100.0, 0.0)
+    more = additional_rays(np.where(LEFT, met, 0.0), np.full(SHAPE, 64), GROUPS, 100_000)
+    assert (more[LEFT] > 0).mean() > 0.95
+    assert not more[~LEFT].any(), "nor do those of another group"
 
 
-@pytest.mark.parametrize("limit", [{"max_rays": 64}, {"max_rays": 10_000, "total_rays": 64 * SHAPE[0] * SHAPE[1]}])
-def test_no_limit_is_broken_for_the_errors_sake(limit):
-    rays = SamplingSettings(edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED), **limit)
-    sent = np.full(SHAPE, 64, np.int32)
-    assert not further(halves(), rays, np.ones(SHAPE), np.ones(SHAPE), sent).any()
+def test_no_limit_is_broken_for_the_errors_sake():
+    assert sent_for(np.ones(SHAPE), 1e-6, max_rays=64)[0].max() <= 64
+    assert sent_for(np.ones(SHAPE), 1e-6, total=64 * LEFT.size)[0].sum() < 1.5 * 64 * LEFT.size
+    assert not additional_rays(np.full(SHAPE, 0.9), np.full(SHAPE, 8), GROUPS, 64).any(), "what is good is left alone"
 
 
 def test_differences_are_weighed_by_noise_or_by_a_share_of_the_signal():

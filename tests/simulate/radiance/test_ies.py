@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from labdata.errors import BadInput
-from simulate.radiance.lamps.ies import parse_photometry, read_ies
+from simulate.radiance.lamps.distribution import parse_photometry, read_ies
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from tests.simulate.radiance.test_scenes import BALL, CAMERA, GREY, scene_of
 
@@ -115,5 +115,5 @@ def test_a_measured_lamp_in_a_scene_has_the_lumens_of_its_file_and_shines_where_
     site = BuiltScene(scene_of(tmp_path, CAMERA + GREY + BALL + lamp))
     light = site.on(np.array([500.0, 600.0])).lighting.lamps[0]
     assert site.lamps[0][1].flux.lumens == pytest.approx(parse_photometry(STREET).lumens)
-    east, north, west = (light.pattern(np.array([[x, y, -0.5]]))[0] for x, y in ((0.866, 0), (0, 0.866), (-0.866, 0)))
+    east, north, west = (light.per_sr(np.array([[x, y, -0.5]]))[0] for x, y in ((0.866, 0), (0, 0.866), (-0.866, 0)))
     assert [east, north, west] / east == pytest.approx([1.0, 0.5, 0.25], rel=1e-3)

@@ -6,15 +6,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from simulate.radiance.geometry.shapes import box, plane
+from simulate.radiance.geometry.surfaces import box, plane
 from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
 from simulate.radiance.integrator.cache_smoothing import Nodes
-from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings, one_by_one, workers
+from simulate.radiance.integrator.integrator_settings import (
+    LIMITS,
+    IntegratorSettings,
+    SamplingSettings,
+    one_by_one,
+    workers,
+)
 from simulate.radiance.integrator.irradiance_cache import build_irradiance_cache
-from simulate.radiance.integrator.low_discrepancy import TILE, low_discrepancy_points
 from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
 from simulate.radiance.integrator.renderer import render_scene
+from simulate.radiance.integrator.sampling import TILE, low_discrepancy_points
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 from tests.simulate.radiance.staging import UNIFORM, at, inside_out, lamp, staged, upright
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 
-from simulate.radiance.geometry.shapes import plane
+from simulate.radiance.geometry.surfaces import plane
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.light_sources import LampLight, LampPattern
+from simulate.radiance.integrator.light_sources import LampLight
 from simulate.radiance.integrator.light_tracing import RINGS, LightTracingSettings
 from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
 from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
@@ -110,7 +110,7 @@ def test_lamps_far_from_everything_are_left_to_gathering():
 def shining(distribution) -> LampLight:
     place, spectrum = np.array([0.0, 0.0, 0.03]), np.ones(2, np.float32)
     return LampLight(
-        name="lamp", position_m=place, radius_m=0.0, spectrum=spectrum, pattern=LampPattern(distribution, np.eye(3))
+        name="lamp", position_m=place, radius_m=0.0, spectrum=spectrum, distribution=distribution, frame=np.eye(3)
     )
 
 

@@ -5,9 +5,8 @@ import pytest
 
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping
-from simulate.radiance.brdf.glossy import Glossy, Metal
+from simulate.radiance.brdf.glossy import Glossy, Metal, Retroreflector
 from simulate.radiance.brdf.protocol import Lambert
-from simulate.radiance.brdf.retroreflector import Retroreflector
 from simulate.radiance.materials import Material, material, material_names
 
 # Reflectance at 450, 550, 700, 850 nm.

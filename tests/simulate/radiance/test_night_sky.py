@@ -9,10 +9,9 @@ from labdata.errors import BadInput
 from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps.spectra import spectrum
-from simulate.radiance.sky.ephemeris import ObserverLocation
-from simulate.radiance.sky.moon import Disc, moon_spectrum, sun_spectrum
+from simulate.radiance.sky.moon import Disc, ObserverLocation, moon_spectrum, sun_spectrum
 from simulate.radiance.sky.night_sky import NightSky
-from simulate.radiance.sky.scattering import NANOLAMBERT_CD_M2, krisciunas_schaefer_nl
+from simulate.radiance.sky.scattering import krisciunas_schaefer_mie, krisciunas_schaefer_rayleigh
 from simulate.radiance.sky.sky_glow import TownGlow
 from simulate.radiance.spectrum import luminous_efficiency
 
@@ -40,6 +39,21 @@ def lit_by(elevation_deg, light, air=None, **parts):
 
 def luminance(sky, direction):
     return 683.0 * 5.0 * luminous_efficiency(EYE) @ sky.radiance(np.atleast_2d(direction), EYE)
+
+
+# nL per foot-candle to sr-1: 1 nL is 1e-5/pi cd m-2, 1 foot-candle 10.764 lux.
+NANOLAMBERT_CD_M2 = 1e-5 / np.pi
+
+
+def krisciunas_schaefer_nl(phase_deg, separation_deg, moon_zenith_deg, view_zenith_deg, extinction_mag):
+    """Visual brightness of the moonlit sky, nL (Publ. Astron. Soc. Pac. 103, 1033, 1991; 8 to 23 %)."""
+    moon = 10.0 ** (-0.4 * (3.84 + 0.026 * abs(phase_deg) + 4e-9 * phase_deg**4))
+    to_moon, to_view = (
+        1.0 / np.sqrt(1.0 - 0.96 * np.sin(np.deg2rad(z)) ** 2) for z in (moon_zenith_deg, view_zenith_deg)
+    )
+    spread = krisciunas_schaefer_rayleigh(separation_deg) + krisciunas_schaefer_mie(separation_deg)
+    lost = 10.0 ** (-0.4 * extinction_mag * to_moon)
+    return float(spread * moon * lost * (1.0 - 10.0 ** (-0.4 * extinction_mag * to_view)))
 
 
 # Krisciunas and Schaefer's formula: extinction 0.15 mag, moon 30 and view 20 degrees from the zenith, 50 apart.

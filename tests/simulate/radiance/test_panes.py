@@ -9,8 +9,7 @@ import pytest
 
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping
-from simulate.radiance.geometry.shapes import Mesh, shape
-from simulate.radiance.geometry.surfaces import collect_surfaces
+from simulate.radiance.geometry.surfaces import Mesh, collect_surfaces, shape
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
 from simulate.radiance.integrator.outgoing_radiance import radiance_along
@@ -139,7 +138,7 @@ def test_a_lit_wall_behind_windows_is_seen_weakened_and_the_sky_in_them(count):
     wall = at(upright(shape("plane", (100.0, 100.0))), 0.0, 20.0, 0.0)
     panes = [at(upright(shape("plane", (50.0, 50.0))), 0.0, 5.0 + 0.1 * i, 0.0) for i in range(count)]
     lit = staged([("wall", "grey", wall)], {"grey": 0.5}, lamps=(lamp((0.0, 15.0, 0.0), 100.0),))
-    rays = np.zeros((4000, 3)), np.tile([0.0, 1.0, 0.0], (4000, 1))
+    rays = np.zeros((40_000, 3)), np.tile([0.0, 1.0, 0.0], (40_000, 1))
     effort = IntegratorSettings(max_bounces=0, sky_shadowing=False)
     bare, behind = (
         radiance_along(stage, *rays, effort, np.random.default_rng(3), gather_rays=1).total()[:, 0]

@@ -7,7 +7,7 @@ import pytest
 
 from simulate.radiance.brdf.glossy import Glossy
 from simulate.radiance.brdf.protocol import grey
-from simulate.radiance.geometry.shapes import plane
+from simulate.radiance.geometry.surfaces import plane
 from simulate.radiance.integrator.environment_map import SkyImportance, environment_map
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
 from simulate.radiance.integrator.outgoing_radiance import radiance_along

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.geometry.shapes import shape
+from simulate.radiance.geometry.surfaces import shape
 from simulate.radiance.geometry.viewpoint import RasterGeometry, Viewpoint
-from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings, SamplingSettings
 from simulate.radiance.integrator.renderer import render_scene
 from simulate.radiance.integrator.subpixel_sources import add_small_sources, coverage
 from tests.simulate.radiance.staging import at, disc_light, lamp, staged, upright

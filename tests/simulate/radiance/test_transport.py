@@ -5,7 +5,7 @@ import pytest
 
 from simulate.radiance.brdf.glossy import Glossy, Metal
 from simulate.radiance.brdf.protocol import grey
-from simulate.radiance.geometry.shapes import Mesh, box, disc, plane, sphere
+from simulate.radiance.geometry.surfaces import Mesh, box, disc, plane, sphere
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
 from simulate.radiance.integrator.outgoing_radiance import radiance_along
 from tests.simulate.radiance.staging import (

@@ -9,7 +9,6 @@ import time
 import pytest
 import serial
 
-from simulate.virtual_bench.faults import Faults, inject_faults
 from simulate.virtual_bench.outputs import read_outputs
 from simulate.virtual_bench.process import VirtualInstruments
 from simulate.virtual_bench.pseudo_terminal import PseudoTerminal
@@ -55,28 +54,6 @@ def test_answers_take_their_time_on_the_line(bench):
     began_s = time.monotonic()
     answer = asked(bench, b"*IDN?\n")
     assert time.monotonic() - began_s >= len(answer) * 10 / 9600
-
-
-def test_a_silent_instrument_neither_hears_nor_answers(bench):
-    inject_faults(bench.folder, "delay_generator", Faults(silent=True))
-    assert asked(bench, b"TSRC 6;TSRC?\n", timeout_s=0.2) == b""
-    inject_faults(bench.folder, "delay_generator", Faults())
-    assert asked(bench, b"\nTSRC?\n") == b"5\r\n"
-
-
-def test_a_late_instrument_answers_in_the_end(bench):
-    inject_faults(bench.folder, "delay_generator", Faults(late_s=0.3))
-    assert asked(bench, b"TSRC?\n", timeout_s=0.15) == b""
-    assert asked(bench, b"TSRC?\n", timeout_s=1.5) == b"5\r\n"
-    inject_faults(bench.folder, "delay_generator", Faults())
-
-
-def test_two_programs_may_not_share_a_port(bench):
-    with (
-        serial.Serial(bench.gate_port, 9600, exclusive=True),
-        pytest.raises(serial.SerialException),
-    ):
-        serial.Serial(bench.gate_port, 9600, exclusive=True)
 
 
 def test_unplugging_takes_the_port_away_and_leaves_the_voltage_on_until_it_is_plugged_in_again(tmp_path):

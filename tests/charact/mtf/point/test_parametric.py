@@ -181,7 +181,7 @@ def test_a_faint_halo_in_whole_codes_is_counted(seed):
 
 
 def test_the_forward_fit_of_any_camera_knows_no_halo_and_says_where_one_stands_out(seed):
-    stack = HALO.frames_drawn(np.random.default_rng(seed))
+    stack = replace(HALO, frames=16).frames_drawn(np.random.default_rng(seed))
     found = level(point_forward(stack, context=replace(QUICK, full_scale_dn=255.0)))
     assert found.value > 1.03 * HALO.truth_mtf50
     assert "model-misfit" in found.flags
@@ -245,13 +245,6 @@ def test_one_of_the_pulses_is_that_of_a_tail_before_the_gain_and_a_gaussian_behi
     units = pulse_covariances((f, blur), np.diag(exact), x, x)
     exact *= np.trace(units[0]) / np.trace(exact)
     assert min(np.linalg.norm(unit - exact) for unit in units) < 0.05 * np.linalg.norm(exact)
-
-
-def test_a_second_spot_beside_the_first_is_told(seed):
-    rng = np.random.default_rng(seed)
-    camera = SpotCamera(snr=60.0)
-    light = camera.taken(Spot(), rng).data + 0.4 * (camera.taken(Spot(col_px=3.5), rng).data - 20.0)
-    assert "model-misfit" in level(point_parametric(FrameStack(data=light), context=QUICK)).flags
 
 
 @pytest.mark.parametrize("frames", [1, 4])

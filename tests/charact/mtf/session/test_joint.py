@@ -14,8 +14,7 @@ from charact.mtf.bars.group_curve import session_curves
 from charact.mtf.curve import FINE, REPORTED, crossing_frequency, curve_of
 from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
 from charact.mtf.session.constraints import constraints_from
-from charact.mtf.session.joint import JointLikelihood, fit_joint_mtf
-from charact.mtf.session.joint_model import JointBlurModel, KnownCameraTransfer
+from charact.mtf.session.joint import fit_joint_mtf
 from labdata.conditions import Conditions
 from labdata.measurement import Curve, Result, measurement_from_draws, measurement_from_sd
 from labdata.sensor import Sensor
@@ -65,33 +64,26 @@ def evidence(result: Result, kinds=KINDS, context: Context = QUICK) -> dict:
 
 
 def test_probabilities_of_one_camera_are_uniform_and_its_interval_holds_the_truth(seed: int) -> None:
-    """Kolmogorov-Smirnov of 30 chances once in ten thousand; 95 % intervals hold within 4 standard errors."""
+    """Kolmogorov-Smirnov of 12 chances once in ten thousand; 95 % intervals hold within 4 standard errors."""
     rng = np.random.default_rng(seed)
     chances, held = [], 0
     frequency = np.linspace(0.01, 0.6, 20000)
     truth = float(frequency[np.argmax(mtf(frequency) < 0.5)])
-    for _ in range(30):
+    for _ in range(12):
         found = fit_joint_mtf(session(rng), KINDS, context=QUICK)
         chances.append(found.evidence["joint MTF"]["probability"])
         low, high = found.find("mtf50")[0].interval95
         held += low <= truth <= high
     assert kstest(chances, "uniform").pvalue > 1e-4
-    assert held >= 30 * 0.95 - 4 * np.sqrt(30 * 0.95 * 0.05)
+    assert held >= 12 * 0.95 - 4 * np.sqrt(12 * 0.95 * 0.05)
 
 
-def test_all_targets_together_know_the_mtf_better_than_the_best_of_them(seed: int) -> None:
-    result = session(np.random.default_rng(seed))
-    together = fit_joint_mtf(result, KINDS, context=QUICK).find("mtf50")[0]
-    alone = result.find("mtf50", stack="e")[0]
-    assert np.ptp(together.interval68) < 0.85 * np.ptp(alone.interval68)
-
-
-@pytest.mark.parametrize("half", [0.19, 0.25])
-def test_an_edge_out_of_focus_is_found_and_named_and_the_joint_number_is_suspect(half: float, seed: int) -> None:
-    found = fit_joint_mtf(session(np.random.default_rng(seed), half=half), KINDS, context=QUICK)
+def test_an_edge_out_of_focus_is_found_and_named_and_the_joint_number_is_suspect(seed: int) -> None:
+    found = fit_joint_mtf(session(np.random.default_rng(seed), half=0.19), KINDS, context=QUICK)
     test = found.evidence["joint MTF"]
     assert not test["inside_joint_95_percent_region"]
     assert test["differs_most"] == "e"
+    assert json.loads(json.dumps(test))
     assert all("model-misfit" in m.flags for m in found.measurements)
     assert any("e differs most" in note for note in found.measurements[0].notes)
 
@@ -124,10 +116,9 @@ def filtered(frequency, bandwidth_mhz, clock_mhz=14.318):
     return np.abs(np.sum(np.sinc(at) * np.exp(-1j * np.pi * at) / ((1.0 + s) * (1.0 + s + s**2)), axis=-1))
 
 
-@pytest.mark.parametrize("bandwidth_mhz", [6.0, 7.0])
-def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(bandwidth_mhz: float, seed: int) -> None:
+def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(seed: int) -> None:
     """Two sure edges in windows narrower than the halo: a described filter taken as exact misses MTF10."""
-    sensor, rng = load_sensor("pulnix-ag5745ef3"), np.random.default_rng(seed)
+    sensor, rng, bandwidth_mhz = load_sensor("pulnix-ag5745ef3"), np.random.default_rng(seed), 7.0
     form, sd = np.array([0.35, 1.3]), np.array([1e-3, 8e-3])
 
     def seen(label: str) -> Result:
@@ -184,26 +175,6 @@ def test_the_noise_of_flats_bounds_the_whole_mtf_from_above(seed: int) -> None:
     assert not low["inside_joint_95_percent_region"]
 
 
-def test_draws_are_those_of_the_posterior(seed: int) -> None:
-    """Mean and spread of MTF50 agree with a sum over a grid of both parameters of the form that explains most."""
-    posterior = fit_joint_mtf(session(np.random.default_rng(seed)), KINDS, context=QUICK).find("mtf50")[0].posterior
-    sound, _ = constraints_from(session(np.random.default_rng(seed)), KINDS, QUICK)
-    form = JointBlurModel(core="exponential", blurred=False, wide=None, elliptical=False, known=KnownCameraTransfer())
-    if posterior.names != tuple(form.parameters):
-        pytest.skip("another form explains this session better")
-    grid = np.stack(np.meshgrid(np.linspace(-1.75, -1.25, 300), np.linspace(1.0, 2.0, 300)), axis=-1).reshape(-1, 2)
-    density = JointLikelihood(form=form, constraints=sound).log_probability(grid)
-    weight = np.exp(density - density.max())
-    mean = weight @ grid / weight.sum()
-    sd = np.sqrt(weight @ (grid - mean) ** 2 / weight.sum())
-    assert np.all(np.abs(posterior.draws.mean(axis=0) - mean) < 0.2 * sd)
-    assert np.allclose(posterior.draws.std(axis=0), sd, rtol=0.15)
-
-
-def test_evidence_is_of_plain_numbers(seed: int) -> None:
-    assert json.loads(json.dumps(evidence(session(np.random.default_rng(seed)))))
-
-
 def edges(rng, slope: float) -> tuple[Result, dict[str, str], dict[str, Conditions]]:
     """Six edges over the columns of a frame; half frequency changes by a slope per pixel."""
     result, columns = Result(), (50, 150, 250, 350, 450, 550)
@@ -217,15 +188,15 @@ def edges(rng, slope: float) -> tuple[Result, dict[str, str], dict[str, Conditio
 
 
 def test_an_mtf_that_changes_over_the_field_is_told_from_one_that_does_not(seed: int) -> None:
-    """Constant: 60 sessions stay so in 95 %, within 4 standard errors; a slope of 1e-4 is found with its size."""
+    """Constant: 30 sessions stay so in 95 %, within 4 standard errors; a slope of 1e-4 is found with its size."""
     rng = np.random.default_rng(seed)
     name = "MTF50 over the field and settings"
 
     def table(slope: float) -> dict:
         return mtf_uniformity(*edges(rng, slope), context=QUICK).evidence[name]
 
-    kept = sum(table(0.0)["constant_at_5_percent"] for _ in range(60))
-    assert abs(kept - 57) < 4 * np.sqrt(60 * 0.95 * 0.05)
+    kept = sum(table(0.0)["constant_at_5_percent"] for _ in range(30))
+    assert abs(kept - 28.5) < 4 * np.sqrt(30 * 0.95 * 0.05)
     tilted = table(1e-4)
     slope, sd = tilted["slopes"]["col_px"]
     assert not tilted["constant_at_5_percent"]

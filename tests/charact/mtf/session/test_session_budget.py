@@ -8,7 +8,7 @@ from test_mtf_budget import cascade
 
 from charact.method import Context
 from charact.mtf.curve import REPORTED, curve_of
-from charact.mtf.session.session_budget import EVIDENCE, add_mtf_budget
+from charact.mtf.session.mtf_budget import EVIDENCE, add_mtf_budget
 from labdata.measurement import Curve, Result, measurement_from_sd
 from labdata.sensors import load_sensor
 
@@ -86,17 +86,6 @@ def test_the_product_of_the_stages_is_the_camera_along_rows_and_along_columns(jo
     assert abs(value - TRUTH["halo_share"]) < 4.5 * (high - low) / 3.92
 
 
-def test_stages_multiply_to_the_product_and_the_pixel_is_that_of_summed_rows(seed: int) -> None:
-    found = evidence(session(np.random.default_rng(seed)))
-    frequency = np.array(found["vertical"]["frequency_cy_per_column"])
-    pixel = np.array(found["vertical"]["stages"]["pixel"]["value"])
-    assert pixel == pytest.approx(np.abs(np.sinc(frequency * 26.0 / 11.0)), abs=1e-6)
-    assert found["vertical"]["stages"]["video"]["value"] == pytest.approx(np.ones(frequency.size))
-    single = evidence(session(np.random.default_rng(seed)), context=replace(CONTEXT, interlaced=False))
-    pixel = np.array(single["vertical"]["stages"]["pixel"]["value"])
-    assert pixel == pytest.approx(np.abs(np.sinc(frequency * 13.0 / 11.0)), abs=1e-6)
-
-
 def test_taken_as_single_rows_the_curves_of_summed_ones_are_described_by_no_stages(seed: int) -> None:
     result = session(np.random.default_rng(seed))
     found = add_mtf_budget(result, {}, context=replace(CONTEXT, interlaced=False))
@@ -130,7 +119,7 @@ def test_sound_flats_part_the_tube_and_doubted_ones_take_no_part(seed: int) -> N
     assert {"tube before the gain", "tube after the gain"} <= set(sound["identified"])
 
 
-@pytest.mark.parametrize("lacking", ["sensor", "columns", "draws", "sound mtf50", "everything"])
+@pytest.mark.parametrize("lacking", ["sensor", "columns", "draws", "sound mtf50"])
 def test_a_session_without_what_it_takes_is_as_it_was(lacking: str, seed: int) -> None:
     result = session(np.random.default_rng(seed))
     context = replace(CONTEXT, sensor=None) if lacking == "sensor" else CONTEXT
@@ -139,7 +128,7 @@ def test_a_session_without_what_it_takes_is_as_it_was(lacking: str, seed: int) -
         del curves["mtf_joint_vertical"]
     if lacking == "draws":
         curves = {name: replace(one, draws=None) for name, one in curves.items()}
-    result = Result() if lacking == "everything" else replace(result, curves=curves)
+    result = replace(result, curves=curves)
     if lacking == "sound mtf50":
         result = session(np.random.default_rng(seed), joint=False)
         result = replace(result, measurements=tuple(m.with_(flags=("clipped",)) for m in result.measurements))
