@@ -31,6 +31,7 @@ from charact.mtf.noise_spectrum.thresholds import THRESHOLDS
 from charact.noise.findings import Finding, fields_of, flags_of, notes_of
 from charact.noise.rounding import QUANTISED_DN2
 from charact.posterior import laplace, predictive_check, sample_posterior
+from charact.posterior.least_squares import weigh_by_evidence
 from labdata.measurement import Posterior, Result, make_refusal
 from labdata.session import Session
 
@@ -250,11 +251,9 @@ def _quick(context: Context) -> Context:
 
 def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraws:
     """Draw from the posteriors of the forms that have a say."""
-    height = np.array([peak.log_weight for peak in peaks])
-    share = np.exp(height - height.max())
-    kept = share / share.sum() > THRESHOLDS.min_model_weight
-    share = share[kept] / share[kept].sum()
-    own = [peak for peak, keep in zip(peaks, kept, strict=True) if keep]
+    weights = weigh_by_evidence([peak.log_weight for peak in peaks], least=THRESHOLDS.min_model_weight)
+    own = [peaks[i] for i, _ in weights]
+    share = np.array([weight for _, weight in weights])
     posteriors = tuple(
         (laplace if context.quick else sample_posterior)(
             peak.problem.log_probability, names=peak.problem.names, units=peak.problem.units, start=peak.point,
@@ -262,7 +261,7 @@ def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraw
         )
         for peak in own
     )  # fmt: skip
-    return SpectrumDraws(peaks=tuple(own), posteriors=posteriors, shares=share)
+    return SpectrumDraws(peaks=tuple(own), posteriors=posteriors, shares=share / share.sum())
 
 
 def _most_flexible(found: SpectrumDraws) -> SpectrumOptimum:

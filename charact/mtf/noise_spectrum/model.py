@@ -25,6 +25,7 @@ from charact.mtf.blur_models.one_dimensional import (
 from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
 from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from charact.posterior import find_maximum
+from charact.posterior.least_squares import ln_evidence
 from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
@@ -360,11 +361,8 @@ def optimum_under_model(
     for _ in range(2):
         problem = _refine(problem, whole, point)
         point, covariance = find_maximum(problem.log_probability, point, problem.bounds, iterations=25)
-    height = float(problem.log_probability(point[None])[0])
-    _, volume = np.linalg.slogdet(2.0 * np.pi * covariance)
-    return SpectrumOptimum(
-        problem=problem, point=point, covariance=covariance, log_evidence=height + 0.5 * float(volume)
-    )
+    evidence = ln_evidence(float(problem.log_probability(point[None])[0]), covariance)
+    return SpectrumOptimum(problem=problem, point=point, covariance=covariance, log_evidence=evidence)
 
 
 def _is_atypical_of_tubes(problem: SpectrumLikelihood) -> bool:
