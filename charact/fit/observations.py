@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,26 +103,6 @@ def one(
     )  # fmt: skip
 
 
-def curve_observation(
-    name: str,
-    value: Array,
-    sd: Array,
-    frequency: Array,
-    predict: Callable[[Values], Array],
-    speaks_of: tuple[str, ...],
-    *,
-    correlation_length: float,
-    model_sd: float,
-) -> Observation:
-    """Return an observation of a curve with errors correlated over a frequency range.
-
-    Covariance sd_i sd_j exp(-|f_i - f_j|/L) + model_sd^2 on the diagonal: closely spaced points add little information.
-    """
-    apart = np.abs(frequency[:, None] - frequency[None, :])
-    covariance = np.outer(sd, sd) * np.exp(-apart / correlation_length) + model_sd**2 * np.eye(value.size)
-    return Observation(name=name, value=value, covariance=covariance, predict=predict, speaks_of=speaks_of)
-
-
 @dataclass(frozen=True, kw_only=True)
 class StackMean:
     """Mean of one stack."""
@@ -185,22 +165,23 @@ MTF_SPACING_CY_PER_PX = 0.04
 
 def mtf_observations(session: Session, sensor: Sensor, result: Result) -> list[Observation]:
     """Return the observations of MTF curves and bar targets, each along its own direction."""
-    found = [_curve(name, line, session, sensor, result) for name, line in _admissible_curves(result)]
-    return found + [_bars(m, session, sensor) for m in _of_bars(session, result)]
-
-
-def _of_bars(session: Session, result: Result) -> list[Measurement]:
-    """Return the MTF measurements of bar targets."""
-    bars = {entry.label for entry in session.of_kind("bars")}
-    return [m for m in admissible_measurements(result, "mtf") if m.stack in bars and m.frequency_cy_per_px]
-
-
-def _admissible_curves(result: Result) -> list[tuple[str, Curve]]:
-    """Return the MTF curves with an admissible MTF50."""
-    curves = [(n, c) for n, c in result.curves.items() if n.split(":")[0] in ("mtf", "mtf_vertical")]
-    curves = [(n, c) for n, c in curves if c.interval68 is not None]
     stacks = {m.stack for m in admissible_measurements(result, "mtf50")}
-    return [(n, c) for n, c in curves if _stack_of(n, c) in stacks]
+    found = [
+        _curve(name, line, session, sensor, result)
+        for name, line in result.curves.items()
+        if name.split(":")[0] in ("mtf", "mtf_vertical")
+        and line.interval68 is not None
+        and _stack_of(name, line) in stacks
+    ]
+    bars = {entry.label: entry for entry in session.of_kind("bars")}
+    for m in admissible_measurements(result, "mtf"):
+        if m.stack in bars and m.frequency_cy_per_px:
+            angle_deg = m.orientation_deg if m.orientation_deg is not None else bars[m.stack].target.angle_deg
+            fx, fy = _components(np.array([m.frequency_cy_per_px]), angle_deg or 0.0, sensor)
+            sd = float(np.hypot(sd_of(m), MTF_MODEL_SD))
+            predict = partial(predicted_quantities.mtf, across=fx, along=fy)
+            found.append(one(f"mtf of {m.stack}", m.value or 0.0, sd, lambda v, f=predict: f(v)[:, 0], SPREAD))
+    return found
 
 
 def _stack_of(name: str, line: Curve) -> str | None:
@@ -218,10 +199,11 @@ def _curve(name: str, line: Curve, session: Session, sensor: Sensor, result: Res
     used = (wanted >= frequency[0]) & (wanted <= frequency[-1]) & (value > 0.03)
     angle_deg = _angle_deg(name, line, session, result)
     fx, fy = _components(wanted[used], angle_deg, sensor)
-    return curve_observation(
-        name, value[used], sd[used], wanted[used], lambda values: predicted_quantities.mtf(values, fx, fy), SPREAD,
-        correlation_length=0.08, model_sd=MTF_MODEL_SD,
-    )  # fmt: skip
+    # Errors are correlated over 0.08 cy/px: closely spaced points add little information.
+    apart, sd = np.abs(np.subtract.outer(wanted[used], wanted[used])), sd[used]
+    covariance = np.outer(sd, sd) * np.exp(-apart / 0.08) + MTF_MODEL_SD**2 * np.eye(sd.size)
+    return Observation(name=name, value=value[used], covariance=covariance, speaks_of=SPREAD,
+                       predict=partial(predicted_quantities.mtf, across=fx, along=fy))  # fmt: skip
 
 
 def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> float:
@@ -243,16 +225,6 @@ def _components(frequency: Array, angle_deg: float, sensor: Sensor) -> tuple[Arr
     pitch_ratio = float(sensor.ccd.pitch_y_um) / float(sensor.ccd.pitch_x_um)
     angle = np.deg2rad(angle_deg)
     return frequency * abs(np.cos(angle)), frequency * abs(np.sin(angle)) * pitch_ratio
-
-
-def _bars(m: Measurement, session: Session, sensor: Sensor) -> Observation:
-    entry = next((entry for entry in session.stacks if entry.label == m.stack), None)
-    angle_deg = m.orientation_deg if m.orientation_deg is not None else entry and entry.target.angle_deg
-    fx, fy = _components(np.array([m.frequency_cy_per_px or 0.0]), angle_deg or 0.0, sensor)
-    sd = float(np.hypot(sd_of(m), MTF_MODEL_SD))
-    return one(
-        f"mtf of {m.stack}", m.value or 0.0, sd, lambda values: predicted_quantities.mtf(values, fx, fy)[:, 0], SPREAD
-    )
 
 
 # Relative model error of noise quantities: sampling of the sensor rows, image lag.
@@ -277,31 +249,20 @@ def noise_observations(
 ) -> list[Observation]:
     """Observe covariance gain, blur factor and dark variance, grouped by MCP voltage."""
     reference_v = float(sensor.microchannel_plate.reference_v)
-    volts = _flat_volts(session, reference_v)
+    known = [float(entry.conditions.mcp_v) for entry in session.of_kind("flat") if entry.conditions.mcp_v]
+    # Of several voltages, the one with most flats is the session's.
+    volts = max(dict.fromkeys(known), key=known.count) if known else reference_v
+    own_volts = {entry.label: entry.conditions.mcp_v for entry in session.stacks}
     found = []
-    for m in admissible_measurements(result, "covariance_gain", "DN"):
-        value = m.value or 0.0
-        sd = float(np.hypot(sd_of(m), NOISE_MODEL_SD * value))
-        found.append(
-            _Noise(
-                mcp_v=_volts_of(m, session, volts),
-                value=value,
-                sd=sd,
-                predict=lambda values, gain, shape: predicted_quantities.covariance_gain(values, gain),
-            )
-        )
-    for m in admissible_measurements(result, "blur_factor"):
-        value = m.value or 0.0
-        sd = float(np.hypot(sd_of(m), NOISE_MODEL_SD * value))
-        found.append(
-            _Noise(
-                mcp_v=_volts_of(m, session, volts),
-                value=value,
-                sd=sd,
-                predict=lambda values, gain, shape: shape[0],
-                speaks_of=SHAPE,
-            )
-        )
+    for quantity, unit, predict, depends in (
+        ("covariance_gain", "DN", lambda values, gain, _: predicted_quantities.covariance_gain(values, gain), NOISE),
+        ("blur_factor", None, lambda _, __, shape: shape[0], SHAPE),
+    ):
+        for m in admissible_measurements(result, quantity, unit):
+            value = m.value or 0.0
+            sd = float(np.hypot(sd_of(m), NOISE_MODEL_SD * value))
+            at = float(own_volts.get(m.stack or "") or volts)
+            found.append(_Noise(mcp_v=at, value=value, sd=sd, predict=predict, speaks_of=depends))
     found += _neighbours(result, volts)
     darks = [level for level in levels if level.illuminance_lux == 0.0]
     if darks and _rounding_is_noise(sensor):
@@ -318,23 +279,15 @@ def _neighbours(result: Result, volts: float) -> list[_Noise]:
     """Observe the horizontal neighbour correlation of the brightest flat that is neither clipped nor saturated."""
     measured = result.evidence.get("autocorrelation", {})
     transfer = result.evidence.get("photon-transfer", {})
-    mean = dict(zip(transfer.get("label", ()), transfer.get("signal_dn", ()), strict=True))
-    fitted = dict(zip(transfer.get("label", ()), transfer.get("fitted", ()), strict=True))
-    rows = zip(
-        measured.get("label", ()), measured.get("neighbour_correlation", ()), measured.get("neighbour_sd", ()),
-        strict=True,
-    )  # fmt: skip
-    usable = [(mean[label], value, sd) for label, value, sd in rows if fitted.get(label)]
+    columns = [transfer.get(name, ()) for name in ("label", "signal_dn", "fitted")]
+    signal = {label: mean for label, mean, fitted in zip(*columns, strict=True) if fitted}
+    columns = [measured.get(name, ()) for name in ("label", "neighbour_correlation", "neighbour_sd")]
+    usable = [(signal[label], value, sd) for label, value, sd in zip(*columns, strict=True) if label in signal]
     return [
-        _Noise(
-            mcp_v=volts,
-            value=value,
-            sd=float(np.hypot(sd, 0.004)),
-            predict=lambda values, gain, shape: shape[1],
-            speaks_of=SHAPE,
-        )
+        _Noise(mcp_v=volts, value=value, sd=float(np.hypot(sd, 0.004)), predict=lambda _, __, shape: shape[1],
+               speaks_of=SHAPE)
         for _, value, sd in sorted(usable)[-1:]
-    ]
+    ]  # fmt: skip
 
 
 def _rounding_is_noise(sensor: Sensor) -> bool:
@@ -382,19 +335,6 @@ def _dark(m: Measurement, dark: StackMean, sensor: Sensor, reference_v: float) -
     )  # fmt: skip
 
 
-def _flat_volts(session: Session, reference_v: float) -> float:
-    """Return the MCP voltage with most flats."""
-    known = [entry.conditions.mcp_v for entry in session.of_kind("flat") if entry.conditions.mcp_v]
-    # Of several voltages, the one with most flats is the session's.
-    return float(max(dict.fromkeys(known), key=known.count)) if known else reference_v
-
-
-def _volts_of(m: Measurement, session: Session, volts: float) -> float:
-    """Return the MCP voltage of a measurement's stack."""
-    entry = next((entry for entry in session.stacks if entry.label == m.stack), None)
-    return float(entry.conditions.mcp_v) if entry is not None and entry.conditions.mcp_v else volts
-
-
 def observations(
     session: Session, sensor: Sensor, result: Result, levels: tuple[StackMean, ...]
 ) -> tuple[Observation, ...]:
@@ -405,22 +345,15 @@ def observations(
     """
     reference_v = float(sensor.microchannel_plate.reference_v)
     found = mtf_observations(session, sensor, result) + noise_observations(session, sensor, result, levels)
-    found += [_halo(m) for m in admissible_measurements(result, "halo_diameter")]
-    found += [_halo_share(m) for m in admissible_measurements(result, "halo_fraction")]
+    for m in admissible_measurements(result, "halo_diameter"):
+        # The halo edge is located on pixels.
+        sd, depends = float(np.hypot(sd_of(m), 0.1)), ("photocathode.gap_mm", "taper.demagnification")
+        found.append(one("halo diameter", m.value or 0.0, sd, predicted_quantities.halo_diameter_px, depends))
+    path = "photocathode.halo_fraction"
+    for m in admissible_measurements(result, "halo_fraction"):
+        found.append(one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values[path], (path,)))
     found += [_levels(levels, reference_v)] if levels else []
     return tuple(found)
-
-
-def _halo(m: Measurement) -> Observation:
-    # The halo edge is located on pixels.
-    sd = float(np.hypot(sd_of(m), 0.1))
-    speaks_of = ("photocathode.gap_mm", "taper.demagnification")
-    return one("halo diameter", m.value or 0.0, sd, predicted_quantities.halo_diameter_px, speaks_of)
-
-
-def _halo_share(m: Measurement) -> Observation:
-    speaks_of = ("photocathode.halo_fraction",)
-    return one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values[speaks_of[0]], speaks_of)
 
 
 def _levels(levels: tuple[StackMean, ...], reference_v: float) -> Observation:

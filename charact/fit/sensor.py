@@ -18,7 +18,7 @@ from charact.fit.prior import (
     values_of_description,
     widen_to_products,
 )
-from charact.noise.illumination import UNSTATED_ILLUMINANCE_SD
+from charact.noise.illumination import relative_sd_of
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result
@@ -42,10 +42,6 @@ class Model:
         """Return chi squared of all observations for coordinates (n, parameter), shape (n,)."""
         values = self.values(coordinates)
         return np.sum([observed.chi_squared(values) for observed in self.observed], axis=0)
-
-    def part(self, observed: Observation, coordinates: Array) -> Array:
-        """Return one observation's contribution to chi squared for coordinates (n, parameter), shape (n,)."""
-        return observed.chi_squared(self.values(coordinates))
 
     def values(self, coordinates: Array) -> Values:
         """Return every parameter's value: (n,) for those drawn, at coordinates (n, parameter), else (1,)."""
@@ -102,7 +98,7 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
     from scipy.stats import chi2
 
     best = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
-    parts = {one.name: float(model.part(one, best[None])[0]) for one in model.observed}
+    parts = {one.name: float(one.chi_squared(model.values(best[None]))[0]) for one in model.observed}
     parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])
     numbers, total = sum(one.value.size for one in model.observed), sum(parts.values())
     if total <= chi2.isf(1e-4, numbers):
@@ -120,11 +116,10 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
     """Draw the joint posterior in the prior's coordinates."""
     from charact.posterior import find_maximum, sample
 
-    point, covariance = find_maximum(model.log_probability, model.prior.centre, model.prior.bounds)
-    return sample(
-        model.log_probability, names=model.prior.names, units=("1",) * len(model.prior.names), start=point,
-        covariance=covariance, seed=seed, bounds=model.prior.bounds, draws=KEPT_DRAWS,
-    )  # fmt: skip
+    prior = model.prior
+    point, covariance = find_maximum(model.log_probability, prior.centre, prior.bounds)
+    return sample(model.log_probability, names=prior.names, units=("1",) * len(prior.names), start=point, seed=seed,
+                  covariance=covariance, bounds=prior.bounds, draws=KEPT_DRAWS)  # fmt: skip
 
 
 FULL_WELL = "ccd.full_well_e"
@@ -141,8 +136,6 @@ def fills_the_scale(session: Session) -> bool:
 
 def full_well_draws(sensor: Sensor, drawn: dict[str, Array], rng: np.random.Generator) -> Array | None:
     """Return the full well for each draw of gain and black level, e-; None if not constrained.
-
-    `drawn`: joint draws by path, shape (draw,) each.
 
     The prior, truncated below (full scale - black level) / gain; that charge where nothing remains.
     """
@@ -210,8 +203,9 @@ def fit_sensor(
     progress("posterior of the sensor", 0.2)
     posterior = posterior_of(model, seed=seed)
     progress("identifying parameters", 0.9)
+    lit = [entry.conditions for entry in session.of_kind("flat") if entry.conditions.illuminance_lux]
     fitted = description_from_posterior(
-        model, posterior, illuminance_relative_sd=_illuminance_sd(session), scale_filled=fills_the_scale(session),
+        model, posterior, illuminance_relative_sd=relative_sd_of(lit, "lux")[0], scale_filled=fills_the_scale(session),
         seed=seed,
     )  # fmt: skip
     if doubt:
@@ -233,23 +227,24 @@ def description_from_posterior(
     point, carriers = _consistent(model, posterior, left)
     values = dict(zip(posterior.names, model.prior.parameters(point[None])[0], strict=True))
     rng = np.random.default_rng([seed, 1])
-    draws = _all_draws(model, posterior, rng)
+    draws = dict(zip(posterior.names, model.prior.parameters(posterior.draws).T, strict=True))
+    for product in model.products:
+        draws.update(distribute_product(model.sensor, product, draws[product.carrier], rng))
     meter = 1.0 + illuminance_relative_sd * rng.standard_normal(len(posterior.draws))
     before = model.sensor.parameters()
     changes = {
-        path: _parameter(
-            before[path],
-            values.get(path),
-            drawn * meter if path in _METERED else drawn,
-            left.get(path, 1.0),
-            path in carriers,
-        )
+        path: _parameter(before[path], values.get(path), drawn * meter if path in _METERED else drawn,
+                         left.get(path, 1.0), path in carriers)
         for path, drawn in draws.items()
-    }
+    }  # fmt: skip
     well = full_well_draws(model.sensor, draws, rng) if scale_filled else None
     if well is not None:
         draws[FULL_WELL] = well
-        changes[FULL_WELL] = _full_well_parameter(before[FULL_WELL], well)
+        low, value, high = (float(q) for q in np.quantile(well, (0.025, 0.5, 0.975)))
+        words = "the prior, truncated below the charge at full scale, which frames reach; prior: "
+        changes[FULL_WELL] = Parameter(
+            value=value, low=low, high=high, standing="prior", source=words + before[FULL_WELL].source
+        )
     table = np.stack(list(draws.values()), axis=1)
     return replace(
         model.sensor.with_parameters(changes),
@@ -257,14 +252,6 @@ def description_from_posterior(
         draws=Draws(names=tuple(draws), values=tuple(tuple(float(f"{x:.7g}") for x in row) for row in table)),
         notes=(*model.sensor.notes, _how(model, posterior, point)),
     )
-
-
-def _all_draws(model: Model, posterior: Posterior, rng: np.random.Generator) -> dict[str, Array]:
-    """Return the posterior's draws by path, with products distributed over their factors."""
-    draws = dict(zip(posterior.names, model.prior.parameters(posterior.draws).T, strict=True))
-    for product in model.products:
-        draws.update(distribute_product(model.sensor, product, draws[product.carrier], rng))
-    return draws
 
 
 def _consistent(model: Model, posterior: Posterior, left: dict[str, float]) -> tuple[Array, set[str]]:
@@ -300,13 +287,6 @@ def _parameter(before: Parameter, value: float | None, draws: Array, left: float
     return Parameter(value=value, low=min(low, value), high=max(high, value), standing="fitted", source=source)
 
 
-def _full_well_parameter(before: Parameter, draws: Array) -> Parameter:
-    """Return the full well of a camera whose frames reach full scale."""
-    low, value, high = (float(q) for q in np.quantile(draws, (0.025, 0.5, 0.975)))
-    source = f"the prior, truncated below the charge at full scale, which frames reach; prior: {before.source}"
-    return Parameter(value=value, low=low, high=high, standing="prior", source=source)
-
-
 def _how(model: Model, posterior: Posterior, point: Array) -> str:
     """Return the note that summarises the fit."""
     numbers = sum(observed.value.size for observed in model.observed)
@@ -316,10 +296,3 @@ def _how(model: Model, posterior: Posterior, point: Array) -> str:
         f"Fitted with {len(posterior.names)} parameters to {numbers} measured numbers, chi-squared {chi_squared:.1f}, "
         f"{posterior.sampler}, seed {posterior.seed}{flags}."
     )
-
-
-def _illuminance_sd(session: Session) -> float:
-    """Return the relative uncertainty of the session's light meter."""
-    lit = [entry.conditions for entry in session.of_kind("flat") if entry.conditions.illuminance_lux]
-    stated = [c.illuminance_relative_sd for c in lit if c.illuminance_relative_sd is not None]
-    return max(stated) if stated else UNSTATED_ILLUMINANCE_SD

@@ -95,10 +95,7 @@ def _of_electrons(
     pooled: SingleSetting, gains: tuple[GainLine, GainLine], slope: list[Finding], covariance: list[Finding],
     context: Context, fields: dict[str, Any],
 ) -> list[Measurement]:  # fmt: skip
-    """Return the system gain and derived quantities, and the gain behind the blur if the white floor is detected.
-
-    `slope`, `covariance`: findings on the slope, and on the covariance sum.
-    """
+    """Return the system gain and derived quantities, and the gain behind the blur if the white floor is detected."""
     if pooled.white:
         return electron_quantities(pooled.series, gains, (slope, slope), context, fields)
     low, right = (float(np.median(gain.slope)) for gain in gains)
@@ -128,7 +125,7 @@ def _of_electrons(
 
 
 METHOD = "covariance-sum"
-QUANTITIES = ("covariance_gain", "blur_factor", "system_gain", "read_noise", "photoelectron_gain")
+QUANTITIES = ("covariance_gain", "blur_factor", "read_noise", "photoelectron_gain")
 
 
 @register(

@@ -10,6 +10,8 @@ from charact.method import Context
 from charact.method.stopwatch import with_timing
 from charact.noise.findings import Finding, fields_of, flags_of, notes_of
 from charact.noise.gain.checks import drift_and_flicker
+from charact.noise.gain.series import gain_of
+from charact.noise.linear_fit import linear_fit
 from charact.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CHECKS, DARK_CURRENT
@@ -26,7 +28,7 @@ class DarkSlope:
     temperature_c: float | None  # mean temperature, degrees Celsius; None if unknown
     draws: Array  # draws of the dark current, shape (draw,), DN/s
     exposures: int  # number of distinct exposures
-    findings: tuple[Finding, ...]  # findings
+    findings: list[Finding]
 
 
 @with_timing
@@ -60,29 +62,20 @@ def dark_current(darks: list[StackStatistics], result: Result, *, context: Conte
 
 def _groups(darks: list[StackStatistics]) -> list[list[StackStatistics]]:
     """Group darks by temperature, at the gain of most darks."""
-    whole = [
-        d
-        for d in darks
-        if d.conditions.exposure_s is not None and max(d.low_fraction, d.high_fraction) <= CHECKS.max_clipped_fraction
-    ]
     gains: dict[tuple, list[StackStatistics]] = {}
-    for dark in whole:
-        here = dark.conditions
-        gains.setdefault((here.mcp_v, here.camera_gain_db, here.em_gain, here.gain_control), []).append(dark)
-    chosen = max(gains.values(), key=len, default=[])
+    for dark in darks:
+        clipped = max(dark.low_fraction, dark.high_fraction) > CHECKS.max_clipped_fraction
+        if dark.conditions.exposure_s is not None and not clipped:
+            gains.setdefault(gain_of(dark.conditions), []).append(dark)
     groups: list[list[StackStatistics]] = []
-    for dark in sorted(chosen, key=lambda level: level.conditions.temperature_c or 0.0):
-        last = groups[-1][-1].conditions.temperature_c if groups else None
+    last = None
+    for dark in sorted(max(gains.values(), key=len, default=[]), key=lambda one: one.conditions.temperature_c or 0.0):
         here = dark.conditions.temperature_c
-        alike = (
-            bool(groups)
-            and (last is None) == (here is None)
-            and abs((here or 0) - (last or 0)) < DARK_CURRENT.same_temperature_k
-        )
-        if alike:
-            groups[-1].append(dark)
-        else:
-            groups.append([dark])
+        far = abs((here or 0.0) - (last or 0.0)) >= DARK_CURRENT.same_temperature_k
+        if not groups or (last is None) != (here is None) or far:
+            groups.append([])
+        groups[-1].append(dark)
+        last = here
     return groups
 
 
@@ -93,33 +86,19 @@ def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope 
     if exposures < 2:
         return None
     mean = np.array([d.mean_dn for d in darks])
-    sd = np.array([_level_sd(d) for d in darks])
-    value, error, chi2 = _line(time, mean, sd, 1)
+    # Standard error of the level of a dark, at least that of white noise.
+    white = [np.sqrt(max(d.variance_dn2, QUANTISATION_DN2) / (d.pixels * d.frames)) for d in darks]
+    sd = np.maximum([np.std(d.frame_mean_dn, ddof=1) / np.sqrt(d.frames) for d in darks], white)
+    fit = linear_fit([np.ones_like(time), time / time.max()], mean, sd)
+    value, error = float(fit.best[1] / time.max()), float(np.sqrt(fit.covariance[1, 1]) / time.max())
     freedom = len(time) - 2
-    student = (
-        rng.standard_t(freedom, DARK_CURRENT.draws) * np.sqrt(max(1.0, chi2 / freedom))
-        if freedom
-        else rng.standard_normal(DARK_CURRENT.draws)
-    )
+    if freedom:
+        student = rng.standard_t(freedom, DARK_CURRENT.draws) * fit.stretch(len(time))
+    else:
+        student = rng.standard_normal(DARK_CURRENT.draws)
     warm = [d.conditions.temperature_c for d in darks if d.conditions.temperature_c is not None]
     return DarkSlope(temperature_c=float(np.mean(warm)) if warm else None, draws=value + error * student,
-                 exposures=exposures, findings=tuple(_findings(darks, time, mean, sd, value)))  # fmt: skip
-
-
-def _level_sd(dark: StackStatistics) -> float:
-    """Return the standard error of the level of a dark, DN."""
-    scatter = float(np.std(dark.frame_mean_dn, ddof=1)) / np.sqrt(dark.frames)
-    return max(scatter, float(np.sqrt(max(dark.variance_dn2, QUANTISATION_DN2) / (dark.pixels * dark.frames))))
-
-
-def _line(time: Array, mean: Array, sd: Array, order: int) -> tuple[float, float, float]:
-    """Return the highest coefficient of a weighted polynomial, its standard error, and chi-squared."""
-    design = np.stack([(time / time.max()) ** power for power in range(order + 1)]) / sd
-    covariance = np.linalg.inv(design @ design.T)
-    fit = covariance @ (design @ (mean / sd))
-    chi2 = float(np.sum((mean / sd - fit @ design) ** 2))
-    scale = time.max() ** order
-    return float(fit[-1] / scale), float(np.sqrt(covariance[-1, -1]) / scale), chi2
+                     exposures=exposures, findings=_findings(darks, time, mean, sd, value))  # fmt: skip
 
 
 def _findings(darks: list[StackStatistics], time: Array, mean: Array, sd: Array, slope: float) -> list[Finding]:
@@ -128,37 +107,29 @@ def _findings(darks: list[StackStatistics], time: Array, mean: Array, sd: Array,
     if len(np.unique(time)) == 2:
         found.append(Finding("too-few-frames", "from two exposures: proportionality cannot be checked"))
     if len(np.unique(time)) > 3:
-        bend, error, chi2 = _line(time, mean, sd, 2)
-        error *= np.sqrt(max(1.0, chi2 / max(1, len(time) - 3)))
-        if abs(bend) * time.max() > max(
-            DARK_CURRENT.curvature * abs(slope), DARK_CURRENT.curvature_sd * error * time.max()
-        ):
+        x = time / time.max()
+        fit = linear_fit([np.ones_like(x), x, x**2], mean, sd)
+        bend, error = abs(fit.best[2]), fit.stretch(len(x)) * float(np.sqrt(fit.covariance[2, 2]))
+        if bend > max(DARK_CURRENT.curvature * abs(slope) * time.max(), DARK_CURRENT.curvature_sd * error):
             found.append(Finding("nonlinear", "the level of darks is not linear in the exposure"))
     if any(d.variance_dn2 < QUANTISED_DN2 for d in darks):
-        found.append(
-            Finding("quantised", "the noise of darks is smaller than the quantisation step, which biases their level")
-        )
+        words = "the noise of darks is smaller than the quantisation step, which biases their level"
+        found.append(Finding("quantised", words))
     rise = abs(slope) * float(np.ptp(time))
     for dark in darks:
         drift = abs(drift_and_flicker(dark)[0])
         if drift > 0.1 * rise:
-            found.append(
-                Finding(
-                    "drift", f"{dark.label} drifts by {drift:.3g} DN, compared with {rise:.3g} DN between exposures"
-                )
-            )
+            words = f"{dark.label} drifts by {drift:.3g} DN, compared with {rise:.3g} DN between exposures"
+            found.append(Finding("drift", words))
     if any((d.conditions.mcp_v or 0.0) > 0 for d in darks):
         found.append(Finding(None, "with the tube on: includes the tube's background illumination (EBI)"))
     return found
 
 
 def _current(slope: DarkSlope, unit: str, draws: Array, flags: tuple[str, ...], **fields: Any) -> Measurement:
-    notes = notes_of(list(slope.findings))
-    if slope.temperature_c is not None:
-        notes = (f"at {slope.temperature_c:.1f} degrees Celsius", *notes)
-    return measurement_from_draws(
-        "dark_current", unit, draws, flags=flags_of(list(slope.findings)) + flags, notes=notes, **fields
-    )
+    notes = () if slope.temperature_c is None else (f"at {slope.temperature_c:.1f} degrees Celsius",)
+    return measurement_from_draws("dark_current", unit, draws, flags=flags_of(slope.findings) + flags,
+                                  notes=(*notes, *notes_of(slope.findings)), **fields)  # fmt: skip
 
 
 def _electrons(slope: DarkSlope, result: Result, rng: np.random.Generator, **fields: Any) -> list[Measurement]:
@@ -167,44 +138,37 @@ def _electrons(slope: DarkSlope, result: Result, rng: np.random.Generator, **fie
     if not known:
         reason = "dark current in electrons needs the system gain, which was not measured"
         return [make_refusal("dark_current", "e-/s", reason, **fields)]
-    gain = known[0]
-    low, high = gain.interval68 or (0.0, 0.0)
-    draws = float(gain.value or 0.0) + 0.5 * (high - low) * rng.standard_normal(DARK_CURRENT.draws)
-    return [_current(slope, "e-/s", slope.draws / draws, gain.flags, **fields)]
+    low, high = known[0].interval68 or (0.0, 0.0)
+    draws = float(known[0].value or 0.0) + 0.5 * (high - low) * rng.standard_normal(DARK_CURRENT.draws)
+    return [_current(slope, "e-/s", slope.draws / draws, known[0].flags, **fields)]
 
 
 def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) -> Measurement:
     """Return the temperature difference that doubles the dark current, from all temperatures."""
+    name = ("dark_doubling_temperature", "K")
     known = [slope for slope in slopes if slope.temperature_c is not None]
     if len(known) < 2:
-        reason = (
-            "the temperature law of the dark current needs darks of two exposures each at two temperatures, got one"
-        )
-        return make_refusal("dark_doubling_temperature", "K", reason, **fields)
+        need = "darks of two exposures each at two temperatures"
+        return make_refusal(*name, f"the temperature law of the dark current needs {need}, got one", **fields)
     warm = np.array([slope.temperature_c for slope in known], float)
     draws = np.array([slope.draws for slope in known])
     unseen = [f"{t:.1f}" for t, current in zip(warm, draws, strict=True) if np.quantile(current, 0.025) <= 0]
     if unseen:
         reason = f"no dark current detected at {', '.join(unseen)} degrees Celsius; use longer exposures"
-        return make_refusal("dark_doubling_temperature", "K", reason, **fields)
-    log2 = np.log2(np.maximum(draws, 1e-12 * draws.max()))
-    spread = np.hypot(log2.std(axis=1), DARK_CURRENT.law_relative_sd / np.log(2.0))
-    log2 = log2 + DARK_CURRENT.law_relative_sd / np.log(2.0) * rng.standard_normal(log2.shape)
-    weight = (1.0 / spread**2) * (warm - np.average(warm, weights=1.0 / spread**2))
-    rise = weight @ log2 / (weight @ warm)
+        return make_refusal(*name, reason, **fields)
+    log2, law_sd = np.log2(np.maximum(draws, 1e-12 * draws.max())), DARK_CURRENT.law_relative_sd / np.log(2.0)
+    spread = np.hypot(log2.std(axis=1), law_sd)
+    log2 = log2 + law_sd * rng.standard_normal(log2.shape)
+    away = warm - np.average(warm, weights=spread**-2)
+    rise = (away / spread**2) @ log2 / ((away / spread**2) @ warm)
     if np.quantile(rise, 0.025) <= 0:
         reason = f"the dark current does not rise between {warm.min():.1f} and {warm.max():.1f} degrees Celsius"
-        return make_refusal("dark_doubling_temperature", "K", reason, **fields)
+        return make_refusal(*name, reason, **fields)
     findings = [finding for slope in known for finding in slope.findings]
     middle = np.median(log2, axis=1)
-    rest = (
-        middle
-        - np.average(middle, weights=1.0 / spread**2)
-        - np.median(rise) * (warm - np.average(warm, weights=1.0 / spread**2))
-    )
+    rest = middle - np.average(middle, weights=spread**-2) - np.median(rise) * away
     if np.any(np.abs(rest) > DARK_CURRENT.curvature_sd * spread):
         findings.append(Finding("model-misfit", "the dark current does not double at equal temperature steps"))
     if len(known) == 2:
         findings.append(Finding(None, "from two temperatures: exponential growth cannot be checked"))
-    return measurement_from_draws("dark_doubling_temperature", "K", 1.0 / rise, flags=flags_of(findings),
-                      notes=tuple(dict.fromkeys(notes_of(findings))), **fields)  # fmt: skip
+    return measurement_from_draws(*name, 1.0 / rise, flags=flags_of(findings), notes=notes_of(findings), **fields)

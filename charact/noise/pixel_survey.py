@@ -110,8 +110,6 @@ class PixelSurvey:
 def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
     """Return the survey of a stack.
 
-    `entry`: dark or flat; `means`: whether to search for outlying pixel means.
-
     Raises BadInput if the frames cannot be read or values are out of range.
     """
     stack = open_lazy_stack(entry)

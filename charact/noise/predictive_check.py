@@ -287,14 +287,9 @@ def _noise_source(pooled: SingleSetting, index: int, gain_dn: Array | None, cont
 
 
 def _stack_residuals(
-    label: str,
-    frames: Array,
-    base: Array,
-    law: Callable[[], LightNoise],
-    every: int,
-    rng: np.random.Generator,
+    label: str, frames: Array, base: Array, law: Callable[[], LightNoise], every: int, rng: np.random.Generator,
     steps_dn: float = 0.0,
-) -> list[PredictiveResidual]:
+) -> list[PredictiveResidual]:  # fmt: skip
     """Return the residuals of one stack, with rounding by steps of up to `steps_dn`."""
     from scipy.ndimage import uniform_filter
 

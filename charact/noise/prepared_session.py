@@ -16,7 +16,7 @@ from charact.noise.stack.stack_statistics import WHOLE_BYTES
 from charact.noise.thresholds import SURVEY
 from labdata.frames import FrameStack
 from labdata.lazy_stack import LazyStack
-from labdata.measurement import Interval, Measurement, Posterior, Result, make_measurement, make_refusal
+from labdata.measurement import Measurement, Result, make_measurement, make_refusal
 from labdata.session import Session, StackEntry
 
 Places = NDArray[np.int64]
@@ -62,17 +62,10 @@ def find_defective_pixels(surveys: Sequence[PixelSurvey], *, multiplies: bool) -
 def _slope(surveys: Sequence[PixelSurvey]) -> float:
     """Return variance over signal of the flats by robust statistics, DN; 0 without flats."""
     darks = [one for one in surveys if one.kind == "dark"]
-    dark, noise = (
-        (min(darks, key=lambda one: one.level_dn).level_dn, min(one.sd_dn for one in darks)) if darks else (0, 0)
-    )
+    dark, noise = (min((getattr(one, name) for one in darks), default=0.0) for name in ("level_dn", "sd_dn"))
     flats = [one for one in surveys if one.kind == "flat" and one.level_dn > dark]
     slopes = [(one.sd_dn**2 - noise**2) / (one.level_dn - dark) for one in flats]
     return max(float(np.median(slopes)), 0.0) if slopes else 0.0
-
-
-def _departures_are_rare(one: PixelSurvey) -> bool:
-    """Return whether outliers are rare."""
-    return len(one.sudden) <= SURVEY.max_fraction * one.pixels
 
 
 def _blinking_mask(surveys: Sequence[PixelSurvey], wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -81,7 +74,7 @@ def _blinking_mask(surveys: Sequence[PixelSurvey], wrong: NDArray[np.bool_]) -> 
 
     counts, trials = np.zeros(len(wrong), np.int64), 0
     for one in surveys:
-        if _departures_are_rare(one):
+        if len(one.sudden) <= SURVEY.max_fraction * one.pixels:
             counts[one.sudden] += one.times
             trials += one.trials
     if not trials:
@@ -298,35 +291,28 @@ class Prepared:
 
     def in_dn(self, result: Result) -> Result:
         """Return a result in DN of the files, with a note on excluded pixels."""
-        note = None if self.found is None else self.found.note
+        unit_dn, note = self.unit_dn, None if self.found is None else self.found.note
         notes = () if note is None else (note,)
-        if self.unit_dn == 1.0:
-            return (
-                replace(result, measurements=tuple(_with_notes(m, notes) for m in result.measurements))
-                if notes
-                else result
-            )
-        notes += (f"DN in other notes are units of {self.unit_dn:.4g} of the files' values",)
+        if unit_dn != 1.0:
+            notes += (f"DN in other notes are units of {unit_dn:.4g} of the files' values",)
+        noted = [m if m.value is None else replace(m, notes=(*m.notes, *notes)) for m in result.measurements]
+        if unit_dn == 1.0:
+            return replace(result, measurements=tuple(noted)) if notes else result
         return replace(
             result,
-            measurements=tuple(_in_dn(_with_notes(m, notes), self.unit_dn) for m in result.measurements),
-            evidence={name: _scale_figure_data(data, self.unit_dn) for name, data in result.evidence.items()},
+            measurements=tuple(_in_dn(m, unit_dn) for m in noted),
+            evidence={name: _scale_figure_data(data, unit_dn) for name, data in result.evidence.items()},
         )
 
 
 def prepare(session: Session, *, context: Context) -> Prepared:
     """Survey the darks and flats of a session and prepare it for measurement.
 
-    `session`: the session.
-
     Pixel means are compared in at most eight stacks distributed over the levels, because a defect shows in several.
     """
     session = replace(session, stacks=load_frames(session.stacks) if context.spread is map else session.stacks)
     entries = session.of_kind("dark", "flat")
     spread = set(np.linspace(0, len(entries) - 1, min(SURVEY.mean_stacks, len(entries))).round().astype(int).tolist())
-    spread |= (
-        {i for i, entry in enumerate(entries) if entry.kind == "dark"} if len(entries) <= SURVEY.mean_stacks else set()
-    )
     surveys = [survey_pixels(entry, means=i in spread) for i, entry in enumerate(entries)]
     many = [one for one in surveys if one.frames > 1]
     sizes = {one.size for one in surveys}
@@ -354,10 +340,6 @@ def _unit(surveys: list[PixelSurvey]) -> tuple[float, bool]:
     return (2.0 ** np.floor(np.log2(min(noise) / SURVEY.fine_units)), False) if noise else (1.0, False)
 
 
-def _with_notes(measurement: Measurement, notes: tuple[str, ...]) -> Measurement:
-    return replace(measurement, notes=(*measurement.notes, *notes)) if measurement.value is not None else measurement
-
-
 def power_of_dn(unit: str) -> int:
     """Return the power of DN in a unit: 2 for DN2, 1 for DN or DN/e-, -1 for 1/DN, 0 for others."""
     above, _, below = unit.partition("/")
@@ -366,30 +348,22 @@ def power_of_dn(unit: str) -> int:
 
 
 def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
-    """Return a measurement converted from units to DN."""
+    """Return a measurement converted from units to DN; logarithms of draws are shifted."""
     factor = unit_dn ** power_of_dn(measurement.unit)
-
-    def around(interval: Interval | None) -> Interval | None:
-        return None if interval is None else (interval[0] * factor, interval[1] * factor)
-
+    around = [None if pair is None else (pair[0] * factor, pair[1] * factor)
+              for pair in (measurement.interval68, measurement.interval95)]  # fmt: skip
     kept = measurement.posterior
-    return replace(
-        measurement, value=None if measurement.value is None else measurement.value * factor,
-        interval68=around(measurement.interval68), interval95=around(measurement.interval95),
-        posterior=None if kept is None else _posterior(kept, unit_dn),
-    )  # fmt: skip
-
-
-def _posterior(kept: Posterior, unit_dn: float) -> Posterior:
-    """Return draws in DN; logarithms are shifted."""
-    draws = kept.draws.copy()
-    for column, unit in enumerate(kept.units):
-        logarithm = unit.removeprefix("log ")
-        if logarithm != unit:
-            draws[:, column] += power_of_dn(logarithm) * np.log(unit_dn)
-        else:
-            draws[:, column] *= unit_dn ** power_of_dn(unit)
-    return replace(kept, draws=draws)
+    if kept is not None:
+        draws = kept.draws.copy()
+        for column, unit in enumerate(kept.units):
+            power = power_of_dn(unit.removeprefix("log "))
+            if unit.startswith("log "):
+                draws[:, column] += power * np.log(unit_dn)
+            else:
+                draws[:, column] *= unit_dn**power
+        kept = replace(kept, draws=draws)
+    value = None if measurement.value is None else measurement.value * factor
+    return replace(measurement, value=value, interval68=around[0], interval95=around[1], posterior=kept)
 
 
 def _scale_figure_data(data: Any, unit_dn: float, factor: float = 1.0) -> Any:

@@ -17,10 +17,7 @@ def quantised_flags(variance_dn2: float) -> tuple[str, ...]:
 
 
 def rounding_sd(variance_dn2: float) -> tuple[float, float]:
-    """Return the standard deviations of the rounding bias of mean, DN, and variance, DN^2.
-
-    `variance_dn2`: variance of the values as rounded, DN^2.
-    """
+    """Return the standard deviations of the rounding bias of mean, DN, and variance, DN^2."""
     analogue = max(variance_dn2 - QUANTISATION_DN2, 0.0)
     fade = float(np.exp(-2.0 * np.pi**2 * analogue)) / np.sqrt(2.0)
     return fade / np.pi, (4.0 * analogue + 1.0 / np.pi**2) * fade

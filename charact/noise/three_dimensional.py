@@ -24,25 +24,22 @@ NAMES = (*OWN, "tvh")
 def three_dimensional(levels: list[StackStatistics], *, context: Context) -> Result:
     """Return the seven components of 3-D noise of every dark and flat with enough frames.
 
-    `levels`: darks and flats, read with their cubes.
-
+    `levels`: darks and flats, read with their cubes; interlaced fields are separated and their variances averaged.
     Returns `noise_t` to `noise_tvh` of each stack, DN, quantisation included; as figure data the means of frames with
     their spectrum, of rows and of columns. Seven refusals if no stack is long enough.
     """
-    fields = fields_of(METHOD, context)
-    result = Result()
+    fields, result = fields_of(METHOD, context), Result()
     for level in levels:
         if level.cube is not None:
             result += _measure_stack(level, level.cube, context, {**fields, "stack": level.label})
-    return result if result.measurements else Result(measurements=_refusals(_too_few(levels), fields))
-
-
-def _too_few(levels: list[StackStatistics]) -> str:
+    if result.measurements:
+        return result
     most = max((level.frames for level in levels), default=1)
-    return (
+    reason = (
         f"3-D noise needs a stack of at least {CUBE.min_frames} frames, and {CUBE.min_pixels} rows and columns in each "
         f"field; the longest stack has {most} {'frame' if most == 1 else 'frames'}"
     )
+    return Result(measurements=_refusals(reason, fields))
 
 
 def _refusals(reason: str, fields: dict[str, Any]) -> tuple[Measurement, ...]:

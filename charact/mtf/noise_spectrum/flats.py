@@ -28,9 +28,10 @@ from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum, SelectedF
 from charact.mtf.noise_spectrum.result import DRAWS, SpectrumDraws, curves, figure_data, quantities
 from charact.mtf.noise_spectrum.result import note as unseen_note
 from charact.mtf.noise_spectrum.thresholds import THRESHOLDS
-from charact.noise.findings import fields_of
+from charact.noise.findings import Finding, fields_of, flags_of, notes_of
 from charact.noise.rounding import QUANTISED_DN2
 from charact.posterior import laplace, predictive_check, sample_posterior
+from charact.posterior.least_squares import weigh_by_evidence
 from labdata.measurement import Posterior, Result, make_refusal
 from labdata.session import Session
 
@@ -39,51 +40,42 @@ Array = NDArray[np.float64]
 
 def findings_of(
     spectrum: PooledSpectrum, chosen: SelectedFlats, peak: SpectrumOptimum, context: Context
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return flags and notes."""
-    flags, notes = [], []
-    if chosen.left_out:
-        notes.append(f"left out, at another gain, saturated or of a single frame: {', '.join(chosen.left_out)}")
-    if chosen.clipped:
-        flags.append("clipped")
-    if chosen.flicker > THRESHOLDS.flicker:
-        flags.append("flicker")
-        notes.append(f"the light changes by {100 * chosen.flicker:.2g} % from frame to frame")
-    if spectrum.frames < THRESHOLDS.min_frames:
-        flags.append("too-few-frames")
-        notes.append(f"{spectrum.frames} frames cannot show whether exposures share light; {THRESHOLDS.min_frames} can")
-    if spectrum.lag_open:
-        flags.append("lag")
-        notes.append("earlier exposures still glow at the last lag that the frames allow")
-    elif len(spectrum.lag):
-        notes.append(f"successive exposures share light (correlation {spectrum.lag[0]:.2g}), which was allowed for")
-    if not any(level.signal_dn for level in spectrum.levels):
-        flags.append("no-darks")
-        notes.append("no darks: noise of the electronics was taken for white, and the response for straight")
-    elif len(spectrum.levels) < 2:
-        flags.append("too-few-frames")
-        notes.append("one level of light only: whether the response is straight cannot be seen")
-    if min(float(np.mean(level.power_dn2)) for level in spectrum.levels) < QUANTISED_DN2:
-        flags.append("quantised")
-    flags += _nonlinearity_flags(
-        spectrum, peak, THRESHOLDS.max_nonlinearity if context.sensor is None else THRESHOLDS.max_mcp_saturation
-    )
-    if _has_scatter(spectrum, peak):
-        flags.append("model-misfit")
-        notes.append("light seems to be scattered after the gain beyond the form's reach: the MTF may be too high")
-    if _is_too_steep(peak):
-        flags.append("model-misfit")
-        notes.append(f"the transfer falls more steeply than exp(-(f/fc)^{THRESHOLDS.max_exponent:g}), as blurs do not")
-    if context.sensor is not None and float(context.sensor.video.gamma) != 1.0:
-        flags.append("gamma")
-    return tuple(dict.fromkeys(flags)), tuple(notes)
+) -> list[Finding]:
+    """Return the findings of a measurement; those without a note are flags alone."""
+    lit = any(level.signal_dn for level in spectrum.levels)
+    least = min(float(np.mean(level.power_dn2)) for level in spectrum.levels)
+    linear = THRESHOLDS.max_nonlinearity if context.sensor is None else THRESHOLDS.max_mcp_saturation
+    gamma = context.sensor is not None and float(context.sensor.video.gamma) != 1.0
+    checks = (
+        (bool(chosen.left_out), None,
+         f"left out, at another gain, saturated or of a single frame: {', '.join(chosen.left_out)}"),
+        (chosen.clipped, "clipped", ""),
+        (chosen.flicker > THRESHOLDS.flicker, "flicker",
+         f"the light changes by {100 * chosen.flicker:.2g} % from frame to frame"),
+        (spectrum.frames < THRESHOLDS.min_frames, "too-few-frames",
+         f"{spectrum.frames} frames cannot show whether exposures share light; {THRESHOLDS.min_frames} can"),
+        (spectrum.lag_open, "lag", "earlier exposures still glow at the last lag that the frames allow"),
+        (len(spectrum.lag) > 0 and not spectrum.lag_open, None,
+         f"successive exposures share light (correlation {[*spectrum.lag, 0.0][0]:.2g}), which was allowed for"),
+        (not lit, "no-darks", "no darks: noise of the electronics was taken for white, and the response for straight"),
+        (lit and len(spectrum.levels) < 2, "too-few-frames",
+         "one level of light only: whether the response is straight cannot be seen"),
+        (least < QUANTISED_DN2, "quantised", ""),
+        (_is_nonlinear(spectrum, peak, linear), "gamma", ""),
+        (_has_scatter(spectrum, peak), "model-misfit",
+         "light seems to be scattered after the gain beyond the form's reach: the MTF may be too high"),
+        (_is_too_steep(peak), "model-misfit",
+         f"the transfer falls more steeply than exp(-(f/fc)^{THRESHOLDS.max_exponent:g}), as blurs do not"),
+        (gamma, "gamma", ""),
+    )  # fmt: skip
+    return [Finding(flag, note) for found, flag, note in checks if found]
 
 
-def _nonlinearity_flags(spectrum: PooledSpectrum, peak: SpectrumOptimum, straight: float) -> list[str]:
+def _is_nonlinear(spectrum: PooledSpectrum, peak: SpectrumOptimum, straight: float) -> bool:
     """Whether the power of pulses over the signal changes along the levels by more than a share, as under a gamma."""
     levels = [level for level in spectrum.levels if level.signal_dn]
     if len(levels) < 2:
-        return []
+        return False
     white, pulses = peak.problem.parts(peak.point[None])
     shape = (white + pulses)[0]
     signal = np.array([float(level.signal_dn or 1.0) for level in levels])
@@ -97,7 +89,7 @@ def _nonlinearity_flags(spectrum: PooledSpectrum, peak: SpectrumOptimum, straigh
     mean = float(np.average(ratio, weights=(signal / error) ** 2))
     sd = np.hypot(error / power, _pulse_height_error(spectrum, peak, signal, power))
     allowed = straight + THRESHOLDS.nonlinearity_sd * sd + 0.5 * (high - low)
-    return ["gamma"] if np.any(np.abs(ratio / mean - 1.0) > allowed) else []
+    return bool(np.any(np.abs(ratio / mean - 1.0) > allowed))
 
 
 def _pulse_height_error(spectrum: PooledSpectrum, peak: SpectrumOptimum, signal_dn: Array, power: Array) -> Array:
@@ -222,10 +214,11 @@ def _measure(
             fields,
         )  # fmt: skip
     found = _draw_models(peaks, context)
-    flags, notes = findings_of(spectrum, chosen, found.peaks[0], context)
+    findings = findings_of(spectrum, chosen, found.peaks[0], context)
+    notes = [note for note in notes_of(findings) if note]
     wrong = misfit(found.peaks[0], found.posteriors[0], np.random.default_rng([context.seed, 21]))
     own = {
-        "flags": tuple({*flags, *wrong, *_chain_flags(found)}),
+        "flags": tuple({*flags_of(findings), *wrong, *_chain_flags(found)}),
         "notes": (NOTE, *notes, unseen_note(_most_flexible(found)), f"form of the transfer: {_forms(found)}"),
         "posterior": found.posteriors[0], **fields,
     }  # fmt: skip
@@ -258,11 +251,9 @@ def _quick(context: Context) -> Context:
 
 def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraws:
     """Draw from the posteriors of the forms that have a say."""
-    height = np.array([peak.log_weight for peak in peaks])
-    share = np.exp(height - height.max())
-    kept = share / share.sum() > THRESHOLDS.min_model_weight
-    share = share[kept] / share[kept].sum()
-    own = [peak for peak, keep in zip(peaks, kept, strict=True) if keep]
+    weights = weigh_by_evidence([peak.log_weight for peak in peaks], least=THRESHOLDS.min_model_weight)
+    own = [peaks[i] for i, _ in weights]
+    share = np.array([weight for _, weight in weights])
     posteriors = tuple(
         (laplace if context.quick else sample_posterior)(
             peak.problem.log_probability, names=peak.problem.names, units=peak.problem.units, start=peak.point,
@@ -270,7 +261,7 @@ def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraw
         )
         for peak in own
     )  # fmt: skip
-    return SpectrumDraws(peaks=tuple(own), posteriors=posteriors, shares=share)
+    return SpectrumDraws(peaks=tuple(own), posteriors=posteriors, shares=share / share.sum())
 
 
 def _most_flexible(found: SpectrumDraws) -> SpectrumOptimum:

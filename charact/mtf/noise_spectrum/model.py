@@ -25,6 +25,7 @@ from charact.mtf.blur_models.one_dimensional import (
 from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
 from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from charact.posterior import find_maximum
+from charact.posterior.least_squares import ln_evidence
 from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
@@ -342,12 +343,9 @@ class SpectrumOptimum:
 
 
 def optimum_under_model(
-    spectrum: PooledSpectrum,
-    known: KnownReadout,
-    shape: PostGainBlur,
-    *,
+    spectrum: PooledSpectrum, known: KnownReadout, shape: PostGainBlur, *,
     start: Callable[[SpectrumLikelihood], Array] | None = None,
-) -> SpectrumOptimum:
+) -> SpectrumOptimum:  # fmt: skip
     """Find the optimum under a blur model, first roughly, then with the replicas, cells and looks of that fit."""
     whole = spectral_replicas(spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.bins.row_pitch, known)
     problem = SpectrumLikelihood(
@@ -363,11 +361,8 @@ def optimum_under_model(
     for _ in range(2):
         problem = _refine(problem, whole, point)
         point, covariance = find_maximum(problem.log_probability, point, problem.bounds, iterations=25)
-    height = float(problem.log_probability(point[None])[0])
-    _, volume = np.linalg.slogdet(2.0 * np.pi * covariance)
-    return SpectrumOptimum(
-        problem=problem, point=point, covariance=covariance, log_evidence=height + 0.5 * float(volume)
-    )
+    evidence = ln_evidence(float(problem.log_probability(point[None])[0]), covariance)
+    return SpectrumOptimum(problem=problem, point=point, covariance=covariance, log_evidence=evidence)
 
 
 def _is_atypical_of_tubes(problem: SpectrumLikelihood) -> bool:

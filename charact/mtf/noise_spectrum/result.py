@@ -179,47 +179,36 @@ def note(peak: SpectrumOptimum) -> str:
 
 
 def scatter_limits(peak: SpectrumOptimum) -> tuple[UndetectedScatter, UndetectedScatter]:
-    """Return what would go unseen of light scattered over the shortest and the longest length that are looked at.
+    """Return the undetected scattered light of the smallest and the largest length considered.
 
-    A share q of scattered light changes ln of the power by q d, of which the form takes up what its parameters can.
-    What is left tells q with information I, so that q = sqrt(2 S / I) gains S in ln likelihood. MTF50 is wrong by the
-    slope of the true one with q less that of the fitted one.
+    A share q of scattered light changes ln of the power by q d, part of which the parameters of the form absorb. The
+    remaining part has the information I about q, so that q = sqrt(2 S / I) gains S in ln likelihood. MTF50 is wrong by
+    the slope of the true one with q less that of the fitted one.
     """
-    longest = max(SCATTER_SHARE * peak.problem.spectrum.shorter_px, 2.0 * SCATTER_PX)
-    slopes = _Jacobians(peak)
-    return slopes.limit_at(SCATTER_PX), slopes.limit_at(longest)
+    problem, at = peak.problem, peak.point[None]
+    looks, step, (low, high) = problem.looks, ACCURACY.fraction_step, problem.bounds.T
+    sd = np.minimum(np.sqrt(np.maximum(np.diag(peak.covariance), 1e-30)), 0.2 * (high - low))
+    up = np.minimum(peak.point + np.diag(ACCURACY.derivative_step_sd * sd), high)
+    down = np.maximum(peak.point - np.diag(ACCURACY.derivative_step_sd * sd), low)
+    change = np.diag(up - down)
+    power, half = problem.model(at)[0], _mtf50(peak, at)
+    # Slopes of ln of the power and of MTF50 with the parameters, which lie within their bounds whatever the data.
+    of_power = (np.log(problem.model(up)) - np.log(problem.model(down))) / change[:, None]
+    of_half = (_mtf50(peak, up) - _mtf50(peak, down)) / change
+    normal = (of_power * looks) @ of_power.T + np.diag(12.0 / (high - low) ** 2)
 
-
-class _Jacobians:
-    """Slopes of ln of the power and of MTF50 with a form's parameters, at its peak."""
-
-    def __init__(self, peak: SpectrumOptimum) -> None:
-        self.peak, problem = peak, peak.problem
-        low, high = problem.bounds.T
-        sd = np.minimum(np.sqrt(np.maximum(np.diag(peak.covariance), 1e-30)), 0.2 * (high - low))
-        up = np.minimum(peak.point + np.diag(ACCURACY.derivative_step_sd * sd), high)
-        down = np.maximum(peak.point - np.diag(ACCURACY.derivative_step_sd * sd), low)
-        change = np.diag(up - down)
-        self.power = problem.model(peak.point[None])[0]
-        self.of_power = (np.log(problem.model(up)) - np.log(problem.model(down))) / change[:, None]
-        self.of_half = (_mtf50(peak, up) - _mtf50(peak, down)) / change
-        # A parameter is somewhere within its bounds, whatever the data.
-        self.normal = (self.of_power * problem.looks) @ self.of_power.T + np.diag(12.0 / (high - low) ** 2)
-
-    def limit_at(self, length_px: float) -> UndetectedScatter:
-        """Return what would go unseen of light scattered over a length."""
-        looks, at = self.peak.problem.looks, self.peak.point[None]
-        there = replace(self.peak, problem=_with_scatter(self.peak.problem, length_px))
-        away = (there.problem.model(at)[0] / self.power - 1.0) / ACCURACY.fraction_step
-        pull = self.of_power @ (looks * away)
-        taken_up = np.linalg.solve(self.normal, pull)
-        information = max(float(looks @ away**2 - pull @ taken_up), 1e-9)
+    def limit_at(length_px: float) -> UndetectedScatter:
+        there = replace(peak, problem=_with_scatter(problem, length_px))
+        away = (there.problem.model(at)[0] / power - 1.0) / step
+        pull = of_power @ (looks * away)
+        absorbed = np.linalg.solve(normal, pull)
+        information = max(float(looks @ away**2 - pull @ absorbed), 1e-9)
         share = min(float(np.sqrt(2.0 * SURE / information)), SCATTER_FRACTION[1])
-        half = _mtf50(self.peak, at)
-        lower = ((half - _mtf50(there, at)) / ACCURACY.fraction_step + self.of_half @ taken_up) / half
-        return UndetectedScatter(
-            length_px=length_px, share=share, lower_percent=max(100.0 * share * float(lower[0]), 0.0)
-        )
+        lower = float((((half - _mtf50(there, at)) / step + of_half @ absorbed) / half)[0])
+        return UndetectedScatter(length_px=length_px, share=share, lower_percent=max(100.0 * share * lower, 0.0))
+
+    longest = max(SCATTER_SHARE * problem.spectrum.shorter_px, 2.0 * SCATTER_PX)
+    return limit_at(SCATTER_PX), limit_at(longest)
 
 
 def _with_scatter(problem: SpectrumLikelihood, length_px: float) -> SpectrumLikelihood:
@@ -228,6 +217,6 @@ def _with_scatter(problem: SpectrumLikelihood, length_px: float) -> SpectrumLike
 
 
 def _mtf50(peak: SpectrumOptimum, points: Array) -> Array:
-    """MTF50 along rows at points (n, parameter), cy/px, shape (n,)."""
+    """Return MTF50 along rows at points (n, parameter), cy/px, shape (n,)."""
     ratio = peak.problem.spectrum.pitch_ratio
     return crossing_frequency(FINE, transfer_of(peak, points, FINE, vertical=False, pitch_ratio=ratio), 0.5)

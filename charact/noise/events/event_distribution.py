@@ -241,9 +241,8 @@ def frequencies(values: Images) -> Array:
     # Noise without pulses, and mean of the brightest thousandth.
     noise, bright = max(float(middle - low) / 0.6745, 1e-9), float(sample[places[2] :].mean())
     high = EVENT_ACCURACY.highest_frequency / noise
-    return np.geomspace(
-        min(EVENT_ACCURACY.lowest_frequency / max(bright, 1e-12), 0.25 * high), high, EVENT_ACCURACY.frequencies
-    )
+    low = min(EVENT_ACCURACY.lowest_frequency / max(bright, 1e-12), 0.25 * high)
+    return np.geomspace(low, high, EVENT_ACCURACY.frequencies)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,10 +255,8 @@ class _Blocks:
 
     @classmethod
     def of(cls, good: NDArray[np.bool_], least_depth: int) -> "_Blocks":
-        high, wide = (
-            np.minimum(np.arange(n) // EVENT_ACCURACY.block_px, max(n // EVENT_ACCURACY.block_px, 1) - 1)
-            for n in good.shape[1:]
-        )
+        block = EVENT_ACCURACY.block_px
+        high, wide = (np.minimum(np.arange(n) // block, max(n // block, 1) - 1) for n in good.shape[1:])
         across = int(wide[-1]) + 1
         place = high[:, None] * across + wide
         images = int(place[-1, -1]) + 1
@@ -273,26 +270,25 @@ class _Blocks:
 
     def sums(self, values: Images, frequency: Array) -> tuple[NDArray[np.complex128], Array]:
         """Return sums of exp(i t y) over blocks, shape (block, t), and of y, shape (block,)."""
-        step, half = EVENT_ACCURACY.bin_width / frequency[-1], EVENT_ACCURACY.bins // 2
+        bins = EVENT_ACCURACY.bins
+        step, half = EVENT_ACCURACY.bin_width / frequency[-1], bins // 2
         place = values * np.float32(1.0 / step)
         place += np.float32(half + 0.5)
         # The first and the last bin are summed individually.
-        np.clip(place, 0.0, EVENT_ACCURACY.bins - 0.5, out=place)
+        np.clip(place, 0.0, bins - 0.5, out=place)
         index = place.astype(np.intp)
-        far = (index == 0) | (index == EVENT_ACCURACY.bins - 1)
+        far = (index == 0) | (index == bins - 1)
         index += self.first
         if self.good is not None:
             index, far = index[self.good], far & self.good
-        count = np.bincount(index.ravel(), minlength=len(self.count) * EVENT_ACCURACY.bins).reshape(
-            -1, EVENT_ACCURACY.bins
-        )
+        count = np.bincount(index.ravel(), minlength=len(self.count) * bins).reshape(-1, bins)
         count[:, [0, -1]] = 0
-        centre = step * (np.arange(EVENT_ACCURACY.bins) - half)
+        centre = step * (np.arange(bins) - half)
         # Averaging over a bin lowers a wave by sin(x)/x of half its phase.
         waves = np.exp(1j * np.multiply.outer(centre, frequency)) * np.sinc(0.5 * step * frequency / np.pi)
         number = count.astype(np.float64)
         total, level = np.asarray(number @ waves, np.complex128), number @ centre
-        y, block = values[far].astype(np.float64), self.first[far] // EVENT_ACCURACY.bins
+        y, block = values[far].astype(np.float64), self.first[far] // bins
         np.add.at(total, block, np.exp(1j * np.multiply.outer(y, frequency)))
         np.add.at(level, block, y)
         return total, level
@@ -370,6 +366,5 @@ def blend_covariances(computed: Array, counted: Array) -> Array:
     strong = direction[:, power > EVENT_ACCURACY.strong_direction]
     weak = np.eye(len(unit)) - strong @ strong.T
     rest = weak @ (counted / np.outer(unit, unit)) @ weak
-    return (
-        (strong * power[power > EVENT_ACCURACY.strong_direction]) @ strong.T + EVENT_ACCURACY.block_loss * rest
-    ) * np.outer(unit, unit)
+    kept = (strong * power[power > EVENT_ACCURACY.strong_direction]) @ strong.T
+    return (kept + EVENT_ACCURACY.block_loss * rest) * np.outer(unit, unit)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from charact.noise.events.frames import MIDDLE, DarkFrames, dark_frames, fits_filters, has_pulses
+from charact.noise.events.frames import MIDDLE, dark_frames, fits_filters, has_pulses
 from charact.noise.events.pulse_height_fit import PulseFit, fit_pulses
 from charact.noise.findings import Finding, flags_of, notes_of, provenance
 from charact.noise.gain.series import gain_of
@@ -85,8 +85,6 @@ METHOD = "pulse-law"
 def pulses_of_darks(session: Session, darks: list[StackStatistics], *, context: Context) -> Result:
     """Measure single photoelectrons in the dark frames of an intensified camera.
 
-    `session`, `darks`: the session, and the statistics of its dark stacks.
-
     Returns measurements of the dark stack at the gain of most flats, or else of most frames; empty if neither a sensor
     nor an MCP voltage indicates an intensifier.
     """
@@ -128,96 +126,75 @@ def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context
     if len(stack) < EVENTS.min_frames:
         return f"single photoelectrons need at least {EVENTS.min_frames} dark frames, got {len(stack)}"
     look = dark_frames(stack, context, EVENTS.quick_values)
-    reason = frames_obstacle(look)
-    if reason is not None:
-        return reason
+    rows, cols = look.changes[0].shape[1:]
+    if not fits_filters(look, EVENTS.min_inside_px):
+        return f"exposures of {rows} x {cols} px are too small for the pulse filters"
+    if look.still > EVENTS.max_unchanged:
+        return (
+            "the noise beneath the pulses is smaller than the quantisation step: "
+            f"{100 * look.still:.0f} % of the values do not change between frames, at most "
+            f"{100 * EVENTS.max_unchanged:.0f} % may; use a higher camera gain or at least 10 bits"
+        )
+    if not has_pulses(look):
+        return "no single-photoelectron events detected: filtered pixels are symmetric about their mean"
     period_s, open_s = conditions.exposure_s, _open_s(conditions)
     share = min(1.0, open_s / period_s) if open_s and period_s else 1.0
     try:
         found = fit_pulses(look, dark_frames(stack, context), context, period_s=period_s, open_share=share)
     except np.linalg.LinAlgError:
         return "no pulse-height distribution fits the darks: their bright pixels are not single photoelectrons"
-    return found if isinstance(found, str) else fit_obstacle(found) or found
+    if isinstance(found, str):
+        return found
+    chi2, error = found.peak.chi2 / found.peak.freedom, _relative_sd(found.posterior)
+    for wrong, reason in (
+        (found.gain_of_pulses < EVENTS.min_chi2_gain,
+         f"no single-photoelectron events detected: chi2 improvement {found.gain_of_pulses:.0f}, at least "
+         f"{EVENTS.min_chi2_gain} required"),
+        (found.signal_to_noise < EVENTS.min_snr,
+         f"pulses are hidden by noise: a mean pulse is {found.signal_to_noise:.2g} times the noise of a matched "
+         f"filter, at least {EVENTS.min_snr:g} required"),
+        (chi2 > EVENTS.max_reduced_chi2,
+         f"no pulse-height distribution fits the darks: chi2 per degree of freedom is {chi2:.0f}, at most "
+         f"{EVENTS.max_reduced_chi2:g} may be left"),
+        (error > EVENTS.max_relative_sd,
+         f"the uncertainty of number or height of pulses is {100 * error:.0f} %; take more frames"),
+    ):  # fmt: skip
+        if wrong:
+            return reason
+    return found
 
 
-def frames_obstacle(frames: DarkFrames) -> str | None:
-    """Return why dark frames are not usable, or None."""
-    if not fits_filters(frames, EVENTS.min_inside_px):
-        rows, cols = frames.changes[0].shape[1:]
-        return f"exposures of {rows} x {cols} px are too small for the pulse filters"
-    if frames.still > EVENTS.max_unchanged:
-        return (
-            "the noise beneath the pulses is smaller than the quantisation step: "
-            f"{100 * frames.still:.0f} % of the values do not change between frames, at most "
-            f"{100 * EVENTS.max_unchanged:.0f} % may; use a higher camera gain or at least 10 bits"
-        )
-    if not has_pulses(frames):
-        return "no single-photoelectron events detected: filtered pixels are symmetric about their mean"
-    return None
-
-
-def fit_obstacle(found: PulseFit) -> str | None:
-    """Return why the fit is not a measurement, or None."""
-    if found.gain_of_pulses < EVENTS.min_chi2_gain:
-        return (
-            f"no single-photoelectron events detected: chi2 improvement {found.gain_of_pulses:.0f}, "
-            f"at least {EVENTS.min_chi2_gain} required"
-        )
-    if found.signal_to_noise < EVENTS.min_snr:
-        return (
-            f"pulses are hidden by noise: a mean pulse is {found.signal_to_noise:.2g} times the noise of a "
-            f"matched filter, at least {EVENTS.min_snr:g} required"
-        )
-    if found.peak.chi2 > EVENTS.max_reduced_chi2 * found.peak.freedom:
-        return (
-            "no pulse-height distribution fits the darks: chi2 per degree of freedom is "
-            f"{found.peak.chi2 / found.peak.freedom:.0f}, at most {EVENTS.max_reduced_chi2:g} may be left"
-        )
-    error = max(_relative_sd(found.posterior, name) for name in ("density", "height_dn"))
-    if error > EVENTS.max_relative_sd:
-        return f"the uncertainty of number or height of pulses is {100 * error:.0f} %; take more frames"
-    return None
-
-
-def _relative_sd(posterior: Posterior, name: str) -> float:
-    return float(np.std(np.log(posterior[name])))
+def _relative_sd(posterior: Posterior) -> float:
+    """Return the relative uncertainty of density or height, the larger."""
+    return max(float(np.std(np.log(posterior[name]))) for name in ("density", "height_dn"))
 
 
 def pulse_findings(found: PulseFit) -> list[Finding]:
     """Return the findings of a pulse fit."""
-    best, frames, out = found.peak.pulses, found.frames, list[Finding]()
-    out.append(Finding(None, f"the detection probability p is not measurable in darks: {_HOW_P}"))
-    if found.signal_to_noise < EVENTS.low_snr:
-        out.append(Finding("low-signal", f"a mean pulse is {found.signal_to_noise:.2g} times the filtered noise"))
-    count = best.density * found.observed.pixels
-    error = max(_relative_sd(found.posterior, name) for name in ("density", "height_dn"))
-    if count < EVENTS.few_events or error > EVENTS.high_relative_sd:
-        out.append(
-            Finding("too-few-frames", f"{count:.0f} events: the uncertainty of number or height is {100 * error:.0f} %")
-        )
-    if best.noise_dn2 < QUANTISED_DN2:
-        out.append(Finding("quantised", f"the noise beneath the pulses is {np.sqrt(best.noise_dn2):.2g} DN"))
-    if frames.full > EVENTS.clipped_fraction:
-        out.append(Finding("clipped", f"{100 * frames.full:.0f} % of the brightest values are at full scale"))
-    if frames.defects > EVENTS.blinking_fraction:
-        out.append(Finding("defects", f"{100 * frames.defects:.1f} % of the pixels are blinking"))
-    if found.peak.chance < EVENTS.min_p_value:
-        out.append(
-            Finding(
-                "model-misfit", f"residuals of the pulse fit have chi2 {found.peak.chi2:.0f} of {found.peak.freedom}"
-            )
-        )
-    if found.fraction_contaminated > EVENTS.contaminated_fraction:
-        out.append(
-            Finding(
-                "model-misfit", f"{100 * found.fraction_contaminated:.0f} % of the values are near ion feedback events"
-            )
-        )
-    if len(found.ion_height_dn):
-        size = float(np.mean(found.ion_height_dn)) / best.height_dn
-        rate = len(found.ion_height_dn) / sum(change.size for change in frames.changes)
-        apart = f"{len(found.ion_height_dn)} ion feedback events, {rate:.2g} per pixel and exposure"
-        out.append(Finding(None, f"{apart}, of {size:.0f} mean pulses each, are excluded"))
+    best, frames, ions = found.peak.pulses, found.frames, found.ion_height_dn
+    count, error = best.density * found.observed.pixels, _relative_sd(found.posterior)
+    size = float(np.mean(ions)) / best.height_dn if len(ions) else 0.0
+    rate = len(ions) / sum(change.size for change in frames.changes)
+    checks = (
+        (True, None, f"the detection probability p is not measurable in darks: {_HOW_P}"),
+        (found.signal_to_noise < EVENTS.low_snr, "low-signal",
+         f"a mean pulse is {found.signal_to_noise:.2g} times the filtered noise"),
+        (count < EVENTS.few_events or error > EVENTS.high_relative_sd, "too-few-frames",
+         f"{count:.0f} events: the uncertainty of number or height is {100 * error:.0f} %"),
+        (best.noise_dn2 < QUANTISED_DN2, "quantised",
+         f"the noise beneath the pulses is {np.sqrt(best.noise_dn2):.2g} DN"),
+        (frames.full > EVENTS.clipped_fraction, "clipped",
+         f"{100 * frames.full:.0f} % of the brightest values are at full scale"),
+        (frames.defects > EVENTS.blinking_fraction, "defects",
+         f"{100 * frames.defects:.1f} % of the pixels are blinking"),
+        (found.peak.chance < EVENTS.min_p_value, "model-misfit",
+         f"residuals of the pulse fit have chi2 {found.peak.chi2:.0f} of {found.peak.freedom}"),
+        (found.fraction_contaminated > EVENTS.contaminated_fraction, "model-misfit",
+         f"{100 * found.fraction_contaminated:.0f} % of the values are near ion feedback events"),
+        (len(ions) > 0, None, f"{len(ions)} ion feedback events, {rate:.2g} per pixel and exposure, of {size:.0f} mean "
+                              "pulses each, are excluded"),
+    )  # fmt: skip
+    out = [Finding(flag, note) for seen, flag, note in checks if seen]
     return out + [Finding(flag, "see the posterior") for flag in found.posterior.flags]
 
 
@@ -226,16 +203,30 @@ _HOW_P = "take a flat at known illuminance: it gives k, and p = k / pulse height
 
 def _measurements(found: PulseFit, conditions: Conditions, context: Context, fields: dict[str, Any]
                   ) -> list[Measurement]:  # fmt: skip
-    """Return the quantities of a pulse fit."""
+    """Return the quantities of a pulse fit, with the EBI: dark photoelectrons per second and pixel, and equivalent
+    illumination."""
     posterior = found.posterior
     rng = np.random.default_rng([context.seed, 7])
     height, spread = posterior["height_dn"], posterior["relative_variance"]
     detected, note = detection(context, rng, len(height))
     out = [measurement_from_draws("detected_photoelectron_gain", "DN", height, posterior=posterior, **fields)]
-    with_note = {**fields, "notes": (*fields["notes"], note)}
-    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", detected * height, **with_note))
-    out.append(measurement_from_draws("excess_noise_factor", "1", (1.0 + spread) / detected, **with_note))
-    return out + _background(posterior["density"] / detected, conditions, context, rng, with_note)
+    own = {**fields, "notes": (*fields["notes"], note)}
+    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", detected * height, **own))
+    out.append(measurement_from_draws("excess_noise_factor", "1", (1.0 + spread) / detected, **own))
+    density, open_s = posterior["density"] / detected, _open_s(conditions)
+    if not open_s:
+        reason = (
+            f"{np.median(density):.3g} photoelectrons per pixel and exposure: their rate needs the exposure_s or "
+            "gate_ns of the darks"
+        )
+        del own["flags"]
+        return [*out, make_refusal("ebi", "pe/s/px", reason, **own)]
+    rate = density / open_s
+    out.append(measurement_from_draws("ebi", "pe/s/px", rate, **own))
+    if context.sensor is not None:
+        lux = rate / photoelectrons_per_lux_s(context, rng, len(rate))
+        out.append(measurement_from_draws("ebi", "lm/cm2", 1e-4 * lux, **own))
+    return out
 
 
 def detection(context: Context, rng: np.random.Generator, count: int) -> tuple[Array, str]:
@@ -244,30 +235,10 @@ def detection(context: Context, rng: np.random.Generator, count: int) -> tuple[A
         low, high = EVENTS.detection_range
         return rng.uniform(low, high, count), f"without a sensor description, p is assumed between {low:g} and {high:g}"
     stated = context.sensor.microchannel_plate.detection_probability
-    return np.minimum(
-        lognormal_draws(stated, rng, count), 1.0
-    ), f"p from the sensor description, {float(stated):.2g}, within its range"
+    note = f"p from the sensor description, {float(stated):.2g}, within its range"
+    return np.minimum(lognormal_draws(stated, rng, count), 1.0), note
 
 
 def _open_s(conditions: Conditions) -> float | None:
     """Return the open time of one exposure, s."""
     return conditions.exposure_s if conditions.gate_ns is None else conditions.gate_ns * 1e-9
-
-
-def _background(density: Array, conditions: Conditions, context: Context, rng: np.random.Generator,
-                fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
-    """Return the EBI: dark photoelectrons per second and pixel, and the equivalent illumination."""
-    open_s = _open_s(conditions)
-    if not open_s:
-        reason = (
-            f"{np.median(density):.3g} photoelectrons per pixel and exposure: "
-            "their rate needs the exposure_s or gate_ns of the darks"
-        )
-        plain = {key: value for key, value in fields.items() if key != "flags"}
-        return [make_refusal("ebi", "pe/s/px", reason, **plain)]
-    rate = density / open_s
-    out = [measurement_from_draws("ebi", "pe/s/px", rate, **fields)]
-    if context.sensor is not None:
-        lux = rate / photoelectrons_per_lux_s(context, rng, len(rate))
-        out.append(measurement_from_draws("ebi", "lm/cm2", 1e-4 * lux, **fields))
-    return out

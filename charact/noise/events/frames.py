@@ -33,10 +33,8 @@ class Filter:
     @cached_property
     def columns(self) -> NDArray[np.float64]:
         """Weights along a row; their sum is zero."""
-        side, gap = (
-            np.full(EVENT_ACCURACY.background_px, -self.broad / (2.0 * EVENT_ACCURACY.background_px)),
-            np.zeros(EVENT_ACCURACY.gap_px),
-        )
+        far, gap = EVENT_ACCURACY.background_px, np.zeros(EVENT_ACCURACY.gap_px)
+        side = np.full(far, -self.broad / (2.0 * far))
         return np.concatenate([side, gap, np.ones(self.broad), gap, side])
 
     @property
@@ -57,37 +55,25 @@ class Filter:
         """
         rows, cols = change.shape[1] - 2 * reach[0], change.shape[2] - 2 * reach[1]
         top, left = reach[0] - self.reach[0], reach[1] - self.reach[1]
-        strip = _box_sum(change, self.high, top, rows)
-        side, middle, right = (
-            left,
-            left + EVENT_ACCURACY.background_px + EVENT_ACCURACY.gap_px,
-            left + EVENT_ACCURACY.background_px + 2 * EVENT_ACCURACY.gap_px + self.broad,
-        )
+        strip = change[:, top : top + rows]
+        for shift in range(1, self.high):
+            strip = strip + change[:, top + shift : top + shift + rows]
         total = np.zeros((*strip.shape[:2], strip.shape[2] + 1), np.float32)
         np.cumsum(strip, axis=2, out=total[..., 1:])
-        out = (
-            total[..., side + EVENT_ACCURACY.background_px : side + EVENT_ACCURACY.background_px + cols]
-            - total[..., side : side + cols]
-        )
-        out += total[..., right + EVENT_ACCURACY.background_px : right + EVENT_ACCURACY.background_px + cols]
-        out -= total[..., right : right + cols]
-        out *= np.float32(-self.broad / (2.0 * EVENT_ACCURACY.background_px))
-        out += total[..., middle + self.broad : middle + self.broad + cols]
-        out -= total[..., middle : middle + cols]
+        far, gap = EVENT_ACCURACY.background_px, EVENT_ACCURACY.gap_px
+
+        def box(start: int, width: int) -> Images:
+            return total[..., start + width : start + width + cols] - total[..., start : start + cols]
+
+        out = box(left, far) + box(left + far + 2 * gap + self.broad, far)
+        out *= np.float32(-self.broad / (2.0 * far))
+        out += box(left + far + gap, self.broad)
         return out if len(self.times) == 1 else self.through_time(out)
 
     def through_time(self, still: Images) -> Images:
         """Return the weighted sum over successive exposures of box-filtered images."""
         count = len(still) - len(self.times) + 1
         return sum(np.float32(w) * still[i : i + count] for i, w in enumerate(self.times))  # type: ignore[return-value]
-
-
-def _box_sum(change: Images, high: int, top: int, rows: int) -> Images:
-    """Return sums of `high` rows starting at each of `rows` rows from `top`."""
-    out = change[:, top : top + rows]
-    for shift in range(1, high):
-        out = out + change[:, top + shift : top + shift + rows]
-    return out
 
 
 def common_reach(filters: Sequence[Filter]) -> tuple[int, int]:
@@ -143,12 +129,8 @@ def _transfer(spot: PulseSpread, sides: tuple[int, int]) -> Array:
     squares, distance, pixel = _plane(spot.row_pitch, sides)
     gauss = spot.column_px**2 * squares[1] + spot.row_px**2 * squares[0]
     # Negative wings, tried by a fit, must not overflow.
-    return (
-        np.exp(
-            np.minimum(-2.0 * np.pi**2 * gauss - spot.wings * distance**spot.exponent, EVENT_ACCURACY.max_log_transfer)
-        )
-        * pixel
-    )
+    log_transfer = -2.0 * np.pi**2 * gauss - spot.wings * distance**spot.exponent
+    return np.exp(np.minimum(log_transfer, EVENT_ACCURACY.max_log_transfer)) * pixel
 
 
 @lru_cache(maxsize=8)
@@ -161,8 +143,9 @@ def _plane(row_pitch: float, sides: tuple[int, int]) -> tuple[tuple[Array, Array
 
 @lru_cache(maxsize=8)
 def _frequencies(sides: tuple[int, int]) -> tuple[Array, Array]:
-    fy = np.fft.fftfreq(EVENT_ACCURACY.steps_per_px * sides[0])[:, None] * EVENT_ACCURACY.steps_per_px
-    fx = np.fft.rfftfreq(EVENT_ACCURACY.steps_per_px * sides[1])[None, :] * EVENT_ACCURACY.steps_per_px
+    fine = EVENT_ACCURACY.steps_per_px
+    fy = np.fft.fftfreq(fine * sides[0])[:, None] * fine
+    fx = np.fft.rfftfreq(fine * sides[1])[None, :] * fine
     return np.asarray(fy, np.float64), np.asarray(fx, np.float64)
 
 
@@ -189,17 +172,14 @@ def responses(one: Filter, spot: PulseSpread, line: tuple[float, ...] = (1.0,)) 
 
 @lru_cache(maxsize=512)
 def _responses(one: Filter, spot: PulseSpread, line: tuple[float, ...]) -> tuple[Array, Array]:
-    sides = _sides(one)
+    sides, fine = _sides(one), EVENT_ACCURACY.steps_per_px
     # Filters and spots are symmetric along columns: one half counts twice, its borders once.
-    half = EVENT_ACCURACY.steps_per_px * sides[0] // 2 + 1
-    transfer = _transfer(spot, sides) * _weights(one, line)
-    whole = np.fft.irfft2(transfer, s=(EVENT_ACCURACY.steps_per_px * sides[0], EVENT_ACCURACY.steps_per_px * sides[1]))[
-        :half
-    ]
+    half = fine * sides[0] // 2 + 1
+    whole = np.fft.irfft2(_transfer(spot, sides) * _weights(one, line), s=(fine * sides[0], fine * sides[1]))[:half]
     once = np.full(half, 2.0)
     once[[0, -1]] = 1.0
-    weight = np.broadcast_to(once[:, None], whole.shape) / EVENT_ACCURACY.steps_per_px**2
-    return quantise_amplitudes(whole.ravel() * EVENT_ACCURACY.steps_per_px**2, weight.ravel())
+    weight = np.broadcast_to(once[:, None], whole.shape) / fine**2
+    return quantise_amplitudes(whole.ravel() * fine**2, weight.ravel())
 
 
 def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
@@ -208,16 +188,13 @@ def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
     Each value is assigned to the three nearest nodes by quadratic interpolation (some weights are negative). Nodes are
     proportional to squared integers; small values use the three around zero.
     """
-    top = float(np.abs(value).max())
-    place = np.sqrt(np.abs(value) / top) * EVENT_ACCURACY.nodes
-    nodes = (
-        top
-        * (np.arange(-EVENT_ACCURACY.nodes - 1, EVENT_ACCURACY.nodes + 2) / EVENT_ACCURACY.nodes) ** 2
-        * np.sign(np.arange(-EVENT_ACCURACY.nodes - 1, EVENT_ACCURACY.nodes + 2))
-    )
+    top, count = float(np.abs(value).max()), EVENT_ACCURACY.nodes
+    place = np.sqrt(np.abs(value) / top) * count
+    grid = np.arange(-count - 1, count + 2)
+    nodes = top * (grid / count) ** 2 * np.sign(grid)
     far = place > 1.5
     small, small_weight = value[~far], weight[~far]
-    zero, unit = EVENT_ACCURACY.nodes + 1, nodes[EVENT_ACCURACY.nodes + 2]
+    zero, unit = count + 1, nodes[count + 2]
     out = np.zeros(len(nodes))
     first, second = float(small_weight @ small) / unit, float(small_weight @ small**2) / unit**2
     out[zero - 1 : zero + 2] = 0.5 * (second - first), float(small_weight.sum()) - second, 0.5 * (second + first)
@@ -275,10 +252,11 @@ def dark_frames(stack: FrameStack, context: Context, most_values: int = EVENTS.m
         change[:, flickering] = 0.0
         bad, pixels = bad + int(flickering.sum()), pixels + flickering.size
         changes.append(change)
-    full_scale_dn = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    top = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    # Fraction at full scale of the brightest thousandth of the values.
+    full = 0.0 if top is None else float(np.mean(middle.data >= top)) / 1e-3
     return DarkFrames(changes=tuple(changes), stride=len(changes), row_pitch=context.pitch_ratio * row_step,
-                      defects=bad / pixels, still=float(np.mean(still)), full=_full(middle.data, full_scale_dn)
-                      )  # fmt: skip
+                      defects=bad / pixels, still=float(np.mean(still)), full=full)  # fmt: skip
 
 
 def _middle(stack: FrameStack, frames: int, most_values: int) -> FrameStack:
@@ -311,13 +289,6 @@ def _flickering(change: Images) -> NDArray[np.bool_]:
     return suspect
 
 
-def _full(data: NDArray, full_scale_dn: float | None) -> float:
-    """Return the fraction at full scale of the brightest thousandth of the values."""
-    if full_scale_dn is None:
-        return 0.0
-    return float(np.mean(data >= full_scale_dn)) / 1e-3
-
-
 def filter_exposures(frames: DarkFrames) -> list[Array]:
     """Return the exposures of each parity filtered for a small spot."""
     one = frames.filters(1, lag=False)[MIDDLE]
@@ -332,19 +303,14 @@ def has_pulses(frames: DarkFrames) -> bool:
         out.append(float(np.mean(value > EVENTS.outlier_sd * noise)))
         limit = 20.0 * noise
         cubes = np.clip(value, -limit, limit) ** 3
-        rows, cols = (
-            size // EVENT_ACCURACY.skewness_block_px * EVENT_ACCURACY.skewness_block_px for size in cubes.shape[1:]
-        )
-        blocks = cubes[:, :rows, :cols].reshape(
-            len(cubes), rows // EVENT_ACCURACY.skewness_block_px, EVENT_ACCURACY.skewness_block_px,
-            cols // EVENT_ACCURACY.skewness_block_px, EVENT_ACCURACY.skewness_block_px,
-        )  # fmt: skip
+        side = EVENT_ACCURACY.skewness_block_px
+        rows, cols = (size // side for size in cubes.shape[1:])
+        blocks = cubes[:, : rows * side, : cols * side].reshape(len(cubes), rows, side, cols, side)
         parts.append(blocks.sum(axis=(2, 4)).ravel())
     total = np.concatenate(parts)
     # Bright pulses have negative sides, and few of them give no significant skewness.
-    return max(out) > EVENTS.outlier_fraction or float(total.mean()) > EVENTS.skewness_sd * float(
-        total.std()
-    ) / np.sqrt(len(total))
+    skewed = float(total.mean()) > EVENTS.skewness_sd * float(total.std()) / np.sqrt(len(total))
+    return max(out) > EVENTS.outlier_fraction or skewed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -117,11 +117,8 @@ class PulseLikelihood:
         """Return the derivatives of the model by inward steps, shape (value, parameter)."""
         columns = []
         for index in range(len(point)):
-            step = (
-                EVENT_ACCURACY.derivative_step
-                if point[index] + EVENT_ACCURACY.derivative_step < self.walls[index, 1]
-                else -EVENT_ACCURACY.derivative_step
-            )
+            size = EVENT_ACCURACY.derivative_step
+            step = size if point[index] + size < self.walls[index, 1] else -size
             moved = point.copy()
             moved[index] += step
             columns.append((self.model(moved) - at) / step)
@@ -140,12 +137,8 @@ def whitening(observed: CharacteristicFunctionData, covariance: Array) -> Array:
     count, times = observed.frequency.shape
     real, imaginary = np.abs(observed.value).reshape(2, count, times)
     balanced = np.array([abs(sum(one.times)) < 1e-9 for one in observed.filters])[:, None]
-    unknown = np.stack(
-        [
-            EVENT_ACCURACY.model_relative_sd * real,
-            np.where(balanced, real, EVENT_ACCURACY.model_relative_sd * imaginary),
-        ]
-    )
+    share = EVENT_ACCURACY.model_relative_sd
+    unknown = np.stack([share * real, np.where(balanced, real, share * imaginary)])
     covariance = covariance + np.diag(unknown.ravel() ** 2 + 1e-24)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), np.float64)
 
@@ -190,6 +183,7 @@ def optimise_pulses(
         return np.concatenate([root @ (predicted - problem.observed.value), (point - mean) * precision])
 
     point, damping = problem.point(start), 1e-3
+    enough = EVENT_ACCURACY.rough_chi2_tolerance if rough else EVENT_ACCURACY.chi2_tolerance
     predicted = problem.model(point)
     fresh = derivative is None
     derivative = problem.derivative(point, predicted) if derivative is None else derivative
@@ -204,12 +198,9 @@ def optimise_pulses(
         if gain > EVENT_ACCURACY.chi2_tolerance:
             derivative = derivative + np.outer(reached - predicted - derivative @ way, way) / (way @ way)
             point, predicted, at, damping, fresh = moved, reached, there, damping / 5.0, False
-        elif not fresh and not (rough and abs(gain) < EVENT_ACCURACY.rough_chi2_tolerance):
+        elif not fresh and not (rough and abs(gain) < enough):
             derivative, fresh = problem.derivative(point, predicted), True
-        elif (
-            abs(gain) <= (EVENT_ACCURACY.rough_chi2_tolerance if rough else EVENT_ACCURACY.chi2_tolerance)
-            or damping > 1e4
-        ):
+        elif abs(gain) <= enough or damping > 1e4:
             break
         else:
             damping *= 10.0
@@ -462,11 +453,7 @@ def _ion_limit(frames: DarkFrames, fit: _Fit) -> float:
     pulses, changes = fit.peak.pulses, frames.changes
     shape = 1.0 / pulses.relative_variance
     events = max(pulses.density * sum(change.size for change in changes), 10.0)
-    limit = (
-        float(gammainccinv(shape, EVENTS.rare_pulses / events))
-        / shape
-        * pulses.height_dn
-        * _response(fit.middle, pulses)
-    )
+    rare = float(gammainccinv(shape, EVENTS.rare_pulses / events)) / shape
+    limit = rare * pulses.height_dn * _response(fit.middle, pulses)
     # Without pulses the noise sets the limit.
     return max(limit, EVENTS.min_ion_sd * spread(fit.middle.within(changes[0], fit.middle.reach)))

@@ -237,12 +237,13 @@ def correlation_findings(neighbours: UndetectedEffect, exposures: UndetectedEffe
 
 
 def _stationarity_findings(series: FlatSeries) -> list[Finding]:
+    """Return findings of drift and flicker."""
     found: list[Finding] = []
-    for flat, signal in zip(series.flats, series.signal_dn, strict=True):
+    for flat, signal in zip(series.flats, np.abs(series.signal_dn), strict=True):
         drift, flicker = drift_and_flicker(flat)
-        if abs(drift) > CHECKS.drift_fraction * abs(signal):
+        if abs(drift) > CHECKS.drift_fraction * signal:
             found.append(Finding("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame"))
-        if flicker > CHECKS.flicker_fraction * abs(signal):
+        if flicker > CHECKS.flicker_fraction * signal:
             found.append(Finding("flicker", f"{flat.label} flickers by {flicker:.3g} DN rms"))
     return found
 

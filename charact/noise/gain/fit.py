@@ -14,6 +14,7 @@ from charact.noise.gain.white_floor import integrals
 from charact.noise.thresholds import GAIN, GAIN_PRIORS
 from charact.posterior import find_maximum, importance_sample, laplace
 from charact.posterior.importance import ENOUGH, FIRST_DRAWS
+from charact.posterior.least_squares import ln_evidence
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -152,11 +153,10 @@ def _form_optimum(data: SpectrumData, form: GainBlurModel, begin: Array) -> Gain
     point, covariance = find_maximum(log_probability, form.part(begin), form.bounds)
     rest = (data.measured - data.model_values(form.whole(point[None]))[0]) @ data.whitened
     chi2, freedom = float(rest @ rest), len(rest) - len(point)
-    height = float(log_probability(point[None])[0])
-    _, volume = np.linalg.slogdet(2.0 * np.pi * covariance)
+    evidence = ln_evidence(float(log_probability(point[None])[0]), covariance)
     return GainSpectrumOptimum(form=form, point=point, covariance=covariance, log_probability=log_probability,
-                log_evidence=height + 0.5 * float(volume), chi2=chi2, freedom=freedom,
-                chance=float(chi_squared.sf(chi2, freedom)))  # fmt: skip
+                               log_evidence=evidence, chi2=chi2, freedom=freedom,
+                               chance=float(chi_squared.sf(chi2, freedom)))  # fmt: skip
 
 
 def _log_probability(data: SpectrumData, form: GainBlurModel) -> Callable[[Array], Array]:
@@ -174,10 +174,7 @@ def _log_probability(data: SpectrumData, form: GainBlurModel) -> Callable[[Array
 
 
 def fit_spectrum(summary: PooledNoise, *, seed: int, quick: bool, forms: tuple[GainBlurModel, ...]) -> Fit:
-    """Fit the blur models to the pooled spectrum, variance and temporal correlation.
-
-    `summary`: the statistics; `forms`: candidate blur models, averaged by evidence; see `charact.noise.gain.model`.
-    """
+    """Fit the blur models to the pooled spectrum, variance and temporal correlation."""
     radius = np.hypot(summary.column_cy_per_px, summary.row_cy_per_px)
     for reach in GAIN.band_limits_cy_per_px:
         used = radius <= reach

@@ -55,8 +55,6 @@ def waves(length: int) -> Array:
 def contrasts(stack: LazyStack | FrameStack, *, interlaced: bool) -> Contrasts:
     """Read a stack once, in groups of frames, and return its contrasts.
 
-    `stack`: at least two frames; `interlaced`: whether frames are interlaced: each field is then a separate cube.
-
     The first frame is subtracted from all frames, which removes the fixed pattern, so that single precision suffices
     for the squares.
     """

@@ -190,8 +190,6 @@ def line_fit(x: Array, y: Array, sd: Array) -> Array:
 def line_departure(x: Array, y: Array, sd: Array) -> tuple[float, float] | None:
     """Return the largest deviation of the best parabola from its best line, and its standard error; None for two
     settings.
-
-    `x`: positions, of unit span; `y`, `sd`: ln gain and standard errors, shape (setting,).
     """
     if len(x) < 3:
         return None
@@ -228,8 +226,6 @@ class SweepResponsivity:
 
 def response_of(settings: tuple[SweepSetting, ...], x: Array, *, seed: int, quick: bool) -> SweepResponsivity:
     """Fit signal against light jointly at all settings.
-
-    `settings`: settings with known light at every level; `x`: their positions on the axis of the sweep.
 
     ln(S/E) = a + b x_i + d_i + ln(1 - S/S_s) + e_ij, with normal deviations d of settings and e of levels of unknown
     standard deviations. Levels of one setting have d in common.

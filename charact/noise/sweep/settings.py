@@ -71,24 +71,24 @@ def setting_of(flats: list[StackStatistics], knob: GainControl) -> list[tuple[fl
 def repeatable_value(conditions: Conditions, name: str) -> float | None:
     """Return a setting rounded to its repeatability."""
     value = getattr(conditions, name)
-    if value is None or value == 0:
+    if not value:
         return value
-    step = SWEEP.same_setting_db if name == "camera_gain_db" else SWEEP.same_setting
-    return round(value / step if name == "camera_gain_db" else float(np.log(abs(value))) / step)
+    if name == "camera_gain_db":
+        return round(value / SWEEP.same_setting_db)
+    return round(float(np.log(abs(value))) / SWEEP.same_setting)
 
 
 def _by_value(flats: list[StackStatistics], knob: GainControl) -> list[tuple[float, list[StackStatistics]]]:
     """Return the flats grouped by value within its repeatability, with the mean value."""
-    groups: list[list[StackStatistics]] = []
-    last = None
+    groups: list[tuple[list[float], list[StackStatistics]]] = []
     for flat in sorted(flats, key=lambda level: getattr(level.conditions, knob.name)):
         value = getattr(flat.conditions, knob.name)
         same = SWEEP.same_setting_db if knob.unit == "dB" else SWEEP.same_setting * abs(value)
-        if last is None or value - last > same:
-            groups.append([])
-        groups[-1].append(flat)
-        last = value
-    return [(float(np.mean([getattr(flat.conditions, knob.name) for flat in own])), own) for own in groups]
+        if not groups or value - groups[-1][0][-1] > same:
+            groups.append(([], []))
+        groups[-1][0].append(value)
+        groups[-1][1].append(flat)
+    return [(float(np.mean(values)), own) for values, own in groups]
 
 
 # Flags of a single series that do not apply to the joint fit.
@@ -156,15 +156,14 @@ class Sweep:
 
 
 def sweep_of(darks: list[StackStatistics], flats: list[StackStatistics], *, context: Context) -> Sweep | None:
-    """Return the gain sweep of flats; None if no control was varied, or the images are too small.
-
-    `darks`, `flats`: stack statistics with spectra.
-    """
+    """Return the gain sweep of flats; None if no control was varied, or the images are too small."""
     found = [(knob, setting_of(flats, knob)) for knob in KNOBS]
     knob, groups = max(found, key=lambda entry: len(entry[1]))
     if len(groups) < 2 or min(len(level.bins.modes) for level in (*darks, *flats)) < GAIN.min_bins:
         return None
-    gains, sentences = [], _not_of(groups, flats, knob)
+    here = {flat.label for _, own in groups for flat in own}
+    rest = [flat.label for flat in flats if flat.label not in here]
+    gains, sentences = [], [f"excluded from the sweep of the {knob.words}: {', '.join(rest)}"] if rest else []
     for value, own in groups:
         series = series_of_one_gain(sorted(own, key=lambda level: level.mean_dn), darks)
         reason = gain_obstacle(series)
@@ -180,15 +179,6 @@ def sweep_of(darks: list[StackStatistics], flats: list[StackStatistics], *, cont
     return Sweep(knob=knob, settings=tuple(settings), main=float(main or 0.0), left_out=tuple(sentences))
 
 
-def _not_of(
-    groups: list[tuple[float, list[StackStatistics]]], flats: list[StackStatistics], knob: GainControl
-) -> list[str]:
-    """Return the note on flats outside the sweep."""
-    here = {flat.label for _, own in groups for flat in own}
-    rest = [flat.label for flat in flats if flat.label not in here]
-    return [f"excluded from the sweep of the {knob.words}: {', '.join(rest)}"] if rest else []
-
-
 def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, context: Context) -> SweepSetting:
     """Return the statistics of one setting."""
     series = one.series
@@ -202,13 +192,23 @@ def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, c
         np.sqrt(max(gain * signal, 0.0) + 2.0 * series.darks[i].variance_dn2) / np.sqrt(flat.pixels * flat.frames)
         for i, flat, gain, signal in zip(chosen, flats, covariance, series.signal_dn[chosen], strict=True)
     ]
-    own = [dark for dark in series.darks if series.reference == "dark" and _is_dark_of(dark, flats[0], knob)]
-    own = [dark for dark in own if dark.variance_dn2 > 0]
+    # Darks of the same setting, as far as stated.
+    alike = (None, repeatable_value(flats[0].conditions, knob.name))
+    own = [dark for dark in series.darks if series.reference == "dark" and dark.variance_dn2 > 0
+           and repeatable_value(dark.conditions, knob.name) in alike]  # fmt: skip
     dark = min(own, key=lambda level: level.conditions.exposure_s or 0.0) if own else None
+    found = [entry for entry in series_findings(series) if entry.flag not in OF_ONE_SERIES] + one.findings()
+    findings = [Finding(entry.flag, f"at {knob.text(value)}: {entry.note}") for entry in found if entry.flag]
+    gain = carried.posterior["covariance_gain"]
+    if white:
+        # The slope of the photon transfer curve.
+        tube = has_intensifier([flat.conditions for flat in series.flats], context)
+        allowance = allowance_of(one.neighbours, one.exposures, tube=tube)
+        gain = emva1288.gain_line(series, context=replace(context, quick=True), allowance=allowance).slope
     setting = SweepSetting(
         value=value,
         labels=tuple(flat.label for flat in flats),
-        gain_dn=_white_gain(one, context) if white else carried.posterior["covariance_gain"],
+        gain_dn=gain,
         log_variance=float(np.log(max(one.summary.variance_dn, 1e-12)) + np.median(log_carried)),
         log_variance_sd=float(
             np.hypot(one.summary.variance_sd_dn / max(one.summary.variance_dn, 1e-12), np.std(log_carried))
@@ -228,7 +228,7 @@ def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, c
         dark_variance_dn2=None if dark is None else dark.variance_dn2,
         dark_variance_sd_dn2=0.0 if dark is None else dark.variance_sd_dn2,
         dark=None if dark is None else dark.label,
-        findings=tuple(_findings(one, value, knob, context)),
+        findings=tuple(findings),
     )
     least = min(level.variance_dn2 for level in (*series.darks, *flats))
     share = quantisation_fraction(series, one.summary)
@@ -243,26 +243,6 @@ def _with_quantisation(s: SweepSetting, share: float, least_dn2: float, knob: Ga
         s, unsure_dn=share * float(np.exp(s.log_variance)), log_variance_sd=float(np.hypot(s.log_variance_sd, share)),
         findings=(*s.findings, *found),
     )  # fmt: skip
-
-
-def _is_dark_of(dark: StackStatistics, flat: StackStatistics, knob: GainControl) -> bool:
-    """Return whether a dark was taken at a flat's setting, as far as stated."""
-    value = getattr(dark.conditions, knob.name)
-    return value is None or repeatable_value(dark.conditions, knob.name) == repeatable_value(flat.conditions, knob.name)
-
-
-def _white_gain(one: SingleSetting, context: Context) -> Array:
-    """Return draws of the slope of the photon transfer curve."""
-    tube = has_intensifier([flat.conditions for flat in one.series.flats], context)
-    allowance = allowance_of(one.neighbours, one.exposures, tube=tube)
-    return emva1288.gain_line(one.series, context=replace(context, quick=True), allowance=allowance).slope
-
-
-def _findings(one: SingleSetting, value: float, knob: GainControl, context: Context) -> list[Finding]:
-    """Return the flagged findings of a setting, with the setting named."""
-    found = [entry for entry in series_findings(one.series) if entry.flag not in OF_ONE_SERIES]
-    found += one.findings()
-    return [Finding(flag, f"at {knob.text(value)}: {one.note}") for one in found if (flag := one.flag) is not None]
 
 
 def _light(flats: list[StackStatistics]) -> tuple[Array | None, str]:

@@ -40,10 +40,7 @@ class Knee:
 
 
 def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> Knee | str:
-    """Return the knee of a sweep, or the reason for refusal.
-
-    `settings`: settings, some with darks; `law`: law of the covariance gain.
-    """
+    """Return the knee of a sweep, or the reason for refusal."""
     rng = np.random.default_rng([seed, 9])
     dark = {s.dark: i for i, s in enumerate(settings) if s.dark_variance_dn2 is not None}
     if not dark:
@@ -174,8 +171,6 @@ ABSOLUTE = "absolute F2 needs a known illumination or the pulse heights of singl
 @with_timing
 def gain_sweep(darks: list[StackStatistics], flats: list[StackStatistics], *, context: Context) -> Result:
     """Return the quantities of a gain sweep; none if the gain was not varied.
-
-    `darks`, `flats`: stack statistics of a session with spectra.
 
     Returns gain law, knee of read noise and scintillation, MCP saturation, relative excess noise of each setting; gain,
     blur factor, read noise and responsivity of each setting, whose `stack` is its brightest flat.

@@ -146,13 +146,6 @@ def test_what_few_levels_leave_open_of_the_response_is_in_the_interval(pulses, s
     assert low[0.0].status == "ok" and low[0.0].value == pytest.approx(0.5, rel=0.02)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_two_levels_show_a_bend(pulses, series, seed, method):
-    camera = pulses(gain_dn=0.0, electron_gain_dn=0.5, bend_per_dn=0.15 / 600.0)
-    session = series(camera, np.random.default_rng(seed), (600.0, 1200.0))
-    assert "nonlinear" in noise.measure(session, method=method, context=QUICK).find("system_gain")[0].flags
-
-
 def test_saturation_that_no_flat_reaches_is_refused(pulses, series, seed):
     result = noise.measure(series(pulses(), np.random.default_rng(seed), LEVELS, frames=4), context=QUICK)
     (saturation,) = result.find("saturation")
@@ -205,15 +198,6 @@ def test_darks_alone_give_read_noise_and_blur_factor(in_memory, seed):
         assert result.find("covariance_gain")[0].status == "refused"
 
 
-def test_a_level_of_another_gain_stands_out(pulses, series, in_memory, seed):
-    rng = np.random.default_rng(seed)
-    session = series(pulses(), rng, LEVELS, frames=6)
-    other = pulses(gain_dn=60.0).frames(rng, 13.0, 6)
-    stacks = [(s.label, s.kind, s.read(), Conditions()) for s in session.stacks]
-    odd = in_memory([*stacks, ("odd", "flat", other, Conditions())])
-    assert "model-misfit" in gain_of(noise.measure(odd, context=QUICK)).flags
-
-
 def test_images_too_small_for_a_covariance_are_refused_one_and_still_have_a_variance(in_memory, seed):
     """Nine pixels: the mean of the frame takes a ninth of the noise along, which is put back."""
     rng = np.random.default_rng(seed)
@@ -240,9 +224,3 @@ def test_stacks_that_take_no_part_are_named(pulses, series, in_memory, seed):
     gain = gain_of(noise.measure(in_memory([*stacks, other, lone]), context=QUICK))
     assert any("different gain): other-gain" in note for note in gain.notes)
     assert any("excluded (single frame, no noise): lone" in note for note in gain.notes)
-
-
-def test_the_covariance_sum_is_the_method_taken_where_nothing_else_is_known():
-    from charact.method.registry import methods_of_kind
-
-    assert next(iter(methods_of_kind("flats"))) == "covariance-sum"

@@ -85,14 +85,6 @@ def test_light_of_earlier_frames_is_summed_over_lags(pulses, series, seed):
     assert abs(errors(one(result, "blur_factor"), gaussian_power(0.7))) < 4.5
 
 
-def test_unequal_pixels_do_not_pass_for_noise(pulses, series, seed):
-    """A pattern of 20 % is three times the noise at the highest level; it leaves its own square, 4 %, in the gain."""
-    camera = pulses(transfer=gaussian(0.7), pattern=0.2)
-    session = series(camera, np.random.default_rng(seed), (10.0, 30.0, 90.0))
-    gain = one(noise.measure(session, context=QUICK), "covariance_gain")
-    assert abs(errors(gain, 1.04 * camera.covariance_gain_dn)) < 4.5
-
-
 def test_weighted_draws_agree_with_the_curvature_where_the_posterior_is_nearly_normal(pulses, series, seed):
     session = series(pulses(transfer=gaussian(0.7)), np.random.default_rng(seed), (5.0, 15.0, 30.0))
     slow = one(noise.measure(session, context=Context(seed=1)), "covariance_gain")

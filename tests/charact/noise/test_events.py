@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.studies.dark_events_coverage import DarkScene
 from charact.method import Context
-from charact.noise.events.event_distribution import PulseDecay, PulsePopulation, blend_covariances, height_transform
+from charact.noise.events.event_distribution import PulseDecay, PulsePopulation, height_transform
 from charact.noise.events.event_measurements import measure_events, pulses_of_darks
 from charact.noise.events.frames import Filter, boxes
 from charact.noise.gain.series import read_levels
@@ -150,11 +150,6 @@ def test_what_cannot_be_measured_is_refused_in_a_sentence(seed, changes, word):
         assert refused.status == "refused" and word in refused.reason
 
 
-def test_a_rate_takes_an_exposure(seed):
-    rate = one(measured(replace(BRIGHT, exposure_s=None), seed), "ebi")
-    assert rate.status == "refused" and "exposure_s" in rate.reason
-
-
 @pytest.mark.parametrize("changes", [{"height_dn": 8.0}, {"density": 0.3}, {"read_noise_dn": 0.2, "height_dn": 6.0}])
 def test_past_breaking_nothing_is_wrong_and_unflagged(seed, changes):
     scene = replace(BRIGHT, **changes)
@@ -163,13 +158,6 @@ def test_past_breaking_nothing_is_wrong_and_unflagged(seed, changes):
         low, high = height.interval95
         half = (high - height.value) if scene.height_dn > height.value else (height.value - low)
         assert abs(scene.height_dn - height.value) < 2.0 * half
-
-
-def test_scatter_counted_and_computed_alike_blends_to_itself(seed):
-    root = np.random.default_rng(seed).standard_normal((6, 6))
-    both = root @ root.T + 6.0 * np.eye(6)
-    unit = np.sqrt(np.diag(both))
-    assert np.linalg.eigvalsh(blend_covariances(both, both) / np.outer(unit, unit)).min() > 0.0
 
 
 def test_darks_are_asked_where_an_intensifier_is_known_of_and_at_the_gain_of_the_flats(seed):

@@ -11,7 +11,7 @@ from charact.noise.gain.pooled_noise import lag_of, lag_sum_correction
 from charact.noise.gain.series import read_levels, series_of
 from charact.noise.gain.single_setting import fit_single_setting
 from charact.noise.stack.spectrum import bins_of
-from charact.noise.stack.temporal import autocovariance, centring, error_correlation, usable_lags
+from charact.noise.stack.temporal import autocovariance, centring, usable_lags
 
 
 def order(frames: int, fields: int):
@@ -44,32 +44,6 @@ def test_what_few_frames_hide_of_an_even_decay_is_put_back(frames, fields, kept)
     assert 1.0 + 2.0 * correlation.sum() + lacking == pytest.approx(whole, rel=0.005)
 
 
-@pytest.mark.parametrize(("frames", "fields"), [(12, 1), (12, 2)])
-def test_errors_at_all_lags_go_together_as_their_scatter(frames, fields, seed):
-    """Modes that exposures do not share: correlations over 20,000 drawings, each to five standard errors."""
-    rng, drawings = np.random.default_rng(seed), 20_000
-    time, parity, lags = order(frames, fields)
-    modes = rng.standard_normal((drawings, len(time))) @ centring(parity)
-    found = autocovariance(modes[:, :, None] * modes[:, None, :], time, parity, lags)
-    told, scatter = error_correlation(time, parity, lags), np.corrcoef(found.T)
-    # Products of normal modes have heavy tails: their correlation is known up to twice as badly as that of normals.
-    np.testing.assert_allclose(scatter, told, atol=5.0 * 2.0 / np.sqrt(drawings))
-    assert told[0, 2] > 0.2
-
-
-def test_chance_that_all_lags_share_is_put_back_as_glow_only_where_likelier_than_none():
-    """Twelve exposures: the same 3.5 errors at every lag, were each lag's error its own, and as they go together."""
-    time, parity, lags = order(12, 1)
-    sd, chance = 0.01, np.full(len(lags) - 1, 0.025)
-    together = sd**2 * error_correlation(time, parity, lags)[1:, 1:]
-    levels = [level(time, parity, lags)]
-    own, _ = lag_sum_correction(levels, np.ones(1), lags, chance, sd**2 * np.eye(len(chance)))
-    shared, _ = lag_sum_correction(levels, np.ones(1), lags, chance, together)
-    none, _ = lag_sum_correction(levels, np.ones(1), lags, 0.4 * chance, together)
-    assert shared < 0.5 * own
-    assert abs(none) < 0.1
-
-
 @pytest.mark.parametrize(("frames", "fields"), [(12, 2), (17, 1)])
 def test_the_error_of_the_sum_over_lags_is_the_scatter_of_sums(frames, fields, seed):
     """Normal modes of a screen of known decay; 300 stacks scatter as much as each of them says."""
@@ -90,17 +64,6 @@ def test_the_error_of_the_sum_over_lags_is_the_scatter_of_sums(frames, fields, s
     # Beyond the scatter each says how little it knows of the end of the sum.
     assert 0.95 * scatter < np.sqrt(np.mean(told**2)) < 1.35 * scatter
     assert abs(factor.mean() - 2.4) < 4.0 * scatter / np.sqrt(stacks) + 0.04
-
-
-def test_blur_that_differs_along_rows_and_columns_is_no_lag(seed):
-    """Odd lags of interlaced video are told by modes of low row frequency alone, where the power is another."""
-    time, parity, lags = order(12, 2)
-    bins = bins_of(123, 256, 2.0)
-    correlation = np.where(lags == 0, 1.0, 0.28 * 0.6 ** (lags - 1.0))
-    power = np.exp(-20.0 * bins.column_cy_per_px**2 - 60.0 * bins.row_cy_per_px**2)[:, None] * correlation
-    power += 1e-4 * np.random.default_rng(seed).standard_normal(power.shape)
-    found = lag_of(power, lags, np.zeros(len(power)), [level(time, parity, lags, bins)], np.ones(1))
-    assert found.correlation == pytest.approx(correlation[1:], abs=3e-4)
 
 
 @pytest.mark.parametrize(("bend_per_dn", "seen"), [(-1.3e-5, True), (0.0, False), (1.3e-5, False)])

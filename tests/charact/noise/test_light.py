@@ -12,7 +12,7 @@ from charact.method import Context
 from charact.noise.gain.series import read_levels
 from charact.noise.illumination import StatedIllumination, response_draws
 from charact.noise.noise_law import SignalNoiseSeries, noise_law
-from charact.noise.rounding import rounding_sd, variance_range_before_rounding
+from charact.noise.rounding import rounding_sd
 from charact.noise.snr_against_light import Scope, minimum_illumination, snr_against_light
 from charact.noise.stack.stack_statistics import SIDE_PX
 from labdata.conditions import Conditions
@@ -196,17 +196,6 @@ def test_noise_finer_than_the_steps_leaves_the_truth_in_the_interval(pulses, in_
     assert abs(errors(found, truth)) < 4.5 and found.status == "ok"
 
 
-def test_one_level_leaves_a_tenth_of_shot_noise_open_for_what_bends_it():
-    one = np.ones(1)
-    levels = SignalNoiseSeries(
-        signal_dn=100.0 * one, signal_sd_dn=1e-3 * one, variance_dn2=210.0 * one, variance_sd_dn2=1e-3 * one,
-        dark=np.zeros(1, int), dark_variance_dn2=10.0 * one, dark_variance_sd_dn2=1e-3 * one, fitted=one.astype(bool),
-    )  # fmt: skip
-    shot = noise_law(levels, np.random.default_rng(1), reference=0).posterior["shot_gain"]
-    assert np.mean(shot) == pytest.approx(2.0, rel=0.02)
-    assert np.std(shot) / np.mean(shot) == pytest.approx(0.1, rel=0.1)
-
-
 @pytest.mark.parametrize("off", [-2.0, -1.0, 1.0, 2.0])
 def test_a_meter_wrong_by_its_stated_error_is_in_the_interval(pulses, in_memory, seed, off):
     camera = pulses(gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
@@ -293,15 +282,6 @@ def test_every_gain_has_its_own_ratios_and_minimum(pulses, in_memory, seed):
     assert len(result.evidence["snr-light"]["gains"]) == 2
 
 
-def test_ratios_and_minima_stand_among_the_results_of_charact_noise(pulses, in_memory, seed):
-    camera = pulses(gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
-    session = light_series(camera, np.random.default_rng(seed), in_memory, (0.1, 1.0, 10.0))
-    result = noise.measure(session, method="covariance-sum", context=QUICK)
-    alone = measured(session)
-    assert [m.value for m in of(result, "snr")] == [m.value for m in of(alone, "snr")]
-    assert of(result, "minimum_illumination")[0].status == "ok"
-
-
 @pytest.mark.parametrize("relative_sd", [None, 0.04])
 def test_quantum_efficiency_holds_the_stated_doubt_of_its_photons(pulses, in_memory, seed, relative_sd):
     """Efficiency 50 %, photons recorded 4 % too many: one standard error where it is stated."""
@@ -317,18 +297,3 @@ def test_quantum_efficiency_holds_the_stated_doubt_of_its_photons(pulses, in_mem
         assert found.interval95[1] < 50.0
     else:
         assert errors(found, 50.0) == pytest.approx(-1.0, abs=0.3)
-
-
-@pytest.mark.parametrize("sd_dn", [0.05, 0.2, 0.35, 0.5, 0.8])
-def test_noise_before_rounding_lies_within_what_its_codes_leave_open(sd_dn, seed):
-    """Normal noise about every place between two codes; at the middle of a code and between two the range is met."""
-    rng, draws = np.random.default_rng(seed), 400_000
-    for place in (0.0, 0.1, 0.25, 0.4, 0.5):
-        codes = np.rint(60.0 + place + sd_dn * rng.standard_normal(draws))
-        low, high = variance_range_before_rounding(float(codes.var()))
-        chance = 0.01 * sd_dn**2 + 4.0 / np.sqrt(draws)
-        assert low - chance < sd_dn**2 < high + chance
-        if place == 0.5 and sd_dn > 0.3:
-            assert low == pytest.approx(sd_dn**2, abs=0.01)
-        if place == 0.0 and sd_dn > 0.1:
-            assert high == pytest.approx(sd_dn**2, abs=0.01)

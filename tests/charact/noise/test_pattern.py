@@ -51,11 +51,6 @@ def test_noise_that_fades_is_waited_for(seed, share):
     assert abs(found.variance_dn2 - fixed.var()) < 4.5 * found.sd_dn2
 
 
-def test_noise_that_outlasts_the_frames_is_not_called_pattern(seed):
-    rng = np.random.default_rng(seed)
-    assert not pattern_of(kept(rng, 0.8, 8)).settled
-
-
 @pytest.mark.parametrize("method", ["covariance-sum", "variance"])
 @pytest.mark.parametrize(("share", "frames"), [(0.0, 8), (0.2, 2), (0.2, 3), (0.2, 8), (0.6, 5), (0.8, 16), (0.6, 32)])
 def test_non_uniformity_of_an_intensified_camera_is_right_or_flagged(

@@ -50,9 +50,3 @@ def test_a_described_video_filter_is_put_in_as_it_is():
     known = -np.log(np.abs(filtered.video(low)[0]) ** 2) / 0.03**2
     assert filtered.falls[0] - plain.falls[0] == pytest.approx(known, rel=0.01)
     assert filtered.falls[1] == plain.falls[1]
-
-
-def test_of_a_camera_that_is_not_described_nothing_is_put_in():
-    reading = PixelReadoutModel.of(2.0, None)
-    assert reading.falls == (0.0, 0.0)
-    assert reading.pixel_power(lambda x, y: -(x + y)[None], X, ROWS)[0] == pytest.approx(np.exp(-X - ROWS))

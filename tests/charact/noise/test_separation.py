@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact import noise
 from charact.method import Context
 from charact.noise.gain.series import read_levels, series_of
 from charact.noise.gain.single_setting import fit_single_setting
@@ -102,14 +101,6 @@ def test_a_light_of_known_size_parts_k_from_f2(pulses, in_memory, seed, meter):
         assert abs(errors(one(result, quantity), truth)) < 4.5, one(result, quantity)
     assert errors(one(result, "photoelectron_gain"), 20.0) == pytest.approx(np.log(meter) / 0.03, abs=0.5)
     assert abs(errors(one(result, "pulse_gain"), 40.0)) < 4.5
-
-
-def test_the_tubes_ratio_needs_no_luminous_sensitivity(pulses, in_memory, seed):
-    camera = pulses(transfer=gaussian(1.0), shape=(128, 128))
-    session = flats(camera, np.random.default_rng(seed), in_memory,
-                    lambda level: Conditions(illuminance_lux=1e-5 * level, illuminance_relative_sd=0.03))  # fmt: skip
-    first, second = (one(parted(session, sensor=known_sensor(0.05, s)), "tube_snr").value for s in (800.0, 1800.0))
-    assert first == pytest.approx(second, rel=1e-9)
 
 
 def test_photons_of_one_wavelength_part_k_from_f2(pulses, in_memory, seed):
@@ -228,11 +219,3 @@ def test_pulses_of_another_gain_or_none_change_nothing(seed, dark_and_flat):
     assert add_event_gains(given, other, context=Context()) is given
     without = replace(given, measurements=given.measurements[:1])
     assert add_event_gains(without, dark_and_flat, context=Context()) is without
-
-
-def test_what_flats_cannot_tell_apart_is_refused_by_charact_noise(pulses, in_memory, seed):
-    camera = pulses(transfer=gaussian(1.0), shape=(128, 128))
-    session = flats(camera, np.random.default_rng(seed), in_memory, lambda level: Conditions(mcp_v=800.0))
-    result = noise.measure(session, method="covariance-sum", context=Context(seed=1, quick=True))
-    assert one(result, "pulse_gain").status == "ok"
-    assert one(result, "photoelectron_gain").status == "refused"

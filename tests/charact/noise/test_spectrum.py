@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from charact.noise.gain.model import PixelReadoutModel, leakage_ratio, spectrum_at
 from charact.noise.stack.pixels import pixel_sums
 from charact.noise.stack.spectrum import along_rows, bins_of, modes_of, products_of
 from charact.noise.stack.temporal import order_of, split_fields
@@ -39,33 +38,6 @@ def test_both_fields_of_one_picture_agree_at_low_frequency(seed):
     own = 0.5 * (spectra[:, 0, 0] + spectra[:, 1, 1])
     low = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px) < 0.1
     assert spectra[low, 0, 1] / own[low] == pytest.approx(1.0, abs=0.01)
-
-
-def test_faded_sides_mix_frequencies_as_much_as_their_variance_says(seed):
-    """A Gaussian blur of 2 px falls a hundredfold by .18 cy/px: there each mode holds some percent of lower ones."""
-    rng = np.random.default_rng(seed)
-    along, across = np.fft.fftfreq(96)[:, None], np.fft.rfftfreq(128)[None, :]
-    transfer = np.exp(-2.0 * (2.0 * np.pi) ** 2 * (along**2 + across**2))
-    white = rng.standard_normal((200, 96, 128))
-    change = np.fft.irfft2(np.fft.rfft2(white) * transfer, s=white.shape[1:]).astype(np.float32)
-    bins = bins_of(96, 128, 1.0)
-    power = np.einsum("bii->b", cross_spectra(change, np.zeros(200, int), bins)) / 200
-    of_bins = np.bincount(bins.select[bins.select >= 0], (transfer**2)[bins.select >= 0]) / bins.modes
-    fall = 4.0 * (2.0 * np.pi * 0.1) ** 2
-    point = np.array([[1.0, fall, fall, 0.0, 1.3, 0.0, 0.0, 1.0]])
-    assert spectrum_at(point, np.array([0.1]), np.array([0.0]), PixelReadoutModel())[0, 0] == pytest.approx(
-        np.exp(-fall), rel=2e-4
-    )
-    expected = leakage_ratio(
-        point, bins.column_cy_per_px, bins.row_cy_per_px, PixelReadoutModel(), bins.leak_cy2_per_px2
-    )
-    radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
-    for near, far in ((0.0, 0.06), (0.14, 0.18)):
-        chosen = (radius >= near) & (radius < far)
-        weight = bins.modes[chosen] / bins.modes[chosen].sum()
-        error = 1.0 / np.sqrt(200 * bins.efficiency * bins.modes[chosen].sum())
-        assert weight @ (power / of_bins)[chosen] == pytest.approx(weight @ expected[chosen], abs=4.5 * error)
-    assert expected[(radius > 0.16) & (radius < 0.18)].mean() > 1.03
 
 
 @pytest.mark.parametrize("interlaced", [False, True])

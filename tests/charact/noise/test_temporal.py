@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.noise.stack.temporal import autocovariance, centring, n_effective_samples, usable_lags
+from charact.noise.stack.temporal import autocovariance, centring, n_effective_samples
 
 LAGS = np.arange(4)
 TRUTH = np.array([1.0, 0.5, 0.2, 0.1])
@@ -34,15 +34,3 @@ def test_a_lost_frame_leaves_the_expectation_alone():
 def test_without_lag_n_frames_count_as_n_minus_one():
     time, parity = np.arange(9), np.zeros(9, int)
     assert n_effective_samples(time, parity, np.zeros(1, int), np.empty(0)) == pytest.approx(8.0)
-
-
-def test_allowing_for_lags_and_lag_itself_cost_information():
-    time, parity = np.arange(12), np.zeros(12, int)
-    plain = n_effective_samples(time, parity, np.arange(1), np.empty(0))
-    allowed = n_effective_samples(time, parity, LAGS, np.empty(0))
-    lagged = n_effective_samples(time, parity, LAGS, TRUTH[1:])
-    assert lagged < allowed < plain
-
-
-def test_a_pair_of_frames_has_no_lag_to_tell():
-    assert usable_lags(np.arange(2), np.zeros(2, int), 12).tolist() == [0]

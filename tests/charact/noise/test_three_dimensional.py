@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from charact import noise
 from charact.method import Context
-from charact.noise.stack.components import components, contrasts, waves
+from charact.noise.stack.components import components, contrasts
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 
@@ -173,16 +173,6 @@ def test_fields_are_cubes_of_their_own(seed):
     assert held.min() >= LEAST_HELD
 
 
-def test_a_column_pattern_common_to_both_fields_is_known_as_well_as_from_one(seed):
-    rng = np.random.default_rng(seed)
-    column = rng.standard_normal((1, 1, 256))
-    frames = 2.0 * column + 0.5 * rng.standard_normal((12, 64, 256))
-    alone, both = (of(frames, interlaced=split)["h"].terms[0][1].freedom for split in (False, True))
-    assert abs(both / alone - 1.0) < 0.1
-    apart = of(two_fields(rng, (12, 32, 256), (0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.5)), interlaced=True)
-    assert apart["h"].terms[0][1].freedom > 1.6 * alone
-
-
 def test_fields_that_were_not_taken_apart_are_seen(in_memory, seed):
     rng = np.random.default_rng(seed)
     frames = two_fields(rng, (12, 32, 64), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)).astype(np.float32)
@@ -219,19 +209,6 @@ def test_smooth_shading_is_neither_row_nor_column_noise(in_memory, seed):
         assert max(low - truth, truth - high) < 0.5 * (high - low), name
 
 
-def test_the_pass_is_the_plain_sum_over_the_cube(seed):
-    """Every contrast, of frames that fill no whole number of portions, by its definition."""
-    frames = cube(np.random.default_rng(seed), (13, 18, 22), (1.0,) * 7)
-    found = contrasts(FrameStack(data=frames), interlaced=False)
-    along = [waves(length) for length in frames.shape]
-    assert np.allclose(along[0] @ along[0].T, np.eye(5), atol=1e-12)
-    assert np.allclose(found.by_row[0], frames @ along[2].T, atol=1e-3)
-    assert np.allclose(found.by_col[0], along[1] @ frames, atol=1e-3)
-    assert np.allclose(found.by_pixel[0], np.tensordot(along[0], frames, 1), atol=1e-3)
-    assert found.power_dn2[0] == pytest.approx(((frames - frames.mean(axis=0)) ** 2).sum(), rel=1e-5)
-    assert np.allclose(found.frame_mean_dn[0], frames.mean(axis=(1, 2)), atol=1e-4)
-
-
 def test_memory_does_not_grow_to_a_second_cube(seed):
     frames = np.random.default_rng(seed).integers(0, 4000, (256, 64, 96), dtype=np.uint16)
     stack = FrameStack(data=frames)
@@ -253,16 +230,6 @@ def test_drift_and_flicker_are_named(in_memory, seed):
     assert found.flags == ("flicker",)
     assert "7.0" in " ".join(found.notes)
     assert abs(found.value - np.hypot(2.0 / np.sqrt(2.0), 0.2)) < 0.1
-
-
-def test_few_hot_pixels_are_not_called_pattern(in_memory, seed):
-    rng = np.random.default_rng(seed)
-    frames = cube(rng, (16, 64, 80), (0.0, 0.1, 0.1, 0.0, 0.0, 0.5, 2.0)).astype(np.float32)
-    frames[:, [5, 20, 33], [7, 60, 41]] += 60.0
-    parts = measured(in_memory, frames)
-    assert parts["vh"].status == parts["tvh"].status == "ok"
-    assert parts["vh"].value == pytest.approx(0.5, rel=0.1)
-    assert any("3 defective pixels" in note for note in parts["vh"].notes)
 
 
 def test_what_is_not_seen_is_reported_with_its_limit(in_memory, seed):
@@ -306,11 +273,6 @@ def test_every_long_stack_has_its_seven_and_short_ones_say_why_not(pulses, serie
         series(camera, np.random.default_rng(seed), (200.0,), frames=4, dark_frames=4), method=method, context=QUICK
     )
     assert [m.status for name in NAMES for m in short.find(f"noise_{name}")] == ["refused"] * 7
-
-
-def test_frames_that_do_not_change_are_refused(in_memory, seed):
-    frames = np.repeat(np.random.default_rng(seed).integers(90, 110, (1, 32, 32), dtype=np.uint16), 8, axis=0)
-    assert all(m.status == "refused" for m in measured(in_memory, frames).values())
 
 
 def test_rare_pulses_make_the_random_noise_less_certain_than_normal_noise_would(pulses, seed):
