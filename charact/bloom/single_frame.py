@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from charact.bloom.defects import with_sound_pixels
 from charact.bloom.extent import DRAWS
 from charact.bloom.extent_measurements import add_findings, bloom_measurements, provenance, series_evidence
-from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of, reach_of
+from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of
 from charact.bloom.point_stack import DETECTED, PointStack, SourcePosition, read_point_stacks, spot_of
 from charact.bloom.source_view import SECTORS, Background, SourceView, view_of
 from charact.method import Context
@@ -190,7 +190,7 @@ def _halo(spot: PointStack, context: Context, fields: dict[str, Any]) -> Measure
     common = {"stack": spot.label, **fields}
     if spot.significance < DETECTED:
         return make_refusal("halo_diameter", "px", "no point source is detected", **common)
-    radius, seen = edge_radius(profile_of(spot, reach_of(spot), context=context))
+    radius, seen = edge_radius(profile_of(spot, context=context))
     if seen < STEP_SEEN and spot.clip is not None and spot.clip.diameter_px > 16.0:
         reason = "the frame is clipped beyond any step of the rings: a fainter stack would show the halo's edge"
         return make_refusal("halo_diameter", "px", reason, **common)
