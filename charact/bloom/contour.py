@@ -43,17 +43,9 @@ class Contour:
 
 
 def fit_contour(
-    signal: Array,
-    polar: Polar,
-    profile: tuple[Array, Array],
-    level: float,
-    radius: float,
-    noise: PixelNoise,
-    top: float,
-    sectors: NDArray[np.bool_],
-    *,
-    width: float = 1.0,
-) -> Contour | None:
+    signal: Array, polar: Polar, profile: tuple[Array, Array], level: float, radius: float, noise: PixelNoise,
+    top: float, sectors: NDArray[np.bool_], *, width: float = 1.0,
+) -> Contour | None:  # fmt: skip
     """Fit the contour at a threshold near a radius; None where the pixels there do not cross it.
 
     `signal`: mean frame above dark, shape (row, col), DN; `profile`: radius and mean signal of rings, which select the
@@ -159,13 +151,10 @@ def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[s
     oval = (float((squared * waves[0]).mean()), float((squared * waves[1]).mean()))
     # Neglected higher harmonics may reach 5 % of the second.
     return Contour(
-        radius=np.sqrt(squared),
-        area=np.pi * mean,
+        radius=np.sqrt(squared), area=np.pi * mean,
         area_sd=float(np.hypot(sds[0], 0.05 * np.hypot(*oval) * np.pi * mean)),
-        slope=float(-2.0 * np.mean(fall) / radius),
-        oval=oval,
-        oval_sd=float(np.hypot(sds[1], sds[2]) / np.sqrt(2.0)),
-    )
+        slope=float(-2.0 * np.mean(fall) / radius), oval=oval, oval_sd=float(np.hypot(sds[1], sds[2]) / np.sqrt(2.0)),
+    )  # fmt: skip
 
 
 def _along(t: Array, terms: tuple[str, ...]) -> Array:

@@ -196,14 +196,9 @@ def _extent_from_contour(
     moved = 2.0 * np.pi * radius * level_sd / max(level_dn - view.dark_dn, 1e-6) / max(contour.slope, 1e-3)
     areas = area + float(np.hypot(sd, moved)) * NORMAL
     return Extent(
-        level_dn=level_dn,
-        area=float(area),
-        draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi),
-        region=region,
-        contour=contour,
-        touches_border=_touches(region),
-        pulled=not sectors.all(),
-    )
+        level_dn=level_dn, area=float(area), draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi), region=region,
+        contour=contour, touches_border=_touches(region), pulled=not sectors.all(),
+    )  # fmt: skip
 
 
 def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) -> Extent:
@@ -211,14 +206,9 @@ def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) 
     finite = np.minimum(crossings, float(view.rings.radius[-1]))
     radius = float(np.median(finite))
     return Extent(
-        level_dn=level_dn,
-        area=np.pi * radius**2,
-        draws=2.0 * finite,
-        region=view.polar.radius <= radius,
-        contour=None,
-        touches_border=bool(np.isinf(crossings).mean() > 0.025),
-        pulled=False,
-    )
+        level_dn=level_dn, area=np.pi * radius**2, draws=2.0 * finite, region=view.polar.radius <= radius, contour=None,
+        touches_border=bool(np.isinf(crossings).mean() > 0.025), pulled=False,
+    )  # fmt: skip
 
 
 def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Extent | None:
@@ -235,14 +225,9 @@ def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Ex
     area = pixels * view.polar.row_pitch
     areas = area + spread * NORMAL
     return Extent(
-        level_dn=level_dn,
-        area=area,
-        draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi),
-        region=region,
-        contour=None,
-        touches_border=_touches(region),
-        pulled=True,
-    )
+        level_dn=level_dn, area=area, draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi), region=region, contour=None,
+        touches_border=_touches(region), pulled=True,
+    )  # fmt: skip
 
 
 def _touches(region: Mask) -> bool:

@@ -227,14 +227,9 @@ def series_evidence(spots: tuple[PointStack, ...], halos: dict[str, float] | Non
 
 
 def add_common_measurements(
-    session: Session,
-    spots: tuple[PointStack, ...],
-    of_series: list[Measurement],
-    evidence: dict[str, Any],
-    *,
-    context: Context,
-    **fields: Any,
-) -> Result:
+    session: Session, spots: tuple[PointStack, ...], of_series: list[Measurement], evidence: dict[str, Any], *,
+    context: Context, **fields: Any,
+) -> Result:  # fmt: skip
     """Add extents, streaks, background depressions and consistency flags to the measurements of a series.
 
     `session`, `spots`: session and its point stacks; `of_series`, `evidence`: measurements of the method, common or

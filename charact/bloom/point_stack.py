@@ -340,24 +340,12 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
     col = int(np.clip(round(place.col), 0, image.shape[1] - 1))
     clear = place.significance >= DETECTED
     return PointStack(
-        label=entry.label,
-        conditions=entry.conditions,
-        image=image,
-        frames=len(stack),
-        dark_dn=level,
-        full_scale_dn=full,
-        dark_known=_dark_or_black_level(stack, dark) is not None,
-        row=place.row,
-        col=place.col,
-        significance=place.significance,
-        frame_streak_px=(stack.data[:, :, col] >= half).sum(axis=1).astype(float),
-        row_pitch=context.pitch_ratio,
-        half=found["half"],
-        background=found["background"],
-        clip=found["clip"],
-        light=light,
-        others=others(image, place, full - level, context.pitch_ratio) if clear else (),
-    )
+        label=entry.label, conditions=entry.conditions, image=image, frames=len(stack), dark_dn=level,
+        full_scale_dn=full, dark_known=_dark_or_black_level(stack, dark) is not None, row=place.row, col=place.col,
+        significance=place.significance, frame_streak_px=(stack.data[:, :, col] >= half).sum(axis=1).astype(float),
+        row_pitch=context.pitch_ratio, half=found["half"], background=found["background"], clip=found["clip"],
+        light=light, others=others(image, place, full - level, context.pitch_ratio) if clear else (),
+    )  # fmt: skip
 
 
 def has_same_settings(one: Conditions, other: Conditions) -> bool:

@@ -154,8 +154,7 @@ def series_of(levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: floa
     data = np.array([level.mean_dn[:rings] for level in levels])
     nodes = np.array([np.interp(first.node_px, first.radius_px, one) for one in data])
     return RingSeries(
-        labels=tuple(level.label for level in levels),
-        data=data,
+        labels=tuple(level.label for level in levels), data=data,
         cut=np.array([level.cut_share[:rings] > HARDLY_CUT for level in levels]),
         own_covariance=np.array(
             [
@@ -163,13 +162,10 @@ def series_of(levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: floa
                 for one, level, of in zip(data, levels, geometries, strict=True)
             ]
         ),
-        node_sd=noise.pixel_sd(nodes),
-        sector_sd=np.array([level.sector_sd[:rings] for level in levels]),
-        averages=np.array([one.averages for one in geometries]),
-        node_px=first.node_px,
-        radius_px=first.radius_px,
+        node_sd=noise.pixel_sd(nodes), sector_sd=np.array([level.sector_sd[:rings] for level in levels]),
+        averages=np.array([one.averages for one in geometries]), node_px=first.node_px, radius_px=first.radius_px,
         full_dn=full_dn,
-    )
+    )  # fmt: skip
 
 
 def _own_covariance(data: Array, frames: int, geometry: Geometry, noise: RingNoise) -> Array:

@@ -82,11 +82,9 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
         load = before * transfer.gaussian(frequencies(), np.full(len(points), self.form.neighbourhood_px**2))
         recorded, arriving, loading = ((one @ self.series.onto_nodes).T for one in (before * behind, before, load))
         return SaturatingModelParts(
-            **self.straight_parts(recorded),
-            arriving=arriving,
-            loading=loading * self.form.at(points)["plate_load"],
+            **self.straight_parts(recorded), arriving=arriving, loading=loading * self.form.at(points)["plate_load"],
             behind=behind.T,
-        )
+        )  # fmt: skip
 
     def light(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Signal at the nodes, shape (level, node, point), DN."""

@@ -29,13 +29,9 @@ class SeriesOptimum:
 
 
 def optimise(
-    problem: SeriesLikelihood,
-    start: Array,
-    *,
-    held: tuple[int, ...] = (),
-    iterations: int = 50,
+    problem: SeriesLikelihood, start: Array, *, held: tuple[int, ...] = (), iterations: int = 50,
     tolerance: float = 1e-2,
-) -> SeriesOptimum:
+) -> SeriesOptimum:  # fmt: skip
     """Find the optimum near a start; parameters `held` stay fixed."""
     bounds = problem.form.bounds.copy()
     for one in held:

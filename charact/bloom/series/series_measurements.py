@@ -180,14 +180,9 @@ def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
 
 
 def halo_measurements(
-    best: FittedHaloModel,
-    posterior: Posterior,
-    own: tuple[Array, Array, Array],
-    group: tuple[PointStack, ...],
-    flags: tuple[str, ...],
-    notes: tuple[str, ...],
-    fields: dict[str, Any],
-) -> list[Measurement]:
+    best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array], group: tuple[PointStack, ...],
+    flags: tuple[str, ...], notes: tuple[str, ...], fields: dict[str, Any],
+) -> list[Measurement]:  # fmt: skip
     """Return the halo's diameter, fraction, plateau and rim; scatter of the stacks widens the diameter's interval.
 
     Light of another source contaminates the rings, but not the position of the edge.
@@ -272,13 +267,9 @@ def energy_radius_measurements(
 
 
 def glare_measurements(
-    best: FittedHaloModel,
-    posterior: Posterior,
-    group: tuple[PointStack, ...],
-    flags: tuple[str, ...],
-    notes: tuple[str, ...],
-    fields: dict[str, Any],
-) -> list[Measurement]:
+    best: FittedHaloModel, posterior: Posterior, group: tuple[PointStack, ...], flags: tuple[str, ...],
+    notes: tuple[str, ...], fields: dict[str, Any],
+) -> list[Measurement]:  # fmt: skip
     """Return the veiling glare, from the backgrounds of all stacks."""
     settings = {(one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control) for one in group}
     if len(settings) > 1:
@@ -306,12 +297,9 @@ def glare_measurements(
 
 
 def mcp_saturation_measurements(
-    forms: list[FittedHaloModel],
-    posterior: Posterior,
-    flags: tuple[str, ...],
-    notes: tuple[str, ...],
+    forms: list[FittedHaloModel], posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
     fields: dict[str, Any],
-) -> list[Measurement]:
+) -> list[Measurement]:  # fmt: skip
     """Return the signal density at half MCP gain, and each stack's core compression.
 
     The densities of different core models differ by factors; their distance is a systematic uncertainty.
