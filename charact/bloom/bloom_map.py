@@ -61,17 +61,10 @@ class BloomMap:
 
 
 def bloom_map(
-    signal: NDArray,
-    spread: PosteriorPsf,
-    *,
-    clip_dn: float | None = None,
-    clipped: Mask | None = None,
-    noise_dn: ArrayLike | None = None,
-    near_px: float = NEAR_PX,
-    pitch_ratio: float = 1.0,
-    most_draws: int = 30,
+    signal: NDArray, spread: PosteriorPsf, *, clip_dn: float | None = None, clipped: Mask | None = None,
+    noise_dn: ArrayLike | None = None, near_px: float = NEAR_PX, pitch_ratio: float = 1.0, most_draws: int = 30,
     rng: np.random.Generator,
-) -> BloomMap:
+) -> BloomMap:  # fmt: skip
     """Return the fraction of every pixel's signal that is blooming.
 
     Parameters

@@ -88,13 +88,9 @@ def compare_columns(spot: PointStack, context: Context, *, half_width_px: int | 
     far = np.abs(dx) > max(2.0 * _half_width(spot), 0.3 * cols)
     # Cameras may deviate from rotational symmetry by 5 % of the source's signal.
     return ColumnArtefacts(
-        first_col=first,
-        row_offset=dy,
-        round_dn=light - floor,
-        excess_dn=spot.image[:, first:last] - light,
-        sd_dn=np.hypot(noise, 0.05 * (light - floor)),
-        block_factor=_block_factor(spot.image[:, far]),
-    )
+        first_col=first, row_offset=dy, round_dn=light - floor, excess_dn=spot.image[:, first:last] - light,
+        sd_dn=np.hypot(noise, 0.05 * (light - floor)), block_factor=_block_factor(spot.image[:, far]),
+    )  # fmt: skip
 
 
 def _half_width(spot: PointStack) -> int:
@@ -229,11 +225,9 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     # Below 0.5 DN the noise is not photon noise.
     measurable = background > 0.5
     return MeanFrameNoise(
-        floor_variance=floor,
-        per_light=floor / background if measurable else 0.0,
-        neighbours=float(np.clip(PATCH_PX**2 * patch / floor, 1.0, 12.0)),
-        background_dn=max(background, 0.0),
-    )
+        floor_variance=floor, per_light=floor / background if measurable else 0.0,
+        neighbours=float(np.clip(PATCH_PX**2 * patch / floor, 1.0, 12.0)), background_dn=max(background, 0.0),
+    )  # fmt: skip
 
 
 LEAST_ROWS = 3
@@ -286,15 +280,10 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
     error = 1.25 * max(spread, 1.0 / np.sqrt(12.0 * spot.frames)) / np.sqrt(len(level))
     ends = [float(np.abs(found.row_offset[side]).max()) if len(side) else 0.0 for side in (above, below)]
     return Streak(
-        length_px=length,
-        length_sd_px=sd,
-        overflows=len(full) >= LEAST_ROWS,
-        level_dn=value,
-        level_sd_dn=error,
+        length_px=length, length_sd_px=sd, overflows=len(full) >= LEAST_ROWS, level_dn=value, level_sd_dn=error,
         clipped=len(full) > 0 and value > spot.full_scale_dn - spot.dark_dn - max(1.0, 4.0 * spread),
-        meets_border=meets,
-        uneven=not meets and abs(ends[0] - ends[1]) > 4.0 + 0.2 * max(ends),
-    )
+        meets_border=meets, uneven=not meets and abs(ends[0] - ends[1]) > 4.0 + 0.2 * max(ends),
+    )  # fmt: skip
 
 
 def _rows_above(spot: PointStack, grain: MeanFrameNoise, col: int) -> tuple[float, float]:

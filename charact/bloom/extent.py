@@ -1,4 +1,4 @@
-"""Bloom extent: area around a source at or above a signal threshold, noise removed."""
+"""Bloom extent: area around a source at or above a signal threshold, by a contour fitted to the adjacent pixels."""
 
 from dataclasses import dataclass, replace
 from statistics import NormalDist
@@ -6,8 +6,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.contour import CUT_SHARE, Contour, fit_contour
-from charact.bloom.source_view import SECTORS, SourceView, mean_with_clipping
+from charact.bloom.source_view import SECTORS, PixelNoise, Polar, SourceView, mean_with_clipping
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -20,6 +19,158 @@ NARROW_PX = 4.0
 # The component of the source has a pixel closer than this, px.
 NEAR_PX = 2.5
 NORMAL = np.asarray([NormalDist().inv_cdf((n + 0.5) / DRAWS) for n in range(DRAWS)])
+# Signal over full scale above which rings are affected by clipping.
+CUT_SHARE = 0.85
+DIRECTIONS = np.linspace(-np.pi, np.pi, 72, endpoint=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contour:
+    """Closed contour around a source.
+
+    `radius`: radius in each of `DIRECTIONS`, column pitches, shape (direction,); `area`, `area_sd`: area inside and its
+    standard error, square column pitches; `slope`: fall of the logarithm of the signal at the contour, per column
+    pitch; `oval`, `oval_sd`: second harmonic of the squared radius over its mean, cosine and sine, and its standard
+    error; dimensionless.
+    """
+
+    radius: Array
+    area: float
+    area_sd: float
+    slope: float
+    oval: tuple[float, float]
+    oval_sd: float
+
+    def inside(self, polar: Polar) -> NDArray[np.bool_]:
+        """Pixels inside the contour, shape (row, col)."""
+        angle = np.arctan2(polar.dy, polar.dx)
+        return polar.radius <= np.interp(angle, DIRECTIONS, self.radius, period=2 * np.pi)
+
+    def shift(self) -> tuple[float, float]:
+        """Offset of the centre of the contour from the assumed one, rows and columns, column pitches."""
+        down, along = (2.0 * float((self.radius * wave(DIRECTIONS)).mean()) for wave in (np.sin, np.cos))
+        return down, along
+
+
+def fit_contour(
+    signal: Array, polar: Polar, profile: tuple[Array, Array], level: float, radius: float, noise: PixelNoise,
+    top: float, sectors: NDArray[np.bool_], *, width: float = 1.0,
+) -> Contour | None:  # fmt: skip
+    """Fit the contour at a threshold near a radius; None where the pixels there do not cross it.
+
+    `signal`: mean frame above dark, shape (row, col), DN; `profile`: radius and mean signal of rings, which select the
+    pixels near the threshold; `level`: threshold above dark, DN; `radius`: start radius, column pitches; `top`: full
+    scale above dark, DN; `sectors`: sectors used; `width`: fraction of the usual annulus that is fitted.
+    """
+    base = _surroundings(profile, level, radius)
+    # Close to full scale the rings are clipped on one side and locate the threshold less well.
+    nearest = 1.5 if width >= 1.0 and level > CUT_SHARE * top else 0.75
+    pixels = _near(polar, profile, (level, base), radius, sectors, (width, nearest))
+    value, x, y = signal[pixels], polar.dx[pixels] / radius, polar.dy[pixels] / radius
+    start = np.interp(polar.radius[pixels], *profile)
+    clear = start < top - 2.0 * float(noise.sd(top)) / np.sqrt(noise.frames)
+    bends = (clear & (x**2 + y**2 < 1.0)).sum() > 10
+    terms = _terms(radius, len(value), bends=bends, round_only=not sectors.all())
+    basis = _basis(x, y, terms)
+    if len(value) < basis.shape[1] + 1:
+        return None
+    beta, above = np.zeros(basis.shape[1]), level - base
+    linear = np.log(np.clip(start - base, 0.05 * above, 20.0 * above) / above)
+    if clear.sum() > 2 * basis.shape[1]:
+        # Clipped pixels are extrapolated from the others, since clipping resembles a plateau.
+        lever = np.exp(linear[clear])[:, None]
+        linear = basis @ np.linalg.lstsq(lever * basis[clear], lever[:, 0] * linear[clear], rcond=None)[0]
+    weight, own, working, normal = np.ones(len(value)), np.ones(len(value)), linear, np.eye(len(beta))
+    for _ in range(4):
+        mean = above * np.exp(np.clip(linear, -4.0, 4.0))
+        expected, share = mean_with_clipping(base + mean, noise, top)
+        lever = share * mean
+        variance = noise.sd(base + mean) ** 2 / noise.frames
+        weight = lever**2 / (variance + (0.05 * mean) ** 2)
+        working = linear + (value - expected) * lever / np.maximum(lever**2, 1e-3 * above**2)
+        weighted, own = basis * weight[:, None], weight**2 * variance / np.maximum(lever**2, 1e-3 * above**2)
+        normal = np.asarray(np.linalg.pinv(weighted.T @ basis, hermitian=True), np.float64)
+        beta = normal @ (weighted.T @ working)
+        linear = basis @ beta
+    scores = basis * (weight * (working - linear))[:, None]
+    # Noise correlated over an area is correlated along a line by its square root; scatter gives a second estimate.
+    noisy = np.sqrt(noise.tied) * normal @ (basis * own[:, None]).T @ basis @ normal
+    # Up to a radius of 2 px the contour is so short that its noise is that of an area.
+    analytic = noise.tied * normal if radius <= 2.0 else noisy
+    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + analytic)
+    return _solve_contour(beta, covariance, radius, terms)
+
+
+def _surroundings(profile: tuple[Array, Array], level: float, radius: float) -> float:
+    """Signal just outside the contour, DN above dark: halo or background."""
+    outside = (profile[0] > radius) & (profile[0] < radius + 4.0)
+    return float(np.clip(0.97 * profile[1][outside].min(initial=level), 0.0, 0.8 * level))
+
+
+def _near(polar: Polar, profile: tuple[Array, Array], levels: tuple[float, float], radius: float,
+          sectors: NDArray[np.bool_], widths: tuple[float, float]) -> NDArray[np.bool_]:  # fmt: skip
+    """Pixels with a ring near the radius and a signal near the threshold."""
+    (level, base), (width, nearest) = levels, widths
+    apart = np.abs(polar.radius - radius)
+    pixels = (apart < max(width * 2.0, width * 0.08 * radius, nearest)) & sectors[polar.sector]
+    above = np.interp(polar.radius[pixels], *profile) - base
+    logs = np.log(np.maximum(above, 1e-3 * level) / (level - base))
+    pixels[pixels] = (np.abs(logs) < width * 1.2) | (apart[pixels] < nearest)
+    return pixels
+
+
+def _terms(radius: float, pixels: int, *, bends: bool, round_only: bool) -> tuple[str, ...]:
+    """Select the terms that the pixels near a contour of this radius can determine."""
+    if radius <= 2.0 or pixels < 20:
+        return FEW if pixels >= 8 else FEW[:2]
+    return FEW + (("tt",) if bends else ()) + (() if round_only else ("xx-yy", "2xy"))
+
+
+FEW = ("1", "t", "x", "y")
+
+
+def _basis(x: Array, y: Array, terms: tuple[str, ...]) -> Array:
+    """Terms in the relative squared distance, (r/r0)^2 - 1, and in the direction, shape (.., term)."""
+    t = x**2 + y**2 - 1.0
+    known = {"1": np.ones_like(x), "t": t, "x": x, "y": y, "tt": t**2, "xx-yy": x**2 - y**2, "2xy": 2 * x * y}
+    return np.stack([known[term] for term in terms], axis=-1)
+
+
+def _scatter(scores: Array, tied: float) -> Array:
+    """Covariance of the sum of scores of pixels with correlated noise."""
+    spare = max(len(scores) - min(scores.shape[1], len(scores) - 1), 1)
+    return scores.T @ scores * tied * len(scores) / spare
+
+
+def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[str, ...]) -> Contour | None:
+    """Solve for the contour radius in every direction, and propagate the covariance of the coefficients."""
+    t = np.zeros(len(DIRECTIONS))
+    bend = float(beta[terms.index("tt")]) if "tt" in terms else 0.0
+    for _ in range(5):
+        rows, fall = _along(t, terms), beta[1] + 2.0 * t * bend
+        if not np.all(fall < -1e-3):
+            return None
+        t = np.clip(t - rows @ beta / fall, -0.75, 1.5)
+    rows, fall = _along(t, terms), beta[1] + 2.0 * t * bend
+    squared = radius**2 * (1.0 + t)
+    shifts = -rows / fall[:, None] * radius**2
+    mean = float(squared.mean())
+    waves = [2.0 * wave(2 * DIRECTIONS) / mean for wave in (np.cos, np.sin)]
+    toward = [np.pi * shifts.mean(axis=0), *((shifts * wave[:, None]).mean(axis=0) for wave in waves)]
+    sds = [float(np.sqrt(max(one @ covariance @ one, 0.0))) for one in toward]
+    oval = (float((squared * waves[0]).mean()), float((squared * waves[1]).mean()))
+    # Neglected higher harmonics may reach 5 % of the second.
+    return Contour(
+        radius=np.sqrt(squared), area=np.pi * mean,
+        area_sd=float(np.hypot(sds[0], 0.05 * np.hypot(*oval) * np.pi * mean)),
+        slope=float(-2.0 * np.mean(fall) / radius), oval=oval, oval_sd=float(np.hypot(sds[1], sds[2]) / np.sqrt(2.0)),
+    )  # fmt: skip
+
+
+def _along(t: Array, terms: tuple[str, ...]) -> Array:
+    """Terms in every direction at squared distances t, shape (direction, term)."""
+    reach = np.sqrt(np.maximum(1.0 + t, 0.05))
+    return _basis(reach * np.cos(DIRECTIONS), reach * np.sin(DIRECTIONS), terms)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,14 +347,9 @@ def _extent_from_contour(
     moved = 2.0 * np.pi * radius * level_sd / max(level_dn - view.dark_dn, 1e-6) / max(contour.slope, 1e-3)
     areas = area + float(np.hypot(sd, moved)) * NORMAL
     return Extent(
-        level_dn=level_dn,
-        area=float(area),
-        draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi),
-        region=region,
-        contour=contour,
-        touches_border=_touches(region),
-        pulled=not sectors.all(),
-    )
+        level_dn=level_dn, area=float(area), draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi), region=region,
+        contour=contour, touches_border=_touches(region), pulled=not sectors.all(),
+    )  # fmt: skip
 
 
 def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) -> Extent:
@@ -211,14 +357,9 @@ def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) 
     finite = np.minimum(crossings, float(view.rings.radius[-1]))
     radius = float(np.median(finite))
     return Extent(
-        level_dn=level_dn,
-        area=np.pi * radius**2,
-        draws=2.0 * finite,
-        region=view.polar.radius <= radius,
-        contour=None,
-        touches_border=bool(np.isinf(crossings).mean() > 0.025),
-        pulled=False,
-    )
+        level_dn=level_dn, area=np.pi * radius**2, draws=2.0 * finite, region=view.polar.radius <= radius, contour=None,
+        touches_border=bool(np.isinf(crossings).mean() > 0.025), pulled=False,
+    )  # fmt: skip
 
 
 def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Extent | None:
@@ -235,14 +376,9 @@ def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Ex
     area = pixels * view.polar.row_pitch
     areas = area + spread * NORMAL
     return Extent(
-        level_dn=level_dn,
-        area=area,
-        draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi),
-        region=region,
-        contour=None,
-        touches_border=_touches(region),
-        pulled=True,
-    )
+        level_dn=level_dn, area=area, draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi), region=region, contour=None,
+        touches_border=_touches(region), pulled=True,
+    )  # fmt: skip
 
 
 def _touches(region: Mask) -> bool:

@@ -30,18 +30,18 @@ from labdata.session import Session
 def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, Interval] | None:
     """Return minor over major axis of a region with its 68 and 95 % intervals; None where it is too small.
 
-    `extent`: the region; `row_pitch`: row pitch over column pitch. A contour gives the axes without pixels: those of an
-    ellipse whose squared radius has the second harmonic 1 + e cos 2(phi - phi_0) have the ratio (1 - e/2)/(1 + e/2).
-    Noise biases e upwards, so its mean square is subtracted. Regions with a streak or another source have the axes of
-    the ellipse of equal second moments.
+    A contour gives the axes without pixels: those of an ellipse whose squared radius has the second harmonic 1 + e cos
+    2(phi - phi_0) have the ratio (1 - e/2)/(1 + e/2). Noise biases e upwards, so its mean square is subtracted. Regions
+    with a streak or another source have the axes of the ellipse of equal second moments.
     """
     if extent.region.sum() < 12:
         return None
     if extent.contour is not None and not extent.pulled:
-        oval = float(np.hypot(*extent.contour.oval))
         sd = float(np.hypot(1.3 * extent.contour.oval_sd, 0.004))
-        centre = float(np.sqrt(max(oval**2 - sd**2, 0.0)))
-        return _around(centre, sd)
+        oval = float(np.sqrt(max(float(np.hypot(*extent.contour.oval)) ** 2 - sd**2, 0.0)))
+        ends = np.maximum(oval + sd * np.array([0.0, 0.994, -0.994, 1.96, -1.96]), 0.0)
+        value, low68, high68, low95, high95 = ((1.0 - 0.5 * ends) / (1.0 + 0.5 * ends)).tolist()
+        return value, (low68, high68), (low95, high95)
     from skimage import measure
 
     found = measure.regionprops(extent.region.astype(np.uint8), spacing=(row_pitch, 1.0))[0]
@@ -51,16 +51,6 @@ def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, I
     sd = (0.5 + value * 0.5) / max(major, 1.0)
     low, high = ((value - k * sd, min(value + k * sd, 1.0)) for k in (0.994, 1.96))
     return value, low, high
-
-
-def _around(oval: float, sd: float) -> tuple[float, Interval, Interval]:
-    """Axis ratio for a second harmonic, and the intervals due to its uncertainty; never above 1."""
-
-    def ratio(e: float) -> float:
-        return (1.0 - 0.5 * max(e, 0.0)) / (1.0 + 0.5 * max(e, 0.0))
-
-    low, high = ((ratio(oval + k * sd), ratio(oval - k * sd)) for k in (0.994, 1.96))
-    return ratio(oval), low, high
 
 
 NO_DARKS = "the black level is unknown, between 0 DN and the frame's median: a dark stack narrows the interval"
@@ -134,17 +124,14 @@ def _diameter(name: str, spot: PointStack, extent: Extent | None, **common: Any)
         return make_refusal(name, "px", _reason(spot, name), **common)
     if extent.region.all():
         return make_refusal(name, "px", f"the complete frame is at or above {LEVELS[name]}", **common)
-    return _measurement_from_draws(name, "px", extent.diameter_px, extent.draws, flags=flags_of(spot, extent), **common)
+    return _measurement_around(name, "px", extent.diameter_px, extent.draws, flags=flags_of(spot, extent), **common)
 
 
-def _measurement_from_draws(name: str, unit: str, value: float, draws: Any, **common: Any) -> Measurement:
+def _measurement_around(name: str, unit: str, value: float, draws: Any, **common: Any) -> Measurement:
     """Measurement with the quantiles of its draws; the intervals include the value."""
     drawn = measurement_from_draws(name, unit, draws, **common)
-    low68, high68 = drawn.interval68 or (value, value)
-    low95, high95 = drawn.interval95 or (value, value)
-    return make_measurement(
-        name, unit, value, (min(low68, value), max(high68, value)), (min(low95, value), max(high95, value)), **common
-    )
+    ends = (drawn.interval68 or (value, value), drawn.interval95 or (value, value))
+    return make_measurement(name, unit, value, *((min(low, value), max(high, value)) for low, high in ends), **common)
 
 
 def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
@@ -175,7 +162,7 @@ def _areas_at_full_scale(spot: PointStack, sensor: Sensor | None, **common: Any)
     whole = 0.84 * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
     flags = flags_of(spot, spot.clip)
     return [
-        _measurement_from_draws(
+        _measurement_around(
             "saturated_area", unit, value * one, np.maximum(draws + whole, 0.0) * one, flags=flags, **common
         )
         for unit, one in units.items()
@@ -192,18 +179,17 @@ def provenance(context, **settings: Any) -> Provenance:
 
 def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
     """Overload of each source: its signal over the signal that reaches full scale; None where unknown."""
-    light = [spot.exposure_lux_ns for spot in spots]
     clear = [
-        (value, spot)
-        for value, spot in zip(light, spots, strict=True)
-        if value and spot.significance > DETECTED and spot.image.max() < 0.8 * spot.full_scale_dn
+        spot
+        for spot in spots
+        if spot.exposure_lux_ns and spot.significance > DETECTED and spot.image.max() < 0.8 * spot.full_scale_dn
     ]
     if not clear:
         return [None] * len(spots)
-    value, spot = max(clear, key=lambda one: one[0])
+    spot = max(clear, key=lambda one: one.exposure_lux_ns or 0.0)
     peak = float(spot.image[round(spot.row) - 3 : round(spot.row) + 4, round(spot.col) - 3 : round(spot.col) + 4].max())
-    share = (peak - spot.dark_dn) / (spot.full_scale_dn - spot.dark_dn)
-    return [None if one is None else one / value * share for one in light]
+    per_light = (peak - spot.dark_dn) / (spot.full_scale_dn - spot.dark_dn) / (spot.exposure_lux_ns or 1.0)
+    return [None if one.exposure_lux_ns is None else one.exposure_lux_ns * per_light for one in spots]
 
 
 def series_evidence(spots: tuple[PointStack, ...], halos: dict[str, float] | None = None) -> dict[str, Any]:
@@ -220,39 +206,29 @@ def series_evidence(spots: tuple[PointStack, ...], halos: dict[str, float] | Non
         "bloom_diameter_px": [spot.bloom_px for spot in spots],
         "streak_length_px": [spot.streak_px for spot in spots],
         "halo_diameter_px": [(halos or {}).get(spot.label) for spot in spots],
-        "significance": [spot.significance for spot in spots],
-        "dark_dn": [spot.dark_dn for spot in spots],
-        "full_scale_dn": [spot.full_scale_dn for spot in spots],
+        **{name: [getattr(spot, name) for spot in spots] for name in ("significance", "dark_dn", "full_scale_dn")},
     }
 
 
 def add_common_measurements(
-    session: Session,
-    spots: tuple[PointStack, ...],
-    of_series: list[Measurement],
-    evidence: dict[str, Any],
-    *,
-    context: Context,
-    **fields: Any,
-) -> Result:
+    session: Session, spots: tuple[PointStack, ...], of_series: list[Measurement], evidence: dict[str, Any], *,
+    context: Context, **fields: Any,
+) -> Result:  # fmt: skip
     """Add extents, streaks, background depressions and consistency flags to the measurements of a series.
 
-    `session`, `spots`: session and its point stacks; `of_series`, `evidence`: measurements of the method, common or
-    with their stack's label, and figure data; `context`: settings of the method; `fields`: method and provenance.
+    `of_series`, `evidence`: measurements of the method, common or with their stack's label, and figure data.
     """
     steady = check_consistency(session, spots, context, **fields)
     smear, of_smear = smear_measurement(spots, context, **fields)
     extents = bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)
-    said = [*of_series, smear, *extents]
-    flagged = [_add_flags(one, steady.flags.get(one.stack or "", steady.halo_flags)) for one in said]
+    flagged = [
+        one if one.status == "refused" else one.with_(flags=steady.flags.get(one.stack or "", steady.halo_flags))
+        for one in (*of_series, smear, *extents)
+    ]
     own = evidence.get("halo-constancy")
     halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
     drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | of_smear | steady.evidence
     return Result(measurements=(*flagged, *steady.measurements), evidence=drawn)
-
-
-def _add_flags(measurement: Measurement, flags: tuple[str, ...]) -> Measurement:
-    return measurement if measurement.status == "refused" else measurement.with_(flags=flags)
 
 
 # Remedy of each flag of this package.
@@ -277,23 +253,17 @@ REMEDIES = {
 
 
 def add_findings(measurement: Measurement, effects: Mapping[str, str] | None = None) -> Measurement:
-    """Add effect and remedy of each flag to a measurement.
+    """Add effect and remedy of each flag to a measurement; a refused one is returned unchanged.
 
-    `measurement`: measurement of this package; a refused one is returned unchanged; `effects`: effect size by flag,
-    where measured; otherwise the interval gives the scale.
+    `effects`: effect size by flag, where measured; otherwise the interval gives the scale.
     """
-    if measurement.status == "refused" or measurement.value is None:
+    value = measurement.value
+    if measurement.status == "refused" or value is None:
         return measurement
+    low, high = measurement.interval95 or (value, value)
+    unit = "" if measurement.unit == "1" else f" {measurement.unit}"
+    half = f"{measurement.quantity} may be wrong by more than its half interval of {0.5 * (high - low):.3g}{unit}"
     found = [
-        Finding(flag=flag, effect=(effects or {}).get(flag, _beyond_interval(measurement)), remedy=REMEDIES[flag])
-        for flag in measurement.flags
+        Finding(flag=flag, effect=(effects or {}).get(flag, half), remedy=REMEDIES[flag]) for flag in measurement.flags
     ]
     return measurement.with_(findings=found)
-
-
-def _beyond_interval(measurement: Measurement) -> str:
-    """Effect of a flag without a measured size."""
-    low, high = measurement.interval95 or (measurement.value, measurement.value)
-    assert low is not None and high is not None
-    unit = "" if measurement.unit == "1" else f" {measurement.unit}"
-    return f"{measurement.quantity} may be wrong by more than its half interval of {0.5 * (high - low):.3g}{unit}"

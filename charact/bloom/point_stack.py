@@ -89,8 +89,6 @@ def brightest(image: Array, region: tuple[int, int, int, int] | None) -> SourceP
 def middle(view: SourceView, row: float, col: float) -> tuple[float, float, bool] | None:
     """Return the centre of the contour at half height, and whether no sector is excluded; None without a contour.
 
-    None where there is no contour.
-
     Sectors distorted by a streak or another source are excluded; clipped pixels lie inside the contour.
     """
     profile = view.profile[1]
@@ -110,15 +108,10 @@ def is_bright_at(image: Array, own: SourcePosition, other: SourcePosition) -> bo
     """Whether another position is within a pixel or two, or as bright as the source detected here."""
     if np.hypot(own.row - other.row, own.col - other.col) < NEAR_PX or own.significance < 16.0:
         return True
+    places = ((round(place.row), round(place.col)) for place in (own, other))
+    here, there = (image[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2].mean() for row, col in places)
     floor = float(np.median(image[::THIN, ::THIN]))
-    here, there = (_patch(image, place) - floor for place in (own, other))
-    return there > 0.7 * here
-
-
-def _patch(image: Array, place: SourcePosition) -> float:
-    """Mean of the 3 x 3 pixels at a position."""
-    row, col = round(place.row), round(place.col)
-    return float(image[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2].mean())
+    return bool(there - floor > 0.7 * (here - floor))
 
 
 def others(image: Array, place: SourcePosition, span_dn: float, row_pitch: float) -> tuple[SourcePosition, ...]:
@@ -224,29 +217,23 @@ class PointStack:
 def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack, ...]:
     """Read all point stacks one at a time, in two passes: locate the sources, then measure them."""
     levels = {dark.label: dark.read().mean_dn for dark in session.of_kind("dark")}
-
-    def dark_of(entry: StackEntry) -> float | None:
-        dark = session.dark_like(entry.conditions)
-        return None if dark is None else levels[dark.label]
-
     entries = sorted(session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0)
-    places = [_place(entry, dark_of(entry), context) for entry in entries]
+    darks = [None if (d := session.dark_like(entry.conditions)) is None else levels[d.label] for entry in entries]
+    places = []
+    for entry, dark in zip(entries, darks, strict=True):
+        stack = entry.read()
+        level = black_level_of(stack, dark)[0]
+        places.append(place_of(stack, entry.target.region, level, full_scale_of(stack, context), context))
     spots: list[PointStack] = []
     behind: list[tuple[Conditions, Background]] = []
-    for done, (entry, place) in enumerate(zip(entries, places, strict=True)):
+    for done, (entry, dark, place) in enumerate(zip(entries, darks, places, strict=True)):
         context.progress(f"blooming of {entry.label}", done / len(entries))
         same = [other for other, one in zip(places, entries, strict=True) if one.target.region == entry.target.region]
-        dark, stack = dark_of(entry), entry.read()
+        stack = entry.read()
         place = common_position(place, same, stack.data.mean(axis=0, dtype=np.float64))
         spots.append(spot_of(entry, stack, dark, place, context, behind))
         behind.append((entry.conditions, spots[-1].light))
     return tuple(spots)
-
-
-def _place(entry: StackEntry, dark: float | None, context: Context) -> SourcePosition:
-    """Locate the source of one stack."""
-    stack = entry.read()
-    return place_of(stack, entry.target.region, _level(stack, dark), full_scale_of(stack, context), context)
 
 
 def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, context: Context) -> SourcePosition:
@@ -260,7 +247,8 @@ def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, co
     settled = False
     for _ in range(5):
         better = middle(view, row, col)
-        if better is None or not _inside(better[0], better[1], view.signal.shape):
+        # The contour of a cropped bloom may be centred outside the frame.
+        if better is None or any(not -0.5 <= at < n - 0.5 for at, n in zip(better, view.signal.shape, strict=False)):
             break
         moved = float(np.hypot(better[0] - row, better[1] - col))
         row, col, settled = better
@@ -268,11 +256,6 @@ def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, co
             break
         view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
     return SourcePosition(row=row, col=col, significance=found.significance, cut=cut, settled=settled)
-
-
-def _inside(row: float, col: float, shape: tuple[int, ...]) -> bool:
-    """Whether a position lies inside the frame; the contour of a cropped bloom may be centred outside."""
-    return -0.5 <= row < shape[0] - 0.5 and -0.5 <= col < shape[1] - 0.5
 
 
 def common_position(own: SourcePosition, places: list[SourcePosition], image: Array) -> SourcePosition:
@@ -298,15 +281,10 @@ def full_scale_of(stack: FrameStack, context: Context) -> float:
     return stated if stated is not None else float(stack.data.max())
 
 
-def _dark_or_black_level(stack: FrameStack, dark: float | None) -> float | None:
-    """Return the dark level as measured, else as recorded; None if unknown."""
-    return dark if dark is not None else stack.black_level_dn
-
-
-def _level(stack: FrameStack, dark: float | None) -> float:
-    """Return the black level: measured, recorded, else the median of the mean frame, DN."""
-    recorded = _dark_or_black_level(stack, dark)
-    return float(np.median(stack.data.mean(axis=0, dtype=np.float64))) if recorded is None else recorded
+def black_level_of(stack: FrameStack, dark: float | None) -> tuple[float, bool]:
+    """Return the black level, DN, and whether it is known: measured, recorded, else the median of the mean frame."""
+    known = dark if dark is not None else stack.black_level_dn
+    return (float(np.median(stack.data.mean(axis=0, dtype=np.float64))), False) if known is None else (known, True)
 
 
 def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: SourcePosition, context: Context,
@@ -317,7 +295,7 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
     source. `behind`: conditions and backgrounds of the previous stacks, the faintest first. The background of the
     faintest stack with the same conditions is used, since a bright source illuminates the whole frame.
     """
-    full, level = full_scale_of(stack, context), _level(stack, dark)
+    full, (level, known) = full_scale_of(stack, context), black_level_of(stack, dark)
     view = view_of(stack.data, level, full, place.row, place.col, context.pitch_ratio)
     own = background_of(view)
     alike = [light for conditions, light in behind if has_same_settings(conditions, entry.conditions) and light.even]
@@ -326,7 +304,7 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
     found: dict[str, Extent | None] = {"half": None, "background": None, "clip": None}
     if place.significance >= DETECTED:
         found["half"] = extent_at(view, half, seed=context.seed)
-        if _dark_or_black_level(stack, dark) is None and found["half"] is not None:
+        if not known and found["half"] is not None:
             # An unknown black level lies between 0 and the median of the frame.
             lowest = extent_at(view, 0.5 * full, seed=context.seed)
             draws = found["half"].draws if lowest is None else np.concatenate([found["half"].draws, lowest.draws])
@@ -340,24 +318,12 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
     col = int(np.clip(round(place.col), 0, image.shape[1] - 1))
     clear = place.significance >= DETECTED
     return PointStack(
-        label=entry.label,
-        conditions=entry.conditions,
-        image=image,
-        frames=len(stack),
-        dark_dn=level,
-        full_scale_dn=full,
-        dark_known=_dark_or_black_level(stack, dark) is not None,
-        row=place.row,
-        col=place.col,
-        significance=place.significance,
-        frame_streak_px=(stack.data[:, :, col] >= half).sum(axis=1).astype(float),
-        row_pitch=context.pitch_ratio,
-        half=found["half"],
-        background=found["background"],
-        clip=found["clip"],
-        light=light,
-        others=others(image, place, full - level, context.pitch_ratio) if clear else (),
-    )
+        label=entry.label, conditions=entry.conditions, image=image, frames=len(stack), dark_dn=level,
+        full_scale_dn=full, dark_known=known, row=place.row, col=place.col,
+        significance=place.significance, frame_streak_px=(stack.data[:, :, col] >= half).sum(axis=1).astype(float),
+        row_pitch=context.pitch_ratio, half=found["half"], background=found["background"], clip=found["clip"],
+        light=light, others=others(image, place, full - level, context.pitch_ratio) if clear else (),
+    )  # fmt: skip
 
 
 def has_same_settings(one: Conditions, other: Conditions) -> bool:

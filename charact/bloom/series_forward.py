@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.extent_measurements import add_common_measurements, provenance, quantisation_flags
-from charact.bloom.halo_edge_step import STEP_SEEN, first_radius, profile_of, reach_of
+from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of
 from charact.bloom.point_stack import DETECTED, PointStack, read_point_stacks
 from charact.bloom.series.extent_comparison import MISFIT, compare_extents
-from charact.bloom.series.levenberg_marquardt import optimise
 from charact.bloom.series.likelihood import RingSeries, select_levels
 from charact.bloom.series.model_selection import (
     MISFIT_SHARE,
@@ -20,6 +19,7 @@ from charact.bloom.series.model_selection import (
     is_uneven,
     own_diameters,
 )
+from charact.bloom.series.optimum import optimise
 from charact.bloom.series.ring_series import build_ring_series
 from charact.bloom.series.series_measurements import (
     OF_THE_HALO,
@@ -206,7 +206,9 @@ def _analyse_series(
     series, group = found
     context.progress("blur models of the source", 0.9)
     has_tube = context.sensor is not None or any(one.conditions.mcp_v is not None for one in group)
-    radius, seen = first_radius([profile_of(spot, reach_of(spot), context=context) for spot in group])
+    # The stack that shows the halo's edge most significantly.
+    edges = [edge_radius(profile_of(spot, context=context)) for spot in group]
+    radius, seen = max(edges, key=lambda one: one[1])
     forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor, has_tube=has_tube,
                        first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"))  # fmt: skip
     best = forms[0]

@@ -1,6 +1,7 @@
 """Bloom quantities of a single frame of a point source, without darks and other source levels."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 from charact.bloom.defects import with_sound_pixels
 from charact.bloom.extent import DRAWS
 from charact.bloom.extent_measurements import add_findings, bloom_measurements, provenance, series_evidence
-from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of, reach_of
+from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of
 from charact.bloom.point_stack import DETECTED, PointStack, SourcePosition, read_point_stacks, spot_of
 from charact.bloom.source_view import SECTORS, Background, SourceView, view_of
+from charact.bloom.thresholds import Unmeasurable
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from labdata.conditions import Conditions
@@ -29,21 +31,21 @@ REACH_PX = 45.0
 STEP_PX, ANGLES = 0.25, 48
 
 
-def ring_energy_radii(view: SourceView, background: Background, *, seed: int) -> dict[float, Array] | str:
-    """Return draws of the encircled-energy radii for each of `SHARES`, column pitches; or a refusal reason.
+def ring_energy_radii(view: SourceView, background: Background, *, seed: int) -> dict[float, Array]:
+    """Return draws of the encircled-energy radii for each of `SHARES`, column pitches; else Unmeasurable.
 
-    `view`: mean frame around the source; `background`: signal not due to the source; `seed`: seed of the draws. The
-    total signal is that inside the largest ring of the frame, or within `REACH_PX`: wings beyond are excluded, and the
-    background's error includes the whole area.
+    The total signal is that inside the largest ring of the frame, or within `REACH_PX`: wings beyond are excluded, and
+    the background's error includes the whole area.
     """
     top = float((view.signal[view.polar.radius < view.rings.radius[-1]]).max())
     if top > 0.97 * view.top:
-        return "the source's core is clipped, so that its total signal is unknown: a fainter stack is needed"
+        raise Unmeasurable(
+            "the source's core is clipped, so that its total signal is unknown: a fainter stack is needed"
+        )
     if not background.even:
-        return "the signal still falls at the border of the frame: a larger frame is needed"
+        raise Unmeasurable("the signal still falls at the border of the frame: a larger frame is needed")
     border = (view.polar.radius[edge].min() for edge in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]))
     rings = max(int(min(*border, REACH_PX)), 1)
-    rng = np.random.default_rng(seed)
     rng = np.random.default_rng(seed)
     sd = view.noise.sd(view.profile[1]) / np.sqrt(view.noise.frames)
     area = np.diff(np.pi * np.arange(rings + 1.0) ** 2)
@@ -55,7 +57,8 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
     draws = held + np.array([np.interp(radius, np.arange(rings + 1.0), one) for one in off])
     whole = draws[:, -1]
     if np.std(whole) > 0.1 * np.mean(whole):
-        return f"the source's signal is uncertain by {np.std(whole) / abs(np.mean(whole)):.0%}: more frames are needed"
+        error = np.std(whole) / abs(np.mean(whole))
+        raise Unmeasurable(f"the source's signal is uncertain by {error:.0%}: more frames are needed")
     return {share: np.array([_first(one / one[-1], radius, share) for one in draws]) for share in SHARES}
 
 
@@ -67,17 +70,12 @@ def _cumulative_light(view: SourceView, light: Array, area: Array, floor: float)
     fine = np.arange(0.0, near + STEP_PX / 2, STEP_PX)
     angle = 2.0 * np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
     middle = fine[1:] - 0.5 * STEP_PX
-    row, col = _centre(view)
+    row, col = -view.polar.dy[0, 0] / view.polar.row_pitch, -view.polar.dx[0, 0]
     places = [row + middle[:, None] * np.sin(angle) / view.polar.row_pitch, col + middle[:, None] * np.cos(angle)]
     profile = ndimage.map_coordinates(view.signal, places, order=3, mode="nearest").mean(axis=1) - floor
     inner = np.concatenate([[0.0], np.cumsum(2.0 * np.pi * middle * STEP_PX * profile)])
     outer = inner[-1] + np.cumsum((light * area)[near:])
     return np.concatenate([fine, np.arange(near + 1.0, len(light) + 1.0)]), np.concatenate([inner, outer])
-
-
-def _centre(view: SourceView) -> tuple[float, float]:
-    """Centre of the view, px."""
-    return float(-view.polar.dy[0, 0] / view.polar.row_pitch), float(-view.polar.dx[0, 0])
 
 
 def _first(held: Array, radius: Array, share: float) -> float:
@@ -107,10 +105,7 @@ BEYOND_ONE_FRAME = (
 
 
 def bare_session(path: str | Path) -> Session:
-    """Return a session of one point stack from an image file without a session.
-
-    `path`: the file.
-    """
+    """Return a session of one point stack from an image file without a session."""
     path = Path(path)
     entry = StackEntry(label=path.stem, kind="point", frames=path.name, conditions=Conditions(), folder=path.parent)
     return Session(folder=path.parent, name=path.name, stacks=(entry,))
@@ -118,39 +113,25 @@ def bare_session(path: str | Path) -> Session:
 
 @with_timing
 def measure_frame(session: Session, *, context: Context) -> Result:
-    """Measure the only stack of a session; each source in it has its own region.
-
-    `session`: session with one stack of kind "point"; `context`: seed and settings.
-    """
+    """Measure the only stack, of kind "point", of a session; each source in it has its own region."""
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     session, _ = with_sound_pixels(session)
     (spot,) = read_point_stacks(session, context=context)
     (entry,) = session.of_kind("point")
-    stack = entry.read()
-    out = [*_extents(spot, context, fields), *_energy_radii(spot, stack, context, fields), _halo(spot, context, fields)]
-    out += [
-        make_refusal(quantity, unit, reason, stack=spot.label, **fields) for quantity, unit, reason in BEYOND_ONE_FRAME
-    ]
+    stack, of_spot = entry.read(), {"stack": spot.label, **fields}
+    extents = partial(bloom_measurements, square=context.sensor is None, sensor=context.sensor, **fields)
+    out = [*extents((spot,)), *_energy_radii(spot, stack, context, of_spot), _halo(spot, context, of_spot)]
+    out += [make_refusal(quantity, unit, reason, **of_spot) for quantity, unit, reason in BEYOND_ONE_FRAME]
     if spot.others:
         out = [m.with_(region=_box(spot)) for m in out]
+    first = SourcePosition(row=spot.row, col=spot.col, significance=spot.significance)
     for other in spot.others[:8]:
-        second = replace(spot_of(entry, stack, _dark_of(spot), other, context, []), others=(_place(spot),))
-        out += [m.with_(region=_box(second)) for m in _extents(second, context, fields)]
+        dark = spot.dark_dn if spot.dark_known else None
+        second = replace(spot_of(entry, stack, dark, other, context, []), others=(first,))
+        out += [m.with_(region=_box(second)) for m in extents((second,))]
     return Result(
         measurements=tuple(add_findings(one) for one in out), evidence={"bloom-series": series_evidence((spot,))}
     )
-
-
-def _extents(spot: PointStack, context: Context, fields: dict[str, Any]) -> list[Measurement]:
-    return bloom_measurements((spot,), square=context.sensor is None, sensor=context.sensor, **fields)
-
-
-def _dark_of(spot: PointStack) -> float | None:
-    return spot.dark_dn if spot.dark_known else None
-
-
-def _place(spot: PointStack) -> SourcePosition:
-    return SourcePosition(row=spot.row, col=spot.col, significance=spot.significance)
 
 
 def _box(spot: PointStack) -> tuple[int, int, int, int]:
@@ -164,38 +145,33 @@ def _box(spot: PointStack) -> tuple[int, int, int, int]:
     return row, col, min(rows - row, 2 * BOX_PX + 1), min(cols - col, 2 * BOX_PX + 1)
 
 
-def _energy_radii(spot: PointStack, stack: FrameStack, context: Context, fields: dict[str, Any]) -> list[Measurement]:
+def _energy_radii(spot: PointStack, stack: FrameStack, context: Context, common: dict[str, Any]) -> list[Measurement]:
     names = [f"encircled_radius_{100 * share:.0f}" for share in SHARES]
-    common = {"stack": spot.label, **fields}
-    if spot.significance < DETECTED:
-        return [make_refusal(name, "px", "no point source is detected", **common) for name in names]
-    view = view_of(stack.data, spot.dark_dn, spot.full_scale_dn, spot.row, spot.col, context.pitch_ratio)
-    found = ring_energy_radii(view, spot.light, seed=context.seed)
-    if isinstance(found, str):
-        return [make_refusal(name, "px", found, **common) for name in names]
-    flags = ("several-targets",) if spot.others else ()
-    rows, cols = spot.image.shape
-    reach = min(
-        REACH_PX, *(m * context.pitch_ratio for m in (spot.row, rows - 1 - spot.row)), spot.col, cols - 1 - spot.col
-    )
-    notes = (f"the total signal is that within {reach:.0f} px of the source",)
+    try:
+        if spot.significance < DETECTED:
+            raise Unmeasurable("no point source is detected")
+        view = view_of(stack.data, spot.dark_dn, spot.full_scale_dn, spot.row, spot.col, context.pitch_ratio)
+        found = ring_energy_radii(view, spot.light, seed=context.seed)
+    except Unmeasurable as refusal:
+        return [make_refusal(name, "px", str(refusal), **common) for name in names]
+    (rows, cols), ratio = spot.image.shape, context.pitch_ratio
+    reach = min(REACH_PX, spot.row * ratio, (rows - 1 - spot.row) * ratio, spot.col, cols - 1 - spot.col)
+    given = {"flags": ("several-targets",) if spot.others else (), **common}
+    given["notes"] = (f"the total signal is that within {reach:.0f} px of the source",)
     return [
-        measurement_from_draws(name, "px", found[share], flags=flags, notes=notes, **common)
-        for name, share in zip(names, SHARES, strict=True)
+        measurement_from_draws(name, "px", found[share], **given) for name, share in zip(names, SHARES, strict=True)
     ]
 
 
-def _halo(spot: PointStack, context: Context, fields: dict[str, Any]) -> Measurement:
+def _halo(spot: PointStack, context: Context, common: dict[str, Any]) -> Measurement:
     """Diameter of the halo where the ring profile has a clear step."""
-    common = {"stack": spot.label, **fields}
     if spot.significance < DETECTED:
         return make_refusal("halo_diameter", "px", "no point source is detected", **common)
-    radius, seen = edge_radius(profile_of(spot, reach_of(spot), context=context))
-    if seen < STEP_SEEN and spot.clip is not None and spot.clip.diameter_px > 16.0:
+    radius, seen = edge_radius(profile_of(spot, context=context))
+    if seen >= STEP_SEEN:
+        notes = ("the steepest step of the rings; only a series of stacks distinguishes it from other steps",)
+        return measurement_from_sd("halo_diameter", "px", 2 * radius, 2 * 0.7, notes=notes, **common)
+    reason = "the rings show no step: a brighter stack, with its halo above the noise, would show one"
+    if spot.clip is not None and spot.clip.diameter_px > 16.0:
         reason = "the frame is clipped beyond any step of the rings: a fainter stack would show the halo's edge"
-        return make_refusal("halo_diameter", "px", reason, **common)
-    if seen < STEP_SEEN:
-        reason = "the rings show no step: a brighter stack, with its halo above the noise, would show one"
-        return make_refusal("halo_diameter", "px", reason, **common)
-    notes = ("the steepest step of the rings; only a series of stacks distinguishes it from other steps",)
-    return measurement_from_sd("halo_diameter", "px", 2 * radius, 2 * 0.7, notes=notes, **common)
+    return make_refusal("halo_diameter", "px", reason, **common)

@@ -222,14 +222,9 @@ def view_of(
     rings, top = rings_of(signal, polar), full_scale_dn - dark_dn
     smooth = np.asarray(ndimage.gaussian_filter(signal, SMOOTHING_PX))
     return SourceView(
-        signal=signal,
-        smooth=smooth,
-        dark_dn=dark_dn,
-        top=top,
-        polar=polar,
-        rings=rings,
+        signal=signal, smooth=smooth, dark_dn=dark_dn, top=top, polar=polar, rings=rings,
         noise=noise_of(frames, signal, smooth, top, polar, rings),
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -225,13 +225,14 @@ def summary(rows: Iterable[CaseResult], method: str) -> MethodSummary:
     sure = [row for row in own if row.status == "ok"]
     missed = sum(not row.covers for row in sure)
     return MethodSummary(
-        method=method,
-        error_percent=float(np.percentile(errors, 95)) if errors.size else 0.0,
+        method=method, error_percent=float(np.percentile(errors, 95)) if errors.size else 0.0,
         error_limit_percent=percentile_limit(errors) if errors.size else 0.0,
-        seconds=float(np.median([row.seconds for row in own])),
-        cases=len(own),
-        **count,
-        silent=sum(row.silent for row in own),
-        ok_fraction=count["ok"] / len(own),
+        seconds=float(np.median([row.seconds for row in own])), cases=len(own), **count,
+        silent=sum(row.silent for row in own), ok_fraction=count["ok"] / len(own),
         missed_fraction=missed / len(sure) if sure else 0.0,
-    )
+    )  # fmt: skip
+
+
+def axes_of(rows: Sequence[CaseResult]) -> tuple[str, ...]:
+    """Axes in the order they were swept."""
+    return tuple(dict.fromkeys(row.axis for row in rows))

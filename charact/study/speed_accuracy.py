@@ -56,16 +56,9 @@ class Chart:
 
 
 def chart(
-    quantity: str,
-    *,
-    seed: int = 0,
-    out: str | Path | None = None,
-    progress: Progress = lambda sentence, share: None,
-    update: bool = False,
-    quick: bool = False,
-    cases: int | None = None,
-    methods: tuple[Method, ...] | None = None,
-) -> Chart:
+    quantity: str, *, seed: int = 0, out: str | Path | None = None, progress: Progress = lambda sentence, share: None,
+    update: bool = False, quick: bool = False, cases: int | None = None, methods: tuple[Method, ...] | None = None,
+) -> Chart:  # fmt: skip
     """Measure error and time of every method of a quantity on the same cases of known truth, kind by kind.
 
     Parameters
@@ -109,7 +102,7 @@ def chart(
 
     data = {**result.table, "rows": [row.as_json() for row in rows]}
     written = write_json(Path(out) / f"chart-{quantity}.json", data)
-    files = (written, plot_chart(result, Path(out) / f"chart-{quantity}.svg"))
+    files = (written, plot_chart(quantity, rows, summaries, Path(out) / f"chart-{quantity}.svg"))
     return Chart(**{**vars(result), "files": files})
 
 

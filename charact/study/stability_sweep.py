@@ -12,7 +12,7 @@ from pathlib import Path
 
 import charact
 from charact.method import Context, Method
-from charact.study.harness import Case, CaseResult, MethodSummary, Progress, attempt, summary
+from charact.study.harness import Case, CaseResult, MethodSummary, Progress, attempt, axes_of, summary
 from charact.study.speed_accuracy import write_json
 from charact.study.study_registry import Study, methods_of, studies_of
 
@@ -71,11 +71,6 @@ class Stability:
         return "  ".join(cells)
 
 
-def axes_of(rows: Sequence[CaseResult]) -> tuple[str, ...]:
-    """Axes in the order they were swept."""
-    return tuple(dict.fromkeys(row.axis for row in rows))
-
-
 def _sentence(row: CaseResult) -> str:
     truth = "nothing to measure" if row.truth is None else f"truth {row.truth:.4g}"
     return (
@@ -90,18 +85,10 @@ def _attempt_all(case: Case, methods: tuple[Method, ...], chains: bool) -> list[
 
 
 def stability(
-    quantity: str,
-    *,
-    seed: int = 0,
-    out: str | Path | None = None,
-    progress: Progress = lambda sentence, share: None,
-    quick: bool = False,
-    chains: bool = False,
-    repeats: int | None = None,
-    axes: tuple[str, ...] | None = None,
-    methods: tuple[Method, ...] | None = None,
-    workers: int | None = None,
-) -> Stability:
+    quantity: str, *, seed: int = 0, out: str | Path | None = None, progress: Progress = lambda sentence, share: None,
+    quick: bool = False, chains: bool = False, repeats: int | None = None, axes: tuple[str, ...] | None = None,
+    methods: tuple[Method, ...] | None = None, workers: int | None = None,
+) -> Stability:  # fmt: skip
     """Sweep the axes of a quantity past the breaking point and map what every method does.
 
     Parameters
@@ -202,4 +189,7 @@ def _write_files(result: Stability, out: Path) -> tuple[Path, ...]:
     }
     written = write_json(out / f"stability-{result.quantity}.json", data)
     kinds = dict.fromkeys(row.kind for row in result.rows)
-    return written, *(plot_stability(result, kind, out / f"stability-{result.quantity}-{kind}.svg") for kind in kinds)
+    return written, *(
+        plot_stability(result.quantity, result.rows, kind, out / f"stability-{result.quantity}-{kind}.svg")
+        for kind in kinds
+    )

@@ -1,13 +1,12 @@
 """Figures of a study: error against time, and a map of truth against estimate along every axis."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from charact.study.harness import CaseResult
-from charact.study.speed_accuracy import Chart
-from charact.study.stability_sweep import Stability, axes_of
+from charact.study.harness import CaseResult, MethodSummary, axes_of
 from labdata.quantity import QUANTITIES
 
 # Colours that differ in lightness too (Okabe and Ito), and a mark for each verdict.
@@ -35,25 +34,24 @@ def _save(figure: Any, path: Path) -> Path:
     return path
 
 
-def plot_chart(result: Chart, path: Path) -> Path:
+def plot_chart(quantity: str, rows: Sequence[CaseResult], summaries: Sequence[MethodSummary], path: Path) -> Path:
     """Draw relative error (95th percentile as a mark, every case as a dot) against time, a panel for each kind."""
-    kinds = list(dict.fromkeys(row.kind for row in result.rows))
+    kinds = list(dict.fromkeys(row.kind for row in rows))
     figure, grid = _pyplot().subplots(
         1, len(kinds), figsize=(2.0 + 5.5 * len(kinds), 4.6), layout="constrained", squeeze=False, sharey=True
     )
     for axes, kind in zip(grid.flat, kinds, strict=True):
-        _draw_kind(axes, result, kind)
-    grid[0, 0].set_ylabel(f"error of {result.quantity} (% of the truth)")
-    figure.suptitle(QUANTITIES[result.quantity].title, fontsize=11)
+        own = [row for row in rows if row.kind == kind]
+        _draw_kind(axes, kind, own, [one for one in summaries if one.method in {row.method for row in own}])
+    grid[0, 0].set_ylabel(f"error of {quantity} (% of the truth)")
+    figure.suptitle(QUANTITIES[quantity].title, fontsize=11)
     return _save(figure, path)
 
 
-def _draw_kind(axes: Any, result: Chart, kind: str) -> None:
+def _draw_kind(axes: Any, kind: str, rows: list[CaseResult], summaries: list[MethodSummary]) -> None:
     """One panel: the methods of one kind of target."""
-    methods = {row.method for row in result.rows if row.kind == kind}
-    summaries = [one for one in result.summaries if one.method in methods]
     for colour, one in zip(_cycle_colours(len(summaries)), summaries, strict=True):
-        own = [row for row in result.rows if row.method == one.method and row.error_percent is not None]
+        own = [row for row in rows if row.method == one.method and row.error_percent is not None]
         errors = [max(row.error_percent or 0.0, 1e-3) for row in own]
         axes.scatter([row.seconds for row in own], errors, s=9, color=colour, alpha=0.35, linewidths=0)
         label = f"{one.method}: {one.error_percent:.2g} % in {one.seconds:.2g} s, {one.ok_fraction:.0%} ok"
@@ -78,9 +76,9 @@ def _cycle_colours(count: int) -> list[str]:
     return [COLOURS[number % len(COLOURS)] for number in range(count)]
 
 
-def plot_stability(result: Stability, kind: str, path: Path) -> Path:
+def plot_stability(quantity: str, rows: Sequence[CaseResult], kind: str, path: Path) -> Path:
     """Draw value over truth along every axis of a kind with its 95 % interval, verdict as the mark, lies in red."""
-    rows = [row for row in result.rows if row.kind == kind]
+    rows = [row for row in rows if row.kind == kind]
     names, methods = axes_of(rows), tuple(dict.fromkeys(row.method for row in rows))
     columns = 3
     lines = -(-len(names) // columns)
@@ -88,10 +86,10 @@ def plot_stability(result: Stability, kind: str, path: Path) -> Path:
         lines, columns, figsize=(13, 2.9 * lines + 0.5), layout="constrained", squeeze=False, sharey=True
     )
     for panel, name in zip(grid.flat, names, strict=False):
-        _draw_axis(panel, [row for row in rows if row.axis == name], methods, result.quantity)
+        _draw_axis(panel, [row for row in rows if row.axis == name], methods, quantity)
     for panel in grid.flat[len(names) :]:
         panel.set_visible(False)
-    title = f"{kind}: {QUANTITIES[result.quantity].title}; lines are 95 % intervals, marks at the rim lie beyond it"
+    title = f"{kind}: {QUANTITIES[quantity].title}; lines are 95 % intervals, marks at the rim lie beyond it"
     handles = _legend(methods)
     figure.legend(handles=handles, title=title, loc="outside upper center", ncols=len(handles), frameon=False)
     return _save(figure, path)

@@ -28,14 +28,9 @@ class AxisPosition:
     def case(self, rng: np.random.Generator, **given: Any) -> Case:
         """Return a case at this place, its seed drawn; `given` are the case's other fields."""
         return Case(
-            name=f"{self.axis} {self.position:g} {self.unit}".strip(),
-            axis=self.axis,
-            position=float(self.position),
-            unit=self.unit,
-            in_scope=self.in_scope,
-            seed=int(rng.integers(1 << 31)),
-            **given,
-        )
+            name=f"{self.axis} {self.position:g} {self.unit}".strip(), axis=self.axis, position=float(self.position),
+            unit=self.unit, in_scope=self.in_scope, seed=int(rng.integers(1 << 31)), **given,
+        )  # fmt: skip
 
 
 def scene_at(axes: Axes, at: AxisPosition, base: Any) -> Any:

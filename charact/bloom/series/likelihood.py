@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from charact.bloom.series.halo_models import HaloModel
 from charact.bloom.series.ring_loops import best_step, lost_at_top, residuals_and_slopes, ring_means, whiten_rings
-from charact.bloom.series.rings import HARDLY_CUT, Geometry, LevelRings, RingNoise
+from charact.bloom.series.rings import HARDLY_CUT, LevelRings, RingNoise
 from charact.bloom.transfer import onto_nodes
 
 Array = NDArray[np.float64]
@@ -152,29 +152,19 @@ def series_of(levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: floa
     geometries = [within[id(level.geometry)] for level in levels]
     first = geometries[0]
     data = np.array([level.mean_dn[:rings] for level in levels])
+    covariances = [
+        noise.covariance(one, of.count, level.frames) + np.diag(np.where(of.lost, 1e5**2, 0.0))
+        for one, level, of in zip(data, levels, geometries, strict=True)
+    ]
     nodes = np.array([np.interp(first.node_px, first.radius_px, one) for one in data])
     return RingSeries(
-        labels=tuple(level.label for level in levels),
-        data=data,
+        labels=tuple(level.label for level in levels), data=data,
         cut=np.array([level.cut_share[:rings] > HARDLY_CUT for level in levels]),
-        own_covariance=np.array(
-            [
-                _own_covariance(one, level.frames, of, noise)
-                for one, level, of in zip(data, levels, geometries, strict=True)
-            ]
-        ),
-        node_sd=noise.pixel_sd(nodes),
-        sector_sd=np.array([level.sector_sd[:rings] for level in levels]),
-        averages=np.array([one.averages for one in geometries]),
-        node_px=first.node_px,
-        radius_px=first.radius_px,
+        own_covariance=np.array(covariances),
+        node_sd=noise.pixel_sd(nodes), sector_sd=np.array([level.sector_sd[:rings] for level in levels]),
+        averages=np.array([one.averages for one in geometries]), node_px=first.node_px, radius_px=first.radius_px,
         full_dn=full_dn,
-    )
-
-
-def _own_covariance(data: Array, frames: int, geometry: Geometry, noise: RingNoise) -> Array:
-    out = noise.covariance(data, geometry.count, frames)
-    return out + np.diag(np.where(geometry.lost, 1e5**2, 0.0))
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,16 +184,6 @@ class AmplitudeSolution:
     def chi2(self) -> Array:
         """Chi squared of every stack, shape (level, point)."""
         return (self.residual**2).sum(axis=1)
-
-    @cached_property
-    def normal(self) -> Array:
-        """Normal matrix of the amplitudes, shape (level, amplitude, amplitude, point)."""
-        return _normal(self.slopes)
-
-    def at(self, points: NDArray[np.intp]) -> "AmplitudeSolution":
-        """Return the solution at some of the points."""
-        arrays = {name: getattr(self, name)[..., points] for name in ("amplitudes", "residual", "slopes")}
-        return replace(self, **arrays)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -356,10 +336,3 @@ class SeriesLikelihood:
             core.log_likelihoods(residual[:, near]), beyond.log_likelihoods(residual[:, ~near])
         )
         return misfit, value - float(np.log(light).sum())
-
-
-def _normal(slopes: Array) -> Array:
-    """Normal matrix of slopes (amplitude, level, ring, point), shape (level, amplitude, amplitude, point)."""
-    source, even = slopes
-    (a, b, d) = ((one * other).sum(axis=1) for one, other in ((source, source), (source, even), (even, even)))
-    return np.stack([np.stack([a, b], axis=1), np.stack([b, d], axis=1)], axis=1)

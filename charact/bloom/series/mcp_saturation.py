@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from charact.bloom import transfer
 from charact.bloom.series.halo_models import HaloModel, ModelParameter, pixel_of
-from charact.bloom.series.levenberg_marquardt import SeriesOptimum, optimise
 from charact.bloom.series.likelihood import ModelParts, SeriesLikelihood
+from charact.bloom.series.optimum import SeriesOptimum, optimise
 from charact.bloom.transfer import frequencies
 from labdata.sensor import Sensor
 
@@ -82,11 +82,9 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
         load = before * transfer.gaussian(frequencies(), np.full(len(points), self.form.neighbourhood_px**2))
         recorded, arriving, loading = ((one @ self.series.onto_nodes).T for one in (before * behind, before, load))
         return SaturatingModelParts(
-            **self.straight_parts(recorded),
-            arriving=arriving,
-            loading=loading * self.form.at(points)["plate_load"],
+            **self.straight_parts(recorded), arriving=arriving, loading=loading * self.form.at(points)["plate_load"],
             behind=behind.T,
-        )
+        )  # fmt: skip
 
     def light(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Signal at the nodes, shape (level, node, point), DN."""
@@ -147,12 +145,12 @@ def fit_mcp_saturation(
     starts = np.array([[*peak.point, load, share] for load in (0.0, *(1e-5, 1e-4, 1e-3))])
     values = tiring.log_probability(starts)
     best = starts[int(np.argmax(values[1:])) + 1]
-    first = optimise(tiring, best, iterations=2)
+    first = optimise(tiring, best, iterations=5)
     if first.log_probability - float(values[0]) < 5.0:
         return None
     # Without load the model differs only in the position of the blur: it must improve on that as well.
     rest = max(float(values[0]), peak.log_probability)
-    near = optimise(tiring, first.point, iterations=6)
+    near = optimise(tiring, first.point, iterations=12)
     if near.log_probability < rest:
         return None
     last = optimise(tiring, near.point)

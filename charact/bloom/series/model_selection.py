@@ -6,16 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.series.halo_models import CORES, CORES_OF_TUBES, LEAST_DIAMETER_PX, WINGS, Core, Halo, HaloModel
-from charact.bloom.series.levenberg_marquardt import SeriesOptimum, optimise, optimise_from_starts, slopes_at
 from charact.bloom.series.likelihood import RingSeries, SeriesLikelihood, select_levels
 from charact.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
+from charact.bloom.series.optimum import SeriesOptimum, optimise
 from charact.bloom.series.rings import SECTORS
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
 # Steps of a first optimisation.
-FIRST_STEPS = 12
+FIRST_STEPS = 20
 # Number of parameters of a disc.
 HALO = 6
 # Excess in the criterion over the best model above which a model is not fitted further.
@@ -130,7 +130,7 @@ def fit_model(series: RingSeries, form: HaloModel, starts: list[Array]) -> Fitte
     problem = SeriesLikelihood(series=series, form=form)
     tried = np.array(starts or [form.first])
     order = np.argsort(problem.log_probability(tried))[::-1][:2]
-    peaks = optimise_from_starts(problem, tried[order], iterations=FIRST_STEPS)
+    peaks = [optimise(problem, tried[one], iterations=FIRST_STEPS, tolerance=0.2) for one in order]
     return _candidate(problem, max(peaks, key=lambda one: one.log_probability))
 
 
@@ -144,7 +144,7 @@ def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
             start = np.concatenate([first, point[core:]])
             start[at] = share
             starts.append(start)
-    as_it_is, *peaks = optimise_from_starts(candidate.problem, np.array(starts), iterations=FIRST_STEPS)
+    as_it_is, *peaks = [optimise(candidate.problem, start, iterations=FIRST_STEPS, tolerance=0.2) for start in starts]
     best = max(peaks, key=lambda one: one.log_probability)
     return _candidate(candidate.problem, best) if best.log_probability > as_it_is.log_probability + 1.0 else candidate
 
@@ -154,7 +154,7 @@ def refit_with_misfit(candidate: FittedHaloModel) -> FittedHaloModel:
     for _ in range(2):
         peak = optimise(candidate.problem, candidate.peak.point)
         candidate = _candidate(candidate.problem, peak)
-    return replace(candidate, peak=optimise(candidate.problem, candidate.peak.point))
+    return replace(candidate, peak=optimise(candidate.problem, candidate.peak.point, tolerance=1e-5))
 
 
 def _candidate(problem: SeriesLikelihood, peak: SeriesOptimum) -> FittedHaloModel:
@@ -212,7 +212,8 @@ def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
         if seen > 8.0:
             peak = optimise(alone, best.peak.point, held=held, iterations=6)
             free = [i for i in range(len(names)) if i not in held]
-            out[0, one], out[1, one] = peak.point[at], _sd(alone, peak.point, free, at)
+            covariance = np.linalg.pinv(peak.normal[np.ix_(free, free)])
+            out[0, one], out[1, one] = peak.point[at], np.sqrt(max(covariance[free.index(at), free.index(at)], 0.0))
     return out[0], out[1], out[2]
 
 
@@ -222,14 +223,6 @@ def _significance(alone: SeriesLikelihood, point: Array, share: int) -> float:
     bare[share] = alone.form.bounds[share, 0]
     with_halo, without = alone.log_probability(np.array([point, bare]))
     return float(np.sqrt(max(2.0 * (with_halo - without), 0.0)))
-
-
-def _sd(alone: SeriesLikelihood, point: Array, free: list[int], at: int) -> float:
-    """Standard error of one free parameter."""
-    slopes = slopes_at(alone, point)[:, free]
-    covariance = np.linalg.pinv(slopes.T @ slopes)
-    place = free.index(at)
-    return float(np.sqrt(max(covariance[place, place], 0.0)))
 
 
 def is_uneven(series: RingSeries) -> bool:

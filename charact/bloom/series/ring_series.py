@@ -23,14 +23,8 @@ FARTHEST_PX = 3.0
 
 
 def refine_centre(
-    images: Sequence[Array],
-    row: float,
-    col: float,
-    *,
-    pitch_ratio: float,
-    full_dn: float,
-    spoiled: Sequence[Mask],
-) -> tuple[float, float]:
+    images: Sequence[Array], row: float, col: float, *, pitch_ratio: float, full_dn: float, spoiled: Sequence[Mask],
+) -> tuple[float, float]:  # fmt: skip
     """Refine a source position so that the residuals of all images are symmetric.
 
     `images`: mean frame of every stack, shape (row, col) each, DN; `row`, `col`: approximate position of the source,
@@ -48,13 +42,8 @@ def refine_centre(
 
 
 def _step(
-    images: Sequence[Array],
-    row: float,
-    col: float,
-    pitch_ratio: float,
-    full_dn: float,
-    spoiled: Sequence[Mask],
-) -> tuple[float, float]:
+    images: Sequence[Array], row: float, col: float, pitch_ratio: float, full_dn: float, spoiled: Sequence[Mask],
+) -> tuple[float, float]:  # fmt: skip
     """Offset of the position, column pitches."""
     normal, right = np.zeros((2, 2)), np.zeros(2)
     for image, mask in zip(images, spoiled, strict=True):

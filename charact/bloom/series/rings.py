@@ -50,16 +50,10 @@ class Geometry:
         size = int(self.count[:rings].sum())
         nodes = self.node_px < self.radius_px[:rings][-1] + 4 * COARSE_PX
         return replace(
-            self,
-            order=self.order[:size],
-            first=self.first[:rings],
-            radius_px=self.radius_px[:rings],
-            count=self.count[:rings],
-            lost=self.lost[:rings],
-            node_px=self.node_px[nodes],
-            pixel_radius_px=self.pixel_radius_px[:size],
-            pixel_angle=self.pixel_angle[:size],
-        )
+            self, order=self.order[:size], first=self.first[:rings], radius_px=self.radius_px[:rings],
+            count=self.count[:rings], lost=self.lost[:rings], node_px=self.node_px[nodes],
+            pixel_radius_px=self.pixel_radius_px[:size], pixel_angle=self.pixel_angle[:size],
+        )  # fmt: skip
 
     def pixels(self, frames: NDArray) -> Array:
         """Return the pixels of the rings in order, shape (frame, row, col) -> (frame, pixel)."""
@@ -85,14 +79,9 @@ class Geometry:
 
 
 def geometry_of(
-    shape: tuple[int, int],
-    row: float,
-    col: float,
-    *,
-    pitch_ratio: float,
-    spoiled: Mask | None,
+    shape: tuple[int, int], row: float, col: float, *, pitch_ratio: float, spoiled: Mask | None,
     reach_px: int = REACH_PX,
-) -> Geometry:
+) -> Geometry:  # fmt: skip
     """Return rings of one column pitch around a position.
 
     `shape`: of the frame; `row`, `col`: centre, px; `pitch_ratio`: row pitch over column pitch; `spoiled`: pixels to
@@ -124,17 +113,10 @@ def geometry_of(
     _, first, count = np.unique(ring[order], return_index=True, return_counts=True)
     down, across = (np.broadcast_to(way, (dy.size, dx.size)).ravel()[order] for way in (dy, dx))
     return Geometry(
-        rows=rows,
-        cols=cols,
-        order=order,
-        first=first,
-        radius_px=np.add.reduceat(radius[order], first) / count,
-        count=count.astype(float),
-        lost=lost,
-        node_px=_nodes(reach + 1.0),
-        pixel_radius_px=radius[order],
+        rows=rows, cols=cols, order=order, first=first, radius_px=np.add.reduceat(radius[order], first) / count,
+        count=count.astype(float), lost=lost, node_px=_nodes(reach + 1.0), pixel_radius_px=radius[order],
         pixel_angle=np.arctan2(down, across),
-    )
+    )  # fmt: skip
 
 
 def _nodes(reach_px: float) -> Array:
@@ -208,15 +190,9 @@ def level_of(label: str, frames: NDArray, geometry: Geometry, *, full_dn: float)
         scatter = np.nan_to_num(off) / np.sqrt(SECTORS * (SECTORS - 1))
         variance = geometry.means((image - _along(geometry, mean)) ** 2)
     return LevelRings(
-        label=label,
-        geometry=geometry,
-        mean_dn=mean,
-        cut_share=geometry.means((pixels >= full_dn).mean(axis=0)),
-        pixel_variance=variance,
-        scatter=scatter,
-        frames=len(frames),
-        sector_sd=np.sqrt(np.nanmean(off**2, axis=0)),
-    )
+        label=label, geometry=geometry, mean_dn=mean, cut_share=geometry.means((pixels >= full_dn).mean(axis=0)),
+        pixel_variance=variance, scatter=scatter, frames=len(frames), sector_sd=np.sqrt(np.nanmean(off**2, axis=0)),
+    )  # fmt: skip
 
 
 def _along(geometry: Geometry, mean: Array) -> Array:
@@ -284,13 +260,9 @@ def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
     sharing = _smooth_over_rings(square, freedom @ free)
     alike = [one / np.sqrt(sharing) for one in scaled]
     return RingNoise(
-        floor_dn2=floor,
-        slope_dn=slope,
-        dark_dn=dark_dn,
-        sharing=sharing,
-        correlation=_correlation(alike),
+        floor_dn2=floor, slope_dn=slope, dark_dn=dark_dn, sharing=sharing, correlation=_correlation(alike),
         fewer=_frames_per_independent_frame(alike, levels),
-    )
+    )  # fmt: skip
 
 
 def _variance_law(levels: tuple[LevelRings, ...], free: NDArray[np.bool_], dark_dn: float) -> tuple[float, float]:

@@ -1,6 +1,5 @@
 """Measurements of a fitted series: halo, encircled energy, glare and MCP saturation."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -68,20 +67,12 @@ RIM = (0.75, 1.1)
 STEP_PX = 0.1
 
 
-@dataclass(frozen=True, kw_only=True)
-class HaloHeights:
-    """Plateau and rim of a halo, one number for each draw.
+def halo_of(form: HaloModel, points: Array) -> tuple[Array, Array]:
+    """Return plateau and rim of a disc at draws of its parameters, shape (draw,) each.
 
-    `plateau`: mean light between 0.3 and 0.7 of its radius over the source's total light, 1/px^2; `rim`: maximum light
-    of the rim, blurred by the core without its wing, over the plateau, dimensionless.
+    Plateau: mean light between 0.3 and 0.7 of the radius over the source's total light, 1/px^2; rim: maximum light of
+    the rim, blurred by the core without its wing, over the plateau.
     """
-
-    plateau: Array
-    rim: Array
-
-
-def halo_of(form: HaloModel, points: Array) -> HaloHeights:
-    """Return plateau and rim of a disc at draws of its parameters, shape (draw, parameter)."""
     of = form.at(points)
     radius, profile = of["halo_diameter"] / 2.0, profile_of(of)
     inner, outer = (0.3, 0.7)
@@ -94,7 +85,7 @@ def halo_of(form: HaloModel, points: Array) -> HaloHeights:
     light = (form.blur_transform(points) * pixel_of(form.pitch_ratio) * halo) @ onto_nodes(at)
     near = (at > RIM[0] * radius[:, None]) & (at < RIM[1] * radius[:, None])
     rim = np.where(near, light, -np.inf).max(axis=1)
-    return HaloHeights(plateau=of["halo_fraction"] * per_px2, rim=rim / per_px2)
+    return of["halo_fraction"] * per_px2, rim / per_px2
 
 
 def _within(x: float) -> Array:
@@ -153,14 +144,9 @@ DERIVED = 400
 
 def nearest_px(group: tuple[PointStack, ...]) -> float:
     """Distance of the nearest other source in any stack, column pitches; inf where there is none."""
-    return min(
-        (
-            float(np.hypot((other.row - one.row) * one.row_pitch, other.col - one.col))
-            for one in group
-            for other in one.others
-        ),
-        default=np.inf,
-    )
+    pairs = ((one, other) for one in group for other in one.others)
+    away = (float(np.hypot((two.row - one.row) * one.row_pitch, two.col - one.col)) for one, two in pairs)
+    return min(away, default=np.inf)
 
 
 def several_flag(group: tuple[PointStack, ...]) -> tuple[str, ...]:
@@ -180,14 +166,9 @@ def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
 
 
 def halo_measurements(
-    best: FittedHaloModel,
-    posterior: Posterior,
-    own: tuple[Array, Array, Array],
-    group: tuple[PointStack, ...],
-    flags: tuple[str, ...],
-    notes: tuple[str, ...],
-    fields: dict[str, Any],
-) -> list[Measurement]:
+    best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array], group: tuple[PointStack, ...],
+    flags: tuple[str, ...], notes: tuple[str, ...], fields: dict[str, Any],
+) -> list[Measurement]:  # fmt: skip
     """Return the halo's diameter, fraction, plateau and rim; scatter of the stacks widens the diameter's interval.
 
     Light of another source contaminates the rings, but not the position of the edge.
@@ -202,8 +183,8 @@ def halo_measurements(
         rng = np.random.default_rng([posterior.seed or 0, 1])
         draws["halo_diameter"] += 0.005 * middle * rng.standard_normal(len(posterior.draws))
     draws["halo_diameter"] += _form_unknown(posterior, middle)
-    halo = halo_of(best.form, posterior.draws[:DERIVED])
-    of_light = {"halo_fraction": posterior["halo_fraction"], "halo_plateau": halo.plateau, "halo_rim": halo.rim}
+    plateau, rim = halo_of(best.form, posterior.draws[:DERIVED])
+    of_light = {"halo_fraction": posterior["halo_fraction"], "halo_plateau": plateau, "halo_rim": rim}
     draws |= {name: one * _model_error_factors(best, name, len(one), posterior) for name, one in of_light.items()}
     blind = () if shows_core(best, posterior) else ("prior-bound",)
     flags_of = {
@@ -272,13 +253,9 @@ def energy_radius_measurements(
 
 
 def glare_measurements(
-    best: FittedHaloModel,
-    posterior: Posterior,
-    group: tuple[PointStack, ...],
-    flags: tuple[str, ...],
-    notes: tuple[str, ...],
-    fields: dict[str, Any],
-) -> list[Measurement]:
+    best: FittedHaloModel, posterior: Posterior, group: tuple[PointStack, ...], flags: tuple[str, ...],
+    notes: tuple[str, ...], fields: dict[str, Any],
+) -> list[Measurement]:  # fmt: skip
     """Return the veiling glare, from the backgrounds of all stacks."""
     settings = {(one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control) for one in group}
     if len(settings) > 1:
@@ -306,12 +283,9 @@ def glare_measurements(
 
 
 def mcp_saturation_measurements(
-    forms: list[FittedHaloModel],
-    posterior: Posterior,
-    flags: tuple[str, ...],
-    notes: tuple[str, ...],
+    forms: list[FittedHaloModel], posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
     fields: dict[str, Any],
-) -> list[Measurement]:
+) -> list[Measurement]:  # fmt: skip
     """Return the signal density at half MCP gain, and each stack's core compression.
 
     The densities of different core models differ by factors; their distance is a systematic uncertainty.
@@ -320,7 +294,10 @@ def mcp_saturation_measurements(
     if not isinstance(best.problem, SaturatingSeriesLikelihood):
         reason = "the cores are linear in all stacks: no MCP saturation is visible"
         return [make_refusal("plate_saturation_density", "DN", reason, **fields)]
-    unlike = _unlike_cores(forms)
+    # Distance, in ln, of the densities of other cores' models from the best one's.
+    saturating = [one for one in forms if isinstance(one.problem, SaturatingSeriesLikelihood)]
+    ln = np.log([max(float(one.peak.point[one.form.names.index("plate_load")]), 1e-9) for one in saturating])
+    unlike = float(np.abs(ln - ln[0]).max())
     if unlike > float(np.log(4.0)):
         reason = f"core models give densities that differ by a factor of {np.exp(unlike):.2g}: describe the camera"
         return [make_refusal("plate_saturation_density", "DN", reason, **fields)]
@@ -341,19 +318,8 @@ def mcp_saturation_measurements(
     return out
 
 
-def _unlike_cores(forms: list[FittedHaloModel]) -> float:
-    """Return the distance, in ln, of the saturation densities of other cores' models from the best one's."""
-    loads = [
-        float(one.peak.point[one.form.names.index("plate_load")])
-        for one in forms
-        if isinstance(one.problem, SaturatingSeriesLikelihood)
-    ]
-    ln = np.log(np.maximum(loads, 1e-9))
-    return float(np.abs(ln - ln[0]).max())
-
-
 def _background_sd(solved: AmplitudeSolution) -> Array:
     """Standard error of each stack's background, shape (level, point)."""
-    normal = solved.normal
-    determinant = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
-    return np.sqrt(np.maximum(normal[:, 0, 0] / np.maximum(determinant, 1e-300), 1e-12))
+    source, even = solved.slopes
+    aa, ab, bb = ((one * other).sum(axis=1) for one, other in ((source, source), (source, even), (even, even)))
+    return np.sqrt(np.maximum(aa / np.maximum(aa * bb - ab**2, 1e-300), 1e-12))

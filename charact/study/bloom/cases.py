@@ -57,29 +57,19 @@ def scene_in_scope(rng: np.random.Generator, *, widest_px: float = 70.0, most_fr
     fine = rng.random() < 0.25
     scale = 16.0 if fine else 1.0
     return BloomScene(
-        rows=side,
-        cols=side + 10,
-        frames=int(rng.integers(4, most_frames + 1)),
-        row=float((side - 1) / 2 + rng.uniform(-3.0, 3.0)),
-        col=float((side + 9) / 2 + rng.uniform(-3.0, 3.0)),
+        rows=side, cols=side + 10, frames=int(rng.integers(4, most_frames + 1)),
+        row=float((side - 1) / 2 + rng.uniform(-3.0, 3.0)), col=float((side + 9) / 2 + rng.uniform(-3.0, 3.0)),
         core_sigma_px=float(rng.uniform(1.0, 2.5)),
         wing_share=float(rng.uniform(0.02, 0.15)) if rng.random() < 0.5 else 0.0,
-        wing_radius_px=float(rng.uniform(2.0, 4.0)),
-        wing_exponent=float(rng.uniform(2.0, 3.0)),
-        halo_diameter_px=diameter,
-        halo_fraction=float(np.exp(rng.uniform(np.log(0.02), np.log(0.3)))),
-        halo_elastic_share=float(rng.uniform(0.1, 1.0)),
-        glare_fraction=float(rng.uniform(0.005, 0.05)),
-        dark_dn=scale * float(rng.uniform(8.0, 20.0)),
-        background_dn=scale * float(rng.uniform(2.0, 6.0)),
-        full_scale_dn=4095.0 if fine else 255.0,
-        bits=12 if fine else 8,
-        photoelectron_dn=scale * float(rng.uniform(2.0, 4.0)),
-        excess=float(rng.uniform(1.4, 2.0)),
-        post_gain_sigma_px=float(rng.uniform(0.5, 0.8)),
-        read_noise_dn=scale * float(rng.uniform(0.4, 0.8)),
+        wing_radius_px=float(rng.uniform(2.0, 4.0)), wing_exponent=float(rng.uniform(2.0, 3.0)),
+        halo_diameter_px=diameter, halo_fraction=float(np.exp(rng.uniform(np.log(0.02), np.log(0.3)))),
+        halo_elastic_share=float(rng.uniform(0.1, 1.0)), glare_fraction=float(rng.uniform(0.005, 0.05)),
+        dark_dn=scale * float(rng.uniform(8.0, 20.0)), background_dn=scale * float(rng.uniform(2.0, 6.0)),
+        full_scale_dn=4095.0 if fine else 255.0, bits=12 if fine else 8,
+        photoelectron_dn=scale * float(rng.uniform(2.0, 4.0)), excess=float(rng.uniform(1.4, 2.0)),
+        post_gain_sigma_px=float(rng.uniform(0.5, 0.8)), read_noise_dn=scale * float(rng.uniform(0.4, 0.8)),
         light_sd=0.02,
-    )
+    )  # fmt: skip
 
 
 def _levels_in_scope(scene: BloomScene, rng: np.random.Generator) -> tuple[float, ...]:

@@ -101,17 +101,12 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
         blur = _blur(number, rng)
         side = int(rng.integers(80, 129))
         scene = EdgeScene(
-            blur=blur,
-            rows=side,
-            cols=int(rng.integers(80, 129)),
-            frames=int(rng.choice([1, 4, 8])),
+            blur=blur, rows=side, cols=int(rng.integers(80, 129)), frames=int(rng.choice([1, 4, 8])),
             angle_deg=float(rng.choice([0, 90, 180, 270]) + rng.choice([-1, 1]) * rng.uniform(3, 10)),
-            offset_px=float(rng.uniform(-3, 3)),
-            dark_dn=float(rng.uniform(25, 60)),
-            bright_dn=float(rng.uniform(150, 210)),
-            snr=float(np.exp(rng.uniform(np.log(20), np.log(100)))),
+            offset_px=float(rng.uniform(-3, 3)), dark_dn=float(rng.uniform(25, 60)),
+            bright_dn=float(rng.uniform(150, 210)), snr=float(np.exp(rng.uniform(np.log(20), np.log(100)))),
             noise_blur_px=float(rng.choice([0.0, 0.5, 0.9])),
-        )
+        )  # fmt: skip
         return _case(at, scene, seeds)
 
     return cases_in_scope(count, make_case)

@@ -123,14 +123,9 @@ def edge_spread(blur: TrueBlur, distance_px: NDArray[np.floating], angle_deg: fl
 
 
 def distance_across(
-    row: NDArray[np.floating],
-    col: NDArray[np.floating],
-    size: tuple[int, int],
-    *,
-    angle_deg: float,
-    moved_px: NDArray[np.floating] | float,
-    sagitta_px: float,
-) -> NDArray[np.floating]:
+    row: NDArray[np.floating], col: NDArray[np.floating], size: tuple[int, int], *, angle_deg: float,
+    moved_px: NDArray[np.floating] | float, sagitta_px: float,
+) -> NDArray[np.floating]:  # fmt: skip
     """Signed distance along its normal from an edge through the middle of a frame, px.
 
     `row`, `col`: places from the middle, shapes (row, 1) and (1, col), px; `size`: rows and columns of the frame;

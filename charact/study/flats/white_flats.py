@@ -27,12 +27,9 @@ WHITE_DN = 2400.0
 
 def _base(rng: np.random.Generator) -> FlatScene:
     return FlatScene(
-        excess_noise_factor=0.0,
-        electron_gain_dn=float(np.exp(rng.uniform(np.log(0.1), np.log(1.0)))),
-        photoelectron_gain_dn=WHITE_DN / 32,
-        blur_px=0.0,
-        frames=int(rng.integers(8, 17)),
-    )
+        excess_noise_factor=0.0, electron_gain_dn=float(np.exp(rng.uniform(np.log(0.1), np.log(1.0)))),
+        photoelectron_gain_dn=WHITE_DN / 32, blur_px=0.0, frames=int(rng.integers(8, 17)),
+    )  # fmt: skip
 
 
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
