@@ -42,13 +42,6 @@ def plan(tmp_path, monkeypatch):
     return tmp_path / "plan.toml"
 
 
-def test_a_plan_of_a_negative_seed_is_refused(plan):
-    plan.write_text(PLAN.replace("seed = 3", "seed = -3"))
-    done = charact("plan", plan)
-    assert done.exit_code == 1
-    assert "a seed must not be negative, got -3 in the plan 'small'" in done.stderr
-
-
 def told(*arguments: object) -> dict:
     done = charact("plan", *arguments, "--json")
     assert done.exit_code == 0, done.output

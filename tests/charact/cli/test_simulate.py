@@ -151,19 +151,6 @@ def test_twice_the_radiance_is_twice_the_light_and_black_is_dark(tmp_path, camer
     assert (means[2] - means[0]) / (means[1] - means[0]) == pytest.approx(2.0, rel=0.1)
 
 
-def test_a_pinhole_on_the_bench_is_a_point_source(tmp_path, cameras):
-    sensor = ("--sensor", cameras["pulnix-ag5745ef3"])
-    done = charact(
-        *("simulate", "bench", tmp_path / "out", *sensor, "--kind", "point", "--pinhole-px", 2),
-        *("--illuminance-lux", 10, "--frames", 2),
-    )
-    assert done.exit_code == 0, done.output
-    stack = open_session(tmp_path / "out").stack("point")
-    assert stack.target.pinhole_px == 2.0
-    mean = stack.read().data.mean(axis=0)
-    assert mean[20:28, 28:36].mean() > 2.0 * mean[:8, :8].mean()
-
-
 def test_more_voltage_than_the_description_allows_is_told(tmp_path, cameras):
     for number, options in enumerate((("--gain", 1e9), ("--mcp-v", 5000), ("--mcp-v", 900))):
         done = charact(
@@ -229,20 +216,6 @@ def test_a_folder_that_holds_a_session_is_left_alone(tmp_path, cameras, picture)
     before = sorted(path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*"))
     assert_one_sentence(charact(*arguments), "a new session needs a folder without one")
     assert sorted(path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")) == before
-
-
-def test_automatic_gain_needs_a_camera_that_has_it(tmp_path, cameras, picture):
-    done = charact(
-        "simulate", picture, tmp_path / "a", "--sensor", cameras["gen3-digital-iccd"], *SCALE, "--automatic-gain"
-    )
-    assert_one_sentence(done, "--automatic-gain needs a camera that has it")
-    done = charact(
-        *("simulate", picture, tmp_path / "b", "--sensor", cameras["pulnix-ag5745ef3"], *SCALE),
-        *("--automatic-gain", "--brightness-control", "--frames", 2),
-    )
-    assert done.exit_code == 0, done.output
-    asked = open_session(tmp_path / "b").stack("scene").conditions
-    assert (asked.automatic_gain, asked.brightness_control) == (True, True)
 
 
 STAGES = {
