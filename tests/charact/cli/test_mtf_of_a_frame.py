@@ -14,7 +14,7 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Result as Measured
 from labdata.measurement import make_measurement, make_refusal
-from tests.charact.cli.runner import charact
+from tests.charact.cli.runner import charact, done_well
 from tests.charact.mtf.bars.photoelectron_bars import PulsedBars
 
 
@@ -164,8 +164,7 @@ def test_verdicts_differ_in_more_than_colour() -> None:
 
 def test_the_annotated_picture_is_written(two_edges: Path, tmp_path: Path) -> None:
     path = tmp_path / "out.png"
-    done = charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--annotate", path)
-    assert done.exit_code == 0, done.output
+    done_well("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--annotate", path)
     picture = cv2.imread(str(path))
     assert picture is not None and picture.shape[1] >= 1500
     wrong = charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--annotate", tmp_path / "out.jpg")
