@@ -22,43 +22,24 @@ if TYPE_CHECKING:
     from labdata.measurement import Measurement
     from labdata.plan import Plan, Step
 
+
+def _option(kind: Any, default: Any, name: str, words: str) -> tuple[Any, Any]:
+    return Annotated[kind, typer.Option(name, help=words)], default
+
+
 SOURCE: dict[str, tuple[Any, Any]] = {
-    "camera": (
-        Annotated[
-            str | None,
-            typer.Option("--camera", help="Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL."),
-        ],
-        None,
+    "camera": _option(
+        str | None, None, "--camera", "Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL."
     ),
-    "plan": (
-        Annotated[
-            Path | None, typer.Option("--plan", help="Plan whose camera is shown (virtual bench: its first edge).")
-        ],
-        None,
-    ),
-    "session": (
-        Annotated[Path | None, typer.Option("--session", help="Session being acquired; the camera is not accessed.")],
-        None,
-    ),
+    "plan": _option(Path | None, None, "--plan", "Plan whose camera is shown (virtual bench: its first edge)."),
+    "session": _option(Path | None, None, "--session", "Session being acquired; the camera is not accessed."),
     "roi": (options.Roi, None),
-    "bits": (
-        Annotated[int | None, typer.Option("--bits", help="Bit depth, if the pixel format does not state it.")],
-        None,
+    "bits": _option(int | None, None, "--bits", "Bit depth, if the pixel format does not state it."),
+    "host": _option(
+        str, "127.0.0.1", "--host", "Address to listen on; addresses other than loopback require the printed token."
     ),
-    "host": (
-        Annotated[
-            str,
-            typer.Option(
-                "--host", help="Address to listen on; addresses other than loopback require the printed token."
-            ),
-        ],
-        "127.0.0.1",
-    ),
-    "port": (Annotated[int, typer.Option("--port", help="Port of the page; 0 selects a free port.")], 8600),
-    "terminal": (
-        Annotated[bool, typer.Option("--terminal", help="Show statistics in the terminal instead of a web page.")],
-        False,
-    ),
+    "port": _option(int, 8600, "--port", "Port of the page; 0 selects a free port."),
+    "terminal": _option(bool, False, "--terminal", "Show statistics in the terminal instead of a web page."),
     "seed": (options.Seed, 0),
 }
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,29 +126,8 @@ def _slope(values: Callable[[Array], Array], point: Array, walls: Array) -> Arra
     return ((values(high) - values(low)) / np.diag(high - low)[:, None]).T
 
 
-@dataclass(frozen=True, kw_only=True)
-class ConsistencyTest:
-    """Chi-squared of all targets against the joint curve with its p-value, and of each target against the others'.
-
-    `residuals`: whitened residuals of each target.
-    """
-
-    chi2: float
-    freedom: float
-    probability: float
-    targets: tuple[str, ...]
-    leave_one_out_chi2: tuple[float, ...]
-    leave_one_out_p_value: tuple[float, ...]
-    residuals: tuple[tuple[float, ...], ...]
-
-    @property
-    def most_deviating(self) -> str:
-        """The target that fits the others least."""
-        return self.targets[int(np.argmin(self.leave_one_out_p_value))]
-
-
-def consistency_test(fit: JointFit) -> ConsistencyTest:
-    """Test a fit.
+def consistency_test(fit: JointFit) -> dict[str, Any]:
+    """Test whether the targets measure one MTF; return the evidence.
 
     Notes
     -----
@@ -161,6 +141,7 @@ def consistency_test(fit: JointFit) -> ConsistencyTest:
     broken = np.minimum(below, 0.0)
     total = float(residual @ residual + np.sum(broken**2))
     freedom = float(max(residual.size - np.trace(leverage), 0.0))
+    probability = float(chdtrc(freedom, total)) if freedom > 0.05 else 1.0
     chi2, chances, parts, first = [], [], [], 0
     for one in problem.constraints:
         own = slice(first, first + one.value.size)
@@ -170,16 +151,24 @@ def consistency_test(fit: JointFit) -> ConsistencyTest:
         along = axes[:, compared].T @ residual[own]
         chi2.append(float(np.sum(along**2 / variance[compared])))
         chances.append(float(chdtrc(compared.sum(), chi2[-1])) if compared.any() else 1.0)
-        parts.append(tuple(residual[own].tolist()))
-    return ConsistencyTest(
-        chi2=total,
-        freedom=freedom,
-        probability=float(chdtrc(freedom, total)) if freedom > 0.05 else 1.0,
-        targets=tuple(one.target for one in (*problem.constraints, *problem.bounds)),
-        leave_one_out_chi2=(*chi2, *(broken**2).tolist()),
-        leave_one_out_p_value=(*chances, *ndtr(below).tolist()),
-        residuals=(*parts, *((z,) for z in broken.tolist())),
-    )
+        parts.append(residual[own].tolist())
+    every, chances = (*problem.constraints, *problem.bounds), [*chances, *ndtr(below).tolist()]
+    parts += [[z] for z in broken.tolist()]
+    return {
+        "figure": "joint-mtf",
+        "counts_halo": problem.form.wide is not None,
+        "target": [one.target for one in every],
+        "kind": [one.kind for one in every],
+        "values": [len(part) for part in parts],
+        "residuals_sd": parts,
+        "apart_chi_squared": [*chi2, *(broken**2).tolist()],
+        "apart_probability": chances,
+        "chi_squared": total,
+        "degrees_of_freedom": freedom,
+        "probability": probability,
+        "inside_joint_95_percent_region": bool(probability >= THRESHOLDS.inconsistent_p_value),
+        "differs_most": every[int(np.argmin(chances))].target,
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,7 +178,7 @@ class JointMtf:
     fits: Sequence[JointFit]
     shares: Array
     posteriors: Sequence[Posterior]
-    verdict: ConsistencyTest
+    test: dict[str, Any]
 
     @property
     def forms(self) -> dict[str, float]:
@@ -235,11 +224,11 @@ def fit_joint_mtf(result: Result, kinds: Mapping[str, str], *, context: Context)
         return Result()
     found = _fit_and_draw(sound, bounds, context)
     shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in found.forms.items())
-    settings = {"quick": context.quick, "forms": shares, "targets": list(found.verdict.targets)}
+    settings = {"quick": context.quick, "forms": shares, "targets": found.test["target"]}
     common = {
         "method": "joint",
         "flags": _flags(found),
-        "notes": _notes(found.verdict, shares),
+        "notes": _notes(found.test, shares),
         "provenance": Provenance(version=charact.__version__, seed=context.seed, settings=settings),
     }
     measurements: list[Measurement] = []
@@ -256,7 +245,9 @@ def fit_joint_mtf(result: Result, kinds: Mapping[str, str], *, context: Context)
         ]
         name = "mtf_joint_vertical" if vertical else "mtf_joint"
         curves[name] = curve_of(REPORTED, found.mtf(np.maximum(REPORTED, 1e-6), vertical))
-    return Result(measurements=tuple(measurements), curves=curves, evidence={"joint MTF": _figure_data(found, sound)})
+    return Result(
+        measurements=tuple(measurements), curves=curves, evidence={"joint MTF": {**found.test, "forms": found.forms}}
+    )
 
 
 def _directions(sound: Sequence[MtfConstraint]) -> list[bool]:
@@ -282,7 +273,7 @@ def _fit_and_draw(sound: Sequence[MtfConstraint], bounds: Sequence[MtfConstraint
     kept = shares > THRESHOLDS.min_model_weight
     fits, shares = [fit for fit, keep in zip(fits, kept, strict=True) if keep], shares[kept] / shares[kept].sum()
     posteriors = [_posterior(fit, context, context.seed + number) for number, fit in enumerate(fits)]
-    return JointMtf(fits=fits, shares=shares, posteriors=posteriors, verdict=consistency_test(fits[0]))
+    return JointMtf(fits=fits, shares=shares, posteriors=posteriors, test=consistency_test(fits[0]))
 
 
 def _posterior(fit: JointFit, context: Context, seed: int) -> Posterior:
@@ -307,18 +298,19 @@ def _flags(found: JointMtf) -> tuple[str, ...]:
         chosen = np.array([name not in NATURAL_BOUNDS for name in posterior.names])
         if crowds_at_bound(posterior.draws, fit.problem.form.bounds)[chosen].any():
             flags.add("prior-bound")
-    test = found.verdict
+    apart = found.test["apart_probability"]
     # Bonferroni over the targets.
-    least = min(test.probability, min(test.leave_one_out_p_value) * len(test.targets))
+    least = min(found.test["probability"], min(apart) * len(apart))
     return tuple(flags | ({"model-misfit"} if least < THRESHOLDS.misfit_p_value else set()))
 
 
-def _notes(test: ConsistencyTest, shares: str) -> tuple[str, ...]:
-    notes = [f"Joint fit to {', '.join(dict.fromkeys(test.targets))}; blur model: {shares}."]
-    if test.probability < THRESHOLDS.inconsistent_p_value:
+def _notes(test: dict[str, Any], shares: str) -> tuple[str, ...]:
+    notes = [f"Joint fit to {', '.join(dict.fromkeys(test['target']))}; blur model: {shares}."]
+    if not test["inside_joint_95_percent_region"]:
         notes.append(
-            f"The targets lie outside their joint 95 % region (chi squared {test.chi2:.1f} for {test.freedom:.1f} "
-            f"degrees of freedom, chance {test.probability:.2g}); {test.most_deviating} differs most from the others."
+            f"The targets lie outside their joint 95 % region (chi squared {test['chi_squared']:.1f} for "
+            f"{test['degrees_of_freedom']:.1f} degrees of freedom, chance {test['probability']:.2g}); "
+            f"{test['differs_most']} differs most from the others."
         )
     return tuple(notes)
 
@@ -331,24 +323,3 @@ def _crossing_frequency(quantity: str, level: float, fine: Array, found: JointMt
         reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {lost:.0f} % of its draws do not"
         return make_refusal(quantity, "cy/px", reason, **common)
     return measurement_from_draws(quantity, "cy/px", draws[known], posterior=found.posteriors[0], **common)
-
-
-def _figure_data(found: JointMtf, sound: Sequence[MtfConstraint]) -> dict:
-    test = found.verdict
-    kinds = {one.target: one.kind for one in sound}
-    return {
-        "figure": "joint-mtf",
-        "counts_halo": found.fits[0].problem.form.wide is not None,
-        "target": list(test.targets),
-        "kind": [kinds.get(target, "noise spectrum") for target in test.targets],
-        "values": [len(one) for one in test.residuals],
-        "residuals_sd": [list(one) for one in test.residuals],
-        "apart_chi_squared": list(test.leave_one_out_chi2),
-        "apart_probability": list(test.leave_one_out_p_value),
-        "chi_squared": test.chi2,
-        "degrees_of_freedom": test.freedom,
-        "probability": test.probability,
-        "inside_joint_95_percent_region": bool(test.probability >= THRESHOLDS.inconsistent_p_value),
-        "differs_most": test.most_deviating,
-        "forms": found.forms,
-    }

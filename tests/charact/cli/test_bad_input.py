@@ -117,12 +117,6 @@ def test_a_map_of_a_bare_picture_and_the_mtf_of_a_session_name_what_is_needed(ed
     assert_one_sentence(charact("mtf", "flats", tmp_path / "nope"), "session folder", "file of frames", "nope")
 
 
-def test_a_length_of_nothing_is_refused_whatever_the_sensor_has(edge: Path) -> None:
-    for unit, option in (("cy/mrad", "--focal-length-mm"), ("lp/mm-cathode", "--demagnification")):
-        done = charact("mtf", "edge", edge, "--sensor", "pulnix-ag5745ef3", "--units", unit, option, "0", "--quick")
-        assert_one_sentence(done, f"{option} must be positive, got 0")
-
-
 def test_flats_in_lines_per_millimetre_take_a_pitch(tmp_path: Path) -> None:
     folder = session(tmp_path, "")
     assert_one_sentence(charact("mtf", "flats", folder, "--units", "lp/mm"), "give --pitch-um or --sensor")

@@ -8,7 +8,7 @@ import pytest
 
 from labdata.sensors import load_camera, save_sensor
 from labdata.session import open_session
-from tests.charact.cli.runner import charact
+from tests.charact.cli.runner import charact, done_well
 
 SCENE = """
 name = "a ball on a lawn"
@@ -47,8 +47,7 @@ def files(tmp_path_factory):
 def test_a_scene_becomes_frames_with_radiance_truth_and_plan_beside_them(tmp_path, files):
     out = tmp_path / "out"
     asked = ("simulate", files / "scene.toml", out, "--sensor", files / "camera.toml", "--frames", 40, "--explain")
-    done = charact(*asked)
-    assert done.exit_code == 0, done.output
+    done = done_well(*asked)
     assert "moon" in done.output and "bounces followed" in done.output
     frames = open_session(out).stack("scene").read().data.astype(float)
     with np.load(out / "truth.npz") as truth:

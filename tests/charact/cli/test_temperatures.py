@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labdata.sensors import load_camera, save_sensor
-from tests.charact.cli.runner import charact
+from tests.charact.cli.runner import charact, done_well
 
 SCENE = """
 name = "crate on paving"
@@ -53,8 +53,7 @@ def small(tmp_path):
 
 def test_tables_map_and_pictures_agree(scene, small, tmp_path):
     out = tmp_path / "warm"
-    done = charact("temperatures", scene, out, "--sensor", small, "--explain")
-    assert done.exit_code == 0, done.output
+    done = done_well("temperatures", scene, out, "--sensor", small, "--explain")
     with open(out / "temperatures.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["hour", "air_c", "ground:paving_c", "crate:paint_c"]

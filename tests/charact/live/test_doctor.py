@@ -86,13 +86,6 @@ def test_devices_are_told_with_the_kernels_name_and_with_whether_they_may_be_ope
     assert all(not one.ok and "usermod -a -G video" in (one.fix or "") for one in shut)
 
 
-def test_ports_are_told_one_by_one_and_none_is_no_failure_of_the_core(tmp_path) -> None:
-    port = tmp_path / "ttyUSB0"
-    port.touch()
-    assert next(iter(doctor.serial_ports([(port, "GPIB adapter")]))).says == f"{port}: GPIB adapter"
-    assert can_work(tuple(doctor.serial_ports([])))
-
-
 def test_the_verb_prints_ok_or_the_fix_and_ends_with_the_cores_verdict(tmp_path, monkeypatch) -> None:
     from charact.live import doctor
 

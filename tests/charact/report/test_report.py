@@ -135,13 +135,6 @@ def test_a_region_is_drawn_with_the_worst_verdict_of_its_numbers(made):
     assert "m: ok" not in written
 
 
-def test_a_session_without_results_still_has_its_page(made):
-    bare = Session(
-        folder=made.session().folder, name="nothing", stacks=(made.held("s", "scene", np.zeros((1, 9, 9), int)),)
-    )
-    assert "Nothing was measured." in page(bare, Result())
-
-
 def test_a_pdf_without_its_library_ends_in_one_sentence_with_the_install_command(made, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "weasyprint", None)
     with pytest.raises(BadInput, match=r"pip install 'charact\[pdf\]'"):
@@ -158,16 +151,6 @@ def test_the_picture_of_a_small_target_is_cut_around_it():
     assert col + width > 85
     assert height < 40
     assert bright_region(np.full((12, 16), 3.0)) == (0, 0, 12, 16)
-
-
-def test_a_series_of_stacks_has_one_table_that_names_them():
-    series = tuple(
-        measurement_from_sd("bloom_diameter", "px", 9.0, 1.0, method="threshold", stack=f"point-{n}") for n in range(6)
-    )
-    groups = quantity_groups(Result(measurements=series))
-    assert len(groups) == 1
-    assert groups[0]["title"] == "6 stacks · threshold"
-    assert [row["where"] for row in groups[0]["rows"]] == [f"point-{n}" for n in range(6)]
 
 
 def test_what_is_noted_of_some_stacks_of_a_series_names_them():

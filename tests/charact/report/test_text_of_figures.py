@@ -63,18 +63,6 @@ def test_no_label_leaves_its_figure(name):
         assert box.x1 < paper.x1 + 2 and box.y1 < paper.y1 + 2
 
 
-def test_the_legend_of_smear_is_off_its_brightest_level():
-    draw, data = FIGURES["smear"]
-    with style.report_style():
-        figure = draw(data)
-        texts(figure)
-        (axes,) = figure.axes
-        legend = axes.get_legend()
-        assert legend is not None
-        box = legend.get_window_extent()
-        assert not box.contains(*axes.transData.transform((1e3, 0.6 + 1.96 * 0.13)))
-
-
 def test_a_corner_says_the_power_of_ten_with_the_unit():
     draws = np.random.default_rng(0).normal([3.6e-6, 5.5e-5, 0.2], [1e-7, 1e-6, 0.01], (400, 3))
     posterior = Posterior(names=("light_lux", "pattern_variance", "gain"), units=("lux", "1", "1"), draws=draws)
