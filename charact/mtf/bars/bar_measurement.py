@@ -10,17 +10,14 @@ from charact.mtf.bars.amplitudes import amplitudes_of, frame_correlation, second
 from charact.mtf.bars.bar_image_model import BarLikelihood
 from charact.mtf.bars.blur_models import TUBE
 from charact.mtf.bars.checks import (
-    bar_count_findings,
     clipping_findings,
     crowding_findings,
     findings_of_fit,
     findings_of_sums,
     fundamental_in_standard_errors,
     light_in_standard_errors,
-    likelier_bar_count,
     margin_findings,
     not_identifiable,
-    rounding_findings,
     sum_notes,
 )
 from charact.mtf.bars.detection import target_in
@@ -196,9 +193,7 @@ def _sample_measurement(
         mtf=mtf,
         findings=(
             *given,
-            *findings_of_fit(fit),
-            *bar_count_findings(likelier_bar_count(fit, problem), fit.target.bars),
-            *rounding_findings(fit),
+            *findings_of_fit(fit, problem),
             *response_findings(response),
             # White clips where there is light, black mostly where there is none.
             *clipping_findings(used, (near, problem.window), context, fit),

@@ -200,7 +200,7 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRe
     if isinstance(source, PointRefusal):
         bright = full is not None and np.median(part.data, axis=0).max() >= full
         return PointRefusal("the source is too bright: there is no background", "saturated") if bright else source
-    window = source_window(part, source, context, source.neighbours)
+    window = source_window(part, source, context)
     height = np.maximum(window.core - np.median(window.core), 0.0)
     if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
         reason = "the source is too bright: pixels below full scale contain too little of its light"
