@@ -216,7 +216,7 @@ def _measure_complete_target(
 ) -> BarMeasurement | BarRefusal:
     """Measure a target that lies completely in the region."""
     wanted = target
-    margin, cut = fitting_margin(target, (mean.shape[0], mean.shape[1]), margin_px(context, target.frequency))
+    margin, cut = fitting_margin(target, mean.shape, margin_px(context, target.frequency))
     window = target.box(mean.shape, margin)
     if np.count_nonzero(~window) < 50:
         return BarRefusal(

@@ -205,8 +205,8 @@ def light_in_standard_errors(fit: BarFit) -> float:
 def fundamental_in_standard_errors(fit: BarFit) -> float:
     """Return the fundamental of the bars' core in its standard uncertainties."""
     target, pixels = fit.target, fit.model_dn + fit.residual_dn - fit["pedestal_dn"]
-    across, _ = target.coordinates((fit.window.shape[0], fit.window.shape[1]))
-    core = target.box((fit.window.shape[0], fit.window.shape[1]), core_margin_px(target.frequency))[fit.window]
+    across, _ = target.coordinates(fit.window.shape)
+    core = target.box(fit.window.shape, core_margin_px(target.frequency))[fit.window]
     phase = 2.0 * np.pi * target.frequency * across[fit.window]
     waves = np.where(core, np.stack([np.cos(phase), np.sin(phase)]), 0.0)
     spread = fit.noise.spread(waves, fit.window)
@@ -219,7 +219,7 @@ def _profile_residual_rms(fit: BarFit) -> float:
 
     Averaging along the bars suppresses noise, also where the noise was estimated from these residuals.
     """
-    across, _ = fit.target.coordinates((fit.window.shape[0], fit.window.shape[1]))
+    across, _ = fit.target.coordinates(fit.window.shape)
     near = np.abs(across[fit.window]) < fit.target.width_px / 2.0 + 1.0 / fit.target.frequency
     position = np.floor(across[fit.window][near]).astype(np.intp)
     position = position - position.min()
