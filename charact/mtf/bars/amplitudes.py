@@ -187,7 +187,7 @@ def target_background(mean: Array, target: BarTarget, margin_px: float) -> Targe
     """Return the background of a target in a mean frame (row, col), other objects excluded."""
     from scipy.ndimage import binary_dilation, gaussian_filter
 
-    shape = (mean.shape[0], mean.shape[1])
+    shape = mean.shape
     outside = ~target.box(shape, margin_px)
     smooth = np.asarray(gaussian_filter(mean, ACCURACY.other_smoothing_px))
     level = float(np.median(smooth[outside]))

@@ -192,6 +192,12 @@ class BarLikelihood:
     strip: bool
     form: BarBlurModel = TUBE
 
+    @classmethod
+    def of(cls, image: Array, window: Mask, target: BarTarget, asked: float, *, strip: bool = False) -> "BarLikelihood":
+        """Return the likelihood of a target in a mean frame before its noise is known."""
+        variance = np.full(np.count_nonzero(window), float(image[window].var()) or 1.0)
+        return cls(image=image, window=window, variance=variance, asked=asked, length_px=target.length_px, strip=strip)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters; bars that cross the region have no ends."""

@@ -1,6 +1,7 @@
 """Detection and measurement of bars: by fit, or by sums for a camera with a description."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,17 +11,14 @@ from charact.mtf.bars.amplitudes import amplitudes_of, frame_correlation, second
 from charact.mtf.bars.bar_image_model import BarLikelihood
 from charact.mtf.bars.blur_models import TUBE
 from charact.mtf.bars.checks import (
-    bar_count_findings,
     clipping_findings,
     crowding_findings,
     findings_of_fit,
     findings_of_sums,
     fundamental_in_standard_errors,
     light_in_standard_errors,
-    likelier_bar_count,
     margin_findings,
     not_identifiable,
-    rounding_findings,
     sum_notes,
 )
 from charact.mtf.bars.detection import target_in
@@ -59,9 +57,8 @@ class BarMeasurement:
     margin_px: float  # Margin of the window around the bars
 
 
-@dataclass(frozen=True, kw_only=True)
-class BarRefusal:
-    """Refusal of a bar target: flag and reason."""
+class BarRefusal(NamedTuple):
+    """Refusal of a bar target: reason and flag."""
 
     reason: str
     flag: str = "no-target"
@@ -90,10 +87,10 @@ def measure_bars_in(used: FrameStack, asked: StatedBars, context: Context) -> Ba
     mean = used.data.mean(axis=0, dtype=np.float64)
     if asked.frequency and max(mean.shape) < (asked.bars or 2) / asked.frequency:
         size = f"{mean.shape[0]} x {mean.shape[1]} px"
-        return BarRefusal(reason=f"no target: {asked} require a larger region, got {size}")
+        return BarRefusal(f"no target: {asked} require a larger region, got {size}")
     seen = target_in(mean, bars=asked.bars, frequency=asked.frequency, pitch_ratio=context.pitch_ratio)
     if seen is None:
-        return BarRefusal(reason=f"no target: no group of {asked} found; {asked.remedy}")
+        return BarRefusal(f"no target: no group of {asked} found; {asked.remedy}")
     return (_measure_strip if seen.through else _measure_complete_target)(used, mean, seen.target, asked, context)
 
 
@@ -103,25 +100,18 @@ def _measure_strip(
     """Measure bars that cross the region."""
     turned = abs(np.sin(target.angle_rad)) > np.sqrt(0.5)
     target = replace(target, length_px=mean.shape[1] if turned else mean.shape[0] * target.pitch_ratio)
-    problem = BarLikelihood(
-        image=mean,
-        window=np.ones(mean.shape, bool),
-        variance=np.full(mean.size, float(mean.var()) or 1.0),
-        asked=target.frequency,
-        length_px=target.length_px,
-        strip=True,
-    )
-    why = not_identifiable(target, problem.length_px)
+    why = not_identifiable(target, target.length_px)
     if why is not None:
-        return BarRefusal(reason=why, flag="aliased")
-    fit, problem = fit_frames(used.data, problem, target, inflation=frame_correlation(used.data, problem.window))
+        return BarRefusal(why, "aliased")
+    window = np.ones(mean.shape, bool)
+    problem = BarLikelihood.of(mean, window, target, target.frequency, strip=True)
+    fit, problem = fit_frames(used.data, problem, target, inflation=frame_correlation(used.data, window))
     if not light_in_standard_errors(fit) > LIMITS.min_light_sd:
-        return BarRefusal(
-            reason=f"no target: the light of the bars must be at least {LIMITS.min_light_sd:g} standard uncertainties"
-        )
-    margin = _margin_px(fit.target, mean.shape)
-    if not _is_in_region(fit):
-        return _refuse_other_object(target, asked)
+        required = f"at least {LIMITS.min_light_sd:g} standard uncertainties"
+        return BarRefusal(f"no target: the light of the bars must be {required}")
+    across, _ = fit.target.coordinates(mean.shape)
+    # Of the region around the bars, on the nearer side.
+    margin = float(min(-across.min(), across.max()) - fit.target.width_px / 2.0)
     return _sample_measurement(
         used, fit, problem, context, asked, margin, margin_findings(margin, LIMITS.min_margin_px)
     )
@@ -136,7 +126,7 @@ def _refuse_faint(standard_errors: float) -> BarRefusal:
 
 def _refuse_other_object(target: BarTarget, asked: StatedBars) -> BarRefusal:
     wanted = StatedBars(bars=target.bars, frequency=asked.frequency or float(f"{target.frequency:.4g}"))
-    return BarRefusal(reason=f"no target: the spectrum of the object does not match {wanted}; {asked.remedy}")
+    return BarRefusal(f"no target: the spectrum of the object does not match {wanted}; {asked.remedy}")
 
 
 def _is_in_region(fit: BarFit) -> bool:
@@ -151,12 +141,6 @@ def _illuminated_pixels(fit: BarFit) -> Mask:
     return (fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"] > 0.02
 
 
-def _margin_px(target: BarTarget, shape: tuple[int, ...]) -> float:
-    """Return the margin of the region around bars that cross it, on the nearer side."""
-    across, _ = target.coordinates((shape[0], shape[1]))
-    return float(min(-across.min(), across.max()) - target.width_px / 2.0)
-
-
 def _sample_measurement(
     used: FrameStack,
     fit: BarFit,
@@ -165,8 +149,10 @@ def _sample_measurement(
     asked: StatedBars,
     margin: float,
     given: list[Finding],
-) -> BarMeasurement:
+) -> BarMeasurement | BarRefusal:
     """Sample the posterior of a fitted image and collect findings and notes."""
+    if not _is_in_region(fit):
+        return _refuse_other_object(fit.target, asked)
     own, notes = fit.target.frequency, []
     if asked.frequency is None:
         problem = replace(problem, asked=own)
@@ -196,9 +182,7 @@ def _sample_measurement(
         mtf=mtf,
         findings=(
             *given,
-            *findings_of_fit(fit),
-            *bar_count_findings(likelier_bar_count(fit, problem), fit.target.bars),
-            *rounding_findings(fit),
+            *findings_of_fit(fit, problem),
             *response_findings(response),
             # White clips where there is light, black mostly where there is none.
             *clipping_findings(used, (near, problem.window), context, fit),
@@ -232,7 +216,7 @@ def _measure_complete_target(
 ) -> BarMeasurement | BarRefusal:
     """Measure a target that lies completely in the region."""
     wanted = target
-    margin, cut = fitting_margin(target, (mean.shape[0], mean.shape[1]), margin_px(context, target.frequency))
+    margin, cut = fitting_margin(target, mean.shape, margin_px(context, target.frequency))
     window = target.box(mean.shape, margin)
     if np.count_nonzero(~window) < 50:
         return BarRefusal(
@@ -262,7 +246,7 @@ def _measure_complete_target(
     # A close alias makes the measured frequency uncertain too.
     why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
     if why is not None:
-        return BarRefusal(reason=why, flag="aliased")
+        return BarRefusal(why, "aliased")
     second = second_harmonic(mean, target, window, float(mean[background.beyond].mean()), amplitudes)
     given = findings_of_sums(target, amplitudes, second)
     given += crowding_findings(background.crowded)
@@ -279,36 +263,11 @@ def _measure_complete_target(
             notes=(*sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None), *notes),
             margin_px=margin,
         )
-    inflation = amplitudes.frame_correlation
-    return _measure_by_fit(
-        used, mean, target, background.beyond | window, context, asked, (reported, given, margin, inflation)
-    )
-
-
-def _measure_by_fit(
-    used: FrameStack,
-    mean: Array,
-    target: BarTarget,
-    clear: Mask,
-    context: Context,
-    asked: StatedBars,
-    known: tuple[float, list[Finding], float, float],
-) -> BarMeasurement | BarRefusal:
-    """Fit a complete target to the pixels around it that have no other light."""
-    reported, given, margin, inflation = known
-    window = target.box(mean.shape, max(ACCURACY.fit_margin_px, ACCURACY.fit_margin_periods / target.frequency)) & clear
-    problem = BarLikelihood(
-        image=mean,
-        window=window,
-        variance=np.full(np.count_nonzero(window), float(mean[window].var()) or 1.0),
-        asked=reported,
-        length_px=target.length_px,
-        strip=False,
-    )
-    fit, problem = fit_frames(used.data, problem, target, inflation=inflation)
+    wide = max(ACCURACY.fit_margin_px, ACCURACY.fit_margin_periods / target.frequency)
+    # Only the pixels that have no other light.
+    problem = BarLikelihood.of(mean, target.box(mean.shape, wide) & (background.beyond | window), target, reported)
+    fit, problem = fit_frames(used.data, problem, target, inflation=amplitudes.frame_correlation)
     standing = fundamental_in_standard_errors(fit)
     if standing < LIMITS.min_signal_sd:
         return _refuse_faint(standing)
-    if not _is_in_region(fit):
-        return _refuse_other_object(target, asked)
     return _sample_measurement(used, fit, problem, context, asked, margin, given)

@@ -15,6 +15,7 @@ from charact.mtf.bars.target import BarTarget, core_margin_px
 from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.quantisation_checks import clipping_flags
 from charact.mtf.target_motion import TargetMotion
+from charact.mtf.thresholds import LIMITS as MTF_LIMITS
 from labdata.flags import Finding
 from labdata.frames import FrameStack
 
@@ -22,6 +23,18 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 REGION = "--roi around this group only, with one period of background on every side"
+REMEDIES = {
+    "model-misfit": REGION,
+    "several-targets": REGION,
+    "window-too-small": "a larger --roi",
+    "quantised": "more gain or light, so that the noise exceeds one quantisation step",
+    "clipped": "less light or gain, or a higher black level",
+    "drift": "a single frame, or a stationary target",
+    "interlace-motion": "a single field, or a stationary target",
+    "low-signal": "more frames or more light",
+    "gamma": "frames without gamma; unequal bars and gaps have the same effect",
+    "processed": "raw frames without sharpening",
+}
 POSTERIOR_FINDINGS = {
     "not-converged": ("interval from the curvature at the optimum; it may be a third too narrow", "another --seed"),
     "several-modes": ("the posterior has two modes, separated by the width of the interval", "--bars and --frequency"),
@@ -30,6 +43,11 @@ POSTERIOR_FINDINGS = {
         "--sensor, to include its halo; or --quick, for the fit only",
     ),
 }
+
+
+def finding(flag: str, effect: str, remedy: str | None = None) -> Finding:
+    """Return the finding of a flag with its effect and remedy."""
+    return Finding(flag=flag, effect=effect, remedy=remedy or REMEDIES[flag])
 
 
 def sharpening(fit: BarFit) -> float:
@@ -59,50 +77,16 @@ def _blur_bars(fit: BarFit, width_px: float) -> Array:
     return gaussian_filter(light, width_px, mode="nearest")[fit.window]
 
 
-def misfit_finding(effect: str, remedy: str = REGION) -> Finding:
-    """Return the finding that the image differs from the model."""
-    return Finding(flag="model-misfit", effect=effect, remedy=remedy)
-
-
 def margin_findings(margin_px: float, least_px: float) -> list[Finding]:
     """Return a finding where the region cuts off part of the core's blur."""
-    if margin_px >= least_px:
-        return []
     effect = f"light further than {margin_px:.0f} px from the bars is not included: the MTF is too high by its fraction"
-    return [Finding(flag="window-too-small", effect=effect, remedy="a larger --roi")]
+    return [finding("window-too-small", effect)] if margin_px < least_px else []
 
 
 def crowding_findings(crowded: bool) -> list[Finding]:
     """Return a finding where other light reaches into the window."""
-    if not crowded:
-        return []
-    effect = (
-        f"other light nearby exceeds {100 * LIMITS.max_other_light:.0f} % of the bars' height: MTF error up to that"
-    )
-    return [Finding(flag="several-targets", effect=effect, remedy=REGION)]
-
-
-def bar_count_findings(other: int | None, asked: int) -> list[Finding]:
-    """Return a finding where the data favour another number of bars."""
-    if other is None:
-        return []
-    effect = f"the data favour {other} bars over {asked}; the light per bar changes accordingly"
-    return [misfit_finding(effect, f"--bars {other}")]
-
-
-def rounding_findings(fit: BarFit) -> list[Finding]:
-    """Return a finding where quantisation changes the MTF beyond first order."""
-    moved = rounding_sd(fit)
-    if moved <= LIMITS.max_rounding_sd:
-        return []
-    effect = f"quantisation may change the MTF by {100 * moved:.0f} %"
-    return [
-        Finding(
-            flag="quantised",
-            effect=effect,
-            remedy="more gain or light, so that the noise exceeds one quantisation step",
-        )
-    ]
+    height = f"{100 * LIMITS.max_other_light:.0f} % of the bars' height"
+    return [finding("several-targets", f"other light nearby exceeds {height}: MTF error up to that")] if crowded else []
 
 
 def clipping_findings(
@@ -117,8 +101,7 @@ def clipping_findings(
         return []
     if not any(chain.from_iterable(clipping_flags(used.data[:, one], full_scale_dn) for one in windows)):
         return []
-    effect = "pixels are clipped: MTF error up to the clipped fraction of the bars' height"
-    return [Finding(flag="clipped", effect=effect, remedy="less light or gain, or a higher black level")]
+    return [finding("clipped", "pixels are clipped: MTF error up to the clipped fraction of the bars' height")]
 
 
 def _is_noise_hidden(used: FrameStack, fit: BarFit) -> bool:
@@ -129,25 +112,19 @@ def _is_noise_hidden(used: FrameStack, fit: BarFit) -> bool:
     )
 
 
-def motion_finding(motion: TargetMotion, frequency: float) -> Finding:
-    """Return the finding that the bars move between frames."""
-    effect = f"the bars move by {motion.rms_px:.2g} px rms: the MTF is {100 * motion.mtf_loss(frequency):.2g} % too low"
-    return Finding(flag="drift", effect=effect, remedy="a single frame, or a stationary target")
-
-
-def faintness_finding(mtf: float, sd: float) -> Finding:
-    """Return the finding that the MTF is close to its uncertainty."""
-    effect = f"the MTF is {mtf / max(sd, 1e-30):.1f} standard errors: an upper limit"
-    return Finding(flag="low-signal", effect=effect, remedy="more frames or more light")
-
-
-def posterior_findings(flags: Iterable[str]) -> list[Finding]:
-    """Return the findings from the flags of a posterior; an exponent at its bound is harmless."""
-    return [
-        Finding(flag=flag, effect=POSTERIOR_FINDINGS[flag][0], remedy=POSTERIOR_FINDINGS[flag][1])
-        for flag in flags
-        if flag in POSTERIOR_FINDINGS
-    ]
+def findings_of_draws(mtf: Array, motion: TargetMotion, frequency: float, flags: Iterable[str]) -> list[Finding]:
+    """Return the findings of the draws of the MTF, their sampling and motion; an exponent at its bound is none."""
+    mean, sd = float(mtf.mean()), float(mtf.std())
+    found = [finding(flag, *POSTERIOR_FINDINGS[flag]) for flag in flags if flag in POSTERIOR_FINDINGS]
+    if np.quantile(mtf, 0.025) > 1.0:
+        found.append(finding("model-misfit", f"the MTF must be at most 1, got {100 * mean - 100:.1f} % more"))
+    if mean < LIMITS.min_mtf_sd * sd:
+        found.append(finding("low-signal", f"the MTF is {mean / max(sd, 1e-30):.1f} standard errors: an upper limit"))
+    loss = motion.mtf_loss(frequency)
+    if motion.moves and loss * mean > MTF_LIMITS.max_motion_sd * sd:
+        effect = f"the bars move by {motion.rms_px:.2g} px rms: the MTF is {100 * loss:.2g} % too low"
+        found.append(finding("drift", effect))
+    return found
 
 
 def sum_notes(target: BarTarget, wanted: BarTarget, amplitudes: Amplitudes, *, stated: bool) -> tuple[str, ...]:
@@ -167,7 +144,7 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
     noise = LIMITS.significant_sd / amplitudes.signal_to_noise
     if amplitudes.zeros > LIMITS.suspect_zeros + noise or amplitudes.flank < LIMITS.min_flank - noise:
         effect = f"{100 * amplitudes.zeros:.0f} % of the fundamental at the zeros of the spectrum of {target.bars} bars"
-        found.append(misfit_finding(f"{effect}: MTF error up to that", f"--bars, --frequency; {REGION}"))
+        found.append(finding("model-misfit", f"{effect}: MTF error up to that", f"--bars, --frequency; {REGION}"))
     apart = abs(amplitudes.fields_apart_px)
     # Bars along rows are aliased in each field, which resembles motion.
     upright = abs(np.sin(target.angle_rad)) < LIMITS.max_upright_sine
@@ -175,37 +152,46 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
         found.append(_field_motion(apart, target.frequency))
     if abs(second) > LIMITS.max_second_harmonic + LIMITS.max_second_harmonic_sd / amplitudes.signal_to_noise:
         effect = f"second harmonic {100 * abs(second):.1f} % of the fundamental: MTF error up to that"
-        remedy = "frames without gamma; unequal bars and gaps have the same effect"
-        found.append(Finding(flag="gamma", effect=effect, remedy=remedy))
+        found.append(finding("gamma", effect))
     return found
 
 
-def findings_of_fit(fit: BarFit) -> list[Finding]:
-    """Return the findings from a fitted image: misfit, model departure, sharpening, motion between fields."""
+def findings_of_fit(fit: BarFit, problem: BarLikelihood) -> list[Finding]:
+    """Return the findings of a fitted image: misfit, departure, sharpening, field motion, bar count, quantisation."""
     found = []
     left = _profile_residual_rms(fit)
     if left > 0.0:
         share = 100.0 * left / abs(fit["level_dn"])
-        found.append(misfit_finding(f"residual profile {share:.1f} % of the bars' height: MTF error up to that"))
+        found.append(
+            finding("model-misfit", f"residual profile {share:.1f} % of the bars' height: MTF error up to that")
+        )
     away, known = abs(fit["departure"]), 1.0 / np.sqrt(fit.precision[fit.names.index("departure")])
     if away > LIMITS.max_departure_sd * known:
-        found.append(
-            misfit_finding(f"the MTF at the bars departs by {100 * away:.0f} % from the blur model of the image")
-        )
+        effect = f"the MTF at the bars departs by {100 * away:.0f} % from the blur model of the image"
+        found.append(finding("model-misfit", effect))
     taken_off = sharpening(fit)
     if taken_off > 0.0:
         effect = f"{100 * taken_off:.1f} % of the light around the bars is missing: the MTF may be too high by that"
-        found.append(Finding(flag="processed", effect=effect, remedy="raw frames without sharpening"))
+        found.append(finding("processed", effect))
     upright = abs(np.sin(fit.target.angle_rad)) < LIMITS.max_upright_sine
     apart = _field_offset_px(fit) if fit.strip and upright else 0.0
-    return [*found, _field_motion(apart, fit.target.frequency)] if apart else found
+    if apart:
+        found.append(_field_motion(apart, fit.target.frequency))
+    other = likelier_bar_count(fit, problem)
+    if other is not None:
+        effect = f"the data favour {other} bars over {fit.target.bars}; the light per bar changes accordingly"
+        found.append(finding("model-misfit", effect, f"--bars {other}"))
+    moved = rounding_sd(fit)
+    if moved > LIMITS.max_rounding_sd:
+        found.append(finding("quantised", f"quantisation may change the MTF by {100 * moved:.0f} %"))
+    return found
 
 
 def _field_motion(apart_px: float, frequency: float) -> Finding:
     """Return the finding that the fields are displaced, with the loss of MTF in their mean."""
     lowered = 1.0 - np.cos(np.pi * frequency * apart_px)
     effect = f"the fields are displaced by {apart_px:.2f} px: the MTF is {100 * lowered:.2g} % too low"
-    return Finding(flag="interlace-motion", effect=effect, remedy="a single field, or a stationary target")
+    return finding("interlace-motion", effect)
 
 
 def light_in_standard_errors(fit: BarFit) -> float:
@@ -219,8 +205,8 @@ def light_in_standard_errors(fit: BarFit) -> float:
 def fundamental_in_standard_errors(fit: BarFit) -> float:
     """Return the fundamental of the bars' core in its standard uncertainties."""
     target, pixels = fit.target, fit.model_dn + fit.residual_dn - fit["pedestal_dn"]
-    across, _ = target.coordinates((fit.window.shape[0], fit.window.shape[1]))
-    core = target.box((fit.window.shape[0], fit.window.shape[1]), core_margin_px(target.frequency))[fit.window]
+    across, _ = target.coordinates(fit.window.shape)
+    core = target.box(fit.window.shape, core_margin_px(target.frequency))[fit.window]
     phase = 2.0 * np.pi * target.frequency * across[fit.window]
     waves = np.where(core, np.stack([np.cos(phase), np.sin(phase)]), 0.0)
     spread = fit.noise.spread(waves, fit.window)
@@ -233,7 +219,7 @@ def _profile_residual_rms(fit: BarFit) -> float:
 
     Averaging along the bars suppresses noise, also where the noise was estimated from these residuals.
     """
-    across, _ = fit.target.coordinates((fit.window.shape[0], fit.window.shape[1]))
+    across, _ = fit.target.coordinates(fit.window.shape)
     near = np.abs(across[fit.window]) < fit.target.width_px / 2.0 + 1.0 / fit.target.frequency
     position = np.floor(across[fit.window][near]).astype(np.intp)
     position = position - position.min()

@@ -62,7 +62,7 @@ def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -
 
 def _best(image: Array, target: BarTarget, template: Array) -> tuple[float, BarTarget]:
     """Return the match of the profile along one direction in standard uncertainties, and the target there."""
-    across, _ = target.coordinates((image.shape[0], image.shape[1]))
+    across, _ = target.coordinates(image.shape)
     first = float(np.floor(across.min()))
     position = ((across - first) / ACCURACY.profile_bin_px).astype(np.intp).ravel()
     count = np.bincount(position)
@@ -184,7 +184,7 @@ def _patch(image: Array, wave: BarTarget) -> Mask:
     """Return the pixels around the maximum of a wave that keep half of its amplitude, shape (row, col)."""
     from scipy.ndimage import gaussian_filter, label
 
-    across, _ = wave.coordinates((image.shape[0], image.shape[1]))
+    across, _ = wave.coordinates(image.shape)
     turned = (image - ground_level(image)) * np.exp(-2j * np.pi * wave.frequency * across)
     width = ACCURACY.smoothing_periods / wave.frequency
     sigma = (width / wave.pitch_ratio, width)
@@ -206,7 +206,7 @@ def _runs_through(patch: Mask, angle_rad: float) -> bool:
 
 def _count_bars(image: Array, patch: Mask, wave: BarTarget, bars: int | None) -> tuple[float, BarTarget] | None:
     """Return the fraction of a patch's profile explained by N blurred bars, and the best target."""
-    across, along = wave.coordinates((image.shape[0], image.shape[1]))
+    across, along = wave.coordinates(image.shape)
     centre = 0.5 * (across[patch].min() + across[patch].max()), 0.5 * (along[patch].min() + along[patch].max())
     width, length = np.ptp(across[patch]), np.ptp(along[patch])
     near = (np.abs(across - centre[0]) < 0.5 * width + ACCURACY.profile_margin_periods / wave.frequency) & (

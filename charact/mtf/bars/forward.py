@@ -8,13 +8,12 @@ from charact.method import Context, register
 from charact.mtf.bars.bar_image_model import BarShape, table_of
 from charact.mtf.bars.bar_measurement import BarRefusal, StatedBars, measure_bars_in
 from charact.mtf.bars.blur_models import TUBE
-from charact.mtf.bars.checks import faintness_finding, misfit_finding, motion_finding, posterior_findings
+from charact.mtf.bars.checks import findings_of_draws
 from charact.mtf.bars.target import BarTarget
-from charact.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.mtf.bars.thresholds import ACCURACY
 from charact.mtf.blur_models import transfer as forms
 from charact.mtf.mean_frame import Region
 from charact.mtf.target_motion import TargetMotion, measure_line_motion
-from charact.mtf.thresholds import LIMITS as MTF_LIMITS
 from labdata.frames import FrameStack
 from labdata.measurement import Provenance, Result, make_refusal, measurement_from_draws
 
@@ -134,18 +133,14 @@ def bars_forward(
     stated = StatedBars(bars=bars, frequency=frequency_cy_per_px)
     found = measure_bars_in(used, stated, context)
     if isinstance(found, BarRefusal):
-        return _nothing(found, where, stated, context)
-    doubts = [*found.findings, *posterior_findings(found.posterior.flags)]
-    if np.quantile(found.mtf, 0.025) > 1.0:
-        doubts.append(misfit_finding(f"the MTF must be at most 1, got {100 * found.mtf.mean() - 100:.1f} % more"))
-    if found.mtf.mean() < LIMITS.min_mtf_sd * found.mtf.std():
-        doubts.append(faintness_finding(float(found.mtf.mean()), float(found.mtf.std())))
+        one = make_refusal(
+            "mtf", "1", found.reason, method=METHOD, flags=(found.flag,), region=where,
+            frequency_cy_per_px=stated.frequency,
+            provenance=Provenance(version=charact.__version__, seed=context.seed),
+        )  # fmt: skip
+        return Result(measurements=(one,))
     motion = measure_bar_motion(used, found.target)
-    if (
-        motion.moves
-        and motion.mtf_loss(found.target.frequency) * found.mtf.mean() > MTF_LIMITS.max_motion_sd * found.mtf.std()
-    ):
-        doubts.append(motion_finding(motion, found.target.frequency))
+    doubts = findings_of_draws(found.mtf, motion, found.target.frequency, found.posterior.flags)
     measurement = measurement_from_draws(
         "mtf",
         "1",
@@ -161,16 +156,7 @@ def bars_forward(
             seed=context.seed,
             settings={"quick": context.quick, "bars": found.target.bars, "margin_px": found.margin_px},
         ),
-    ).with_(findings=dict.fromkeys(doubts))
+    ).with_(findings=dict.fromkeys([*found.findings, *doubts]))
     return Result(
         measurements=(measurement,), evidence={"bars": bar_profile(used, found.target, measurement.value or 0.0)}
     )
-
-
-def _nothing(found: BarRefusal, where: Region, asked: StatedBars, context: Context) -> Result:
-    provenance = Provenance(version=charact.__version__, seed=context.seed)
-    one = make_refusal(
-        "mtf", "1", found.reason, method=METHOD, flags=(found.flag,), region=where,
-        frequency_cy_per_px=asked.frequency, provenance=provenance,
-    )  # fmt: skip
-    return Result(measurements=(one,))

@@ -1,7 +1,6 @@
 """One MTF curve through several bar groups of a camera."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,23 +11,16 @@ import charact
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from charact.mtf.bars.thresholds import LIMITS
-from charact.mtf.blur_models import transfer as forms
+from charact.mtf.blur_models.one_dimensional import HaloComponent
 from charact.mtf.curve import REPORTED, crossing_frequency, curve_of
-from charact.mtf.session.joint_model import KnownCameraTransfer
+from charact.mtf.known_transfer import halo_diameters_px
+from charact.mtf.session.joint_model import JointBlurModel, KnownCameraTransfer
 from charact.mtf.session.stage_transfers import prior_sd_of
 from charact.posterior import find_maximum, importance_sample, sample
 from labdata.errors import BadInput
 from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
-
-# Bounds of half frequency (cycles per column pitch), exponent and halo fraction.
-BOUNDS = ((0.01, 1.5), (0.7, 3.5), (0.0, 0.5))
-NAMES, UNITS = ("half_frequency", "exponent", "halo_fraction"), ("cy/px", "1", "1")
-# Mean and standard deviation of the exponent: between 2, a Gaussian, and 1.2, a tube.
-EXPONENT_PRIOR = (1.6, 0.6)
-GRID = (np.geomspace(0.03, 0.8, 40), np.linspace(0.8, 3.0, 23))
-
 
 METHOD = "bars-joint"
 # Method without errors by harmonics or phase.
@@ -37,76 +29,6 @@ GROUPS_BY = "bars-forward"
 HALF68_SD = 0.994458
 # Frequency grid for MTF50, cy/px.
 FINE = np.arange(0.002, 1.2, 0.002)
-
-
-@dataclass(frozen=True, kw_only=True)
-class GroupHaloPrior:
-    """Halo of a described intensifier: diameter, column pitches, and elastic share; prior of its share of the light."""
-
-    diameter_px: float
-    elastic_share: float
-    mean: float
-    sd: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class GroupCurveModel:
-    """c^((f/f2)^n) along one direction, `angle_rad` from the rows, times the known transfer and the described halo."""
-
-    angle_rad: float
-    known: KnownCameraTransfer
-    halo: GroupHaloPrior | None
-
-    @classmethod
-    def of(cls, context: Context, *, angle_rad: float) -> "GroupCurveModel":
-        """Return the model for a camera and a direction."""
-        halo, sensor = None, context.sensor
-        if sensor is not None:
-            fraction = sensor.photocathode.halo_fraction
-            column_um = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
-            halo = GroupHaloPrior(
-                diameter_px=4e3 * float(sensor.photocathode.gap_mm) / column_um,
-                elastic_share=float(sensor.photocathode.halo_elastic_share),
-                mean=float(fraction),
-                sd=prior_sd_of(fraction),
-            )
-        return cls(angle_rad=angle_rad, known=KnownCameraTransfer.of(context), halo=halo)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return NAMES if self.halo else NAMES[:2]
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Their units."""
-        return UNITS[: len(self.names)]
-
-    @property
-    def bounds(self) -> Array:
-        """Their bounds, shape (parameter, 2)."""
-        return np.array(BOUNDS[: len(self.names)])
-
-    @property
-    def grid(self) -> Array:
-        """Starting points of the optimisation, shape (point, parameter)."""
-        axes = GRID if self.halo is None else (*GRID, np.array([self.halo.mean]))
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(self.names))
-
-    def log_prior(self, theta: Array) -> Array:
-        """Return ln of the prior density up to a constant, shape (n,)."""
-        mean, sd = EXPONENT_PRIOR
-        density = -0.5 * ((theta[:, 1] - mean) / sd) ** 2
-        return density if self.halo is None else density - 0.5 * ((theta[:, 2] - self.halo.mean) / self.halo.sd) ** 2
-
-    def mtf(self, theta: Array, frequency: Array) -> Array:
-        """Return the MTF at frequencies across the bars, cycles per column pitch, (n, parameter) and (f,) -> (n, f)."""
-        at = np.maximum(frequency, 1e-9)
-        core = np.exp(forms.exponential(at, theta[:, 0], theta[:, 1]))
-        if self.halo is not None:
-            far = forms.halo(at, np.array(self.halo.diameter_px), np.array(self.halo.elastic_share))
-            core = core * (1.0 - theta[:, 2:3] * (1.0 - far))
-        return core * self.known(frequency * np.cos(self.angle_rad), frequency * np.sin(self.angle_rad))
 
 
 class Group(NamedTuple):
@@ -242,24 +164,28 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
         raise BadInput(f"{within}, got {apart:.0f} apart")
     # Directions half a turn apart are equal: average the doubled angles.
     turned = np.sum(np.exp(2j * np.array([group.angle_rad for group in groups])))
-    form = GroupCurveModel.of(context, angle_rad=0.5 * float(np.angle(turned)))
-    posterior, left = _posterior(groups, form, context)
+    angle_rad = 0.5 * float(np.angle(turned))
+    along = float(np.cos(angle_rad)), float(np.sin(angle_rad))
+    wide = HaloComponent(size_px=halo_diameters_px(context, transposed=False)) if context.sensor is not None else None
+    known = KnownCameraTransfer.of(context)
+    model = JointBlurModel(core="exponential", blurred=False, wide=wide, elliptical=False, known=known)
+    posterior, left = _posterior(groups, model, along, context)
+
+    def mtf_of(frequency: Array) -> Array:
+        return model.transfer(posterior.draws, along[0] * frequency, along[1] * frequency)
+
     freedom = len(groups) - 2
     misfit = ["model-misfit"] if freedom > 0 and chdtrc(freedom, left) < LIMITS.min_group_p_value else []
-    curves = form.mtf(posterior.draws, REPORTED)
+    curves = mtf_of(REPORTED)
     curves[:, 0] = 1.0
     common |= {
         "flags": (*(flag for flag in posterior.flags if flag != "prior-bound"), *misfit),
-        "orientation_deg": float(np.rad2deg(form.angle_rad)) % 180.0,
+        "orientation_deg": float(np.rad2deg(angle_rad)) % 180.0,
         "posterior": posterior,
     }
-    mtf50 = _mtf50(form.mtf(posterior.draws, FINE), groups, common)
+    mtf50 = _mtf50(mtf_of(FINE), groups, common)
     curve = curve_of(REPORTED, curves)
-    return Result(
-        measurements=(mtf50,),
-        curves={"mtf": curve},
-        evidence={"bar groups": _figure_data(groups, curve)},
-    )
+    return Result(measurements=(mtf50,), curves={"mtf": curve}, evidence={"bar groups": _figure_data(groups, curve)})
 
 
 def _mtf50(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Measurement:
@@ -287,25 +213,32 @@ def _mtf50(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Me
     return measurement_from_draws("mtf50", "cy/px", crossing[np.isfinite(crossing)], notes=tuple(notes), **common)
 
 
-def _posterior(groups: Sequence[Group], form: GroupCurveModel, context: Context) -> tuple[Posterior, float]:
+def _posterior(
+    groups: Sequence[Group], model: JointBlurModel, along: tuple[float, float], context: Context
+) -> tuple[Posterior, float]:
     """Return draws of the parameters, and chi squared at the optimum."""
-    frequency, mtf, sd = np.array([(group.frequency, group.mtf, group.sd) for group in groups]).T
+    frequency, mtf, sd, _ = np.array(groups).T
 
     def squares(theta: Array) -> Array:
-        return np.sum(((mtf - form.mtf(theta, frequency)) / sd) ** 2, axis=1)
+        return np.sum(((mtf - model.transfer(theta, along[0] * frequency, along[1] * frequency)) / sd) ** 2, axis=1)
 
     def log_probability(theta: Array) -> Array:
-        inside = np.all((theta > form.bounds[:, 0]) & (theta < form.bounds[:, 1]), axis=1)
-        safe = np.clip(theta, form.bounds[:, 0], form.bounds[:, 1])
-        return np.where(inside, form.log_prior(safe) - 0.5 * squares(safe), -np.inf)
+        density = model.log_prior(theta) - 0.5 * squares(np.clip(theta, model.bounds[:, 0], model.bounds[:, 1]))
+        if context.sensor is not None:
+            fraction = context.sensor.photocathode.halo_fraction
+            density -= 0.5 * ((theta[:, 2] - float(fraction)) / prior_sd_of(fraction)) ** 2
+        return density
 
-    arguments = {"names": form.names, "units": form.units, "seed": context.seed, "bounds": form.bounds}
-    start = form.grid[int(np.argmax(log_probability(form.grid)))]
-    best, covariance = find_maximum(log_probability, start, form.bounds)
+    starts = np.repeat(model.start[None], 40 * 23, axis=0)
+    grid = np.meshgrid(np.log(np.geomspace(0.03, 0.8, 40)), np.linspace(0.8, 3.0, 23))
+    starts[:, 0], starts[:, 1] = (axis.ravel() for axis in grid)
+    start = starts[int(np.argmax(log_probability(starts)))]
+    best, covariance = find_maximum(log_probability, start, model.bounds)
     # Half frequency and exponent have a curved ridge, which a Gaussian approximation misses.
     drawn = (importance_sample if context.quick else sample)(
-        log_probability, start=best, covariance=covariance, **arguments
-    )
+        log_probability, names=tuple(model.parameters), units=tuple(unit for unit, _ in model.parameters.values()),
+        start=best, covariance=covariance, seed=context.seed, bounds=model.bounds,
+    )  # fmt: skip
     return drawn, float(squares(best[None])[0])
 
 

@@ -39,14 +39,14 @@ class BarTarget:
         """Extent across the bars, column pitches."""
         return self.bars / self.frequency
 
-    def coordinates(self, shape: tuple[int, int]) -> tuple[Array, Array]:
+    def coordinates(self, shape: tuple[int, ...]) -> tuple[Array, Array]:
         """Return the distance of every pixel from the centre, across and along the bars, column pitches."""
         x = np.arange(shape[1])[None, :] - self.col
         y = (np.arange(shape[0])[:, None] - self.row) * self.pitch_ratio
         cosine, sine = np.cos(self.angle_rad), np.sin(self.angle_rad)
         return x * cosine + y * sine, y * cosine - x * sine
 
-    def box(self, shape: tuple[int, int], margin_px: float) -> NDArray[np.bool_]:
+    def box(self, shape: tuple[int, ...], margin_px: float) -> NDArray[np.bool_]:
         """Return the pixels on the target or within a margin of it."""
         across, along = self.coordinates(shape)
         return (np.abs(across) < self.width_px / 2 + margin_px) & (np.abs(along) < self.length_px / 2 + margin_px)
@@ -155,7 +155,7 @@ def _fit_length(image: Array, target: BarTarget) -> BarTarget:
     In white noise the squared sum over a stretch divided by its length is its likelihood; the standard length is kept
     unless another is clearly likelier.
     """
-    across, along = target.coordinates((image.shape[0], image.shape[1]))
+    across, along = target.coordinates(image.shape)
     inside = np.abs(across) < 0.5 * target.width_px
     wave = (image - ground_level(image))[inside] * np.exp(-2j * np.pi * target.frequency * across[inside])
     position = np.floor(along[inside]).astype(np.intp)
@@ -212,7 +212,7 @@ def margin_px(context: Context, frequency: float) -> float:
     return max(own, 0.5 * halo_diameters_px(context, transposed=False)[1] + ACCURACY.halo_margin_px)
 
 
-def fitting_margin(target: BarTarget, shape: tuple[int, int], wanted: float) -> tuple[float, bool]:
+def fitting_margin(target: BarTarget, shape: tuple[int, ...], wanted: float) -> tuple[float, bool]:
     """Return the widest margin up to `wanted` at which the window fits, and whether it is smaller."""
     for margin in np.linspace(wanted, 2.0, 24):
         inside = target.box(shape, float(margin))

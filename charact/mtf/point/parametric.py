@@ -148,16 +148,14 @@ def measure_points(
         "method": method.name,
         "region": region or (0, 0, *stack.shape[1:]),
         "provenance": Provenance(
-            version=charact.__version__,
-            seed=context.seed,
-            settings={"quick": context.quick, "pinhole_px": pinhole},
+            version=charact.__version__, seed=context.seed, settings={"quick": context.quick, "pinhole_px": pinhole}
         ),
     }
     sites = []
     for part in [stack.region(*one) for one in regions] if regions else [stack.region(*region) if region else stack]:
         site = _locate_source(part, context)
         if isinstance(site, PointRefusal):
-            return refuse_all(site, common)
+            return refuse_all(common, *site)
         sites.append(site)
     # Rings beyond the light are needed to separate it from the background.
     rings = min((site.window.ring_px for site in sites), key=len)
@@ -173,7 +171,7 @@ def measure_points(
         n_neighbours = sum(len(site.window.neighbours) for site in sites)
         crowd = f"; {n_neighbours} neighbours interfere, use --roi around an isolated one" if n_neighbours else ""
         required = f"no target: the light must be at least {LIMITS.min_light_sd:g} standard uncertainties{crowd}"
-        return refuse_all(PointRefusal(required, "no-target"), common)
+        return refuse_all(common, required)
     return _result(method, sites, fitter, found, {**common, "notes": stack.notes}, pinhole, context)
 
 
@@ -200,7 +198,7 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRe
     if isinstance(source, PointRefusal):
         bright = full is not None and np.median(part.data, axis=0).max() >= full
         return PointRefusal("the source is too bright: there is no background", "saturated") if bright else source
-    window = source_window(part, source, context, source.neighbours)
+    window = source_window(part, source, context)
     height = np.maximum(window.core - np.median(window.core), 0.0)
     if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
         reason = "the source is too bright: pixels below full scale contain too little of its light"

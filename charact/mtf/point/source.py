@@ -31,10 +31,10 @@ class PointRefusal(NamedTuple):
     flag: str = "no-target"
 
 
-def refuse_all(why: PointRefusal, common: dict[str, Any]) -> Result:
+def refuse_all(common: dict[str, Any], reason: str, flag: str = "no-target") -> Result:
     """Return the refusal of all quantities."""
     return Result(measurements=tuple(
-        make_refusal(name, "cy/px", why.reason, flags=(why.flag,), orientation_deg=angle, **common)
+        make_refusal(name, "cy/px", reason, flags=(flag,), orientation_deg=angle, **common)
         for angle in (0.0, 90.0) for name in ("mtf50", "mtf10")
     ))  # fmt: skip
 

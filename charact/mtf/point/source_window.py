@@ -36,7 +36,6 @@ class Window:
     ring_dn: Array
     ring_variance: Array
     ring_correlation: Array
-    floor: float  # Temporal variance of a pixel in the outermost ring, DN^2
     # Noise of a pixel without light, DN, infinite without quantisation. Small noise lets quantisation hide faint
     # light
     quiet_sd: float
@@ -101,15 +100,11 @@ class Window:
         return float((weight * self.x).sum() / total), float((weight * self.y[:, None]).sum() / total)
 
 
-def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_scale_dn: float | None,
-              halo_radius_px: float | None, filtered: bool,
-              neighbours: tuple[tuple[int, int], ...] = ()) -> Window:  # fmt: skip
-    """Return the pixels around a position.
-
-    `data`: frames of the region, shape (frame, row, col); `halo_radius_px`: largest radius of the halo, column pitches;
-    None: unknown; `filtered`: whether a causal video filter follows the sensor; `neighbours`: rows and columns of other
-    sources, px.
-    """
+def source_window(stack: FrameStack, source: DetectedSource, context: Context) -> Window:
+    """Return the pixels around a detected source."""
+    data, row, col, neighbours, pitch_ratio = stack.data, source.row, source.col, source.neighbours, context.pitch_ratio
+    described = context.sensor is not None
+    halo_radius_px = halo_diameters_px(context, transposed=False)[1] / 2.0 if described else np.inf
     frames, rows, cols = data.shape
     top, bottom = max(0, row - ACCURACY.half_rows), min(rows, row + ACCURACY.half_rows + 1)
     left, right = max(0, col - ACCURACY.half_cols), min(cols, col + ACCURACY.half_cols + 1)
@@ -128,9 +123,10 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
     positions = np.array([(c - col, (r - row) * pitch_ratio) for r, c in neighbours], float).reshape(-1, 2)
     far = outside & (radius > (27.0 if reach > 31 else 0.7 * reach)) & (radius < 48.0)
     values = data[:, far] if far.any() else data.reshape(frames, -1)
-    floor = float(values.var(axis=0, ddof=1).mean()) if frames > 1 else float(values.var())
+    noise = float(np.sqrt(values.var(axis=0, ddof=1).mean() if frames > 1 else values.var()))
     rounded = data.dtype.kind in "ui"
-    sound = _valid_pixels(core, full_scale_dn, filtered)
+    # A causal video filter follows a described sensor.
+    sound = _valid_pixels(core, context.full_scale_dn or stack.full_scale_dn, filtered=described)
     return Window(
         core=core.mean(axis=0),
         deviations=(core - core.mean(axis=0)).reshape(frames, -1),
@@ -143,10 +139,9 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
         ring_dn=rings[1],
         ring_variance=rings[2],
         ring_correlation=rings[3],
-        floor=max(floor, 1e-3 if rounded else 1e-12),
-        quiet_sd=min(dark_sd_from_histogram(values), float(np.sqrt(floor))) if rounded else np.inf,
+        quiet_sd=min(dark_sd_from_histogram(values), noise) if rounded else np.inf,
         frames=frames,
-        holds_halo=halo_radius_px is not None and reach >= halo_radius_px + 5.0,
+        holds_halo=reach >= halo_radius_px + 5.0,
         cut=core.shape[1:] != (2 * ACCURACY.half_rows + 1, 2 * ACCURACY.half_cols + 1),
         clipped=is_clipped_at_black(values),
         neighbours=positions,
@@ -154,19 +149,6 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
             [[_ring_quantiles(np.hypot(*(ring - at[:, None]))) for ring in rings[4]] for at in positions]
         ).reshape(len(positions), len(rings[4]), ACCURACY.pixels_per_ring),
     )
-
-
-def source_window(
-    stack: FrameStack, source: DetectedSource, context: Context, neighbours: tuple[tuple[int, int], ...] = ()
-) -> Window:
-    """Return the pixels around a detected source."""
-    described = context.sensor is not None
-    return window_of(
-        stack.data, source.row, source.col, pitch_ratio=context.pitch_ratio,
-        full_scale_dn=context.full_scale_dn or stack.full_scale_dn,
-        halo_radius_px=halo_diameters_px(context, transposed=False)[1] / 2.0 if described else None,
-        filtered=described, neighbours=neighbours,
-    )  # fmt: skip
 
 
 def neighbour_mask(
@@ -180,7 +162,7 @@ def neighbour_mask(
     return near
 
 
-def _valid_pixels(core: Array, full_scale_dn: float | None, filtered: bool) -> NDArray[np.bool_]:
+def _valid_pixels(core: Array, full_scale_dn: float | None, *, filtered: bool) -> NDArray[np.bool_]:
     """Return the core pixels that neither reach full scale nor follow such a pixel in a filtered row."""
     if full_scale_dn is None:
         return np.ones(core.shape[1:], bool)

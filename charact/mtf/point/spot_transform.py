@@ -67,32 +67,20 @@ def point_spread(
         "provenance": Provenance(version=charact.__version__, seed=context.seed, settings=settings),
     }
     if min(used.shape[1:]) < 2 * ACCURACY.background_radius_px:
-        return refuse_all(
-            PointRefusal(
-                f"a spot needs a region of at least {2 * ACCURACY.background_radius_px:.0f} px", "window-too-small"
-            ),
-            common,
-        )
+        reason = f"a spot needs a region of at least {2 * ACCURACY.background_radius_px:.0f} px"
+        return refuse_all(common, reason, "window-too-small")
     source = detect_source(used.data, context.pitch_ratio)
     if isinstance(source, PointRefusal):
-        return refuse_all(source, common)
+        return refuse_all(common, *source)
     if len(used) < LIMITS.min_transform_frames:
-        return refuse_all(
-            PointRefusal(
-                f"a spot needs at least {LIMITS.min_transform_frames} frames, got {len(used)}", "too-few-frames"
-            ),
-            common,
-        )
+        reason = f"a spot needs at least {LIMITS.min_transform_frames} frames, got {len(used)}"
+        return refuse_all(common, reason, "too-few-frames")
     spots, flags, missing = _spots(used, source, context)
     if "saturated" in flags:
-        return refuse_all(
-            PointRefusal("the spot must stay below full scale: clipped light has no transform", "saturated"), common
-        )
+        return refuse_all(common, "the spot must stay below full scale: clipped light has no transform", "saturated")
     light = spots.sum(axis=(1, 2))
     if light.mean() < LIMITS.min_light_sd * ACCURACY.lag_factor * light.std(ddof=1) / np.sqrt(len(light)):
-        return refuse_all(
-            PointRefusal("no target: the spot's light is not significant over the frames", "no-target"), common
-        )
+        return refuse_all(common, "no target: the spot's light is not significant over the frames")
     positions = _places(used.shape[1:], source, context)
     still = [finding(flag, EFFECTS[flag]) for flag in flags if flag in EFFECTS]
     findings = [*still, *motion_findings(tuple(flag for flag in flags if flag not in EFFECTS))]

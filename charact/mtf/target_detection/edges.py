@@ -200,11 +200,10 @@ def _of_all_scales(fields: list[Gradient]) -> list[Segment]:
 
 def _shows(finer: Gradient, segment: Segment) -> bool:
     """Return whether a finer scale shows all of a segment, so that it must be straight there too."""
-    low = np.maximum(np.floor(segment.ends().min(axis=0) - 3.0 * segment.scale_px), 0).astype(int)
-    high = np.ceil(segment.ends().max(axis=0) + 3.0 * segment.scale_px).astype(int)
-    significance = finer.significance[low[0] : high[0], low[1] : high[1]]
-    row = np.arange(low[0], low[0] + significance.shape[0])[:, None]
-    col = np.arange(low[1], low[1] + significance.shape[1])[None, :]
+    cut = segment.cut(3.0 * segment.scale_px)
+    significance = finer.significance[cut]
+    rows, cols = significance.shape
+    row, col = np.ogrid[cut[0].start : cut[0].start + rows, cut[1].start : cut[1].start + cols]
     along = segment.along(row, col)
     near = (np.abs(segment.across(row, col)) < 2.0 * segment.scale_px) & (np.abs(along) < 0.5 * segment.length_px)
     cell = ((along[near] + 0.5 * segment.length_px) / ACCURACY.finer_scale_cell_px).astype(int)

@@ -44,6 +44,12 @@ class Segment:
         middle = np.array([self.row, self.col])
         return np.stack([middle - half, middle + half])
 
+    def cut(self, margin_px: float) -> tuple[slice, slice]:
+        """Return the rows and columns within a margin of the segment."""
+        low = np.maximum(np.floor(self.ends().min(axis=0) - margin_px), 0).astype(int)
+        high = np.ceil(self.ends().max(axis=0) + margin_px).astype(int) + 1
+        return slice(low[0], high[0]), slice(low[1], high[1])
+
 
 def segments_of(field: Gradient) -> list[Segment]:
     """Return the straight segments of a gradient, heaviest first; each pixel belongs to one."""
@@ -125,12 +131,9 @@ def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
 def _profile(segment: Segment, field: Gradient) -> tuple[float, float]:
     """Return the height and the standard deviation of the mean gradient across a segment, DN per px and px."""
     reach = 3.0 * segment.scale_px + 3.0
-    ends = segment.ends()
-    low = np.maximum(np.floor(ends.min(axis=0) - reach), 0).astype(int)
-    high = np.ceil(ends.max(axis=0) + reach).astype(int) + 1
-    cut = (slice(low[0], high[0]), slice(low[1], high[1]))
+    cut = segment.cut(reach)
     rise = np.cos(segment.normal_rad) * field.right[cut] + np.sin(segment.normal_rad) * field.down[cut]
-    row, col = np.arange(low[0], low[0] + rise.shape[0])[:, None], np.arange(low[1], low[1] + rise.shape[1])[None, :]
+    row, col = np.ogrid[cut[0].start : cut[0].start + rise.shape[0], cut[1].start : cut[1].start + rise.shape[1]]
     across = segment.across(row, col)
     near = (np.abs(segment.along(row, col)) < 0.4 * segment.length_px) & (np.abs(across) < reach)
     total = float(rise[near].sum())

@@ -49,7 +49,6 @@ def fits_of(image: NDArray, frequency: float, snr: float, blur_px: float) -> Fit
         (gaussian(0.8), 0.4, 10.0, 10, 0.0, 1),
         (tube(0.25, 1.1), 0.3, 10.0, 20, 0.0, -1),
         (gaussian(0.8), 0.4, 10.0, 20, 0.7, -1),
-        (tube(0.25, 1.1), 0.3, 20.0, 20, 0.7, -1),
     ],
 )
 def test_the_bias_of_fits_is_what_their_second_order_says(core, frequency, snr, rows, blur_px, sign, seed) -> None:
@@ -72,8 +71,7 @@ def test_the_bias_of_fits_is_what_their_second_order_says(core, frequency, snr, 
 
 def test_the_exponent_prior_hardly_moves_a_gaussian_or_a_heavy_tail() -> None:
     """At ten times the noise, without any: a Gaussian (n = 2) and n = 1.1 are both far from the prior's middle."""
-    cases = [(gaussian(0.8), f) for f in (0.1, 0.2, 0.4)] + [(gaussian(1.5), f) for f in (0.1, 0.2)]
-    for core, frequency in [*cases, *((tube(0.25, 1.1), f) for f in (0.1, 0.2, 0.4))]:
+    for core, frequency in ((gaussian(0.8), 0.4), (gaussian(1.5), 0.1), (tube(0.25, 1.1), 0.1), (tube(0.25, 1.1), 0.4)):
         image = strip(core, frequency, ANGLE_DEG, PHASE_PX) * STEP_DN
         weak, _ = fits_of(image, frequency, 10.0, 0.0)(image, None)
         sure, _ = fits_of(image, frequency, 1e3, 0.0)(image, None)

@@ -72,11 +72,11 @@ def test_what_else_is_in_the_noise_is_no_response(more, seed, monkeypatch):
 
 
 def test_errors_of_the_power_are_those_it_scatters_by(seed, monkeypatch):
-    """40 targets: the scatter over the stated errors lies within 0.6 and 1.2; a fifth too large is known."""
+    """16 targets: the scatter over the stated errors lies within 0.5 and 1.4; a fifth too large is known."""
     rng = np.random.default_rng(seed)
-    shared = [powers(replace(FINE, col_px=float(rng.uniform(-1, 1))), rng, monkeypatch)[1] for _ in range(40)]
+    shared = [powers(replace(FINE, col_px=float(rng.uniform(-1, 1))), rng, monkeypatch)[1] for _ in range(16)]
     away = np.array([(one.exponent - 1.0) / one.sd for one in shared])
-    assert 0.6 < np.sqrt(np.mean(away**2)) < 1.2 and abs(away.mean()) < 0.4
+    assert 0.5 < np.sqrt(np.mean(away**2)) < 1.4 and abs(away.mean()) < 0.7
 
 
 PLAIN = BarScene(

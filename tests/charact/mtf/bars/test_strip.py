@@ -23,9 +23,18 @@ def deviation(found, truth: float) -> float:
     return (found.value - truth) / ((high - low) / 2)
 
 
-@pytest.mark.parametrize("name", CORES)
-@pytest.mark.parametrize("angle_deg", [0.0, 2.0, 8.0])
-@pytest.mark.parametrize("frequency", [0.05, 0.12, 0.25, 0.4])
+@pytest.mark.parametrize(
+    ("name", "angle_deg", "frequency"),
+    [
+        ("gaussian 0.8 px", 0.0, 0.4),
+        ("gaussian 0.8 px", 8.0, 0.12),
+        ("gaussian 1.5 px", 2.0, 0.25),
+        ("gaussian 1.5 px", 0.0, 0.05),
+        ("tube n 1.1", 0.0, 0.12),
+        ("tube n 1.1", 2.0, 0.4),
+        ("tube n 1.1", 8.0, 0.25),
+    ],
+)
 def test_without_noise_the_mtf_is_exact_at_any_phase(name: str, angle_deg: float, frequency: float) -> None:
     truth = mtf_of(CORES[name], frequency, angle_deg)
     for phase_px in (0.0, 0.37):
@@ -35,13 +44,15 @@ def test_without_noise_the_mtf_is_exact_at_any_phase(name: str, angle_deg: float
         assert found.value == pytest.approx(truth, rel=0.01, abs=3e-4), (phase_px, found.flags)
 
 
-@pytest.mark.parametrize("name", CORES)
-@pytest.mark.parametrize(("blur_px", "turned"), [(0.0, False), (0.7, True)])
+@pytest.mark.parametrize(
+    ("name", "blur_px", "turned"),
+    [("gaussian 0.8 px", 0.0, False), ("gaussian 1.5 px", 0.7, True), ("tube n 1.1", 0.7, False)],
+)
 def test_no_bias_and_honest_intervals_at_ten_times_the_noise(name: str, blur_px: float, turned: bool, seed) -> None:
     """Mean error under 1 % of the truth within 3.3 standard errors, and cover at 95 % that chance does not undercut."""
     rng = np.random.default_rng(seed)
     errors, scaled = [], []
-    for _ in range(60):
+    for _ in range(24):
         frequency = float(rng.uniform(0.05, 0.4 if name != "gaussian 1.5 px" else 0.18))
         angle, phase = float(rng.choice([0.0, 1.0, 3.0, 8.0])), float(rng.uniform(-0.5, 0.5))
         image = strip(CORES[name], frequency, angle, phase)
@@ -54,12 +65,12 @@ def test_no_bias_and_honest_intervals_at_ten_times_the_noise(name: str, blur_px:
     weight = np.array(scaled) ** 2 / np.array(errors) ** 2
     error = np.sqrt(1.0 / weight.sum())
     assert abs(np.average(errors, weights=weight)) < 0.01 + 3.3 * error
-    # Of 60 at 95 %, fewer than 49 happen by chance once in a million runs; intervals may be a little wide.
-    assert np.mean(np.abs(scaled) < 1.96) > 48 / 60
-    assert np.std(scaled) > 0.6
+    # Of 24 at 95 %, fewer than 17 happen by chance twice in a hundred thousand runs; intervals may be a little wide.
+    assert np.sum(np.abs(scaled) < 1.96) > 16
+    assert np.std(scaled) > 0.5
 
 
-@pytest.mark.parametrize("bars", [2, 3, 5, 15, 40])
+@pytest.mark.parametrize("bars", [2, 5, 40])
 def test_any_number_of_bars(bars: int) -> None:
     for frequency in (0.12, 0.3):
         stack = frames_of(strip(CORES["tube n 1.1"], frequency, 3.0, 0.2, bars=bars), np.random.default_rng(0), snr=1e3)

@@ -11,7 +11,8 @@ from scipy.special import erf, j1
 from charact.method import Context
 from charact.mtf.point.blur_models_2d import BANDWIDTH, BANDWIDTH_ORDERS, BlurModel2D
 from charact.mtf.point.forward import described_tube, point_forward
-from charact.mtf.point.source_window import window_of
+from charact.mtf.point.source import DetectedSource
+from charact.mtf.point.source_window import source_window
 from charact.mtf.point.spot_image_matrix import Aperture, cosines, pixel_matrix, radial
 from charact.mtf.point.spot_transform import point_spread
 from charact.study.edge.scene import TrueBlur
@@ -73,12 +74,12 @@ def test_mtf_of_a_gaussian_spot_is_that_of_its_width_in_each_direction(seed, sig
 def test_intervals_of_a_gaussian_spot_hold_the_truth_as_often_as_they_say(seed):
     rng = np.random.default_rng(seed)
     inside = 0
-    for _ in range(12):
+    for _ in range(8):
         sigma = rng.uniform(0.6, 1.8)
         spot = gaussian_spot(32 + rng.uniform(-0.5, 0.5), 32 + rng.uniform(-0.5, 0.5), 3000.0, sigma, sigma)
         found = level(point_forward(taken(spot, rng), context=QUICK), "mtf50", 0.0)
         inside += found.interval95[0] <= half_frequency(sigma) <= found.interval95[1]
-    assert inside >= 8  # 12 at 95 %: fewer than 8 once in a million
+    assert inside >= 5  # 8 at 95 %: fewer than 5 four times in ten thousand
 
 
 def test_transfer_of_a_known_pinhole_is_divided_out(seed):
@@ -171,12 +172,13 @@ def test_a_flash_in_one_frame_is_no_point_source(seed):
     assert {m.status for m in result.measurements} == {"refused"}
 
 
-def test_a_core_beyond_full_scale_is_suspect_or_refused(seed):
+def test_a_core_beyond_full_scale_has_lower_limits_and_no_transform(seed):
     rng = np.random.default_rng(seed)
-    spot = gaussian_spot(32, 32, 20000.0, 1.2, 1.2)
-    clipped = np.minimum(taken(spot, rng).data, 255.0)
+    clipped = np.minimum(taken(gaussian_spot(32, 32, 20000.0, 1.2, 1.2), rng).data, 255.0)
     stack = FrameStack(data=clipped, full_scale_dn=255.0)
-    assert all(m.status != "ok" and "saturated" in m.flags for m in point_forward(stack, context=QUICK).measurements)
+    found = level(point_forward(stack, context=QUICK), "mtf50", 0.0)
+    assert any("at full scale are treated as lower limits" in note for note in found.notes) or found.status != "ok"
+    assert found.status != "ok" or abs(standard_errors(found, half_frequency(1.2))) < 4.5
     assert {m.status for m in point_spread(stack, context=QUICK).measurements} == {"refused"}
 
 
@@ -185,7 +187,8 @@ def test_rings_of_light_that_neighbours_share_scatter_as_told(seed):
     chi2 = []
     for _ in range(120):
         grain = ndimage.gaussian_filter(rng.standard_normal((2, 80, 80)), (0.0, 1.0, 1.0))
-        window = window_of(grain, 40, 40, pitch_ratio=1.0, full_scale_dn=None, halo_radius_px=None, filtered=False)
+        source = DetectedSource(row=40, col=40, significance=9.0, others=False)
+        window = source_window(FrameStack(data=grain), source, Context())
         # A halo lifts all rings at once.
         told = window.ring_covariance(window.ring_variance)
         weight = 1.0 / window.ring_variance
@@ -217,14 +220,14 @@ def test_what_moved_is_told(method, knob, seed):
 def test_a_tube_with_a_narrow_pulse_is_fitted_with_both(seed):
     """One form alone is 4 % off for exp(-(f/fc)^1.184) and a Gaussian behind the gain, six of its standard errors."""
     errors = []
-    for trial in range(8):
+    for trial in range(4):
         rng = np.random.default_rng([seed, trial])
         blur = TrueBlur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
         scene = PointScene(blur=blur, pulse_px=0.6, col_px=rng.uniform(-0.5, 0.5))
         found = level(point_forward(scene.frames_drawn(rng), context=QUICK), "mtf50", 0.0)
         errors.append(standard_errors(found, scene.truth_mtf50))
     assert np.abs(errors).max() < 4.5
-    assert abs(np.mean(errors)) < 4.5 / np.sqrt(8)
+    assert abs(np.mean(errors)) < 4.5 / np.sqrt(4)
 
 
 def test_the_plain_transform_tells_tails_that_its_disc_cuts_off(seed):
