@@ -8,7 +8,7 @@ from simulate.iiccd.tube_photometry import JOULE_METRE, quantum_efficiency
 from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
 from simulate.radiance.lamps.spectra import KINDS, read_spectrum, spectrum
 from simulate.radiance.sky.moon import moon_spectrum
-from simulate.radiance.sky.sky_glow import dark_sky
+from simulate.radiance.sky.night_sky import dark_sky
 from simulate.radiance.spectrum import luminous_efficiency, planck
 
 

@@ -13,7 +13,7 @@ from simulate.radiance.geometry.surfaces import Mesh, collect_surfaces, shape
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
 from simulate.radiance.integrator.outgoing_radiance import radiance_along
-from simulate.radiance.integrator.panes import Panes
+from simulate.radiance.integrator.spectral_scene import Panes
 from simulate.radiance.integrator.subpixel_sources import add_small_sources
 from simulate.radiance.materials import clearest, pane_shares
 from simulate.radiance.outdoor.built_scene import BuiltScene
