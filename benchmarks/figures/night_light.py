@@ -12,8 +12,7 @@ from labdata.sensors import load_sensor
 from simulate.iiccd.tube_photometry import quantum_efficiency
 from simulate.radiance.lamps.spectra import spectrum
 from simulate.radiance.sky.moon import ObserverLocation, moon_spectrum
-from simulate.radiance.sky.night_sky import NightSky
-from simulate.radiance.sky.sky_glow import TownGlow, dark_sky
+from simulate.radiance.sky.night_sky import NightSky, TownGlow, dark_sky
 from simulate.radiance.spectrum import LUMENS_PER_WATT, SourceSpectrum, luminous_efficiency
 
 matplotlib.use("Agg")

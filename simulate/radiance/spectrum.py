@@ -1,4 +1,4 @@
-"""Spectra of light sources, with a continuum and lines, and the spectral grid of a rendering."""
+"""Spectra of light sources, with a continuum and lines, black bodies, and the spectral grid of a rendering."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +12,89 @@ from labdata.errors import BadInput
 from labdata.frames import read_only
 from simulate.radiance.cube import band_widths
 
+Array = NDArray[np.float64]
 Array = NDArray[np.floating]
+# CODATA 2018: W m-2 K-4; J s; m/s; J/K.
+STEFAN_BOLTZMANN = 5.670374419e-8
+PLANCK, LIGHT, BOLTZMANN = 6.62607015e-34, 2.99792458e8, 1.380649e-23
+# Terms of the series: exp(-n x) is below 1e-9 of the first one after these, for x of 0.5 (14 um at 2000 K) and more.
+TERMS = 40
+
+
+def band_radiance(low_um: ArrayLike, high_um: ArrayLike, temperature_k: ArrayLike) -> NDArray[np.float64]:
+    r"""Return the radiance of a black body between two wavelengths, W m-2 sr-1.
+
+    Parameters
+    ----------
+    low_um, high_um
+        Ends of the band, um; any shapes that broadcast with the temperature's.
+    temperature_k
+        Temperature, K, above 0.
+
+    Notes
+    -----
+    .. math:: L = \frac{2 k^4 T^4}{h^3 c^2} \sum_n e^{-nx} (x^3/n + 3x^2/n^2 + 6x/n^3 + 6/n^4),
+        \quad x = \frac{hc}{\lambda k T}
+
+    from the low end minus from the high end (Chang and Rhee, Int. Comm. Heat Mass Transfer 11, 451, 1984). `TERMS`
+    terms are exact to 1e-8 for wavelength times temperature below 28,000 um K.
+    """
+    kelvin = np.asarray(temperature_k, float)
+    scale = 2.0 * BOLTZMANN**4 / (PLANCK**3 * LIGHT**2) * kelvin**4
+    return scale * (_series(_exponent(high_um, kelvin), 3) - _series(_exponent(low_um, kelvin), 3))
+
+
+def band_photon_radiance(low_um: ArrayLike, high_um: ArrayLike, temperature_k: ArrayLike) -> NDArray[np.float64]:
+    """Return the photon radiance of a black body between two wavelengths, s-1 m-2 sr-1, as `band_radiance`."""
+    kelvin = np.asarray(temperature_k, float)
+    scale = 2.0 * BOLTZMANN**3 / (PLANCK**3 * LIGHT**2) * kelvin**3
+    return scale * (_series(_exponent(high_um, kelvin), 2) - _series(_exponent(low_um, kelvin), 2))
+
+
+def band_radiance_slope(low_um: ArrayLike, high_um: ArrayLike, temperature_k: ArrayLike) -> NDArray[np.float64]:
+    r"""Return the derivative of `band_radiance` with temperature, W m-2 sr-1 K-1.
+
+    Notes
+    -----
+    .. math:: T \frac{dL}{dT} = 4 L + \left[\frac{2 k^4 T^4}{h^3 c^2} \frac{x^4}{e^x - 1}\right]_{low}^{high}
+    """
+    kelvin = np.asarray(temperature_k, float)
+    scale = 2.0 * BOLTZMANN**4 / (PLANCK**3 * LIGHT**2) * kelvin**4
+    low, high = (-(x**4) * np.exp(-x) / np.expm1(-x) for x in (_exponent(end, kelvin) for end in (low_um, high_um)))
+    return (4.0 * band_radiance(low_um, high_um, kelvin) + scale * (high - low)) / kelvin
+
+
+def brightness_temperature(low_um: float, high_um: float, radiance: ArrayLike) -> NDArray[np.float64]:
+    """Return the temperature of the black body of a band radiance (W m-2 sr-1, above 0), K.
+
+    Notes
+    -----
+    Newton's method on ln L against 1/T, which is nearly straight; relative error below 1e-12.
+    """
+    wanted = np.log(np.asarray(radiance, float))
+    inverse = np.full(wanted.shape, 1.0 / 300.0)
+    for _ in range(30):
+        kelvin = 1.0 / inverse
+        found = band_radiance(low_um, high_um, kelvin)
+        slope = -band_radiance_slope(low_um, high_um, kelvin) * kelvin**2 / found
+        # At most by a half at a time: the first guess may be far away.
+        inverse *= np.clip(1.0 + (wanted - np.log(found)) / slope / inverse, 0.5, 2.0)
+    return 1.0 / inverse
+
+
+def _exponent(wavelength_um: ArrayLike, kelvin: Array) -> Array:
+    """h c / (wavelength k T)."""
+    return PLANCK * LIGHT / (np.asarray(wavelength_um, float) * 1e-6 * BOLTZMANN * kelvin)
+
+
+def _series(x: Array, power: int) -> Array:
+    """Integral of t^power / (e^t - 1) from x to infinity, of power 2 or 3."""
+    n = np.arange(1.0, TERMS + 1.0).reshape(-1, *(1,) * x.ndim)
+    poly = x**2 / n + 2.0 * x / n**2 + 2.0 / n**3
+    if power == 3:
+        poly = x**3 / n + 3.0 / n * poly
+    return np.sum(np.exp(-n * x) * poly, axis=0)
+
 
 LUMENS_PER_WATT = 683.0
 
@@ -28,12 +110,12 @@ EYE_SHARE = np.array([
 # fmt: on
 
 
-def luminous_efficiency(wavelength_nm: ArrayLike) -> Array:
+def luminous_efficiency(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     """Return V(lambda), dimensionless, linear between 10 nm steps and zero outside 380..770 nm."""
     return np.interp(np.asarray(wavelength_nm, float), EYE_NM, EYE_SHARE, left=0.0, right=0.0)
 
 
-def planck(wavelength_nm: ArrayLike, temperature_k: float) -> Array:
+def planck(wavelength_nm: ArrayLike, temperature_k: float) -> NDArray[np.float64]:
     """Return the spectral radiance of a black body, W m-2 sr-1 nm-1.
 
     Notes
@@ -41,9 +123,8 @@ def planck(wavelength_nm: ArrayLike, temperature_k: float) -> Array:
     2 h c^2 / l^5 / (exp(h c / (l k T)) - 1).
     """
     metre = np.asarray(wavelength_nm, float) * 1e-9
-    planck_constant, light, boltzmann = 6.62607015e-34, 2.99792458e8, 1.380649e-23
-    exponent = planck_constant * light / (metre * boltzmann * temperature_k)
-    return 2.0 * planck_constant * light**2 / metre**5 / np.expm1(exponent) * 1e-9
+    exponent = PLANCK * LIGHT / (metre * BOLTZMANN * temperature_k)
+    return 2.0 * PLANCK * LIGHT**2 / metre**5 / np.expm1(exponent) * 1e-9
 
 
 Table = tuple[ArrayLike, ArrayLike]
@@ -74,7 +155,7 @@ class SourceSpectrum:
         object.__setattr__(self, "wavelength_nm", read_only(wavelength))
         object.__setattr__(self, "density", read_only(density))
 
-    def on(self, wavelength_nm: ArrayLike) -> Array:
+    def on(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Return the power per nm in the bands of a complete grid, shape (band,); widths depend on neighbours.
 
         Raises BadInput if the grid does not ascend, or has fewer than two bands.
@@ -138,7 +219,7 @@ def sum_spectra(parts: list[SourceSpectrum]) -> SourceSpectrum:
     )
 
 
-def require_grid(wavelength_nm: ArrayLike) -> Array:
+def require_grid(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     """Return a grid of wavelengths as an array; raise BadInput if it does not ascend or has fewer than two bands."""
     grid = np.atleast_1d(np.asarray(wavelength_nm, float))
     if grid.ndim != 1 or grid.size < 2:
@@ -148,7 +229,7 @@ def require_grid(wavelength_nm: ArrayLike) -> Array:
     return grid
 
 
-def hat_integrals(grid: ArrayLike, *tables: Table) -> Array:
+def hat_integrals(grid: ArrayLike, *tables: Table) -> NDArray[np.float64]:
     """Return int hat_b f g dl of each band of a grid, shape (band,): hats are 1 at their band and 0 at its neighbours.
 
     f and g are tables of ascending wavelengths, nm, and values, linear between and zero outside; at most two.
@@ -182,14 +263,6 @@ def _hats_at(grid: Array, wavelength_nm: float) -> Array:
     return np.array([np.interp(wavelength_nm, grid, unit, left=0.0, right=0.0) for unit in np.eye(grid.size)])
 
 
-# Step of the fine grid on which errors are computed, in addition to the knots of all tables, nm.
-FINE_NM = 1.0
-# Largest initial distance of bands, nm, so that features of materials and gases between those of sources count.
-WIDEST_NM = 50.0
-# Distance of a line's neighbours, nm, so that its light stays at its wavelength.
-LINE_FOOT_NM = 4.0
-
-
 def spectral_grid(
     sources: Sequence[SourceSpectrum],
     response_nm: ArrayLike,
@@ -197,54 +270,34 @@ def spectral_grid(
     *,
     tolerance: float = 0.003,
     spectra: Sequence[tuple[ArrayLike, ArrayLike]] = (),
-    widest_nm: float = WIDEST_NM,
-) -> tuple[Array, Array]:
-    """Return the bands for sources and a sensor, and their widths.
+) -> Array:
+    """Return the bands for sources and a sensor, ascending, shape (band,), nm.
+
+    They are both ends of the response, each line between them, and bands where response or spectra are most curved.
 
     Parameters
     ----------
-    sources
-        Spectra of the lights.
+    sources, spectra
+        Spectra of the lights; reflectances and transmittances that multiply them, as wavelengths and values.
     response_nm, response
-        The sensor's response per W at wavelengths, ascending, linear between them; the grid covers where it is above
-        zero.
+        The sensor's response per W at wavelengths, ascending, linear between them; the grid covers where it is above 0.
     tolerance
         Largest error of any source's detected light, as a sum over |error| between bands, as a fraction of it.
-    spectra
-        Reflectances and transmittances: wavelengths and values of tables that multiply the light.
-    widest_nm
-        Largest distance of neighbours, nm.
-
-    Returns
-    -------
-    wavelength_nm
-        Bands, ascending, shape (band,), nm: both ends of the response, each line between them, and bands inserted where
-        response or spectra are most curved.
-    width_nm
-        Width of each band (`cube.band_widths`), shape (band,), nm: an integral is the sum of value times width.
-
-    Raises
-    ------
-    BadInput
-        If the response is nowhere positive, or the tolerance is not.
     """
     if not tolerance > 0.0:
         raise BadInput(f"the tolerance of a spectral grid must be positive, got {tolerance:g}")
     sensor_nm, sensor_response = np.asarray(response_nm, float), np.asarray(response, float)
     low, high = _span(sensor_nm, sensor_response)
-    grid = _start(low, high, widest_nm, [nm for source in sources for nm in source.line_nm if low < nm < high])
+    grid = _start(low, high, [nm for source in sources for nm in source.line_nm if low < nm < high])
     knots = [sensor_nm, *(np.asarray(nm, float) for nm, _ in spectra), *(source.wavelength_nm for source in sources)]
-    fine = np.unique(np.concatenate([np.arange(low, high, FINE_NM), grid, *knots]))
+    fine = np.unique(np.concatenate([np.arange(low, high, 1.0), grid, *knots]))
     fine = fine[(fine >= low) & (fine <= high)]
     sensor = np.interp(fine, sensor_nm, sensor_response, left=0.0, right=0.0)
-    factors = [
-        sensor,
-        *(sensor * np.interp(fine, np.asarray(nm, float), np.asarray(value, float)) for nm, value in spectra),
-    ]
+    factors = [sensor, *(sensor * np.interp(fine, np.asarray(nm, float), np.asarray(v, float)) for nm, v in spectra)]
     while True:
         error, next_nm = _worst(grid, fine, factors, sources)
         if error <= tolerance:
-            return grid, np.asarray(band_widths(grid), float)
+            return grid
         grid = np.union1d(grid, next_nm)
 
 
@@ -258,12 +311,12 @@ def _span(wavelength_nm: Array, response: Array) -> tuple[float, float]:
     return float(wavelength_nm[first]), float(wavelength_nm[last])
 
 
-def _start(low: float, high: float, widest_nm: float, lines: list[float]) -> Array:
+def _start(low: float, high: float, lines: list[float], widest_nm: float = 50.0, foot_nm: float = 4.0) -> Array:
     """Return an equidistant grid with every line, and a neighbour on both sides of it where no other band is close."""
     grid = np.linspace(low, high, max(2, int(np.ceil((high - low) / widest_nm)) + 1))
     grid = np.union1d(grid, lines)
     for line in lines:
-        for foot in (line - LINE_FOOT_NM, line + LINE_FOOT_NM):
+        for foot in (line - foot_nm, line + foot_nm):
             between = (grid > min(foot, line)) & (grid < max(foot, line))
             if low < foot < high and not between.any():
                 grid = np.union1d(grid, foot)

@@ -7,17 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.effect_selection import OptionalEffect
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.outdoor.materials import Slab
 from simulate.radiance.outdoor.scene import Object
 from simulate.radiance.outdoor.scene import Weather as State
+from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.clear_day import sky_radiance
 from simulate.thermal.exposure import RING_SINE, Exposure, Facets
 from simulate.thermal.slab import ZERO_C, Columns, Exchange, Forcing, kernels, march, periodic_start, vapour_pressure_pa
 from simulate.thermal.thresholds import LIMITS
 from simulate.thermal.weather import DAY_STEPS, Weather
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 # Reflectance of the ground beyond the scene, which has the temperature of the air.
 GROUND_REFLECTANCE = 0.2
 # Irradiance of the full moon in the zenith, W m-2.

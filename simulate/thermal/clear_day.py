@@ -5,12 +5,12 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.sky.moon import AU_KM, ObserverLocation, ephemeris
+from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.slab import ZERO_C, vapour_pressure_pa
 from simulate.thermal.thresholds import LIMITS
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 # That of the model's authors: with 1361 W/m2 all of it would be 0.4 % lower.
 SOLAR_CONSTANT_W_M2 = 1366.1
 # Solar hours of the highest air temperature and of the strongest wind; decay of the air's temperature over a night.

@@ -16,7 +16,7 @@ from simulate.radiance.geometry.surfaces import Surfaces
 from simulate.radiance.integrator.sampling import SequenceSlice, cosine_lobe, shading_frames
 from simulate.thermal.thresholds import LIMITS
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 Index = NDArray[np.int64]
 # Rings of the sky, equal in what level ground receives of a uniform sky, and the sine of the elevation of each.
 RINGS = 12

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping, read_toml
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import workers
@@ -21,6 +20,7 @@ from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.outdoor.materials import MaterialSpec, Slab
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.sky.moon import sun_spectrum
+from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.balance import GROUND_REFLECTANCE, LAST, Balance, Solution
 from simulate.thermal.exposure import Spots, exposure_of, facets_of, sun_cosines, view
 from simulate.thermal.slab import ZERO_C
@@ -79,7 +79,7 @@ def _absorptivity(surface: MaterialSpec) -> Parameter:
     )
 
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.outdoor.scene import Weather as State
 from simulate.radiance.sky.moon import EARTH_RADIUS_KM, ObserverLocation
+from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.clear_day import clear_sun, course, sky_emissivity, solar_hour, sun_directions, sun_under_cloud
 from simulate.thermal.slab import ZERO_C, dew_point_k
 from simulate.thermal.thresholds import LIMITS
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 # Of each quantity its column in a kind of file, our unit over that of the file, and from where on it is missing.
 Columns = Mapping[str, tuple[int | str, float, float]]
 # fmt: off

@@ -1,15 +1,15 @@
-"""BRDF protocol, Lambertian BRDF, spectral reflectance, and sampling of the hemisphere.
+"""Bidirectional reflectance distribution functions: protocol, Lambert's law, measured tables, and sampling."""
 
-Directions are unit vectors away from the surface, in a frame whose z axis is its normal.
-"""
-
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
+from labdata.frames import read_only
 
 Array = NDArray[np.floating]
 
@@ -120,3 +120,166 @@ class Lambert(CosineSampled):
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return rho, shape (band, ray)."""
         return self.reflectance.at(wavelength_nm)[:, None] * np.ones(len(outgoing))
+
+
+# Largest deviation from f(i, o) = f(o, i), as a fraction of the largest value.
+ASYMMETRY = 0.05
+# Largest excess of the albedo over 1, for rounding of measured values.
+EXCESS = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredTable(CosineSampled):
+    """An isotropic BRDF, linear between the table's angles and wavelengths.
+
+    Raises
+    ------
+    BadInput
+        If the table is not reciprocal within 5 % of its largest value, depends as much on azimuth along the normal, or
+        gives off more light than arrives.
+
+    Notes
+    -----
+    The mean of f(i, o) and f(o, i) is kept, and along the normal the mean over azimuths, which has no meaning there.
+    """
+
+    wavelength_nm: Array  # wavelengths, ascending, shape (band,), nm; constant outside
+    # Angles of light and viewer from the normal, ascending from 0 to 90, shape (polar,), degrees.
+    polar_deg: Array
+    # Azimuth between light and viewer, ascending from 0 (both on one side) to 180 (specular side), degrees.
+    azimuth_deg: Array
+    table: Array  # f, sr-1, shape (band, polar of light, polar of eye, azimuth)
+    _albedo: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        axes = [np.asarray(axis, float) for axis in (self.wavelength_nm, self.polar_deg, self.azimuth_deg)]
+        wavelength, polar, azimuth = axes
+        table = np.asarray(self.table, float)
+        if table.shape != (wavelength.size, polar.size, polar.size, azimuth.size):
+            raise BadInput(
+                "a measured BRDF must have the shape (band, polar, polar, azimuth) = "
+                f"{(wavelength.size, polar.size, polar.size, azimuth.size)}, got {table.shape}"
+            )
+        for name, axis in zip(("wavelength_nm", "polar_deg", "azimuth_deg"), axes, strict=True):
+            if not (np.diff(axis) > 0.0).all():
+                raise BadInput(f"{name} of a measured BRDF must ascend")
+        if polar[0] != 0.0 or polar[-1] != 90.0 or azimuth[0] != 0.0 or azimuth[-1] != 180.0:
+            raise BadInput(
+                "polar_deg must run from 0 to 90 and azimuth_deg from 0 to 180, got "
+                f"{polar[0]:g} to {polar[-1]:g} and {azimuth[0]:g} to {azimuth[-1]:g}"
+            )
+        if not np.isfinite(table).all() or table.min() < 0.0:
+            raise BadInput("a measured BRDF must be finite and not negative")
+        mirrored = table.transpose(0, 2, 1, 3)
+        apart = float(np.abs(table - mirrored).max())
+        if apart > ASYMMETRY * table.max():
+            raise BadInput(f"a BRDF must be the same with light and eye exchanged, got a difference of {apart:g} sr-1")
+        upright = np.concatenate([table[:, 0], table[:, :, 0]], axis=1)
+        turned = float(np.ptp(upright, axis=2).max())
+        if turned > ASYMMETRY * table.max():
+            raise BadInput(f"a BRDF must not depend on the azimuth of the normal, got a difference of {turned:g} sr-1")
+        table = 0.5 * (table + mirrored)
+        table[:, 0] = table[:, 0].mean(axis=-1, keepdims=True)
+        table[:, :, 0] = table[:, :, 0].mean(axis=-1, keepdims=True)
+        kept = (wavelength, polar, azimuth, table)
+        for name, values in zip(("wavelength_nm", "polar_deg", "azimuth_deg", "table"), kept, strict=True):
+            object.__setattr__(self, name, read_only(values))
+        object.__setattr__(self, "_albedo", read_only(self._albedos()))
+        highest = float(self._albedo.max())
+        if highest > 1.0 + EXCESS:
+            raise BadInput(f"a BRDF must not give off more light than arrives, got {highest:g} of it")
+
+    def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
+        """Return f, sr-1, shape (band, ray)."""
+        return self._linear(self._bands(wavelength_nm), incoming, outgoing) * both_above(incoming, outgoing)
+
+    def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
+        column, along = _place(self.polar_deg, _polar_deg(outgoing))
+        table = self._between(self._albedo, wavelength_nm)
+        return table[:, column] * (1.0 - along) + table[:, column + 1] * along
+
+    def _bands(self, wavelength_nm: ArrayLike) -> Array:
+        """Return the table at wavelengths."""
+        return self._between(self.table, wavelength_nm)
+
+    def _between(self, values: Array, wavelength_nm: ArrayLike) -> Array:
+        wanted = np.clip(np.atleast_1d(np.asarray(wavelength_nm, float)), self.wavelength_nm[0], self.wavelength_nm[-1])
+        if self.wavelength_nm.size == 1:
+            return np.repeat(np.asarray(values, float), wanted.size, axis=0)
+        band, along = _place(self.wavelength_nm, wanted)
+        along = along.reshape(-1, *[1] * (values.ndim - 1))
+        return values[band] * (1.0 - along) + values[band + 1] * along
+
+    def _linear(self, table: Array, incoming: Array, outgoing: Array) -> Array:
+        """Return the table's bands at directions: linear in both polar angles and in azimuth, shape (band, ray)."""
+        places = [
+            _place(self.polar_deg, _polar_deg(incoming)),
+            _place(self.polar_deg, _polar_deg(outgoing)),
+            _place(self.azimuth_deg, _azimuth_between_deg(incoming, outgoing)),
+        ]
+        total = np.zeros((len(table), len(incoming)))
+        for corner in np.ndindex(2, 2, 2):
+            weight = np.ones(len(incoming))
+            for (_, along), up in zip(places, corner, strict=True):
+                weight = weight * (along if up else 1.0 - along)
+            index = [place + up for (place, _), up in zip(places, corner, strict=True)]
+            total += weight * table[:, index[0], index[1], index[2]]
+        return total
+
+    def _albedos(self) -> Array:
+        """Return the albedo towards each polar angle of the table, shape (band, polar).
+
+        It is linear in between, as f is; rings of light are summed by Gauss-Legendre between the table's angles.
+        """
+        around = 2.0 * np.asarray(np.trapezoid(self.table, np.deg2rad(self.azimuth_deg), axis=3))
+        node, weight = np.polynomial.legendre.leggauss(8)
+        edges = np.deg2rad(self.polar_deg)
+        half = 0.5 * np.diff(edges)
+        total = np.zeros((len(self.table), edges.size))
+        for at, share in zip(node, weight, strict=True):
+            angle = edges[:-1] + half * (at + 1.0)
+            rise = 0.5 * (at + 1.0)
+            ring = share * half * np.sin(angle) * np.cos(angle)
+            light = around[:, :-1] * (1.0 - rise) + around[:, 1:] * rise
+            total += np.einsum("bpo,p->bo", light, ring)
+        return total
+
+
+def _place(axis: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the interval of an ascending axis that each value lies in, and how far along."""
+    index = np.clip(np.searchsorted(axis, value, side="right") - 1, 0, axis.size - 2)
+    along = (value - axis[index]) / (axis[index + 1] - axis[index])
+    return index, np.clip(along, 0.0, 1.0)
+
+
+def _polar_deg(direction: Array) -> Array:
+    return np.rad2deg(np.arctan2(np.hypot(direction[:, 0], direction[:, 1]), direction[:, 2]))
+
+
+def _azimuth_between_deg(incoming: Array, outgoing: Array) -> Array:
+    across = incoming[:, 0] * outgoing[:, 1] - incoming[:, 1] * outgoing[:, 0]
+    along = incoming[:, 0] * outgoing[:, 0] + incoming[:, 1] * outgoing[:, 1]
+    return np.rad2deg(np.arctan2(np.abs(across), along))
+
+
+ARRAYS = ("wavelength_nm", "polar_deg", "azimuth_deg", "table")
+
+
+def read_measured(path: Path) -> MeasuredTable:
+    """Return the BRDF of an .npz file with the arrays of `simulate.radiance.brdf.protocol.MeasuredTable`.
+
+    Raises BadInput if the file cannot be read, lacks an array, or the table is not a BRDF.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = {name: np.asarray(file[name], float) for name in ARRAYS if name in file}
+    except (OSError, ValueError, EOFError, AttributeError, BadZipFile):
+        raise BadInput(f"a measured BRDF must be a readable .npz file, got {path}") from None
+    missing = [name for name in ARRAYS if name not in found]
+    if missing:
+        raise BadInput(f"a measured BRDF must hold {', '.join(ARRAYS)}, got no {missing[0]} in {path.name}")
+    try:
+        return MeasuredTable(**found)
+    except BadInput as error:
+        raise BadInput(f"{error}, in {path.name}") from None

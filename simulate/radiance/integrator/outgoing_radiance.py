@@ -19,10 +19,9 @@ from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.integrator import direct_lighting
 from simulate.radiance.integrator.direct_lighting import LightSamples
 from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings
-from simulate.radiance.integrator.panes import Segments, trace_segments
 from simulate.radiance.integrator.path_tracer import LEAST_CHANCE, MOST_CHANCE, follow_paths
 from simulate.radiance.integrator.sampling import SequenceSlice
-from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
+from simulate.radiance.integrator.spectral_scene import Segments, ShadingPoints, SpectralScene, trace_segments
 
 Array = NDArray[np.floating]
 Rows = NDArray[np.int64]

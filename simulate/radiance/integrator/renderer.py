@@ -218,7 +218,7 @@ def render_scene(
         if not excess.mean() > 1.0:
             break
         groups = edges, ~edges
-        excess = sum(np.where(among, local_mean(excess, among, LIMITS.error_half_width), 0.0) for among in groups)
+        excess = np.where(edges, *(local_mean(excess, among, LIMITS.error_half_width) for among in groups))
         wanted = additional_rays(excess, sent.reshape(shape), groups, rays.max_rays, total)
         if not wanted.any():
             break

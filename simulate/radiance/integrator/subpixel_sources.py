@@ -13,9 +13,8 @@ from simulate.radiance.geometry.viewpoint import Exposure, Viewpoint
 from simulate.radiance.integrator.direct_lighting import dot
 from simulate.radiance.integrator.integrator_settings import LIMITS
 from simulate.radiance.integrator.light_sources import SHORT, DiscLight, LampLight
-from simulate.radiance.integrator.panes import Panes, reflect_direction
 from simulate.radiance.integrator.sampling import shading_frames
-from simulate.radiance.integrator.spectral_scene import SpectralScene
+from simulate.radiance.integrator.spectral_scene import Panes, SpectralScene, reflect_direction
 
 Array = NDArray[np.floating]
 

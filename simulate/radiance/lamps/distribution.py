@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,17 +167,8 @@ def tabulated(distribution: Distribution, steps: int = 721) -> MeasuredDistribut
     return MeasuredDistribution(polar_deg=polar, azimuth_deg=azimuth, candela=candela)
 
 
-class Beam(Protocol):
-    """What a scene says of a lamp's beam."""
-
-    @property
-    def half_angle_deg(self) -> float:
-        """Angle from the axis at half intensity, deg."""
-        ...
-
-
-# Beams by name, made from what a scene's lamp says.
-BEAMS: dict[str, Callable[[Beam], Distribution]] = {
+# Beams by name, made from a scene's lamp (`LampPlacement`).
+BEAMS: dict[str, Callable[[Any], Distribution]] = {
     "isotropic": lambda lamp: Isotropic(),
     "cosine": lambda lamp: Cosine(),
     "spot": lambda lamp: SpotBeam(half_angle_deg=lamp.half_angle_deg),

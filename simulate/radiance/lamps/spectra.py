@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.spectrum import SourceSpectrum, planck, table
+from simulate.radiance.spectrum import STEFAN_BOLTZMANN, SourceSpectrum, planck, table
 
 NARROW = "narrow-band"
 FIRST_NM, LAST_NM = 300.0, 1200.0

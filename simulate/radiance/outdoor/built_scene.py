@@ -9,22 +9,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.atmosphere import Atmosphere
-from simulate.radiance.brdf.measured import read_measured
-from simulate.radiance.brdf.protocol import Brdf
+from simulate.radiance.brdf.protocol import Brdf, read_measured
 from simulate.radiance.geometry.surfaces import Surfaces
 from simulate.radiance.integrator import environment_map
 from simulate.radiance.integrator.light_sources import DiscLight, LampLight, Lighting, Panels
-from simulate.radiance.integrator.panes import Panes
 from simulate.radiance.integrator.sampling import shading_frames
-from simulate.radiance.integrator.spectral_scene import Air, BsdfSet, SpectralScene
+from simulate.radiance.integrator.spectral_scene import Air, BsdfSet, Panes, SpectralScene
 from simulate.radiance.lamps.distribution import BEAMS, Lamp, read_ies
 from simulate.radiance.lamps.spectra import read_spectrum, spectrum
 from simulate.radiance.outdoor.build import build_surfaces
 from simulate.radiance.outdoor.materials import MaterialSpec
 from simulate.radiance.outdoor.scene import LampPlacement, OutdoorScene, Weather
 from simulate.radiance.sky.moon import ObserverLocation
-from simulate.radiance.sky.night_sky import NightSky
-from simulate.radiance.sky.sky_glow import TownGlow
+from simulate.radiance.sky.night_sky import NightSky, TownGlow
 from simulate.radiance.spectrum import SourceSpectrum, spectral_grid
 
 Array = NDArray[np.floating]
@@ -88,7 +85,7 @@ class BuiltScene:
         used |= set() if self.surfaces.panes is None else set(self.surfaces.panes.materials)
         spectra = [self._spectrum(surface) for surface in self.scene.material if surface.label in used]
         spectra = [(nm, share) for nm, share in spectra if len(nm) > 1]
-        return spectral_grid(self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra)[0]
+        return spectral_grid(self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra)
 
     def on(self, wavelength_nm: Array) -> SpectralScene:
         """Return the scene on bands."""

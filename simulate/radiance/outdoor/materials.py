@@ -29,7 +29,7 @@ class MaterialSpec:
     wavelength_nm, reflectance, finish, roughness, refractive_index, retroreflected_share, half_width_deg
         As of `simulate.radiance.materials.Material`.
     measured
-        An .npz file of a measured BRDF (`simulate.radiance.brdf.measured`), relative to the scene's, in place
+        An .npz file of a measured BRDF (`simulate.radiance.brdf.protocol`), relative to the scene's, in place
         of library and numbers.
     pane_transmittance
         Transmittance at normal incidence of a thin pane of glass, for each wavelength or one for all, in place of

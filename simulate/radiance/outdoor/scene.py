@@ -116,7 +116,7 @@ class Weather:
 
 @dataclass(frozen=True, kw_only=True)
 class Town:
-    """The glow of a town beyond the horizon; see `simulate.radiance.sky.sky_glow`."""
+    """The glow of a town beyond the horizon; see `simulate.radiance.sky.night_sky`."""
 
     azimuth_deg: float
     luminance_cd_m2: float

@@ -6,9 +6,8 @@ import pytest
 from labdata.errors import BadInput
 from simulate.radiance.brdf import microfacet
 from simulate.radiance.brdf.glossy import Glossy, Metal, Retroreflector
-from simulate.radiance.brdf.measured import MeasuredTable
 from simulate.radiance.brdf.microfacet import specular_albedo
-from simulate.radiance.brdf.protocol import Lambert, Reflectance, grey
+from simulate.radiance.brdf.protocol import Lambert, MeasuredTable, Reflectance, grey
 
 WAVELENGTH = np.array([450.0, 650.0, 850.0])
 TABLE = Reflectance(wavelength_nm=(450.0, 650.0, 850.0), share=(0.2, 0.6, 1.0))

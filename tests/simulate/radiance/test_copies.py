@@ -81,11 +81,10 @@ def test_shared_copies_are_hit_where_copies_of_their_own_are(shared, monkeypatch
     assert (np.abs(normals[0] - normals[1]).max(axis=1) < 1e-9).mean() > 0.999
 
 
-@pytest.mark.parametrize("finish", ["matt", "glossy"])
-@pytest.mark.parametrize("place", [(503.0, 1.5, 4.0), (500.9, -1.2, 0.05)])
+@pytest.mark.parametrize(("finish", "place"), [("glossy", (503.0, 1.5, 4.0)), ("matt", (500.9, -1.2, 0.05))])
 def test_light_by_way_of_shared_copies_is_that_of_copies_of_their_own(shared, monkeypatch, finish, place):
     """A lamp high above, and one so close to the floor that its patch is looked for from the lamp."""
-    (origin, towards), effort = rays(12_000), IntegratorSettings(max_bounces=3)
+    (origin, towards), effort = rays(6_000), IntegratorSettings(max_bounces=3)
 
     def seen(seed):
         stage = site(finish, position_m=place, radius_m=0.01).on(NM)
@@ -97,7 +96,7 @@ def test_light_by_way_of_shared_copies_is_that_of_copies_of_their_own(shared, mo
     own, again = seen(1), seen(2)
     error = np.std(own - again) / np.sqrt(len(own))
     assert one.mean() == pytest.approx(own.mean(), abs=4.0 * error)
-    assert error < 0.02 * own.mean()
+    assert error < 0.03 * own.mean()
 
 
 def test_truth_and_refusals_know_shared_copies(shared):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from simulate.radiance.atmosphere import airmass
-from simulate.radiance.sky.night_sky import AIRGLOW_HEMISPHERE, NightSky
-from simulate.radiance.sky.sky_glow import dark_sky, van_rhijn
+from simulate.radiance.sky.night_sky import AIRGLOW_HEMISPHERE, NightSky, dark_sky, van_rhijn
 
 # Means over 50 nm, 1e-6 W m-2 sr-1 um-1 and 1e12 photons s-1 m-2 sr-1 um-1.
 BANDS = [

@@ -10,9 +10,8 @@ from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps.spectra import spectrum
 from simulate.radiance.sky.moon import Disc, ObserverLocation, moon_spectrum, sun_spectrum
-from simulate.radiance.sky.night_sky import NightSky
+from simulate.radiance.sky.night_sky import NightSky, TownGlow
 from simulate.radiance.sky.scattering import krisciunas_schaefer_mie, krisciunas_schaefer_rayleigh
-from simulate.radiance.sky.sky_glow import TownGlow
 from simulate.radiance.spectrum import luminous_efficiency
 
 ROCHESTER = ObserverLocation(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)

@@ -132,12 +132,6 @@ def test_a_measured_surface_in_a_scene_reflects_as_its_table_says(tmp_path):
         BuiltScene(scene_of(tmp_path, CAMERA + paint.replace("paint.npz", "part.npz") + BALL)).on(NM)
 
 
-def test_the_bench_ships_in_a_dark_room_and_in_a_lit_one():
-    dark, lit = load_bench("bench"), load_bench("bench-lit")
-    assert lit.room_light.relative_illuminance == pytest.approx(100.0 * dark.room_light.relative_illuminance)
-    assert replace(lit, name=dark.name, room_light=dark.room_light) == dark
-
-
 def test_a_picture_says_how_long_it_will_take_before_it_begins():
     stage = staged([("floor", "m", plane(40, 40))], {"m": 0.5}, sky=UNIFORM)
     told: list[tuple[str, float]] = []
@@ -334,50 +328,6 @@ def test_a_scene_without_a_triangle_is_all_sky():
     assert found.signal == pytest.approx(2.0, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("where", "when", "darker_than"),
-    [((43.16, -77.61), "1998-06-24T02:00:00-04:00", 1e-3), ((78.2, 15.6), "2024-12-30T12:00:00Z", 1e-2)],
-    ids=["moon below the horizon", "polar night at noon"],
-)
-def test_without_sun_and_moon_a_lawn_is_planned_and_seen_by_the_sky_alone(tmp_path, where, when, darker_than):
-    eye = RenderSensor(
-        response_nm=(450.0, 700.0, 900.0), response=(1e6, 4e6, 3e6), dark_variance=0.1, variance_per_signal=3.0
-    )
-    there = f"[place]\nlatitude_deg = {where[0]}\nlongitude_deg = {where[1]}\ntime = {when}\n"
-    lawn = '[[object]]\nlabel = "lawn"\nshape = "ground"\nsize_m = [200]\nmaterial = "grey"\n'
-    for objects in (lawn, ""):
-        site = BuiltScene(scene_of(tmp_path, CAMERA + there + GREY + objects))
-        assert site.sky is not None and site.sky.discs() == ()
-        plan, stage = choose_render_settings(site, VIEW, eye, 0.1, 1)
-        assert not {"sun", "moon"} & {effect.name for effect in plan.plan.kept}
-        weight = eye.weight(plan.wavelength_nm)
-        found = render_scene(stage, VIEW, plan.rays, plan.effort, weight=weight, seed=0)
-        assert np.isfinite(found.signal).all() and found.signal[0].min() > 0.0
-        radiance = found.cube.sum_bands(np.gradient(plan.wavelength_nm))
-        assert radiance.min() >= 0.0 and radiance.max() < darker_than
-
-
-def test_a_million_triangles():
-    ball = sphere(0.2)
-    parts = [("balls", "m", at(ball, 0.5 * (i % 14) - 3.5, 0.5 * (i // 14), 0.2)) for i in range(196)]
-    stage = staged([("floor", "m", plane(40, 40)), *parts], {"m": 0.5}, sky=UNIFORM)
-    assert len(stage.surfaces.material_of) > 1_000_000
-    found = render_scene(stage, VIEW, SamplingSettings(), IntegratorSettings(), weight=WEIGHT, seed=0)
-    assert (found.truth.object == 1).sum() > 50
-    assert np.isfinite(found.signal).all()
-
-
-def test_lights_of_very_different_strength_add_up():
-    far = lamp((3, 0, 2), 1e-12)
-    near = lamp((0, 0, 2), 1.0)
-    both, one, other = (
-        irradiance(staged([("floor", "m", plane(9, 9))], {"m": 0.5}, lamps=lamps), [(0, 0, 0), (3, 0, 0)], UP)
-        for lamps in ((near, far), (near,), (far,))
-    )
-    assert both == pytest.approx(one + other, rel=1e-6)
-    assert other[1] / one[0] == pytest.approx(1e-12, rel=1e-5)
-
-
 def test_daylight_starlight_and_sodium_light_are_planned_differently(tmp_path):
     eye = RenderSensor(
         response_nm=(450.0, 700.0, 900.0), response=(1e5, 4e5, 3e5), dark_variance=1.0, variance_per_signal=3.0
@@ -437,25 +387,3 @@ def test_rays_go_on_until_the_error_is_as_promised(seed):
     assert found.variance.mean() < 1.2 * 0.05**2
     # Two such pictures differ by no more than both errors.
     assert np.mean((found.signal - again.signal) ** 2) < 3.0 * 2.0 * 0.05**2
-
-
-def test_a_dim_scene_is_planned_with_less_than_a_bright_one(tmp_path):
-    eye = RenderSensor(
-        response_nm=(450.0, 700.0, 900.0), response=(1e7, 4e7, 3e7), dark_variance=1.0, variance_per_signal=3.0
-    )
-    plans = []
-    for lumens in (1e-5, 100.0):
-        lit = LAMP.replace("1000", str(lumens))
-        floor = '[[object]]\nlabel = "floor"\nshape = "ground"\nsize_m = [200]\nmaterial = "grey"\n'
-        site = BuiltScene(
-            scene_of(tmp_path, CAMERA + GREY + BALL.replace("size_m", "position_m = [0, 0, 1]\nsize_m") + floor + lit)
-        )
-        plan, stage = choose_render_settings(site, VIEW, eye, 0.1, 1)
-        plans.append(plan)
-        assert plan.plan.influence <= 0.05
-        assert len(stage.bsdfs.wavelength_nm) == len(plan.wavelength_nm)
-    dim, bright = plans
-    assert dim.effort.max_bounces < bright.effort.max_bounces
-    assert len(dim.wavelength_nm) <= len(bright.wavelength_nm)
-    assert NM[0] > dim.wavelength_nm[0]
-    assert "left out" in dim.text()

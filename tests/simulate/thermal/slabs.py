@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from labdata.camera_description import Parameter
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.outdoor.materials import Layer, Slab
+from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.slab import Exchange, Forcing
 
 HOUR, DAY = 3600.0, 86400.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.blackbody import (
+from simulate.radiance.spectrum import (
     STEFAN_BOLTZMANN,
     band_photon_radiance,
     band_radiance,

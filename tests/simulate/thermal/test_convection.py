@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.slab import Columns, Exchange, periodic_start, vapour_pressure_pa
 from tests.simulate.thermal.slabs import STEEL, forcing_of, slab_of
 

@@ -7,11 +7,11 @@ import pytest
 
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
+from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.balance import Balance
 from simulate.thermal.exposure import exposure_of, facets_of
 from simulate.thermal.slab import ZERO_C

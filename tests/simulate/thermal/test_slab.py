@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erfc
 
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.slab import Columns, kernels, march, periodic_start, vapour_pressure_pa
 from simulate.thermal.thresholds import LIMITS
 from tests.simulate.thermal.slabs import (

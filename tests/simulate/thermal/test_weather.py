@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.outdoor.scene import OutdoorScene, SceneCamera, Where
 from simulate.radiance.outdoor.scene import Weather as State
 from simulate.radiance.sky.moon import ObserverLocation
+from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.clear_day import clear_sun, sky_emissivity, sky_radiance, sun_directions
 from simulate.thermal.slab import ZERO_C, Columns, dew_point_k, march, periodic_start, vapour_pressure_pa
 from simulate.thermal.temperatures import library
