@@ -106,16 +106,14 @@ def _stages(shot: Shot, seed: int) -> "Iterator[Stage]":
         return
     if shot.seen is not None:
         yield "picture", "photoelectrons per exposure and pixel, expected", shot.seen
-    place = "at the plate" if hasattr(shot.camera, "mcp") else "in the chip"
+    place = "at the plate" if shot.camera.has_tube else "in the chip"
     yield f"photoelectrons {place}", "photoelectrons per exposure and cell, expected", _inside(shot.light)
     yield from stage_images(shot.camera, shot.light, shot.conditions, seed)
 
 
 def _inside(light: Any) -> Any:
     """Return the cells of the frame without its margin."""
-    grid = light.grid
-    top, left = grid.margin_rows * grid.per_row, grid.margin_columns * grid.per_column
-    return light.values[..., top : top + grid.rows * grid.per_row, left : left + grid.columns * grid.per_column]
+    return light.values[(..., *light.grid.inside)]
 
 
 WIDTH_INCHES = 9.0

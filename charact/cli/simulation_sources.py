@@ -103,18 +103,8 @@ class Shot:
 
     def frames(self, *, seed: int) -> "Iterator[Any]":
         """Yield frames without end."""
-        from simulate.iiccd import sampler_choice
-        from simulate.iiccd.camera import IntensifiedCamera
-
-        if not isinstance(self.camera, IntensifiedCamera):
-            return self.camera.frames(self.light, self.conditions, seed=seed)
-        tier, threads = (
-            sampler_choice.most_exact_tier(self.camera, self.light) if self.exact else None,
-            min(2, os.cpu_count() or 1),
-        )
-        return sampler_choice.generate_frames(
-            self.camera, self.light, self.conditions, seed=seed, tier=tier, threads=threads
-        )
+        threads = min(2, os.cpu_count() or 1)
+        return self.camera.frames(self.light, self.conditions, seed=seed, exact=self.exact, threads=threads)
 
     @property
     def explanation(self) -> str:
@@ -281,12 +271,10 @@ def _select_effects(
 ) -> tuple[Any, dict[str, Any]]:
     """Return the camera without the effects that this light does not need, and the fields of the shot."""
     from simulate.effect_selection import EffectSelection
-    from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.effect_bounds.camera_effects import bound_effects, select_camera_effects
-    from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget, per_pixel
+    from simulate.iiccd.effect_bounds import NoiseBudget, bound_effects, per_pixel, select_camera_effects
 
     exact = request.tolerance is None
-    if not isinstance(camera, IntensifiedCamera):
+    if not camera.has_tube:
         return camera, {"exact": exact}
     if request.tolerance is None:
         effects = bound_effects(NoiseBudget(camera, per_pixel(camera, photoelectrons), conditions))
