@@ -16,10 +16,9 @@ import numpy as np
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
-from simulate.iiccd import pattern, sampler_choice, stage_image
+from simulate.iiccd import pattern, stage_image
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.effect_bounds.camera_effects import bound_effects, select_camera_effects
-from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget, per_pixel
+from simulate.iiccd.effect_bounds import NoiseBudget, bound_effects, per_pixel, select_camera_effects
 from simulate.iiccd.fast_sampler import charge_distribution
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
 from tests.simulate.random_scenes import Scene, random_scene
@@ -62,15 +61,16 @@ class Timing:
         return self.setup_s + FRAMES * self.frame_s
 
 
-def timed(camera: Callable[[], IntensifiedCamera], freed: Any, conditions: Conditions, tier: Any = None) -> Timing:
+def timed(
+    camera: Callable[[], IntensifiedCamera], freed: Any, conditions: Conditions, *, chain: bool = False
+) -> Timing:
     """Time a camera that is made, or planned, in the set-up."""
     for worked_out in KEPT:
         worked_out.cache_clear()
     start = time.perf_counter()
     taking = camera()
-    frames = sampler_choice.generate_frames(
-        taking, taking.to_mcp_input(freed, conditions), conditions, seed=1, tier=tier
-    )
+    draw = taking.chain_frames if chain else taking.frames
+    frames = draw(taking.to_mcp_input(freed, conditions), conditions, seed=1)
     next(frames)
     begun = time.perf_counter()
     for _ in islice(frames, FRAMES):
@@ -87,7 +87,7 @@ def compared(scene: Scene) -> tuple[Timing, Timing, int]:
         return select_camera_effects(scene.camera, freed, scene.conditions, scene.tolerance)[0]
 
     as_planned = timed(thinned, freed, scene.conditions)
-    exact = timed(lambda: scene.camera, freed, scene.conditions, "by-cell")
+    exact = timed(lambda: scene.camera, freed, scene.conditions, chain=True)
     return as_planned, exact, len(thinned().left_out)
 
 
@@ -116,12 +116,12 @@ def costs(repeats: int) -> None:
     image = np.broadcast_to(np.geomspace(1.0, 100.0, camera.shape[1]), camera.shape).copy()
     image[200:203, 300:303] = 3e4
     freed = photoelectrons_from_image(camera, image)
-    timed(lambda: camera, freed, conditions, "streamed")
+    timed(lambda: camera, freed, conditions)
     millions = image.size / 1e6
     for effect in bound_effects(NoiseBudget(camera, per_pixel(camera, freed), conditions)):
         without = replace(camera, left_out=frozenset({effect.name}))
         pairs = [
-            (timed(lambda: camera, freed, conditions, "streamed"), timed(lambda c=without: c, freed, conditions))
+            (timed(lambda: camera, freed, conditions), timed(lambda c=without: c, freed, conditions))
             for _ in range(repeats)
         ]
         once = max(median(kept.setup_s - left.setup_s for kept, left in pairs), 0.0) / millions

@@ -18,9 +18,9 @@ from benchmarks.scenes import uneven
 from benchmarks.simulator import median_seconds, seconds_a_frame
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
-from simulate.iiccd import sampler_choice
 from tests.simulate import event_by_event as events
 from tests.simulate.conftest import PLAIN
+from tests.simulate.samplers import SAMPLERS, Sampler
 from tests.simulate.test_moments import BLOCKS, measured_flat
 
 PAGE = Path("docs/validation/simulator.md")
@@ -30,8 +30,8 @@ LEVELS = (0.05, 0.5, 5.0, 50.0, 500.0)
 TOLERANCES = {"mean": 1e-3, "variance": 5e-3, "skewness": 2e-2, "quantile": 5e-3}
 WORDS = {"mean": "mean", "variance": "variance", "skewness": "skewness", "quantile": "99.9 % level"}
 # Frames of 240 x 320 pixels in one of twenty blocks, by tier.
-AFFORDED: dict[sampler_choice.Tier, int] = {"by-cell": 6, "streamed": 60, "normal": 60}
-COLOURS = {"by-cell": "#4477aa", "streamed": "#ee6677", "normal": "#228833"}
+AFFORDED: dict[Sampler, int] = {"chain": 6, "fast": 60, "normal": 60}
+COLOURS = {"chain": "#4477aa", "fast": "#ee6677", "normal": "#228833"}
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Point:
         )
 
 
-def measured(tier: sampler_choice.Tier) -> list[Point]:
+def measured(tier: Sampler) -> list[Point]:
     """Moments of flats by a tier, exponential pulse heights."""
     points = []
     for level in LEVELS:
@@ -80,14 +80,14 @@ def _camera() -> Sensor:
 
 def speeds() -> dict[tuple[str, float], float]:
     """Frames a second of every tier at low, middling and high light, and of plain NumPy and OpenCV."""
-    found = {(tier, level): 1.0 / seconds_a_frame(level, tier=tier, frames=4 if tier == "by-cell" else 60)
-             for tier in sampler_choice.TIERS for level in (0.1, 1.0, 10.0, 100.0)}  # fmt: skip
+    found = {(tier, level): 1.0 / seconds_a_frame(level, sampler=tier, frames=4 if tier == "chain" else 60)
+             for tier in SAMPLERS for level in (0.1, 1.0, 10.0, 100.0)}  # fmt: skip
     plain = {("plain NumPy and OpenCV", level): 1.0 / median_seconds(PlainChain(uneven(level)).frame, 20)
              for level in (0.1, 1.0, 10.0, 100.0)}  # fmt: skip
     return found | plain
 
 
-def table(points: Mapping[sampler_choice.Tier, list[Point]], fps: dict[tuple[str, float], float]) -> str:
+def table(points: Mapping[Sampler, list[Point]], fps: dict[tuple[str, float], float]) -> str:
     """Both tables, for the page."""
     lines = [
         "| frames a second, one thread | 0.1 pe/px | 1 pe/px | 10 pe/px | 100 pe/px |",
@@ -97,7 +97,7 @@ def table(points: Mapping[sampler_choice.Tier, list[Point]], fps: dict[tuple[str
             for name in (*points, "plain NumPy and OpenCV")
         ),
         "",
-        "| tier | pe/px | "
+        "| sampler | pe/px | "
         + " | ".join(f"{WORDS[name]}, % of it" for name in TOLERANCES)
         + " | worst, in tolerances |",
         "|---|---|" + "---|" * (len(TOLERANCES) + 1),
@@ -108,12 +108,12 @@ def table(points: Mapping[sampler_choice.Tier, list[Point]], fps: dict[tuple[str
             lines.append(f"| {tier} | {point.level:g} | {cells} | {point.worst:.2g} |")
     allowed = ", ".join(f"{WORDS[name]} {100.0 * share:g} %" for name, share in TOLERANCES.items())
     lines += ["", f"Tolerances: {allowed}; ± is one standard error, and two are taken off before the worst is counted. "
-              f"Each flat has {240 * 320 * BLOCKS * AFFORDED['streamed'] / 1e6:.0f} million pixels "
-              f"({240 * 320 * BLOCKS * AFFORDED['by-cell'] / 1e6:.0f} million by cell)."]  # fmt: skip
+              f"Each flat has {240 * 320 * BLOCKS * AFFORDED['fast'] / 1e6:.0f} million pixels "
+              f"({240 * 320 * BLOCKS * AFFORDED['chain'] / 1e6:.0f} million stage by stage)."]  # fmt: skip
     return "\n".join(lines)
 
 
-def draw(points: Mapping[sampler_choice.Tier, list[Point]], fps: dict[tuple[str, float], float]) -> None:
+def draw(points: Mapping[Sampler, list[Point]], fps: dict[tuple[str, float], float]) -> None:
     """Draw the chart: one point for each tier, its speed at ten photoelectrons and its worst error at each level."""
     import matplotlib
 
@@ -154,7 +154,7 @@ def draw(points: Mapping[sampler_choice.Tier, list[Point]], fps: dict[tuple[str,
 def main() -> None:
     """Measure, draw, and write the tables into the page."""
     fps = speeds()
-    points: dict[sampler_choice.Tier, list[Point]] = {tier: measured(tier) for tier in sampler_choice.TIERS}
+    points: dict[Sampler, list[Point]] = {tier: measured(tier) for tier in SAMPLERS}
     draw(points, fps)
     begin, end = "<!-- frontier -->", "<!-- end frontier -->"
     text = PAGE.read_text()

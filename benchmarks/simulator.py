@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.plain_chain import CHARGE_E, PlainChain
 from benchmarks.row import Row
 from benchmarks.scenes import uneven
-from simulate.iiccd.sampler_choice import Tier
+from tests.simulate.samplers import Sampler, drawn_by
 
 LEVELS = (0.1, 1.0, 10.0, 100.0)
 # Photoelectrons per pixel at which the shipped camera, at its nominal gain, fills a third of its wells.
@@ -59,11 +59,10 @@ def _promised(level: float) -> float:
     return SPARSE_RATIO if level < SPARSE_PE else PROMISED_RATIO["plain NumPy and OpenCV"]
 
 
-def seconds_a_frame(level: float, *, threads: int = 1, tier: Tier | None = None, frames: int = 60) -> float:
+def seconds_a_frame(level: float, *, threads: int = 1, sampler: Sampler = "fast", frames: int = 60) -> float:
     """Median time of a frame of the shipped camera, geometry and local depletion on, nothing left out, s."""
     from labdata.conditions import Conditions
     from labdata.sensors import load_sensor
-    from simulate.iiccd import sampler_choice
     from simulate.iiccd.camera import IntensifiedCamera
     from simulate.iiccd.scene_to_photoelectrons import camera_from_description, mcp_input_from_photoelectrons
 
@@ -74,7 +73,7 @@ def seconds_a_frame(level: float, *, threads: int = 1, tier: Tier | None = None,
     gain = min(1.0, NOMINAL_PE / level) ** (1.0 / float(plate.gain_exponent))
     conditions = Conditions(mcp_v=float(plate.reference_v) * gain)
     light = mcp_input_from_photoelectrons(camera, uneven(level), conditions)
-    stream = sampler_choice.generate_frames(camera, light, conditions, seed=1, tier=tier, threads=threads)
+    stream = drawn_by(sampler, camera, light, conditions, seed=1, **({} if threads == 1 else {"threads": threads}))
     return median_seconds(lambda: next(stream), frames)
 
 

@@ -113,15 +113,8 @@ class Shot:
 
     def frames(self, *, seed: int) -> "Iterator[Any]":
         """Yield frames without end."""
-        from simulate.iiccd import sampler_choice
-        from simulate.iiccd.camera import IntensifiedCamera
-
-        if not isinstance(self.camera, IntensifiedCamera):
-            return self.camera.frames(self.light, self.conditions, seed=seed)
-        tier = sampler_choice.most_exact_tier(self.camera, self.light) if self.exact else None
-        return sampler_choice.generate_frames(
-            self.camera, self.light, self.conditions, seed=seed, tier=tier, threads=min(2, os.cpu_count() or 1)
-        )
+        threads = min(2, os.cpu_count() or 1)
+        return self.camera.frames(self.light, self.conditions, seed=seed, exact=self.exact, threads=threads)
 
     def stages(self, *, seed: int) -> "Iterator[Stage]":
         """Yield the input, the expected photoelectrons or radiance behind the lens, and the image after each stage."""
@@ -133,10 +126,9 @@ class Shot:
             return
         if self.seen is not None:
             yield "picture", "photoelectrons per exposure and pixel, expected", self.seen
-        place, grid = "at the plate" if hasattr(self.camera, "mcp") else "in the chip", self.light.grid
-        top, left = grid.margin_rows * grid.per_row, grid.margin_columns * grid.per_column
-        inside = np.s_[..., top : top + grid.rows * grid.per_row, left : left + grid.columns * grid.per_column]
-        yield f"photoelectrons {place}", "photoelectrons per exposure and cell, expected", self.light.values[inside]
+        place = "at the plate" if self.camera.has_tube else "in the chip"
+        inside = self.light.values[(..., *self.light.grid.inside)]
+        yield f"photoelectrons {place}", "photoelectrons per exposure and cell, expected", inside
         yield from stage_images(self.camera, self.light, self.conditions, seed)
 
     @property
@@ -306,11 +298,9 @@ def _select_effects(
 ) -> tuple[Any, dict[str, Any]]:
     """Return the camera without the effects that this light does not need, and the fields of the shot."""
     from simulate.effect_selection import EffectSelection
-    from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.effect_bounds.camera_effects import bound_effects, select_camera_effects
-    from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget, per_pixel
+    from simulate.iiccd.effect_bounds import NoiseBudget, bound_effects, per_pixel, select_camera_effects
 
-    if not isinstance(camera, IntensifiedCamera):
+    if not camera.has_tube:
         return camera, {"exact": request.tolerance is None}
     if request.tolerance is None:
         effects = bound_effects(NoiseBudget(camera, per_pixel(camera, photoelectrons), conditions))

@@ -16,17 +16,7 @@ DEFAULT_TOLERANCE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class OptionalEffect:
-    """Effect that a model may neglect.
-
-    Parameters
-    ----------
-    name
-        Name of the effect.
-    influence
-        Bound on the largest change that leaving it out makes, in the unit of the tolerance.
-    setup_s, frame_s
-        Estimated time that it costs once and for each frame, s.
-    """
+    """Effect that a model may neglect: the largest change that leaving it out makes, and its cost once and a frame."""
 
     name: str
     influence: float
@@ -40,15 +30,7 @@ class OptionalEffect:
 
 @dataclass(frozen=True, kw_only=True)
 class EffectSelection:
-    """Retained and neglected effects.
-
-    Parameters
-    ----------
-    tolerance
-        Limit of the summed influence of the neglected effects, in the unit of their influence.
-    kept, left_out
-        The effects, the least influence first.
-    """
+    """Retained and neglected effects, the least influence first, and the limit of what those left out sum up to."""
 
     tolerance: float
     kept: tuple[OptionalEffect, ...]
@@ -94,12 +76,7 @@ def _percent(share: float) -> str:
 def select_effects(effects: Iterable[OptionalEffect], tolerance: float = DEFAULT_TOLERANCE) -> EffectSelection:
     """Neglect effects in the order of their influence while the sum stays within the tolerance.
 
-    Parameters
-    ----------
-    effects
-        Optional effects.
-    tolerance
-        Limit of the sum, in the unit of the influences; 0 neglects only effects without influence.
+    The tolerance has the unit of the influences; 0 neglects only effects without influence.
     """
     if not tolerance >= 0.0:
         raise BadInput(f"a tolerance must not be negative, got {tolerance:g}")

@@ -18,15 +18,13 @@ from labdata.session import Kind
 from labdata.target import Target
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Chain
+from simulate.iiccd.chain import Slot
 from simulate.iiccd.stage_image import StageImage
 from simulate.radiance.lab_target import TargetView
 from simulate.radiance.scene import LabScene, load_bench
 from simulate.radiance.spectrum import planck
 
 WAVELENGTH_NM = np.arange(450.0, 951.0, 50.0)
-TILE_ROWS = 128
-PICTURES_KEPT = 12
 
 
 class LabBench:
@@ -41,7 +39,7 @@ class LabBench:
     scene
         The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if None.
     left_out
-        Neglected effects of the camera, see `simulate.iiccd.effect_bounds`.
+        Neglected effects of the camera, see `simulate.iiccd.chain.Stage.effects`.
 
     Notes
     -----
@@ -60,16 +58,9 @@ class LabBench:
         self._pictures: OrderedDict[tuple[Kind, Target], NDArray[np.float32]] = OrderedDict()
 
     def expose(
-        self,
-        kind: Kind,
-        target: Target,
-        conditions: Conditions,
-        *,
-        frames: int,
-        seed: int,
-        first_frame: int = 0,
+        self, kind: Kind, target: Target, conditions: Conditions, *, frames: int, seed: int, first_frame: int = 0
     ) -> FrameStack:
-        """Simulate frames of a target.
+        """Return a number of simulated frames of a target, (frame, row, col), in whole DN.
 
         Parameters
         ----------
@@ -79,17 +70,10 @@ class LabBench:
             The target; what it leaves open is the bench's default.
         conditions
             Illuminance at the photocathode, gate, voltage and temperature in force.
-        frames
-            Number of frames.
+        frames, first_frame
+            Number of frames, and the number of the first.
         seed
             Seed: a frame follows from it and from its own number.
-        first_frame
-            Number of the first frame.
-
-        Returns
-        -------
-        FrameStack
-            Frames (frame, row, col) in whole DN.
 
         Raises
         ------
@@ -121,7 +105,7 @@ class LabBench:
     def mcp_input(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons at the MCP input, per cell and exposure, dark ones included."""
         camera = self.camera
-        cathode = camera.photocathode(conditions)
+        cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s
         if kind == "dark":
             return StageImage(values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells)
@@ -145,11 +129,11 @@ class LabBench:
         key = (kind, target)
         if key not in self._pictures:
             scene_light = StageImage(values=self._photons(kind, target), grid=self.camera.scene_cells)
-            one_second = replace(self.camera.photocathode(Conditions()), gate_s=1.0, ebi_per_s_cm2=0.0)
-            front = self.camera.chain(Conditions()).between("optics", "gap").stages
-            self._pictures[key] = Chain((front[0], one_second, front[2])).mean(scene_light).values
+            front = self.camera.chain(Conditions()).between(Slot.OPTICS, Slot.GAP)
+            one_second = replace(front[Slot.PHOTOCATHODE], gate_s=1.0, ebi_per_s_cm2=0.0)
+            self._pictures[key] = front.replacing(one_second).mean(scene_light).values
         self._pictures.move_to_end(key)
-        while len(self._pictures) > PICTURES_KEPT:
+        while len(self._pictures) > 12:
             self._pictures.popitem(last=False)
         return self._pictures[key]
 
@@ -212,6 +196,6 @@ def _relative_picture(
     mesh = target_mesh(kind, target, scene.holder, 1.0 / view.metre_per_px)
     bench = set_up(scene, mesh, view.metre_per_px)
     picture = np.empty(view.shape, np.float32)
-    for place, tile in view.tiles(TILE_ROWS):
+    for place, tile in view.tiles(128):
         picture[place] = render_bench(bench, tile, WAVELENGTH_NM).sum_bands(np.array(weight))
     return read_only(picture)

@@ -10,12 +10,11 @@ import numpy as np
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.iiccd import true_quantities, tube_photometry
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget
-from simulate.iiccd.grid import SCENE_MARGIN_PX
-from simulate.iiccd.scene_to_photoelectrons import Camera
-from simulate.iiccd.solid_state import SiliconCamera
+from simulate.iiccd import tube_photometry
+from simulate.iiccd.camera import Camera, IntensifiedCamera
+from simulate.iiccd.chain import Slot
+from simulate.iiccd.effect_bounds import NoiseBudget
+from simulate.iiccd.grid import ACCURACY
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import KNOWN, RenderSensor, workers
 from simulate.radiance.integrator.renderer import Rendering, render_scene
@@ -26,7 +25,7 @@ from simulate.radiance.outdoor.scene import OutdoorScene
 STEP_NM = 5.0
 
 
-def render_sensor_of(camera: IntensifiedCamera | SiliconCamera, conditions: Conditions) -> RenderSensor:
+def render_sensor_of(camera: Camera, conditions: Conditions) -> RenderSensor:
     """Return the response of a pixel on the axis to radiance, in photoelectrons per exposure, and its noise.
 
     Notes
@@ -47,30 +46,27 @@ def render_sensor_of(camera: IntensifiedCamera | SiliconCamera, conditions: Cond
         dark_variance=factor * dark + read,
         variance_per_signal=factor,
         noise_averaging_factor=evened,
-        name=camera.sensor.name if isinstance(camera, IntensifiedCamera) else camera.description.name,
+        name=camera.description.name,
     )
 
 
-def _numbers(
-    camera: IntensifiedCamera | SiliconCamera, conditions: Conditions
-) -> tuple[float, float, float, float, float, float, float]:
+def _numbers(camera: Camera, conditions: Conditions) -> tuple[float, float, float, float, float, float, float]:
     """Peak efficiency, area of a pixel, m2, time open, s, dark photoelectrons, F^2, pe^2 of reading, and `evened`.
 
     The light of a photoelectron's pulse falls on several pixels, and its afterglow in several fields.
     """
-    if isinstance(camera, SiliconCamera):
-        silicon, register = camera.silicon(conditions), camera.register(conditions)
-        area_m2 = camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * 1e-6
+    area_m2 = camera.field_pixel_area_cm2 * 1e-4
+    if not isinstance(camera, IntensifiedCamera):
+        silicon, register = camera.stage(Slot.SILICON, conditions), camera.stage(Slot.REGISTER, conditions)
         dark = register.dark_e + register.clock_induced_e
         read = (register.read_noise_e / register.gain) ** 2
         return silicon.quantum_efficiency, area_m2, silicon.exposure_s, dark, register.excess_noise_factor, read, 1.0
-    wide = tuple(side + 2 * SCENE_MARGIN_PX for side in camera.shape)
+    wide = tuple(side + 2 * ACCURACY.scene_margin_px for side in camera.shape)
     budget = NoiseBudget(camera, np.zeros(wide, np.float32), conditions)
-    cathode = camera.photocathode(conditions)
-    area_m2 = true_quantities.field_pixel_area_cm2(camera) * 1e-4
-    read = (float(camera.sensor.ccd.read_noise_e) / budget.gain_at_rest_e) ** 2
+    cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
+    read = (float(camera.sensor.ccd.read_noise_e) / budget.of_chain.gain_e) ** 2
     factor = budget.mcp.excess_noise_factor
-    per_pe = (budget.pulses[0] + budget.white) / budget.charge_e
+    per_pe = (budget.pulses[0] + budget.of_chain.white) / budget.charge_e
     evened = min(1.0, float(np.sqrt(per_pe / factor)))
     return cathode.quantum_efficiency, area_m2, cathode.open_s, budget.dark_pe, factor, read, evened
 

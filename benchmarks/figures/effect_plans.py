@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.figures.lab_card import luminance
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
-from simulate.iiccd.effect_bounds.camera_effects import select_camera_effects
+from simulate.iiccd.effect_bounds import select_camera_effects
 from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_image
 
 PAGE = Path("docs/explanation/simulator.md")

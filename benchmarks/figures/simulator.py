@@ -18,7 +18,7 @@ from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
-from simulate.iiccd import sampler_choice, true_quantities
+from simulate.iiccd import true_quantities
 from simulate.iiccd.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
@@ -83,7 +83,7 @@ def exposed(sensor: Sensor) -> Iterator[tuple[tuple[float, float], Picture]]:
         light = camera.to_mcp_input(freed, Conditions())
         for gain in GAINS:
             conditions = Conditions(mcp_v=voltage(sensor, gain))
-            stream = sampler_choice.generate_frames(camera, light, conditions, seed=SEED)
+            stream = camera.frames(light, conditions, seed=SEED)
             yield (lux, gain), next(stream)[shown()].astype(float)
 
 
@@ -163,7 +163,7 @@ def flat(sensor: Sensor, *, lux: float, luminous_gain: float) -> Picture:
     camera, conditions = camera_from_description(sensor), Conditions(mcp_v=voltage(sensor, luminous_gain))
     even = np.full(camera.shape, true_quantities.true_quantities(sensor)["photoelectrons_per_lux"] * lux)
     light = mcp_input_from_photoelectrons(camera, even, conditions)
-    stream = sampler_choice.generate_frames(camera, light, conditions, seed=SEED)
+    stream = camera.frames(light, conditions, seed=SEED)
     return np.mean(list(islice(stream, AS_SEEN)), axis=0) - float(sensor.video.black_level_dn)
 
 

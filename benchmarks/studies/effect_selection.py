@@ -26,8 +26,6 @@ from benchmarks.studies.effect_selection_scenes import CAMERAS, SceneCase, case_
 from charact.study.study_figures import _pyplot
 from labdata.conditions import Conditions
 from labdata.numba_cache import stamp_of
-from simulate.iiccd import sampler_choice
-from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
 from simulate.outdoor_rendering import RenderedView
 from simulate.radiance.integrator import integrator_settings
@@ -145,7 +143,7 @@ def _photoelectrons_at_mcp(camera: Any, conditions: Conditions, seen: RenderedVi
 
 
 def _full_scale_dn(camera: Any) -> float:
-    described = camera.sensor if isinstance(camera, IntensifiedCamera) else camera.description
+    described = camera.description
     return float(2**described.video.bit_depth - 1)
 
 
@@ -156,10 +154,7 @@ def _readable(camera: Any, frame: Image) -> Image:
 
 def _noise(camera: Any, conditions: Conditions, light: Any, mean_dn: Image, seed: int) -> Image:
     """Return the temporal noise of drawn frames, DN, or `KNOWN` of the signal where that is larger."""
-    if isinstance(camera, IntensifiedCamera):
-        stream = sampler_choice.generate_frames(camera, light, conditions, seed=seed)
-    else:
-        stream = camera.frames(light, conditions, seed=seed)
+    stream = camera.frames(light, conditions, seed=seed)
     dark = float(np.percentile(mean_dn, 0.0))
     return np.maximum(temporal_noise(stream), integrator_settings.KNOWN * np.maximum(mean_dn - dark, 0.0))
 

@@ -9,7 +9,6 @@ import numpy as np
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
-from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import camera_from_description
 from simulate.outdoor_rendering import OutdoorRendering, render_sensor_of
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
@@ -68,7 +67,7 @@ def case_of(number: int) -> SceneCase:
     light, sensor = str(rng.choice(list(LIGHTS))), str(rng.choice(CAMERAS))
     scene = _scene(rng, light)
     camera = camera_from_description(_small(sensor))
-    longest_s = camera.field_s if isinstance(camera, IntensifiedCamera) else camera.frame_s
+    longest_s = camera.field_s
     night = OutdoorRendering(scene, camera, _exposure_conditions(sensor, longest_s))
     wanted, found = _between(rng, *LEVELS_PE), _median_pe(night)
     open_s = float(np.clip(longest_s * wanted / max(found, 1e-30), SHORTEST_S, longest_s))

@@ -1,59 +1,106 @@
-"""CCD and its output register: charge, full well, read noise, electron multiplication."""
+"""Silicon, CCD and output register: detection, charge, full well, read noise, electron multiplication."""
 
 from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.iiccd import pattern
+from simulate.iiccd.chain import Slot, Stage, values_of
+from simulate.iiccd.grid import CameraFrame, Grid
 from simulate.iiccd.stage_image import StageImage
+
+# Dark current is stated at this temperature.
+DARK_REFERENCE_C = 25.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ccd:
-    """Interline CCD as it is read, one charge per frame pixel.
+class Silicon(Stage, slot=Slot.SILICON, takes="photons", emits="photoelectrons in the chip"):
+    """Photosensitive chip behind an electronic shutter.
 
-    Parameters
-    ----------
-    quantum_efficiency
-        Electrons per photon on the pixel, fill factor included, dimensionless.
-    full_well_e
-        Charge that one pixel as read holds, e-.
-    antibloom_ratio
-        Overexposure the drain carries off, in full wells.
-    dark_e
-        Mean dark charge of one pixel as read, e-; the clamp subtracts its mean, its noise stays.
-    read_noise_e
-        Standard deviation of reading, e-.
-    prnu
-        Relative standard deviation of the pixels' response, dimensionless.
-    smear_fraction
-        Charge that a spot one tenth of the image high adds to its whole column, as a fraction of the spot's.
-    dsnu_e
-        Standard deviation over pixels of the mean dark charge, e-; see `pattern.dark_signal`.
-    clamped
-        Whether the clamp acts here; False where a register follows, behind which it does.
-    interlaced
-        Whether odd and even rows are separate fields, which overflow each on their own.
-    pattern_seed
-        Seed of the pixels' responses.
+    Notes
+    -----
+    Takes photons per second and cell, emits the expected photoelectrons per exposure and cell. Photoelectrons collected
+    in a well are drawn there: independent photons are Poisson in number, and so are those that a blur before detection
+    has displaced.
     """
 
+    # Photoelectrons per photon at the wavelength to which the photons have been referred, dimensionless.
     quantum_efficiency: float
-    full_well_e: float
-    antibloom_ratio: float = 1.0
-    dark_e: float = 0.0
-    read_noise_e: float = 0.0
-    prnu: float = 0.0
+    exposure_s: float  # time the shutter is open, s
+    grid: Grid  # cells on which the chip's pixels collect, half as many per pixel as those of the light
+
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the chip that detects."""
+        efficiency = max(camera.description.silicon.quantum_efficiency)
+        return cls(quantum_efficiency=efficiency, exposure_s=camera.open_s(conditions), grid=camera.cells)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.quantum_efficiency <= 1.0:
+            raise BadInput(f"quantum_efficiency must lie in (0, 1], got {self.quantum_efficiency:g}")
+        if not self.exposure_s > 0.0:
+            raise BadInput(f"exposure_s must be positive, got {self.exposure_s:g}")
+
+    def detected(self, light: StageImage) -> StageImage:
+        """Return photoelectrons per exposure on the cells of the light."""
+        return light.with_values(light.values * np.asarray(self.quantum_efficiency * self.exposure_s, np.float32))
+
+    def mean(self, light: StageImage) -> StageImage:
+        """Return photoelectrons per exposure and cell, pending blurs applied."""
+        return self.detected(light).resample_to(self.grid)
+
+
+def dark_charge(camera: CameraFrame, conditions: Conditions) -> tuple[float, float]:
+    """Return the mean dark charge of a pixel as read, e-, and dark current over that at `DARK_REFERENCE_C`."""
+    ccd = camera.description.ccd
+    warmer = 0.0 if conditions.temperature_c is None else conditions.temperature_c - DARK_REFERENCE_C
+    warmth = float(2.0 ** (warmer / float(ccd.dark_current_doubling_k)))
+    # Behind a tube charge gathers whether the gate is open or not.
+    gathers_s = camera.frame_s if camera.has_tube else camera.open_s(conditions)
+    return float(ccd.dark_current_e_per_s) * warmth * gathers_s, warmth
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ccd(Stage, slot=Slot.CCD):
+    """Interline CCD as it is read, one charge per frame pixel."""
+
+    quantum_efficiency: float  # electrons per photon on the pixel, fill factor included, dimensionless
+    full_well_e: float  # charge that one pixel as read holds, e-
+    antibloom_ratio: float = 1.0  # overexposure the drain carries off, in full wells
+    dark_e: float = 0.0  # mean dark charge of one pixel as read, e-; the clamp subtracts its mean, its noise stays
+    read_noise_e: float = 0.0  # standard deviation of reading, e-
+    prnu: float = 0.0  # relative standard deviation of the pixels' response, dimensionless
+    # Charge that a spot one tenth of the image high adds to its whole column, as a fraction of the spot's.
     smear_fraction: float = 0.0
-    dsnu_e: float = 0.0
-    clamped: bool = True
-    interlaced: bool = False
-    pattern_seed: int = 0
-    name: str = "ccd"
+    dsnu_e: float = 0.0  # standard deviation over pixels of the mean dark charge, e-; see `pattern.dark_signal_map`
+    clamped: bool = True  # whether the clamp acts here; False where a register follows, behind which it does
+    interlaced: bool = False  # whether odd and even rows are separate fields, which overflow each on their own
+    pattern_seed: int = 0  # seed of the pixels' responses
     takes: str = "screen photons as read"
     emits: str = "charge"
+    effects: ClassVar = {
+        "overflow": {"full_well_e": np.inf},
+        "smear": {"smear_fraction": 0.0},
+        "dark pattern": {"dsnu_e": 0.0},
+        "dark charge": {"dark_e": 0.0},
+        "read noise": {"read_noise_e": 0.0},
+        "unequal pixels": {"prnu": 0.0},
+    }
+
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the CCD behind a tube, or that of a camera without one: read and clamped behind its register."""
+        ccd = camera.description.ccd
+        dark_e, warmth = dark_charge(camera, conditions)
+        shared = {"dark_e": dark_e, "dsnu_e": float(ccd.dsnu_e) * warmth, "pattern_seed": camera.pattern_seed}
+        if camera.has_tube:
+            return values_of(cls, ccd, interlaced=camera.is_interlaced, **shared)
+        places = {"takes": "photoelectrons in the wells", "emits": "charge in the wells"}
+        return values_of(cls, ccd, quantum_efficiency=1.0, read_noise_e=0.0, clamped=False, **shared, **places)
 
     def __post_init__(self) -> None:
         if not self.full_well_e > 0.0:
@@ -69,11 +116,11 @@ class Ccd:
 
     def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the charge read, e-: Poisson charge of light and dark, then overflow, then read noise."""
-        from simulate.iiccd import pulse_sampling
+        from simulate.iiccd.random_numbers import poisson_numbers
 
         expected = self.mean_charge(light.values)
         expected += self.dark(expected.shape[-2:])
-        held = self.limit_to_full_well(pulse_sampling.poisson_charge(rng, expected))
+        held = self.limit_to_full_well(poisson_numbers(rng.integers(2**64, dtype=np.uint64), expected))
         if self.read_noise_e > 0.0:
             held = held + np.float32(self.read_noise_e) * rng.standard_normal(held.shape, dtype=np.float32)
         return light.with_values(held - np.float32(self.dark_e) if self.clamped else held)
@@ -104,30 +151,32 @@ class Ccd:
         step = 2 if self.interlaced else 1
         for image in held.reshape(-1, *held.shape[-2:]):
             for parity in range(step):
-                image[parity::step] = apply_column_blooming(
-                    image[parity::step], self.full_well_e, self.antibloom_ratio
-                )[0]
+                field = image[parity::step]
+                field[:] = apply_column_blooming(field, self.full_well_e, self.antibloom_ratio)[0]
         return held
+
+    def bounds(self, budget: Any) -> dict[str, float]:
+        """Return the influence of each effect on the mean and on the noise."""
+        beyond = np.maximum(budget.brightest_e - self.full_well_e, 0.0)
+        # The dark pattern changes the mean and the noise; without dark charge there is no pattern of it.
+        hottest = budget.hottest_e
+        pattern_of_dark = max(
+            budget.of_mean(hottest / budget.charge_e), budget.of_white(budget.of_chain.white * hottest)
+        )
+        pixels = 2.0 * float(budget.mean_pe.size)
+        return {
+            "overflow": budget.of_mean(beyond / budget.charge_e),
+            "smear": budget.of_mean(budget.smear),
+            "dark pattern": pattern_of_dark,
+            "dark charge": budget.of_white(budget.of_chain.white * self.dark_e) + pattern_of_dark,
+            "read noise": budget.of_white(budget.of_chain.white * self.read_noise_e**2),
+            "unequal pixels": budget.extreme(pixels) * self.prnu * budget.of_gain(1.0),
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
-class Register:
+class Register(Stage, slot=Slot.REGISTER, takes="charge in the wells", emits="charge"):
     """Serial register and output amplifier.
-
-    Parameters
-    ----------
-    gain
-        Mean electrons out per electron in; 1 is a plain register, which adds nothing.
-    stages
-        Stages of the register, in each of which an electron may free another.
-    pulse_height_shape
-        Shape of the law of what one electron becomes at high gain; 1 is exponential, as impact ionisation is.
-    clock_induced_e
-        Electrons that clocking sets free, per pixel and frame, before the gain.
-    read_noise_e
-        Standard deviation of reading, e- behind the gain.
-    dark_e
-        Mean dark charge in a pixel, e- before the gain, which the clamp subtracts together with that of clocking.
 
     Notes
     -----
@@ -137,15 +186,31 @@ class Register:
     and Mackay, MNRAS 345, 985, 2003).
     """
 
-    gain: float = 1.0
-    stages: int = 500
+    gain: float = 1.0  # mean electrons out per electron in; 1 is a plain register, which adds nothing
+    stages: int = 500  # stages of the register, in each of which an electron may free another
+    # Shape of the law of what one electron becomes at high gain; 1 is exponential, as impact ionisation is.
     pulse_height_shape: float = 1.0
-    clock_induced_e: float = 0.0
-    read_noise_e: float = 0.0
+    clock_induced_e: float = 0.0  # electrons that clocking sets free, per pixel and frame, before the gain
+    read_noise_e: float = 0.0  # standard deviation of reading, e- behind the gain
+    # Mean dark charge in a pixel, e- before the gain, which the clamp subtracts together with that of clocking.
     dark_e: float = 0.0
-    name: str = "register"
-    takes: str = "charge in the wells"
-    emits: str = "charge"
+
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the register at the gain of the conditions, by default its highest; tube gain is refused."""
+        if conditions.mcp_v is not None or conditions.gain_control is not None:
+            raise BadInput(
+                f"mcp_v and gain_control must be left out of a camera without a tube, "
+                f"got {conditions.mcp_v} and {conditions.gain_control}"
+            )
+        register = camera.description.register
+        highest = float(register.em_gain)
+        gain = highest if conditions.em_gain is None else conditions.em_gain
+        if not 1.0 <= gain <= highest:
+            raise BadInput(f"em_gain must lie between 1 and the camera's {highest:g}, got {gain:g}")
+        read_noise_e = float(camera.description.ccd.read_noise_e)
+        dark_e, _ = dark_charge(camera, conditions)
+        return values_of(cls, register, gain=gain, read_noise_e=read_noise_e, dark_e=dark_e)
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.gain < np.inf:
@@ -186,10 +251,8 @@ class Register:
             charge += np.float32(self.read_noise_e) * rng.standard_normal(charge.shape, dtype=np.float32)
         return light.with_values(charge - np.float32(self._clamp_level_e))
 
-    def _draw_multiplication(self, charge, rng: np.random.Generator):
+    def _draw_multiplication(self, charge: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
         """Electrons that the register adds to those that enter it."""
-        from simulate.iiccd import pulse_sampling
-
         more = self.gain - 1.0
         scale = self.gain**2 * (self.excess_noise_factor - 1.0) / more
-        return np.float32(scale) * pulse_sampling.gamma_numbers(rng, charge * np.float32(more / scale))
+        return np.float32(scale) * rng.standard_gamma(charge * np.float32(more / scale), dtype=np.float32)

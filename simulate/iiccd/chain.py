@@ -1,9 +1,10 @@
-"""Chain of camera stages: checks that neighbours fit and gives each stage its own random generator."""
+"""Chain of camera stages: their slots, what a stage is, and each stage's own random generator."""
 
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from enum import Enum
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -11,50 +12,86 @@ from labdata.errors import BadInput
 from simulate.iiccd.stage_image import StageImage
 
 
-@runtime_checkable
-class Stage(Protocol):
-    """One physical stage of the camera."""
+class Slot(Enum):
+    """Place of a stage in the chain, in the order of the light; its random numbers follow from the value."""
+
+    OPTICS = "optics"
+    PHOTOCATHODE = "photocathode"
+    GAP = "gap"
+    FIBRES = "fibre geometry"
+    MCP = "microchannel plate"
+    PHOSPHOR = "phosphor"
+    TAPER = "taper"
+    SILICON = "silicon"
+    PIXELS = "pixels"
+    DECAY = "afterglow"
+    SCAN = "scan"
+    CCD = "ccd"
+    REGISTER = "register"
+    VIDEO = "video"
+
+
+class Stage:
+    """One physical stage: a frozen dataclass of its parameters, made by `of` from its section of a description.
+
+    A stage without noise draws its mean. `effects` holds, for each effect that it may neglect, the values of its
+    parameters without it; `bounds` bounds their influence on a frame.
+    """
+
+    slot: ClassVar[Slot]
+    effects: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    takes: str
+    emits: str
+
+    def __init_subclass__(cls, *, slot: Slot, takes: str = "", emits: str = "") -> None:
+        cls.slot = slot
+        if takes:
+            cls.takes, cls.emits = takes, emits
 
     @property
     def name(self) -> str:
-        """The stage's name; its random numbers follow from it."""
-        ...
-
-    @property
-    def takes(self) -> str:
-        """The quantity it takes."""
-        ...
-
-    @property
-    def emits(self) -> str:
-        """The quantity it emits."""
-        ...
+        """Name of the stage."""
+        return self.slot.value
 
     def mean(self, light: Any) -> StageImage:
         """Return the mean image behind the stage; a lens takes the scene's radiance."""
-        ...
+        raise NotImplementedError
 
     def draw(self, light: Any, rng: np.random.Generator) -> StageImage:
         """Return one random image behind the stage."""
-        ...
+        return self.mean(light)
+
+    def bounds(self, budget: Any) -> dict[str, float]:
+        """Return the influence of each optional effect, at most; see `effect_bounds.NoiseBudget`."""
+        return {}
+
+    def without(self, names: frozenset[str]) -> Self:
+        """Return the stage without the effects of these names."""
+        off = {key: value for name in names & self.effects.keys() for key, value in self.effects[name].items()}
+        return replace(self, **off) if off else self  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+
+def values_of(kind: Any, section: Any, **others: Any) -> Any:
+    """Return a dataclass whose fields have the values of a section's parameters of the same name, or others."""
+    shared = {
+        item.name: float(value) if hasattr(value, "__float__") and not isinstance(value, int) else value
+        for item in fields(kind)
+        if item.name not in others and (value := getattr(section, item.name, None)) is not None
+    }
+    return kind(**shared, **others)
 
 
 @dataclass(frozen=True)
 class Chain:
     """Stages in the order of the light.
 
-    Parameters
-    ----------
-    stages
-        Each takes what the one before it emits; names are unique.
-
     Raises
     ------
     BadInput
-        If two neighbours do not fit or two stages share a name.
+        If two neighbours do not fit or two stages share a slot.
     """
 
-    stages: tuple[Stage, ...]
+    stages: tuple[Stage, ...]  # each takes what the one before it emits; no slot is taken twice
 
     def __post_init__(self) -> None:
         if not self.stages:
@@ -69,16 +106,28 @@ class Chain:
         if repeated := {name for name in names if names.count(name) > 1}:
             raise BadInput(f"the stages of a chain must have names of their own, got {sorted(repeated)} twice")
 
-    def between(self, first: str, last: str) -> "Chain":
-        """Return the chain from one named stage to another, both included."""
-        names = [stage.name for stage in self.stages]
-        if first not in names or last not in names:
-            raise BadInput(f"a stage must be one of {names}, got {first!r} and {last!r}")
-        return Chain(self.stages[names.index(first) : names.index(last) + 1])
+    def __getitem__(self, slot: Slot) -> Any:
+        """Return the stage in a slot."""
+        return self.stages[self._place(slot)]
 
-    def without(self, name: str) -> "Chain":
+    def _place(self, slot: Slot) -> int:
+        slots = [stage.slot for stage in self.stages]
+        if slot not in slots:
+            raise BadInput(f"a stage must be one of {[each.value for each in slots]}, got {slot.value!r}")
+        return slots.index(slot)
+
+    def between(self, first: Slot, last: Slot) -> "Chain":
+        """Return the chain from one slot to another, both included."""
+        return Chain(self.stages[self._place(first) : self._place(last) + 1])
+
+    def without(self, slot: Slot) -> "Chain":
         """Return the chain with one stage left out; refused where its neighbours then do not fit."""
-        return Chain(tuple(stage for stage in self.stages if stage.name != name))
+        return Chain(tuple(stage for stage in self.stages if stage.slot != slot))
+
+    def replacing(self, *stages: Stage) -> "Chain":
+        """Return the chain with other stages in their slots."""
+        others = {stage.slot: stage for stage in stages}
+        return Chain(tuple(others.get(stage.slot, stage) for stage in self.stages))
 
     def mean(self, light: Any) -> StageImage:
         """Return the noiseless image behind the last stage."""
@@ -89,7 +138,7 @@ class Chain:
     def draw(self, light: Any, rng: np.random.Generator) -> StageImage:
         """Return one random image behind the last stage.
 
-        Every stage draws from a generator that follows from `rng` and its own name: to change, add or remove one
+        Every stage draws from a generator that follows from `rng` and its own slot: to change, add or remove one
         stage leaves the random numbers of all others as they were.
         """
         for after in self.steps(light, rng):

@@ -8,14 +8,12 @@ from numpy.typing import NDArray
 def apply_column_blooming(
     charge_e: NDArray[np.floating], full_well_e: float, antibloom_ratio: float
 ) -> tuple[NDArray[np.float64], float]:
-    """Apply column blooming to one field.
+    """Apply column blooming to the charge of one field, shape (row, col), e-.
 
     Parameters
     ----------
-    charge_e
-        Charge of every pixel of a field, shape (row, col), e-.
-    full_well_e
-        Charge a pixel holds, e-.
+    charge_e, full_well_e
+        Charge of every pixel, and what a pixel holds, e-.
     antibloom_ratio
         Overexposure that the drain of a pixel carries off, in full wells; 1 is no drain.
 
@@ -42,13 +40,6 @@ def apply_column_blooming(
 
 def spread_excess_charge(column_e: NDArray[np.float64], limit_e: float) -> NDArray[np.float64]:
     """Spread each excess half up and half down until no pixel exceeds the limit; charge leaves only at the ends.
-
-    Parameters
-    ----------
-    column_e
-        Charge, shape (row,), e-.
-    limit_e
-        Charge that a pixel takes, e-.
 
     Notes
     -----

@@ -1,43 +1,73 @@
-"""Sensor geometry: the lattice of cells on which images are computed, and its Fourier transforms."""
+"""Accuracy parameters, the lattice of cells on which images are computed, and the frame of a camera on it."""
 
 import zlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.sensor import Sensor
-from labdata.solid_state import SolidStateCamera
+from labdata.conditions import Conditions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accuracy:
+    """Tolerances of the approximations that stages and samplers make; dimensionless unless a unit is given."""
+
+    # The image of a target is needed this far beyond the frame, pixels: the halo reaches 23 pixels.
+    scene_margin_px: int = 40
+    draw_margin_px: int = 10  # margin of the cells on which photoelectrons are drawn
+    # Resampling is exact up to this frequency and fades to nothing at 1 cy/px, so that a point does not ring.
+    resampling_exact_cy_per_px: float = 0.6
+    band_transfer_error: float = 1e-4  # largest error of the transfer of a band where bands are sums of a few transfers
+    n_band_frequencies: int = 1500  # frequencies at which the transfers of bands are compared
+    max_distortion_radius: float = 2.0  # distance from the axis, in corner radii, to which distortion is inverted
+    n_distortion_steps: int = 4096  # radii of the table that inverts distortion
+    min_replica_transfer: float = 1e-3  # spectral replicas with a smaller transfer are neglected
+    max_lag_fraction: float = 1e-3  # fraction of the light, at most, that is emitted after the last lag field
+    n_arrival_times: int = 2000  # arrival times over which decay fractions are averaged
+    max_near_wing_fraction: float = 0.02  # fraction of a single pulse that may lie beyond its compact part
+    min_sharpened_transfer: float = 0.05  # light is not sharpened where the squared kernel has a smaller transfer
+    separable_residual: float = 2e-6  # fraction of the squared kernel that its separable parts may neglect
+    # Relative error of the third moment of pulses on the lattice; one cell per column is then enough.
+    skewness_tolerance: float = 0.012
+    sparse_pe_per_px: float = 0.8  # below this mean per pixel single pulses are resolved, and drawn one by one
+    # Skewness of the shot noise of the charge, over all noise, above which electrons are counted.
+    counted_skewness: float = 0.01
+    # Above this mean the electrons of a pixel are drawn from a normal law, whose skewness is below 0.04.
+    max_counted_e: float = 1000.0
+    # More photoelectrons in a cell have the noise of this number, so that values stay finite.
+    max_pe_per_cell: float = 1e9
+    max_charge_sd: float = 8.0  # charge never exceeds its mean by more standard deviations
+    min_filter_tap: float = 1e-6  # smaller taps of an impulse response are neglected
+    min_stored_fraction: float = 1e-6  # decay components that store a smaller mean fraction are neglected
+    n_search_guides: int = 2**20  # parts of the table that guides the search for the cell of a pulse
+    extreme_probability: float = 0.1  # probability that the largest value of a fixed pattern exceeds the bound
+    # A well may overflow if its charge lies within this many standard deviations of the full well.
+    overflow_sd: float = 8.0
+    n_distortion_rings: int = 6  # rings in which the displacement by the taper is bounded by that of their outer edge
+
+
+ACCURACY = Accuracy()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Cells per pixel and margins around the image.
+    """Cells per pixel and margins around the image."""
 
-    Parameters
-    ----------
-    rows, columns
-        Physical pixels of the chip that the image needs.
-    per_column, per_row
-        Cells per pixel along a row and along a column.
-    margin_rows, margin_columns
-        Pixels added before the first row and column; after the last, what the shape leaves.
-    shape
-        Cells, (row, col).
-    pitch_x_mm, pitch_y_mm
-        Pixel pitch at the photocathode, mm.
-    """
-
+    # Physical pixels of the chip that the image needs.
     rows: int
     columns: int
+    # Cells per pixel along a row and along a column.
     per_column: int
     per_row: int
+    # Pixels added before the first row and column; after the last, what the shape leaves.
     margin_rows: int
     margin_columns: int
-    shape: tuple[int, int]
+    shape: tuple[int, int]  # cells, (row, col)
+    # Pixel pitch at the photocathode, mm.
     pitch_x_mm: float
     pitch_y_mm: float
 
@@ -45,6 +75,12 @@ class Grid:
     def cell_area_cm2(self) -> float:
         """Area of one cell at the photocathode, cm2."""
         return self.pitch_x_mm * self.pitch_y_mm / (self.per_column * self.per_row) * 1e-2
+
+    @property
+    def inside(self) -> tuple[slice, slice]:
+        """Slices that cut the pixels of the chip out of an image on cells, margins left out."""
+        top, left = self.margin_rows * self.per_row, self.margin_columns * self.per_column
+        return slice(top, top + self.rows * self.per_row), slice(left, left + self.columns * self.per_column)
 
     def frequencies(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Frequencies (fx (1, col), fy (row, 1)) of this grid's real Fourier transform, cycles/mm at the cathode."""
@@ -68,7 +104,6 @@ def grid_with_margin(
     rows: int, columns: int, *, per_pixel: int, margin: int, pitch_x_mm: float, pitch_y_mm: float
 ) -> Grid:
     """Return a grid with at least `margin` pixels on every side and a shape that transforms fast."""
-    shape = (fast_length((rows + 2 * margin) * per_pixel), fast_length((columns + 2 * margin) * per_pixel))
     return Grid(
         rows=rows,
         columns=columns,
@@ -76,7 +111,7 @@ def grid_with_margin(
         per_row=per_pixel,
         margin_rows=margin,
         margin_columns=margin,
-        shape=shape,
+        shape=(fast_length((rows + 2 * margin) * per_pixel), fast_length((columns + 2 * margin) * per_pixel)),
         pitch_x_mm=pitch_x_mm,
         pitch_y_mm=pitch_y_mm,
     )
@@ -108,53 +143,69 @@ def irfft_image(transform: NDArray, shape: tuple[int, int]) -> NDArray[Any]:
     return image
 
 
-# The image of a target is needed this far beyond the frame: the halo reaches 23 pixels.
-SCENE_MARGIN_PX = 40
-DRAW_MARGIN_PX = 10
-# Dark current is stated at this temperature.
-DARK_REFERENCE_C = 25.0
+class CameraFrame(ABC):
+    """What every stage may ask of its camera: its description, its frame with the cells, and its clock."""
 
+    has_tube: ClassVar[bool]
+    # A `labdata.sensor.Sensor` or, without a tube, a `labdata.solid_state.SolidStateCamera`.
+    description: Any
 
-class SensorGeometryCamera(ABC):
-    """Frame and cells of a camera, with or without a tube."""
+    @abstractmethod
+    def open_s(self, conditions: Conditions) -> float:
+        """Return the time that gate or shutter is open in one exposure, s."""
 
     @property
-    @abstractmethod
-    def camera_description(self) -> Sensor | SolidStateCamera:
-        """Its description."""
-
-    @property
-    @abstractmethod
     def is_interlaced(self) -> bool:
         """Whether a frame is two fields exposed one after the other."""
+        return self.description.video.interlaced
+
+    @property
+    def fields_per_frame(self) -> int:
+        """Exposures in one frame; where there are two, a pixel as read is as many rows of the chip high."""
+        return 2 if self.is_interlaced else 1
+
+    @property
+    def field_s(self) -> float:
+        """Time from one exposure to the next, s."""
+        return 1.0 / float(self.description.video.field_rate_hz)
+
+    @property
+    def frame_s(self) -> float:
+        """Time from one frame to the next, s."""
+        return self.field_s * self.fields_per_frame
 
     @property
     def demagnification(self) -> float:
         """Size of the image where light arrives over its size on the chip, dimensionless."""
-        return 1.0
+        return float(self.description.taper.demagnification) if self.has_tube else 1.0
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of a frame."""
-        return self.camera_description.ccd.rows, self.camera_description.ccd.columns
+        return self.description.ccd.rows, self.description.ccd.columns
 
     @property
     def pattern_seed(self) -> int:
         """Seed of the fixed patterns, which belong to the camera of this name."""
-        return zlib.crc32(self.camera_description.name.encode())
+        return zlib.crc32(self.description.name.encode())
 
     @cached_property
     def cells(self) -> Grid:
         """Cells on which photoelectrons are drawn or collected, two per pixel."""
-        return self._grid(2, DRAW_MARGIN_PX)
+        return self._grid(2, ACCURACY.draw_margin_px)
 
     @cached_property
     def scene_cells(self) -> Grid:
         """Cells on which the scene arrives, four per pixel."""
-        return self._grid(4, SCENE_MARGIN_PX)
+        return self._grid(4, ACCURACY.scene_margin_px)
+
+    @property
+    def field_pixel_area_cm2(self) -> float:
+        """Area of one pixel as read, at the photocathode, cm2: two rows where fields are integrated."""
+        return self.cells.pitch_x_mm * self.cells.pitch_y_mm * self.fields_per_frame * 1e-2
 
     def _grid(self, per_pixel: int, margin: int) -> Grid:
-        ccd, (rows, columns) = self.camera_description.ccd, self.shape
+        ccd, (rows, columns) = self.description.ccd, self.shape
         # Field integration sums rows r and r + 1, so the chip has one row more than the frame.
         return grid_with_margin(
             rows + (1 if self.is_interlaced else 0),

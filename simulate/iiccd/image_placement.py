@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.iiccd.accuracy import ACCURACY
-from simulate.iiccd.grid import Grid
+from simulate.iiccd.grid import ACCURACY, Grid
 
 
 def place_on_cells(image: NDArray, grid: Grid, *, row_pairs: bool) -> NDArray[np.float32]:
@@ -56,13 +55,6 @@ Array = NDArray[np.floating]
 class Radial:
     """Radial distortion r' = r (1 + D (r/R)^2): a point at r lands at r'.
 
-    Parameters
-    ----------
-    fraction
-        D, displacement at the corner over its distance from the axis, dimensionless; positive is pincushion.
-    corner_mm
-        R, the corner's distance from the axis, mm.
-
     Raises
     ------
     BadInput
@@ -70,8 +62,9 @@ class Radial:
         corner radii.
     """
 
+    # D, displacement at the corner over its distance from the axis, dimensionless; positive is pincushion.
     fraction: float
-    corner_mm: float
+    corner_mm: float  # r, the corner's distance from the axis, mm
 
     def __post_init__(self) -> None:
         if not -1.0 / (3.0 * ACCURACY.max_distortion_radius**2) < self.fraction < 1.0:
@@ -107,19 +100,10 @@ def corner_mm(grid: Grid) -> float:
 
 
 def resample_image(image: NDArray, grid: Grid, x_mm: Array, y_mm: Array, *, order: int) -> NDArray[np.float32]:
-    """Return an image whose cells show what lies at other places of it; beyond its border it goes on as it ends.
+    """Return an image whose cells show what lies at other places of it, mm about its middle.
 
-    Parameters
-    ----------
-    image
-        Shape (row, col), amounts per cell.
-    grid
-        Its cells.
-    x_mm, y_mm
-        Where each cell's light comes from, about the middle of the image, shape (row, col), mm.
-    order
-        1: linear, never below zero; loses up to 8 % of the contrast at an eighth of a cycle per cell. 3: cubic splines,
-        for images without sharp steps.
+    Beyond its border the image goes on as it ends. Order 1 is linear, never below zero, and loses up to 8 % of the
+    contrast at an eighth of a cycle per cell; order 3, cubic splines, is for images without sharp steps.
     """
     from scipy.ndimage import map_coordinates
 

@@ -1,37 +1,33 @@
 """Lens: blur and veiling glare of stated illuminance, and spectral radiance to photons on the photocathode."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.sensor import Optics as OpticsDescription
 from simulate.iiccd import image_placement, tube_photometry
-from simulate.iiccd.accuracy import ACCURACY
-from simulate.iiccd.grid import Grid, irfft_image, rfft_image
-from simulate.iiccd.stage_image import NoiselessStage, StageImage
+from simulate.iiccd.chain import Slot, Stage, values_of
+from simulate.iiccd.grid import ACCURACY, CameraFrame, Grid, irfft_image, rfft_image
+from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import Defocus, Lens, StageBlur
 from simulate.radiance.cube import RadianceCube
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optics(NoiselessStage):
-    """Lens between the scene and the photocathode.
+class Optics(Stage, slot=Slot.OPTICS, takes="photons", emits="photons"):
+    """Lens between the scene and the photocathode."""
 
-    Parameters
-    ----------
-    blur
-        Its blur.
-    veiling_glare_fraction
-        Fraction of the light that is spread evenly over the image, dimensionless.
-    """
+    blur: StageBlur  # its blur
+    veiling_glare_fraction: float  # fraction of the light that is spread evenly over the image, dimensionless
 
-    blur: StageBlur
-    veiling_glare_fraction: float
-    name: str = "optics"
-    takes: str = "photons"
-    emits: str = "photons"
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the lens of a camera for light stated at the photocathode."""
+        optics = camera.description.optics
+        return values_of(cls, optics, blur=values_of(Lens, optics))
 
     def mean(self, light: StageImage) -> StageImage:
         """Return (1 - v) E + v mean(E), with the blur pending; the sum over cells is conserved."""
@@ -49,34 +45,8 @@ FOCUS_SPAN_NM = (500.0, 925.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class RadiometricLens(NoiselessStage):
+class RadiometricLens(Stage, slot=Slot.OPTICS, takes="radiance", emits="photons"):
     """Lens that images a scene of known spectral radiance on the photocathode, or on a chip without a tube.
-
-    Parameters
-    ----------
-    f_number, transmission
-        N and tau, dimensionless.
-    focal_length_mm
-        Focal length, mm.
-    magnification
-        Size of the image over that of the scene, dimensionless; 0 for a distant scene.
-    aberration_blur_um
-        s of exp(-2 (pi f s)^2), um.
-    focal_shift_um, focus_nm
-        How far 925 nm focuses behind 500 nm, linear in wavelength, and the wavelength in focus.
-    veiling_glare_fraction
-        Fraction of the light that is spread evenly over the image.
-    vignetting_fraction
-        Fraction of the light lost at the image's corner beyond cos^4; it grows with the square of the distance from the
-        axis.
-    distortion_fraction
-        Radial displacement at the corner, positive for pincushion.
-    detector_nm, detector_efficiency
-        Quantum efficiency of what lies behind, over the wavelengths of its table, at any scale.
-    grid
-        Cells on which the photons arrive.
-    row_pairs
-        Whether a frame's row sums two rows of the chip: where the image lies, see `image_placement.spread`.
 
     Notes
     -----
@@ -88,51 +58,26 @@ class RadiometricLens(NoiselessStage):
     defocus; as these vary smoothly, few images suffice for any number of bands (`Accuracy.band_transfer_error`).
     """
 
+    # N and tau, dimensionless.
     f_number: float
     transmission: float
-    focal_length_mm: float
+    focal_length_mm: float  # focal length, mm
+    # Quantum efficiency of what lies behind, over the wavelengths of its table, at any scale.
     detector_nm: tuple[float, ...]
     detector_efficiency: tuple[float, ...]
-    grid: Grid
-    magnification: float = 0.0
-    aberration_blur_um: float = 0.0
+    grid: Grid  # cells on which the photons arrive
+    magnification: float = 0.0  # size of the image over that of the scene, dimensionless; 0 for a distant scene
+    aberration_blur_um: float = 0.0  # s of exp(-2 (pi f s)^2), um
+    # How far 925 nm focuses behind 500 nm, linear in wavelength, and the wavelength in focus.
     focal_shift_um: float = 0.0
     focus_nm: float = 700.0
-    veiling_glare_fraction: float = 0.0
+    veiling_glare_fraction: float = 0.0  # fraction of the light that is spread evenly over the image
+    # Fraction of the light lost at the image's corner beyond cos^4; it grows with the square of the distance from the
+    # axis.
     vignetting_fraction: float = 0.0
-    distortion_fraction: float = 0.0
+    distortion_fraction: float = 0.0  # radial displacement at the corner, positive for pincushion
+    # Whether a frame's row sums two rows of the chip: where the image lies, see `image_placement.place_on_cells`.
     row_pairs: bool = False
-    name: str = "optics"
-    takes: str = "radiance"
-    emits: str = "photons"
-
-    @classmethod
-    def of(
-        cls,
-        optics: OpticsDescription,
-        detector: tuple[tuple[float, ...], tuple[float, ...]],
-        grid: Grid,
-        *,
-        magnification: float,
-        row_pairs: bool,
-    ) -> "RadiometricLens":
-        """Return the lens of a description before a detector (wavelength, nm, and efficiency); the rest as above."""
-        return cls(
-            f_number=float(optics.f_number),
-            transmission=float(optics.transmission),
-            focal_length_mm=float(optics.focal_length_mm),
-            detector_nm=detector[0],
-            detector_efficiency=detector[1],
-            grid=grid,
-            magnification=magnification,
-            aberration_blur_um=float(optics.aberration_blur_um),
-            focal_shift_um=float(optics.focal_shift_um),
-            focus_nm=float(optics.focus_nm),
-            veiling_glare_fraction=float(optics.veiling_glare_fraction),
-            vignetting_fraction=float(optics.vignetting_fraction),
-            distortion_fraction=float(optics.distortion_fraction),
-            row_pairs=row_pairs,
-        )
 
     def __post_init__(self) -> None:
         for name in ("f_number", "transmission", "focal_length_mm"):
@@ -174,23 +119,16 @@ class RadiometricLens(NoiselessStage):
         return lens * Defocus(shift_um=off_um, f_number=self.f_number).transfer(frequency_per_mm, nowhere)
 
     def mean(self, light: RadianceCube) -> StageImage:
-        """Return photons per s and cell, all blurs of the lens computed.
-
-        Raises
-        ------
-        BadInput
-            If the cube has a radiance that is not a number, infinite or negative, or fewer than two bands.
-        """
+        """Return photons per s and cell, all blurs of the lens computed; an impossible radiance is refused."""
         refuse_impossible(light)
         weight = self._photons_per_radiance(light)
-        frequency = np.linspace(0.0, self._highest_frequency(), ACCURACY.n_band_frequencies)
+        radius = np.hypot(*self.grid.frequencies())
+        frequency = np.linspace(0.0, float(radius.max()), ACCURACY.n_band_frequencies)
         transfers = np.stack([self.transfer(nm, frequency) for nm in light.wavelength_nm])
         shares, shapes = few_transfers(transfers, weight)
         radiance = light.radiance.astype(np.float32, copy=False)
         images = self._arriving(list(np.tensordot((shares * weight).astype(np.float32), radiance, axes=1)))
         images[0] = add_veiling_glare(images[0], self.veiling_glare_fraction)
-        fx, fy = self.grid.frequencies()
-        radius = np.hypot(fx, fy)
         total = sum(
             rfft_image(image) * np.interp(radius, frequency, shape).astype(np.float32)
             for image, shape in zip(images, shapes, strict=True)
@@ -203,10 +141,6 @@ class RadiometricLens(NoiselessStage):
             light.wavelength_nm, self.detector_nm, relative, averaged=light.averaged
         )
         return per_m2 * self.gathering_sr * self.grid.cell_area_cm2 * 1e-4
-
-    def _highest_frequency(self) -> float:
-        fx, fy = self.grid.frequencies()
-        return float(np.hypot(np.abs(fx).max(), np.abs(fy).max()))
 
     def _arriving(self, images: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
         """Sharp images on the cells with the lens's geometry and falloff; they are given per cell area."""
@@ -237,21 +171,14 @@ def refuse_impossible(cube: RadianceCube) -> None:
 def few_transfers(
     transfers: NDArray[np.floating], weight: NDArray[np.floating]
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Return the few shapes of which each band's transfer is a weighted sum.
-
-    Parameters
-    ----------
-    transfers
-        Transfer of each band, shape (band, frequency), 1 at the first frequency, zero.
-    weight
-        How much each band counts, shape (band,).
+    """Return the few shapes of which the transfer of each band, (band, frequency), is a weighted sum.
 
     Returns
     -------
     shares, shapes
-        (shape, band) and (shape, frequency): transfers = fractions.T @ shapes within `Accuracy.band_transfer_error`.
-        The first shape is the mean transfer, with fractions of 1; all others vanish at zero frequency, so that no light
-        is won or lost.
+        (shape, band) and (shape, frequency): transfers = shares.T @ shapes within `Accuracy.band_transfer_error`. The
+        first shape is the mean by weight, with shares of 1; all others vanish at zero frequency, so that no light is
+        won or lost.
     """
     mean = np.average(transfers, axis=0, weights=weight if weight.sum() > 0.0 else None)
     left, size, right = np.linalg.svd(transfers - mean, full_matrices=False)

@@ -1,109 +1,25 @@
 """Microchannel plate: detection, pulse heights, saturation and local gain depletion."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.iiccd import pattern
-from simulate.iiccd.grid import Grid
+from simulate.iiccd import pattern, tube_photometry
+from simulate.iiccd.chain import Slot, Stage, values_of
+from simulate.iiccd.grid import CameraFrame, Grid
 from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.transfer import Neighbourhood
 
 Map = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Depletion:
-    """Local gain depletion of the channels.
-
-    Parameters
-    ----------
-    saturation_e_per_s_cm2
-        Steady output, were the gain undiminished, at which it has halved, electrons per s and cm2.
-    blur_um
-        Width (standard deviation) of the neighbourhood whose output counts, um.
-    recovery_ms
-        Time constant with which channels recharge, ms.
-    field_s
-        Time from one exposure to the next, s.
-
-    Notes
-    -----
-    h(u) = 1/(1 + u): in steady light u is the undiminished output over the saturating one, blurred by a Gaussian; in
-    changing light u follows that load with the channels' time constant, du/dt = (load - u)/tau. The state between
-    fields is the map u, carried by the caller; None is an MCP that has rested.
-    """
-
-    saturation_e_per_s_cm2: float
-    blur_um: float
-    recovery_ms: float
-    field_s: float
-
-    def __post_init__(self) -> None:
-        for name in ("saturation_e_per_s_cm2", "recovery_ms", "field_s"):
-            if not getattr(self, name) > 0.0:
-                raise BadInput(f"{name} must be positive, got {getattr(self, name):g}")
-        if not self.blur_um >= 0.0:
-            raise BadInput(f"blur_um must not be negative, got {self.blur_um:g}")
-
-    def load(self, output_e: Map, grid: Grid) -> Map:
-        """Return the load of an undiminished output, electrons per cell and exposure, shape (..., row, col)."""
-        from scipy.ndimage import gaussian_filter
-
-        per_cell = self.saturation_e_per_s_cm2 * grid.cell_area_cm2 * self.field_s
-        widths = (
-            self.blur_um * 1e-3 / grid.pitch_y_mm * grid.per_row,
-            self.blur_um * 1e-3 / grid.pitch_x_mm * grid.per_column,
-        )
-        sigma = (*(0.0 for _ in output_e.shape[:-2]), *widths)
-        return gaussian_filter(np.asarray(output_e, np.float64), sigma, mode="nearest") / per_cell
-
-    def gain(self, state: Map) -> Map:
-        """Return the gain that is left, dimensionless."""
-        return 1.0 / (1.0 + state)
-
-    def during(self, state: Map | None, load: Map) -> Map:
-        """Return the mean state over a field that starts from `state` under a load."""
-        fade = self.field_s / (self.recovery_ms * 1e-3)
-        kept = -np.expm1(-fade) / fade
-        return load * (1.0 - kept) + (0.0 if state is None else state * kept)
-
-    def next(self, state: Map | None, load: Map) -> Map:
-        """Return the state at the end of that field."""
-        kept = np.exp(-self.field_s / (self.recovery_ms * 1e-3))
-        return load * (1.0 - kept) + (0.0 if state is None else state * kept)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MicrochannelPlate:
-    """Microchannel plate, or a stack of MCPs.
-
-    Parameters
-    ----------
-    detection_probability
-        Fraction of the photoelectrons that start a pulse, dimensionless.
-    pulse_height_shape
-        Shape of the gamma (Polya) law of pulse heights; 1 is exponential. Its relative variance is 1/shape.
-    gain
-        Electrons out per photoelectron in, the undetected counted, at low current.
-    saturation_e_per_s_cm2
-        Output current at which the gain has halved, electrons per s and cm2.
-    field_s
-        Time from one exposure to the next, s; the strip current recharges the MCP all along.
-    ion_events_per_s_cm2, ion_event_size_pe, gate_s
-        Rate and mean size (detected photoelectrons) of ion pulses while the gate is open.
-    stages
-        MCPs in the stack; all numbers are those of the stack, see `stack_gain_and_shape`.
-    pattern_contrast, pattern_pitch_um, line_um
-        Depth, pitch and width of the lines of lower gain where the MCP's multi-fibres meet; the mean gain is `gain`.
-    depletion_blur_um
-        Width of the neighbourhood whose own output lowers the gain of a place; None: the whole MCP's mean does.
-    recovery_ms
-        Time constant with which channels recharge, ms.
-    gain_map
-        Gain over `gain`, shape (row, col), of an MCP under a known load; None for none.
+class MicrochannelPlate(Stage, slot=Slot.MCP, takes="photoelectrons at the plate", emits="electrons"):
+    """Microchannel plate, or a stack of MCPs: all numbers are those of the stack.
 
     Notes
     -----
@@ -111,26 +27,65 @@ class MicrochannelPlate:
     output is G/p times gamma(shape n)/shape with n ~ Poisson(p m), exact at every level. Variance over mean is
     G F^2 with F^2 = (1 + 1/shape)/p. Gain saturates over the whole MCP alike, G / (1 + j/j_s), j the mean output, or
     with `depletion_blur_um` place by place, j the blurred output: flat light sees the same gain, a bright core less.
+    In changing light the state u of the channels, whose gain is G / (1 + u), follows the load j/j_s with the channels'
+    time constant, du/dt = (load - u)/tau. The map u is carried by the caller; None is an MCP that has rested.
     """
 
-    detection_probability: float
+    detection_probability: float  # fraction of the photoelectrons that start a pulse, dimensionless
+    # Shape of the gamma (Polya) law of pulse heights; 1 is exponential. Its relative variance is 1/shape.
     pulse_height_shape: float
-    gain: float
-    saturation_e_per_s_cm2: float
-    field_s: float
+    gain: float  # electrons out per photoelectron in, the undetected counted, at low current
+    saturation_e_per_s_cm2: float  # output current at which the gain has halved, electrons per s and cm2
+    field_s: float  # time from one exposure to the next, s; the strip current recharges the MCP all along
+    # Rate and mean size (detected photoelectrons) of ion pulses while the gate is open.
     ion_events_per_s_cm2: float = 0.0
     ion_event_size_pe: float = 0.0
     gate_s: float = 0.0
-    stages: int = 1
+    # Depth, pitch and width of the lines of lower gain where the MCP's multi-fibres meet; the mean gain is `gain`.
     pattern_contrast: float = 0.0
     pattern_pitch_um: float = 700.0
     line_um: float = 6.0
+    # Width of the neighbourhood whose own output lowers the gain of a place; None: the whole MCP's mean does.
     depletion_blur_um: float | None = None
-    recovery_ms: float = 10.0
+    recovery_ms: float = 10.0  # time constant with which channels recharge, ms
+    # Gain over `gain`, shape (row, col), of an MCP under a known load; None for none.
     gain_map: NDArray[np.floating] | None = field(default=None, compare=False)
-    name: str = "microchannel plate"
-    takes: str = "photoelectrons at the plate"
-    emits: str = "electrons"
+    # Whether a normal law of the same mean and variance stands for that of the sum of many pulses.
+    normal_law: bool = False
+    effects: ClassVar = {
+        "plate saturation": {"saturation_e_per_s_cm2": np.inf},
+        "local depletion": {"depletion_blur_um": None},
+        "ion events": {"ion_events_per_s_cm2": 0.0},
+        "multi-fibre pattern": {"pattern_contrast": 0.0},
+        "pulse-height law": {"normal_law": True},
+    }
+
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the MCP at the voltage or control word of the conditions.
+
+        Raises
+        ------
+        BadInput
+            If the conditions set the MCP twice, or a gain that a tube does not have.
+        """
+        if conditions.em_gain is not None:
+            raise BadInput(f"em_gain must be left out of a camera with a tube, got {conditions.em_gain:g}")
+        sensor, plate = camera.description, camera.description.microchannel_plate
+        gain = tube_photometry.photons_per_photoelectron(sensor) / float(sensor.phosphor.photons_per_electron)
+        strip = float(plate.strip_current_ua_per_cm2) * float(plate.saturation_fraction) * 1e-6
+        return values_of(
+            cls,
+            plate,
+            gain=gain * tube_photometry.gain_factor(sensor, conditions.mcp_v, conditions.gain_control),
+            saturation_e_per_s_cm2=strip / tube_photometry.ELEMENTARY_CHARGE_C,
+            field_s=camera.field_s,
+            gate_s=camera.open_s(conditions),
+            ion_events_per_s_cm2=float(plate.ion_event_rate_per_s_cm2),
+            line_um=float(plate.channel_pitch_um),
+            depletion_blur_um=float(plate.saturation_blur_um),
+            recovery_ms=float(plate.channel_recovery_ms),
+        )
 
     def __post_init__(self) -> None:
         if not 0.0 < self.detection_probability <= 1.0:
@@ -140,25 +95,39 @@ class MicrochannelPlate:
                 f"pulse_height_shape must be positive and gain not negative, got {self.pulse_height_shape:g} "
                 f"and {self.gain:g}"
             )
-        if self.stages < 1:
-            raise BadInput(f"a plate must have at least one stage, got {self.stages}")
         if not 0.0 <= self.pattern_contrast < 1.0:
             raise BadInput(f"pattern_contrast must lie in [0, 1), got {self.pattern_contrast:g}")
-
-    @property
-    def depletion(self) -> Depletion:
-        """What light takes from the channels of a place."""
-        return Depletion(
-            saturation_e_per_s_cm2=self.saturation_e_per_s_cm2,
-            blur_um=self.depletion_blur_um or 0.0,
-            recovery_ms=self.recovery_ms,
-            field_s=self.field_s,
-        )
+        for name in ("saturation_e_per_s_cm2", "recovery_ms", "field_s"):
+            if not getattr(self, name) > 0.0:
+                raise BadInput(f"{name} must be positive, got {getattr(self, name):g}")
+        if not (self.depletion_blur_um or 0.0) >= 0.0:
+            raise BadInput(f"depletion_blur_um must not be negative, got {self.depletion_blur_um:g}")
 
     @property
     def excess_noise_factor(self) -> float:
         """F^2 = (1 + relative variance of pulse heights)/p, dimensionless."""
         return (1.0 + 1.0 / self.pulse_height_shape) / self.detection_probability
+
+    def load(self, photoelectrons: Map, grid: Grid) -> Map:
+        """Return the load of each cell's neighbourhood by photoelectrons per cell and exposure, (..., row, col)."""
+        from scipy.ndimage import gaussian_filter
+
+        width_mm = (self.depletion_blur_um or 0.0) * 1e-3
+        per_cell = self.saturation_e_per_s_cm2 * grid.cell_area_cm2 * self.field_s
+        widths = width_mm / grid.pitch_y_mm * grid.per_row, width_mm / grid.pitch_x_mm * grid.per_column
+        output = np.asarray(self.gain * photoelectrons, np.float64)
+        return gaussian_filter(output, (*(0.0 for _ in output.shape[:-2]), *widths), mode="nearest") / per_cell
+
+    def states_under(self, state: Map | None, load: Map) -> tuple[Map, Map]:
+        """Return the mean state of the channels over a field under a load, and the state at its end."""
+        fade = self.field_s / (self.recovery_ms * 1e-3)
+        mean, end = -np.expm1(-fade) / fade, np.exp(-fade)
+        before = 0.0 if state is None else state
+        return load * (1.0 - mean) + before * mean, load * (1.0 - end) + before * end
+
+    def with_depletion(self, state: Map) -> "MicrochannelPlate":
+        """Return the MCP whose channels are in a state, shape (row, col)."""
+        return replace(self, gain_map=(1.0 / (1.0 + state)).astype(np.float32), saturation_e_per_s_cm2=np.inf)
 
     def gain_under_load(self, light: StageImage) -> NDArray[np.float64]:
         """Gain under the load of an image, electrons per photoelectron, (..., 1, 1), or a map (..., row, col)."""
@@ -167,9 +136,7 @@ class MicrochannelPlate:
         if self.gain_map is not None:
             return np.asarray(self.gain * self.gain_map, np.float64)
         if self.depletion_blur_um is not None and np.isfinite(self.saturation_e_per_s_cm2):
-            depletion = self.depletion
-            left = depletion.gain(depletion.load(self.gain * light.values, light.grid))
-            return np.asarray(self.gain * left, np.float64)
+            return np.asarray(self.gain * (1.0 / (1.0 + self.load(light.values, light.grid))), np.float64)
         per_cell = light.values.mean(axis=(-2, -1), keepdims=True, dtype=np.float64)
         output = self.gain * per_cell / light.grid.cell_area_cm2 / self.field_s
         return self.gain / (1.0 + output / self.saturation_e_per_s_cm2)
@@ -182,30 +149,16 @@ class MicrochannelPlate:
             return replace(part, gain=float(loaded.mean()))
         return replace(part, gain_map=(loaded / self.gain).astype(np.float32) if self.gain > 0.0 else None)
 
-    def with_depletion(self, state: NDArray[np.floating]) -> "MicrochannelPlate":
-        """Return the MCP whose channels are in a state of `Depletion`, shape (row, col)."""
-        left = self.depletion.gain(state).astype(np.float32)
-        return replace(self, gain_map=left, saturation_e_per_s_cm2=np.inf)
-
-    def _multifibres(self, light: StageImage) -> NDArray[np.float32] | None:
-        if self.pattern_contrast == 0.0 or light.grid is None:
-            return None
-        return pattern.multifibre_gain(
-            light.grid, self.pattern_contrast, self.pattern_pitch_um * 1e-3, self.line_um * 1e-3
-        )
-
     def ions_per_cell(self, light: StageImage) -> float:
+        """Return the expected ion events per cell and exposure."""
         area = 0.0 if light.grid is None else light.grid.cell_area_cm2
         return self.ion_events_per_s_cm2 * self.gate_s * area
 
     def mean(self, light: StageImage) -> StageImage:
         """Return the expected electrons per cell."""
-        gain = self.gain_under_load(light).astype(np.float32)
         ions = self.ions_per_cell(light) * self.ion_event_size_pe / self.detection_probability
-        electrons = (light.values + np.float32(ions)) * gain
-        if (multifibres := self._multifibres(light)) is not None:
-            electrons *= multifibres
-        return light.with_values(electrons)
+        electrons = (light.values + np.float32(ions)) * self.gain_under_load(light).astype(np.float32)
+        return light.with_values(self._with_multifibres(electrons, light.grid))
 
     def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return electrons per cell, each photoelectron detected or lost, each pulse of its own height.
@@ -213,45 +166,47 @@ class MicrochannelPlate:
         Where resampling has left a ripple below zero, the ripple passes with the mean gain and no noise, so that it
         still cancels further on.
         """
-        from simulate.iiccd import pulse_sampling
+        from simulate.iiccd.random_numbers import poisson_numbers
 
         detected = light.values * np.float32(self.detection_probability)
-        pulses = pulse_sampling.pulse_sums(rng, detected, self.pulse_height_shape)
-        self._add_ions(pulses, self.ions_per_cell(light), rng)
-        height = (self.gain_under_load(light) / self.detection_probability).astype(np.float32)
-        if detected.min() < 0.0:
-            pulses += np.minimum(detected, 0.0)
-        pulses *= height
-        if (multifibres := self._multifibres(light)) is not None:
-            pulses *= multifibres
-        return light.with_values(pulses)
+        pulses = poisson_numbers(rng.integers(2**64, dtype=np.uint64), detected)
+        ions = rng.poisson(self.ions_per_cell(light) * pulses.size)
+        np.add.at(pulses.reshape(-1), rng.integers(pulses.size, size=ions), rng.poisson(self.ion_event_size_pe, ions))
+        electrons = rng.standard_gamma(pulses * np.float32(self.pulse_height_shape), dtype=np.float32)
+        electrons /= np.float32(self.pulse_height_shape)
+        electrons += np.minimum(detected, 0.0)
+        electrons *= (self.gain_under_load(light) / self.detection_probability).astype(np.float32)
+        return light.with_values(self._with_multifibres(electrons, light.grid))
 
-    def _add_ions(self, pulses: NDArray[np.float32], per_cell: float, rng: np.random.Generator) -> None:
-        """Add ion pulses at random cells, each a Poisson number of photoelectrons."""
-        where = rng.integers(pulses.size, size=rng.poisson(per_cell * pulses.size))
-        size = rng.poisson(self.ion_event_size_pe, size=len(where)) * self.pulse_height_shape
-        np.add.at(pulses.reshape(-1), where, (rng.gamma(size) / self.pulse_height_shape).astype(np.float32))
+    def _with_multifibres(self, electrons: NDArray[np.float32], grid: Grid | None) -> NDArray[np.float32]:
+        if self.pattern_contrast == 0.0 or grid is None:
+            return electrons
+        pitch_mm, line_mm = self.pattern_pitch_um * 1e-3, self.line_um * 1e-3
+        return electrons * pattern.multifibre_gain(grid, self.pattern_contrast, pitch_mm, line_mm)
 
+    def bounds(self, budget: Any) -> dict[str, float]:
+        """Return the influence of saturation, depletion, ions, pattern and law of the pulse heights.
 
-def stack_gain_and_shape(gains: Sequence[float], shapes: Sequence[float]) -> tuple[float, float]:
-    """Return the gain and the pulse-height shape of a stack of MCPs.
-
-    Parameters
-    ----------
-    gains
-        Electrons out of each MCP per electron that starts a pulse in it, in the order of the light.
-    shapes
-        Pulse-height shapes of each.
-
-    Notes
-    -----
-    Gains multiply; the relative variance of a cascade is v1 + v2/G1 + v3/(G1 G2) + ... (Burgess, Disc. Faraday Soc. 28,
-    151, 1959): the first MCP decides. The heights of the stack are taken as gamma of that variance.
-    """
-    before, variance = 1.0, 0.0
-    for gain, shape in zip(gains, shapes, strict=True):
-        if not (gain > 0.0 and shape > 0.0):
-            raise BadInput(f"gains and shapes of a stack must be positive, got {gain:g} and {shape:g}")
-        variance += 1.0 / shape / before
-        before *= gain
-    return before, 1.0 / variance
+        Notes
+        -----
+        An ion event is seen by as many pixels as its light is spread over, about three times the reciprocal of what
+        blur leaves of the variance, in as many fields as the phosphor remembers. A chance p of that shifts the level
+        that normal noise exceeds with a chance q by p/(q z).
+        """
+        mean, pixels = budget.mean_load, 3.0 / budget.blurs[0]
+        found = {"plate saturation": budget.of_gain(mean)}
+        if self.depletion_blur_um is not None:
+            near = budget.with_blur(Neighbourhood(sigma_um=self.depletion_blur_um))
+            local = np.maximum(budget.load(near), 0.0)
+            # Relative to whichever gain is the lower.
+            found["local depletion"] = budget.of_gain((local - mean) / (1.0 + np.minimum(local, mean)))
+            found["plate saturation"] = max(found["plate saturation"], budget.of_gain(local))
+        fields = 1 + int(np.sum(budget.of_chain.shares.mean(axis=0)[1:] > 0.01))
+        pushed = min(budget.ions * pixels * fields / budget.RARE / budget.RARE_SD, 1.0)
+        ion_mean = budget.of_mean(budget.ions * self.ion_event_size_pe / self.detection_probability)
+        return {
+            **found,
+            "ion events": max(budget.of_variance(budget.of_ions) + ion_mean, pushed),
+            "multi-fibre pattern": self.pattern_contrast * budget.of_gain(1.0),
+            "pulse-height law": budget.of_skewness(budget.mean_pe),
+        }

@@ -1,5 +1,6 @@
 """Fixed patterns: phosphor granularity, multi-fibre patterns, PRNU and DSNU."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -12,19 +13,17 @@ from simulate.iiccd.grid import Grid, irfft_image, rfft_image
 GRANULARITY_MM = 0.06
 
 
-def _split_rows(grid: Grid) -> Grid:
-    return replace(grid, per_row=2, shape=(2 * grid.shape[0], grid.shape[1]))
-
-
-def _row_means(cells: NDArray[np.float32]) -> NDArray[np.float32]:
-    return read_only(cells.reshape(-1, 2, cells.shape[1]).mean(axis=1, dtype=np.float32))
+def _in_whole_rows(draw: Callable[..., NDArray[np.float32]], grid: Grid, *values: float) -> NDArray[np.float32]:
+    """The pattern on cells one row high: means of those half as high."""
+    halves = draw(replace(grid, per_row=2, shape=(2 * grid.shape[0], grid.shape[1])), *values)
+    return read_only(halves.reshape(-1, 2, halves.shape[1]).mean(axis=1, dtype=np.float32))
 
 
 @lru_cache(maxsize=4)
 def phosphor_granularity(grid: Grid, relative_sd: float, pattern_seed: int) -> NDArray[np.float32]:
     """Return the phosphor's gain on cells, mean 1, Gaussian with correlation length `GRANULARITY_MM` at the cathode."""
     if grid.per_row == 1:
-        return _row_means(phosphor_granularity(_split_rows(grid), relative_sd, pattern_seed))
+        return _in_whole_rows(phosphor_granularity, grid, relative_sd, pattern_seed)
     rng = np.random.default_rng([pattern_seed, 1])
     fx, fy = grid.frequencies()
     grain = np.exp(-2.0 * (np.pi * GRANULARITY_MM * np.hypot(fx, fy)) ** 2)
@@ -42,7 +41,7 @@ def multifibre_transmission(
     Hexagons of a pitch and a line width at the small end, laid out on cells at the photocathode.
     """
     if grid.per_row == 1:
-        return _row_means(multifibre_transmission(_split_rows(grid), contrast, pitch_mm, line_mm, demagnification))
+        return _in_whole_rows(multifibre_transmission, grid, contrast, pitch_mm, line_mm, demagnification)
     rows, columns = (np.arange(n, dtype=np.float64) for n in grid.shape)
     y = rows[:, None] * (grid.pitch_y_mm / grid.per_row / demagnification / pitch_mm)
     x = columns[None, :] * (grid.pitch_x_mm / grid.per_column / demagnification / pitch_mm)

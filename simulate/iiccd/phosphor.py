@@ -1,41 +1,50 @@
-"""Phosphor: electrons become photons, spread laterally and decay over later fields."""
+"""Phosphor: electrons become photons, spread laterally and decay over later fields.
 
+A decay law is a sum of exponentials, `decay_components`: the frames of all samplers, and the bounds, follow from it.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.iiccd import pattern
-from simulate.iiccd.accuracy import ACCURACY
-from simulate.iiccd.stage_image import NoiselessStage, StageImage
-from simulate.iiccd.transfer import StageBlur
+from simulate.iiccd.chain import Slot, Stage, values_of
+from simulate.iiccd.grid import ACCURACY, CameraFrame
+from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.transfer import StageBlur, TubeShare
+
+# Weight of each component at the start of the decay, dimensionless, and its time constant, s.
+Components = tuple[tuple[float, float], ...]
+
+
+def decay_components(phosphor: Any) -> Components:
+    """Return the decay law of a described phosphor as exponentials: here a fast and a slow one."""
+    fast = float(phosphor.fast_fraction)
+    return (fast, float(phosphor.fast_decay_ms) * 1e-3), (1.0 - fast, float(phosphor.slow_decay_ms) * 1e-3)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Phosphor(NoiselessStage):
-    """Phosphor with all the spread between the MCP's input and the fibre window.
+class Phosphor(Stage, slot=Slot.PHOSPHOR, takes="electrons", emits="screen photons"):
+    """Phosphor with all the spread between the MCP's input and the fibre window."""
 
-    Parameters
-    ----------
-    photons_per_electron
-        Photons out of the window per electron that leaves the MCP.
-    spread
-        Blur after the gain: whole pulses are spread, so that neighbouring pixels share their noise.
-    gain_nonuniformity
-        Relative standard deviation of the phosphor's granularity, dimensionless.
-    pattern_seed
-        Seed of the granularity: the same device always has the same.
-    """
+    photons_per_electron: float  # photons out of the window per electron that leaves the MCP
+    spread: StageBlur  # blur after the gain: whole pulses are spread, so that neighbouring pixels share their noise
+    gain_nonuniformity: float = 0.0  # relative standard deviation of the phosphor's granularity, dimensionless
+    pattern_seed: int = 0  # seed of the granularity: the same device always has the same
+    effects: ClassVar = {"screen mottle": {"gain_nonuniformity": 0.0}}
 
-    photons_per_electron: float
-    spread: StageBlur
-    gain_nonuniformity: float = 0.0
-    pattern_seed: int = 0
-    name: str = "phosphor"
-    takes: str = "electrons"
-    emits: str = "screen photons"
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the phosphor of a camera, with the share of the tube's blur behind the gain."""
+        tube = camera.description.tube
+        spread = TubeShare.of(tube, float(tube.post_gain_share))
+        return values_of(cls, camera.description.phosphor, spread=spread, pattern_seed=camera.pattern_seed)
 
     def mean(self, light: StageImage) -> StageImage:
         """Return photons per cell, with the spread pending."""
@@ -44,41 +53,39 @@ class Phosphor(NoiselessStage):
             values *= pattern.phosphor_granularity(light.grid, self.gain_nonuniformity, self.pattern_seed)
         return light.with_values(values).with_blurs(self.spread)
 
+    def bounds(self, budget: Any) -> dict[str, float]:
+        """Return the influence of the granularity: a change of gain by its largest value."""
+        cells = budget.camera.cells
+        grains = budget.mean_pe.size * cells.pitch_x_mm * cells.pitch_y_mm / pattern.GRANULARITY_MM**2
+        return {"screen mottle": budget.extreme(2.0 * grains) * self.gain_nonuniformity * budget.of_gain(1.0)}
+
 
 @dataclass(frozen=True, kw_only=True)
-class PhosphorDecay(NoiselessStage):
+class PhosphorDecay(Stage, slot=Slot.DECAY, takes="screen photons on pixels", emits="screen photons on pixels"):
     """The phosphor's decay, field by field.
 
     It commutes with the linear optics behind the phosphor and stands after them, where images are small.
-
-    Parameters
-    ----------
-    fast_fraction
-        Fraction of the fast component in the light at the start of the decay, dimensionless.
-    fast_decay_ms, slow_decay_ms
-        Time constants, ms.
-    gate_s
-        Time that the gate is open at the start of each field, s.
-    field_s
-        Time from one field to the next, s.
 
     Notes
     -----
     A pulse that arrives u before the end of its field T leaves sum_i a_i exp(-u/tau_i) of its light to later fields,
     a_i the components' fractions of the light, tau_i their time constants. Pulses arrive evenly over the gate, so the
     fractions differ from pulse to pulse; that matters for the noise, whose fraction in one field is the mean square. A
-    field is therefore drawn in two halves, early and late, whose fractions are the mean plus and minus the leading
-    component of the fractions' covariance: their mean is exact, and their mean products are so to about one per cent.
+    field of the stage-by-stage chain is therefore drawn in two halves, early and late, whose fractions are the mean
+    plus and minus the leading component of the fractions' covariance: their mean is exact, and their mean products are
+    so to about one per cent.
     """
 
-    fast_fraction: float
-    fast_decay_ms: float
-    slow_decay_ms: float
-    gate_s: float
-    field_s: float
-    name: str = "afterglow"
-    takes: str = "screen photons on pixels"
-    emits: str = "screen photons on pixels"
+    components: Components  # decay law, see `decay_components`
+    gate_s: float  # time that the gate is open at the start of each field, s
+    field_s: float  # time from one field to the next, s
+    effects: ClassVar = {"afterglow": {"components": ((1.0, 0.0),)}}
+
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the decay of a camera's phosphor."""
+        components = decay_components(camera.description.phosphor)
+        return cls(components=components, gate_s=camera.open_s(conditions), field_s=camera.field_s)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.gate_s <= self.field_s * (1.0 + 1e-6):
@@ -88,19 +95,71 @@ class PhosphorDecay(NoiselessStage):
             )
 
     @cached_property
+    def arrivals(self) -> NDArray[np.float64]:
+        """Evenly spaced arrival times over which decay is averaged, as fractions of the gate."""
+        return (np.arange(ACCURACY.n_arrival_times) + 0.5) / ACCURACY.n_arrival_times
+
+    def left(self, arrival: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the fraction that each component leaves of pulses to later fields, shape (component, pulse)."""
+        weight, tau = self._weight, self._tau
+        share = weight * tau
+        ends = np.exp(-(self.field_s - self.gate_s * arrival) / tau[:, None])
+        return share[:, None] / share.sum() * ends
+
+    @property
+    def _weight(self) -> NDArray[np.float64]:
+        return np.array([weight for weight, _ in self.components])
+
+    @property
+    def _tau(self) -> NDArray[np.float64]:
+        # A phosphor without decay is one whose decay is far below any gate.
+        return np.maximum(np.array([tau for _, tau in self.components]), 1e-12)
+
+    @property
+    def kept(self) -> NDArray[np.float64]:
+        """Fraction of what each component stores that stays stored for one field more, shape (component,)."""
+        return np.exp(-self.field_s / self._tau)
+
+    @cached_property
+    def lasting(self) -> NDArray[np.bool_]:
+        """Which components leave any light to later fields, shape (component,)."""
+        return self.left(self.arrivals).mean(axis=1) > ACCURACY.min_stored_fraction
+
+    def left_by_lasting(self, arrival: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return what lasting components leave of pulses by their arrival, a fraction of the gate."""
+        return self.left(arrival)[self.lasting].astype(np.float32)
+
+    @cached_property
+    def recursion(self) -> NDArray[np.float32]:
+        """Mean fraction stored, its spread, and fraction kept, of each lasting component, shape (3, component).
+
+        Notes
+        -----
+        The spread of each component over arrival times is its regression on what all leave together, so that the
+        variance of the field and its covariance with later ones are exact.
+        """
+        left = self.left(self.arrivals)
+        later, together = left.mean(axis=1), left.sum(axis=0)
+        spread = (left - later[:, None]) @ together / together.size / (float(together.std()) or 1.0)
+        return np.stack([later, spread, self.kept]).astype(np.float32)[:, self.lasting]
+
+    @cached_property
+    def lateness(self) -> float:
+        """Skewness over arrival times of what all components leave together, dimensionless."""
+        together = self.left(self.arrivals).sum(axis=0)
+        scatter = float(together.std())
+        return float(np.mean(((together - together.mean()) / scatter) ** 3)) if scatter > 1e-30 else 0.0
+
+    @cached_property
     def pulse_shares(self) -> NDArray[np.float64]:
         """Fractions of the light of pulses at evenly spaced times, shape (pulse, field), each summing to 1.
 
         Field 0 is the pulse's own. What comes later than the last field is on average less than
         `Accuracy.max_lag_fraction` and is added to it."""
-        # A phosphor without decay is one whose decay is far below any gate.
-        tau = np.maximum(np.array([self.fast_decay_ms, self.slow_decay_ms]) * 1e-3, 1e-12)
-        share = np.array([self.fast_fraction, 1.0 - self.fast_fraction]) * tau
-        arrival = self.gate_s * (np.arange(ACCURACY.n_arrival_times) + 0.5) / ACCURACY.n_arrival_times
         # The slowest component alone has faded below what is forgotten after so many fields.
-        longest = int(np.ceil(tau.max() / self.field_s * np.log(1.0 / ACCURACY.max_lag_fraction))) + 2
-        ends = self.field_s * np.arange(1.0, longest + 1)
-        late = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (share / share.sum())
+        forgotten = np.log(1.0 / ACCURACY.max_lag_fraction)
+        longest = int(np.ceil(self._tau.max() / self.field_s * forgotten)) + 2
+        late = self.left(self.arrivals).T @ self.kept[:, None] ** np.arange(longest)
         last = int(np.argmax(late.mean(axis=0) < ACCURACY.max_lag_fraction))
         late[:, last:] = 0.0
         return -np.diff(late[:, : last + 1], axis=1, prepend=1.0)
@@ -109,6 +168,11 @@ class PhosphorDecay(NoiselessStage):
     def weights(self) -> NDArray[np.float64]:
         """Mean fraction of a field's light that comes out in field j after it, shape (field,), summing to 1."""
         return self.pulse_shares.mean(axis=0)
+
+    @property
+    def n_lag_fields(self) -> int:
+        """Number of earlier fields that contribute to a field (lag fields)."""
+        return len(self.weights) - 1
 
     @cached_property
     def halves(self) -> NDArray[np.float64]:
@@ -124,11 +188,6 @@ class PhosphorDecay(NoiselessStage):
         later = 1.0 - np.cumsum(self.weights)
         return np.pad(later, (0, max(0, fields - len(later))))[:fields]
 
-    @property
-    def n_lag_fields(self) -> int:
-        """Number of earlier fields that contribute to a field (lag fields)."""
-        return len(self.weights) - 1
-
     def mean(self, light: StageImage) -> StageImage:
         """Return the light that each field emits, earlier fields included.
 
@@ -138,41 +197,42 @@ class PhosphorDecay(NoiselessStage):
         fields = light.values
         if fields.ndim < 3:
             return light
-        before = np.repeat(fields[:1], self.n_lag_fields, axis=0)
-        shares = self.weights if fields.ndim == 3 else self.halves
-        return light.with_values(apply_phosphor_decay(np.concatenate([before, fields]), shares))
+        before = [fields[0]] * self.n_lag_fields
+        return light.with_values(
+            apply_phosphor_decay([*before, *fields], self.weights if fields.ndim == 3 else self.halves)
+        )
+
+    def bounds(self, budget: Any) -> dict[str, float]:
+        """Return the influence of decay: without it the noise of each field is larger and fields are uncorrelated."""
+        share = float(np.max(budget.of_pulses / budget.variance))
+        second, third = budget.of_chain.decay
+        together = budget.of_chain.next_field / second
+        grown = np.sqrt(1.0 + share * (1.0 / second - 1.0)) - 1.0
+        skewed = budget.of_skewness(budget.mean_pe) * abs(1.0 - second**1.5 / third)
+        return {"afterglow": max(float(grown) + skewed, together * share)}
 
 
-def apply_phosphor_decay(
-    fields: NDArray, shares: NDArray[np.float64], order: NDArray[np.integer] | None = None
-) -> NDArray:
+def apply_phosphor_decay(fields: Sequence[NDArray] | NDArray, shares: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return the light emitted in each field that has all its lag fields, shape (field, row, col).
 
     Parameters
     ----------
     fields
-        Fields, shape (field, row, col), or (field, half, row, col) with fractions of each half.
+        Images in the order of time, each of shape (row, col), or (half, row, col) with fractions of each half.
     shares
         Fraction of a field's light in field j after it, shape (m,) or (half, m).
-    order
-        Indices of the fields in the order of time, shape (field,); as they stand if None.
 
     Notes
     -----
     sum_j fractions[j] fields[n - j], summed over halves.
     """
-    by_half = np.atleast_2d(shares)
-    halves, fields_seen = by_half.shape
-    slots = np.arange(len(fields)) if order is None else order
-    images = fields.astype(np.float32, copy=False).reshape(-1, *fields.shape[-2:])
-    # Latest field first, its halves side by side, as the images lie in memory.
-    weights = by_half.T.ravel()
+    weights = np.atleast_2d(shares).T.astype(np.float32)
     shown = []
-    for n in range(fields_seen - 1, len(fields)):
-        latest_first = slots[n - fields_seen + 1 : n + 1][::-1]
-        which = (latest_first[:, None] * halves + np.arange(halves)).ravel()
-        total = np.zeros(images.shape[1:], np.float32)
-        for image, weight in zip(which, weights.astype(np.float32), strict=True):
-            total += weight * images[image]
+    for n in range(len(weights) - 1, len(fields)):
+        total = np.zeros(fields[n].shape[-2:], np.float32)
+        for back, of_halves in enumerate(weights):
+            halves = np.asarray(fields[n - back], np.float32).reshape(-1, *total.shape)
+            for weight, half in zip(of_halves, halves, strict=True):
+                total += weight * half
         shown.append(total)
     return np.stack(shown)

@@ -1,31 +1,22 @@
 """Photocathode and proximity gap: photons become photoelectrons, with gap spread, halo and bright-source protection."""
 
 from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.iiccd.grid import Grid
-from simulate.iiccd.stage_image import NoiselessStage, StageImage
-from simulate.iiccd.transfer import GapSpread, StageBlur
+from simulate.iiccd import tube_photometry
+from simulate.iiccd.chain import Slot, Stage, values_of
+from simulate.iiccd.grid import CameraFrame, Grid
+from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.transfer import GapSpread, HaloBlur, StageBlur, TubeShare
 
 
 @dataclass(frozen=True, kw_only=True)
-class Photocathode(NoiselessStage):
+class Photocathode(Stage, slot=Slot.PHOTOCATHODE, takes="photons", emits="photoelectrons"):
     """Photocathode behind an electronic gate.
-
-    Parameters
-    ----------
-    quantum_efficiency
-        Photoelectrons per photon at the wavelength to which the photons have been referred, dimensionless.
-    gate_s
-        Time the gate is open in one exposure, s.
-    ebi_per_s_cm2
-        Photoelectrons emitted in the dark (equivalent background illumination), per s and cm2.
-    on_off_ratio
-        What passes the open gate over what passes the shut one, in light and in the dark alike, dimensionless.
-    field_s
-        Time from one exposure to the next, s: while the gate is shut, light leaks for the rest of it.
 
     Raises
     ------
@@ -39,14 +30,28 @@ class Photocathode(NoiselessStage):
     and the gap act on the mean and the MCP draws (displacement theorem, Kingman, Poisson Processes, 5.1).
     """
 
+    # Photoelectrons per photon at the wavelength to which the photons have been referred, dimensionless.
     quantum_efficiency: float
-    gate_s: float
-    ebi_per_s_cm2: float
+    gate_s: float  # time the gate is open in one exposure, s
+    ebi_per_s_cm2: float  # photoelectrons emitted in the dark (equivalent background illumination), per s and cm2
+    # What passes the open gate over what passes the shut one, in light and in the dark alike, dimensionless.
     on_off_ratio: float = np.inf
+    # Time from one exposure to the next, s: while the gate is shut, light leaks for the rest of it.
     field_s: float = 0.0
-    name: str = "photocathode"
-    takes: str = "photons"
-    emits: str = "photoelectrons"
+    effects: ClassVar = {"dark emission": {"ebi_per_s_cm2": 0.0}}
+
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the photocathode; photons are referred to the wavelength where its efficiency peaks."""
+        sensor = camera.description
+        table_nm = sensor.photocathode.wavelength_nm
+        return cls(
+            quantum_efficiency=float(tube_photometry.quantum_efficiency(sensor, table_nm).max()),
+            gate_s=camera.open_s(conditions),
+            ebi_per_s_cm2=tube_photometry.ebi_per_s_cm2(sensor, conditions.temperature_c),
+            on_off_ratio=float(sensor.photocathode.gate_on_off_ratio),
+            field_s=camera.field_s,
+        )
 
     def __post_init__(self) -> None:
         if not self.gate_s > 0.0:
@@ -65,52 +70,14 @@ class Photocathode(NoiselessStage):
         rate = self.quantum_efficiency * light.values + np.asarray(dark, light.values.dtype)
         return light.with_values(rate * np.asarray(self.open_s, light.values.dtype))
 
-
-@dataclass(frozen=True, kw_only=True)
-class ProximityGap(NoiselessStage):
-    """Proximity gap between cathode and MCP, with the halo of backscattered electrons.
-
-    Parameters
-    ----------
-    spread, halo
-        Blur of the direct electrons and of those backscattered from the MCP.
-    grid
-        Cells on which the MCP receives them.
-    protection
-        Blur that protection from a bright source adds; None without.
-    """
-
-    spread: StageBlur
-    halo: StageBlur
-    grid: Grid
-    protection: StageBlur | None = None
-    name: str = "gap"
-    takes: str = "photoelectrons"
-    emits: str = "photoelectrons at the plate"
-
-    def mean(self, light: StageImage) -> StageImage:
-        """Return the expected photoelectrons per cell of the MCP, pending blurs applied."""
-        further = () if self.protection is None else (self.protection,)
-        landing = light.with_blurs(self.spread, self.halo, *further)
-        return landing.with_blurs_applied() if light.grid == self.grid else landing.resample_to(self.grid)
+    def bounds(self, budget: Any) -> dict[str, float]:
+        """Return the influence of dark emission, by its mean, its noise and its pulses' skewness."""
+        return {"dark emission": budget.of_light(budget.dark_pe) + budget.of_skewness(budget.dark_pe)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class BrightSourceProtection:
     """Supply of the photocathode behind its series resistor.
-
-    Parameters
-    ----------
-    gap_v
-        Voltage across the gap in the dark, V.
-    protected_v
-        Voltage that the supply does not go below, V.
-    protected_lux
-        Illuminance, averaged over the cathode and over time, at which it has come down to that, lux.
-    gap_mm
-        Width of the gap, mm.
-    lateral_energy_ev
-        Energy with which photoelectrons leave across the axis, eV.
 
     Notes
     -----
@@ -119,23 +86,24 @@ class BrightSourceProtection:
     own MTF, so only the growth of rho^2 is a blur of its own. The halo's diameter, four gaps, knows no voltage.
     """
 
-    gap_v: float
-    protected_v: float
-    protected_lux: float
-    gap_mm: float
-    lateral_energy_ev: float
+    gap_v: float  # voltage across the gap in the dark, V
+    bright_source_v: float  # voltage that the supply does not go below, V
+    # Illuminance, averaged over the cathode and over time, at which it has come down to that, lux.
+    bright_source_lux: float
+    gap_mm: float  # width of the gap, mm
+    lateral_energy_ev: float  # energy with which photoelectrons leave across the axis, eV
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.protected_v <= self.gap_v:
+        if not 0.0 < self.bright_source_v <= self.gap_v:
             raise BadInput(
-                f"protected_v must be positive and at most gap_v, got {self.protected_v:g} and {self.gap_v:g}"
+                f"bright_source_v must be positive and at most gap_v, got {self.bright_source_v:g} and {self.gap_v:g}"
             )
-        if not self.protected_lux > 0.0:
-            raise BadInput(f"protected_lux must be positive, got {self.protected_lux:g}")
+        if not self.bright_source_lux > 0.0:
+            raise BadInput(f"bright_source_lux must be positive, got {self.bright_source_lux:g}")
 
     def voltage_v(self, cathode_lux: float) -> float:
         """Return the voltage across the gap under a mean illuminance, V."""
-        return self.gap_v - (self.gap_v - self.protected_v) * min(cathode_lux / self.protected_lux, 1.0)
+        return self.gap_v - (self.gap_v - self.bright_source_v) * min(cathode_lux / self.bright_source_lux, 1.0)
 
     def flight_um(self, voltage_v: float) -> float:
         """Return rho, how far off the axis photoelectrons land, um."""
@@ -145,3 +113,56 @@ class BrightSourceProtection:
         """Return the blur beyond that of the full voltage; None without light."""
         growth = self.flight_um(self.voltage_v(cathode_lux)) ** 2 - self.flight_um(self.gap_v) ** 2
         return GapSpread(radius_um=float(np.sqrt(growth))) if growth > 0.0 else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProximityGap(Stage, slot=Slot.GAP, takes="photoelectrons", emits="photoelectrons at the plate"):
+    """Proximity gap between cathode and MCP, with the halo of backscattered electrons."""
+
+    # Blur of the direct electrons and of those backscattered from the MCP; None without halo.
+    spread: StageBlur
+    halo: HaloBlur | None
+    grid: Grid  # cells on which the MCP receives them
+    supply: BrightSourceProtection | None = None  # protection from bright sources; None without
+    # Illuminance averaged over the cathode and over time, lux of 2856 K light that would draw the same current.
+    cathode_lux: float = 0.0
+    effects: ClassVar = {"halo": {"halo": None}, "bright-source protection": {"supply": None}}
+
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the gap of a tube in the dark, with the share of the tube's blur before the gain."""
+        sensor, cathode = camera.description, camera.description.photocathode
+        return cls(
+            spread=TubeShare.of(sensor.tube, 1.0 - float(sensor.tube.post_gain_share)),
+            halo=HaloBlur(
+                fraction=float(cathode.halo_fraction),
+                gap_mm=float(cathode.gap_mm),
+                elastic_share=float(cathode.halo_elastic_share),
+            ),
+            grid=camera.cells,
+            supply=values_of(BrightSourceProtection, cathode),
+        )
+
+    @property
+    def blurs(self) -> tuple[StageBlur, ...]:
+        """All blurs of the gap."""
+        protection = None if self.supply is None else self.supply.blur(self.cathode_lux)
+        return tuple(blur for blur in (self.spread, self.halo, protection) if blur is not None)
+
+    def mean(self, light: StageImage) -> StageImage:
+        """Return the expected photoelectrons per cell of the MCP, pending blurs applied."""
+        landing = light.with_blurs(*self.blurs)
+        return landing.with_blurs_applied() if light.grid == self.grid else landing.resample_to(self.grid)
+
+    def bounds(self, budget: Any) -> dict[str, float]:
+        """Return the influence of halo and protection: the change of the light by their blurs."""
+        assert self.halo is not None and self.supply is not None
+        scattered = HaloBlur(fraction=1.0, gap_mm=self.halo.gap_mm, elastic_share=self.halo.elastic_share)
+        protection = self.supply.blur(budget.cathode_lux)
+        moved, n = budget.with_blur(scattered) - budget.mean_pe, budget.mean_pe
+        return {
+            "halo": self.halo.fraction * budget.of_light(moved),
+            "bright-source protection": 0.0
+            if protection is None
+            else budget.of_light(budget.with_blur(protection) - n),
+        }

@@ -2,23 +2,21 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd.grid import Grid, irfft_image, rfft_image
-from simulate.iiccd.stage_image import NoiselessStage, StageImage
+from labdata.conditions import Conditions
+from simulate.iiccd.chain import Slot, Stage
+from simulate.iiccd.grid import CameraFrame, Grid, irfft_image, rfft_image
+from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import PixelAperture, StageBlur, fold_transfer, product
 
 
 @dataclass(frozen=True, kw_only=True)
-class Collection(NoiselessStage):
+class Collection(Stage, slot=Slot.PIXELS):
     """The pixels' aperture, summed over row pairs where fields are integrated.
-
-    Parameters
-    ----------
-    row_pairs
-        True: every frame row sums two rows of the chip. False: it is one row of the chip.
 
     Notes
     -----
@@ -27,10 +25,16 @@ class Collection(NoiselessStage):
     two per row for exact means. Cells one row high are for draws, see `pixel_transfer`.
     """
 
-    row_pairs: bool
-    name: str = "pixels"
+    row_pairs: bool  # true: every frame row sums two rows of the chip. False: it is one row of the chip
     takes: str = "screen photons"
     emits: str = "screen photons on pixels"
+
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the pixels of a camera."""
+        if camera.has_tube:
+            return cls(row_pairs=camera.is_interlaced)
+        return cls(row_pairs=False, takes="photoelectrons in the chip", emits="photoelectrons in the wells")
 
     def mean(self, light: StageImage) -> StageImage:
         """Return photons per pixel, shape (..., frame row, column)."""
@@ -50,23 +54,12 @@ class Collection(NoiselessStage):
 
 @lru_cache(maxsize=8)
 def pixel_transfer(pending: tuple[StageBlur, ...], grid: Grid, height: int) -> NDArray[np.complex64]:
-    """Return the transfer of blurs and pixels with the shift from cell centres to the centres of the pixels read.
+    """Return the transfer of blurs and pixels `height` rows high, with the shift from cell centres to theirs.
 
-    Parameters
-    ----------
-    pending_blurs
-        Blurs before the pixels.
-    grid
-        Cells.
-    height
-        Rows of the chip in a pixel as read.
-
-    Notes
-    -----
     Cells one row high are for draws: independent cells have the very covariance, on the pixels, of pulses that fall
     anywhere inside the cells, see `fold_transfer`.
     """
-    aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
+    aperture = PixelAperture.of(grid, height)
     fx, fy = grid.frequencies()
     if grid.per_row == 1:
         cell_x_mm = grid.pitch_x_mm / grid.per_column
@@ -93,7 +86,7 @@ def fold_columns(spectrum: NDArray) -> NDArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FieldReadout(NoiselessStage):
+class FieldReadout(Stage, slot=Slot.SCAN, takes="screen photons on pixels", emits="screen photons as read"):
     """The order of reading: frame row r is read in field r % 2 where video is interlaced.
 
     Takes (field, row, col) with two fields a frame, earlier field first, and emits (frame, row, col); without
@@ -101,9 +94,11 @@ class FieldReadout(NoiselessStage):
     """
 
     interlaced: bool
-    name: str = "scan"
-    takes: str = "screen photons on pixels"
-    emits: str = "screen photons as read"
+
+    @classmethod
+    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
+        """Return the order of reading of a camera."""
+        return cls(interlaced=camera.is_interlaced)
 
     def mean(self, light: StageImage) -> StageImage:
         """Return frames woven of their two fields."""

@@ -8,15 +8,12 @@ from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from labdata.solid_state import SolidStateCamera
 from simulate.iiccd import image_placement
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.solid_state import SiliconCamera
+from simulate.iiccd.camera import Camera, IntensifiedCamera, SiliconCamera
 from simulate.iiccd.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
 
-Camera = IntensifiedCamera | SiliconCamera
 
-
-def camera_from_description(description: Sensor | SolidStateCamera) -> Camera:
+def camera_from_description(description: Sensor | SolidStateCamera) -> IntensifiedCamera | SiliconCamera:
     """Return the camera with all effects: fibre geometry and local gain depletion included.
 
     The lab bench builds its own, without geometry: there a target's place on the frame is known.
@@ -27,37 +24,20 @@ def camera_from_description(description: Sensor | SolidStateCamera) -> Camera:
 
 
 def mcp_input_from_radiance(
-    camera: IntensifiedCamera | SiliconCamera,
-    cube: RadianceCube,
-    conditions: Conditions,
-    *,
-    distance_m: float | None = None,
+    camera: Camera, cube: RadianceCube, conditions: Conditions, *, distance_m: float | None = None
 ) -> StageImage:
-    """Return the expected photoelectrons at the MCP input, or in the chip of a camera without a tube, from radiance.
-
-    Arguments as for `photoelectrons_from_radiance`; dark photoelectrons are added, the gap spreads all.
-    """
-    return camera.to_mcp_input(
-        photoelectrons_from_radiance(camera, cube, conditions, distance_m=distance_m), conditions
-    )
+    """Return the expected photoelectrons at the MCP input; arguments as for `photoelectrons_from_radiance`."""
+    freed = photoelectrons_from_radiance(camera, cube, conditions, distance_m=distance_m)
+    return camera.to_mcp_input(freed, conditions)
 
 
-def mcp_input_from_photoelectrons(
-    camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating], conditions: Conditions
-) -> StageImage:
-    """Return the expected photoelectrons at the MCP input, or in the chip, from an image in photoelectrons.
-
-    Arguments as for `photoelectrons_from_image`; gate and temperature decide the dark emission that is added.
-    """
+def mcp_input_from_photoelectrons(camera: Camera, image_pe: NDArray[np.floating], conditions: Conditions) -> StageImage:
+    """Return the expected photoelectrons at the MCP input; the image is as for `photoelectrons_from_image`."""
     return camera.to_mcp_input(photoelectrons_from_image(camera, image_pe), conditions)
 
 
 def photoelectrons_from_radiance(
-    camera: IntensifiedCamera | SiliconCamera,
-    cube: RadianceCube,
-    conditions: Conditions,
-    *,
-    distance_m: float | None = None,
+    camera: Camera, cube: RadianceCube, conditions: Conditions, *, distance_m: float | None = None
 ) -> StageImage:
     """Return the expected photoelectrons of a scene of known radiance, per cell of `scene_cells` and exposure.
 
@@ -87,7 +67,7 @@ def photoelectrons_from_radiance(
     return camera.photoelectrons(lens.mean(cube), conditions)
 
 
-def photoelectrons_from_image(camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating]) -> StageImage:
+def photoelectrons_from_image(camera: Camera, image_pe: NDArray[np.floating]) -> StageImage:
     """Return an image in photoelectrons as photoelectrons per cell of `scene_cells` and exposure.
 
     Parameters
@@ -111,6 +91,6 @@ def photoelectrons_from_image(camera: IntensifiedCamera | SiliconCamera, image_p
     if not (np.isfinite(lowest) and np.isfinite(highest)) or lowest < 0.0:
         raise BadInput(f"photoelectrons must be finite and not negative, got {lowest:g} to {highest:g}")
     cells = camera.scene_cells
-    per_pixel = cells.per_column * cells.per_row * (2 if camera.is_interlaced else 1)
+    per_pixel = cells.per_column * cells.per_row * camera.fields_per_frame
     spread = image_placement.place_on_cells(image_pe, cells, row_pairs=camera.is_interlaced) / np.float32(per_pixel)
     return StageImage(values=spread, grid=cells)

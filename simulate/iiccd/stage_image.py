@@ -5,36 +5,21 @@ Consecutive linear blurs are deferred and applied in a single Fourier transform.
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd.accuracy import ACCURACY
-from simulate.iiccd.grid import Grid, irfft_image, rfft_image
+from simulate.iiccd.grid import ACCURACY, Grid, irfft_image, rfft_image
 from simulate.iiccd.transfer import StageBlur, product
-
-Quantity = Literal["photons", "photoelectrons", "electrons", "photoelectrons at the plate", "screen photons", "DN"]
-Image = NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageImage:
-    """Image between two stages.
+    """Image between two stages."""
 
-    Parameters
-    ----------
-    values
-        Amount per cell or per pixel, shape (..., row, col).
-    grid
-        The lattice of cells; None once the image stands on the image's own pixels.
-    pending_blurs
-        Blurs that are not yet applied to the values.
-    """
-
-    values: NDArray
-    grid: Grid | None = None
-    pending_blurs: tuple[StageBlur, ...] = ()
+    values: NDArray  # amount per cell or per pixel, shape (..., row, col)
+    grid: Grid | None = None  # the lattice of cells; None once the image stands on the image's own pixels
+    pending_blurs: tuple[StageBlur, ...] = ()  # blurs that are not yet applied to the values
 
     def with_values(self, values: NDArray) -> "StageImage":
         """Return the same image with other values."""
@@ -77,18 +62,6 @@ class StageImage:
         return StageImage(values=np.ascontiguousarray(values[..., row, col], dtype=np.float32), grid=grid)
 
 
-class NoiselessStage:
-    """Stage that adds no noise: what it draws is its mean."""
-
-    def mean(self, light: Any) -> StageImage:
-        """Return the image behind the stage."""
-        raise NotImplementedError
-
-    def draw(self, light: Any, rng: np.random.Generator) -> StageImage:
-        """Return the mean."""
-        return self.mean(light)
-
-
 @lru_cache(maxsize=16)
 def _transfer(pending: tuple[StageBlur, ...], grid: Grid) -> NDArray[np.float32]:
     fx, fy = grid.frequencies()
@@ -109,7 +82,6 @@ def _resampling(pending: tuple[StageBlur, ...], fine: Grid, per_pixel: int) -> N
 
 
 def _fade(frequency_cy_per_px: NDArray[np.floating]) -> NDArray[np.float64]:
-    beyond = (np.abs(frequency_cy_per_px) - ACCURACY.resampling_exact_cy_per_px) / (
-        1.0 - ACCURACY.resampling_exact_cy_per_px
-    )
+    exact = ACCURACY.resampling_exact_cy_per_px
+    beyond = (np.abs(frequency_cy_per_px) - exact) / (1.0 - exact)
     return np.cos(np.pi / 2.0 * np.clip(beyond, 0.0, 1.0)) ** 2

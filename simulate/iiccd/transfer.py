@@ -1,18 +1,16 @@
 """Transfer functions of the stages."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd.accuracy import ACCURACY
+from simulate.iiccd.grid import ACCURACY, Grid
 
 Array = NDArray[np.floating]
 
-# Where the boost of aperture correction is stated.
-CORRECTED_MHZ = 4.5
-# Replicas of the lattice that are taken together, first and last, and the transfer below which none is looked at.
+# Replicas of the lattice that are taken together, first and last.
 REPLICA_GROUPS = ((1, 1), (2, 2), (3, 4), (5, 8), (9, 16), (17, 32))
 
 
@@ -39,7 +37,6 @@ class Lens:
     wavelength_um: float = 0.7
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        """Transfer of the lens, dimensionless."""
         frequency = np.hypot(fx_per_mm, fy_per_mm)
         x = np.minimum(frequency * self.wavelength_um * 1e-3 * self.f_number, 1.0)
         diffraction = (np.arccos(x) - x * np.sqrt(1.0 - x * x)) * 2.0 / np.pi
@@ -50,24 +47,16 @@ class Lens:
 class Defocus:
     """Defocused lens: a point becomes a uniform disc.
 
-    Parameters
-    ----------
-    shift_um
-        Distance of the focus from the photocathode, um.
-    f_number
-        Dimensionless; the disc's diameter is D = shift / f_number.
-
     Notes
     -----
     2 J1(x)/x, x = pi f D: geometrical optics, negative beyond the first zero (Goodman, Introduction to Fourier Optics,
     6.4). It holds where the disc is wider than the diffraction pattern.
     """
 
-    shift_um: float
-    f_number: float
+    shift_um: float  # distance of the focus from the photocathode, um
+    f_number: float  # dimensionless; the disc's diameter is D = shift / f_number
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        """Transfer of the disc, dimensionless."""
         from scipy.special import j1
 
         argument = np.pi * np.hypot(fx_per_mm, fy_per_mm) * abs(self.shift_um) * 1e-3 / self.f_number
@@ -81,7 +70,6 @@ class GapSpread:
     radius_um: float
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        """Transfer of the flight, dimensionless."""
         return np.exp(-((np.pi * self.radius_um * 1e-3) ** 2) * (fx_per_mm**2 + fy_per_mm**2))
 
 
@@ -93,8 +81,14 @@ class TubeShare:
     frequency_lp_per_mm: float
     exponent: float
 
+    @classmethod
+    def of(cls, tube: Any, share: float) -> "TubeShare":
+        """Return a share of the blur of a described tube."""
+        return cls(
+            share=share, frequency_lp_per_mm=float(tube.mtf_frequency_lp_per_mm), exponent=float(tube.mtf_exponent)
+        )
+
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        """Transfer of this fraction, dimensionless."""
         frequency = np.hypot(fx_per_mm, fy_per_mm)
         return np.exp(-self.share * (frequency / self.frequency_lp_per_mm) ** self.exponent)
 
@@ -115,7 +109,6 @@ class HaloBlur:
     elastic_share: float
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        """Transfer of all photoelectrons, direct ones included, dimensionless."""
         from scipy.special import sici
 
         argument = 4.0 * np.pi * self.gap_mm * np.hypot(fx_per_mm, fy_per_mm)
@@ -134,7 +127,6 @@ class FibreTaper:
     demagnification: float
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        """Transfer of the taper, dimensionless."""
         from scipy.special import j1
 
         at_detector = np.hypot(fx_per_mm, fy_per_mm) * self.demagnification
@@ -144,14 +136,28 @@ class FibreTaper:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Neighbourhood:
+    """Gaussian neighbourhood of a width (standard deviation) in um: exp(-2 (pi f s)^2)."""
+
+    sigma_um: float
+
+    def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
+        return np.exp(-2.0 * (np.pi * self.sigma_um * 1e-3) ** 2 * (fx_per_mm**2 + fy_per_mm**2))
+
+
+@dataclass(frozen=True, kw_only=True)
 class PixelAperture:
     """Rectangle over which a pixel collects: sinc(w f) along rows and columns; sizes at the photocathode."""
 
     width_mm: float
     height_mm: float
 
+    @classmethod
+    def of(cls, grid: Grid, height: int) -> "PixelAperture":
+        """Return the aperture of a pixel as read, so many rows high."""
+        return cls(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
+
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        """Transfer of the aperture, dimensionless, negative beyond its first zero."""
         return np.sinc(fx_per_mm * self.width_mm) * np.sinc(fy_per_mm * self.height_mm)
 
 
@@ -170,10 +176,8 @@ def fold_transfer(
 
     Parameters
     ----------
-    blurs
-        Blurs before the aperture.
-    aperture
-        Rectangle over which a pixel collects.
+    blurs, aperture
+        Blurs before the rectangle over which a pixel collects.
     fx, fy
         Frequencies of the lattice along a row, shape (col,), and along a column, shape (row,), cycles/mm, up to half
         a cycle per cell.
@@ -227,55 +231,3 @@ def _largest(blurs: tuple[StageBlur, ...], fx: Array, fy: Array) -> float:
     """Largest transfer of blurs on a few of the frequencies."""
     few_x, few_y = (np.append(f[:: max(1, f.size // 16)], f[np.argmin(np.abs(f))]) for f in (fx, fy))
     return float(np.abs(product(blurs, *np.broadcast_arrays(few_x[None, :], few_y[:, None]))).max())
-
-
-@dataclass(frozen=True, kw_only=True)
-class VideoFilter:
-    """Butterworth low pass on the staircase of the pixel clock, sampled once a clock: a causal digital filter.
-
-    Parameters
-    ----------
-    bandwidth_mhz, pixel_clock_mhz, order
-        Of the low pass.
-    aperture_correction_db
-        Boost at `CORRECTED_MHZ`; 0 is none.
-
-    Notes
-    -----
-    A pixel's value is held for one clock period T; the digitiser samples at the period's end. With the step response
-    s(t) of the analog filter the sampled impulse response is h[n] = s((n + 1) T) - s(n T). Aperture correction adds
-    what a line differs from the mean of itself one clock before and one after, 1 + 2 c (1 - cos(2 pi f T)): the MTF may
-    then exceed 1. Its delay line holds the image back by one clock.
-    """
-
-    bandwidth_mhz: float
-    pixel_clock_mhz: float
-    order: int
-    aperture_correction_db: float = 0.0
-
-    def step_response(self, time_clocks: Array) -> Array:
-        """Step response at times in clock periods, dimensionless; 0 before the step, 1 long after it."""
-        rate = 2.0 * np.pi * self.bandwidth_mhz / self.pixel_clock_mhz
-        index = np.arange(self.order)
-        poles = rate * np.exp(1j * np.pi * (2 * index + self.order + 1) / (2 * self.order))
-        differences = poles[:, None] - poles[None, :] + np.eye(self.order)
-        residues = rate**self.order / np.prod(differences, axis=1) / poles
-        time = np.maximum(np.asarray(time_clocks, float), 0.0)
-        response = 1.0 + np.real(np.sum(residues * np.exp(poles * time[..., None]), axis=-1))
-        return np.where(np.asarray(time_clocks) > 0, response, 0.0)
-
-    def impulse_response(self, length: int = 32) -> Array:
-        """Sampled impulse response h, shape (length,), two longer with aperture correction, summing to 1."""
-        response = np.diff(self.step_response(np.arange(length + 1.0)))
-        response = response / response.sum()
-        if self.aperture_correction_db == 0.0:
-            return response
-        side_tap = 0.5 * (10.0 ** (self.aperture_correction_db / 20.0) - 1.0)
-        side_tap /= 1.0 - np.cos(2.0 * np.pi * CORRECTED_MHZ / self.pixel_clock_mhz)
-        return np.convolve(response, [-side_tap, 1.0 + 2.0 * side_tap, -side_tap])
-
-    def transfer(self, frequency_cy_per_px: Array) -> NDArray[np.complex128]:
-        """Complex transfer along a line at frequencies in cycles per pixel, 1 at zero."""
-        impulse = self.impulse_response()
-        phase = np.multiply.outer(np.asarray(frequency_cy_per_px, float), np.arange(len(impulse)))
-        return np.exp(-2j * np.pi * phase) @ impulse.astype(np.complex128)

@@ -14,8 +14,10 @@ from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.transfer import PixelAperture, StageBlur, VideoFilter, product
-from simulate.iiccd.video import NoFilter
+from simulate.iiccd.chain import Slot
+from simulate.iiccd.moments import PulseMoments
+from simulate.iiccd.transfer import PixelAperture, StageBlur, product
+from simulate.iiccd.video import NoFilter, VideoFilter
 
 # Or degrees from the row direction.
 Direction = Literal["horizontal", "vertical"] | float
@@ -25,7 +27,7 @@ DEGREES = {"horizontal": 0.0, "vertical": 90.0}
 def true_mtf(
     sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
 ) -> NDArray[np.float64]:
-    """Return the MTF of the camera without veiling glare, 1 at zero frequency.
+    """Return the MTF of the camera without veiling glare, 1 at zero frequency, of the frequencies' shape.
 
     Parameters
     ----------
@@ -36,11 +38,6 @@ def true_mtf(
     direction
         "horizontal": frequency along rows (a vertical edge). "vertical": along columns. Or the frequency's direction
         in degrees from the rows, as along the normal of a tilted edge.
-
-    Returns
-    -------
-    NDArray
-        Dimensionless, of the frequencies' shape.
 
     Notes
     -----
@@ -69,7 +66,7 @@ def _transfer(
     frequency = np.asarray(frequency_cy_per_px, float)
     fx, fy = frequency * np.cos(angle), frequency * np.sin(angle)
     pitch_mm = camera.cells.pitch_x_mm
-    return np.abs(product(blurs, fx / pitch_mm, fy / pitch_mm) * camera.video().low_pass.transfer(fx))
+    return np.abs(product(blurs, fx / pitch_mm, fy / pitch_mm) * camera.stage(Slot.VIDEO).low_pass.transfer(fx))
 
 
 def true_crossing_frequency(sensor: Sensor, level: float, direction: Direction = "horizontal") -> float:
@@ -110,30 +107,22 @@ def true_quantities(sensor: Sensor, conditions: Conditions | None = None) -> dic
     """
     conditions = Conditions() if conditions is None else conditions
     camera = IntensifiedCamera(sensor)
-    noise = _noise(camera, conditions)
-    area_cm2 = field_pixel_area_cm2(camera)
+    noise, area_cm2 = _noise(camera, conditions), camera.field_pixel_area_cm2
     ebi = tube_photometry.ebi_per_s_cm2(sensor, conditions.temperature_c) * area_cm2
     per_lux = tube_photometry.photoelectrons_per_lumen_s(sensor) * 1e-4 * area_cm2
-    gap_um = 4e3 * float(sensor.photocathode.gap_mm)
+    open_s = camera.stage(Slot.PHOTOCATHODE, conditions).open_s
     return {
         "mtf50": true_crossing_frequency(sensor, 0.5),
         "mtf10": true_crossing_frequency(sensor, 0.1),
         "mtf50_vertical": true_crossing_frequency(sensor, 0.5, "vertical"),
         "mtf10_vertical": true_crossing_frequency(sensor, 0.1, "vertical"),
         **noise,
-        "halo_diameter": gap_um * 1e-3 / camera.cells.pitch_x_mm,
+        "halo_diameter": 4.0 * float(sensor.photocathode.gap_mm) / camera.cells.pitch_x_mm,
         "ebi": ebi,
-        "ebi_per_field": ebi * camera.photocathode(conditions).open_s,
-        "photoelectrons_per_lux": per_lux * camera.photocathode(conditions).open_s,
-        "read_noise": _read_noise_dn(camera),
+        "ebi_per_field": ebi * open_s,
+        "photoelectrons_per_lux": per_lux * open_s,
         "black_level": float(sensor.video.black_level_dn),
     }
-
-
-def field_pixel_area_cm2(camera: IntensifiedCamera) -> float:
-    """Return the area of one pixel as read, at the photocathode, cm2: two rows where fields are integrated."""
-    height = 2 if camera.is_interlaced else 1
-    return camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * height * 1e-2
 
 
 def pulse_correlation(
@@ -153,8 +142,7 @@ def pulse_correlation(
     Returns
     -------
     tuple
-        Variance over covariance sum, dimensionless; correlation with the next pixel of the row; with the next row of
-        the same field.
+        Variance over covariance sum; correlation with the next pixel of the row, and with the next row of the field.
 
     Notes
     -----
@@ -162,7 +150,8 @@ def pulse_correlation(
     A |H(f)|^2 |V(fx)|^2 cos(2 pi f.D), A the pixel's area: folding onto the lattice of pixels is implied, as V has the
     lattice's period along rows.
     """
-    x, y = _midpoints(1600), _midpoints(1200)
+    # Midpoints of equal steps up to 4 cycles per pixel, beyond which transfer is negligible.
+    x, y = ((np.arange(n) + 0.5) * (4.0 / n) for n in (1600, 1200))
     fx, fy = np.broadcast_arrays(x[None, :] / pitch_x_mm, y[:, None] / pitch_y_mm)
     power = product(blurs, fx, fy) ** 2
     if low_pass is not None:
@@ -174,25 +163,14 @@ def pulse_correlation(
     return float(4.0 * total * (x[1] - x[0]) * (y[1] - y[0])), float(next_column), float(next_row)
 
 
-def _midpoints(count: int, end: float = 4.0) -> NDArray[np.floating]:
-    """Midpoints of equal steps from zero to `end` cycles per pixel, beyond which transfer is negligible."""
-    return (np.arange(count) + 0.5) * (end / count)
-
-
 def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float]:
-    mcp, phosphor, taper = camera.mcp(conditions), camera.phosphor(), camera.taper()
+    chain, low_pass = camera.chain(conditions), camera.stage(Slot.VIDEO).low_pass
+    mcp, moments = chain[Slot.MCP], PulseMoments(chain)
     system_gain = float(camera.sensor.video.conversion_gain_dn_per_e)
-    efficiency = float(camera.sensor.ccd.quantum_efficiency)
-    gain = mcp.gain * phosphor.photons_per_electron * taper.transmission * efficiency * system_gain
+    gain, decay = moments.gain_e * system_gain, moments.decay[0]
     pulses = gain * mcp.excess_noise_factor
-    shares = camera.afterglow(conditions).pulse_shares
-    decay = float(np.mean(np.sum(shares**2, axis=1)))
-    next_field = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
-    height = 2 if camera.is_interlaced else 1
-    pitch_x, pitch_y = camera.cells.pitch_x_mm, camera.cells.pitch_y_mm * height
-    blur, next_column, next_row = pulse_correlation(_after_gain(camera), camera.video().low_pass, pitch_x, pitch_y)
-    # The charge's own shot noise is white until the video filter.
-    white = float(np.sum(camera.video().low_pass.impulse_response() ** 2))
+    pitch_y_mm = camera.cells.pitch_y_mm * camera.fields_per_frame
+    blur, next_column, next_row = pulse_correlation(_after_gain(camera), low_pass, camera.cells.pitch_x_mm, pitch_y_mm)
     field = system_gain + pulses * decay
     return {
         "photoelectron_gain": gain,
@@ -202,25 +180,18 @@ def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float
         "covariance_gain": system_gain + pulses,
         "field_covariance_gain": field,
         "decay_factor": decay,
-        "field_correlation": next_field / decay,
-        "blur_factor": (system_gain * white + pulses * decay * blur) / field,
+        "field_correlation": moments.next_field / decay,
+        "blur_factor": (system_gain * moments.white + pulses * decay * blur) / field,
         "correlation_horizontal": next_column,
         "correlation_vertical": next_row,
+        "read_noise": float(camera.sensor.ccd.read_noise_e) * system_gain * float(np.sqrt(moments.white)),
     }
 
 
-def _read_noise_dn(camera: IntensifiedCamera) -> float:
-    white = np.sum(camera.video().low_pass.impulse_response() ** 2)
-    read = float(camera.sensor.ccd.read_noise_e) * float(camera.sensor.video.conversion_gain_dn_per_e)
-    return float(read * np.sqrt(white))
-
-
 def _before_gain(camera: IntensifiedCamera) -> tuple[StageBlur, ...]:
-    gap = camera.gap(0.0)
-    return camera.optics().blur, gap.spread, gap.halo
+    return camera.stage(Slot.OPTICS).blur, *camera.stage(Slot.GAP).blurs
 
 
 def _after_gain(camera: IntensifiedCamera) -> tuple[StageBlur, ...]:
-    height = 2 if camera.is_interlaced else 1
-    aperture = PixelAperture(width_mm=camera.cells.pitch_x_mm, height_mm=height * camera.cells.pitch_y_mm)
-    return camera.phosphor().spread, camera.taper().blur, aperture
+    aperture = PixelAperture.of(camera.cells, camera.fields_per_frame)
+    return camera.stage(Slot.PHOSPHOR).spread, camera.stage(Slot.TAPER).blur, aperture

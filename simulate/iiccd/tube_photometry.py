@@ -13,15 +13,10 @@ from simulate.radiance.spectrum import LUMENS_PER_WATT, hat_integrals, luminous_
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 JOULE_METRE = 6.62607015e-34 * 2.99792458e8
 LAMP_K = 2856.0
-# A control word beyond this many factors of ten is a mistake.
-MOST_DECADES = 30
 
 
 def quantum_efficiency(sensor: Sensor, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-    """Return the photocathode's quantum efficiency at wavelengths, scaled to its luminous sensitivity.
-
-    Linear between the table's wavelengths and zero outside them, dimensionless.
-    """
+    """Return the photocathode's quantum efficiency, linear in its table, scaled to its luminous sensitivity."""
     cathode = sensor.photocathode
     scale = float(cathode.luminous_sensitivity_ua_per_lm) / luminous_sensitivity(
         cathode.wavelength_nm, cathode.relative_quantum_efficiency
@@ -35,14 +30,8 @@ def detection_weights(
 ) -> NDArray[np.float64]:
     """Return detected photons per spectral irradiance of each band, per m2, s and W m-2 nm-1, shape (band,).
 
-    Parameters
-    ----------
-    wavelength_nm
-        Bands, ascending, shape (band,), nm; between them irradiance is taken as linear, outside them as zero.
-    table_nm, efficiency
-        Quantum efficiency at wavelengths, linear between them and zero outside.
-    averaged
-        Whether irradiance is an average over each band (`RadianceCube.averaged`).
+    Between bands, ascending, irradiance is taken as linear, or as an average over each (`RadianceCube.averaged`);
+    efficiency is linear in its table and zero outside.
 
     Notes
     -----
@@ -100,53 +89,32 @@ def photons_per_photoelectron(sensor: Sensor) -> float:
     return float(sensor.tube.luminous_gain) / photon_lumen_s / photoelectrons_per_lumen_s(sensor)
 
 
-def voltage_factor(sensor: Sensor, mcp_v: float | None) -> float:
-    """Return the gain relative to that at the reference voltage, (V/V0)^m; 1 without a voltage."""
-    if mcp_v is None:
-        return 1.0
-    plate = sensor.microchannel_plate
-    return (mcp_v / float(plate.reference_v)) ** float(plate.gain_exponent)
-
-
-def control_factor(sensor: Sensor, gain_control: float | None) -> float:
-    """Return the gain relative to the nominal one at a control word, log-linear; 1 without one.
+def gain_factor(sensor: Sensor, mcp_v: float | None, gain_control: float | None) -> float:
+    """Return the gain relative to the nominal one, by the MCP's voltage or by the control word that sets it.
 
     Notes
     -----
-    ratio^((word - reference)/counts): the published gain of an intensified camera at control words 0 to 255 follows it
-    within 3 % with a ratio of 1.95 per 51 counts.
+    (V/V0)^m, or ratio^((word - reference)/counts): the published gain of an intensified camera at control words 0 to
+    255 follows it within 3 % with a ratio of 1.95 per 51 counts.
     """
-    if gain_control is None:
-        return 1.0
     plate = sensor.microchannel_plate
-    steps = (gain_control - float(plate.gain_control_reference)) / float(plate.gain_control_counts)
-    if steps * math.log10(float(plate.gain_control_ratio)) > MOST_DECADES:
-        raise BadInput(f"a control word must raise the gain by at most {MOST_DECADES} decades, got {gain_control:g}")
-    return float(plate.gain_control_ratio) ** steps
-
-
-def gain_factor(sensor: Sensor, mcp_v: float | None, gain_control: float | None) -> float:
-    """Return the gain relative to the nominal one, by the MCP's voltage or by the control word that sets it."""
     if mcp_v is not None and gain_control is not None:
         raise BadInput(
             f"mcp_v and gain_control set the same gain and must not both be given, got {mcp_v:g} V and {gain_control:g}"
         )
-    return voltage_factor(sensor, mcp_v) * control_factor(sensor, gain_control)
+    if gain_control is not None:
+        ratio = float(plate.gain_control_ratio)
+        steps = (gain_control - float(plate.gain_control_reference)) / float(plate.gain_control_counts)
+        if steps * math.log10(ratio) > 30.0:
+            raise BadInput(f"a control word must raise the gain by at most 30 decades, got {gain_control:g}")
+        return ratio**steps
+    return 1.0 if mcp_v is None else (mcp_v / float(plate.reference_v)) ** float(plate.gain_exponent)
 
 
 def photons_per_lux(
     sensor: Sensor, wavelength_nm: NDArray[np.float64], radiance: NDArray[np.float64]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the photons of light of a given spectrum, and the weights of its bands.
-
-    Parameters
-    ----------
-    sensor
-        The camera.
-    wavelength_nm
-        Bands, shape (band,), nm.
-    radiance
-        Spectral radiance of the light, shape (band,), in any unit.
+    """Return the photons of light of a given spectrum, in bands, and what turns radiance in these into photons.
 
     Returns
     -------
@@ -154,7 +122,7 @@ def photons_per_lux(
         Photons per s and cm2 on the photocathode at 1 lux of this light, referred to the wavelength of peak quantum
         efficiency: one that is detected half as well counts half.
     weight
-        What turns radiance in these bands into photons relative to the light's own, shape (band,).
+        Photons per radiance of each band, relative to the light's own, shape (band,).
 
     Notes
     -----

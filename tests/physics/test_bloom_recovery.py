@@ -18,6 +18,7 @@ from labdata.session import Session, StackEntry
 from labdata.target import Target
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.chain import Slot
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 
@@ -110,9 +111,9 @@ def test_the_share_of_a_small_halo_is_known_no_better_than_the_light_of_its_core
 def density_at_half_gain_dn(sensor):
     """Light per pixel at which the plate's gain has halved, DN."""
     camera = IntensifiedCamera(sensor)
-    plate = camera.mcp(SETTINGS)
+    plate = camera.stage(Slot.MCP, SETTINGS)
     at_half_gain_pe = (
-        plate.saturation_e_per_s_cm2 * plate.field_s * true_quantities.field_pixel_area_cm2(camera) / plate.gain
+        plate.saturation_e_per_s_cm2 * plate.field_s * camera.field_pixel_area_cm2 / plate.gain
     )
     return at_half_gain_pe * true_quantities.true_quantities(sensor, SETTINGS)["photoelectron_gain"]
 

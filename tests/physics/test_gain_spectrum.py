@@ -18,6 +18,7 @@ from charact.noise.gain.single_setting import blur_exponent
 from charact.noise.stack.spectrum import bins_of
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.chain import Slot
 
 NO_LAG = ImageLag(lag=np.array([1]), correlation=np.zeros(1), correlation_sd=np.zeros(1), is_detected=False, factor=1.0,
              factor_sd=0.0, freedom=np.inf, tested=True, open=False)  # fmt: skip
@@ -50,7 +51,7 @@ def bias_percent(number, interlaced):
 def of_modes(camera, pitch, rows, columns):
     """Power of the light behind a camera's gain at every mode of its rows, folded onto the lattice of its pixels."""
     x, y = np.broadcast_arrays(np.fft.rfftfreq(columns), np.fft.fftfreq(rows)[:, None])
-    blurs, low_pass = true_quantities._after_gain(camera), camera.video().low_pass
+    blurs, low_pass = true_quantities._after_gain(camera), camera.stage(Slot.VIDEO).low_pass
     out = sum(
         true_quantities.product(blurs, np.abs(x + across) / pitch[0], np.abs(y + down) / pitch[1]) ** 2
         for across in ORDERS

@@ -11,7 +11,7 @@ FIELD_S = 0.01668
 
 
 def _p20(gate_s: float = FIELD_S) -> PhosphorDecay:
-    return PhosphorDecay(fast_fraction=0.95, fast_decay_ms=1.45, slow_decay_ms=35.0, gate_s=gate_s, field_s=FIELD_S)
+    return PhosphorDecay(components=((0.95, 1.45e-3), (0.05, 35e-3)), gate_s=gate_s, field_s=FIELD_S)
 
 
 def test_p20_leaves_48_28_17_11_7_per_cent_to_the_fields_after():
@@ -65,7 +65,7 @@ def test_steady_scene_stays_and_a_flash_decays():
 
 
 def test_screen_without_decay_keeps_nothing():
-    glow = PhosphorDecay(fast_fraction=0.9, fast_decay_ms=0.0, slow_decay_ms=0.0, gate_s=FIELD_S, field_s=FIELD_S)
+    glow = PhosphorDecay(components=((1.0, 0.0),), gate_s=FIELD_S, field_s=FIELD_S)
     assert glow.n_lag_fields <= 1
     assert glow.weights[0] == pytest.approx(1.0, abs=1e-6)
 

@@ -5,7 +5,6 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
 
 LIGHT_M_PER_S = 2.99792458e8
@@ -53,7 +52,7 @@ def variance_over_mean(photoelectrons: float, mode_count: float) -> float:
 
 def _pixel_modes(sheet, time_s: float, width_nm: float = 300.0) -> float:
     camera = IntensifiedCamera(sheet)
-    area = true_quantities.field_pixel_area_cm2(camera)
+    area = camera.field_pixel_area_cm2
     return modes(wavelength_nm=700.0, width_nm=width_nm, time_s=time_s, area_cm2=area, f_number=1.4)
 
 
@@ -61,7 +60,7 @@ def _pixel_modes(sheet, time_s: float, width_nm: float = 300.0) -> float:
 def test_a_pixel_of_the_default_camera_counts_as_poisson(sheet, photoelectrons):
     """To one part in a billion, where moments are asked for to a thousandth."""
     camera = IntensifiedCamera(sheet)
-    many = _pixel_modes(sheet, camera.gate_s(Conditions()))
+    many = _pixel_modes(sheet, camera.open_s(Conditions()))
     assert variance_over_mean(photoelectrons, many) - 1.0 < 1e-9
 
 

@@ -10,7 +10,13 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor
 from simulate.iiccd import tube_photometry
-from simulate.iiccd.automatic_controls import SET_LEVEL, AutomaticGain, AutomaticState, BrightnessControl
+from simulate.iiccd.automatic_controls import (
+    SET_LEVEL,
+    AutomaticControls,
+    AutomaticGain,
+    AutomaticState,
+    BrightnessControl,
+)
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 
@@ -77,7 +83,7 @@ def test_with_brightness_control_the_charge_stays_constant_above_the_threshold(c
     levels = []
     for times in (0.1, 0.5, 2.0, 8.0, 32.0):
         light = _lit(camera, times * threshold)
-        state = list(islice(camera.automatic_states(light, on), 200))[-1]
+        state = camera.automatic_state_of(light, on)(199)
         assert state.brightness == pytest.approx(min(1.0, 1.0 / times), rel=2e-3)
         levels.append(float(camera.mean_frame(light, on, state).mean(dtype=float)) - 400.0)
     assert levels[1] / levels[0] == pytest.approx(5.0, rel=1e-3)
@@ -115,7 +121,7 @@ def test_controls_that_are_off_or_unknown_change_no_byte(camera):
     for conditions in (Conditions(automatic_gain=False, brightness_control=False), Conditions()):
         frame = next(camera.frames(light, conditions, seed=4, first_frame=2))
         assert frame.tobytes() == next(camera.frames(light, Conditions(), seed=4, first_frame=2)).tobytes()
-    assert list(islice(camera.automatic_states(light, Conditions()), 3)) == [AutomaticState()] * 3
+    assert camera.automatic_state_of(light, Conditions())(3) == AutomaticState()
 
 
 def test_a_frame_of_a_controlled_run_follows_from_its_number(camera):
@@ -129,4 +135,4 @@ def test_a_frame_of_a_controlled_run_follows_from_its_number(camera):
 def test_a_camera_without_automatic_gain_refuses_that_it_was_on():
     camera = IntensifiedCamera(load_sensor("gen3-digital-iccd"))
     with pytest.raises(BadInput, match="has none"):
-        camera.automatic_gain(Conditions(automatic_gain=True))
+        AutomaticControls.of(camera, Conditions(automatic_gain=True))

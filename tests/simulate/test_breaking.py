@@ -18,7 +18,7 @@ from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.target import Target
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Chain
+from simulate.iiccd.chain import Chain, Slot
 from simulate.iiccd.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
@@ -147,7 +147,7 @@ def test_a_plate_at_its_strip_current_gives_that_and_no_more(plain, seed):
         video__conversion_gain_dn_per_e=1.0,
     )
     camera = IntensifiedCamera(sensor)
-    plate = camera.mcp(Conditions())
+    plate = camera.stage(Slot.MCP, Conditions())
     area = 2.0 * camera.cells.cell_area_cm2 * camera.cells.per_column * camera.cells.per_row
     limit_e = plate.saturation_e_per_s_cm2 * camera.field_s * area * 205.0 * 0.225 * 0.32
     levels = []
@@ -171,7 +171,7 @@ def test_zero_light_and_no_dark_emission_leave_black_and_read_noise(plain, seed)
     assert abs(mean - 400.0) < 4.5 * error
     ccd = camera.sensor.ccd
     dark_e = float(ccd.dark_current_e_per_s) * 2.0 / 59.94
-    white = float(np.sum(IntensifiedCamera(camera.sensor).video().low_pass.impulse_response() ** 2))
+    white = float(np.sum(IntensifiedCamera(camera.sensor).stage(Slot.VIDEO).low_pass.impulse_response() ** 2))
     expected = (float(ccd.read_noise_e) ** 2 + dark_e) * 0.2**2 * white + 1.0 / 12.0
     assert codes[:, :, 8:].var() == pytest.approx(expected, rel=4.5 * np.sqrt(4.0 / codes.size))
 
@@ -299,7 +299,7 @@ def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plai
     """What lingers comes in later fields: a steady scene shows all its light, however short the gate."""
     camera = IntensifiedCamera(plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0, ccd__full_well_e=1e12))
     conditions = Conditions(gate_ns=gate_ns)
-    cathode = camera.photocathode(conditions)
+    cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
     share = gate_ns * 1e-9
     per_s = 20.0 / share
     light = camera.mcp_input(
@@ -308,7 +308,7 @@ def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plai
     closed = (camera.field_s - share) / float(camera.sensor.photocathode.gate_on_off_ratio)
     expected = per_s * cathode.quantum_efficiency * (share + closed) * 4.0
     assert light.values.mean(dtype=float) == pytest.approx(expected, rel=1e-3)
-    assert camera.afterglow(conditions).weights.sum() == pytest.approx(1.0, abs=1e-9)
+    assert camera.stage(Slot.DECAY, conditions).weights.sum() == pytest.approx(1.0, abs=1e-9)
     mean = camera.mean_frame(light, conditions) - 400.0
     flat = 8.0 * light.values.mean(dtype=float) * 10229.0 * 0.225 * 0.32 * 0.2
     assert mean.mean(dtype=float) == pytest.approx(flat, rel=2e-3, abs=1e-3)

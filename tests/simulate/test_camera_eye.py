@@ -8,7 +8,6 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
-from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.outdoor_rendering import render_sensor_of
@@ -25,9 +24,7 @@ def test_blur_evens_the_noise_of_an_intensified_camera_as_its_eye_says(seed, nam
         for level in (0.0, signal)
     )
     dn_per_pe = float(np.mean(camera.mean_frame(light, conditions) - camera.mean_frame(dark, conditions))) / signal
-    frames = np.stack(list(islice(sampler_choice.generate_frames(camera, light, conditions, seed=seed), 60))).astype(
-        float
-    )
+    frames = np.stack(list(islice(camera.frames(light, conditions, seed=seed), 60))).astype(float)
     noise_pe = np.sqrt(np.mean(frames.var(axis=0, ddof=1))) / dn_per_pe
     assert eye.noise_averaging_factor < 0.6
     assert noise_pe == pytest.approx(float(eye.noise_floor(signal, smooth=True)), rel=0.1)

@@ -10,13 +10,13 @@ from labdata.errors import BadInput
 from labdata.sensors import load_camera
 from labdata.target import Target
 from simulate.iiccd import tube_photometry
-from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.camera import IntensifiedCamera, SiliconCamera
+from simulate.iiccd.chain import Slot
 from simulate.iiccd.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
     mcp_input_from_radiance,
 )
-from simulate.iiccd.solid_state import SiliconCamera
 from simulate.lab import LabBench
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
@@ -91,7 +91,7 @@ def test_a_row_of_the_picture_is_read_by_its_own_row(plain):
 def test_dark_emission_is_added(plain):
     camera = IntensifiedCamera(plain(40, 56))
     nothing = mcp_input_from_photoelectrons(camera, np.zeros(camera.shape), Conditions(temperature_c=31.0))
-    cathode = camera.photocathode(Conditions())
+    cathode = camera.stage(Slot.PHOTOCATHODE, Conditions())
     expected = 2.0 * cathode.ebi_per_s_cm2 * cathode.open_s * camera.cells.cell_area_cm2
     assert nothing.values == pytest.approx(expected, rel=1e-4)
 
@@ -180,10 +180,10 @@ def test_every_shipped_camera_takes_frames_that_average_to_its_mean(name, seed):
     assert abs(means.mean() - expected) < 4.5 * blocks.std(ddof=1) / np.sqrt(10) + 0.02
 
 
-@pytest.mark.parametrize("tier", ["by-cell", "streamed"])
+@pytest.mark.parametrize("tier", ["chain", "fast"])
 def test_frames_of_a_depleted_core_average_to_its_mean(plain, tier, seed):
     """A core that the plate's own load compresses several times, its surroundings little."""
-    from simulate.iiccd.sampler_choice import generate_frames
+    from tests.simulate.samplers import drawn_by
 
     sensor = plain(36, 48, microchannel_plate__strip_current_ua_per_cm2=0.05, ccd__full_well_e=1e9)
     sensor = sensor.with_values({"video.conversion_gain_dn_per_e": 0.02})
@@ -197,7 +197,7 @@ def test_frames_of_a_depleted_core_average_to_its_mean(plain, tier, seed):
     core, around = np.s_[15:21, 21:27], np.s_[2:8, 2:12]
     assert mean[core].mean() < 0.6 * undiminished[core].mean()
     assert mean[around].mean() > 0.85 * undiminished[around].mean()
-    stream = generate_frames(camera, light, Conditions(), seed=seed, tier=tier)
+    stream = drawn_by(tier, camera, light, Conditions(), seed=seed)
     taken = np.stack([next(stream) for _ in range(80)]).astype(float) - 400.0
     for place in (core, around):
         per_frame = taken[(slice(None), *place)].mean(axis=(1, 2)).reshape(10, 8).mean(axis=1)

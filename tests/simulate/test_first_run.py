@@ -14,8 +14,6 @@ from itertools import islice
 import numpy as np
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
-from simulate.iiccd import sampler_choice as tiers
-from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.iiccd.fast_sampler.phosphor_rows import glow_rows
@@ -24,7 +22,7 @@ camera = IntensifiedCamera(replace(sheet, ccd=replace(sheet.ccd, rows=200, colum
 row, col = np.mgrid[:200, :256]
 conditions = Conditions(mcp_v=730.0)
 light = mcp_input_from_photoelectrons(camera, 3.0 + 1.5 * np.sin(col / 9) * np.cos(row / 7), conditions)
-frames = np.stack(list(islice(sampler_choice.generate_frames(camera, light, conditions, seed=5, tier="streamed"), 6)))
+frames = np.stack(list(islice(camera.frames(light, conditions, seed=5), 6)))
 print(sha256(frames.tobytes()).hexdigest(), sum(glow_rows.stats.cache_hits.values()))
 """
 

@@ -1,7 +1,7 @@
 """The interlaced default camera: what lines share, scintillations in the dark, its glow, its halo and its overflow."""
 
 from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,7 @@ from labdata.sensor import Sensor
 from labdata.target import Target
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.column_blooming import apply_column_blooming, spread_excess_charge
-from simulate.iiccd.reference_sampler import ChainState, sequence, steady_state
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.iiccd.stage_image import StageImage
 from simulate.lab import LabBench
 from tests.simulate import event_by_event as slow
 
@@ -64,12 +62,6 @@ def test_without_decay_lines_of_different_fields_are_uncorrelated(lagless):
         assert error < 0.002
     same_field, error = _correlation(lagless, 2, 0)
     assert same_field > 30.0 * error
-
-
-def test_without_decay_lines_stay_uncorrelated_along_diagonals(lagless):
-    for columns in (1, 2):
-        found, error = _correlation(lagless, 1, columns)
-        assert abs(found) < 3.0 * error
 
 
 def test_p20_correlates_pixels_of_a_line_so_many_times_as_lines(glowing, sheet):
@@ -172,29 +164,6 @@ def _window_share(camera: slow.EventCamera) -> float:
 # Glow after light.
 
 
-def test_light_switched_off_leaves_the_p20_residuals_in_the_fields_of_frames(plain, seed):
-    """Frame after frame two fields: 0.48 and 0.28, 0.17 and 0.11, 0.07 of the steady light."""
-    camera = IntensifiedCamera(plain(60, 90, photocathode__ebi_lm_per_cm2=0.0))
-    lit, dark = (mcp_input_from_photoelectrons(camera, np.full(camera.shape, pe), Conditions()) for pe in (200.0, 0.0))
-    state = steady_state(camera, lit, Conditions(), seed=seed)
-    steady, error = _fields(camera, [lit] * 16, state, seed)
-    fading, _ = _fields(camera, [dark] * 6, state, seed)
-    level = steady.mean()
-    assert level == pytest.approx(200.0 * slow.of_sensor(camera.sensor).charge_e * 0.2, rel=0.01)
-    residual = fading.ravel()[:5] / level
-    assert residual == pytest.approx([0.48, 0.28, 0.17, 0.11, 0.07], abs=0.006 + 4.5 * error / level)
-
-
-def _fields(
-    camera: IntensifiedCamera, scenes: list[StageImage], state: ChainState, seed: int
-) -> tuple[NDArray[Any], float]:
-    """Means above black of both fields of each frame, shape (frame, 2), and the scatter of such a mean, DN."""
-    run = sequence(camera, scenes, Conditions(), seed=seed, state=state)
-    frames = np.stack([frame.astype(float) for frame in run]) - 400.0
-    means = np.stack([frames[:, parity::2].mean(axis=(1, 2)) for parity in (0, 1)], axis=1)
-    return means, float(means.std(ddof=1))
-
-
 # The halo of a bright point.
 
 
@@ -259,28 +228,7 @@ def test_bloom_stays_at_the_halo_over_more_than_a_decade(plain):
     assert after == pytest.approx([whole_px] * 4, rel=0.07)
 
 
-def test_bloom_of_a_pure_blur_grows_without_a_step(plain):
-    point, _, disc = _point(plain, 0.0)
-    overloads = np.geomspace(1e2, 3e6, 40)
-    diameters = 2.0 * np.sqrt(np.array([_bloom_px(point, overload) for overload in overloads]) / np.pi)
-    assert np.all(np.diff(diameters) >= 0.0)
-    assert all(after / before < 1.25 for before, after in pairwise(diameters))
-    assert diameters[-1] < 0.5 * 2.0 * np.sqrt(disc / np.pi)
-
-
 # Column overflow.
-
-
-def test_spilling_keeps_every_electron_to_a_part_in_1e9(seed):
-    """Long columns whose streaks do not reach their ends: nothing can leave."""
-    rng = np.random.default_rng(seed)
-    for _ in range(20):
-        column = np.full(400, 0.3) * rng.random(400)
-        column[180:220] += rng.exponential(4.0, 40) * (rng.random(40) < 0.4)
-        settled_e = spread_excess_charge(column, 1.0)
-        assert settled_e[[0, -1]].max() < 1.0
-        assert settled_e.sum() == pytest.approx(column.sum(), rel=1e-9)
-        assert settled_e.max() <= 1.0 + 1e-8
 
 
 @pytest.mark.parametrize("ratio", [1.0, 3.0, 300.0])

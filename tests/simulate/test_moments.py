@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
-from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.stage_image import StageImage
 from tests.simulate import event_by_event as slow
+from tests.simulate.samplers import Sampler, drawn_by
 
 LEVELS = (0.05, 0.5, 5.0, 50.0, 500.0)
 SHAPES = {"exponential": 1.0, "Polya 2": 2.0}
@@ -37,24 +37,22 @@ TOLERANCE = {"mean": 1e-3, "variance": 5e-3, "skewness": 2e-2, "quantile": 5e-3}
 
 
 # Frames of 240 x 320 pixels in one block of flats that a tier can afford, by level; and what is tried of each tier.
-AFFORDED: dict[sampler_choice.Tier, dict[float, int]] = {
-    "streamed": dict.fromkeys(LEVELS, 25),
-    "by-cell": {0.5: 8, 50.0: 4},
+AFFORDED: dict[Sampler, dict[float, int]] = {
+    "fast": dict.fromkeys(LEVELS, 25),
+    "chain": {0.5: 8, 50.0: 4},
 }
 CASES = [
     pytest.param(tier, level, shape, id=f"{tier}-{name}-{level:g}")
     for tier, levels in AFFORDED.items()
     for level in levels
     for name, shape in SHAPES.items()
-    if tier == "streamed" or shape == 1.0
+    if tier == "fast" or shape == 1.0
 ]
 
 
-def drawn(
-    sensor: Sensor, at_mcp: StageImage, frames: int, seed: int, tier: sampler_choice.Tier
-) -> Iterator[NDArray[Any]]:
+def drawn(sensor: Sensor, at_mcp: StageImage, frames: int, seed: int, tier: Sampler) -> Iterator[NDArray[Any]]:
     """Yield blocks of so many frames of a steady scene by one of the simulator's tiers, DN, shape (frame, row, col)."""
-    stream = sampler_choice.generate_frames(IntensifiedCamera(sensor), at_mcp, Conditions(), seed=seed, tier=tier)
+    stream = drawn_by(tier, IntensifiedCamera(sensor), at_mcp, Conditions(), seed=seed)
     while True:
         codes = np.stack([frame.copy() for frame in islice(stream, frames)])
         assert codes.min() > 0 and codes.max() < 2**sensor.video.bit_depth - 1
@@ -62,7 +60,7 @@ def drawn(
 
 
 def flat_frames(
-    sensor: Sensor, photoelectrons_per_pixel: float, frames: int, seed: int, tier: sampler_choice.Tier
+    sensor: Sensor, photoelectrons_per_pixel: float, frames: int, seed: int, tier: Sampler
 ) -> Iterator[NDArray[Any]]:
     """Yield blocks of so many frames of a flat by one of the simulator's tiers, DN, shape (frame, row, col)."""
     camera = IntensifiedCamera(sensor)
@@ -86,7 +84,7 @@ def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
 
 
 def measured_flat(
-    sensor: Sensor, level: float, frames: int, seed: int, tier: sampler_choice.Tier
+    sensor: Sensor, level: float, frames: int, seed: int, tier: Sampler
 ) -> tuple[slow.Moments, slow.Moments, float]:
     """Moments of a flat in `BLOCKS` of so many frames, their errors, e- above black, and the digitiser's step, e-."""
     fine = in_fine_steps(sensor, level)
@@ -101,7 +99,7 @@ def flats(plain, seed):
     """Moments of flats by tier, level and shape, each drawn once."""
 
     @cache
-    def make(tier: sampler_choice.Tier, level: float, shape: float):
+    def make(tier: Sampler, level: float, shape: float):
         sensor = plain(240, 320, microchannel_plate__pulse_height_shape=shape)
         frames = round(AFFORDED[tier][level] * SAMPLES)
         found, error, step_e = measured_flat(sensor, level, frames, seed, tier)
@@ -149,13 +147,6 @@ def test_flats_have_the_moments_of_campbells_theorem(tier, level, shape, flats):
     assert not departures(found, expected, error)
 
 
-@pytest.mark.parametrize(("tier", "level", "shape"), CASES)
-def test_flats_have_the_moments_of_single_events(tier, level, shape, flats, event_moments):
-    camera, found, error, _ = flats(tier, level, shape)
-    expected, event_error = event_moments(camera, level)
-    assert not departures(found, expected, error, event_error)
-
-
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_single_events_have_the_moments_of_campbells_theorem(shape, level, plain, event_moments):
@@ -167,7 +158,7 @@ def test_single_events_have_the_moments_of_campbells_theorem(shape, level, plain
 
 # Variance from column to column under stripes eight pixels wide, a tenth of the light in their dark half: where the
 # streamed tier, which lays its noise a little wider than pulses do, is set right but for the finest detail.
-STRIPES: dict[sampler_choice.Tier, float] = {"streamed": 0.015, "by-cell": 5e-3}
+STRIPES: dict[Sampler, float] = {"fast": 0.015, "chain": 5e-3}
 
 
 @pytest.mark.parametrize("tier", AFFORDED)

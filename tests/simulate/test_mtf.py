@@ -6,6 +6,7 @@ import pytest
 from labdata.conditions import Conditions
 from labdata.target import Target
 from simulate.iiccd import true_quantities
+from simulate.iiccd.chain import Slot
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import product
 from simulate.lab import LabBench
@@ -32,7 +33,7 @@ def _transfer(bench: LabBench, fx_cy_per_px: np.ndarray, fy_cy_per_px: np.ndarra
     camera = bench.camera
     pitch = camera.cells.pitch_x_mm
     blurs = (*true_quantities._before_gain(camera), *true_quantities._after_gain(camera))
-    video = np.abs(camera.video().low_pass.transfer(fx_cy_per_px))
+    video = np.abs(camera.stage(Slot.VIDEO).low_pass.transfer(fx_cy_per_px))
     return product(blurs, fx_cy_per_px / pitch, fy_cy_per_px / pitch) * video
 
 

@@ -12,11 +12,12 @@ import pytest
 from scipy.integrate import quad
 
 from labdata.conditions import Conditions
-from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.chain import Slot
 from simulate.iiccd.fast_sampler.kernel import noise_kernel
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import GapSpread, PixelAperture, fold_transfer
+from tests.simulate.samplers import drawn_by
 
 PITCH_MM = 0.02
 
@@ -70,7 +71,7 @@ def test_the_kernel_of_the_fast_tier_keeps_the_variance(sigma_px, height, plain)
     assert np.sum(planes**2) / (rows * columns * height) == pytest.approx(variance, rel=5e-3)
 
 
-@pytest.mark.parametrize(("level", "tier"), [(8.0, "by-cell"), (8.0, "streamed"), (0.4, "streamed")])
+@pytest.mark.parametrize(("level", "tier"), [(8.0, "chain"), (8.0, "fast"), (0.4, "fast")])
 def test_flats_of_a_camera_that_does_not_blur_are_white(level, tier, plain, seed):
     """Variance (k F)^2 n / p with nothing shared between neighbours: 1 %, and four standard errors."""
     sensor = plain(
@@ -83,12 +84,15 @@ def test_flats_of_a_camera_that_does_not_blur_are_white(level, tier, plain, seed
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)))
     cells = camera.cells
     flat = StageImage(values=np.full(cells.shape, level / cells.per_column / cells.per_row, np.float32), grid=cells)
-    stream = sampler_choice.generate_frames(camera, flat, Conditions(), seed=seed, tier=tier)
+    stream = drawn_by(tier, camera, flat, Conditions(), seed=seed)
     frames = np.stack([frame.copy() for frame in islice(stream, 32)]).astype(float)
     assert frames.min() > 0
     black = float(camera.sensor.video.black_level_dn)
     step, mean = float(camera.sensor.video.conversion_gain_dn_per_e), frames.mean() - black
-    p, shape = camera.mcp(Conditions()).detection_probability, camera.mcp(Conditions()).pulse_height_shape
+    p, shape = (
+        camera.stage(Slot.MCP, Conditions()).detection_probability,
+        camera.stage(Slot.MCP, Conditions()).pulse_height_shape,
+    )
     variance = mean**2 / level * (1.0 + 1.0 / shape) / p + step * mean + 1.0 / 12.0
     centred = frames - frames.mean(axis=0)
     found = centred.var(axis=0, ddof=1).mean()

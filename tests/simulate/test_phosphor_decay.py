@@ -6,23 +6,17 @@ import numpy as np
 import pytest
 
 from labdata.phosphors import load_phosphor
-from simulate.iiccd.accuracy import ACCURACY
-from simulate.iiccd.phosphor import PhosphorDecay
+from simulate.iiccd.grid import ACCURACY
+from simulate.iiccd.phosphor import PhosphorDecay, decay_components
 
 
 def _glow(name: str, field_s: float, gate_s: float | None = None) -> PhosphorDecay:
-    phosphor = load_phosphor(name)
-    return PhosphorDecay(
-        fast_fraction=float(phosphor.fast_fraction),
-        fast_decay_ms=float(phosphor.fast_decay_ms),
-        slow_decay_ms=float(phosphor.slow_decay_ms),
-        gate_s=field_s if gate_s is None else gate_s,
-        field_s=field_s,
-    )
+    components = decay_components(load_phosphor(name))
+    return PhosphorDecay(components=components, gate_s=gate_s or field_s, field_s=field_s)
 
 
 def _single(tau_ms: float, field_s: float) -> PhosphorDecay:
-    return PhosphorDecay(fast_fraction=1.0, fast_decay_ms=tau_ms, slow_decay_ms=tau_ms, gate_s=field_s, field_s=field_s)
+    return PhosphorDecay(components=((1.0, tau_ms * 1e-3),), gate_s=field_s, field_s=field_s)
 
 
 def _variance_and_adjacent_difference(glow: PhosphorDecay) -> tuple[float, float]:
@@ -72,8 +66,8 @@ def test_every_screen_gives_all_its_light_at_any_rate(name, field_s):
 
 def _late(glow: PhosphorDecay, fields: int) -> float:
     """Share of light later than so many fields, of pulses spread over the gate, by the closed integral."""
-    tau = np.array([glow.fast_decay_ms, glow.slow_decay_ms]) * 1e-3
-    share = np.array([glow.fast_fraction, 1.0 - glow.fast_fraction]) * tau
+    weight, tau = np.array(glow.components).T
+    share = weight * tau
     left = np.exp(-(fields * glow.field_s - glow.gate_s) / tau) * -np.expm1(-glow.gate_s / tau) * tau / glow.gate_s
     return float(left @ (share / share.sum()))
 
@@ -98,4 +92,4 @@ def test_a_fast_camera_remembers_slow_fields_beyond_any_fixed_number():
     glow = _glow("P20", 1e-3)
     assert glow.n_lag_fields > 150
     assert glow.residuals(100)[63] == pytest.approx(_late(glow, 64), rel=2e-2)
-    assert replace(glow, slow_decay_ms=1e-6).n_lag_fields < glow.n_lag_fields
+    assert replace(glow, components=glow.components[:1]).n_lag_fields < glow.n_lag_fields

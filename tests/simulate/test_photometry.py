@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from simulate.iiccd import pulse_sampling, true_quantities, tube_photometry
+from simulate.iiccd import true_quantities, tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.grid import grid_with_margin
 from simulate.iiccd.microchannel import MicrochannelPlate
+from simulate.iiccd.random_numbers import key_of, poisson_numbers
+from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.tube_photometry import ELEMENTARY_CHARGE_C, JOULE_METRE
 
 
@@ -46,11 +49,18 @@ def test_stage_resolutions_add_in_quadrature_to_a_64_lp_per_mm_tube(sheet):
 
 def test_gain_doubles_within_45_to_70_volt_of_800(sheet):
     for step_v in (45.0, 70.0):
-        factor = tube_photometry.voltage_factor(sheet, 800.0 + step_v)
+        factor = tube_photometry.gain_factor(sheet, 800.0 + step_v, None)
         assert (factor < 2.0) == (step_v < 57.0)
 
 
 # Section 1.4: relative variance of pulse heights 0.5 (shape 2) and 1 (exponential).
+def drawn_pulses(plate: MicrochannelPlate, level: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Sums of the pulses in so many cells that expect a level of photoelectrons."""
+    grid = grid_with_margin(1, 1, per_pixel=2, margin=0, pitch_x_mm=0.018, pitch_y_mm=0.018)
+    light = StageImage(values=np.full((1, count), level, np.float32), grid=grid)
+    return plate.draw(light, rng).values.ravel().astype(float)
+
+
 @pytest.mark.parametrize(
     ("probability", "shape", "factor"),
     [(1.0, 2.0, 1.50), (1.0, 1.0, 2.00), (0.75, 2.0, 2.00), (0.63, 2.0, 2.38), (0.63, 1.0, 3.17), (0.5, 1.0, 4.00)],
@@ -67,10 +77,7 @@ def test_excess_noise_factor_of_drawn_pulses(probability, shape, factor, level, 
     assert plate.excess_noise_factor == pytest.approx(factor, abs=0.006)
     count = 200_000
     rng = np.random.default_rng([seed, int(1000 * level), int(100 * probability), int(shape)])
-    pulses = (
-        pulse_sampling.pulse_sums(rng, np.full(count, level * probability, np.float32), shape).astype(float)
-        / probability
-    )
+    pulses = drawn_pulses(plate, level, count, rng)
     assert abs(pulses.mean() - level) < 4.5 * np.sqrt(level * plate.excess_noise_factor / count)
     squares = (pulses - level) ** 2
     assert abs(squares.mean() - level * plate.excess_noise_factor) < 4.5 * squares.std() / np.sqrt(count)
@@ -81,9 +88,7 @@ def test_charge_is_poisson(level, seed):
     from scipy import stats
 
     count = 200_000
-    charge = pulse_sampling.poisson_charge(
-        np.random.default_rng([seed, int(10 * level)]), np.full(count, level, np.float32)
-    )
+    charge = poisson_numbers(key_of(seed, 1, int(10 * level)), np.full(count, level, np.float32))
     assert abs(charge.mean(dtype=float) - level) < 4.5 * np.sqrt(level / count)
     edges = stats.poisson.ppf(np.linspace(0.0, 1.0, 21)[1:-1], level)
     edges = np.unique(edges)
@@ -100,9 +105,10 @@ def test_exponential_pulse_sums_follow_the_compound_law(level, seed):
     from scipy import stats
 
     count = 100_000
-    sums = pulse_sampling.pulse_sums(
-        np.random.default_rng([seed, int(level * 8)]), np.full(count, level, np.float32), 1.0
+    plate = MicrochannelPlate(
+        detection_probability=1.0, pulse_height_shape=1.0, gain=1.0, saturation_e_per_s_cm2=np.inf, field_s=1.0
     )
+    sums = drawn_pulses(plate, level, count, np.random.default_rng([seed, int(level * 8)]))
     n = np.arange(0, int(level + 12 * np.sqrt(level) + 20))
     chance = stats.poisson.pmf(n, level)
     for x in level * np.array([0.0, 0.2, 0.7, 1.0, 1.6, 2.5]):
@@ -114,7 +120,6 @@ def test_exponential_pulse_sums_follow_the_compound_law(level, seed):
 
 def test_plate_saturates_to_half_at_its_saturation_current(sheet):
     from labdata.conditions import Conditions
-    from simulate.iiccd.stage_image import StageImage
 
     camera = IntensifiedCamera(sheet)
     plate = camera.chain(Conditions()).stages[3]

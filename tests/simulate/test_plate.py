@@ -9,8 +9,9 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.iiccd import pattern, tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.chain import Slot
 from simulate.iiccd.grid import grid_with_margin
-from simulate.iiccd.microchannel import Depletion, MicrochannelPlate, stack_gain_and_shape
+from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.stage_image import StageImage
 
 GRID = grid_with_margin(60, 80, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
@@ -30,37 +31,18 @@ def _flat(level: float) -> StageImage:
 @pytest.mark.parametrize(("word", "luminous_gain"), CONTROL.items())
 def test_control_word_follows_the_published_table(sheet, word, luminous_gain):
     """Truth 18, within 3 %."""
-    gain = float(sheet.tube.luminous_gain) * tube_photometry.control_factor(sheet, word)
+    gain = float(sheet.tube.luminous_gain) * tube_photometry.gain_factor(sheet, None, word)
     assert gain == pytest.approx(luminous_gain, rel=0.03)
 
 
 def test_control_word_sets_the_gain_of_the_plate(sheet):
     camera = IntensifiedCamera(sheet)
-    nominal = camera.mcp(Conditions()).gain
-    assert camera.mcp(Conditions(gain_control=187.5)).gain == pytest.approx(1.95 * nominal, rel=1e-3)
+    nominal = camera.stage(Slot.MCP, Conditions()).gain
+    assert camera.stage(Slot.MCP, Conditions(gain_control=187.5)).gain == pytest.approx(1.95 * nominal, rel=1e-3)
     with pytest.raises(BadInput, match="same gain"):
         camera.chain(Conditions(gain_control=100.0, mcp_v=800.0))
     with pytest.raises(BadInput, match="em_gain"):
         camera.chain(Conditions(em_gain=100.0))
-
-
-def test_stack_has_the_gain_and_variance_of_pulses_sent_through_both_plates(seed):
-    """Event by event: n electrons of the first plate each start a pulse in the second."""
-    rng = np.random.default_rng(seed)
-    events = 400_000
-    first = rng.poisson(rng.exponential(8.0, events))
-    heights = rng.gamma(np.maximum(first, 1) * 2.0) / 2.0 * 30.0 * (first > 0)
-    gain, shape = stack_gain_and_shape((8.0, 30.0), (8.0 / 9.0, 2.0))
-    assert heights.mean() == pytest.approx(gain, abs=4.5 * heights.std() / np.sqrt(events))
-    relative = (heights - gain) ** 2 / gain**2
-    assert abs(relative.mean() - 1.0 / shape) < 4.5 * relative.std() / np.sqrt(events)
-
-
-def test_first_plate_of_a_stack_decides_its_pulse_heights():
-    assert stack_gain_and_shape((1000.0, 1000.0), (1.0, 1.0)) == pytest.approx((1e6, 1.0), rel=2e-3)
-    assert stack_gain_and_shape((2.0, 1000.0), (1.0, 1.0))[1] == pytest.approx(1.0 / 1.5)
-    with pytest.raises(BadInput, match="positive"):
-        stack_gain_and_shape((0.0,), (1.0,))
 
 
 def test_flat_light_sees_the_same_gain_by_place_as_over_the_whole_plate():
@@ -91,10 +73,9 @@ def test_bright_core_compresses_while_its_halo_keeps_growing():
 
 
 def test_load_reaches_as_far_as_its_blur():
-    depletion = Depletion(saturation_e_per_s_cm2=1e12, blur_um=45.0, recovery_ms=10.0, field_s=0.0167)
     spot = np.zeros(GRID.shape)
     spot[80, 100] = 1e6
-    load = depletion.load(spot, GRID)
+    load = _plate(gain=1.0, depletion_blur_um=45.0).load(spot, GRID)
     x = (np.arange(GRID.shape[1]) - 100) * GRID.pitch_x_mm / GRID.per_column
     y = (np.arange(GRID.shape[0]) - 80) * GRID.pitch_y_mm / GRID.per_row
     assert np.sqrt((load * x**2).sum() / load.sum()) == pytest.approx(0.045, rel=0.02)
@@ -104,35 +85,32 @@ def test_load_reaches_as_far_as_its_blur():
 
 @pytest.mark.parametrize("recovery_ms", [1.0, 10.0, 100.0])
 def test_channels_recover_with_their_time_constant(recovery_ms):
-    depletion = Depletion(saturation_e_per_s_cm2=1.0, blur_um=0.0, recovery_ms=recovery_ms, field_s=0.0167)
+    plate = _plate(recovery_ms=recovery_ms)
     none, load = np.zeros((1, 1)), np.full((1, 1), 3.0)
     state = load
     for fields in range(1, 6):
-        state = depletion.next(state, none)
+        _, state = plate.states_under(state, none)
         assert state.item() == pytest.approx(3.0 * np.exp(-fields * 16.7 / recovery_ms))
     for _ in range(int(np.ceil(20 * recovery_ms / 16.7))):
-        state = depletion.next(state, load)
-    assert state.item() == pytest.approx(3.0, rel=1e-6)
-    assert depletion.during(state, load).item() == pytest.approx(3.0, rel=1e-6)
+        during, state = plate.states_under(state, load)
+    assert (during.item(), state.item()) == pytest.approx((3.0, 3.0), rel=1e-6)
 
 
 def test_mean_state_of_a_field_is_that_of_its_many_short_parts():
-    whole = Depletion(saturation_e_per_s_cm2=1.0, blur_um=0.0, recovery_ms=10.0, field_s=0.0167)
-    part = replace(whole, field_s=0.0167 / 1000)
-    state, load, seen = np.full((1, 1), 2.0), np.full((1, 1), 0.5), []
+    whole, load, seen = _plate(recovery_ms=10.0), np.full((1, 1), 0.5), []
+    state = start = np.full((1, 1), 2.0)
     for _ in range(1000):
-        seen.append(part.during(state, load).item())
-        state = part.next(state, load)
-    assert whole.during(np.full((1, 1), 2.0), load).item() == pytest.approx(np.mean(seen), rel=1e-9)
-    assert whole.next(np.full((1, 1), 2.0), load).item() == pytest.approx(state.item(), rel=1e-9)
+        during, state = replace(whole, field_s=whole.field_s / 1000).states_under(state, load)
+        seen.append(during.item())
+    during, end = whole.states_under(start, load)
+    assert (during.item(), end.item()) == pytest.approx((np.mean(seen), state.item()), rel=1e-9)
 
 
 def test_steady_light_through_depleted_plate_is_its_steady_map():
     plate, light = _plate(depletion_blur_um=45.0), _point(300.0)
-    depletion = plate.depletion
-    load = depletion.load(plate.gain * light.values, GRID)
-    by_state = plate.with_depletion(depletion.during(load, load)).mean(light).values
-    assert by_state == pytest.approx(plate.mean(light).values, rel=1e-5)
+    load = plate.load(light.values, GRID)
+    during, _ = plate.states_under(load, load)
+    assert plate.with_depletion(during).mean(light).values == pytest.approx(plate.mean(light).values, rel=1e-5)
 
 
 def test_draws_under_a_local_load_average_to_its_mean(seed):
@@ -171,18 +149,19 @@ def test_pattern_of_the_plate_is_in_means_and_draws_alike(seed):
 
 
 @pytest.mark.parametrize(
-    "change", [{"stages": 0}, {"pattern_contrast": 1.0}, {"pattern_contrast": -0.1}, {"gain": float("nan")}]
+    "change",
+    [
+        {"pattern_contrast": 1.0},
+        {"pattern_contrast": -0.1},
+        {"gain": float("nan")},
+        {"recovery_ms": 0.0},
+        {"depletion_blur_um": -1.0},
+        {"saturation_e_per_s_cm2": 0.0},
+    ],
 )
 def test_impossible_plates_are_refused(change):
     with pytest.raises(BadInput):
         _plate(**change)
-
-
-@pytest.mark.parametrize("change", [{"recovery_ms": 0.0}, {"blur_um": -1.0}, {"saturation_e_per_s_cm2": 0.0}])
-def test_impossible_depletion_is_refused(change):
-    given = {"saturation_e_per_s_cm2": 1.0, "blur_um": 45.0, "recovery_ms": 10.0, "field_s": 0.0167}
-    with pytest.raises(BadInput):
-        Depletion(**given | change)
 
 
 def test_lines_narrower_than_a_cell_take_as_much_light_wherever_they_fall():

@@ -9,9 +9,9 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensors import load_camera
 from simulate.iiccd import pattern
+from simulate.iiccd.camera import SiliconCamera
 from simulate.iiccd.ccd import Ccd, Register
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.iiccd.solid_state import SiliconCamera
 from simulate.iiccd.stage_image import StageImage
 
 COLD = Conditions(temperature_c=-70.0)

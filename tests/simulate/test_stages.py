@@ -12,7 +12,7 @@ from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.chain import Chain, Stage
+from simulate.iiccd.chain import Chain, Slot, Stage
 from simulate.iiccd.scene_to_photoelectrons import Camera, camera_from_description
 from simulate.iiccd.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
@@ -166,18 +166,18 @@ def test_a_chain_refuses_neighbours_that_do_not_fit(camera):
     ):
         Chain((stages[0], stages[3]))
     with pytest.raises(BadInput, match="phosphor"):
-        camera.chain(Conditions()).without("microchannel plate")
+        camera.chain(Conditions()).without(Slot.MCP)
     with pytest.raises(BadInput, match="names of their own"):
         Chain((stages[4], stages[5], stages[5]))
 
 
 def test_changing_one_stage_leaves_the_noise_of_the_others(camera):
-    chain = camera.chain(Conditions()).between("microchannel plate", "taper")
-    light = _light_for(camera, camera.mcp(Conditions()))
+    chain = camera.chain(Conditions()).between(Slot.MCP, Slot.TAPER)
+    light = _light_for(camera, camera.stage(Slot.MCP, Conditions()))
     whole = chain.draw(light, np.random.default_rng(9)).values
-    without = chain.without("taper").draw(light, np.random.default_rng(9)).values
+    without = chain.without(Slot.TAPER).draw(light, np.random.default_rng(9)).values
     assert np.allclose(whole, without * chain.stages[-1].transmission, rtol=1e-6)
-    gap, plate = camera.chain(Conditions()).between("gap", "microchannel plate").stages
+    gap, plate = camera.chain(Conditions()).between(Slot.GAP, Slot.MCP).stages
     light = _light_for(camera, gap)
     behind_gap = Chain((gap, plate)).draw(light, np.random.default_rng(9)).values
     alone = Chain((plate,)).draw(gap.mean(light), np.random.default_rng(9)).values
@@ -187,7 +187,7 @@ def test_changing_one_stage_leaves_the_noise_of_the_others(camera):
 def test_parts_of_an_exposure_add_up_to_the_whole(camera):
     """Ions and the load of the plate included."""
     plate = camera.chain(Conditions()).stages[3]
-    light = _light_for(camera, camera.mcp(Conditions()))
+    light = _light_for(camera, camera.stage(Slot.MCP, Conditions()))
     half = plate.under_load(light, parts=2).mean(light.with_values(light.values / 2)).values
     assert np.allclose(2.0 * half, plate.mean(light).values, rtol=1e-5)
 

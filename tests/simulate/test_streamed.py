@@ -9,15 +9,18 @@ import pytest
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor
-from simulate.iiccd import sampler_choice, true_quantities
-from simulate.iiccd.accuracy import ACCURACY
+from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.fast_sampler import charge_distribution, frame_generator, kernel, prepare
-from simulate.iiccd.fast_sampler.sparse_events import SparseEventSampler
+from simulate.iiccd.chain import Slot
+from simulate.iiccd.fast_sampler import charge_distribution, event_samplers, frame_generator, kernel
+from simulate.iiccd.fast_sampler.event_samplers import Exposure, SparseLight, SparseScreen
+from simulate.iiccd.grid import ACCURACY
+from simulate.iiccd.moments import PulseMoments
 from simulate.iiccd.phosphor import PhosphorDecay
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import PixelAperture, product
+from tests.simulate.samplers import SAMPLERS, drawn_by
 from tests.simulate.test_noise import _block_variance, _captured
 
 
@@ -58,8 +61,7 @@ def test_a_row_has_the_skewness_and_kurtosis_of_the_compound_law(shape, mean):
 
 def _kernels(sensor, divisions):
     camera = IntensifiedCamera(sensor)
-    stages = prepare.CameraStages.of(camera.chain(Conditions()), camera.fields_per_frame)
-    blurs = stages.behind_mcp.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
+    blurs = PulseMoments(camera.chain(Conditions())).blurs
     known = kernel.DIVISIONS
     try:
         kernel.DIVISIONS = (divisions,)
@@ -120,18 +122,19 @@ def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sh
 def test_single_pulses_light_pixels_as_the_continuous_blur_does(name):
     """Sums of powers of what a pixel sees of pulses anywhere, and of all it sees: integrals over the plane."""
     camera = IntensifiedCamera(load_sensor(name))
-    stages = prepare.CameraStages.of(camera.chain(Conditions()), camera.fields_per_frame)
-    blurs = stages.behind_mcp.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
-    made = kernel.pulse_kernel(blurs, camera.cells, stages.height)
+    blurs = PulseMoments(camera.chain(Conditions())).blurs
+    made = kernel.pulse_kernel(blurs, camera.cells, camera.fields_per_frame)
     places = made.shares.shape[0] * made.shares.shape[1]
-    assert made.shares.sum() / places + made.wing.sum() * kernel.COARSE**2 == pytest.approx(stages.height, rel=1e-5)
+    assert made.shares.sum() / places + made.wing.sum() * kernel.COARSE**2 == pytest.approx(
+        camera.fields_per_frame, rel=1e-5
+    )
     # The picture of a pixel, a seventh of a pixel from point to point.
     side, step = 48 * 7, 1.0 / 7.0
     f = np.fft.fftfreq(side, step)
     fx, fy = np.broadcast_arrays(f[None, :] / camera.cells.pitch_x_mm, f[:, None] / camera.cells.pitch_y_mm)
-    width_mm, height_mm = camera.cells.pitch_x_mm, stages.height * camera.cells.pitch_y_mm
+    width_mm, height_mm = camera.cells.pitch_x_mm, camera.fields_per_frame * camera.cells.pitch_y_mm
     transfer = product((*blurs, PixelAperture(width_mm=width_mm, height_mm=height_mm)), fx, fy)
-    seen = np.fft.ifft2(transfer).real / step**2 * stages.height
+    seen = np.fft.ifft2(transfer).real / step**2 * camera.fields_per_frame
     # A cell under the middle of a frame; what the wing brings hardly changes from place to place.
     middle = 64
     far = _far_of_cell(made, middle, middle, (128, 128))
@@ -161,18 +164,21 @@ def test_sparse_frames_follow_from_seed_and_number_whoever_draws_them(sparse, mo
 
 def test_sparse_frames_average_to_the_mean_frame(sparse, seed):
     camera, light = sparse
-    stream = sampler_choice.generate_frames(camera, light, Conditions(), seed=seed)
+    stream = camera.frames(light, Conditions(), seed=seed)
     frames = np.stack(list(islice(stream, 2000))).astype(float) - camera.mean_frame(light, Conditions())
-    assert isinstance(_made(camera, light).light, SparseEventSampler)
+    assert isinstance(_made(camera, light).light, SparseLight)
     blocks = frames.mean(axis=1).reshape(40, 50, -1).mean(axis=1)
     error = blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
     assert np.all(np.abs(blocks.mean(axis=0)) < 5.0 * error + 5e-3)
 
 
-def _made(camera, light):
-    return prepare.prepare_static_scene(
-        prepare.CameraStages.of(camera.chain(Conditions()), camera.fields_per_frame), light
-    )
+def _made(camera, light) -> Exposure:
+    chain, fields = camera.chain(Conditions()), camera.fields_per_frame
+    return event_samplers.prepare_exposure(chain, light, fields, sparse=camera.is_sparse(light))
+
+
+def _screen(camera, light, seed) -> SparseScreen:
+    return light.screen(camera.stage(Slot.DECAY), camera.fields_per_frame, seed, camera.shape)
 
 
 def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
@@ -180,15 +186,15 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
     sensor = plain(32, 32, phosphor__fast_decay_ms=1e-6, phosphor__slow_decay_ms=1e-6)
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)))
     light = _made(camera, StageImage(values=np.full(camera.cells.shape, 1e-3, np.float32), grid=camera.cells)).light
-    assert isinstance(light, SparseEventSampler)
+    assert isinstance(light, SparseLight)
     expected = np.zeros_like(light.expected)
     # The cells of one pixel amid the frame, in which there is hardly ever more than one pulse.
     expected[42:44, 42:44] = 0.01
     alone = replace(light, expected=expected, ions_per_field=0.0)
-    screen, found = alone.phosphor_sampler(seed), []
-    for frame in range(20000):
-        screen.expose(frame, 1.0, lambda work, rows, block: work(0, rows))
-        image = screen.shown[0, 0] + alone.near_e
+    screen, near_e, found = _screen(camera, alone, seed), alone.near_e(camera.shape), []
+    for frame in range(12000):
+        screen.expose(frame, [alone], 1.0, lambda work, rows, block: work(0, rows))
+        image = screen.shown[0, 0] + near_e
         if image.max() > 1e-3 * light.gain.mean():
             found.append(image.max() / image.sum())
     places = light.kernel.shares.reshape(-1, *light.kernel.shares.shape[2:])
@@ -196,7 +202,7 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
     levels = np.quantile(brightest, [0.2, 0.4, 0.6, 0.8]) * 1.0001
     seen = (np.array(found)[:, None] < levels).mean(axis=0)
     due = (brightest[:, None] < levels).mean(axis=0)
-    assert len(found) > 500
+    assert len(found) > 300
     assert np.all(np.abs(seen - due) < 4.5 * np.sqrt(due * (1.0 - due) / len(found)) + 0.02)
 
 
@@ -204,10 +210,10 @@ def test_single_pulses_arrive_evenly_while_the_gate_is_open(plain, seed):
     """Their light in their own field has the mean and the mean square of the screen's decay."""
     camera = IntensifiedCamera(plain(64, 64, photocathode__ebi_lm_per_cm2=0.0))
     light = _made(camera, StageImage(values=np.full(camera.cells.shape, 0.05, np.float32), grid=camera.cells)).light
-    assert isinstance(light, SparseEventSampler)
-    pulses = light.phosphor_sampler(seed)._draw_pulses(0, np.float32(1.0))
+    assert isinstance(light, SparseLight)
+    pulses = _screen(camera, light, seed)._draw_pulses(light, 0, np.float32(1.0))
     own = 1.0 - pulses.later.sum(axis=0) / pulses.charge
-    truth = camera.afterglow(Conditions()).pulse_shares[:, 0]
+    truth = camera.stage(Slot.DECAY, Conditions()).pulse_shares[:, 0]
     for power in (1, 2):
         error = np.std(truth**power) / np.sqrt(len(own))
         assert np.mean(own**power) == pytest.approx(np.mean(truth**power), abs=4.5 * error + 1e-3)
@@ -216,15 +222,15 @@ def test_single_pulses_arrive_evenly_while_the_gate_is_open(plain, seed):
 def test_sharpened_light_keeps_its_sum_and_even_light_stays(sheet):
     _, _, made = _kernels(sheet, (1, 1))
     assert made.sharpening.sum() == pytest.approx(1.0, abs=1e-9)
-    even = prepare._sharpen(np.full((40, 60), 3.0), made)
+    even = event_samplers._sharpen(np.full((40, 60), 3.0), made)
     assert np.allclose(even, 3.0)
 
 
 @pytest.mark.parametrize("gate_s", [1e-6, 4e-3, 16.6e-3])
 def test_what_a_pulse_leaves_is_what_the_screen_shows_later(gate_s):
     """Shares over the fields agree with the pulse shares of the decay itself, in mean and in mean square."""
-    glow = PhosphorDecay(fast_fraction=0.95, fast_decay_ms=1.45, slow_decay_ms=35.0, gate_s=gate_s, field_s=1 / 59.94)
-    (later, spread, kept), _, memory = prepare.decay_of(glow)
+    glow = PhosphorDecay(components=((0.95, 1.45e-3), (0.05, 35e-3)), gate_s=gate_s, field_s=1 / 59.94)
+    (later, spread, kept), memory = glow.recursion.astype(float), glow.n_lag_fields
     truth = glow.pulse_shares
     assert 1.0 - later.sum() == pytest.approx(truth[:, 0].mean(), abs=2e-4)
     assert (1.0 - later.sum()) ** 2 + spread.sum() ** 2 == pytest.approx(np.mean(truth[:, 0] ** 2), abs=3e-4)
@@ -245,23 +251,18 @@ def scene(sheet):
     return camera, mcp_input_from_photoelectrons(camera, image, Conditions())
 
 
-def _frames(scene, count, **more):
-    return np.stack(list(islice(sampler_choice.generate_frames(*scene, Conditions(), seed=9, **more), count)))
+def _frames(scene, count, tier="fast", **more):
+    return np.stack(list(islice(drawn_by(tier, *scene, Conditions(), seed=9, **more), count)))
 
 
-@pytest.mark.parametrize("tier", ["streamed", "normal"])
+@pytest.mark.parametrize("tier", ["fast", "normal"])
 def test_frames_follow_from_seed_and_number_whoever_draws_them_and_in_whatever_order(scene, tier, monkeypatch):
     monkeypatch.setattr(frame_generator, "SEGMENT_FRAMES", 4)
     run = _frames(scene, 11, tier=tier)
     assert run.tobytes() == _frames(scene, 11, tier=tier, threads=2).tobytes()
     for first in (1, 4, 6, 8):
         assert run[first : first + 2].tobytes() == _frames(scene, 2, tier=tier, first_frame=first).tobytes()
-    assert (
-        run.tobytes()
-        != np.stack(
-            list(islice(sampler_choice.generate_frames(*scene, Conditions(), seed=10, tier=tier), 11))
-        ).tobytes()
-    )
+    assert run.tobytes() != np.stack(list(islice(drawn_by(tier, *scene, Conditions(), seed=10), 11))).tobytes()
 
 
 def test_every_tier_averages_to_the_mean_frame(scene, seed):
@@ -269,8 +270,8 @@ def test_every_tier_averages_to_the_mean_frame(scene, seed):
     conditions = Conditions(mcp_v=700.0)
     mean = camera.mean_frame(light, conditions)
     dark_side = mean < 60.0
-    for tier in sampler_choice.TIERS:
-        stream = sampler_choice.generate_frames(camera, light, conditions, seed=seed, tier=tier)
+    for tier in SAMPLERS:
+        stream = drawn_by(tier, camera, light, conditions, seed=seed)
         frames = np.stack(list(islice(stream, 160))).astype(float)
         profiles = np.where(dark_side, frames - mean, 0.0).sum(axis=1) / np.maximum(dark_side.sum(axis=0), 1)
         blocks = profiles.reshape(20, 8, -1).mean(axis=1)
@@ -282,8 +283,8 @@ def test_the_screen_glows_into_the_next_frame_as_by_cell(scene, seed):
     """Correlation of a pixel's noise with the next frame's, by both tiers."""
     camera, light = scene
     found = []
-    for tier in ("by-cell", "streamed"):
-        stream = sampler_choice.generate_frames(camera, light, Conditions(mcp_v=730.0), seed=seed, tier=tier)
+    for tier in ("chain", "fast"):
+        stream = drawn_by(tier, camera, light, Conditions(mcp_v=730.0), seed=seed)
         frames = np.stack(list(islice(stream, 220)))[:, :20].astype(float)
         noise = frames - frames.mean(axis=0)
         share = (noise[1:] * noise[:-1]).mean(axis=(1, 2)) / (noise**2).mean()
@@ -301,35 +302,28 @@ def test_brightness_control_dims_streamed_frames_as_by_cell(sheet):
     camera, on = IntensifiedCamera(small), Conditions(brightness_control=True)
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 800.0), on)
     levels = [
-        [
-            float(frame.mean())
-            for frame in islice(sampler_choice.generate_frames(camera, light, on, seed=1, tier=tier), 12)
-        ]
-        for tier in ("by-cell", "streamed")
+        [float(frame.mean()) for frame in islice(drawn_by(tier, camera, light, on, seed=1), 12)]
+        for tier in ("chain", "fast")
     ]
     assert levels[1][0] > levels[1][-1] + 5.0
     assert np.allclose(levels[0], levels[1], rtol=0.02)
 
 
-def test_light_that_is_no_number_and_an_unknown_tier_are_refused(scene):
+def test_light_that_is_no_number_is_refused(scene):
     camera, light = scene
     broken = light.with_values(np.where(light.values > 1.0, np.nan, light.values))
     with pytest.raises(BadInput, match="photoelectrons at the plate must be finite"):
-        sampler_choice.generate_frames(camera, broken, Conditions(), seed=1)
-    with pytest.raises(BadInput, match="a tier must be one of by-cell, streamed, normal, got 'best'"):
-        sampler_choice.generate_frames(camera, light, Conditions(), seed=1, tier="best")  # pyright: ignore[reportArgumentType]
+        camera.frames(broken, Conditions(), seed=1)
 
 
-@pytest.mark.parametrize("tier", sampler_choice.TIERS)
+@pytest.mark.parametrize("tier", SAMPLERS)
 def test_six_decibels_of_camera_gain_double_signal_and_noise(sheet, tier, seed):
     small = replace(sheet, ccd=replace(sheet.ccd, rows=60, columns=84), video=replace(sheet.video, bit_depth=16))
     camera = IntensifiedCamera(small)
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions())
     black, found = float(sheet.video.black_level_dn), []
     for gain_db in (0.0, 20.0 * np.log10(2.0)):
-        stream = sampler_choice.generate_frames(
-            camera, light, Conditions(camera_gain_db=float(gain_db)), seed=seed, tier=tier
-        )
+        stream = drawn_by(tier, camera, light, Conditions(camera_gain_db=float(gain_db)), seed=seed)
         frames = np.stack(list(islice(stream, 24))).astype(float)
         found.append((frames.mean() - black, frames.std(axis=0).mean()))
     (level, noise), (doubled_level, doubled_noise) = found
@@ -351,11 +345,11 @@ def test_rows_between_exact_ones_have_the_law_s_skewness_too():
 
 
 def test_a_screen_far_faster_than_the_gate_s_end_leaves_nothing():
-    glow = PhosphorDecay(fast_fraction=0.95, fast_decay_ms=3.6e-5, slow_decay_ms=1.9e-3, gate_s=1e-4, field_s=1 / 30)
-    (later, spread, _), lateness, memory = prepare.decay_of(glow)
+    glow = PhosphorDecay(components=((0.95, 3.6e-8), (0.05, 1.9e-6)), gate_s=1e-4, field_s=1 / 30)
+    later, spread, _ = glow.recursion
     assert later.sum() < 1e-6 > abs(spread.sum())
-    assert np.isfinite(lateness)
-    assert memory == 0
+    assert np.isfinite(glow.lateness)
+    assert glow.n_lag_fields == 0
 
 
 def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
@@ -365,7 +359,7 @@ def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
     light = StageImage(values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells)
     mean = camera.mean_frame(light, Conditions())[0::2, 20:]
     found = []
-    for frame in islice(sampler_choice.generate_frames(camera, light, Conditions(), seed=seed), 1600):
+    for frame in islice(camera.frames(light, Conditions(), seed=seed), 1600):
         field = frame[0::2, 20:] - mean
         found.append([_block_variance(field[None], rows, columns)[0] for rows, columns in blocks])
     batches = np.array(found).reshape(40, 40, len(blocks)).mean(axis=1)
@@ -375,11 +369,3 @@ def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
     expected = np.array([_captured(sensor, *block) * shot + q["read_noise"] ** 2 for block in blocks])
     assert np.all(error < 0.01 * expected)
     assert np.all(np.abs(batches.mean(axis=0) - expected) < 0.004 * expected + 4.0 * error)
-
-
-@pytest.mark.parametrize(("level", "tier"), [(0.3, "streamed"), (3.0, "by-cell")])
-def test_the_most_literal_tier_is_the_one_that_draws_every_pulse(sheet, level, tier):
-    camera = IntensifiedCamera(replace(sheet, ccd=replace(sheet.ccd, rows=24, columns=32)))
-    light = StageImage(values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells)
-    assert sampler_choice.most_exact_tier(camera, light) == tier
-    assert isinstance(_made(camera, light).light, SparseEventSampler) == (tier == "streamed")

@@ -6,13 +6,16 @@ import pytest
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.chain import Slot
 from simulate.iiccd.photocathode import BrightSourceProtection, Photocathode
 from simulate.iiccd.stage_image import StageImage
 
 
 @pytest.fixture
 def supply() -> BrightSourceProtection:
-    return BrightSourceProtection(gap_v=800.0, protected_v=400.0, protected_lux=1.0, gap_mm=0.21, lateral_energy_ev=0.1)
+    return BrightSourceProtection(
+        gap_v=800.0, bright_source_v=400.0, bright_source_lux=1.0, gap_mm=0.21, lateral_energy_ev=0.1
+    )
 
 
 def _transfer(blur, frequency: float) -> float:
@@ -42,7 +45,7 @@ def test_gap_keeps_all_electrons_under_protection(plain):
     camera = IntensifiedCamera(plain(24, 40))
     rng = np.random.default_rng(1)
     light = StageImage(values=rng.random(camera.scene_cells.shape, np.float32), grid=camera.scene_cells)
-    free, bright = (camera.chain(Conditions(), cathode_lux=lux).between("gap", "gap").mean(light) for lux in (0.0, 1.0))
+    free, bright = (camera.to_plate(Conditions(), lux).mean(light) for lux in (0.0, 1.0))
     assert bright.values.sum(dtype=float) == pytest.approx(free.values.sum(dtype=float), rel=1e-3)
     assert bright.values.std() < 0.99 * free.values.std()
 
@@ -55,7 +58,7 @@ def test_shut_gate_passes_light_and_dark_by_its_ratio(ratio):
 
 
 def test_gate_open_all_the_field_has_nothing_to_leak(sheet):
-    cathode = IntensifiedCamera(sheet).photocathode(Conditions())
+    cathode = IntensifiedCamera(sheet).stage(Slot.PHOTOCATHODE, Conditions())
     assert cathode.open_s == cathode.gate_s
 
 
@@ -65,9 +68,15 @@ def test_gates_that_do_not_open_or_outlast_a_field_are_refused(sheet, gate_ns):
         IntensifiedCamera(sheet).chain(Conditions(gate_ns=gate_ns))
 
 
-@pytest.mark.parametrize("change", [{"protected_v": 900.0}, {"protected_v": 0.0}, {"protected_lux": 0.0}])
+@pytest.mark.parametrize("change", [{"bright_source_v": 900.0}, {"bright_source_v": 0.0}, {"bright_source_lux": 0.0}])
 def test_impossible_supplies_are_refused(change):
-    given = {"gap_v": 800.0, "protected_v": 400.0, "protected_lux": 1.0, "gap_mm": 0.21, "lateral_energy_ev": 0.1}
+    given = {
+        "gap_v": 800.0,
+        "bright_source_v": 400.0,
+        "bright_source_lux": 1.0,
+        "gap_mm": 0.21,
+        "lateral_energy_ev": 0.1,
+    }
     with pytest.raises(BadInput):
         BrightSourceProtection(**given | change)
 

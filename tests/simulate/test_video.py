@@ -5,8 +5,7 @@ import pytest
 
 from labdata.errors import BadInput
 from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import CORRECTED_MHZ, VideoFilter
-from simulate.iiccd.video import NoFilter, Video, filter_lines, shift_lines
+from simulate.iiccd.video import CORRECTED_MHZ, NoFilter, Video, VideoFilter, filter_lines, shift_lines
 
 CLOCK_MHZ = 14.318
 

@@ -28,14 +28,7 @@ SUMMED_TO = 32.0
 class CellLaw:
     """Tables from which the charge of cells is looked up.
 
-    Parameters
-    ----------
-    inverse
-        Inverse of the probability that a cell holds anything, of the cells' shape.
-    rows
-        Row of each cell's standardised law.
-    quantiles
-        The rows, flat.
+    `inverse` of the probability that a cell holds anything, `rows` of its standardised law, and these rows, flat.
     """
 
     inverse: NDArray[np.float32]

@@ -4,11 +4,9 @@ import numpy as np
 from numba import njit
 
 from simulate.iiccd.fast_sampler.charge_distribution import HALF, MANTISSA_BITS, NODES, SMALLEST
+from simulate.iiccd.random_numbers import FAST, PART, fill_random_words, row_key, u4
 
-f4, u4, u8 = np.float32, np.uint32, np.uint64
-# SplitMix64 (Steele, Lea and Flood, OOPSLA 2014), one stream a row.
-GOLDEN, MIX_1, MIX_2 = u8(0x9E3779B97F4A7C15), u8(0xBF58476D1CE4E5B9), u8(0x94D049BB133111EB)
-ROW_STRIDE = u8(0xD1342543DE82EF95)
+f4 = np.float32
 SHIFT = u4(23 - MANTISSA_BITS)
 FRACTION = u4((1 << (23 - MANTISSA_BITS)) - 1)
 PER_FRACTION = f4(1.0 / (1 << (23 - MANTISSA_BITS)))
@@ -16,32 +14,7 @@ FIRST = u4(int(np.float32(SMALLEST).view(np.uint32)) >> (23 - MANTISSA_BITS))
 LOWER, PER_ROW = u4(HALF), u4(NODES)
 LEAST = f4(SMALLEST)
 PER_WORD = f4(2.0**-32)
-ZERO, HALF_ONE, ONE, TWO = f4(0.0), f4(0.5), f4(1.0), f4(2.0)
-
-FAST = {"nogil": True, "fastmath": True, "error_model": "numpy", "cache": True}
-# What a pass is made of becomes part of it: a function by itself is compiled once more for a pass that comes from the
-# cache, and rounds otherwise, so that a first run would not draw the frames of the next.
-PART = {"inline": "always", **FAST}
-
-
-@njit(**PART)
-def row_key(key, row):
-    z = key + u8(row) * ROW_STRIDE
-    z = (z ^ (z >> u8(30))) * MIX_1
-    z = (z ^ (z >> u8(27))) * MIX_2
-    return z ^ (z >> u8(31))
-
-
-@njit(**PART)
-def fill_random_words(key, high, low):
-    """Random words of one row, two for each column."""
-    for c in range(high.size):
-        z = key + u8(c) * GOLDEN
-        z = (z ^ (z >> u8(30))) * MIX_1
-        z = (z ^ (z >> u8(27))) * MIX_2
-        z = z ^ (z >> u8(31))
-        high[c] = u4(z >> u8(32))
-        low[c] = u4(z)
+ZERO, HALF_ONE, ONE = f4(0.0), f4(0.5), f4(1.0)
 
 
 @njit(**PART)
@@ -84,38 +57,14 @@ def normal_row(words, quantiles, out, probability, nearer):
 def charge_rows(first, last, key, shown, kernel, wing, mean, response, noise, normal, readout, charge, codes):
     """Spread the noise over the pixels of rows first..last, add the mean and the charge's own noise; read them.
 
-    Parameters
-    ----------
-    first, last
-        Rows of the frame; row r is read from exposure r modulo the number of exposures.
-    key
-        Key of this frame, none of whose rows is drawn twice.
-    shown
-        Electrons beyond the mean on cells, shape (exposure, plane, row, col); the first cell lies under the first
-        pixel's kernel.
-    kernel
-        (down, along): separable kernels, shape (plane, rank, tap).
-    wing
-        (wide, places): what the kernel's far wing brings, on coarse rows and the frame's columns, shape (exposure,
-        coarse row, col); and for every row of the frame the coarse row above it, fraction included, shape (row,).
-    mean
-        Mean charge, shape (row, col), e-, the dark charge's own mean left out.
-    response
-        Response of the pixels, mean 1, of shape (row, col), or (1, 1) where all pixels are alike.
-    noise
-        (counted, variance): whether the charge's own noise is drawn elsewhere, as whole electrons; and the variance of
-        noise besides that of the mean charge, e-^2.
-    normal
-        Quantiles of the normal law.
-    readout
-        (apart, key, impulse, noise, levels): whether rows are read later, by `read_rows`; else its arguments.
-    charge, codes
-        One of them is filled, shape (row, col): charge, e-, where rows are read later, else codes.
-
-    Returns
-    -------
-    float
-        The largest charge.
+    `shown`: electrons beyond the mean on cells, (exposure, plane, row, col), the first cell under the first pixel's
+    kernel; row r is read from exposure r modulo their number. `kernel`: separable kernels down and along, (plane, rank,
+    tap). `wing`: what its far wing brings, on coarse rows and the frame's columns, and the coarse row above each row of
+    the frame, fraction included. `mean`: mean charge, e-, that of the dark left out. `response`: of the pixels, or
+    (1, 1). `noise`: whether the charge's own noise is drawn elsewhere, as whole electrons, and the variance of noise
+    besides that of the mean charge. `normal`: quantiles of the normal law. `readout`: whether rows are read later, by
+    `read_rows`, and its arguments. Filled: `charge`, e-, where rows are read later, else `codes`. Returns the largest
+    charge.
     """
     cols = mean.shape[1]
     gathered, spread = np.empty(shown.shape[3], np.float32), np.empty(cols, np.float32)
@@ -197,27 +146,10 @@ def interpolate_columns(coarse, left, right, share, wide):
 
 @njit(**FAST)
 def read_rows(first, last, key, charge, impulse, noise, levels, normal, codes):
-    """Read rows first..last through the amplifier and its filter into whole codes.
+    """Read rows first..last of a charge, e-, through the amplifier and its filter into whole codes.
 
-    Parameters
-    ----------
-    first, last
-        Rows of the frame.
-    key
-        Key of this frame.
-    charge
-        Charge, shape (row, col), e-.
-    impulse
-        Impulse response along a line, shape (tap,).
-    noise
-        (read, jitter, offset): standard deviations of reading a pixel, e-, of the start of a line, pixels, and of an
-        offset common to a line, DN.
-    levels
-        (gain, black, top, gamma): DN per electron, DN without charge, highest code, exponent.
-    normal
-        Quantiles of the normal law.
-    codes
-        Filled, shape (row, col).
+    `impulse`: impulse response along a line. `noise`: standard deviations of reading a pixel, e-, of the start of a
+    line, pixels, and of an offset common to it, DN. `levels`: DN per electron, DN without charge, highest code, gamma.
     """
     cols = charge.shape[1]
     line, level, taps = line_buffers(cols, impulse)

@@ -1,282 +1,213 @@
-"""Frame generator of the fast sampler: a static scene prepared once, then a few compiled passes per frame."""
+"""Frame generator of the fast sampler: exposures prepared once, then a few compiled passes per frame."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import count, pairwise
-from typing import Any, Protocol
+from itertools import count, islice, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd.automatic_controls import AutomaticState
+from labdata.errors import BadInput
+from simulate.iiccd import pattern
+from simulate.iiccd.automatic_controls import UNTOUCHED, AutomaticState
+from simulate.iiccd.chain import Chain, Slot
 from simulate.iiccd.fast_sampler.charge_distribution import normal_quantiles
-from simulate.iiccd.fast_sampler.kernel import COARSE, REACH
+from simulate.iiccd.fast_sampler.event_samplers import Array, Exposure, prepare_exposure
+from simulate.iiccd.fast_sampler.kernel import COARSE, REACH, Kernel, PulseKernel
+from simulate.iiccd.grid import ACCURACY
+from simulate.iiccd.random_numbers import key_of, poisson_numbers
+from simulate.iiccd.stage_image import StageImage
 
-# Does work on rows in bands of whole blocks: (work of first and last row, rows, rows in a block).
-Shared = Callable[[Callable[[int, int], None], int, int], None]
-
-
-class OuterWing(Protocol):
-    """Part of the spread outside the compact kernel; names as in `Kernel`."""
-
-    @property
-    def height(self) -> int:
-        """Rows of the chip in a pixel as read."""
-        ...
-
-    @property
-    def wing(self) -> NDArray[np.float32]:
-        """Weights of coarse cells."""
-        ...
-
-
-class PhosphorSampler(Protocol):
-    """The phosphor from one exposure to the next.
-
-    Parameters
-    ----------
-    shown
-        Electrons beyond the mean that come out in each exposure of a frame, shape (exposure, plane, row, col).
-    spread
-        Separable kernels that take them to pixels, two of shape (plane, rank, tap).
-    """
-
-    shown: NDArray[np.float32]
-    spread: tuple[NDArray[np.float32], NDArray[np.float32]]
-
-    @property
-    def far(self) -> OuterWing:
-        """Part of the spread outside the compact kernels."""
-        ...
-
-    def forget(self) -> None:
-        """Reset the stored light to its mean."""
-        ...
-
-    def expose(self, frame: int, brightness: float, shared: Shared) -> NDArray[np.float32]:
-        """Draw the pulses of a frame's exposures, `brightness` times the mean light, and apply phosphor decay.
-
-        Returns
-        -------
-        NDArray
-            What each exposure shows beyond the mean, summed over coarse cells, shape (exposure, coarse row, coarse
-            col).
-        """
-        ...
-
-
-class EventSampler(Protocol):
-    """Prepared light behind the gain."""
-
-    @property
-    def pulse_e(self) -> float:
-        """Variance of a pixel's charge over its mean, from pulses alone, e-."""
-        ...
-
-    def phosphor_sampler(self, seed: int) -> PhosphorSampler:
-        """Return the phosphor in its initial state."""
-        ...
-
-
-def key_of(seed: int, purpose: int, number: int) -> np.uint64:
-    """Return the key of the random generator of one exposure."""
-    # Exposures before the first frame, whose light it still shows, have numbers below zero; seeds may not.
-    return np.random.SeedSequence([seed, purpose, number + 2**32]).generate_state(1, np.uint64)[0]
-
-
-def float32_values(*numbers: float) -> tuple[np.float32, ...]:
-    """Return numbers in single precision."""
-    return tuple(np.float32(number) for number in numbers)
-
-
+Frame = NDArray[np.unsignedinteger]
 # The phosphor's state is drawn again, from the fields before, at the start of each segment: a frame depends on the seed
 # and on its own number alone.
 SEGMENT_FRAMES = 128
 # What a generator is for; light has others.
 CHARGE, COUNTED, READ = 61, 62, 63
-
-Frame = NDArray[np.unsignedinteger]
-States = Callable[[int], AutomaticState]
+EMPTY = np.zeros((1, 1), np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
-class StaticScene:
-    """Static scene, prepared for the frame generator.
+class _Wells:
+    """What may happen to the charge of a frame: electrons counted one by one where they are few, wells overflowing."""
 
-    Parameters
-    ----------
-    light
-        How its pulses are drawn.
-    light_e
-        Mean charge that light brings to every pixel, e-, shape (row, col).
-    response
-        Response of the pixels, shape (row, col), or (1, 1) where all are alike.
-    dark_pattern_e
-        Dark charge of the pixels about its mean, e-, shape (row, col), or (1, 1) where all are alike.
-    stays, kept
-        Mean fraction of a pulse that each component of the phosphor's decay stores, and the fraction of what is
-        stored that stays stored for one exposure more, shape (component,).
-    n_lag_fields
-        Number of exposures to which the phosphor decay extends.
-    fields
-        Exposures in a frame.
-    """
-
-    light: EventSampler
-    light_e: NDArray[np.float32]
-    response: NDArray[np.float32]
-    dark_pattern_e: NDArray[np.float32]
-    stays: NDArray[np.float64]
-    kept: NDArray[np.float64]
-    n_lag_fields: int
-    fields: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class Readout:
-    """Parameters of CCD readout and electronics.
-
-    Parameters
-    ----------
-    dark_e, read_noise_e
-        Mean dark charge of a pixel and standard deviation of reading, e-.
-    counted
-        Whether charge is so little that its electrons are counted out one by one.
-    limit_charge
-        What the wells hold of a frame's charge; None where no well can overflow.
-    impulse
-        Impulse response along a line, shape (tap,).
-    jitter_px, line_noise_dn
-        Standard deviations of the start of a line and of an offset common to it.
-    gain_dn_per_e, black_dn, gamma, top_dn
-        DN per electron, DN without charge, exponent, highest code.
-    """
-
-    dark_e: float
-    read_noise_e: float
     counted: bool
-    limit_charge: Callable[[NDArray[np.float32]], NDArray[np.float32]] | None
-    impulse: NDArray[np.float32]
-    jitter_px: float
-    line_noise_dn: float
-    gain_dn_per_e: float
-    black_dn: float
-    gamma: float
-    top_dn: int
+    overflow: bool
 
     @property
-    def reads_apart(self) -> bool:
+    def read_apart(self) -> bool:
         """Whether the noise of reading is drawn after the charge has settled, not together with that of the charge."""
-        return self.counted or self.limit_charge is not None
+        return self.counted or self.overflow
 
 
 class FrameGenerator:
-    """Generates the frames of a static scene."""
+    """Generates frames of static or moving scenes.
 
-    def __init__(self, scene: StaticScene, readout: Readout, states: States, *, seed: int, threads: int) -> None:
-        self._scene, self._readout, self._states = scene, readout, states
-        self._seed, self._threads = seed, threads
-        self._sampler = scene.light.phosphor_sampler(seed)
-        # What is stored of the mean, relative to a steady scene of untouched brightness.
-        self._stored_mean = np.ones(len(scene.stays))
-        self._charge = np.empty(scene.light_e.shape, np.float32)
-        self._mean_of: tuple[tuple[float, ...], NDArray[np.float32]] = (), scene.light_e
+    It takes the whole chain of a camera, its automatic controls untouched, and the exposures in a frame; so many
+    threads share a frame, which does not depend on their number.
+    """
 
-    def frames(self, first_frame: int = 0) -> Iterator[Frame]:
-        """Yield frames from a number on; never ends."""
+    def __init__(self, chain: Chain, fields: int, *, seed: int, threads: int) -> None:
+        self._chain, self._fields, self._seed, self._threads = chain, fields, seed, threads
+        self._mcp, self._ccd, self._video = chain[Slot.MCP], chain[Slot.CCD], chain[Slot.VIDEO]
+        self._decay = chain[Slot.DECAY]
+        self._stays, _, self._kept = self._decay.recursion.astype(float)
+        self._taps = np.array(self._video.taps, np.float32)
+
+    def _begin(self, exposure: Exposure) -> None:
+        """Make the phosphor and the patterns of the frame that an exposure has."""
+        shape, ccd = exposure.light_e.shape, self._ccd
+        self._screen: Any = exposure.light.screen(self._decay, self._fields, self._seed, shape)
+        dark = ccd.dark(shape) - np.float32(ccd.dark_e)
+        self._dark_pattern = np.ascontiguousarray(dark) if np.ndim(dark) == 2 else EMPTY
+        self._response = EMPTY if ccd.prnu == 0.0 else pattern.prnu_map(shape, ccd.prnu, ccd.pattern_seed)
+        self._charge = np.empty(shape, np.float32)
+
+    def static(
+        self, at_mcp: StageImage, state_of: Callable[[int], AutomaticState], first_frame: int, *, sparse: bool
+    ) -> Iterator[Frame]:
+        """Yield the frames of a static scene from a number on, by the state of the controls in each; never ends."""
+        exposure = prepare_exposure(self._chain, at_mcp, self._fields, sparse=sparse)
+        exposures, light_e = [exposure] * self._fields, exposure.light_e
+        self._begin(exposure)
+        wells = self._wells_of(float(light_e.max()), exposure)
+        lead = -(-self._decay.n_lag_fields // self._fields)
+
+        @lru_cache(maxsize=256)
+        def factor(brightness: float) -> float:
+            """Output of the MCP, which saturates, over that of untouched brightness."""
+            plates = (replace(self._mcp, gain=self._mcp.gain * by) for by in (brightness, 1.0))
+            output, untouched = (float(plate.mean(at_mcp).values.sum(dtype=float)) for plate in plates)
+            return output / untouched
+
+        def brightness_of(frame: int) -> float:
+            brightness = state_of(max(frame, 0)).brightness
+            return 1.0 if brightness == 1.0 else factor(brightness)
+
+        @lru_cache(maxsize=1)
+        def mean(shown: tuple[float, ...]) -> Array:
+            by_row = np.resize(np.array(shown, np.float32), len(light_e))[:, None]
+            return np.ascontiguousarray(by_row * light_e + self._dark_pattern)
+
+        def expose(frame: int) -> tuple[Array, tuple[float, ...]]:
+            by = brightness_of(frame)
+            coarse = self._screen.expose(frame, [e.light for e in exposures], by, self._run_in_bands)
+            return coarse, tuple(float(self._mean_shown(by)) for _ in exposures)
+
         for frame in count(first_frame - first_frame % SEGMENT_FRAMES):
             if frame % SEGMENT_FRAMES == 0:
-                self._begin_segment(frame)
-            coarse, brightness = self._expose(frame)
+                self._screen.forget()
+                # What is stored of the mean, relative to a steady scene of untouched brightness.
+                self._stored_mean: list[Any] = [brightness_of(frame - lead)] * len(self._stays)
+                for earlier in range(frame - lead, frame):
+                    expose(earlier)
+            coarse, shown = expose(frame)
             if frame >= first_frame:
-                yield self._read(frame, coarse, brightness)
+                yield self._read(frame, coarse, mean(shown), wells, state_of(frame).gain)
 
-    def _begin_segment(self, frame: int) -> None:
-        before = -(-self._scene.n_lag_fields // self._scene.fields)
-        self._sampler.forget()
-        self._stored_mean[:] = self._states(max(frame - before, 0)).brightness
-        for earlier in range(frame - before, frame):
-            self._expose(earlier)
+    def moving(
+        self,
+        scenes: Iterable[StageImage],
+        next_state: Callable[[AutomaticState, float, float], AutomaticState],
+        *,
+        is_sparse: Callable[[StageImage], bool],
+        settled: bool,
+    ) -> Iterator[Frame]:
+        """Yield a frame for the scenes of each of its exposures; see `IntensifiedCamera.moving_frames`.
 
-    def _expose(self, frame: int) -> tuple[NDArray[np.float32], tuple[float, ...]]:
-        """Expose a frame: light beyond the mean on coarse cells, and the factors of the mean light."""
-        factor = self._states(max(frame, 0)).brightness
-        coarse = self._sampler.expose(frame, factor, self._run_in_bands)
-        return coarse, tuple(self._mean_shown(factor) for _ in range(self._scene.fields))
+        `next_state` gives the state of the controls behind a state, a mean output of the MCP, electrons per s and cm2,
+        and a mean level above black, DN. By the first scene `is_sparse` decides whether single pulses are drawn.
+        """
+        state, channels, sparse = UNTOUCHED, None, False
+        coming = iter(scenes)
+        for frame in count():
+            if not (batch := list(islice(coming, self._fields))):
+                return
+            if len(batch) != self._fields:
+                raise BadInput(f"a frame must have {self._fields} exposures, got {len(batch)}")
+            plate = replace(self._mcp, gain=self._mcp.gain * state.brightness)
+            if frame == 0:
+                sparse = is_sparse(batch[0])
+                first = prepare_exposure(self._chain, batch[0], self._fields, sparse=sparse)
+                self._begin(first)
+                self._stored_mean = [first.light_e * np.float64(settled)] * len(self._stays)
+                if settled and plate.depletion_blur_um is not None:
+                    channels = plate.load(batch[0].values, batch[0].grid)
+                for earlier in range(-self._decay.n_lag_fields // self._fields if settled else 0, 0):
+                    self._screen.expose(earlier, [first.light] * self._fields, 1.0, self._run_in_bands)
+            exposures, output = [], 0.0
+            for scene in batch:
+                output += float(plate.mean(scene).values.sum(dtype=float)) / scene.grid.cell_area_cm2
+                working = plate
+                if plate.depletion_blur_um is not None:
+                    during, channels = plate.states_under(channels, plate.load(scene.values, scene.grid))
+                    working = plate.with_depletion(during)
+                chain = self._chain.replacing(working)
+                exposures.append(prepare_exposure(chain, scene, self._fields, sparse=sparse))
+            output /= batch[0].values.size * plate.field_s * self._fields
+            coarse = self._screen.expose(frame, [e.light for e in exposures], 1.0, self._run_in_bands)
+            mean = np.empty(self._charge.shape, np.float32)
+            for n, exposure in enumerate(exposures):
+                shown = self._mean_shown(exposure.light_e)
+                mean[n :: self._fields] = (shown + self._dark_pattern)[n :: self._fields]
+            wells = self._wells_of(float(mean.max()), exposures[0])
+            drawn = self._read(frame, coarse, mean, wells, state.gain)
+            yield drawn
+            state = next_state(state, output, float(drawn.mean()) - self._video.black_level_dn)
 
-    def _mean_shown(self, brightness: float) -> float:
-        later, kept = self._scene.stays, self._scene.kept
+    def _mean_shown(self, amount: Any) -> Any:
+        """Mean light of an exposure, earlier ones included: of an amount as a factor or as a map."""
         # Of a steady scene a component stores later / (1 - kept) and gives back later.
-        shown = brightness * (1.0 - later.sum()) + float(np.sum(later * self._stored_mean))
-        self._stored_mean = kept * self._stored_mean + (1.0 - kept) * brightness
+        shown = amount * (1.0 - self._stays.sum())
+        shown = shown + sum(share * stored for share, stored in zip(self._stays, self._stored_mean, strict=True))
+        self._stored_mean = [
+            kept * stored + (1.0 - kept) * amount for kept, stored in zip(self._kept, self._stored_mean, strict=True)
+        ]
         return shown
 
-    def _read(self, frame: int, coarse: NDArray[np.float32], brightness: tuple[float, ...]) -> Frame:
+    def _wells_of(self, brightest_e: float, exposure: Exposure) -> _Wells:
+        """Decide by the variance of the charge of pixels of each mean, from none to the brightest."""
+        ccd, light = self._ccd, exposure.light
+        pulse_e = float(light.gain.mean()) * (1.0 + 1.0 / light.shape) * light.kernel.squares
+        mean = np.linspace(0.0, max(brightest_e, 1.0), 200)
+        variance = mean * (1.0 + pulse_e) + ccd.dark_e + ccd.read_noise_e**2
+        skewness = float(((mean + ccd.dark_e) / np.maximum(variance, 1e-30) ** 1.5).max())
+        highest = brightest_e + ACCURACY.max_charge_sd * np.sqrt(float(variance.max()))
+        return _Wells(counted=skewness > ACCURACY.counted_skewness, overflow=bool(highest > ccd.full_well_e))
+
+    def _read(self, frame: int, coarse: Array, mean: Array, wells: _Wells, gain: float) -> Frame:
         """Spread a frame's exposures over the pixels that are read from them, and read these."""
         from simulate.iiccd.fast_sampler.charge_rows import charge_rows, read_rows
 
-        scene, readout, normal = self._scene, self._readout, normal_quantiles()
-        codes = np.empty(self._charge.shape, np.uint8 if readout.top_dn < 256 else np.uint16)
-        wing = far_wing(self._sampler.far, coarse, scene.light_e.shape)
-        mean, electronics = self._mean(brightness), self._electronics(frame)
-        variance = readout.dark_e + (0.0 if readout.reads_apart else readout.read_noise_e**2)
-        noise = readout.counted, np.float32(variance)
+        ccd, video, screen, normal = self._ccd, self._video, self._screen, normal_quantiles()
+        codes, charge = np.empty(mean.shape, video.code_type), self._charge
+        wing = far_wing(screen.kernel, coarse, mean.shape)
+        read_e = ccd.read_noise_e if wells.read_apart else 0.0
+        variance = ccd.dark_e + (0.0 if wells.read_apart else ccd.read_noise_e**2)
         key, read_key = key_of(self._seed, CHARGE, frame), key_of(self._seed, READ, frame)
+        noise = tuple(np.array([read_e, video.sync_jitter_px, video.line_noise_dn], np.float32))
+        per_e = video.conversion_gain_dn_per_e * video.gain * gain
+        levels = tuple(np.array([per_e, video.black_level_dn, video.full_scale_dn, video.gamma], np.float32))
+        reading = wells.read_apart, read_key, self._taps, noise, levels
+        drawn = wells.counted, np.float32(variance)
 
         def collect(first: int, last: int) -> None:
-            read = readout.reads_apart, read_key, *electronics
-            charge_rows(
-                first,
-                last,
-                key,
-                self._sampler.shown,
-                self._sampler.spread,
-                wing,
-                mean,
-                scene.response,
-                noise,
-                normal,
-                read,
-                self._charge,
-                codes,
-            )
+            light = screen.shown, screen.spread, wing, mean, self._response
+            charge_rows(first, last, key, *light, drawn, normal, reading, charge, codes)
 
         self._run_in_bands(collect, len(codes), 1)
-        if readout.reads_apart:
-            charge = self._charge_in_wells(frame)
+        if wells.read_apart:
+            if wells.counted:
+                dark = np.float32(ccd.dark_e)
+                charge = poisson_numbers(key_of(self._seed, COUNTED, frame), charge + dark) - dark
+            held = ccd.limit_to_full_well(charge) if wells.overflow else charge
             self._run_in_bands(
-                lambda a, b: read_rows(a, b, read_key, charge, *electronics, normal, codes), len(codes), 1
+                lambda a, b: read_rows(a, b, read_key, held, self._taps, noise, levels, normal, codes), len(codes), 1
             )
         return codes
-
-    def _mean(self, brightness: tuple[float, ...]) -> NDArray[np.float32]:
-        """Mean charge of every pixel, the dark charge's pattern included, e-."""
-        if brightness != self._mean_of[0]:
-            factor = np.resize(np.array(brightness, np.float32), len(self._scene.light_e))[:, None]
-            mean = factor * self._scene.light_e + self._scene.dark_pattern_e
-            self._mean_of = brightness, np.ascontiguousarray(mean)
-        return self._mean_of[1]
-
-    def _electronics(self, frame: int) -> tuple[NDArray[np.float32], tuple[np.float32, ...], tuple[np.float32, ...]]:
-        """Impulse response, noise and levels of reading a frame."""
-        readout = self._readout
-        read = readout.read_noise_e if readout.reads_apart else 0.0
-        gain = readout.gain_dn_per_e * self._states(frame).gain
-        noise = float32_values(read, readout.jitter_px, readout.line_noise_dn)
-        return readout.impulse, noise, float32_values(gain, readout.black_dn, readout.top_dn, readout.gamma)
-
-    def _charge_in_wells(self, frame: int) -> NDArray[np.float32]:
-        """Charge in whole electrons where electrons are few, limited to the full well."""
-        charge, readout = self._charge, self._readout
-        if readout.counted:
-            from simulate.iiccd.pulse_sampling import poisson_charge
-
-            dark = np.float32(readout.dark_e)
-            rng = np.random.default_rng([self._seed, COUNTED, frame + 2**32])
-            charge = poisson_charge(rng, charge + dark) - dark
-        return charge if readout.limit_charge is None else readout.limit_charge(charge)
 
     def _run_in_bands(self, work: Callable[[int, int], None], rows: int, block: int) -> None:
         """Do all rows in bands of whole blocks, one for each thread."""
@@ -289,19 +220,10 @@ class FrameGenerator:
             done.result()
 
 
-def far_wing(
-    kernel: OuterWing, coarse: NDArray[np.float32], shape: tuple[int, ...]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def far_wing(kernel: Kernel | PulseKernel, coarse: Array, shape: Sequence[int]) -> tuple[Array, Array]:
     """Return the far wing on coarse rows and the frame's columns, and each frame row's place among the coarse rows.
 
-    Parameters
-    ----------
-    kernel
-        Spread of the noise.
-    coarse
-        Noise summed over coarse cells, shape (..., coarse row, coarse col).
-    shape
-        Rows and columns of the frame.
+    `coarse` is the noise summed over coarse cells, shape (..., coarse row, coarse col).
     """
     from scipy import fft
 
@@ -314,16 +236,11 @@ def far_wing(
     spectrum: Any = fft.rfft2(coarse, size)
     spread: Any = fft.irfft2(spectrum * transform, size)
     spread = spread[..., middle : middle + rows, middle : middle + cols]
-    places, left, right, share = _places((rows, cols), kernel.height, shape)
+    places, left, right, share = _places((rows, cols), kernel.height, tuple(shape))
     # A row beyond the last, which the rows of the frame look at with no weight.
     wide = np.empty((*coarse.shape[:-2], rows + 1, shape[1]), np.float32)
-    interpolate_columns(
-        np.ascontiguousarray(spread, np.float32).reshape(-1, rows, cols),
-        left,
-        right,
-        share,
-        wide.reshape(-1, rows + 1, shape[1]),
-    )
+    images = np.ascontiguousarray(spread, np.float32).reshape(-1, rows, cols)
+    interpolate_columns(images, left, right, share, wide.reshape(-1, rows + 1, shape[1]))
     return wide, places
 
 
@@ -338,7 +255,7 @@ def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, ...]) -> ND
 @lru_cache(maxsize=4)
 def _places(
     coarse: tuple[int, ...], height: int, shape: tuple[int, ...]
-) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]]:
+) -> tuple[Array, NDArray[np.uint32], NDArray[np.uint32], Array]:
     """Positions of the frame's rows and columns between the centres of coarse cells."""
     centres = REACH + 0.5 * height, REACH + 0.5
     rows, cols = (

@@ -13,8 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd.accuracy import ACCURACY
-from simulate.iiccd.grid import Grid
+from simulate.iiccd.grid import ACCURACY, Grid
 from simulate.iiccd.transfer import PixelAperture, StageBlur, fold_transfer
 
 # Half-width of the compact part, pixels; the wing beyond is spread on the coarse lattice.
@@ -31,63 +30,46 @@ DIVISIONS = ((1, 1), (1, 2), (2, 2))
 
 @dataclass(frozen=True, kw_only=True)
 class Kernel:
-    """Spread of the noise from planes of cells, one cell a pixel pitch in each plane, to pixels.
+    """Spread of the noise from planes of cells, one cell a pixel pitch in each plane, to pixels."""
 
-    Parameters
-    ----------
-    divisions
-        Cells per row and per column of the chip; their product is the number of planes.
-    height
-        Rows of the chip in a pixel as read.
-    down, along
-        Separable parts, shape (plane, rank, tap).
-    wing
-        Weights of coarse cells for what reaches farther than `REACH`, shape (coarse row, coarse col), centre in the
-        middle.
-    blur_factor
-        Variance of the pulses' noise over its covariance sum, as read, dimensionless.
-    third_factor
-        Its third moment over that of pulses that each fall into one pixel, as read, dimensionless.
-    skewness_ratio
-        Third moment of the lattice's pulses, as read, over that of pulses that fall anywhere, dimensionless.
-    sharpening
-        Filter on the lattice, shape (SIDE down, SIDE along), origin first. Light through it has, by this kernel, the
-        variance at every pixel that the light itself has by the continuous blur.
-    """
-
-    divisions: tuple[int, int]
-    height: int
+    divisions: tuple[int, int]  # cells per row and per column of the chip; their product is the number of planes
+    height: int  # rows of the chip in a pixel as read
+    # Separable parts, shape (plane, rank, tap).
     down: NDArray[np.float32]
     along: NDArray[np.float32]
+    # Weights of coarse cells for what reaches farther than `REACH`, shape (coarse row, coarse col), centre in the
+    # middle.
     wing: NDArray[np.float32]
-    blur_factor: float
-    third_factor: float
+    blur_factor: float  # variance of the pulses' noise over its covariance sum, as read, dimensionless
+    third_factor: float  # its third moment over that of pulses that each fall into one pixel, as read, dimensionless
+    # Third moment of the lattice's pulses, as read, over that of pulses that fall anywhere, dimensionless.
     skewness_ratio: float
+    # Filter on the lattice, shape (SIDE down, SIDE along), origin first. Light through it has, by this kernel, the
+    # variance at every pixel that the light itself has by the continuous blur.
     sharpening: NDArray[np.float64] = field(repr=False)
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squared fractions that pixels collect of a pulse, over the mean sum, dimensionless."""
+        squared = float(np.einsum("prj,prk,psj,psk->", self.down, self.along, self.down, self.along))
+        return squared / (self.height * len(self.down))
 
 
 @dataclass(frozen=True, kw_only=True)
 class PulseKernel:
-    """Spread of single pulses, from places `FINEST` to a pixel pitch both ways, to pixels.
+    """Spread of single pulses, from places `FINEST` to a pixel pitch both ways, to pixels."""
 
-    Parameters
-    ----------
-    height
-        Rows of the chip in a pixel as read.
-    shares
-        Fraction of a pulse's light on pixels, shape (row of the place, col of the place, row, col). A place in row R
-        and column C of the chip, counted from `reach` before the first, lights the pixels that end with row R, column
-        C.
-    reach
-        Half-width of the fractions, pixels: `NEAR` where what lies beyond is little, else `REACH`.
-    wing
-        What reaches farther than `REACH`, as in `Kernel`.
-    """
-
-    height: int
+    height: int  # rows of the chip in a pixel as read
+    # Fraction of a pulse's light on pixels, shape (row of the place, col of the place, row, col). A place in row R and
+    # column C of the chip, counted from `reach` before the first, lights the pixels that end with row R, column C.
     shares: NDArray[np.float32]
-    reach: int
-    wing: NDArray[np.float32]
+    reach: int  # half-width of the fractions, pixels: `NEAR` where what lies beyond is little, else `REACH`
+    wing: NDArray[np.float32]  # what reaches farther than `REACH`, as in `Kernel`
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squared fractions that pixels collect of a pulse, over the mean sum, dimensionless."""
+        return float(np.sum(self.shares**2)) / (FINEST**2 * self.height)
 
 
 @lru_cache(maxsize=8)
@@ -127,7 +109,7 @@ def noise_kernel(
     height
         Rows of the chip in a pixel as read, 1 or 2.
     impulse
-        Impulse response along a line of what follows, one tap a pixel; it takes part in the third moment.
+        Impulse response along a line of what follows; it takes part in the third moment.
     tolerance
         Error that the third moment may have, dimensionless; the finest lattice has what it has.
     """
@@ -165,7 +147,7 @@ def _on_lattice(
 
 def _fine_transfer(blurs: tuple[StageBlur, ...], grid: Grid, height: int) -> NDArray[np.float64]:
     """Transfer of blurs and pixels from the finest lattice, shape (SIDE * FINEST, SIDE * FINEST)."""
-    aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
+    aperture = PixelAperture.of(grid, height)
     fine = np.fft.fftfreq(SIDE * FINEST, 1.0 / FINEST)
     cells = {"cell_x_mm": grid.pitch_x_mm / FINEST, "cell_y_mm": grid.pitch_y_mm / FINEST}
     return fold_transfer(blurs, aperture, fine / grid.pitch_x_mm, fine / grid.pitch_y_mm, **cells)
@@ -282,16 +264,8 @@ def _fit_wing(rest: NDArray[np.float64], height: int, unseen: tuple[slice, ...] 
     """Return the weights of coarse cells that bring to pixels what comes closest to a rest of the kernel.
 
     Cells gather in coarse ones, and pixels lie anywhere between the centres of these: of weights that are the rest's
-    means over coarse cells, a tenth is lost at a hundredth of a cycle per pixel.
-
-    Parameters
-    ----------
-    rest
-        Fraction of a cell by its distance from the pixel, -SIDE/2 pixels first, shape (SIDE, SIDE).
-    height
-        Rows of the chip in a pixel as read.
-    unseen
-        Rows and columns of distances together too short to count; none if empty.
+    means over coarse cells, a tenth is lost at a hundredth of a cycle per pixel. The rest is by distance from the
+    pixel, -SIDE/2 first; distances that are together in `unseen` do not count.
     """
     down, along = (_spread_of_wing(n) for n in (height, 1))
     information, seen = np.kron(down.T @ down, along.T @ along), rest.copy()

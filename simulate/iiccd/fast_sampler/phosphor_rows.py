@@ -4,23 +4,19 @@ import numpy as np
 from numba import njit
 
 from simulate.iiccd.fast_sampler.charge_rows import (
-    FAST,
     HALF_ONE,
     LEAST,
     ONE,
-    PART,
     PER_WORD,
-    TWO,
     ZERO,
     f4,
-    fill_random_words,
     look_up_quantiles,
-    row_key,
     to_nearer_end,
-    u4,
-    u8,
-)
+)  # fmt: skip
 from simulate.iiccd.fast_sampler.kernel import REACH
+from simulate.iiccd.random_numbers import FAST, PART, fill_random_words, row_key, u4, u8
+
+TWO = f4(2.0)
 
 # A uniform number of variance 1 from 16 bits.
 UNIFORM = f4(np.sqrt(12.0) * 2.0**-16)
@@ -89,34 +85,14 @@ def _scatter(charge, mean, shape, lateness, uniform):
 
 @njit(**FAST)
 def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, shown, coarse):
-    """Draw the pulses of consecutive exposures, cell rows first..last, and let the phosphor decay.
+    """Draw the pulses of consecutive exposures, cell rows first..last of a plane, and let the phosphor decay.
 
-    Parameters
-    ----------
-    first, last
-        Rows of cells, the last excluded.
-    plane
-        Plane of cells.
-    exposures
-        (keys, brightness): key and factor of the gain of each exposure, shape (exposure,).
-    cells
-        (expected, inverse, rows, gain): mean number of pulses, the inverse of the probability of any, the row of the
-        law, and electrons per mean pulse, shape (row, col).
-    law
-        (quantiles, shape, lateness, ions): the law's rows, flat; gamma shape of pulses; skewness of what pulses leave
-        to later exposures; mean number of pulses that ions bring to a cell.
-    ions
-        (exposures, rows, columns, pulses) of the ion events, each of shape (event,).
-    decay
-        (later, spread, kept) of each component, shape (3, component): mean fraction of a pulse that is stored for
-        later, its standard deviation, and the fraction of what is stored that stays stored for one exposure more.
-    stored
-        Electrons still to come from each component, shape (component, row, col); changed.
-    shown
-        Electrons beyond the mean that come out in each exposure, shape (exposure, plane, row, col); filled.
-    coarse
-        Their sums over blocks, shape (exposure, plane, coarse row, coarse col); filled. Rows first..last are whole
-        blocks.
+    `exposures`: keys and factors of the gain. `cells`: mean number of pulses, inverse of the probability of any, row of
+    the law, and electrons per mean pulse, (row, col). `law`: its rows, flat; gamma shape of pulses; skewness of what
+    they leave to later exposures; mean pulses that ions bring to a cell. `ions`: exposure, row, column and pulses of
+    each event. `decay`: mean fraction stored, its standard deviation, and fraction kept, of each component. `stored`:
+    electrons still to come, (component, row, col), changed. Filled: `shown`, electrons beyond the mean in each
+    exposure, (exposure, plane, row, col), and `coarse`, their sums over blocks; rows first..last are whole blocks.
     """
     (keys, brightness), (expected, inverse, rows, gain) = exposures, cells
     cols, block = gain.shape[1], gain.shape[1] // coarse.shape[3]
@@ -171,27 +147,12 @@ ADDED_AT_ONCE = 8
 def pulse_rows(first, last, exposure, pulses, shares, expected, decay, stored, shown):
     """Lay the pulses of one exposure on rows first..last of the frame, and let the phosphor decay.
 
-    Parameters
-    ----------
-    first, last
-        Rows of the frame, the last excluded.
-    exposure
-        (number, numbers, reach): which exposure of the frame it is, of how many; row r is read from exposure r modulo
-        those; and how far the fractions reach, px.
-    pulses
-        (rows, columns, charge, later): places in fractions of a pixel, counted from before the frame as the kernel
-        says, shape (pulse,); electrons; and those that come later, shape (component, pulse).
-    shares
-        Fraction of a pulse on pixels by its place, shape (row of the place, col of the place, row, col).
-    expected
-        (light, later): mean charge by which pulses light the frame, shape (row, col), e-, and the fraction of it that
-        each component stores, shape (component,).
-    decay
-        Fraction of what is stored that stays stored for one exposure more, shape (component,).
-    stored
-        Electrons still to come beyond the mean, shape (component, row, col); changed.
-    shown
-        Electrons beyond the mean that come out in this exposure, shape (row, col); the rows read from it are filled.
+    `exposure`: its number in the frame, of how many (row r is read from exposure r modulo those), and how far `shares`
+    reach, px. `pulses`: rows and columns in fractions of a pixel, counted from before the frame as the kernel says;
+    electrons; and those that come later, (component, pulse). `shares`: fraction of a pulse on pixels by its place, (row
+    and col of the place, row, col). `expected`: mean charge of the frame by pulses, e-, and the fraction of it that
+    each component stores. `decay`: fraction of what is stored that stays stored. `stored`: electrons beyond the mean
+    still to come, (component, row, col), changed. `shown`: electrons beyond the mean that come out; filled.
     """
     (number, numbers, reach), (rows, columns, charge, later), (light, stays) = exposure, pulses, expected
     places, taps, breadth = shares.shape[0], shares.shape[2], shares.shape[3]

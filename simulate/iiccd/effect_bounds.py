@@ -1,91 +1,100 @@
-"""Noise budget of a frame: expected light, temporal variance, and the influence of a change of either.
+"""Noise budget of a frame, the bounded influence of every optional effect, and the selection of effects.
 
-Three statistics of every pixel count, and an effect's influence is the largest change of any of them: the mean, in
-units of the temporal noise; the temporal noise itself, relative; and, where the law of the noise changes its shape, the
-level that one frame in a thousand exceeds, in units of the noise. Each of the three changes by no more than the sum of
-what the effects left out change, so the sum of influences bounds them all.
+Bounds follow from the expected photoelectrons and the camera's numbers: no frame is drawn. Every stage bounds its own
+effects by the budget, see `Stage.bounds`. Three statistics of every pixel count, and an effect's influence is the
+largest change of any of them: the mean, in units of the temporal noise; the temporal noise itself, relative; and, where
+the law of the noise changes its shape, the level that one frame in a thousand exceeds, in units of the noise. Each of
+the three changes by no more than the sum of what the effects left out change, so the sum of influences bounds them all.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.effect_selection import DEFAULT_TOLERANCE
-from simulate.iiccd import true_quantities
-from simulate.iiccd.accuracy import ACCURACY
-from simulate.iiccd.automatic_controls import AutomaticState
+from simulate.effect_selection import DEFAULT_TOLERANCE, EffectSelection, OptionalEffect, select_effects
+from simulate.iiccd.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.ccd import Ccd
+from simulate.iiccd.chain import Chain, Slot
 from simulate.iiccd.fast_sampler.kernel import noise_kernel
-from simulate.iiccd.fast_sampler.prepare import CameraStages
-from simulate.iiccd.grid import DRAW_MARGIN_PX, SCENE_MARGIN_PX
-from simulate.iiccd.microchannel import MicrochannelPlate
+from simulate.iiccd.grid import ACCURACY
+from simulate.iiccd.moments import PulseMoments
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur, product
 
-# Steepest growth of the variance of rounded numbers with that of what is rounded, times the latter in steps^2: the
-# largest of x phi(x) (1 - 2 Phi(-x)) / 2.
-ROUNDING = 0.09
-
 Map = NDArray[np.floating]
-UNTOUCHED = AutomaticState()
+# Seconds that effects cost for a million pixels, once and a frame, as `python -m benchmarks.economy --costs` measures
+# them: medians, which scatter by some 0.05 s and 0.5 ms; what is not here costs less than that.
+SETUP_S = {
+    "pulse-height law": 1.5,
+    "fibre geometry": 0.6,
+    "local depletion": 0.25,
+    "screen mottle": 0.15,
+    "plate saturation": 0.15,
+    "afterglow": 0.1,
+    "multi-fibre pattern": 0.1,
+}
+FRAME_S = {"overflow": 5.3e-3, "pulse-height law": 2.9e-3, "afterglow": 1.9e-3, "dark pattern": 0.7e-3}
 
 
 @dataclass(frozen=True)
 class NoiseBudget:
-    """Expected light and temporal noise of a frame, from which influences are bounded.
+    """Expected light and temporal noise of a frame, from which influences are bounded."""
 
-    Parameters
-    ----------
-    camera
-        The camera, nothing left out.
-    photoelectrons
-        Photoelectrons that light frees per pixel as read and exposure, in the frame and in the margin around it, see
-        `per_pixel`, shape (row, col).
-    conditions
-        Gate, voltage and temperature.
-    tolerance
-        What may change in all, as a fraction of the temporal noise. Variances do not add like standard deviations: how
-        much a fraction of the variance counts depends on how much may be left out.
-    state
-        Where the automatic controls stand.
-    """
-
-    camera: IntensifiedCamera
+    camera: IntensifiedCamera  # the camera, nothing left out
+    # Photoelectrons that light frees per pixel as read and exposure, in the frame and in the margin around it, see
+    # `per_pixel`, shape (row, col).
     photoelectrons: Map
-    conditions: Conditions
+    conditions: Conditions  # gate, voltage and temperature
+    # What may change in all, as a fraction of the temporal noise. Variances do not add like standard deviations: how
+    # much a fraction of the variance counts depends on how much may be left out.
     tolerance: float = DEFAULT_TOLERANCE
-    state: AutomaticState = UNTOUCHED
+    state: AutomaticState = UNTOUCHED  # where the automatic controls stand
+    # A level that noise exceeds so rarely, and how many standard deviations of normal noise it lies above the mean.
+    RARE: ClassVar[float] = 1e-3
+    RARE_SD: ClassVar[float] = 3.09
 
     def __post_init__(self) -> None:
         if self.camera.left_out:
             raise BadInput(f"a plan must begin with all effects, got a camera without {sorted(self.camera.left_out)}")
 
     @cached_property
-    def stages(self) -> CameraStages:
-        """The camera's stages."""
-        return CameraStages.of(self.camera.chain(self.conditions), self.camera.fields_per_frame)
+    def chain(self) -> Chain:
+        """The camera's stages, the MCP in the state of the brightness control."""
+        return self.camera.chain(self.conditions, replace(self.state, gain=1.0))
 
     @cached_property
-    def mcp(self) -> MicrochannelPlate:
-        """The MCP in the state of the brightness control."""
-        plate = self.camera.mcp(self.conditions)
-        return replace(plate, gain=plate.gain * self.state.brightness)
+    def of_chain(self) -> PulseMoments:
+        """Moments of the pulses of the chain."""
+        return PulseMoments(self.chain)
 
-    @cached_property
-    def ccd(self) -> Ccd:
+    @property
+    def mcp(self) -> Any:
+        """The MCP."""
+        return self.chain[Slot.MCP]
+
+    @property
+    def ccd(self) -> Any:
         """The CCD."""
-        return self.stages.ccd
+        return self.chain[Slot.CCD]
 
     @cached_property
     def dark_pe(self) -> float:
         """Dark photoelectrons per pixel and exposure."""
-        cathode = self.camera.photocathode(self.conditions)
-        return cathode.ebi_per_s_cm2 * cathode.open_s * true_quantities.field_pixel_area_cm2(self.camera)
+        cathode = self.chain[Slot.PHOTOCATHODE]
+        return cathode.ebi_per_s_cm2 * cathode.open_s * self.camera.field_pixel_area_cm2
+
+    @property
+    def cathode_lux(self) -> float:
+        """Mean illuminance of 2856 K light over cathode and time, lux."""
+        per_cell = np.full((1, 1), self.photoelectrons.mean(dtype=float))
+        cells_per_pixel = self.camera.field_pixel_area_cm2 / self.camera.scene_cells.cell_area_cm2
+        return self.camera.cathode_lux(StageImage(values=per_cell / cells_per_pixel))
 
     @cached_property
     def surroundings(self) -> Map:
@@ -94,7 +103,7 @@ class NoiseBudget:
 
     def frame_of(self, wide: Map, margin: int = 0) -> Map:
         """Crop a map with the scene margin to the frame and `margin` pixels on each side."""
-        first, (rows, cols) = SCENE_MARGIN_PX - margin, self.camera.shape
+        first, (rows, cols) = ACCURACY.scene_margin_px - margin, self.camera.shape
         return wide[first : first + rows + 2 * margin, first : first + cols + 2 * margin]
 
     @cached_property
@@ -102,34 +111,20 @@ class NoiseBudget:
         """Photoelectrons per pixel and exposure, dark ones included, shape (row, col)."""
         return self.frame_of(self.surroundings)
 
-    @cached_property
-    def gain_at_rest_e(self) -> float:
-        """CCD electrons per photoelectron without MCP saturation."""
-        sensor = self.camera.sensor
-        optical = float(sensor.phosphor.photons_per_electron) * float(sensor.taper.transmission)
-        behind = optical * self.ccd.quantum_efficiency
-        return self.mcp.gain * behind
-
     def load(self, photoelectrons: Map) -> Map:
         """Unsaturated MCP output over its saturation output, from photoelectrons per pixel and exposure."""
-        area = true_quantities.field_pixel_area_cm2(self.camera)
-        per_pe = self.mcp.gain / area / self.mcp.field_s / self.mcp.saturation_e_per_s_cm2
+        per_pe = self.mcp.gain / self.camera.field_pixel_area_cm2 / self.mcp.field_s / self.mcp.saturation_e_per_s_cm2
         return np.asarray(photoelectrons * per_pe)
 
     @cached_property
     def mean_load(self) -> float:
         """Load of the whole MCP within the drawing margin."""
-        return float(self.load(self.frame_of(self.surroundings, DRAW_MARGIN_PX)).mean())
+        return float(self.load(self.frame_of(self.surroundings, ACCURACY.draw_margin_px)).mean())
 
     @cached_property
     def charge_e(self) -> float:
         """CCD electrons per photoelectron under the mean load."""
-        return max(self.gain_at_rest_e / (1.0 + self.mean_load), 1e-300)
-
-    @cached_property
-    def impulse(self) -> Map:
-        """Impulse response along a line."""
-        return np.asarray(self.camera.video().low_pass.impulse_response(), float)
+        return max(self.of_chain.gain_e / (1.0 + self.mean_load), 1e-300)
 
     @cached_property
     def blurs(self) -> tuple[float, float]:
@@ -137,21 +132,9 @@ class NoiseBudget:
 
         The kernel is the one that frames of many pulses will be drawn with, so that it is worked out once.
         """
-        pending = self.stages.behind_mcp.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
-        taps = self.impulse[: np.flatnonzero(np.abs(self.impulse) > ACCURACY.min_filter_tap)[-1] + 1]
-        height, impulse = 2 if self.camera.is_interlaced else 1, tuple(float(tap) for tap in taps)
-        kernel = noise_kernel(pending, self.camera.cells, height, impulse, ACCURACY.skewness_tolerance)
+        height, taps = self.camera.fields_per_frame, self.chain[Slot.VIDEO].taps
+        kernel = noise_kernel(self.of_chain.blurs, self.camera.cells, height, taps, ACCURACY.skewness_tolerance)
         return kernel.blur_factor, kernel.third_factor
-
-    @cached_property
-    def shares(self) -> Map:
-        """Fractions of a pulse's light emitted in its own field and in later ones, shape (pulse, field)."""
-        return self.camera.afterglow(self.conditions).pulse_shares
-
-    @cached_property
-    def decay(self) -> tuple[float, float]:
-        """Factors by which phosphor decay reduces the second and third moment of a pulse."""
-        return float(np.mean(np.sum(self.shares**2, axis=1))), float(np.mean(np.sum(self.shares**3, axis=1)))
 
     @cached_property
     def pulse_e(self) -> float:
@@ -162,14 +145,15 @@ class NoiseBudget:
     def pulses(self) -> tuple[float, float]:
         """Second and third moment of one photoelectron's fraction of a pixel, over the first moment, e- and e-^2."""
         wider = 1.0 + 1.0 / self.mcp.pulse_height_shape
-        second = self.pulse_e * wider * self.blurs[0] * self.decay[0]
-        third = self.pulse_e**2 * wider * (wider + 1.0 / self.mcp.pulse_height_shape) * self.blurs[1] * self.decay[1]
+        second = self.pulse_e * wider * self.blurs[0] * self.of_chain.decay[0]
+        third = (
+            self.pulse_e**2
+            * wider
+            * (wider + 1.0 / self.mcp.pulse_height_shape)
+            * self.blurs[1]
+            * self.of_chain.decay[1]
+        )
         return second, third
-
-    @cached_property
-    def white(self) -> float:
-        """Factor by which the line filter reduces the variance of white noise."""
-        return float(np.sum(self.impulse**2))
 
     @cached_property
     def step_e(self) -> float:
@@ -181,29 +165,29 @@ class NoiseBudget:
     @cached_property
     def line_noise_e(self) -> float:
         """Offset common to a line, e-."""
-        return self.camera.video().line_noise_dn * self.step_e
+        return self.chain[Slot.VIDEO].line_noise_dn * self.step_e
 
     @cached_property
     def electronics(self) -> float:
         """Variance of all noise that is there without light, e-^2."""
-        return self.white * (self.ccd.dark_e + self.ccd.read_noise_e**2) + self.line_noise_e**2
+        return self.of_chain.white * (self.ccd.dark_e + self.ccd.read_noise_e**2) + self.line_noise_e**2
 
     @cached_property
     def of_pulses(self) -> Map:
         """Temporal variance of pulses, ion feedback included, e-^2, shape (row, col)."""
-        return self.mean_pe * self.charge_e * (self.pulses[0] + self.white) + self.of_ions
+        return self.mean_pe * self.charge_e * (self.pulses[0] + self.of_chain.white) + self.of_ions
 
     @cached_property
     def ions(self) -> float:
         """Ion events per pixel and exposure."""
-        return self.mcp.ion_events_per_s_cm2 * self.mcp.gate_s * true_quantities.field_pixel_area_cm2(self.camera)
+        return self.mcp.ion_events_per_s_cm2 * self.mcp.gate_s * self.camera.field_pixel_area_cm2
 
     @cached_property
     def of_ions(self) -> float:
         """Temporal variance of ion feedback, e-^2: each event is a Poisson number of pulses."""
         size = self.mcp.ion_event_size_pe
         squared = self.pulse_e**2 * (size**2 + size * (1.0 + 1.0 / self.mcp.pulse_height_shape))
-        return self.ions * squared * self.blurs[0] * self.decay[0]
+        return self.ions * squared * self.blurs[0] * self.of_chain.decay[0]
 
     @cached_property
     def variance(self) -> Map:
@@ -223,7 +207,7 @@ class NoiseBudget:
     @cached_property
     def brightest_e(self) -> Map:
         """Upper bound of the charge, e-, shape (row, col), without MCP saturation."""
-        charge = self.gain_at_rest_e * (self.mean_pe + self.smear) + self.ccd.dark_e + self.hottest_e
+        charge = self.of_chain.gain_e * (self.mean_pe + self.smear) + self.ccd.dark_e + self.hottest_e
         return charge + ACCURACY.overflow_sd * np.sqrt(self.variance)
 
     @cached_property
@@ -247,14 +231,15 @@ class NoiseBudget:
     @cached_property
     def quiet(self) -> Map:
         """Variance of each pixel, e-^2; that of reading alone where the well may be full."""
-        reading = self.white * self.ccd.read_noise_e**2 + self.line_noise_e**2 + self.step_e**2 / 12.0 + 1e-12
+        reading = self.of_chain.white * self.ccd.read_noise_e**2 + self.line_noise_e**2 + self.step_e**2 / 12.0 + 1e-12
         full = (self.brightest_e > self.ccd.full_well_e) | self.running
         return np.where(full, reading, self.variance)
 
-    @property
-    def max_neglect_fraction(self) -> float:
-        """Largest fraction of the variance that the tolerance allows to be neglected."""
-        return self.tolerance / (1.0 + self.tolerance)
+    def extreme(self, number: float) -> float:
+        """Return the level, in sd, that the largest of so many normals exceeds with `extreme_probability`."""
+        from scipy.special import ndtri
+
+        return float(-ndtri(ACCURACY.extreme_probability / max(number, 1.0)))
 
     def of_mean(self, change: Map | float) -> float:
         """Influence of a change of the mean that leaves the noise as it is, in photoelectrons.
@@ -277,7 +262,7 @@ class NoiseBudget:
         Where light is sparse the noise tells more of it than the mean: a standard deviation follows half the relative
         change of the light, whereas the mean changes by a fraction of the noise that falls with the root of the light.
         """
-        noise = np.abs(change) * self.charge_e * (self.pulses[0] + self.white)
+        noise = np.abs(change) * self.charge_e * (self.pulses[0] + self.of_chain.white)
         return max(self.of_mean(change), self.of_variance(noise))
 
     def of_gain(self, relative: Map | float) -> float:
@@ -302,11 +287,23 @@ class NoiseBudget:
         -----
         Without a fraction s of the variance, correlations rise from r to r/(1 - s) at most, or fall as much: s (1 + T)
         adds up, and reaches T just where s/(1 - s) does. Where noise is smaller than a step of the digitiser, the
-        variance of the codes follows it more steeply, by up to `ROUNDING` over its variance in steps^2 where the mean
-        lies as unluckily as it can.
+        variance of the codes follows it more steeply, by up to 0.09, the largest x phi(x) (1 - 2 Phi(-x)) / 2, over its
+        variance in steps^2 where the mean lies as unluckily as it can.
         """
-        steeper = ROUNDING * self.step_e**2 / max(self.electronics, 1e-300)
+        steeper = 0.09 * self.step_e**2 / max(self.electronics, 1e-300)
         return float(np.max(np.minimum(part / self.quiet, 1.0))) * max(1.0, steeper) * (1.0 + self.tolerance)
+
+    def of_skewness(self, photoelectrons: Map | float) -> float:
+        """Influence of the skewness of pulses on the level that one frame in a thousand exceeds.
+
+        Notes
+        -----
+        Cornish and Fisher: the level lies (z^2 - 1)/6 skewnesses higher; counted with the least noise that the
+        tolerance leaves.
+        """
+        third = photoelectrons * self.charge_e * self.pulses[1]
+        least = self.variance * (1.0 - self.tolerance / (1.0 + self.tolerance))
+        return float(np.max(third / least**1.5)) * (self.RARE_SD**2 - 1.0) / 6.0
 
     def with_blur(self, blur: StageBlur) -> Map:
         """The frame after a blur, surroundings included."""
@@ -317,13 +314,67 @@ class NoiseBudget:
         return np.asarray(self.frame_of(np.fft.irfft2(spectrum, wide.shape)))
 
 
+def bound_effects(budget: NoiseBudget) -> list[OptionalEffect]:
+    """Return each optional effect of the camera's stages with its influence on the frame."""
+    millions = budget.mean_pe.size / 1e6
+    return [
+        OptionalEffect(
+            name=name,
+            influence=influence,
+            setup_s=SETUP_S.get(name, 0.0) * millions,
+            frame_s=FRAME_S.get(name, 0.0) * millions,
+        )
+        for stage in budget.chain.stages
+        for name, influence in stage.bounds(budget).items()
+    ]
+
+
+def select_camera_effects(
+    camera: IntensifiedCamera, photoelectrons: StageImage, conditions: Conditions, tolerance: float = DEFAULT_TOLERANCE
+) -> tuple[IntensifiedCamera, EffectSelection]:
+    """Return the camera without the effects that this light does not need, and the selection.
+
+    Parameters
+    ----------
+    camera
+        The camera, nothing left out.
+    photoelectrons
+        Photoelectrons that light frees from the cathode, per cell of `camera.scene_cells` and exposure.
+    conditions
+        Gate, voltage and temperature, and which automatic controls were on.
+    tolerance
+        What may change, as a fraction of the temporal noise of each pixel.
+
+    Notes
+    -----
+    Controls that are on pass from where they start to where they settle; an effect counts as it does at the worse end.
+    """
+    untouched = NoiseBudget(camera, per_pixel(camera, photoelectrons), conditions, tolerance)
+    ends = (bound_effects(replace(untouched, state=state)) for state in _ends(untouched))
+    worst = [max(same, key=lambda effect: effect.influence) for same in zip(*ends, strict=True)]
+    plan = select_effects(worst, tolerance)
+    return replace(camera, left_out=plan.names), plan
+
+
+def _ends(budget: NoiseBudget) -> Iterable[AutomaticState]:
+    """Initial and extreme states of the automatic controls."""
+    controls, brightness = AutomaticControls.of(budget.camera, budget.conditions), 1.0
+    if controls.brightness is not None:
+        n = float(budget.frame_of(budget.surroundings, ACCURACY.draw_margin_px).mean())
+        output = budget.mcp.gain * n / budget.camera.field_pixel_area_cm2 / budget.mcp.field_s
+        brightness = min(1.0, controls.brightness.limit_e_per_s_cm2 / max(output, 1e-300))
+    highest = 1.0 if controls.gain is None else controls.gain.highest
+    # Each end once, as they are met.
+    return dict.fromkeys(AutomaticState(brightness=b, gain=g) for g in (1.0, highest) for b in (1.0, brightness))
+
+
 def per_pixel(camera: IntensifiedCamera, photoelectrons: StageImage) -> Map:
     """Sum photoelectrons per cell of `camera.scene_cells` to photoelectrons per pixel as read.
 
     Returns
     -------
     NDArray
-        The frame and the margin of `SCENE_MARGIN_PX` or more around it, shape (row, col).
+        The frame and the margin of `Accuracy.scene_margin_px` or more around it, shape (row, col).
     """
     cells = camera.scene_cells
     rows, cols = cells.shape[0] // cells.per_row, cells.shape[1] // cells.per_column

@@ -1,0 +1,26 @@
+"""Frames of a static scene by each way to draw them."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.stage_image import StageImage
+
+Sampler = Literal["chain", "fast", "normal"]
+SAMPLERS: tuple[Sampler, ...] = ("chain", "fast", "normal")
+
+
+def drawn_by(
+    sampler: Sampler, camera: IntensifiedCamera, light: StageImage, conditions: Conditions, *, seed: int, **more: int
+) -> Iterator[NDArray[np.unsignedinteger]]:
+    """Yield frames stage by stage, by the fast sampler, or by it with a normal law of sums."""
+    if sampler == "chain":
+        return camera.chain_frames(light, conditions, seed=seed, **more)
+    if sampler == "normal":
+        camera = replace(camera, left_out=camera.left_out | {"pulse-height law"})
+    return camera.frames(light, conditions, seed=seed, **more)
