@@ -13,7 +13,7 @@ from matplotlib import pyplot as plt
 from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.lamps.distribution import Lamp, SpotBeam
 from simulate.radiance.lamps.spectra import spectrum
-from simulate.radiance.sky.ephemeris import ObserverLocation
+from simulate.radiance.sky.moon import ObserverLocation
 from simulate.radiance.sky.night_sky import NightSky
 from simulate.radiance.spectrum import spectral_grid
 
