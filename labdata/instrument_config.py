@@ -1,8 +1,10 @@
 """Instruments of a bench: models, ports and addresses, and the use of the auxiliary meters."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from importlib.metadata import entry_points
+from pkgutil import iter_modules
 from typing import Any, Literal, TypeVar
 
 from labdata.errors import BadInput, check
@@ -108,12 +110,14 @@ class Meters:
 T = TypeVar("T")
 
 
-def models_by_name(shipped: Sequence[T], kind: type[T], group: str) -> dict[str, T]:
-    """Return the models of a kind by name: the shipped ones, and those that entry points of a group bring.
+def models_by_name(package: str, kind: type[T], group: str) -> dict[str, T]:
+    """Return the models of a kind by name: those in the modules of a package, and those that entry points bring.
 
     An entry point that does not load, is of another kind or name, or has a name in use is BadInput.
     """
-    known: dict[str, T] = {_name_of(model): model for model in shipped}
+    modules = (import_module(f"{package}.{one.name}") for one in iter_modules(import_module(package).__path__))
+    found = (value for module in modules for value in vars(module).values() if isinstance(value, kind))
+    known: dict[str, T] = {_name_of(model): model for model in found}
     for point in entry_points(group=group):
         try:
             model: Any = point.load()
