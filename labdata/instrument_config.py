@@ -59,20 +59,12 @@ class InstrumentConfig:
     @property
     def instruments(self) -> tuple[InstrumentConnection, ...]:
         """Serial instruments of the bench; gate and supply are always present."""
-        optional: dict[Role, tuple[str | None, str | None]] = {
-            "light-source": (self.light, self.light_port),
-            "filter-wheel": (self.wheel, self.wheel_port),
-            "light-meter": (self.light_meter, self.light_meter_port),
-            "thermometer": (self.thermometer, self.thermometer_port),
-        }
-        return (
-            InstrumentConnection(role="gate", model=self.gate, port=self.gate_port, address=self.gate_address),
-            InstrumentConnection(role="supply", model=self.supply, port=self.supply_port, address=self.supply_address),
-            *(
-                InstrumentConnection(role=role, model=model, port=port)
-                for role, (model, port) in optional.items()
-                if model
-            ),
+        return tuple(
+            InstrumentConnection(
+                role=role, model=model, port=getattr(self, PORT_KEYS[role]), address=getattr(self, f"{key}_address", 0)
+            )
+            for role, key in KEYS.items()
+            if (model := getattr(self, key))
         )
 
     def with_ports(self, ports: Mapping[Role, str | None]) -> "InstrumentConfig":
@@ -80,15 +72,16 @@ class InstrumentConfig:
         return replace(self, **{PORT_KEYS[role]: port for role, port in ports.items()})
 
 
-# Keys of the ports, by role
-PORT_KEYS: dict[Role, str] = {
-    "gate": "gate_port",
-    "supply": "supply_port",
-    "light-source": "light_port",
-    "filter-wheel": "wheel_port",
-    "light-meter": "light_meter_port",
-    "thermometer": "thermometer_port",
+# Keys of models and ports, by role
+KEYS: dict[Role, str] = {
+    "gate": "gate",
+    "supply": "supply",
+    "light-source": "light",
+    "filter-wheel": "wheel",
+    "light-meter": "light_meter",
+    "thermometer": "thermometer",
 }
+PORT_KEYS: dict[Role, str] = {role: f"{key}_port" for role, key in KEYS.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
