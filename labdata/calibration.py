@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,8 +106,7 @@ class LampCalibration:
             raise BadInput(f"filter densities must be numbers of at least 0, got {self.filter_density}")
         if len(set(self.filter_density)) < len(self.filter_density):
             raise BadInput(f"every filter of a wheel must have a density of its own, got {self.filter_density}")
-        if not 0.0 <= self.filter_density_sd < math.inf:
-            raise BadInput(f"filter_density_sd must be at least 0, got {self.filter_density_sd:g}")
+        check(self, not_negative="filter_density_sd")
         self._table()
 
     @property
@@ -133,7 +132,9 @@ class LampCalibration:
             current_a = round(self._table().first_for(bare_lux) / SETTABLE_A) * SETTABLE_A
             if self.current_a[0] <= current_a <= self.current_a[-1]:
                 return LampSetting(current_a=current_a, position=position, read=self.light_at(current_a, position))
-        dimmest, brightest = self._reach(filter_density)
+        densities = self.filter_density if filter_density is None else (filter_density,)
+        dimmest = self.illuminance_lux[0] * 10.0 ** -max(densities)
+        brightest = self.illuminance_lux[-1] * 10.0 ** -min(densities)
         raise BadInput(
             f"illuminance_lux must lie within the range of the lamp, {dimmest:.3g} to {brightest:.3g}, "
             f"got {illuminance_lux:g}"
@@ -169,18 +170,9 @@ class LampCalibration:
         low, high = self.illuminance_lux[0], self.illuminance_lux[-1]
         return [one for one in fitting if low <= illuminance_lux * 10.0 ** self.filter_density[one - 1] <= high]
 
-    def _reach(self, filter_density: float | None) -> tuple[float, float]:
-        densities = self.filter_density if filter_density is None else (filter_density,)
-        return self.illuminance_lux[0] * 10.0 ** -max(densities), self.illuminance_lux[-1] * 10.0 ** -min(densities)
-
     def _table(self) -> RisingTable:
-        return RisingTable(
-            of="calibration of the lamp",
-            names=("current_a", "illuminance_lux"),
-            first=self.current_a,
-            second=self.illuminance_lux,
-            relative_sd=self.relative_sd,
-        )
+        columns = {"first": self.current_a, "second": self.illuminance_lux, "relative_sd": self.relative_sd}
+        return RisingTable(of="calibration of the lamp", names=("current_a", "illuminance_lux"), **columns)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,10 +213,5 @@ class GainTable:
         return self._table().first_for(luminous_gain)
 
     def _table(self) -> RisingTable:
-        return RisingTable(
-            of="gain table",
-            names=("mcp_v", "luminous_gain"),
-            first=self.mcp_v,
-            second=self.luminous_gain,
-            relative_sd=self.relative_sd,
-        )
+        columns = {"first": self.mcp_v, "second": self.luminous_gain, "relative_sd": self.relative_sd}
+        return RisingTable(of="gain table", names=("mcp_v", "luminous_gain"), **columns)

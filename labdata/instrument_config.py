@@ -1,8 +1,10 @@
 """Instruments of a bench: models, ports and addresses, and the use of the auxiliary meters."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from importlib.metadata import entry_points
+from pkgutil import iter_modules
 from typing import Any, Literal, TypeVar
 
 from labdata.errors import BadInput, check
@@ -57,20 +59,12 @@ class InstrumentConfig:
     @property
     def instruments(self) -> tuple[InstrumentConnection, ...]:
         """Serial instruments of the bench; gate and supply are always present."""
-        optional: dict[Role, tuple[str | None, str | None]] = {
-            "light-source": (self.light, self.light_port),
-            "filter-wheel": (self.wheel, self.wheel_port),
-            "light-meter": (self.light_meter, self.light_meter_port),
-            "thermometer": (self.thermometer, self.thermometer_port),
-        }
-        return (
-            InstrumentConnection(role="gate", model=self.gate, port=self.gate_port, address=self.gate_address),
-            InstrumentConnection(role="supply", model=self.supply, port=self.supply_port, address=self.supply_address),
-            *(
-                InstrumentConnection(role=role, model=model, port=port)
-                for role, (model, port) in optional.items()
-                if model
-            ),
+        return tuple(
+            InstrumentConnection(
+                role=role, model=model, port=getattr(self, PORT_KEYS[role]), address=getattr(self, f"{key}_address", 0)
+            )
+            for role, key in KEYS.items()
+            if (model := getattr(self, key))
         )
 
     def with_ports(self, ports: Mapping[Role, str | None]) -> "InstrumentConfig":
@@ -78,15 +72,16 @@ class InstrumentConfig:
         return replace(self, **{PORT_KEYS[role]: port for role, port in ports.items()})
 
 
-# Keys of the ports, by role
-PORT_KEYS: dict[Role, str] = {
-    "gate": "gate_port",
-    "supply": "supply_port",
-    "light-source": "light_port",
-    "filter-wheel": "wheel_port",
-    "light-meter": "light_meter_port",
-    "thermometer": "thermometer_port",
+# Keys of models and ports, by role
+KEYS: dict[Role, str] = {
+    "gate": "gate",
+    "supply": "supply",
+    "light-source": "light",
+    "filter-wheel": "wheel",
+    "light-meter": "light_meter",
+    "thermometer": "thermometer",
 }
+PORT_KEYS: dict[Role, str] = {role: f"{key}_port" for role, key in KEYS.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,12 +103,14 @@ class Meters:
 T = TypeVar("T")
 
 
-def models_by_name(shipped: Sequence[T], kind: type[T], group: str) -> dict[str, T]:
-    """Return the models of a kind by name: the shipped ones, and those that entry points of a group bring.
+def models_by_name(package: str, kind: type[T], group: str) -> dict[str, T]:
+    """Return the models of a kind by name: those in the modules of a package, and those that entry points bring.
 
     An entry point that does not load, is of another kind or name, or has a name in use is BadInput.
     """
-    known: dict[str, T] = {_name_of(model): model for model in shipped}
+    modules = (import_module(f"{package}.{one.name}") for one in iter_modules(import_module(package).__path__))
+    found = (value for module in modules for value in vars(module).values() if isinstance(value, kind))
+    known: dict[str, T] = {_name_of(model): model for model in found}
     for point in entry_points(group=group):
         try:
             model: Any = point.load()

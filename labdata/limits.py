@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput, check
@@ -93,11 +93,14 @@ CAUTIOUS_LOAD = TubeLoad(
 )
 
 
+# ruff: noqa: RUF009 - `_cautious` returns a field.
+
 _UNKNOWN = "nothing is known of this tube: "
 
 
-def _cautious(value: float, reason: str) -> Parameter:
-    return Parameter(value=value, standing="default", source=_UNKNOWN + reason)
+def _cautious(value: float, reason: str) -> Any:
+    """Return the field of a limit of an unknown tube."""
+    return field(default_factory=lambda: Parameter(value=value, standing="default", source=_UNKNOWN + reason))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,38 +108,26 @@ class TubeLimits:
     """Limits of a tube; the source of each parameter gives the reason. The defaults suit an unknown tube."""
 
     # Highest voltage across the microchannel plate, V
-    mcp_v: Parameter = field(
-        default_factory=lambda: _cautious(900.0, "a single plate works at 500 to 900 V, never above 1000 V")
-    )
+    mcp_v: Parameter = _cautious(900.0, "a single plate works at 500 to 900 V, never above 1000 V")
     # Fastest rise of that voltage, V/s
-    ramp_v_per_s: Parameter = field(
-        default_factory=lambda: _cautious(50.0, "small steps let a plate outgas; slower after storage")
-    )
-    gate_ns: Parameter = field(default_factory=lambda: _cautious(2e7, "one field of 50 Hz video"))  # Longest gate, ns
+    ramp_v_per_s: Parameter = _cautious(50.0, "small steps let a plate outgas; slower after storage")
+    gate_ns: Parameter = _cautious(2e7, "one field of 50 Hz video")  # Longest gate, ns
     # Largest fraction of the time that the gate may be open
-    gate_duty: Parameter = field(
-        default_factory=lambda: _cautious(0.999, "a gate unit needs to recover between pulses")
-    )
+    gate_duty: Parameter = _cautious(0.999, "a gate unit needs to recover between pulses")
     # Brightest large area on the photocathode, lux, whatever the gain
-    illuminance_lux: Parameter = field(
-        default_factory=lambda: _cautious(1e-2, "night sky with a moon; a supply protects its tube above this")
-    )
+    illuminance_lux: Parameter = _cautious(1e-2, "night sky with a moon; a supply protects its tube above this")
     # Brightest image of a pinhole on the photocathode, lux, whatever the gain
-    point_illuminance_lux: Parameter = field(
-        default_factory=lambda: _cautious(10.0, "too small an area to strain the tube, but the cathode ages there")
+    point_illuminance_lux: Parameter = _cautious(
+        10.0, "too small an area to strain the tube, but the cathode ages there"
     )
     # Largest mean MCP output current density at the present gain and duty, without saturation, nA/cm2
-    anode_na_per_cm2: Parameter = field(
-        default_factory=lambda: _cautious(100.0, "a tenth of a strip current of 1 uA/cm2 keeps the plate linear")
-    )
+    anode_na_per_cm2: Parameter = _cautious(100.0, "a tenth of a strip current of 1 uA/cm2 keeps the plate linear")
     # The same inside the image of a pinhole, where the MCP saturates far below it
-    point_anode_na_per_cm2: Parameter = field(
-        default_factory=lambda: _cautious(3e6, "what 10 lux ask of a gain of 1000; the plate gives its strip current")
+    point_anode_na_per_cm2: Parameter = _cautious(
+        3e6, "what 10 lux ask of a gain of 1000; the plate gives its strip current"
     )
     # Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only a warning
-    screen_charge_c_per_cm2: Parameter = field(
-        default_factory=lambda: _cautious(0.1, "uncoated plates age their cathodes within 0.1 to 1 C/cm2")
-    )
+    screen_charge_c_per_cm2: Parameter = _cautious(0.1, "uncoated plates age their cathodes within 0.1 to 1 C/cm2")
 
     def __post_init__(self) -> None:
         check(self, positive=(item.name for item in fields(self)), share="gate_duty")
@@ -206,9 +197,7 @@ LIMITS = tuple(item.name for item in fields(Limits))  # Names of the limits that
 
 
 def limits_in_force(
-    asked: Limits = Limits(),
-    sensor: "Sensor | None" = None,
-    overrides: tuple[Override, ...] = (),
+    asked: Limits = Limits(), sensor: "Sensor | None" = None, overrides: tuple[Override, ...] = ()
 ) -> LimitsInForce:
     """Return the limits in force: those of the tube, tightened or overridden by the plan.
 
@@ -227,7 +216,10 @@ def limits_in_force(
     instead = {one.limit: one for one in overrides}
     values = {name: _in_force(name, getattr(asked, name), tube, instead, known=sensor is not None) for name in LIMITS}
     load = CAUTIOUS_LOAD if sensor is None else TubeLoad.of(sensor)
-    overridden = tuple(_overridden(one, getattr(tube, one.limit)) for one in overrides)
+    overridden = tuple(
+        f"{OVERRIDDEN} {one.limit} of {own.value:g} ({own.source}) was overridden to {one.value:g}: {one.reason}."
+        for one, own in ((one, getattr(tube, one.limit)) for one in overrides)
+    )
     return LimitsInForce(**values, load=load, overridden=overridden, known=sensor is not None)
 
 
@@ -243,7 +235,3 @@ def _in_force(name: str, asked: float | None, tube: TubeLimits, instead: dict[st
             f"an [[override]] with a reason sets it aside"
         )
     return asked
-
-
-def _overridden(one: Override, own: Parameter) -> str:
-    return f"{OVERRIDDEN} {one.limit} of {own.value:g} ({own.source}) was overridden to {one.value:g}: {one.reason}."

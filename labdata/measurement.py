@@ -153,30 +153,14 @@ def measurement_from_sd(
 ) -> Measurement:
     """Return a measurement with Gaussian intervals of a standard deviation in the unit of the value."""
     half68, half95 = 0.994458 * sd, 1.959964 * sd
-    return make_measurement(
-        quantity,
-        unit,
-        value,
-        (value - half68, value + half68),
-        (value - half95, value + half95),
-        method=method,
-        **fields,
-    )
+    interval68, interval95 = (value - half68, value + half68), (value - half95, value + half95)
+    return make_measurement(quantity, unit, value, interval68, interval95, method=method, **fields)
 
 
 def make_refusal(quantity: str, unit: str, reason: str, *, method: str, **fields: Any) -> Measurement:
     """Return a measurement without a value, with the reason for it."""
-    return Measurement(
-        quantity=quantity,
-        unit=unit,
-        value=None,
-        interval68=None,
-        interval95=None,
-        status="refused",
-        reason=reason,
-        method=method,
-        **fields,
-    )
+    given = {"value": None, "interval68": None, "interval95": None, "status": "refused", **fields}
+    return Measurement(quantity=quantity, unit=unit, reason=reason, method=method, **given)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, reduce
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
@@ -40,7 +40,8 @@ def sentence(errors: Sequence[Mapping[str, Any]], mapping: Mapping[str, Any], wh
     steps = _steps_in(steps, mapping)
     if kind in ("missing", "too_long"):
         steps = steps[:-1] if kind == "missing" and steps and isinstance(steps[-1], int) else steps
-        error = {**error, "input": _at(steps, mapping)}
+        whole: Any = mapping
+        error = {**error, "input": reduce(lambda at, step: at[step], steps, whole)}
     if kind in ("value_error", "assertion_error"):
         return f"{error['ctx']['error']}{_place(', in ', steps, mapping, where)}"
     # Each member of a union reports its own error.
@@ -86,12 +87,6 @@ def _steps_in(steps: Sequence[str | int], mapping: Any) -> tuple[str | int, ...]
             continue
         found.append(step)
     return tuple(found)
-
-
-def _at(steps: Sequence[str | int], mapping: Any) -> Any:
-    for step in steps:
-        mapping = mapping[step]
-    return mapping
 
 
 def _place(joint: str, steps: Sequence[str | int], mapping: Any, where: str) -> str:

@@ -1,4 +1,4 @@
-"""Instrument models: the shipped ones and those of other packages.
+"""Instrument models: those in the modules beside this one, and those of other packages.
 
 A package provides a model by an entry point of the group `charact.instruments` whose value is an `InstrumentModel`:
 
@@ -8,7 +8,6 @@ A package provides a model by an entry point of the group `charact.instruments` 
 
 from collections.abc import Mapping
 
-from drivers.instruments import delay_generator, dg535, filter_wheel, high_voltage, iseg, light_source, meters
 from drivers.instruments.instrument import InstrumentModel
 from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.port import Port
@@ -16,13 +15,11 @@ from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role, models_by_name
 
 GROUP = "charact.instruments"
-_MODULES = (delay_generator, high_voltage, dg535, iseg, filter_wheel, light_source)
-SHIPPED = (*(module.MODEL for module in _MODULES), meters.LIGHT_METER, meters.THERMOMETER)
 
 
 def models() -> dict[str, InstrumentModel]:
     """Return all known models by name; shipped ones cannot be replaced."""
-    return models_by_name(SHIPPED, InstrumentModel, GROUP)
+    return models_by_name("drivers.instruments", InstrumentModel, GROUP)
 
 
 def model(name: str, role: Role) -> InstrumentModel:

@@ -3,8 +3,8 @@
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from enum import IntFlag
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
@@ -36,6 +36,20 @@ class SerialInstrument(Protocol):
     def power_cycle(self) -> None:
         """Lose power and get it back."""
         ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualModel:
+    """One model of virtual instrument."""
+
+    name: str  # Name of the model, such as "dg645"
+    place: str  # Where it stands at the bench, such as "delay_generator": the name of its port and of its faults
+    # Makes it, from its address on a bus and how much faster than life it moves
+    make: Callable[[int, float], SerialInstrument]
+    baud: int | None  # Rate set on it, baud; None: a USB adapter, which has none
+    # Commands that do what a hand at its panel does, by setting: of a gate "source", "idle level", "width" and "busy"
+    # (every second trigger is lost), of a supply "voltage" and "on"
+    panel: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 class VirtualInstrument(ABC):

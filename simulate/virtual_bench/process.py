@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from labdata.errors import BadInput
-from simulate.virtual_bench.models import GATE, SUPPLY, virtual_model
+from simulate.virtual_bench.models import virtual_model
 
 START_S = 10.0
 STOP_S = 3.0
@@ -32,19 +32,19 @@ class VirtualInstruments:
     ) -> None:
         self.folder = Path(folder).absolute()
         self._models = {virtual_model(name).place: name for name in models}
-        self._addresses = {GATE: gate_address, SUPPLY: supply_address}
+        self._addresses = {"delay_generator": gate_address, "high_voltage": supply_address}
         self._time_scale = time_scale
         self._processes: dict[str, subprocess.Popen] = {}
 
     @property
     def gate_port(self) -> str:
         """Serial port of the delay generator."""
-        return self.port(GATE)
+        return self.port("delay_generator")
 
     @property
     def supply_port(self) -> str:
         """Serial port of the adapter in front of the supply."""
-        return self.port(SUPPLY)
+        return self.port("high_voltage")
 
     def port(self, place: str) -> str:
         """Serial port of the instrument at a place of the bench."""

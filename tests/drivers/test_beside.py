@@ -17,7 +17,7 @@ from labdata.plan import Plan, Step
 from labdata.target import Target
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.in_process import InProcessInstruments
-from simulate.virtual_bench.meters import LUX_PER_W, NOISE_W, TEMPERATURE_C
+from simulate.virtual_bench.instruments.meters import LUX_PER_W, NOISE_W, TEMPERATURE_C
 
 WIRES = InstrumentConfig(bench="in-process", light_meter="pm101", thermometer="ctc100")
 TRUE_LUX = 2e-4

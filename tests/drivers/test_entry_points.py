@@ -17,7 +17,7 @@ MODULE = """
     from drivers.instruments.models import InstrumentModel
     from drivers.serial_lines.line import FramedLine, KnownAnswer
     from simulate.virtual_bench.models import VirtualModel
-    from simulate.virtual_bench.meters import Thermometer as Virtual
+    from simulate.virtual_bench.instruments.meters import Thermometer as Virtual
 
     class Thermometer:
         def __init__(self, line):

@@ -11,10 +11,10 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.gating import HOLDOFF, Gating
 from labdata.plan import Plan, Step
-from simulate.virtual_bench.delay_generator import FIELD_HZ
-from simulate.virtual_bench.delay_generator import DelayGenerator as VirtualDg645
-from simulate.virtual_bench.dg535 import Dg535 as VirtualDg535
 from simulate.virtual_bench.in_process import InProcessPort
+from simulate.virtual_bench.instruments.delay_generator import FIELD_HZ
+from simulate.virtual_bench.instruments.delay_generator import DelayGenerator as VirtualDg645
+from simulate.virtual_bench.instruments.dg535 import Dg535 as VirtualDg535
 from simulate.virtual_bench.prologix import PrologixAdapter
 
 WIDTH_NS = 2e6

@@ -130,14 +130,6 @@ def test_making_safe_puts_the_lamp_out_and_a_lamp_that_cannot_be_heard_is_told(b
     assert virtual.outputs().lamp_a == 0.0  # it obeyed all the same
 
 
-def test_the_source_itself_refuses_more_than_was_calibrated(bench, virtual):
-    with bench:
-        at_gain(bench, Hands()).place(kind="flat", target=Target(), illuminance_lux=1e-2, filter_density=2.0)
-        assert virtual.outputs().lamp_a == pytest.approx(1.0)  # the end of the table is no fault of the diode
-        with pytest.raises(InstrumentRejected):
-            bench.stations["light-source"].driver.shine(1.01)
-
-
 def test_a_wheel_that_somebody_turned_is_told(virtual):
     ours, theirs = (FilterWheel(PromptLine(virtual.ports["filter-wheel"], name="filter wheel")) for _ in range(2))
     ours.look()

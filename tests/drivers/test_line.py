@@ -16,9 +16,9 @@ from drivers.instruments.filter_wheel import PromptLine
 from drivers.instruments.iseg import IsegLine
 from drivers.serial_lines.line import FramedLine, PrologixLine
 from drivers.serial_lines.port import InheritedPort, SerialPort
-from simulate.virtual_bench.high_voltage import HighVoltageSupply
 from simulate.virtual_bench.in_process import InProcessPort
-from simulate.virtual_bench.iseg import IsegSupply
+from simulate.virtual_bench.instruments.high_voltage import HighVoltageSupply
+from simulate.virtual_bench.instruments.iseg import IsegSupply
 from simulate.virtual_bench.prologix import PrologixAdapter
 from simulate.virtual_bench.pseudo_terminal import PseudoTerminal
 

@@ -12,7 +12,6 @@ from drivers.cameras.aravis.capture import PACKINGS
 from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.pixels import LAYOUTS, BufferImage
 from drivers.cameras.v4l2.structures import code_of, four_letters
-from labdata.capture import PIXEL_BITS
 from labdata.errors import BadInput
 
 HEADER = Path("/usr/include/linux/videodev2.h")
@@ -120,11 +119,6 @@ def test_luma_of_planar_video_is_its_first_plane(letters):
     one = picture(letters, 2, 2, 2)
     assert one.size_bytes == (8 if letters in ("NV16", "422P") else 6)
     assert one.grey(np.array([1, 2, 3, 4, 99, 99, 99, 99][: one.size_bytes], np.uint8)).tolist() == [[1, 2], [3, 4]]
-
-
-def test_every_format_has_its_bits():
-    assert {layout.name for layout in LAYOUTS.values()} <= set(PIXEL_BITS)
-    assert set(PACKINGS) <= set(PIXEL_BITS)
 
 
 @pytest.mark.parametrize(

@@ -227,15 +227,6 @@ def test_a_link_to_a_file_is_as_good_as_the_file(tmp_path):
     assert read_frames(tmp_path / "here.npy").shape == (1, 4, 5)
 
 
-@pytest.mark.parametrize("kind", OTHERS)
-@pytest.mark.parametrize("verb", [("mtf", "edge"), ("mtf", "point"), ("bloom",), ("import", "frames")])
-def test_the_command_line_opens_none_of_them(tmp_path, monkeypatch, kind, verb):
-    monkeypatch.chdir(tmp_path)
-    OTHERS[kind](tmp_path / "a.tif")
-    out = (tmp_path / "out",) * (verb[0] == "import")
-    assert "a.tif" in one_sentence(charact(*verb, tmp_path / "a.tif", *out))
-
-
 MANIFEST = 'name = "s"\n[[stack]]\nlabel = "flat"\nkind = "flat"\nframes = "{frames}"\n'
 
 

@@ -77,10 +77,6 @@ def test_measurements_of_one_posterior_share_its_draws_on_the_disk(tmp_path):
         assert sum(name.endswith(".draws") for name in packed.files) == 1
 
 
-def test_a_folder_without_a_result_has_none(tmp_path):
-    assert result_io.load(tmp_path) is None
-
-
 @pytest.mark.parametrize("damage", [b"", b"{", b'{"format": 1}', b'{"format": 9, "draws": "none.npz"}'])
 def test_a_damaged_result_is_refused_in_a_sentence(tmp_path, damage):
     result_io.save(a_result(), tmp_path)

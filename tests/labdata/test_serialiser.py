@@ -191,13 +191,6 @@ def test_a_file_that_is_no_toml_is_refused(tmp_path, content, rule):
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path):
-    with pytest.raises(BadInput, match="must exist"):
-        from_toml(tmp_path / "none.toml", Plan)
-    with pytest.raises(BadInput, match="must be a regular file, got a folder"):
-        from_toml(tmp_path, Plan)
-
-
 def test_a_plan_beyond_its_limits_is_refused_with_its_place():
     mapping = {"name": "p", "step": [{"label": "a", "kind": "flat", "frames": 2, "mcp_v": 950.0}]}
     with pytest.raises(BadInput, match=r"mcp_v of step 'a' must not exceed the limit 900, got 950, in p\.toml"):
@@ -264,8 +257,3 @@ def test_the_schema_explains_the_keys():
         "Voltage across the microchannel plate, V."
     )
     assert schema["properties"]["name"]["description"] == "Name of the session."
-
-
-def test_a_schema_of_an_unknown_kind_is_refused():
-    with pytest.raises(BadInput, match="one of session, sensor, solid-state, plan, got 'scene'"):
-        file_schema("scene")

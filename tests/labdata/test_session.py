@@ -163,12 +163,6 @@ def test_a_stated_bit_depth_outweighs_what_the_data_show(tmp_path):
         assert any("found from the data" in note for note in read.notes) == (not stated)
 
 
-def test_an_unknown_stack_is_answered_with_the_known_ones(tmp_path):
-    session = open_session(session_of(tmp_path, 'name = "s"\n' + FLAT, a=np.zeros((1, 2, 2))))
-    with pytest.raises(BadInput, match=r"a stack must be one of \['flat-03'\], got 'flat-3'"):
-        session.stack("flat-3")
-
-
 def test_black_is_the_level_of_the_dark_under_the_very_settings(tmp_path):
     """Darks at two voltages: an edge at one of them has its black, one at a third has none but is like the first."""
     manifest = 'name = "s"\n' + "".join(

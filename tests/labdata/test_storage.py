@@ -126,23 +126,6 @@ def test_a_full_disk_ends_the_writing_and_every_frame_that_waited_has_number_and
     assert "No space left" in entry.losses[0].reason
 
 
-def test_after_a_failure_nothing_more_is_taken(writer, monkeypatch):
-    disk = Disk(monkeypatch)
-    storage = Storage(writer)
-    with pytest.raises(BadInput, match="No space left"), storage:
-        stack = begun(storage)
-        storage.wait()
-        disk.full = True
-        stack.enqueue(frames(1)[0])
-        with pytest.raises(BadInput, match="No space left"):
-            storage.wait()
-        for action in (lambda: stack.enqueue(frames(1)[0]), stack.finish, lambda: begun(storage, "other")):
-            with pytest.raises(BadInput, match="No space left"):
-                action()
-        disk.full = False
-    assert not (writer.folder / ".reserve").exists()
-
-
 def test_what_is_doubted_is_doubted_after_its_frames(writer):
     with Storage(writer) as storage:
         stack = begun(storage)
@@ -201,22 +184,6 @@ def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_count
     storage._thread.join(5.0)
     assert not storage._thread.is_alive()
     assert open_session(writer.folder).stack("flat").read().frame_number.tolist() == list(range(1, 9))
-
-
-def test_waiting_for_a_frozen_disk_ends_and_what_comes_after_it_is_refused(writer, monkeypatch):
-    monkeypatch.setattr("labdata.store.storage_thread.STALLED_S", 0.2)
-    disk = Disk(monkeypatch)
-    with pytest.raises(BadInput, match="got no progress"), Storage(writer) as storage:
-        stack = begun(storage)
-        storage.wait()
-        disk.go_on.clear()
-        stack.enqueue(frames(1)[0])
-        with pytest.raises(BadInput, match=r"got no progress for 0\.2 s: 1 frames"):
-            storage.wait()
-        with pytest.raises(BadInput, match="got no progress"):
-            stack.enqueue(frames(1)[0])
-    disk.go_on.set()
-    storage._thread.join(5.0)
 
 
 def test_an_error_in_the_block_keeps_its_name_and_tells_of_the_frozen_disk_as_well(writer, monkeypatch):

@@ -1,7 +1,6 @@
 """The store: what was acknowledged is there and whole, whenever the writer dies."""
 
 import hashlib
-import json
 import os
 import re
 import signal
@@ -321,14 +320,6 @@ def test_frames_that_a_kill_left_before_the_manifest_knew_of_them_are_no_part_of
     assert store.read(aside).frame_number.tolist() == [1]
 
 
-def test_a_stack_that_asked_for_nothing_goes_on_too(tmp_path):
-    for frames in (1, 2):
-        writer = SessionWriter.resume(tmp_path / "s") if frames > 1 else writer_of(tmp_path / "s")
-        with writer, begun(writer, conditions=Conditions(), asked=Conditions()) as stack:
-            stack.append(frame(frames), 0, 0)
-            assert len(stack) == frames
-
-
 def test_a_stack_goes_on_only_as_it_was_begun(tmp_path):
     with writer_of(tmp_path / "s") as writer, begun(writer, asked=Conditions(mcp_v=700.0)) as stack:
         stack.append(frame(2), 0, 0)
@@ -364,29 +355,7 @@ def test_two_writers_do_not_share_a_session(tmp_path):
     assert subprocess.run([sys.executable, "-c", code, str(tmp_path / "s")], check=False).returncode == 0
 
 
-def test_a_new_session_does_not_write_over_another(tmp_path):
-    writer_of(tmp_path / "s").close()
-    with pytest.raises(BadInput, match="needs a folder without one"):
-        writer_of(tmp_path / "s")
-
-
 @pytest.mark.parametrize("label", ["", "a/b", ".hidden", "a\\b"])
 def test_a_label_that_is_no_file_name_is_refused(tmp_path, label):
     with writer_of(tmp_path / "s") as writer, pytest.raises(BadInput, match="a label must be a file name"):
         begun(writer, label)
-
-
-def test_the_journal_is_plain_lines_of_json(tmp_path):
-    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
-    array.append(frame(5), 1.25, 42)
-    array.close()
-    (line,) = (tmp_path / "a.zarr" / "journal.jsonl").read_text().splitlines()
-    said = json.loads(line)
-    body = line[: line.index(', "checksum"')]
-    assert said == {
-        "index": 0,
-        "frame_number": 42,
-        "time_s": 1.25,
-        "sha256": hashlib.sha256(frame(5).tobytes()).hexdigest(),
-        "checksum": hashlib.sha256(body.encode()).hexdigest()[:16],
-    }

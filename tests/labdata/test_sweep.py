@@ -52,12 +52,6 @@ def test_every_combination_is_taken_once_a_repeat_in_any_order(sweep):
 
 @unhurried
 @given(sweeps)
-def test_the_same_sweep_expands_to_the_same_steps(sweep):
-    assert sweep.steps() == replace(sweep).steps()
-
-
-@unhurried
-@given(sweeps)
 def test_there_and_back_never_jumps(sweep):
     """Neighbours differ in one axis, by one place of its list."""
     lit = [step.conditions for step in replace(sweep, order="boustrophedon", dark_every=0).steps()]

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from simulate.virtual_bench.delay_generator import DelayGenerator
 from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.instruments.delay_generator import DelayGenerator
 
 
 def told(instrument: DelayGenerator, text: str) -> list[str]:

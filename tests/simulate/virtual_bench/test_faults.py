@@ -13,7 +13,7 @@ from labdata.target import Target
 from simulate.virtual_bench.bench import VirtualBench
 from simulate.virtual_bench.faults import Faults, inject_faults
 from simulate.virtual_bench.in_process import InProcessInstruments
-from simulate.virtual_bench.meters import LUX_PER_W
+from simulate.virtual_bench.instruments.meters import LUX_PER_W
 from simulate.virtual_bench.outputs import read_outputs
 from simulate.virtual_bench.process import VirtualInstruments
 

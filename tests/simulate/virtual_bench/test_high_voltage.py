@@ -3,7 +3,7 @@
 import pytest
 
 from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.high_voltage import HighVoltageSupply
+from simulate.virtual_bench.instruments.high_voltage import HighVoltageSupply
 
 HEALTHY, SHORTED = Faults(), Faults(tripped=True)
 EXE, CME, QYE = 16, 32, 4

@@ -2,7 +2,7 @@
 
 import pytest
 
-from simulate.virtual_bench.high_voltage import HighVoltageSupply
+from simulate.virtual_bench.instruments.high_voltage import HighVoltageSupply
 from simulate.virtual_bench.prologix import PrologixAdapter
 
 

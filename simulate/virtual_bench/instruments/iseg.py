@@ -3,7 +3,7 @@
 import math
 
 from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.instrument import LOAD_OHM, VoltageSource
+from simulate.virtual_bench.instrument import LOAD_OHM, VirtualModel, VoltageSource
 
 IDENTITY = "480012;3.15;3000V;100uA"
 HARDWARE_LIMIT_PERCENT = 30  # position of the rotary switch
@@ -170,3 +170,12 @@ def _number(text: str) -> float:
     if not math.isfinite(value):
         raise _Refused(SYNTAX)
     return value
+
+
+MODEL = VirtualModel(
+    name="iseg",
+    place="high_voltage",
+    make=lambda address, scale: IsegSupply(time_scale=scale),
+    baud=9600,
+    panel={"voltage": ("D1=350", "G1"), "on": ("D1=100", "G1")},
+)

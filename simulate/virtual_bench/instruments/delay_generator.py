@@ -15,6 +15,7 @@ from simulate.virtual_bench.instrument import (
     LineInstrument,
     RefusedCommand,
     StandardEvent,
+    VirtualModel,
     commands_of,
     parse_number,
 )
@@ -352,3 +353,17 @@ _SETS = {
     "SPDL": ((int, int), DelayGenerator._step_delay),
     "XTRM": ((int, int, int), DelayGenerator._set_terminator),
 }
+
+
+MODEL = VirtualModel(
+    name="dg645",
+    place="delay_generator",
+    make=lambda address, scale: DelayGenerator(),
+    baud=9600,
+    panel={
+        "source": ("TSRC 1",),
+        "idle level": ("LOFF 1,2",),
+        "width": ("DLAY 3,2,0.002",),
+        "busy": ("DLAY 4,0,0.02",),
+    },
+)

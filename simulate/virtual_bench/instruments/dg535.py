@@ -12,10 +12,12 @@ from simulate.virtual_bench.instrument import (
     EdgeDelays,
     GateGenerator,
     RefusedCommand,
+    VirtualModel,
     parse_number,
     read_register,
 )
 from simulate.virtual_bench.outputs import Trigger
+from simulate.virtual_bench.prologix import PrologixAdapter
 
 LONGEST_S = 1000.0
 T0, A, B, AB, C, D, CD = 1, 2, 3, 4, 5, 6, 7
@@ -208,3 +210,12 @@ class Dg535(BusInstrument, GateGenerator):
 
 def _number(text: str, kind: type = int) -> Any:
     return parse_number(text, kind, ErrorStatus.VALUE)
+
+
+MODEL = VirtualModel(
+    name="dg535",
+    place="delay_generator",
+    make=lambda address, scale: PrologixAdapter({address: Dg535()}),
+    baud=None,
+    panel={"source": ("TM 4",), "idle level": ("OP 4,0",), "width": ("DT 3,2,0.002",), "busy": ("DT 5,1,0.02",)},
+)

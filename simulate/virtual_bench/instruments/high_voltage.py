@@ -10,11 +10,13 @@ from simulate.virtual_bench.instrument import (
     Command,
     RefusedCommand,
     StandardEvent,
+    VirtualModel,
     VoltageSource,
     commands_of,
     parse_number,
     read_register,
 )
+from simulate.virtual_bench.prologix import PrologixAdapter
 
 IDENTITY = "StanfordResearchSystems,PS350,2067,1.40"
 FULL_SCALE_V, MINIMUM_V = 5000.0, 50.0  # in steps of 1 V; below the minimum only 0 can be set; recalled
@@ -205,3 +207,12 @@ _ACTIONS = {
     "*OPC": HighVoltageSupply._operation_complete,
     "*WAI": lambda _: None,
 }
+
+
+MODEL = VirtualModel(
+    name="ps350",
+    place="high_voltage",
+    make=lambda address, scale: PrologixAdapter({address: HighVoltageSupply(time_scale=scale)}),
+    baud=None,
+    panel={"voltage": ("VSET 350",), "on": ("VSET 100", "HVON")},
+)

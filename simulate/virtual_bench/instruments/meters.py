@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from simulate.virtual_bench.instrument import LineInstrument
+from simulate.virtual_bench.instrument import LineInstrument, VirtualModel
 from simulate.virtual_bench.outputs import THERMOMETER_FILE
 
 LUX_PER_W = 1.6e5  # Illuminance on the photocathode for a watt on the head: 1 cm2 of light of 16 lm/W next to the tube
@@ -104,3 +104,7 @@ class Thermometer(LineInstrument):
 
     def outputs(self) -> dict[str, Any]:
         return {"temperature_c": TEMPERATURE_C}
+
+
+LIGHT_METER = VirtualModel(name="pm101", place="light_meter", make=lambda address, scale: PowerMeter(), baud=115200)
+THERMOMETER = VirtualModel(name="ctc100", place="thermometer", make=lambda address, scale: Thermometer(), baud=9600)

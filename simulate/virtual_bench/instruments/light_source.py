@@ -5,7 +5,7 @@ from collections import deque
 from typing import Any
 
 from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.instrument import LineInstrument
+from simulate.virtual_bench.instrument import LineInstrument, VirtualModel
 from simulate.virtual_bench.outputs import LAMP_FILE
 
 MAXIMUM_MA = 2000
@@ -88,3 +88,6 @@ class LightSource(LineInstrument):
 
     def outputs(self) -> dict[str, Any]:
         return {"current_a": self.current_a}
+
+
+MODEL = VirtualModel(name="dc2100", place="light_source", make=lambda address, scale: LightSource(), baud=115200)

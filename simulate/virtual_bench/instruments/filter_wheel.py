@@ -3,7 +3,7 @@
 import time
 from typing import Any
 
-from simulate.virtual_bench.instrument import VirtualInstrument
+from simulate.virtual_bench.instrument import VirtualInstrument, VirtualModel
 from simulate.virtual_bench.outputs import WHEEL_FILE
 
 IDENTITY = "THORLABS FW102C/FW212C Filter Wheel version 1.07"
@@ -86,3 +86,8 @@ class FilterWheel(VirtualInstrument):
 
     def outputs(self) -> dict[str, Any]:
         return {"position": self.position, "sensors_lit": bool(self._settings["sensors"])}
+
+
+MODEL = VirtualModel(
+    name="fw102c", place="filter_wheel", make=lambda address, scale: FilterWheel(time_scale=scale), baud=115200
+)

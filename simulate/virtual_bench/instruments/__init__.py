@@ -1,0 +1,1 @@
+"""Virtual instruments, each with its model: one file an instrument."""
