@@ -265,7 +265,9 @@ def noise_observations(
             found.append(_Noise(mcp_v=at, value=value, sd=sd, predict=predict, speaks_of=depends))
     found += _neighbours(result, volts)
     darks = [level for level in levels if level.illuminance_lux == 0.0]
-    if darks and _rounding_is_noise(sensor):
+    # The read noise must be large against the quantisation step, so that rounding is additive.
+    least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
+    if darks and least_e * float(sensor.video.conversion_gain_dn_per_e) > LEAST_NOISE_DN:
         own = {level.label: level for level in darks}
         reads = admissible_measurements(result, "read_noise", "DN")
         found += [_dark(m, own.get(m.stack or "", darks[0]), sensor, reference_v) for m in reads]
@@ -288,13 +290,6 @@ def _neighbours(result: Result, volts: float) -> list[_Noise]:
                speaks_of=SHAPE)
         for _, value, sd in sorted(usable)[-1:]
     ]  # fmt: skip
-
-
-def _rounding_is_noise(sensor: Sensor) -> bool:
-    """Whether the read noise is large against the quantisation step, so that rounding is additive."""
-    ccd, video = sensor.ccd, sensor.video
-    least_e = ccd.read_noise_e.low or float(ccd.read_noise_e)
-    return least_e * float(video.conversion_gain_dn_per_e) > LEAST_NOISE_DN
 
 
 def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observation:

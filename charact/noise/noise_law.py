@@ -14,7 +14,6 @@ from charact.noise.gain.pooled_noise import ImageLag
 from charact.noise.gain.series import CLIPPED_SHARE, FlatSeries
 from charact.noise.illumination import signal_sd
 from charact.noise.rounding import rounding_sd
-from charact.noise.stack.frame_block import BlockSpectrum
 from charact.noise.stack.stack_statistics import StackStatistics, area_variance, shares_of
 from charact.noise.stack.temporal import n_effective_samples, same_row_lags
 from charact.noise.thresholds import SNR
@@ -165,7 +164,9 @@ def area_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
     shares = shares_of(series.flats[0].bins)
 
     def of(level: StackStatistics) -> tuple[float, float]:
-        spectrum, count = _spectrum(level, lag)
+        spectrum = level.many if lag.is_detected else level.few
+        correlation = lag.correlation if lag.is_detected else np.empty(0)
+        count = level.runs * n_effective_samples(level.time, level.parity, spectrum.lags, correlation)
         return area_variance(level, spectrum, shares, count)
 
     return _levels(series, [of(level) for level in _stacks(series)])
@@ -225,10 +226,3 @@ def _pixel(level: StackStatistics, lag: ImageLag) -> tuple[float, float]:
     )
     stretch = np.sqrt(max(1.0, plain / known))
     return level.many.variance_dn2, float(np.hypot(level.variance_sd_dn2 * stretch, steps))
-
-
-def _spectrum(level: StackStatistics, lag: ImageLag) -> tuple[BlockSpectrum, float]:
-    """Return the spectrum with enough lags, and its independent exposures."""
-    spectrum = level.many if lag.is_detected else level.few
-    correlation = lag.correlation if lag.is_detected else np.empty(0)
-    return spectrum, level.runs * n_effective_samples(level.time, level.parity, spectrum.lags, correlation)

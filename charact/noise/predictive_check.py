@@ -217,7 +217,10 @@ def predictive_residuals(
     by_label = {entry.label: entry for entry in entries}
     rng = np.random.default_rng([context.seed, 61])
     out: list[PredictiveResidual] = []
-    for index in _levels(pooled):
+    # The dimmest, the median and the brightest of the fitted flats.
+    fitted = np.flatnonzero(pooled.series.fitted)
+    some = np.unique(np.linspace(0, len(fitted) - 1, min(PREDICTIVE.levels, len(fitted))).round().astype(int))
+    for index in fitted[some].tolist():
         flat, dark = pooled.series.flats[index], pooled.series.darks[index]
         frames, base = (_middle(by_label[label], context) for label in (flat.label, dark.label))
         if frames is None or base is None:
@@ -254,13 +257,6 @@ def predictive_figure_data(residuals: list[PredictiveResidual]) -> dict[str, Any
         "harmless": [STATISTICS[one.sign].harmless for one in residuals],
         "chance": [one.chance for one in residuals],
     }
-
-
-def _levels(pooled: SingleSetting) -> list[int]:
-    """Return the dimmest, the median and the brightest of the fitted flats."""
-    fitted = np.flatnonzero(pooled.series.fitted)
-    some = np.unique(np.linspace(0, len(fitted) - 1, min(PREDICTIVE.levels, len(fitted))).round().astype(int))
-    return [int(fitted[i]) for i in some]
 
 
 def _middle(entry: StackEntry, context: Context) -> Array | None:

@@ -197,8 +197,9 @@ def _measure(
 ) -> Result:
     fields = fields_of(method, context)
     chosen = select_flats(session, context)
-    reason = _selection_refusal(chosen)
-    if reason is not None:
+    if not chosen.pairs:
+        left = ", ".join(chosen.left_out) or "none"
+        reason = f"no flat of two frames or more lies inside the linear range; left out: {left}"
         return _refusal(reason, fields)
     spectrum = spectrum_of(chosen, context)
     if not np.mean(spectrum.power_dn2) > 1.001 * np.mean(spectrum.dark_dn2):
@@ -217,24 +218,22 @@ def _measure(
     findings = findings_of(spectrum, chosen, found.peaks[0], context)
     notes = [note for note in notes_of(findings) if note]
     wrong = misfit(found.peaks[0], found.posteriors[0], np.random.default_rng([context.seed, 21]))
+    # The form that absorbs most of what scattered light would change.
+    flexible = max(found.peaks, key=lambda peak: peak.point.size)
+    forms = ", ".join(
+        f"{peak.problem.shape.name} {100 * share:.0f} %" for peak, share in zip(found.peaks, found.shares, strict=True)
+    )
     own = {
         "flags": tuple({*flags_of(findings), *wrong, *_chain_flags(found)}),
-        "notes": (NOTE, *notes, unseen_note(_most_flexible(found)), f"form of the transfer: {_forms(found)}"),
+        "notes": (NOTE, *notes, unseen_note(flexible), f"form of the transfer: {forms}"),
         "posterior": found.posteriors[0], **fields,
     }  # fmt: skip
     result = quantities(spectrum, found, own)
     drawn_curves = result.curves
     if with_free_curves:
-        free = _draw_models([optimum_under_model(spectrum, known, NonparametricBlur())], _quick(context))
+        free = _draw_models([optimum_under_model(spectrum, known, NonparametricBlur())], replace(context, quick=True))
         drawn_curves = {**drawn_curves, **{f"{name}_free": curve for name, curve in curves(spectrum, free).items()}}
     return replace(result, curves=drawn_curves, evidence={"post-gain-noise": figure_data(spectrum, found)})
-
-
-def _selection_refusal(chosen: SelectedFlats) -> str | None:
-    if chosen.pairs:
-        return None
-    left = ", ".join(chosen.left_out) or "none"
-    return f"no flat of two frames or more lies inside the linear range; left out: {left}"
 
 
 def _refusal(reason: str, fields: dict[str, Any]) -> Result:
@@ -243,10 +242,6 @@ def _refusal(reason: str, fields: dict[str, Any]) -> Result:
             make_refusal("post_gain_mtf50", "cy/px", reason, orientation_deg=angle, **fields) for angle in (0.0, 90.0)
         )
     )
-
-
-def _quick(context: Context) -> Context:
-    return replace(context, quick=True)
 
 
 def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraws:
@@ -262,17 +257,6 @@ def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraw
         for peak in own
     )  # fmt: skip
     return SpectrumDraws(peaks=tuple(own), posteriors=posteriors, shares=share / share.sum())
-
-
-def _most_flexible(found: SpectrumDraws) -> SpectrumOptimum:
-    """The form that takes up most of what scattered light would change."""
-    return max(found.peaks, key=lambda peak: peak.point.size)
-
-
-def _forms(found: SpectrumDraws) -> str:
-    return ", ".join(
-        f"{peak.problem.shape.name} {100 * share:.0f} %" for peak, share in zip(found.peaks, found.shares, strict=True)
-    )
 
 
 def _chain_flags(found: SpectrumDraws) -> tuple[str, ...]:

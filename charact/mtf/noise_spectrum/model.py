@@ -337,9 +337,10 @@ class SpectrumOptimum:
     @property
     def log_weight(self) -> float:
         """ln of the weight of this form among others: the root of its evidence, and its odds before the data."""
-        return THRESHOLDS.evidence_power * self.log_evidence - (
-            THRESHOLDS.tube_ln_prior if _is_atypical_of_tubes(self.problem) else 0.0
-        )
+        # A described tube disfavours the forms that image tubes do not have.
+        known, shape = self.problem.known, self.problem.shape
+        atypical = known.fibres is not None and shape in FAMILIES and shape.name != TUBE
+        return THRESHOLDS.evidence_power * self.log_evidence - THRESHOLDS.tube_ln_prior * atypical
 
 
 def optimum_under_model(
@@ -363,11 +364,6 @@ def optimum_under_model(
         point, covariance = find_maximum(problem.log_probability, point, problem.bounds, iterations=25)
     evidence = ln_evidence(float(problem.log_probability(point[None])[0]), covariance)
     return SpectrumOptimum(problem=problem, point=point, covariance=covariance, log_evidence=evidence)
-
-
-def _is_atypical_of_tubes(problem: SpectrumLikelihood) -> bool:
-    """Whether the camera is described as a tube, and this is a form that image tubes do not have."""
-    return problem.known.fibres is not None and problem.shape in FAMILIES and problem.shape.name != TUBE
 
 
 def _broaden(point: Array, shape: PostGainBlur) -> Array:

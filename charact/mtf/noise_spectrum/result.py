@@ -14,7 +14,6 @@ from charact.mtf.noise_spectrum.model import (
     SCATTER_PX,
     SCATTER_SHARE,
     PostGainBlur,
-    SpectrumLikelihood,
     SpectrumOptimum,
 )
 from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
@@ -81,7 +80,9 @@ def quantities(spectrum: PooledSpectrum, found: SpectrumDraws, own: dict[str, An
             measurement_from_draws("post_gain_mtf", "1", values, frequency_cy_per_px=frequency, **along)
             for frequency, values in zip(PINNED, pinned.T, strict=True)
         ]
-    white = found.mixture_of(lambda peak, draws: _white_fraction(spectrum, draws))
+    # White floor over all noise at frequency 0, without the dark's part.
+    mean = float(np.mean(spectrum.power_dn2 - spectrum.dark_dn2))
+    white = found.mixture_of(lambda peak, draws: draws[:, 1] * mean / (draws[:, 1] * mean + np.exp(draws[:, 0])))
     measurements.append(measurement_from_draws("white_noise_share", "1", white, **own))
     return Result(measurements=tuple(measurements), curves=curves(spectrum, found))
 
@@ -101,12 +102,6 @@ def _mtf50_measurement(half: Array, own: dict[str, Any]) -> Measurement:
     if middle > THRESHOLDS.nyquist_cy_per_px:
         flags.add("aliased")
     return measurement_from_draws("post_gain_mtf50", "cy/px", known, **{**own, "flags": tuple(flags)})
-
-
-def _white_fraction(spectrum: PooledSpectrum, draws: Array) -> Array:
-    """White floor over all noise at frequency 0, the dark's part left aside, shape (draw,)."""
-    white = draws[:, 1] * float(np.mean(spectrum.power_dn2 - spectrum.dark_dn2))
-    return white / (white + np.exp(draws[:, 0]))
 
 
 def curves(spectrum: PooledSpectrum, found: SpectrumDraws) -> dict[str, Curve]:
@@ -198,7 +193,8 @@ def scatter_limits(peak: SpectrumOptimum) -> tuple[UndetectedScatter, Undetected
     normal = (of_power * looks) @ of_power.T + np.diag(12.0 / (high - low) ** 2)
 
     def limit_at(length_px: float) -> UndetectedScatter:
-        there = replace(peak, problem=_with_scatter(problem, length_px))
+        shape: Any = UndetectedComponent(shape=problem.shape, share=step, length_px=length_px)
+        there = replace(peak, problem=replace(problem, shape=shape))
         away = (there.problem.model(at)[0] / power - 1.0) / step
         pull = of_power @ (looks * away)
         absorbed = np.linalg.solve(normal, pull)
@@ -209,11 +205,6 @@ def scatter_limits(peak: SpectrumOptimum) -> tuple[UndetectedScatter, Undetected
 
     longest = max(SCATTER_SHARE * problem.spectrum.shorter_px, 2.0 * SCATTER_PX)
     return limit_at(SCATTER_PX), limit_at(longest)
-
-
-def _with_scatter(problem: SpectrumLikelihood, length_px: float) -> SpectrumLikelihood:
-    shape: Any = UndetectedComponent(shape=problem.shape, share=ACCURACY.fraction_step, length_px=length_px)
-    return replace(problem, shape=shape)
 
 
 def _mtf50(peak: SpectrumOptimum, points: Array) -> Array:

@@ -102,7 +102,11 @@ def measure_events(dark: StackEntry, *, context: Context) -> Result:
     """Measure single photoelectrons in a dark stack."""
     context.progress("single photoelectrons in the darks", 0.95)
     fields: dict[str, Any] = {"method": METHOD, "stack": dark.label, "provenance": provenance(context)}
-    found = _fit_dark_frames(_frames(dark), dark.conditions, context)
+    stack = open_lazy_stack(dark)
+    count = min(len(stack), EVENTS.max_frames)
+    frames = FrameStack(data=stack.frames(0, count), frame_number=stack.frame_number[:count],
+                        full_scale_dn=stack.full_scale_dn)  # fmt: skip
+    found = _fit_dark_frames(frames, dark.conditions, context)
     if isinstance(found, str):
         out = [make_refusal(name, unit, found, **fields)
                for name, unit in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px"))]  # fmt: skip
@@ -111,14 +115,6 @@ def measure_events(dark: StackEntry, *, context: Context) -> Result:
     fields |= {"flags": flags_of(findings), "notes": notes_of(findings)}
     out = _measurements(found, dark.conditions, context, fields)
     return Result(measurements=tuple(out), evidence={"pulse-heights": pulse_figure_data(found)})
-
-
-def _frames(dark: StackEntry) -> FrameStack:
-    """Return the used frames of a stack that may exceed memory."""
-    stack = open_lazy_stack(dark)
-    count = min(len(stack), EVENTS.max_frames)
-    return FrameStack(data=stack.frames(0, count), frame_number=stack.frame_number[:count],
-                      full_scale_dn=stack.full_scale_dn)  # fmt: skip
 
 
 def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context) -> PulseFit | str:

@@ -62,12 +62,15 @@ class Filter:
         np.cumsum(strip, axis=2, out=total[..., 1:])
         far, gap = EVENT_ACCURACY.background_px, EVENT_ACCURACY.gap_px
 
-        def box(start: int, width: int) -> Images:
-            return total[..., start + width : start + width + cols] - total[..., start : start + cols]
+        out = total[..., left + far : left + far + cols] - total[..., left : left + cols]
 
-        out = box(left, far) + box(left + far + 2 * gap + self.broad, far)
+        def add(start: int, width: int) -> None:
+            np.add(out, total[..., start + width : start + width + cols], out=out)
+            np.subtract(out, total[..., start : start + cols], out=out)
+
+        add(left + far + 2 * gap + self.broad, far)
         out *= np.float32(-self.broad / (2.0 * far))
-        out += box(left + far + gap, self.broad)
+        add(left + far + gap, self.broad)
         return out if len(self.times) == 1 else self.through_time(out)
 
     def through_time(self, still: Images) -> Images:

@@ -19,7 +19,6 @@ from charact.noise.events.frames import (
     REFERENCE_CY_PER_PX,
     DarkFrames,
     Filter,
-    ImageLagCorrelation,
     image_lag_correlation,
     responses,
     spread,
@@ -316,7 +315,8 @@ def fit_pulses(look: DarkFrames, frames: DarkFrames, context: Context, *, period
             "image lag reaches the next field, whose amount is not measurable from one field alone: "
             "name the sensor, with its phosphor decay, and state the exposure_s of the darks"
         )
-    screen = _screen(seen, frames.stride)
+    # Free parameters of the decay. Frames always measure light in the next frame; fields only detect it.
+    screen = (*SLOW, *FAST) if seen.later else FAST if seen.across or frames.stride == 1 else ()
     priors = spot_priors(context) | fast
     setup = _Setup(priors=priors, fixed=_guess(frames, priors, open_share=open_share, screen=screen), screen=screen)
     first = _without_ions(look, _from_scratch(look, setup), setup, 0)
@@ -333,16 +333,6 @@ def fit_pulses(look: DarkFrames, frames: DarkFrames, context: Context, *, period
     )  # fmt: skip
 
 
-def _screen(seen: ImageLagCorrelation, stride: int) -> tuple[str, ...]:
-    """Return the free parameters of the phosphor decay.
-
-    Frames always measure light in the next frame; fields only detect it.
-    """
-    if seen.later:
-        return (*SLOW, *FAST)
-    return FAST if seen.across or stride == 1 else ()
-
-
 def _from_elsewhere(fit: _Fit, stride: int) -> PulseOptimum:
     """Return the best optimum from several decay start values, because few frames constrain it poorly."""
     near = [
@@ -353,13 +343,9 @@ def _from_elsewhere(fit: _Fit, stride: int) -> PulseOptimum:
                key=lambda peak: peak.chi2)  # fmt: skip
 
 
-def _all(frames: DarkFrames) -> list[NDArray[np.bool_]]:
-    return [np.ones(change.shape, bool) for change in frames.changes]
-
-
 def _from_scratch(frames: DarkFrames, setup: _Setup) -> _Fit:
     """Return a fit from start values, with the empirical covariance."""
-    usable, step = _all(frames), 1
+    usable, step = [np.ones(change.shape, bool) for change in frames.changes], 1
     while True:
         problem = setup.problem(observe(frames.changes, usable, frames.filters(step, lag=setup.lag)))
         observed = problem.observed

@@ -256,7 +256,12 @@ def drift_and_flicker(level: StackStatistics) -> tuple[float, float]:
     means = level.frame_mean_dn
     if len(means) < 4:
         return 0.0, 0.0
-    power = _low_power(level) if len(level.bins.modes) else level.variance_dn2
+    power = level.variance_dn2
+    if len(level.bins.modes):
+        # Noise power of the lowest frequency bins, summed over lags.
+        low = np.argsort(np.hypot(level.bins.column_cy_per_px, level.bins.row_cy_per_px))[:8]
+        lags = level.many.power_dn2[low].mean(axis=0)
+        power = float(lags[0] + 2.0 * np.clip(lags[1:], 0, None).sum())
     noise = np.sqrt(max(power, level.variance_dn2) / level.pixels)
     time = np.linspace(-0.5, 0.5, len(means))
     slope = float(time @ means / (time @ time))
@@ -266,14 +271,6 @@ def drift_and_flicker(level: StackStatistics) -> tuple[float, float]:
     significant = rms > noise * (1 + CHECKS.significant_sd / np.sqrt(2 * len(means)))
     drift = slope if abs(slope) > CHECKS.significant_sd * max(slope_sd, rms / np.sqrt(time @ time)) else 0.0
     return drift, rms if significant else 0.0
-
-
-def _low_power(level: StackStatistics) -> float:
-    """Return the noise power of the lowest frequency bins, summed over lags."""
-    spectrum = level.many
-    low = np.argsort(np.hypot(level.bins.column_cy_per_px, level.bins.row_cy_per_px))[:8]
-    power = spectrum.power_dn2[low]
-    return float(power[:, 0].mean() + 2.0 * np.clip(power[:, 1:].mean(axis=0), 0, None).sum())
 
 
 def light_of(conditions: Conditions) -> float | None:

@@ -64,7 +64,10 @@ class SweepJointFit:
 def fit_sweep(sweep: Sweep, *, context: Context) -> SweepJointFit:
     """Fit responsivity and gain law to the settings of a sweep, at least two."""
     axis = Axis.of(sweep.knob.place(np.array([s.value for s in sweep.settings])))
-    lit = _indices_with_light(sweep.settings)
+    # Settings with light in the most frequent unit.
+    units = [s.light_unit for s in sweep.settings if s.light is not None]
+    unit = max(sorted(set(units)), key=units.count) if units else ""
+    lit = tuple(i for i, s in enumerate(sweep.settings) if s.light is not None and s.light_unit == unit)
     response = None
     if len(lit) > 1:
         of_lit = tuple(sweep.settings[i] for i in lit)
@@ -82,13 +85,6 @@ def fit_sweep(sweep: Sweep, *, context: Context) -> SweepJointFit:
     findings = [Finding(None if one.flag in allowed else one.flag, one.note) for one in own]
     findings += _law_findings(joint)
     return replace(joint, findings=(*findings, *(Finding(None, sentence) for sentence in sweep.left_out)))
-
-
-def _indices_with_light(settings: tuple[SweepSetting, ...]) -> tuple[int, ...]:
-    """Return the indices of settings with light in the most frequent unit."""
-    units = [s.light_unit for s in settings if s.light is not None]
-    unit = max(sorted(set(units)), key=units.count) if units else ""
-    return tuple(i for i, s in enumerate(settings) if s.light is not None and s.light_unit == unit)
 
 
 def _share(sweep: Sweep, least: float, context: Context) -> tuple[float, float] | None:
@@ -143,18 +139,13 @@ def _outlier_findings(joint: SweepJointFit) -> list[Finding]:
     """Return findings of settings that deviate significantly from the law."""
     found: list[Finding] = []
     x, own, sd = _own_gains(joint)
+    settings = joint.sweep.settings if joint.response is None else joint.responsivity_settings
     law = np.polyval(np.polyfit(x, own, 1, w=1.0 / np.hypot(sd, STRAY)), x)
-    for value, off, error in zip(_places(joint), own - law, sd, strict=True):
+    for value, off, error in zip([s.value for s in settings], own - law, sd, strict=True):
         if abs(off) > SWEEP.outlier_sd * np.hypot(error, STRAY):
             text = f"the gain at {joint.sweep.knob.text(value)} is {np.exp(off):.2f} times that of the law"
             found.append(Finding("model-misfit", text))
     return found
-
-
-def _places(joint: SweepJointFit) -> list[float]:
-    """Return the values of the settings of the gain law's source."""
-    settings = joint.sweep.settings if joint.response is None else joint.responsivity_settings
-    return [s.value for s in settings]
 
 
 def _blur_findings(joint: SweepJointFit) -> list[Finding]:

@@ -52,7 +52,10 @@ def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> K
     floor = np.maximum(floor, np.quantile(floor, 0.01).clip(1e-9))
     pulses = _pulses_at(floor, law)
     place = (np.log(pulses) - law.posterior["log_gain"]) / law.posterior["rise"]
-    return Knee(read_noise_dn=np.sqrt(floor), gain_dn=pulses + law.electron_gain_dn, place=place, flags=_flags(own))
+    # One dark cannot separate scintillation.
+    flags = quantised_flags(min(s.dark_variance_dn2 or 0.0 for s in own))
+    flags = (("unlike-conditions",) if len(own) < 2 else ()) + flags
+    return Knee(read_noise_dn=np.sqrt(floor), gain_dn=pulses + law.electron_gain_dn, place=place, flags=flags)
 
 
 def outside_reason(knee: Knee) -> str | None:
@@ -90,13 +93,6 @@ def _floor(gain: Array, settings: list[SweepSetting], rng: np.random.Generator) 
     away = square - (square @ weight)[:, None] / total
     slope = ((drawn * away) @ weight) / ((away**2) @ weight)
     return np.where(slope > 0, mean - slope * (square @ weight) / total, mean)
-
-
-def _flags(dark: list[SweepSetting]) -> tuple[str, ...]:
-    """Return the flags: one dark cannot separate scintillation; small noise is quantised."""
-    flags = ("unlike-conditions",) if len(dark) < 2 else ()
-    least = min(s.dark_variance_dn2 or 0.0 for s in dark)
-    return flags + quantised_flags(least)
 
 
 def sweep_figure_data(joint: SweepJointFit, knee: Knee | None) -> dict[str, Any]:
