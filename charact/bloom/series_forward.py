@@ -232,9 +232,10 @@ def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
 
 
 def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
-    """Whether bounds truncate the Gaussian approximation so that its width is unreliable."""
+    """Whether bounds or a bent ridge make the Gaussian approximation unreliable."""
     if best.form.halo != "disc":
-        return False
+        loss = best.peak.log_probability - best.problem.log_probability(gaussian.draws[:100])
+        return float(np.median(loss)) > 2.0 * len(best.form.names)
     diameter = gaussian["halo_diameter"]
     away = float(best.peak.point[best.form.names.index("halo_diameter")]) - float(np.median(diameter))
     return abs(away) > CUT_SD * float(np.std(diameter))
