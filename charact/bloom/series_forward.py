@@ -1,6 +1,6 @@
 """Forward model of a point series: halo, core and glare from all stacks, clipping included in the model."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from charact.bloom.extent_measurements import add_common_measurements, provenanc
 from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of
 from charact.bloom.point_stack import DETECTED, PointStack, read_point_stacks
 from charact.bloom.series.extent_comparison import MISFIT, compare_extents
-from charact.bloom.series.likelihood import RingSeries, select_levels
+from charact.bloom.series.likelihood import select_levels
 from charact.bloom.series.model_selection import (
     MISFIT_SHARE,
     FittedHaloModel,
@@ -23,15 +23,15 @@ from charact.bloom.series.optimum import optimise
 from charact.bloom.series.ring_series import build_ring_series
 from charact.bloom.series.series_measurements import (
     OF_THE_HALO,
+    FittedSeries,
     energy_radius_measurements,
     glare_measurements,
     halo_measurements,
     levels_apart,
     mcp_saturation_measurements,
     nearest_px,
-    several_flag,
 )
-from charact.bloom.thresholds import CUT_SD
+from charact.bloom.thresholds import CUT_SD, Unmeasurable
 from charact.method import Context, register
 from charact.posterior import importance_sample, laplace
 from labdata.measurement import Measurement, Posterior, Result, make_refusal
@@ -40,14 +40,12 @@ from labdata.session import Session
 Array = NDArray[np.float64]
 
 
-def profile_evidence(
-    best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None
-) -> dict[str, Any]:
+def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
     """Ring means of all stacks with the selected model, normalised residuals, and each stack's own halo."""
-    series, point = best.problem.series, best.peak.point[None]
-    model = best.problem.rings(point)[..., 0]
-    solved = best.problem.solve_amplitudes(point)
-    sd = np.sqrt(np.diagonal(series.covariance(best.problem.misfit), axis1=1, axis2=2))
+    problem, point, own = fit.best.problem, fit.best.peak.point[None], fit.own
+    series = problem.series
+    model, solved = problem.rings(point)[..., 0], problem.solve_amplitudes(point)
+    sd = np.sqrt(np.diagonal(series.covariance(problem.misfit), axis1=1, axis2=2))
     data: dict[str, Any] = {
         "figure": "point-profile",
         "label": list(series.labels),
@@ -60,39 +58,32 @@ def profile_evidence(
         "full_scale_dn": series.full_dn,
         "light_dn_px2": solved.amplitudes[:, 0, 0].tolist(),
         "background_dn": solved.amplitudes[:, 1, 0].tolist(),
-        "form": best.name,
-        "model_share": best.problem.misfit.share,
-        "core_share": best.problem.misfit.core,
+        "form": fit.best.name,
+        "model_share": problem.misfit.share,
+        "core_share": problem.misfit.core,
         "chi2": float(solved.chi2.sum()),
-        "freedom": int(series.data.size - 2 * len(series.data) - len(best.peak.point)),
+        "freedom": int(series.data.size - 2 * len(series.data) - point.size),
         "halo_diameter_px": None,
     }
     if own is None:
         return {"point-profile": data}
-    data |= {
-        "halo_diameter_px": float(np.median(posterior["halo_diameter"])),
-        "elastic_share": float(np.median(posterior["elastic_share"])),
-        "halo_share": [float(np.median(posterior["halo_fraction"]))] * len(series.labels),
-    }
-    return {"point-profile": data, "halo-constancy": _constancy(series, posterior, own)}
-
-
-def _constancy(series: RingSeries, posterior: Posterior, own: tuple[Array, Array, Array]) -> dict[str, Any]:
-    """Halo diameter of each stack and of all, as figure data."""
+    names = ("halo_diameter", "elastic_share", "halo_fraction")
+    joint, elastic, share = (float(np.median(fit.posterior[name])) for name in names)
+    data |= {"halo_diameter_px": joint, "elastic_share": elastic, "halo_share": [share] * len(series.labels)}
     seen = np.isfinite(own[0])
     diameter, sd = own[0][seen], np.maximum(own[1][seen], 1e-6)
-    joint = float(np.median(posterior["halo_diameter"]))
-    return {
+    uniformity = {
         "figure": "halo-constancy",
         "label": [label for label, one in zip(series.labels, seen, strict=True) if one],
         "halo_diameter_px": diameter.tolist(),
         "interval95_px": np.stack([diameter - 1.96 * sd, diameter + 1.96 * sd], axis=1).tolist(),
         "significance": own[2][seen].tolist(),
         "joint_px": joint,
-        "joint_elastic_share": float(np.median(posterior["elastic_share"])),
+        "joint_elastic_share": elastic,
         "chi2_of_constancy": float((((diameter - joint) / sd) ** 2).sum()),
         "freedom": max(0, len(diameter) - 1),
     }
+    return {"point-profile": data, "halo-constancy": uniformity}
 
 
 def forms_evidence(forms: list[FittedHaloModel], *, quick: bool) -> dict[str, Any]:
@@ -164,28 +155,22 @@ def series_forward(session: Session, *, context: Context) -> Result:
     """
     spots = read_point_stacks(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    analysis = _analyse_series(session, spots, context, fields)
-    result = add_common_measurements(
-        session, spots, analysis.measurements, analysis.evidence, context=context, **fields
-    )
-    return result if analysis.best is None else _compare_extents(result, analysis.best, analysis.group)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _SeriesResult:
-    """Measurements common to all stacks, with the selected model and its stacks."""
-
-    measurements: list[Measurement]
-    evidence: dict[str, Any]
-    best: FittedHaloModel | None = None
-    group: tuple[PointStack, ...] = ()
-
-
-def _compare_extents(result: Result, best: FittedHaloModel, group: tuple[PointStack, ...]) -> Result:
-    """Compare measured extents with the fitted signal; flag them where the fit is poor."""
-    if best.problem.misfit.share <= MISFIT_SHARE and not is_uneven(best.problem.series):
-        return replace(result, measurements=compare_extents(best, group, result.measurements))
-    labels = {one.label for one in group}
+    fit, said, evidence = None, [], {}
+    try:
+        fit = _fit_series(session, spots, context, fields)
+        said = halo_measurements(fit) if fit.reason is None else _refuse_halo(fit.reason, fields)
+        said += energy_radius_measurements(fit) + glare_measurements(fit)
+        said += mcp_saturation_measurements(fit) if _has_tube(fit.group, context) else []
+        evidence = profile_evidence(fit) | forms_evidence(fit.forms, quick=context.quick)
+    except Unmeasurable as refusal:
+        said = _refuse_halo(str(refusal), fields)
+    result = add_common_measurements(session, spots, said, evidence, context=context, **fields)
+    if fit is None:
+        return result
+    # Measured extents are compared with the fitted signal, or flagged where the fit is poor.
+    if fit.best.problem.misfit.share <= MISFIT_SHARE and not is_uneven(fit.best.problem.series):
+        return replace(result, measurements=compare_extents(fit.best, fit.group, result.measurements))
+    labels = {one.label for one in fit.group}
     flagged = (
         one.with_(flags=MISFIT) if one.quantity in EXTENTS and one.stack in labels else one
         for one in result.measurements
@@ -193,47 +178,39 @@ def _compare_extents(result: Result, best: FittedHaloModel, group: tuple[PointSt
     return replace(result, measurements=tuple(flagged))
 
 
-def _analyse_series(
-    session: Session, spots: tuple[PointStack, ...], context: Context, fields: dict[str, Any]
-) -> _SeriesResult:
-    """Measurements and figure data of a series."""
-    clear = tuple(spot for spot in spots if spot.significance > DETECTED)
-    if not clear:
-        return _SeriesResult(measurements=_refuse_halo("no point source is detected", fields), evidence={})
-    found = build_ring_series(session, clear, context=context)
-    if isinstance(found, str):
-        return _SeriesResult(measurements=_refuse_halo(found, fields), evidence={})
-    series, group = found
-    context.progress("blur models of the source", 0.9)
-    has_tube = context.sensor is not None or any(one.conditions.mcp_v is not None for one in group)
-    # The stack that shows the halo's edge most significantly.
-    edges = [edge_radius(profile_of(spot, context=context)) for spot in group]
-    radius, seen = max(edges, key=lambda one: one[1])
-    forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor, has_tube=has_tube,
-                       first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"))  # fmt: skip
-    best = forms[0]
-    context.progress("posterior of the series", 0.95)
-    posterior = _posterior(best, context)
-    reason = halo_refusal_reason(forms)
-    own = own_diameters(best) if reason is None else None
-    flags = _flags(best, posterior, own) + quantisation_flags(
-        min(group, key=lambda one: one.full_scale_dn - one.dark_dn)
-    )
-    notes = _notes(context, group, spots)
-    if own is None:
-        said = _refuse_halo(reason or "", fields)
-    else:
-        said = halo_measurements(best, posterior, own, group, flags, notes, fields)
-    flags += several_flag(group)
-    said += energy_radius_measurements(best, posterior, flags, notes, fields)
-    said += glare_measurements(best, posterior, group, flags, notes, fields)
-    said += mcp_saturation_measurements(forms, posterior, flags, notes, fields) if has_tube else []
-    evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
-    return _SeriesResult(measurements=said, evidence=evidence, best=best, group=group)
+def _has_tube(group: tuple[PointStack, ...], context: Context) -> bool:
+    return context.sensor is not None or any(one.conditions.mcp_v is not None for one in group)
 
 
 def _refuse_halo(reason: str, fields: dict[str, Any]) -> list[Measurement]:
     return [make_refusal(quantity, unit, reason, **fields) for quantity, unit in OF_THE_HALO]
+
+
+def _fit_series(
+    session: Session, spots: tuple[PointStack, ...], context: Context, fields: dict[str, Any]
+) -> FittedSeries:
+    """Fit all models to the rings of a series, and draw the posterior of the best one."""
+    clear = tuple(spot for spot in spots if spot.significance > DETECTED)
+    if not clear:
+        raise Unmeasurable("no point source is detected")
+    series, group = build_ring_series(session, clear, context=context)
+    context.progress("blur models of the source", 0.9)
+    # The stack that shows the halo's edge most significantly.
+    edges = [edge_radius(profile_of(spot, context=context)) for spot in group]
+    radius, seen = max(edges, key=lambda one: one[1])
+    forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor,
+                       has_tube=_has_tube(group, context),
+                       first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"))  # fmt: skip
+    context.progress("posterior of the series", 0.95)
+    posterior = _posterior(forms[0], context)
+    reason = halo_refusal_reason(forms)
+    own = own_diameters(forms[0]) if reason is None else None
+    flags = _flags(forms[0], posterior, own)
+    flags += quantisation_flags(min(group, key=lambda one: one.full_scale_dn - one.dark_dn))
+    return FittedSeries(
+        forms=forms, reason=reason, posterior=posterior, own=own, group=group, flags=flags,
+        notes=_notes(context, group, spots), fields=fields,
+    )  # fmt: skip
 
 
 def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
@@ -255,9 +232,10 @@ def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
 
 
 def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
-    """Whether bounds truncate the Gaussian approximation so that its width is unreliable."""
+    """Whether bounds or a bent ridge make the Gaussian approximation unreliable."""
     if best.form.halo != "disc":
-        return False
+        loss = best.peak.log_probability - best.problem.log_probability(gaussian.draws[:100])
+        return float(np.median(loss)) > 2.0 * len(best.form.names)
     diameter = gaussian["halo_diameter"]
     away = float(best.peak.point[best.form.names.index("halo_diameter")]) - float(np.median(diameter))
     return abs(away) > CUT_SD * float(np.std(diameter))

@@ -17,16 +17,11 @@ Array = NDArray[np.float64]
 MISFIT = ("model-misfit",)
 # Relative uncertainty of the fitted signal.
 LIGHT_SHARE = 0.03
-# Thresholds of the extents that the fitted model predicts, and the extents that it may contradict.
-LEVELS: dict[str, Callable[[PointStack], float]] = {
-    "bloom_diameter": lambda spot: spot.half_dn,
-    "bloom_diameter_clip": lambda spot: spot.full_scale_dn - HALF_STEP_DN,
-    "bloom_diameter_background": lambda spot: spot.dark_dn + 2.0 * spot.light.level_dn,
-}
-READ: dict[str, Callable[[PointStack], Extent | None]] = {
-    "bloom_diameter": lambda spot: spot.half,
-    "bloom_diameter_clip": lambda spot: spot.clip,
-    "bloom_diameter_background": lambda spot: spot.background,
+# Thresholds and measured extents that the fitted model predicts, and the extents that it may contradict.
+READ: dict[str, Callable[[PointStack], tuple[float, Extent | None]]] = {
+    "bloom_diameter": lambda spot: (spot.half_dn, spot.half),
+    "bloom_diameter_clip": lambda spot: (spot.full_scale_dn - HALF_STEP_DN, spot.clip),
+    "bloom_diameter_background": lambda spot: (spot.dark_dn + 2.0 * spot.light.level_dn, spot.background),
 }
 CONTRADICTED = ("bloom_diameter", "bloom_diameter_clip")
 # Extent compared over all stacks.
@@ -50,36 +45,30 @@ def compare_extents(
     flagged where the streak may have joined it to a separate rim. Extents that the model contradicts are flagged, and
     all extents where the differences over the stacks exceed noise.
     """
-    problem = best.problem
-    light = problem.light_at(best.peak.point[None])[..., 0]
+    from scipy.stats import chi2
+
+    series, light = best.problem.series, best.problem.light_at(best.peak.point[None])[..., 0]
     streaked = {one.stack for one in extents if one.quantity == "streak_level" and one.status != "refused"}
     spots = {spot.label: spot for spot in group}
     out, apart = [], []
     for one in extents:
-        if one.quantity in LEVELS and one.interval95 is not None and one.stack in spots:
+        if one.quantity in READ and one.interval95 is not None and one.stack in spots:
             spot = spots[one.stack]
-            curve, level = light[problem.series.labels.index(spot.label)], LEVELS[one.quantity](spot)
+            (level, read), curve = READ[one.quantity](spot), light[series.labels.index(spot.label)]
             joined = spot.label in streaked and _stands_apart(curve, level)
-            off = joined or _is_off(problem.series.node_px, curve, level, one.interval95)
-            read = READ[one.quantity](spot)
+            off = joined or _is_off(series.node_px, curve, level, one.interval95)
             alone = off or read is None or read.pulled or read.contour is None
-            diameter = _diameter(problem.series.node_px, curve, level)
+            diameter = _diameter(series.node_px, curve, level)
             if one.quantity == JUDGED and not alone and np.isfinite(diameter):
                 apart.append((cast(float, one.value) - diameter) / np.hypot(_sd(one), APART_PX))
             one = _combine_diameters(one, diameter, alone=alone, frames=spot.frames)
             one = one.with_(flags=MISFIT) if off and one.quantity in CONTRADICTED else one
         out.append(one)
-    differ = _differ(apart)
+    # Normalised differences between contours and model over the stacks exceed noise.
+    differ = chi2.sf(np.sum(np.square(apart)), max(len(apart), 1)) < 1e-4
     return tuple(
         one.with_(flags=MISFIT) if differ and one.quantity == JUDGED and one.status != "refused" else one for one in out
     )
-
-
-def _differ(apart: list[float]) -> bool:
-    """Whether the normalised differences between contours and model exceed noise."""
-    from scipy.stats import chi2
-
-    return bool(chi2.sf(np.sum(np.square(apart)), max(len(apart), 1)) < 1e-4)
 
 
 def _sd(extent: Measurement) -> float:
@@ -98,21 +87,18 @@ def _combine_diameters(extent: Measurement, diameter_px: float, *, alone: bool, 
     kept, charged = (1.0, 0.4) if alone else (_error_factor(extent, mean, frames), 0.3)
     sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else 0.004))
     wide = [
-        (
-            mean - float(np.hypot(kept * (value - low), times * sd)),
-            mean + float(np.hypot(kept * (high - value), times * sd)),
-        )
-        for (low, high), times in ((low68, 1.0), (low95, 1.96))
+        tuple(mean + way * float(np.hypot(kept * (value - ends[at]), times * sd)) for at, way in enumerate((-1, 1)))
+        for ends, times in ((low68, 1.0), (low95, 1.96))
     ]
     return replace(extent, value=mean, interval68=wide[0], interval95=wide[1])
 
 
 def _error_factor(extent: Measurement, diameter_px: float, frames: int) -> float:
-    """Factor on a contour's own error in the mean with the fitted model."""
-    name = extent.quantity
-    long = LONG[name] + {"bloom_diameter": 0.35}.get(name, 0.0) / (1.0 + (0.06 / max(_sd(extent), 1e-9)) ** 2)
+    """Factor on a contour's own error in the mean with the fitted model; larger in all ways for the half diameter."""
+    name, half = extent.quantity, extent.quantity == "bloom_diameter"
+    long = LONG[name] + (0.35 * half) / (1.0 + (0.06 / max(_sd(extent), 1e-9)) ** 2)
     kept = long + (SHORT[name] - long) / (1.0 + (diameter_px / 6.0) ** 4)
-    return kept * (1.0 + {"bloom_diameter": 3.0}.get(name, 0.0) / frames)
+    return kept * (1.0 + 3.0 * half / frames)
 
 
 def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[float, float]) -> bool:

@@ -154,7 +154,7 @@ def refit_with_misfit(candidate: FittedHaloModel) -> FittedHaloModel:
     for _ in range(2):
         peak = optimise(candidate.problem, candidate.peak.point)
         candidate = _candidate(candidate.problem, peak)
-    return replace(candidate, peak=optimise(candidate.problem, candidate.peak.point, tolerance=1e-5))
+    return replace(candidate, peak=optimise(candidate.problem, candidate.peak.point, tolerance=1e-4))
 
 
 def _candidate(problem: SeriesLikelihood, peak: SeriesOptimum) -> FittedHaloModel:

@@ -12,6 +12,7 @@ from charact.bloom.defects import bad_pixels
 from charact.bloom.point_stack import PointStack
 from charact.bloom.series.likelihood import RingSeries, series_of
 from charact.bloom.series.rings import ADJACENT_RINGS, LevelRings, geometry_of, level_of, noise_of
+from charact.bloom.thresholds import Unmeasurable
 from charact.method import Context
 from labdata.session import Session
 
@@ -86,16 +87,13 @@ def one_place(spots: tuple[PointStack, ...]) -> tuple[PointStack, ...]:
 
 def build_ring_series(
     session: Session, spots: tuple[PointStack, ...], *, context: Context
-) -> tuple[RingSeries, tuple[PointStack, ...]] | str:
-    """Average the stacks of one source position over rings around it.
-
-    Returns series with its stacks at their common position; or a refusal reason.
-    """
+) -> tuple[RingSeries, tuple[PointStack, ...]]:
+    """Return the ring series of the stacks of one source position, and these at it; else Unmeasurable."""
     group = one_place(spots)
     clearest = max(group, key=lambda one: one.significance)
     shapes = {one.image.shape for one in group}
     if len(shapes) > 1:
-        return f"stacks of one source must have frames of one size, got {sorted(shapes)}"
+        raise Unmeasurable(f"stacks of one source must have frames of one size, got {sorted(shapes)}")
     full = min(one.full_scale_dn for one in group)
     aside = nearer_to_others(group, clearest, context.pitch_ratio)
     masks = [column_artefact_mask(one, context) | aside for one in group]
@@ -105,7 +103,7 @@ def build_ring_series(
     levels = _levels(session, group, masks, bad, (row, col), full, context)
     whole = min(len(level.mean_dn) for level in levels)
     if whole < LEAST_RINGS:
-        return f"the source must lie {LEAST_RINGS} px or more inside the frame, got {whole}"
+        raise Unmeasurable(f"the source must lie {LEAST_RINGS} px or more inside the frame, got {whole}")
     noise = noise_of(levels, dark_dn=min(one.dark_dn for one in group))
     series = series_of(levels, noise, full_dn=full, rings=min(64, whole))
     return series, tuple(replace(one, row=row, col=col) for one in group)

@@ -1,5 +1,6 @@
 """Measurements of a fitted series: halo, encircled energy, glare and MCP saturation."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -165,14 +166,42 @@ def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
     return float(np.sum(((own[0][seen] - mean) / sd) ** 2)), max(int(seen.sum()) - 1, 0)
 
 
-def halo_measurements(
-    best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array], group: tuple[PointStack, ...],
-    flags: tuple[str, ...], notes: tuple[str, ...], fields: dict[str, Any],
-) -> list[Measurement]:  # fmt: skip
+@dataclass(frozen=True, kw_only=True)
+class FittedSeries:
+    """Series with its models in order of likelihood, and what all its measurements have in common.
+
+    `reason`: why no halo is reported, or None; `posterior`: draws of the best model's parameters; `own`: each stack's
+    own diameter, its error and significance, None without a halo; `group`: the stacks; `flags`, `notes`, `fields`: of
+    its measurements.
+    """
+
+    forms: list[FittedHaloModel]
+    reason: str | None
+    posterior: Posterior
+    own: tuple[Array, Array, Array] | None
+    group: tuple[PointStack, ...]
+    flags: tuple[str, ...]
+    notes: tuple[str, ...]
+    fields: dict[str, Any]
+
+    @property
+    def best(self) -> FittedHaloModel:
+        """The selected model."""
+        return self.forms[0]
+
+    @property
+    def light_flags(self) -> tuple[str, ...]:
+        """Flags of quantities that another source's light affects."""
+        return self.flags + several_flag(self.group)
+
+
+def halo_measurements(fit: FittedSeries) -> list[Measurement]:
     """Return the halo's diameter, fraction, plateau and rim; scatter of the stacks widens the diameter's interval.
 
     Light of another source contaminates the rings, but not the position of the edge.
     """
+    best, posterior, own, group, flags = fit.best, fit.posterior, fit.own, fit.group, fit.flags
+    assert own is not None
     several = several_flag(group)
     middle = float(np.median(posterior["halo_diameter"]))
     apart, freedom = levels_apart(own)
@@ -195,7 +224,13 @@ def halo_measurements(
     }
     return [
         measurement_from_draws(
-            quantity, unit, draws[quantity], flags=flags_of[quantity], notes=notes, posterior=posterior, **fields
+            quantity,
+            unit,
+            draws[quantity],
+            flags=flags_of[quantity],
+            notes=fit.notes,
+            posterior=posterior,
+            **fit.fields,
         )
         for quantity, unit in OF_THE_HALO
     ]
@@ -234,10 +269,9 @@ def shows_core(best: FittedHaloModel, posterior: Posterior) -> bool:
     return not pressed and not crowds_at_bound(posterior.draws[:, [share]], bounds).any()
 
 
-def energy_radius_measurements(
-    best: FittedHaloModel, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...], fields: dict[str, Any]
-) -> list[Measurement]:
+def energy_radius_measurements(fit: FittedSeries) -> list[Measurement]:
     """Return the radii that contain 50 and 90 % of the signal."""
+    best, posterior, flags = fit.best, fit.posterior, fit.light_flags
     reach = float(best.problem.series.radius_px[-1])
     radii = energy_radii(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach)
     flags = flags if shows_core(best, posterior) else (*flags, "prior-bound")
@@ -245,21 +279,19 @@ def energy_radius_measurements(
     for quantity, draws in zip(("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True):
         if np.isnan(draws).any():
             reason = f"part of this light lies beyond the {reach:.0f} px analysed around the source"
-            out.append(make_refusal(quantity, "px", reason, **fields))
+            out.append(make_refusal(quantity, "px", reason, **fit.fields))
         else:
             draws = draws * _model_error_factors(best, quantity, len(draws), posterior)
-            out.append(measurement_from_draws(quantity, "px", draws, flags=flags, notes=notes, **fields))
+            out.append(measurement_from_draws(quantity, "px", draws, flags=flags, notes=fit.notes, **fit.fields))
     return out
 
 
-def glare_measurements(
-    best: FittedHaloModel, posterior: Posterior, group: tuple[PointStack, ...], flags: tuple[str, ...],
-    notes: tuple[str, ...], fields: dict[str, Any],
-) -> list[Measurement]:  # fmt: skip
+def glare_measurements(fit: FittedSeries) -> list[Measurement]:
     """Return the veiling glare, from the backgrounds of all stacks."""
+    best, posterior, group = fit.best, fit.posterior, fit.group
     settings = {(one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control) for one in group}
     if len(settings) > 1:
-        return [make_refusal("veiling_glare", "%", "the stacks were taken at different gains", **fields)]
+        return [make_refusal("veiling_glare", "%", "the stacks were taken at different gains", **fit.fields)]
     solved = best.problem.solve_amplitudes(posterior.draws[:200])
     rows, cols = group[0].image.shape
     area = rows * cols * best.form.pitch_ratio
@@ -270,7 +302,7 @@ def glare_measurements(
     ]
     known = np.array([one for one in found if one is not None])
     if not len(known):
-        return [make_refusal("veiling_glare", "%", "the backgrounds of at least three stacks are needed", **fields)]
+        return [make_refusal("veiling_glare", "%", "the backgrounds of at least three stacks are needed", **fit.fields)]
     rng = np.random.default_rng([posterior.seed, 1])
     ratio = known[:, 0] + known[:, 1] * rng.standard_normal(len(known))
     ratio = ratio * _model_error_factors(best, "veiling_glare", len(ratio), posterior)
@@ -278,29 +310,28 @@ def glare_measurements(
     reach = float(best.problem.series.radius_px[-1])
     light = np.median(solved.amplitudes[:, 0], axis=1)
     near = (float(np.median(ratio)), float(np.hypot(ratio.std(), np.median(known[:, 1]))))
-    number = measurement_from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)
+    number = measurement_from_draws(
+        "veiling_glare", "%", draws, flags=fit.light_flags, notes=(*fit.notes, LEAKS), **fit.fields
+    )
     return [number.with_(findings=find_leak(group, light, reach, area, near))]
 
 
-def mcp_saturation_measurements(
-    forms: list[FittedHaloModel], posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
-    fields: dict[str, Any],
-) -> list[Measurement]:  # fmt: skip
+def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
     """Return the signal density at half MCP gain, and each stack's core compression.
 
     The densities of different core models differ by factors; their distance is a systematic uncertainty.
     """
-    best = forms[0]
+    best, posterior, flags = fit.best, fit.posterior, fit.light_flags
     if not isinstance(best.problem, SaturatingSeriesLikelihood):
         reason = "the cores are linear in all stacks: no MCP saturation is visible"
-        return [make_refusal("plate_saturation_density", "DN", reason, **fields)]
+        return [make_refusal("plate_saturation_density", "DN", reason, **fit.fields)]
     # Distance, in ln, of the densities of other cores' models from the best one's.
-    saturating = [one for one in forms if isinstance(one.problem, SaturatingSeriesLikelihood)]
+    saturating = [one for one in fit.forms if isinstance(one.problem, SaturatingSeriesLikelihood)]
     ln = np.log([max(float(one.peak.point[one.form.names.index("plate_load")]), 1e-9) for one in saturating])
     unlike = float(np.abs(ln - ln[0]).max())
     if unlike > float(np.log(4.0)):
         reason = f"core models give densities that differ by a factor of {np.exp(unlike):.2g}: describe the camera"
-        return [make_refusal("plate_saturation_density", "DN", reason, **fields)]
+        return [make_refusal("plate_saturation_density", "DN", reason, **fit.fields)]
     load = best.form.names.index("plate_load")
     if crowds_at_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
         flags = (*flags, "prior-bound")
@@ -311,10 +342,12 @@ def mcp_saturation_measurements(
     points[:, load] = np.clip(points[:, load] / factors, *best.form.bounds[load])
     density = 1.0 / np.maximum(points[:, load], 1e-9)
     density = density * _model_error_factors(best, "plate_saturation_density", len(density), posterior)
-    out = [measurement_from_draws("plate_saturation_density", "DN", density, flags=flags, notes=notes, **fields)]
+    out = [
+        measurement_from_draws("plate_saturation_density", "DN", density, flags=flags, notes=fit.notes, **fit.fields)
+    ]
     left = best.problem.compression(points[:DERIVED])
     for label, draws in zip(best.problem.series.labels, left, strict=True):
-        out.append(measurement_from_draws("core_compression", "1", draws, flags=flags, stack=label, **fields))
+        out.append(measurement_from_draws("core_compression", "1", draws, flags=flags, stack=label, **fit.fields))
     return out
 
 

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from charact.bloom.bloom_map import NEAR_PX, bloom_map, pixel_noise
-from charact.bloom.posterior_psf import PosteriorPsf, spread_of
+from charact.bloom.posterior_psf import PosteriorPsf
 from charact.study.bloom.scene import noiseless_frame, stack
 from charact.study.bloom.source import GLARE_SIDE_PX, BloomScene, radial_light
-from labdata.errors import BadInput
-from labdata.measurement import Posterior
 
 CLIP_DN = 243.0
 
@@ -59,7 +57,7 @@ def compared(found, truth, distance):
     return ((found.fraction - truth) / found.sd)[where], (found.fraction - truth)[where]
 
 
-@pytest.mark.parametrize("overload", [0.5, 20.0, 2000.0])
+@pytest.mark.parametrize("overload", [0.5, 200.0])
 @pytest.mark.parametrize(
     "scene",
     [
@@ -104,14 +102,6 @@ def test_standard_deviations_hold_the_noise_of_the_frame(seed):
                           clipped=(frames >= scene.full_scale_dn).mean(axis=0) > 0.1, rng=rng)  # fmt: skip
         pull, _ = compared(found, truth, distance)
         assert 0.7 < np.sqrt(np.mean(pull**2)) < 1.4
-
-
-def test_the_core_alone_leaves_the_share_of_its_own_tail(seed):
-    rng = np.random.default_rng(seed)
-    scene = BloomScene(halo_fraction=1e-9)
-    found = bloom_map(np.full((64, 80), 50.0), spread_of_scene(scene, rng, sd=0.0), noise_dn=0.1, rng=rng)
-    tail = np.exp(-(NEAR_PX**2) / (2 * scene.core_sigma_px**2))
-    assert np.nanmax(np.abs(found.fraction - tail)) < 0.004
 
 
 def test_a_halo_that_is_clipped_all_over_tells_nothing_and_says_so(seed):
@@ -181,26 +171,8 @@ def test_noise_is_found_where_blur_ties_neighbours(seed):
     assert np.median(pixel_noise(40.0 + noise)) == pytest.approx(noise.std(), rel=0.1)
 
 
-def test_a_posterior_becomes_a_spread():
-    names = ("halo_diameter", "elastic_share", "core_frequency", "core_exponent", "core_spread")
-    posterior = Posterior(names=names, units=("px", "1", "cy/px", "1", "px2"),
-                          draws=np.tile([40.0, 0.4, 0.5, 1.2, 0.7], (5, 1)))  # fmt: skip
-    assert len(spread_of(posterior, halo_fraction=0.1)) == 5
-    with pytest.raises(BadInput, match="halo_fraction"):
-        spread_of(posterior)
-
-
 def test_the_density_of_a_spread_is_the_closed_form(seed):
     scene = BloomScene(wing_share=0.2, halo_fraction=0.2, post_gain_sigma_px=0.0)
     spread = spread_of_scene(scene, np.random.default_rng(seed), sd=0.0, draws=1)
     radius = np.array([0.0, 2.0, 10.0, 20.0, 22.5, 30.0, 60.0])
     assert spread.density(radius)[0] == pytest.approx(radial_light(scene, radius), rel=0.01, abs=1e-7)
-
-
-def test_bad_frames_are_refused():
-    rng = np.random.default_rng(0)
-    spread = spread_of_scene(BloomScene(), rng)
-    with pytest.raises(BadInput, match="shape"):
-        bloom_map(np.zeros(30), spread, rng=rng)
-    with pytest.raises(BadInput, match="near_px"):
-        bloom_map(np.ones((30, 30)), spread, near_px=0.0, rng=rng)

@@ -17,7 +17,6 @@ from labdata.measurement import Measurement
 from labdata.sensors import load_sensor
 
 QUICK = Context(seed=1, quick=True)
-METHODS = ["series-forward"]
 LEVELS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
 
 
@@ -45,12 +44,6 @@ def test_a_disc_has_its_own_diameter_whatever_the_row_pitch(radius, row_pitch):
     assert not found.touches_border
 
 
-def test_only_what_hangs_together_with_the_source_counts():
-    image = disc(5.0)
-    image[5:20, 5:20] = 200.0
-    assert extent(image).diameter_px == pytest.approx(10.0, abs=0.6)
-
-
 def test_a_streak_counts_as_far_as_it_hangs_together():
     image = disc(8.0)
     image[15:70, 44:47] = 200.0
@@ -58,11 +51,7 @@ def test_a_streak_counts_as_far_as_it_hangs_together():
     assert np.pi / 4.0 * extent(image).diameter_px ** 2 == pytest.approx((image >= 100.0).sum(), rel=0.06)
 
 
-def test_a_bloom_that_leaves_the_frame_says_so():
-    assert extent(disc(60.0)).touches_border
-
-
-@pytest.mark.parametrize("overload", [3.0, 30.0, 300.0, 1e3, 3e3, 3e4, 1e6])
+@pytest.mark.parametrize("overload", [3.0, 300.0, 3e3, 1e6])
 def test_three_levels_lie_where_the_closed_form_has_them(overload, seed):
     """Within 5 % or 1 px, and within what the interval promises, through core, step and plateau."""
     scene = BloomScene()
@@ -179,8 +168,7 @@ def test_two_sources_are_told_apart(seed):
             assert np.hypot(other.row - scene.centre[0] - down, other.col - scene.centre[1] - along) < 1.5
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_gaussian_core_blooms_by_the_root_of_the_logarithm(in_memory, seed, method):
+def test_a_gaussian_core_blooms_by_the_root_of_the_logarithm(in_memory, seed):
     """D = 2 s sqrt(2 ln OL) with OL the peak over the threshold (physics reference, 2.1)."""
     rng = np.random.default_rng(seed)
     rows, cols = np.indices((111, 121))
@@ -192,7 +180,7 @@ def test_a_gaussian_core_blooms_by_the_root_of_the_logarithm(in_memory, seed, me
         noisy = light + rng.normal(0.0, 1.0, (4, 111, 121))
         data = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
         stacks.append((f"point-{index}", FrameStack(data=data, full_scale_dn=255.0), overload))
-    result = bloom.measure(in_memory(stacks), method=method, context=QUICK)
+    result = bloom.measure(in_memory(stacks), context=QUICK)
     assert result.find("bloom_diameter", stack="point-0")[0].status == "refused"
     for index, overload in ((1, 3.0), (2, 30.0), (3, 300.0)):
         (found,) = result.find("bloom_diameter", stack=f"point-{index}")
@@ -214,11 +202,3 @@ def test_without_darks_the_interval_holds_the_extent_that_they_give(point, in_me
     assert "no-darks" not in bare.flags
     assert half95(bare) >= half95(known)
     assert abs((bare.value or 0.0) - (known.value or 0.0)) < 2.0 * half95(bare)
-
-
-def test_a_single_image_is_enough_for_an_extent(point, in_memory, seed):
-    session = in_memory([("point", point(np.random.default_rng(seed), 1e5, frames=1), 1.0)])
-    result = bloom.measure(session, context=QUICK)
-    (found,) = result.find("bloom_diameter")
-    assert found.value is not None and found.value > 5.0
-    assert half95(found) > 0.0

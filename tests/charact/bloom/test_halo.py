@@ -5,7 +5,6 @@ import pytest
 
 from charact import bloom
 from charact.bloom.series.series_measurements import levels_apart
-from charact.bloom.transfer import disc
 from charact.method import Context
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -38,13 +37,6 @@ def test_the_diameter_before_blur_is_found_behind_a_saturated_core(point, in_mem
     assert (halo.interval68[1] - halo.interval68[0]) / 2 < 0.03 * diameter_px
 
 
-def test_draws_by_importance_find_it_too(point, in_memory, seed):
-    session = series(point, in_memory, np.random.default_rng(seed))
-    halo = halo_of(bloom.measure(session, method="series-forward", context=Context(seed=1)))
-    assert halo.posterior.sampler == "importance"
-    assert abs(errors(halo, 40.0)) < 4.5
-
-
 def test_geometry_not_light_sets_the_diameter(point, in_memory, seed):
     """Two decades of light: each level's own diameter agrees with the common one."""
     session = series(point, in_memory, np.random.default_rng(seed), lights=(3e3, 3e4, 3e5), frames=8)
@@ -55,15 +47,13 @@ def test_geometry_not_light_sets_the_diameter(point, in_memory, seed):
         assert abs(own - levels["joint_px"]) < 4.5 * (high - low) / 3.92
 
 
-@pytest.mark.parametrize("method", ["series-forward"])
-def test_a_source_without_halo_is_refused_one(point, in_memory, seed, method):
+def test_a_source_without_halo_is_refused_one(point, in_memory, seed):
     session = series(point, in_memory, np.random.default_rng(seed), halo_fraction=0.0)
-    assert halo_of(bloom.measure(session, method=method, context=QUICK)).status == "refused"
+    assert halo_of(bloom.measure(session, context=QUICK)).status == "refused"
 
 
-@pytest.mark.parametrize("method", ["series-forward"])
 @pytest.mark.parametrize("kind", ["uniform", "normal", "sparse"])
-def test_pure_noise_has_neither_halo_nor_bloom(in_memory, seed, method, kind):
+def test_pure_noise_has_neither_halo_nor_bloom(in_memory, seed, kind):
     rng = np.random.default_rng(seed)
     data = {
         "uniform": lambda: rng.integers(0, 256, (6, 110, 120)),
@@ -71,7 +61,7 @@ def test_pure_noise_has_neither_halo_nor_bloom(in_memory, seed, method, kind):
         "sparse": lambda: 12 + rng.poisson(0.02, (6, 110, 120)) * 5,
     }[kind]()
     session = in_memory([("noise", FrameStack(data=data.astype(np.uint8), full_scale_dn=255.0), 1.0)])
-    for measurement in bloom.measure(session, method=method, context=QUICK).measurements:
+    for measurement in bloom.measure(session, context=QUICK).measurements:
         assert measurement.status != "ok", measurement
 
 
@@ -80,18 +70,6 @@ def test_a_session_without_point_sources_is_bad_input(in_memory):
     bare = type(session)(folder=session.folder, name="bare", stacks=session.of_kind("dark"))
     with pytest.raises(BadInput, match="point"):
         bloom.measure(bare, context=QUICK)
-
-
-def test_the_transform_of_the_halo_is_that_of_thrown_electrons(thrown, seed):
-    """Elastic: sin u / u with the bright rim at twice the gap; spread energies: the sine integral over u."""
-    rng = np.random.default_rng(seed)
-    frequency = np.array([0.005, 0.01, 0.02, 0.04, 0.08])
-    count = 200_000
-    for share in (1.0, 0.3, 0.0):
-        x, _ = thrown(rng, count, 40.0, share)
-        waves = np.cos(2.0 * np.pi * frequency * x[:, None])
-        expected = disc(frequency, np.array([40.0]), np.array([[share, 1.0 - share, 0.0, 0.0]]))[0]
-        assert np.all(np.abs(waves.mean(axis=0) - expected) < 4.5 * waves.std(axis=0) / np.sqrt(count))
 
 
 def test_no_electron_lands_farther_than_two_gaps(thrown, seed):

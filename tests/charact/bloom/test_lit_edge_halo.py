@@ -109,13 +109,6 @@ def test_a_border_within_the_halo_is_refused_or_flagged(seed):
     assert diameter.status != "ok"
 
 
-def test_an_edge_shorter_than_the_halo_is_refused(seed):
-    diameter, _, _ = found_of(
-        session_of((150.0, 3000.0), lambda level: door(level, height=40), np.random.default_rng(seed))
-    )
-    assert diameter.status == "refused"
-
-
 def test_the_line_is_where_the_edge_is():
     line = edge_line(through(half_plane(100.0), SCENE), 54.0, 1.0)
     assert (line.upright, line.side) == (True, 1)

@@ -158,15 +158,6 @@ def test_rings_about_the_core_that_are_off_blur_the_halos_share_and_leave_its_ed
         assert abs(one.point[share] - scene.halo_fraction) < 4.5 * sd[share]
 
 
-def test_draws_by_importance_agree_with_the_curvature(seed):
-    scene = BloomScene(halo_diameter_px=40.0)
-    quick, whole = (measured(scene, seed, TWO_DECADES, Context(seed=1, quick=q)) for q in (True, False))
-    one, other = only(quick, "halo_diameter"), only(whole, "halo_diameter")
-    assert other.posterior.sampler == "importance"
-    assert one.value == pytest.approx(other.value, abs=0.5 * (one.interval68[1] - one.interval68[0]))
-    assert whole.evidence["bloom-forms"]["table"][0]["foretold_chi2_per_ring"] < 2.0
-
-
 @pytest.mark.parametrize("scene", [BloomScene(halo_fraction=0.0), BloomScene(halo_fraction=0.0, wing_share=0.2)],
                          ids=["bare core", "core with a wing"])  # fmt: skip
 def test_no_halo_is_no_halo(scene, seed):
@@ -209,10 +200,6 @@ def test_a_plate_that_tires_is_told_by_its_density_and_leaves_the_halo(saturatio
     left = [one.value for one in result.find("core_compression")]
     assert all(one > other for one, other in pairwise(left))
     assert 0.9 < left[0] <= 1.0 and left[-1] < 0.1
-
-
-def test_a_plate_at_rest_is_not_called_tired(seed):
-    assert only(measured(BloomScene(), seed), "plate_saturation_density").status == "refused"
 
 
 def test_glare_is_told_from_backgrounds_that_rise_with_the_light(seed):

@@ -13,7 +13,6 @@ from charact.method import Context
 from charact.study.bloom.scene import bloom_session, stack
 from charact.study.bloom.source import BloomScene
 from charact.study.bloom.truth import truth
-from labdata.errors import BadInput
 from labdata.measurement import Measurement
 
 QUICK = Context(seed=1, quick=True)
@@ -83,11 +82,6 @@ def test_encircled_radii_are_those_of_the_closed_form(seed, halo_fraction):
         assert within(found, truth(scene, 0.6)[name])
 
 
-def test_a_cut_core_has_no_encircled_light(picture):
-    result = measure_frame(bare_session(picture(BloomScene(frames=1), 30.0)), context=QUICK)
-    assert all(result.find(f"encircled_radius_{share}")[0].status == "refused" for share in (50, 90))
-
-
 def test_the_command_reads_a_picture_or_says_why_not(picture, tmp_path):
     path = picture(BloomScene(frames=1), 300.0)
     run = CliRunner().invoke(app, ["bloom", str(path), "--json"])
@@ -96,17 +90,3 @@ def test_the_command_reads_a_picture_or_says_why_not(picture, tmp_path):
     for verb, file in (("measure", path), ("bloom", tmp_path / "missing.png")):
         run = CliRunner().invoke(app, [verb, str(file), "--json"])
         assert run.exit_code == 1 and "must" in json.loads(run.stdout)["error"]
-
-
-def test_pure_noise_is_refused(tmp_path, seed):
-    path = tmp_path / "noise.npy"
-    np.save(path, np.random.default_rng(seed).integers(0, 200, (90, 100)).astype(np.uint8))
-    result = measure_frame(bare_session(path), context=QUICK)
-    assert all(m.status == "refused" for m in result.measurements)
-
-
-def test_a_picture_of_an_unknown_kind_is_bad_input(tmp_path):
-    path = tmp_path / "point.bmp"
-    path.write_bytes(b"BM")
-    with pytest.raises(BadInput):
-        measure_frame(bare_session(path), context=QUICK)

@@ -76,11 +76,6 @@ def test_a_streak_at_the_highest_code_says_that_wells_hold_more(seed):
     assert level.flags == ("clipped",) and level.value == pytest.approx(243.0, abs=0.5)
 
 
-def test_without_overflow_there_is_a_chord_and_no_level(seed):
-    length, level = measured(spots_of(BloomScene(), (30.0,), np.random.default_rng(seed))[0])
-    assert length.status == "ok" and level.status == "refused" and "no wells overflow" in level.reason
-
-
 def test_a_streak_that_leaves_the_frame_says_so(seed):
     (spot,) = spots_of(BloomScene(full_well_dn=300.0), (300.0,), np.random.default_rng(seed))
     length, level = measured(spot)

@@ -86,20 +86,6 @@ def test_truth_by_pixels_agrees_with_truth_in_closed_form():
             assert counted[name] == pytest.approx(exact[name], abs=0.15), (overload, name)
 
 
-def test_a_streak_grows_the_bloom_by_whole_pixels():
-    source, half = BloomScene(full_well_dn=400.0), 12.0 + 0.5 * 243.0
-    dry = replace(source, full_well_dn=None)
-    counted, round_only = ((noiseless_frame(one, 30.0) >= half).sum() for one in (source, dry))
-    areas = [0.25 * np.pi * truth(one, 30.0)["bloom_diameter"] ** 2 for one in (source, dry)]
-    assert counted > round_only + 100
-    assert areas[0] - areas[1] == pytest.approx(counted - round_only, abs=3.0)
-
-
-def test_wells_that_never_overflow_change_no_truth():
-    source = BloomScene()
-    assert truth(replace(source, full_well_dn=1e4), 3.0) == truth(source, 3.0)
-
-
 @pytest.mark.parametrize(("wing", "after_px"), [(0.0, 0.8), (0.3, 0.8), (0.0, 0.5)])
 def test_the_law_along_the_radius_is_that_of_the_picture(wing, after_px):
     """The blur after the gain widens the wing as well: a tenth of its light 5 px out; narrow ones are blurs no less."""
@@ -110,22 +96,6 @@ def test_the_law_along_the_radius_is_that_of_the_picture(wing, after_px):
     law = np.interp(radius[near], table, radial_light(source, table))
     picture = noiseless_frame(source, 1.0)[near] - source.dark_dn - source.background_dn
     assert picture == pytest.approx(source.source_dn(1.0) * law, rel=1e-3, abs=1e-6 * source.span_dn)
-
-
-def test_light_of_all_parts_adds_up():
-    source = BloomScene(rows=401, cols=401, wing_share=0.1, wing_exponent=3.0, glare_fraction=0.1, row_pitch=1.2)
-    dark = source.dark_dn + source.background_dn
-    glare = 0.1 * 401 * 401 * 1.2 / 600**2
-    assert (noiseless_frame(source, 100.0) - dark).sum() / source.source_dn(100.0) == pytest.approx(
-        0.9 + glare, abs=1e-3
-    )
-    radius = np.arange(0.0, 200.0, 0.02)
-    assert volume(radius, radial_light(source, radius)) == pytest.approx(0.9, abs=1e-3)
-
-
-def test_the_core_peaks_at_full_scale_times_the_overload():
-    source = BloomScene(row=80.0, col=90.0, halo_elastic_share=1.0, background_dn=0.0)
-    assert noiseless_frame(source, 3.0).max() - source.dark_dn == pytest.approx(3.0 * source.span_dn, rel=0.01)
 
 
 def test_overflow_conserves_charge_and_its_place():
@@ -176,17 +146,6 @@ def test_noise_is_that_of_pulses_blurred_after_the_gain(background_dn):
     assert (noise**2).mean() == pytest.approx(variance, rel=6 * sd)
     covariance = (noise[:, :, 1:] * noise[:, :, :-1]).mean()
     assert covariance == pytest.approx(pulses * shared[0] * shared[1], rel=6 * sd / shared[1] * shared[0])
-
-
-def test_frames_average_to_the_expected_picture_where_they_do_not_clip():
-    source = BloomScene(frames=60, full_scale_dn=65535.0, bits=16, plate_saturation_dn=2e4, full_well_dn=4e4,
-                        smear_fraction=1e-3)  # fmt: skip
-    mean = stack(source, 1.2, np.random.default_rng(2)).data.mean(axis=0)
-    picture = noiseless_frame(source, 1.2)
-    off = (mean - picture) / np.sqrt(source.photoelectron_dn * source.excess * picture / 60)
-    low = picture < 3e4
-    assert abs(off[low].mean()) < 0.02
-    assert np.abs(off[low]).max() < 6
 
 
 def test_lag_motion_and_a_second_source_are_where_they_should_be():
