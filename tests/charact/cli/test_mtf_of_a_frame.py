@@ -15,7 +15,6 @@ from labdata.frames import FrameStack
 from labdata.measurement import Result as Measured
 from labdata.measurement import make_measurement, make_refusal
 from tests.charact.cli.runner import charact, done_well
-from tests.charact.mtf.bars.photoelectron_bars import PulsedBars
 
 
 @pytest.fixture(scope="module")
@@ -46,19 +45,6 @@ def test_a_black_level_above_the_dark_side_is_not_believed_and_said(two_edges: P
     said = "No light would be at 100 DN, above the edge's dark side at 40"
     assert any(note.startswith(said) and "not known" in note for note in above["measurements"][0]["notes"])
     assert [m["value"] for m in above["measurements"]] == [m["value"] for m in without["measurements"]]
-
-
-def test_a_black_level_lets_the_noise_of_bars_tell_a_gamma(tmp_path: Path) -> None:
-    scene = PulsedBars(
-        blur=TrueBlur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), photoelectrons=12.0, frames=4,
-        rows=90, cols=100, frequency_cy_per_px=0.25, gamma=1.9,
-    )  # fmt: skip
-    file = tmp_path / "bars.npy"
-    np.save(file, scene.frames_drawn(np.random.default_rng(0)).data)
-    asked = ("mtf", "bars", file, "--frequency", "0.25", "--quick", "--json")
-    told = [json.loads(charact(*asked, *more).stdout)["measurements"][0] for more in ((), ("--black-dn", "12"))]
-    by_noise = [any("noise grows as signal" in note for note in one["notes"]) for one in told]
-    assert by_noise == [False, True]
 
 
 @pytest.mark.parametrize("black", ["nan", "-inf", "4000"])

@@ -116,49 +116,6 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(tmp
     assert not np.array_equal(b, c)
 
 
-def test_a_small_picture_stands_in_the_middle_and_the_session_says_so(tmp_path, cameras):
-    tifffile.imwrite(tmp_path / "spot.tif", np.full((16, 16), 1000, np.uint16))
-    done_well(
-        *("simulate", tmp_path / "spot.tif", tmp_path / "out", "--sensor", cameras["emccd-512"]),
-        *("--photoelectrons-per-dn", 0.1, "--gain", 100, "--temperature-c", -70, "--frames", 2),
-    )
-    stack = open_session(tmp_path / "out").stack("scene")
-    assert any("16 x 16 pixels is centred on the frame of 48 x 64" in note for note in stack.notes)
-    mean = stack.read().data.mean(axis=0)
-    row, col = np.mgrid[:ROWS, :COLS]
-    weight = np.where(mean > mean.max() / 4, mean, 0.0)
-    assert (weight * row).sum() / weight.sum() == pytest.approx((ROWS - 1) / 2, abs=0.3)
-    assert (weight * col).sum() / weight.sum() == pytest.approx((COLS - 1) / 2, abs=0.3)
-
-
-def test_twice_the_radiance_is_twice_the_light_and_black_is_dark(tmp_path, cameras):
-    wavelength_nm = np.linspace(450.0, 900.0, 10)
-    means = []
-    for number, radiance in enumerate((0.0, 2e-9, 4e-9)):
-        cube = np.full((10, ROWS, COLS), radiance)
-        np.savez(tmp_path / f"{number}.npz", wavelength_nm=wavelength_nm, radiance=cube)
-        done_well(
-            *("simulate", tmp_path / f"{number}.npz", tmp_path / f"s{number}", "--frames", 4),
-            *("--sensor", cameras["gen3-digital-iccd"]),
-        )
-        means.append(open_session(tmp_path / f"s{number}").stack("scene").read().data.mean())
-    assert means[1] - means[0] > 50.0
-    assert (means[2] - means[0]) / (means[1] - means[0]) == pytest.approx(2.0, rel=0.1)
-
-
-def test_more_voltage_than_the_description_allows_is_told(tmp_path, cameras):
-    for number, options in enumerate((("--gain", 1e9), ("--mcp-v", 5000), ("--mcp-v", 900))):
-        done = done_well(
-            *("simulate", "bench", tmp_path / str(number), "--sensor", cameras["pulnix-ag5745ef3"]),
-            *("--kind", "dark", "--frames", 1, *options),
-        )
-        told = "exceeds the limit 900 of" in done.stderr
-        noted = any(
-            "exceeds the limit 900" in note for note in open_session(tmp_path / str(number)).stack("dark").notes
-        )
-        assert told == noted == (options != ("--mcp-v", 900))
-
-
 @pytest.mark.parametrize(
     ("file", "options", "words"),
     [

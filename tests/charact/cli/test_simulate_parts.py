@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from charact.cli.image_figures import SHEET, save_stages, sheet
 from labdata import BadInput
 from labdata.sensors import load_camera, load_sensor
-from simulate.api import centre_on_frame, conditions_of, read_cube, read_image
+from simulate.api import centre_on_frame, conditions_of, read_cube, read_image, voltage_limit_warnings
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +125,12 @@ def test_a_luminous_gain_is_the_voltage_that_gives_it(tube):
     assert conditions_of(tube, gain=15000.0).mcp_v == pytest.approx(800.0)
     assert conditions_of(tube, gain=7500.0).mcp_v == pytest.approx(800.0 * 0.5**0.1)
     assert conditions_of(tube).mcp_v == 800.0
+
+
+@pytest.mark.parametrize(("mcp_v", "warned"), [(5000.0, True), (900.0, False)])
+def test_more_voltage_than_the_description_allows_is_told(tube, mcp_v, warned):
+    told = voltage_limit_warnings(tube, conditions_of(tube, mcp_v=mcp_v))
+    assert [("exceeds the limit 900 of" in sentence) for sentence in told] == [True] * warned
 
 
 def test_what_is_left_open_is_nominal_and_recorded(tube, emccd):
