@@ -218,8 +218,6 @@ def render_bench(bench: LabSetup, view: TargetView, wavelength_nm: Array) -> Rad
 
     Numbers of cells are multiples of `BLOCK`.
 
-    Notes
-    -----
     L = tau L_port where the transmitted ray meets the port, plus rho E_room/pi where the room light is not occluded.
     """
     shares = _shares(bench, view).reshape(2 * MATERIALS, -1)

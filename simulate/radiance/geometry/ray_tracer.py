@@ -38,8 +38,6 @@ class Hits:
 class RayTracer:
     """Ray tracer of a triangle mesh.
 
-    Notes
-    -----
     A face is the row of a triangle, combined with the number of the copy for meshes with copies (`embree.COPY_BITS`).
     """
 

@@ -145,8 +145,6 @@ class Viewpoint:
     def solid_angle_sr(self, row: Array, col: Array) -> Array:
         """Return the solid angle of a pixel at image coordinates, shape (point,), sr.
 
-        Notes
-        -----
         |d1 x d2| of the unit directions' derivatives along row and column.
         """
         step = 0.25

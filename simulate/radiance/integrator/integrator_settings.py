@@ -52,8 +52,9 @@ class SamplingLimits:
     max_sampled_lamps: int = 2
     # Mean square over squared mean of the sky radiance from which it is importance-sampled.
     min_sky_contrast: float = 2.0
-    # Panes along a ray, light beyond is lost.
+    # Panes along a ray, light beyond is lost; and panes at which a camera ray is split into both continuations.
     max_panes: int = 64
+    max_pane_splits: int = 3
     # Visible discs: corners of the polygon, rays for a covered pixel, and for a disc at least and at most.
     disc_corners: int = 128
     disc_rays_per_pixel: int = 64
@@ -170,9 +171,11 @@ def additional_rays(
     wanted = root * root.mean()
     wanted *= min(1.0, total / wanted.sum())
     more = np.minimum(wanted, np.minimum(LIMITS.max_growth * before, max_rays)) - before
-    step = 2 ** np.round(np.log2(np.maximum(more, 1.0))).astype(np.int64)
+    # A single additional ray would give no variance.
+    step = 2 ** np.maximum(np.round(np.log2(np.maximum(more, 1.0))), 1.0).astype(np.int64)
+    step = np.where(before + step > max_rays, step // 2, step)
     found = np.zeros(sent.shape, np.int64)
-    found[some] = np.where(more >= 0.5 * before, np.where(before + step > max_rays, step // 2, step), 0)
+    found[some] = np.where((more >= 0.5 * before) & (step > 1), step, 0)
     return found
 
 

@@ -222,8 +222,6 @@ def _gather(
 def _smooth(grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], run: Run) -> NDArray[np.float32]:
     """Return values of nodes smoothed over their windows, plus the smoothed residual.
 
-    Notes
-    -----
     Windows chosen from noisy values avoid rare bright light, which biases the mean. The residual, smoothed over the
     largest window, restores it (twicing, Tukey 1977).
     """
@@ -235,8 +233,6 @@ def _smooth(grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], 
 def _windows(grid: Nodes, signals: Array, run: Run) -> tuple[NDArray[np.int64], Array, Array]:
     """Choose each node's window by cross-validation of the two halves; return it, its squared error and the fit.
 
-    Notes
-    -----
     (A - B)^2 / 2 is the variance of a half; a fit of A deviates from B by its error and by B's noise. The mean of both
     halves has half of the error, and at least the noise of a mean over the window.
     """

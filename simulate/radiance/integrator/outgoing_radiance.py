@@ -21,7 +21,13 @@ from simulate.radiance.integrator.direct_lighting import LightSamples
 from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings
 from simulate.radiance.integrator.path_tracer import LEAST_CHANCE, MOST_CHANCE, follow_paths
 from simulate.radiance.integrator.sampling import SequenceSlice
-from simulate.radiance.integrator.spectral_scene import Segments, ShadingPoints, SpectralScene, trace_segments
+from simulate.radiance.integrator.spectral_scene import (
+    Segments,
+    ShadingPoints,
+    SpectralScene,
+    reflect_direction,
+    trace_segments,
+)
 
 Array = NDArray[np.floating]
 Rows = NDArray[np.int64]
@@ -351,14 +357,45 @@ def radiance_along(
     sky_control_fraction: Light | None = None,
     split: bool = False,
     share: Sharing | None = None,
+    splits: int = LIMITS.max_pane_splits,
 ) -> RadianceComponents:
     """Return the radiance along rays of unit direction (ray, 3), in components as of `outgoing_radiance`.
 
     Apart from the sources, components are "in view" (sky and emission that the ray meets) and "air" (path radiance less
     the light that air removes from all other components). `share` gives the cached irradiance of points by ray number.
-    Panes transmit or reflect each ray at random.
+    Rays that meet a pane continue both transmitted and reflected; after a few panes (`splits`) one of both at random.
     """
-    parts = RadianceComponents((len(towards), stage.bands), split=split)
+    parts, airy = RadianceComponents((len(towards), stage.bands), split=split), stage.air.absorbs
+    airy &= "air" not in effort.neglected
+    panes = stage.bsdfs.panes
+    if panes is not None and splits:
+        glass = panes.met(origin, towards, stage.surfaces.tracer.hits(origin, towards).range_m)
+        open_ = np.setdiff1d(np.arange(len(towards)), glass.which)
+        ahead = towards[glass.which]
+        for which, start, ways, left, straight in (
+            (open_, origin[open_], towards[open_], np.float32(1.0), True),
+            (glass.which, panes.start(glass), ahead, glass.through, True),
+            (glass.which, panes.start(glass, True), reflect_direction(ahead, glass.normal), glass.mirrored, False),
+        ):
+            if not len(which):
+                continue
+            onwards = radiance_along(
+                stage,
+                start,
+                ways,
+                effort,
+                rng,
+                gather_rays=gather_rays,
+                sky_control_fraction=None if sky_control_fraction is None else sky_control_fraction[which],
+                split=split,
+                share=_of_some(share, which) if straight else None,
+                splits=0 if which is open_ else splits - 1,
+            )
+            for name, light in onwards.found.items():
+                parts.add(name, which, light * left)
+        if airy:
+            _through_air(stage, parts, glass.range_m, ahead, glass.which)
+        return parts
     end = trace_segments(stage.surfaces.tracer, stage.bsdfs.panes, origin, towards, rng)
     met, away = end.hit.met, np.flatnonzero(end.hit.face == NOTHING)
     parts.add("in view", away, stage.lighting.environment_map.radiance(end.direction[away]))
@@ -372,7 +409,6 @@ def radiance_along(
         straight = ~end.mirrored[met[which]]
         shared = which[straight], irradiance[straight]
     outgoing_radiance(stage, points, effort, rng, rays=gather_rays, into=(parts, met), shared=shared)
-    airy = stage.air.absorbs and "air" not in effort.neglected
     if airy:
         _through_air(stage, parts, end.hit.range_m[met], end.direction[met], met)
     crossed = np.flatnonzero(end.crossed)
@@ -381,6 +417,11 @@ def radiance_along(
     if airy:
         _through_air(stage, parts, end.earlier_m[crossed], towards[crossed], crossed)
     return parts
+
+
+def _of_some(share: Sharing | None, which: Rows) -> Sharing | None:
+    """Restrict a cache look-up to some of the rays."""
+    return None if share is None else lambda points, numbers: share(points, which[numbers])
 
 
 def _through_air(stage: SpectralScene, parts: RadianceComponents, range_m: Array, towards: Array, met: Rows) -> None:

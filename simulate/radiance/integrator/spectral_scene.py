@@ -304,8 +304,6 @@ class Air:
     def change_of(self, light: NDArray[np.float32], range_m: Array, direction: Array) -> NDArray[np.float32]:
         """Return the change of light (ray, band) along paths in unit directions (ray, 3): path radiance minus losses.
 
-        Notes
-        -----
         The path radiance is J (1 - T of haze and molecules) (T of gases over half the path), see
         `Atmosphere.path_radiance`.
         """

@@ -22,8 +22,6 @@ Array = NDArray[np.floating]
 def coverage(row: Array, col: Array, shape: tuple[int, int]) -> Array:
     """Return the fraction of each pixel that a polygon with corners (corner,) covers, shape (row, col).
 
-    Notes
-    -----
     Green's theorem: each segment of the outline within a pixel adds its height times the width to its right in that
     pixel, and its full height to all pixels to the right.
     """
@@ -68,8 +66,6 @@ def add_small_sources(stage: SpectralScene, view: Viewpoint, radiance: NDArray[n
 
     Sources whose light on surfaces is neglected are included, because they may still dazzle.
 
-    Notes
-    -----
     A disc of irradiance E at the lens and solid angle W has the radiance E / W; a pixel gets that times the fraction of
     its solid angle that the disc covers, by the exact area of a polygon.
     """

@@ -287,8 +287,6 @@ def _effects(tried: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: in
 def _influence(part: Array, shape: tuple[int, int]) -> float:
     """Return the rms of a component (point, ray) over the region where it is largest.
 
-    Notes
-    -----
     The mean square is that of the product of two rays of the same point, which is not biased by Monte Carlo noise as
     the square of their mean would be.
     """

@@ -2,11 +2,13 @@
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from labdata.errors import BadInput
+from simulate.radiance.geometry import embree
 from simulate.radiance.geometry.embree import COPY_BITS
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.auxiliary_layers import truth
@@ -131,3 +133,10 @@ def test_twenty_thousand_copies_of_five_thousand_triangles_take_less_than_400_me
     done = subprocess.run([sys.executable, "-c", PEAK], capture_output=True, text=True, check=True)
     print(f"peak {1e-3 * int(done.stdout):.0f} MB")
     assert int(done.stdout) < 400_000
+
+
+def test_another_embree_than_the_fourth_is_refused(monkeypatch):
+    old = SimpleNamespace(rtcNewDevice=lambda config: 1, rtcGetDeviceProperty=lambda device, number: 30_105)
+    monkeypatch.setattr(embree, "_library", lambda: old)
+    with pytest.raises(BadInput, match="rays need Embree 4, got version 30105"):
+        embree._device.__wrapped__()

@@ -18,7 +18,6 @@ from simulate.radiance.integrator.integrator_settings import (
 )
 from simulate.radiance.integrator.irradiance_cache import build_irradiance_cache
 from simulate.radiance.integrator.renderer import render_scene
-from simulate.radiance.integrator.sampling import TILE, low_discrepancy_points
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 from tests.simulate.radiance.staging import UNIFORM, at, lamp, staged, upright
 
@@ -199,12 +198,3 @@ def test_between_nodes_of_one_surface_others_have_no_say():
     found, has = nodes.between(value, np.full(3, 10.0), np.full(3, 19.5), place, up)
     assert has.tolist() == [True, True, False]
     assert found[:2, 0] == pytest.approx([1.0, 9.0])
-
-
-def test_the_rays_of_a_tile_fill_the_square_evenly_together():
-    row, col = (axis.ravel() for axis in np.meshgrid(np.arange(TILE), np.arange(TILE), indexing="ij"))
-    pairs = low_discrepancy_points(row, col, 4, [1]).pairs().reshape(-1, 2)
-    cell = (pairs * 8).astype(int)
-    counts = np.bincount(8 * cell[:, 0] + cell[:, 1], minlength=64)
-    # 256 at random would leave cells of 4 with a standard deviation of 2.
-    assert counts.min() >= 2 and counts.max() <= 6

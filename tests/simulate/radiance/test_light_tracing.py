@@ -11,7 +11,7 @@ from simulate.radiance.integrator.integrator_settings import IntegratorSettings
 from simulate.radiance.integrator.light_sources import LampLight
 from simulate.radiance.integrator.light_tracing import RINGS, LightTracingSettings
 from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
-from simulate.radiance.lamps.distribution import Isotropic, MeasuredDistribution, SpotBeam
+from simulate.radiance.lamps.distribution import Isotropic, SpotBeam
 from tests.simulate.radiance.staging import agree, at, inside_out, irradiance, lamp, staged
 
 FLOOR, ABOVE_M = 0.6, 2.0
@@ -118,15 +118,3 @@ def shining(distribution) -> LampLight:
 def test_rings_hold_equal_light(distribution, light_beyond):
     falls = LightTracingSettings.of((shining(distribution),), low_room(()).surfaces.tracer).falls[0]
     assert light_beyond(falls[:-1]) == pytest.approx(1.0 - np.arange(RINGS) / RINGS, abs=2e-3)
-
-
-def test_rings_pass_over_the_dark_of_a_table():
-    table = MeasuredDistribution(
-        polar_deg=np.array([0.0, 30.0, 31.0, 60.0, 61.0, 90.0]),
-        azimuth_deg=np.zeros(1),
-        candela=np.array([[1.0, 1.0, 0.0, 0.0, 1.0, 1.0]]),
-    )
-    falls = LightTracingSettings.of((shining(table),), low_room(()).surfaces.tracer).falls[0]
-    assert (np.diff(falls) > 0.0).all()
-    polar = np.rad2deg(np.arccos(1.0 - falls))
-    assert ((polar > 32.0) & (polar < 59.0)).sum() <= 1

@@ -7,7 +7,7 @@ from simulate.radiance.geometry.surfaces import shape
 from simulate.radiance.geometry.viewpoint import RasterGeometry, Viewpoint
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings, SamplingSettings
 from simulate.radiance.integrator.renderer import render_scene
-from simulate.radiance.integrator.subpixel_sources import add_small_sources, coverage
+from simulate.radiance.integrator.subpixel_sources import add_small_sources
 from tests.simulate.radiance.staging import at, disc_light, lamp, staged, upright
 
 
@@ -87,17 +87,6 @@ def test_a_scanners_pixels_are_as_high_as_they_are_wide():
 def test_a_camera_within_a_lamp_does_not_see_it():
     view = looking_north((8, 10), 100.0)
     assert not seen(view, lamps=(lamp((0.0, 0.0, 0.0), 1.0, 0.05), lamp((0.0, 0.01, 0.0), 1.0, 0.05))).any()
-
-
-def test_coverage_is_the_area_of_a_polygon_in_each_pixel():
-    """A triangle of corners (row, col) with an area of 6 px; a square within a pixel; one around all."""
-    share = coverage(np.array([1.0, 5.0, 1.0]), np.array([1.0, 1.0, 4.0]), (6, 6))
-    assert share.sum() == pytest.approx(6.0) and share[1, 1] == 1.0
-    assert share[4, 1] == pytest.approx(0.5 * 0.75) and not share[5].any() and not share[:, 4:].any()
-    small = coverage(np.array([2.2, 2.2, 2.3, 2.3]), np.array([3.1, 3.3, 3.3, 3.1]), (6, 6))
-    assert small[2, 3] == pytest.approx(0.02) and np.count_nonzero(small > 1e-12) == 1
-    around = coverage(np.array([-9.0, -9.0, 9.0, 9.0]), np.array([-9.0, 9.0, 9.0, -9.0]), (6, 6))
-    assert (around == 1.0).all()
 
 
 def test_a_lamp_whose_light_on_surfaces_is_left_out_is_seen_all_the_same():

@@ -59,20 +59,6 @@ def test_form_factors_of_squares(seed, glow, size, exact):
     agree(irradiance(stage, over(size, size, 6000, seed), UP, seed=seed, rays=2) / np.pi, exact)
 
 
-def test_form_factor_of_coaxial_discs(seed):
-    glow = at(inside_out(disc(1)), 0, 0, 1)
-    stage = staged([("floor", "floor", WIDE), ("glow", "glow", glow)], {"floor": 0.5, "glow": 0.0}, glow={"glow": 1.0})
-    places = over(2, 2, 8000, seed)
-    inside = places[np.hypot(places[:, 0], places[:, 1]) < 1.0]
-    agree(irradiance(stage, inside, UP, seed=seed, rays=2) / np.pi, 0.381966)
-
-
-def test_a_glowing_sphere_lights_like_its_radius_over_its_distance_squared(seed):
-    ball = at(sphere(0.5), 0, 0, 2)
-    stage = staged([("floor", "floor", WIDE), ("ball", "ball", ball)], {"floor": 0.5, "ball": 0.0}, glow={"ball": 1.0})
-    agree(irradiance(stage, [(0, 0, 0)] * 4000, UP, seed=seed, rays=4), np.pi * 0.25**2)
-
-
 @pytest.mark.parametrize("tilt_deg", [0.0, 30.0, 60.0, 90.0])
 def test_a_uniform_sky_lights_a_tilted_surface_by_the_part_of_it_that_it_sees(tilt_deg):
     tilt = np.deg2rad(tilt_deg)
