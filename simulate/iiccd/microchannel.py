@@ -12,7 +12,7 @@ from simulate.iiccd import pattern, tube_photometry
 from simulate.iiccd.chain import Slot, Stage, values_of
 from simulate.iiccd.grid import CameraFrame, Grid
 from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import Neighbourhood
+from simulate.iiccd.transfer import GapSpread
 
 Map = NDArray[np.floating]
 
@@ -196,7 +196,7 @@ class MicrochannelPlate(Stage, slot=Slot.MCP, takes="photoelectrons at the plate
         mean, pixels = budget.mean_load, 3.0 / budget.blurs[0]
         found = {"plate saturation": budget.of_gain(mean)}
         if self.depletion_blur_um is not None:
-            near = budget.with_blur(Neighbourhood(sigma_um=self.depletion_blur_um))
+            near = budget.with_blur(GapSpread(radius_um=float(np.sqrt(2.0)) * self.depletion_blur_um))
             local = np.maximum(budget.load(near), 0.0)
             # Relative to whichever gain is the lower.
             found["local depletion"] = budget.of_gain((local - mean) / (1.0 + np.minimum(local, mean)))

@@ -65,7 +65,7 @@ class Defocus:
 
 @dataclass(frozen=True, kw_only=True)
 class GapSpread:
-    """Lateral spread in the proximity gap: exp(-(pi f rho)^2), rho its radius in um."""
+    """Gaussian spread, as in the proximity gap: exp(-(pi f rho)^2), rho its 1/e radius in um."""
 
     radius_um: float
 
@@ -133,16 +133,6 @@ class FibreTaper:
         argument = np.pi * self.fibre_pitch_um * 1e-3 * at_detector
         fibre = np.divide(2.0 * j1(argument), argument, out=np.ones_like(argument), where=argument > 0)
         return np.abs(fibre) * np.exp(-((at_detector / self.interface_lp_per_mm) ** 2))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Neighbourhood:
-    """Gaussian neighbourhood of a width (standard deviation) in um: exp(-2 (pi f s)^2)."""
-
-    sigma_um: float
-
-    def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        return np.exp(-2.0 * (np.pi * self.sigma_um * 1e-3) ** 2 * (fx_per_mm**2 + fy_per_mm**2))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -112,9 +112,7 @@ def density_at_half_gain_dn(sensor):
     """Light per pixel at which the plate's gain has halved, DN."""
     camera = IntensifiedCamera(sensor)
     plate = camera.stage(Slot.MCP, SETTINGS)
-    at_half_gain_pe = (
-        plate.saturation_e_per_s_cm2 * plate.field_s * camera.field_pixel_area_cm2 / plate.gain
-    )
+    at_half_gain_pe = plate.saturation_e_per_s_cm2 * plate.field_s * camera.field_pixel_area_cm2 / plate.gain
     return at_half_gain_pe * true_quantities.true_quantities(sensor, SETTINGS)["photoelectron_gain"]
 
 

@@ -7,7 +7,6 @@ errors of the samples drawn. CHARACT_TEST_SAMPLES multiplies the samples.
 
 import os
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cache
 from itertools import islice
 from typing import Any
@@ -219,32 +218,3 @@ def _one_axis(sigma_px: float) -> tuple[float, float]:
 def test_the_reference_knows_what_naive_drawing_loses(sigma_px):
     continuous, naive = _one_axis(sigma_px)
     assert (naive / continuous) ** 2 == pytest.approx(NAIVE[sigma_px], abs=6e-4)
-
-
-@pytest.mark.parametrize("sigma_px", NAIVE)
-@pytest.mark.parametrize("tier", AFFORDED)
-def test_blur_below_a_pixel_loses_no_variance(tier, sigma_px, plain, seed):
-    """Square pixels, no interlace, no decay, no video filter: a flat's variance is k F^2 mu sum h^2, h continuous."""
-    level = 20.0
-    pitch_mm = 0.011 * 18.0 / 11.0
-    sensor = plain(
-        240,
-        320,
-        ccd__pitch_y_um=11.0,
-        tube__post_gain_share=1.0,
-        tube__mtf_exponent=2.0,
-        tube__mtf_frequency_lp_per_mm=np.sqrt(0.5) / (np.pi * sigma_px * pitch_mm),
-        taper__fibre_pitch_um=1e-3,
-        taper__interface_mtf_lp_per_mm=1e6,
-        phosphor__fast_decay_ms=1e-6,
-        phosphor__slow_decay_ms=1e-6,
-        video__bandwidth_mhz=1e4,
-    )
-    sensor = replace(sensor, video=replace(sensor.video, interlaced=False))
-    camera = slow.of_sensor(sensor, spread=slow.Gaussian(sigma_px * pitch_mm))
-    pulses = level * camera.height_moment(2) * _one_axis(sigma_px)[0] ** 2
-    white = level * camera.height_moment(1) + camera.dark_e + camera.read_noise_e**2
-    assert slow.campbell(camera, level).variance == pytest.approx(pulses + white, rel=2e-3)
-    found, error, step_e = measured_flat(sensor, level, AFFORDED[tier][50.0], seed, tier)
-    assert abs(found.variance - white - step_e**2 / 12.0 - pulses) < 5e-3 * pulses + ERRORS * error.variance
-    assert error.variance < 4e-3 * pulses

@@ -15,29 +15,6 @@ def _glow(name: str, field_s: float, gate_s: float | None = None) -> PhosphorDec
     return PhosphorDecay(components=components, gate_s=gate_s or field_s, field_s=field_s)
 
 
-def _single(tau_ms: float, field_s: float) -> PhosphorDecay:
-    return PhosphorDecay(components=((1.0, tau_ms * 1e-3),), gate_s=field_s, field_s=field_s)
-
-
-def _variance_and_adjacent_difference(glow: PhosphorDecay) -> tuple[float, float]:
-    """Factors of the temporal variance and of half the variance of the difference of adjacent fields."""
-    shares = glow.pulse_shares
-    own = float(np.mean(np.sum(shares**2, axis=1)))
-    next_one = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
-    return own, own - next_one
-
-
-@pytest.mark.parametrize(
-    ("tau_ms", "field_s", "variance", "difference"),
-    [(1.0, 1 / 30, 0.970, 0.955), (1.0, 1 / 60, 0.940, 0.910), (5.0, 1 / 30, 0.848, 0.775)],
-    ids=["P43 at 30 Hz", "P43 at 60 Hz", "5 ms at 30 Hz"],
-)
-def test_lag_lowers_temporal_noise_by_the_factors_of_section_10(tau_ms, field_s, variance, difference):
-    """1 - a and 1 - 1.5 a, a = (tau/T)(1 - exp(-T/tau)); the last by Monte Carlo."""
-    found = _variance_and_adjacent_difference(_single(tau_ms, field_s))
-    assert found == pytest.approx((variance, difference), abs=0.003)
-
-
 @pytest.mark.parametrize(
     ("name", "high_ms", "low_ms"), [("P20", 4.0, 55.0), ("P43", 1.0, 1.6), ("P46", 3e-4, 0.09), ("P47", 1e-4, 2.9e-3)]
 )

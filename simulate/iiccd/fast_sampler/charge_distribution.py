@@ -68,6 +68,7 @@ def node_probabilities() -> NDArray[np.float64]:
     return np.append(probability, (0.5, 0.5))
 
 
+@lru_cache(maxsize=2048)
 def row_quantiles(shape: float, row: int) -> NDArray[np.float64]:
     """Return the quantiles of a row, shape (NODES,): every fifth by the law itself, between them by straight lines."""
     below = row - row % EXACT_EVERY

@@ -121,8 +121,8 @@ class FrameGenerator:
         `next_state` gives the state of the controls behind a state, a mean output of the MCP, electrons per s and cm2,
         and a mean level above black, DN. By the first scene `is_sparse` decides whether single pulses are drawn.
         """
-        state, channels, sparse = UNTOUCHED, None, False
-        coming = iter(scenes)
+        state, channels, sparse, coming = UNTOUCHED, None, False, iter(scenes)
+        last: tuple[StageImage, Any, Exposure] | None = None
         for frame in count():
             if not (batch := list(islice(coming, self._fields))):
                 return
@@ -145,8 +145,11 @@ class FrameGenerator:
                 if plate.depletion_blur_um is not None:
                     during, channels = plate.states_under(channels, plate.load(scene.values, scene.grid))
                     working = plate.with_depletion(during)
-                chain = self._chain.replacing(working)
-                exposures.append(prepare_exposure(chain, scene, self._fields, sparse=sparse))
+                # Light that stands still is prepared once.
+                if last is None or last[0] is not scene or working.gain_map is not None or last[1] != working:
+                    exposure = prepare_exposure(self._chain.replacing(working), scene, self._fields, sparse=sparse)
+                    last = scene, working, exposure
+                exposures.append(last[2])
             output /= batch[0].values.size * plate.field_s * self._fields
             coarse = self._screen.expose(frame, [e.light for e in exposures], 1.0, self._run_in_bands)
             mean = np.empty(self._charge.shape, np.float32)
