@@ -22,7 +22,7 @@ from charact.method import Context
 from charact.method.registry import with_single_blas_thread
 from charact.mtf.blur_models.one_dimensional import EXPONENT_PRIOR, HALF_FREQUENCY_PRIOR, BlurModel
 from charact.mtf.curve import FINE, crossing_frequency
-from charact.mtf.edge.fit.model_fit import BlurModelFitter
+from charact.mtf.edge.fit.model_fit import EdgeFitter
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX
 from charact.mtf.known_transfer import known_transfer
@@ -303,7 +303,7 @@ def posterior_draws(sampler: str, stack: FrameStack, seed: int) -> Array | Poste
     if isinstance(edge, EdgeRefusal):
         raise BadInput(f"every frame of this study holds an edge, got: {edge.reason}")
     known = known_transfer(edge.picture, edge.profile.angle_rad, context)
-    fitter = BlurModelFitter(edge.profile, known)
+    fitter = EdgeFitter(edge.profile, known)
     fit = fitter.fit(FORM, np.concatenate([[0.0], FORM.start(fitter.guess())]), EVEN_PER_PX)
     likelihood = fitter.log_probability(FORM, EVEN_PER_PX)
 

@@ -59,11 +59,11 @@ def _in_order(futures: list[Any]) -> Iterator[Any]:
 
 MODULES: dict[str, dict[str, str]] = {
     "edge": {
-        "edge-forward": "charact.mtf.edge.forward",
+        "edge-forward": "charact.mtf.edge.parametric",
         "edge-free": "charact.mtf.edge.free",
-        "edge-gradient": "charact.mtf.edge.gradient",
+        "edge-gradient": "charact.mtf.edge.conventional",
         "edge-parametric": "charact.mtf.edge.parametric",
-        "edge-slanted": "charact.mtf.edge.slanted",
+        "edge-slanted": "charact.mtf.edge.conventional",
     },
     "bars": {
         "bars-coltman": "charact.mtf.bars.contrast",

@@ -60,12 +60,76 @@ def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
     return np.where(found, crossing, np.nan)
 
 
+def mtf_measurements(
+    mtf: Callable[[Array], Array],
+    common: dict[str, Any] | Callable[[Array], dict[str, Any]],
+    *,
+    posterior: Posterior,
+    doubt: Callable[[Array], Array] | None = None,
+    finish: Callable[[Measurement, Array], Measurement] | None = None,
+    names: tuple[str, ...] = ("mtf50", "mtf10", "mtf"),
+) -> tuple[list[Measurement], Curve, Array, dict[str, Any]]:
+    """Return MTF50, MTF10 and the MTF at pinned frequencies, its curve, the draws of MTF50, and the shared fields.
+
+    Parameters
+    ----------
+    mtf
+        From frequencies, cy/px, to drawn MTFs, shape (f,) -> (draw, f).
+    common
+        Fields that all measurements share, or a function that makes them from the draws of MTF50.
+    posterior
+        Recorded with the crossing frequencies.
+    doubt
+        Relative standard uncertainty of what is known of the transfer, shape (f,) -> (f,); None: exact.
+    finish
+        Changes a measurement according to its draws, before the doubt widens it.
+    names
+        Which of the quantities are returned.
+    """
+    every = 6
+    coarse_at = np.append(FINE[:-1:every], FINE[-1])
+    draws = mtf(np.concatenate([coarse_at, PINNED, np.maximum(REPORTED, 1e-6)]))
+    coarse, pinned, reported = np.split(draws, [coarse_at.size, coarse_at.size + len(PINNED)], axis=1)
+
+    def crossings(level: float) -> Array:
+        """Return where each draw falls to a level, NaN where it never does: finely where the coarse ones do."""
+        below = coarse < level
+        falls = below.any(axis=1)
+        first = np.argmax(below[falls], axis=1)
+        if not first.size:
+            return np.full(len(coarse), np.nan)
+        near = FINE[max(first.min() - 1, 0) * every : first.max() * every + 1]
+        return np.where(falls, crossing_frequency(near, mtf(near), level), np.nan)
+
+    halves = crossings(LEVELS["mtf50"])
+    shared = common(halves) if callable(common) else common
+
+    found: list[Measurement] = []
+    for name in names:
+        if name in LEVELS:
+            own = halves if name == "mtf50" else crossings(LEVELS[name])
+            each = [(_crossing_measurement(name, own, posterior, shared), own[np.isfinite(own)])]
+        else:
+            each = [
+                (measurement_from_draws(name, "1", at, frequency_cy_per_px=float(f), **shared), at)
+                for f, at in zip(PINNED, pinned.T, strict=True)
+            ]
+        finished = [one if finish is None else finish(one, drawn) for one, drawn in each]
+        found += [
+            flag_filter_uncertainty(one, doubt, lambda level: float(np.nanmedian(crossings(level)))) for one in finished
+        ]
+    return found, curve_of(REPORTED, reported), halves, shared
+
+
 def crossing_measurement(quantity: str, curves: Array, posterior: Posterior, common: dict[str, Any]) -> Measurement:
     """Return MTF50 or MTF10 of drawn curves at `FINE`; refused where over 2 % of them do not fall to the level."""
-    level = LEVELS[quantity]
-    draws = crossing_frequency(FINE, curves, level)
+    return _crossing_measurement(quantity, crossing_frequency(FINE, curves, LEVELS[quantity]), posterior, common)
+
+
+def _crossing_measurement(quantity: str, draws: Array, posterior: Posterior, common: dict[str, Any]) -> Measurement:
     lost = float(np.mean(~np.isfinite(draws)))
     if lost > 0.02:
+        level = LEVELS[quantity]
         reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px; {100 * lost:.0f} % of its draws do not"
         return make_refusal(quantity, "cy/px", reason, **common)
     return measurement_from_draws(quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common)

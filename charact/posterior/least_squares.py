@@ -81,8 +81,9 @@ def least_squares(
     damping: float = 1e-3,
     shrink: float = 0.1,
     grow: float = 10.0,
+    min_damping: float = 1e-9,
     max_damping: float = 1e9,
-    max_step: float = 0.25,
+    max_step: ArrayLike = 0.25,
     hopeless: float = np.inf,
 ) -> Optimum:
     """Minimise a sum of squares within bounds by damped Gauss-Newton steps.
@@ -98,11 +99,11 @@ def least_squares(
         Maximum number of steps tried.
     tolerance, relative_tolerance
         Gain of the cost, absolute and as a fraction of it, below which a step is the last one.
-    damping, shrink, grow, max_damping
+    damping, shrink, grow, min_damping, max_damping
         First damping in units of each parameter's curvature, its factors after a step that lowers the cost and after
-        one that does not, and where the search ends.
+        one that does not, its least value, and that above which the search ends.
     max_step
-        Largest step, as a fraction of the range between the bounds.
+        Largest step, as a fraction of the range between the bounds, of all parameters or of each.
     hopeless
         Cost above which a search ends that the last gains cannot bring below it.
 
@@ -112,15 +113,16 @@ def least_squares(
     """
     bounds = np.ascontiguousarray(bounds, float)
     point = np.clip(np.asarray(start, float), bounds[:, 0], bounds[:, 1])
+    most = np.asarray(max_step, float) * (bounds[:, 1] - bounds[:, 0])
     here = linearise(point)
     accepted = 0
     for _ in range(iterations):
-        step = damped_step(here.gradient, here.normal, point, bounds, damping, max_step)
+        step = damped_step(here.gradient, here.normal, point, bounds, damping, most)
         trial = np.clip(point + step, bounds[:, 0], bounds[:, 1])
         there = linearise(trial)
         gain = here.cost - there.cost
         if gain >= 0:
-            point, here, damping, accepted = trial, there, max(damping * shrink, 1e-9), accepted + 1
+            point, here, damping, accepted = trial, there, max(damping * shrink, min_damping), accepted + 1
             # Near the optimum a step gains at least as much as all later ones.
             is_hopeless = accepted > 2 and here.cost - gain > hopeless
             if gain < max(tolerance, relative_tolerance * here.cost) or is_hopeless:
@@ -133,8 +135,8 @@ def least_squares(
 
 
 @njit(cache=True)
-def damped_step(gradient: Array, normal: Array, point: Array, bounds: Array, damping: float, max_step: float) -> Array:
-    """Return the damped Gauss-Newton step of the parameters that have bounds, shape (parameter,)."""
+def damped_step(gradient: Array, normal: Array, point: Array, bounds: Array, damping: float, most: Array) -> Array:
+    """Return the damped Gauss-Newton step of the parameters that have bounds, at most so large, shape (parameter,)."""
     total = gradient.size
     matrix, right = normal.copy(), gradient.copy()
     for k in range(total):
@@ -150,8 +152,7 @@ def damped_step(gradient: Array, normal: Array, point: Array, bounds: Array, dam
     step = np.linalg.solve(matrix, right / scale) / scale
     out = np.empty(point.size)
     for k in range(point.size):
-        most = max_step * (bounds[k, 1] - bounds[k, 0])
-        out[k] = min(max(step[k], -most), most)
+        out[k] = min(max(step[k], -most[k]), most[k])
     return out
 
 

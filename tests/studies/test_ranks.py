@@ -16,7 +16,7 @@ from benchmarks.studies.edge_ranks import (
     summarise_ranks,
     truth,
 )
-from charact.mtf.edge.fit.model_fit import BlurModelFitter
+from charact.mtf.edge.fit.model_fit import EdgeFitter
 
 TRIALS = 40
 
@@ -43,13 +43,13 @@ def test_ranks_of_edges_are_even_and_those_of_a_posterior_too_narrow_are_not(see
     assert right.probability > 1e-4
     cover = right.coverage(0.68)
     assert np.all(np.abs(cover - 0.68) < 4.5 * np.sqrt(0.68 * 0.32 / TRIALS))
-    honest = BlurModelFitter.log_probability
+    honest = EdgeFitter.log_probability
 
     def surer(self, family, slope):
         known = honest(self, family, slope)
         return lambda theta: 9.0 * known(theta)
 
-    monkeypatch.setattr(BlurModelFitter, "log_probability", surer)
+    monkeypatch.setattr(EdgeFitter, "log_probability", surer)
     assert edge_ranks.ranks("importance", TRIALS, seed).coverage(0.68).max() < 0.55
 
 

@@ -1,4 +1,4 @@
-"""A camera's response that is not straight: what of it an edge shows, and what it leaves in doubt."""
+"""Nonlinear camera response: what of it an edge shows, and what it leaves uncertain."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,62 +23,50 @@ from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Curvature of the response and what it is found with.
+# Curvature of the response with its standard uncertainty.
 CurvatureEstimate = tuple[float, float]
 NO_CURVATURE_ESTIMATE: CurvatureEstimate = (0.0, 1.0)
 
-# By how much MTF50 is found too high for each curvature of one and each contrast of one, in ln, under responses that
-# steepen and that flatten, and how far it may be from that: power laws, knees, saturation, logarithms and parabolas on
-# edges of every form. Dark sides a fiftieth to two thirds as bright as bright ones make as much for their contrast.
+# Rise of ln MTF50 per curvature and contrast under responses that steepen and that flatten, and its scatter: power
+# laws, knees, saturation, logarithms and parabolas on simulated edges of every blur model.
 STEEPENING, FLATTENING, EITHER_WAY = 0.18, 0.09, 0.1
 
 
-def response_flags(response: CurvatureEstimate, contrast: float, deviation: float) -> tuple[str, ...]:
-    """Return `gamma` where the profile looks curved and that may move MTF50 by more than its standard error.
+def response_flags(response: CurvatureEstimate, contrast: float, relative_sd: float) -> tuple[str, ...]:
+    """Return `gamma` where the profile is asymmetric and may bias MTF50 by more than its standard uncertainty.
 
-    The edge is asymmetric beyond the camera's known filter. A Gaussian edge through a power law above 1 stays
-    nearly symmetric and shows it in its noise at most.
-
-    Parameters
-    ----------
-    response
-        Curvature of the response and its error.
-    contrast
-        Of both sides of the edge.
-    deviation
-        Standard deviation of MTF50, as a share of it.
+    A Gaussian edge through a power law above 1 stays nearly symmetric: at most its noise shows the response.
     """
     curved = abs(response[0]) > max(THRESHOLDS.curvature, THRESHOLDS.curvature_sd * response[1])
-    return ("gamma",) if curved and max_bias_of(response, contrast) > deviation else ()
+    return ("gamma",) if curved and max_bias_of(response, contrast) > relative_sd else ()
 
 
-def notes_on_undetected_nonlinearity(response: CurvatureEstimate, contrast: float, deviation: float) -> tuple[str, ...]:
-    """Return the note on a curved response that the profile cannot show, where the errors do not cover it.
+def nonlinearity_notes(
+    edge: PreparedEdge, response: CurvatureEstimate | None, relative_sd: float, context: Context
+) -> tuple[str, ...]:
+    """Return the note on a nonlinear response that would not show and that the intervals of MTF50 do not cover.
 
-    Parameters
-    ----------
-    response
-        Curvature of the response and its error.
-    contrast
-        Of both sides of the edge.
-    deviation
-        Standard deviation of MTF50, as a share of it.
+    A described camera's response, or one under which noise grows as photons' does, is taken to be linear.
     """
-    lifted = contrast * min(2.0 * STEEPENING * response[1], THRESHOLDS.max_nonlinearity_bias * contrast)
-    if lifted < THRESHOLDS.undetected_bias_sd * deviation:
+    linear = ln_bayes_factor_nonlinear(growth_of(edge)) < THRESHOLDS.linear_ln_bayes_factor
+    if context.sensor is not None or linear or not np.isfinite(relative_sd):
+        return ()
+    own = contrast(edge.profile)
+    error = (response or NO_CURVATURE_ESTIMATE)[1]
+    bias = own * min(2.0 * STEEPENING * error, THRESHOLDS.max_nonlinearity_bias * own)
+    if bias < THRESHOLDS.undetected_bias_sd * relative_sd:
         return ()
     return (
         "A curved response of the camera (a gamma) would not show on this edge: it may have lifted MTF50 by up to "
-        f"{100.0 * lifted:.1f} %, more than the errors allow for. A described camera, or its code at no light where "
+        f"{100.0 * bias:.1f} %, more than the errors allow for. A described camera, or its code at no light where "
         "noise is photons', would tell.",
     )
 
 
 def max_bias_of(response: CurvatureEstimate | None, contrast: float) -> float:
-    """Return the share by which a curved response may have moved MTF50: as the profile asks for, or as any may."""
-    most = THRESHOLDS.max_nonlinearity_bias * contrast**2
+    """Return the fraction by which a nonlinear response may have moved MTF50: as estimated, or as any may."""
     if response is None or response == NO_CURVATURE_ESTIMATE:
-        return most
+        return THRESHOLDS.max_nonlinearity_bias * contrast**2
     share = (STEEPENING if response[0] < 0.0 else FLATTENING) + 2.0 * EITHER_WAY
     return contrast * share * (abs(response[0]) + 2.0 * response[1])
 
@@ -86,26 +74,20 @@ def max_bias_of(response: CurvatureEstimate | None, contrast: float) -> float:
 def marginalise_nonlinearity(
     posterior: Posterior, response: CurvatureEstimate, profile: EdgeProfile, noise_ln_odds: float, seed: int
 ) -> Posterior:
-    """Return draws of a blur with what a response that may be curved leaves in doubt.
+    """Return draws of a blur with the uncertainty by a response that may be nonlinear.
 
     Parameters
     ----------
     posterior
         Draws of the blur's parameters, the second one ln of a frequency that scales the form.
     response
-        Curvature of the response and its error, as the profile asks for them; below 0 it steepens.
+        Curvature of the response with its standard uncertainty; below 0 it steepens.
     profile
         The edge's, whose contrast counts.
     noise_ln_odds
-        Ln of how much likelier the noise is under a curved response.
+        Ln Bayes factor of the noise for a nonlinear response.
     seed
-        Of what is drawn besides.
-
-    Notes
-    -----
-    Of the share that a curved response has, each draw takes back what a curvature, drawn from what prior and profile
-    leave of it, has done to its frequency. That is nothing to a tenth of the curvature at low contrast, for the blur
-    may itself be asymmetric.
+        Seed of the curvatures.
     """
     draws = posterior.draws.copy()
     draws[:, 1] -= nonlinearity_bias(response, contrast(profile), noise_ln_odds, seed, len(draws))
@@ -120,30 +102,22 @@ def contrast(profile: EdgeProfile) -> float:
 def nonlinearity_bias(
     response: CurvatureEstimate, contrast: float, noise_ln_odds: float, seed: int, count: int
 ) -> Array:
-    """Return draws of what a response that may be curved adds to ln of every frequency, 0 where it is straight."""
+    """Return draws of what the response adds to ln of every frequency, 0 where it is linear, shape (count,)."""
     rng = np.random.default_rng([seed, 61])
     curvature = curvatures(response, contrast, noise_ln_odds, rng, count)
     share = np.where(curvature < 0.0, STEEPENING, FLATTENING) + EITHER_WAY * rng.standard_normal(count)
     return -contrast * share * curvature
 
 
-def remove_nonlinearity(mtf: Callable[[Array], Array], lifted: Array) -> Callable[[Array], Array]:
-    """Return drawn MTFs less what has been added to ln of their frequencies, shape (f,) -> (draw, f).
-
-    Parameters
-    ----------
-    mtf
-        From frequencies, cy/px, to drawn MTFs.
-    lifted
-        Shape (draw,); most of them 0.
-    """
-    moved = np.flatnonzero(lifted)
+def remove_nonlinearity(mtf: Callable[[Array], Array], bias: Array) -> Callable[[Array], Array]:
+    """Return drawn MTFs, shape (f,) -> (draw, f), less a bias of ln of their frequencies, shape (draw,)."""
+    moved = np.flatnonzero(bias)
     finely = mtf(FINE)[moved]
 
     def corrected(frequency: Array) -> Array:
         draws = mtf(frequency)
-        for place, curve in zip(moved, finely, strict=True):
-            draws[place] = np.interp(frequency * np.exp(lifted[place]), FINE, curve)
+        for index, curve in zip(moved, finely, strict=True):
+            draws[index] = np.interp(frequency * np.exp(bias[index]), FINE, curve)
         return draws
 
     return corrected
@@ -151,8 +125,8 @@ def remove_nonlinearity(mtf: Callable[[Array], Array], lifted: Array) -> Callabl
 
 def response_curvature(
     profile: EdgeProfile, precision_root: Array, spread: Array, tangents: Array, shapes: Array, shape_sd: Array
-) -> tuple[float, float]:
-    """Return the curvature of the response that a profile asks for if its blur is symmetric, with its error.
+) -> CurvatureEstimate:
+    """Return the curvature of the response that a profile requires if its blur is symmetric, with its uncertainty.
 
     Parameters
     ----------
@@ -165,14 +139,13 @@ def response_curvature(
     tangents
         Its change as each parameter of the blur moves by the most it may, shape (parameter, bin).
     shapes, shape_sd
-        Levels and slopes at the bins, shape (bin, shape), and the deviations of their priors, DN.
+        Levels and slopes at the bins, shape (bin, shape), and the standard deviations of their priors, DN.
 
     Notes
     -----
     A response y = u + c u (1 - u) of the edge spread u; a power law of exponent g over levels a to b has about
-    c = -g (g - 1) m^(g - 2) (b - a)^2 / 2 / (b^g - a^g), m their middle. An asymmetric blur looks the same on one edge;
-    either way the modulus of the transform is not what it would be at low contrast. First order in c and in every
-    parameter of a symmetric blur.
+    c = -g (g - 1) m^(g - 2) (b - a)^2 / 2 / (b^g - a^g), m their middle. First order in c and in every parameter of a
+    symmetric blur; an asymmetric blur looks the same on one edge.
     """
     level = np.clip(spread + 0.5, 0.0, 1.0)
     design = np.concatenate(
@@ -191,37 +164,27 @@ def response_curvature(
 
 def growth_of(edge: PreparedEdge) -> PlateauNoiseRatio:
     """Return how the noise of an edge grows with the light, from frame to frame where there are several that differ."""
-    black = edge.profile.black
-    found = edge.plateau_noise and covariance_ratio(edge.plateau_noise, black)
+    black, profile, grain = edge.profile.black, edge.profile, edge.profile.grain
+    sides = edge.plateau_noise
+    found = sides and covariance_ratio(sides, black)
     if found:
         return found
-    if (
-        len(edge.used.data) == 1
-        or edge.plateau_noise is None
-        or not max(one.variance for one in edge.plateau_noise) > 0
-    ):
-        return _single_frame_growth(edge)
-    return variance_ratio(edge.plateau_noise, black)
-
-
-def edge_ln_bayes_factor_nonlinear(edge: PreparedEdge, context: Context) -> float:
-    """Return ln of how much likelier the noise is under a curved response; a described camera's is straight: -inf."""
-    return ln_bayes_factor_nonlinear(growth_of(edge)) if context.sensor is None else -np.inf
-
-
-def _single_frame_growth(edge: PreparedEdge) -> PlateauNoiseRatio:
-    """Return how the variance of a single frame's pixels grows."""
-    profile = edge.profile
-    grain = profile.grain
+    if len(edge.used.data) > 1 and sides is not None and max(one.variance for one in sides) > 0:
+        return variance_ratio(sides, black)
     pixels = 0.5 * np.count_nonzero(profile.gathered.used) / max(grain.covariance_over_variance, 1.0)
     photons = None
-    if profile.black is not None and profile.dark > profile.black:
-        bright_dn = profile.bright - profile.black
+    if black is not None and profile.dark > black:
+        bright_dn = profile.bright - black
         if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(grain.bright_variance):
-            photons = bright_dn / (profile.dark - profile.black)
+            photons = bright_dn / (profile.dark - black)
     return PlateauNoiseRatio(
         ratio=grain.bright_variance / grain.dark_variance,
         # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
         scatter=float(np.sqrt(4.0 / max(pixels, 1.0))),
         photon_ratio=photons,
     )
+
+
+def edge_ln_bayes_factor_nonlinear(edge: PreparedEdge, context: Context) -> float:
+    """Return the ln Bayes factor of the noise for a nonlinear response; -inf for a described camera: it is linear."""
+    return ln_bayes_factor_nonlinear(growth_of(edge)) if context.sensor is None else -np.inf

@@ -3,12 +3,11 @@
 Simple cores are fitted first. Extended components are scored to first order and fitted if the score is high enough.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from charact.method import Context
@@ -21,74 +20,22 @@ from charact.mtf.blur_models.one_dimensional import (
     ScatterComponent,
     UnresolvedGlareComponent,
 )
-from charact.mtf.edge.fit.gauss_newton import amplitudes, chi2_explained
-from charact.mtf.edge.fit.model_fit import BlurModelFit, BlurModelFitter
-from charact.mtf.edge.forward_model import departure_shapes
+from charact.mtf.edge.fit.edge_form import KNOTS, PHASE_KNOTS, cosine_shapes
+from charact.mtf.edge.fit.model_fit import LINEAR, EdgeFit, EdgeFitter, LinearisedProfile, chi2_explained, scaled_normal
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import halo_diameters_px
+from charact.posterior.least_squares import weigh_by_evidence
 
 Array = NDArray[np.float64]
 
-Departures = Callable[[Array, float], NDArray[np.complex128]]
-
-# Fractions over which the evidence is summed, and the largest exponent of a term.
-SHARES, LARGEST = 100, 50.0
-
 
 @dataclass(frozen=True, kw_only=True)
-class ExtendedComponentScore:
-    """What light beyond a core may gain.
+class TrialComponent:
+    """An extended component of some sizes, the same for many edges.
 
-    Parameters
-    ----------
-    core, wide
-        The core as it was fitted, under the prior of the light's slopes that is asked about, and the light beyond it.
-    gains
-        Of chi squared by each size, to first order, shape (size,); light that would have to be taken away gains
-        nothing.
-    odds
-        Evidence for such light of any share and size over that for none, to first order.
-    ln_weight
-        ln of its probability before the data over that of none.
-    points, shares, shapes
-        Where a fit with each size begins: the core's parameters, the share of light and its shape, shapes
-        (size, parameter), (size,) and (size, shape).
-    """
-
-    core: BlurModelFit
-    wide: ExtendedComponent
-    gains: Array
-    odds: float
-    ln_weight: float
-    points: Array
-    shares: Array
-    shapes: Array
-
-    @property
-    def log_evidence(self) -> float:
-        """ln of the evidence of the core with such light, to first order."""
-        return self.core.log_evidence + float(np.log(max(self.odds, ACCURACY.min_bayes_factor))) + self.ln_weight
-
-    def start(self, size: int) -> Array:
-        """Return where a fit with one of the sizes begins."""
-        return np.concatenate([self.points[size], self.shares[size, None], self.shapes[size]])
-
-
-@dataclass(frozen=True, kw_only=True)
-class ComponentFit:
-    """Light beyond the core of some sizes, the same for many edges.
-
-    Parameters
-    ----------
-    wide
-        Its kind.
-    shapes
-        Its sizes and what else shapes it, shape (size, parameter).
-    unit
-        Share of light for a share of one in its parameters, shape (size,).
-    change
-        Its transfer less one, shape (size, node).
+    Its kind; sizes and other shape parameters, shape (size, parameter); fraction of the light for a fraction parameter
+    of one, shape (size,); its transfer less one, shape (size, node).
     """
 
     wide: ExtendedComponent
@@ -96,146 +43,176 @@ class ComponentFit:
     unit: Array
     change: Array
 
+    def bayes_factor(self, amplitude: Array, precision: Array) -> float:
+        """Return the mean over sizes and fractions of the evidence for such light over that for none.
+
+        Parameters
+        ----------
+        amplitude, precision
+            Gaussian estimate of the fraction at each size, shape (size,).
+
+        Notes
+        -----
+        The mean over fractions q of exp(a q p - q^2 p / 2).
+        """
+        low, high = self.wide.fraction
+        share = self.unit[:, None] * (low + (high - low) * (np.arange(100) + 0.5) / 100)
+        gain = precision[:, None] * share * (amplitude[:, None] - 0.5 * share)
+        sizes = self.shapes[:, 0]
+        return float(np.exp(np.minimum(gain, 50.0)).mean(axis=1) @ sizes / sizes.sum())
+
 
 @lru_cache(maxsize=64)
-def trial_components(wide: ExtendedComponent, grid_bytes: bytes) -> ComponentFit:
-    """Return light of some sizes beyond the core, on the nodes of the transfer."""
+def _trial_component(wide: ExtendedComponent, grid_bytes: bytes) -> TrialComponent:
+    """Return an extended component of some sizes on the nodes of the transfer."""
     bounds = np.array([bound for _, bound in wide.parameters.values()])
     sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, ACCURACY.component_sizes)
     others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
     shapes = np.array([[size, *other] for other in others for size in sizes])
     change = wide.transfer(np.frombuffer(grid_bytes), shapes) - 1.0
-    return ComponentFit(wide=wide, shapes=shapes, unit=wide.share_unit(shapes)[:, 0], change=change)
+    return TrialComponent(wide=wide, shapes=shapes, unit=wide.share_unit(shapes)[:, 0], change=change)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtendedComponentScore:
+    """What an extended component may gain over a fitted core, to first order.
+
+    Parameters
+    ----------
+    core, wide
+        The core as fitted, under the prior of the illumination's slopes in question, and the component.
+    gains
+        Of chi squared by each size, shape (size,); a negative component gains nothing.
+    odds
+        Bayes factor for a component of any fraction and size.
+    ln_weight
+        ln of its prior probability over that of none.
+    starts
+        Where a fit with each size begins, shape (size, parameter); the size is the first after the fraction.
+    sizes
+        The sizes, px, shape (size,).
+    """
+
+    core: EdgeFit
+    wide: ExtendedComponent
+    gains: Array
+    odds: float
+    ln_weight: float
+    starts: Array
+    sizes: Array
+
+    @property
+    def log_evidence(self) -> float:
+        """ln of the evidence of the core with such a component, to first order."""
+        return self.core.log_evidence + float(np.log(max(self.odds, 1e-300))) + self.ln_weight
 
 
 def score_extended_components(
-    fitter: BlurModelFitter,
-    fit: BlurModelFit,
+    fitter: EdgeFitter,
+    fit: EdgeFit,
     components: tuple[ExtendedComponent, ...],
     least_gains: Mapping[float, float],
 ) -> list[ExtendedComponentScore]:
-    """Return what each kind of light beyond a core may gain; before the data all are together as likely as none.
+    """Return what each extended component may gain; before the data all together are as likely as none.
 
     Parameters
     ----------
     least_gains
-        For each prior of the illumination's slopes that is asked about the gain of chi squared that is worth telling.
+        For each prior of the illumination's slopes in question the gain of chi squared that counts.
     """
     if not components:
         return []
-    maps, step = fitter.maps, abs(fitter.profile.step)
-    asked = [trial_components(wide, maps.grid.tobytes()) for wide in components]
-    core = maps.shift_transfers(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
-    away = maps.white(core * np.concatenate([one.change for one in asked])) * step
+    maps = fitter.maps
+    trials = [_trial_component(wide, maps.grid.tobytes()) for wide in components]
+    core = fit.family.modulus(fit.point[None, 1:], maps.grid)
+    shapes = maps.transfers(core * np.concatenate([one.change for one in trials]), float(fit.point[0]))
+    white = shapes @ maps.white * abs(fitter.profile.step)
     return [
-        promise
+        score
         for slope, least_gain in least_gains.items()
-        for promise in _score_components(fitter, fitter.under(fit, slope), asked, away, least_gain)
+        for score in _scores(fitter, fitter.under(fit, slope), trials, white, least_gain)
     ]
 
 
-def _score_components(
-    fitter: BlurModelFitter, fit: BlurModelFit, asked: Sequence[ComponentFit], away: Array, least_gain: float
+def _scores(
+    fitter: EdgeFitter, fit: EdgeFit, trials: list[TrialComponent], white: Array, least_gain: float
 ) -> Iterator[ExtendedComponentScore]:
-    """Yield what each kind of light beyond a core gains, where enough, from whitened shapes, shape (size, bin)."""
-    scale = abs(fitter.profile.step) / fit.amplitude[0]
-    amplitude, precision, moved = amplitudes(fit.residual, fit.design, fit.off, fit.precision, away)
+    """Yield what each component gains, where enough, from its whitened shapes, shape (size, bin)."""
+    scale = abs(fitter.profile.step) / fit.at.amplitude[0]
+    amplitude, precision, moved = _added_amplitudes(fit.at, white)
     amplitude, precision = amplitude * scale, precision / scale**2
     gains = np.where(amplitude > 0, amplitude * (amplitude * precision), 0.0)
-    low, high = fitter.bounds(fit.family).T
     first = 0
-    for one in asked:
+    for one in trials:
         own = slice(first, first := first + len(one.shapes))
         if gains[own].max() < least_gain:
             continue
+        # Half a step of the core: what the component changes is not small.
+        points = np.clip(fit.point + 0.5 * moved[own], *fit.form.bounds.T)
+        shares = np.minimum(np.clip(amplitude[own], 0.02, 0.3) / one.unit, one.wide.fraction[1])
         yield ExtendedComponentScore(
             core=fit,
             wide=one.wide,
             gains=gains[own],
-            odds=ln_bayes_factor_of(one, amplitude[own], precision[own]),
-            ln_weight=-float(np.log(len(asked))),
-            # Half a step of the core: what the light beyond it changes is not small.
-            points=np.clip(fit.point + 0.5 * moved[own], low, high),
-            shares=np.minimum(np.clip(amplitude[own], 0.02, 0.3) / one.unit, one.wide.fraction[1]),
-            shapes=one.shapes,
+            odds=one.bayes_factor(amplitude[own], precision[own]),
+            ln_weight=-float(np.log(len(trials))),
+            starts=np.concatenate([points, shares[:, None], one.shapes], axis=1),
+            sizes=one.shapes[:, 0],
         )
 
 
-def ln_bayes_factor_of(light: ComponentFit, amplitude: Array, precision: Array) -> float:
-    """Return the evidence for light beyond the core over that for none: shares and sizes even within their bounds."""
-    sizes = light.shapes[:, 0]
-    return float(_mean_ratios(*light.wide.fraction, light.unit, amplitude, precision) @ sizes) / float(sizes.sum())
+def _added_amplitudes(at: LinearisedProfile, shapes: Array) -> tuple[Array, Array, Array]:
+    """Return the amplitude of each whitened shape (shape, bin) added alone to a fit, to first order, and its precision.
 
-
-@njit(cache=True)
-def _mean_ratios(low: float, high: float, unit: Array, amplitude: Array, precision: Array) -> Array:
-    """Return at each size the evidence for light over that for none, its share even between two bounds.
-
-    Notes
-    -----
-    The mean over shares q of exp(a q p - q^2 p / 2), a their Gaussian estimate and p its precision.
+    Also how far it moves each parameter, shape (shape, parameter).
     """
-    out = np.zeros(unit.size)
-    for i in range(unit.size):
-        for k in range(SHARES):
-            share = unit[i] * (low + (high - low) * (k + 0.5) / SHARES)
-            out[i] += np.exp(min(precision[i] * share * (amplitude[i] - 0.5 * share), LARGEST)) / SHARES
-    return out
+    normal, scale = scaled_normal(at.design, at.precision, 1e-12)
+    inverse = np.linalg.inv(normal)
+    pull = (at.design @ at.residual + at.precision * at.off) / scale
+    onto = shapes @ at.design.T / scale
+    through = onto @ inverse
+    own = np.sum(shapes**2, axis=1)
+    # What the fit can do itself all but for rounding has no amplitude of its own.
+    power = np.maximum(own - np.sum(through * onto, axis=1), 1e-12 * own + 1e-300)
+    amplitude = (shapes @ at.residual - through @ pull) / power
+    moved = (inverse @ pull - through * amplitude[:, None]) / scale
+    return amplitude, power, moved[:, :-LINEAR]
 
 
-def fit_extended_component(
-    fitter: BlurModelFitter, promise: ExtendedComponentScore, hopeless_cost: float
-) -> BlurModelFit | None:
-    """Fit a core with light beyond it, from the size that promises most and another far from it.
-
-    Returns
-    -------
-    FamilyFit or None
-        The best fit; None where its beginning costs more than is hopeless.
-    """
-    core, wide = promise.core, promise.wide
-    order = np.argsort(-promise.gains)
-    family, slope = BlurModel(core=core.family.core, wide=wide), core.slope_sd_per_px
-    sizes = np.log(promise.shapes[order, 0])
+def fit_extended_component(fitter: EdgeFitter, score: ExtendedComponentScore, hopeless_cost: float) -> EdgeFit | None:
+    """Fit a core with a component, from the best size and another far from it; None where both begin hopelessly."""
+    order = np.argsort(-score.gains)
+    family, slope = BlurModel(core=score.core.family.core, wide=score.wide), score.core.slope_sd_per_px
+    sizes = np.log(score.sizes[order])
     apart = order[np.abs(sizes - sizes[0]) > ACCURACY.size_separation]
-    begun = [
-        fitter.optimise(family, promise.start(i), slope, ACCURACY.first_iterations) for i in (order[0], *apart[:1])
-    ]
-    point, reached = min(begun, key=lambda one: one[1][-1])
-    return None if reached[-1] > hopeless_cost else fitter.fit(family, point, slope, promise.ln_weight)
+    begun = [fitter.optimise(family, score.starts[i], slope, ACCURACY.first_iterations) for i in (order[0], *apart[:1])]
+    best = min(begun, key=lambda one: one.at.cost)
+    return None if best.at.cost > hopeless_cost else fitter.fit(family, best.point, slope, score.ln_weight)
 
 
-def departure_gain(fitter: BlurModelFitter, fit: BlurModelFit, shapes_at: Departures) -> tuple[float, int]:
-    """Return the gain in chi squared from smooth departures of modulus and phase, to first order, and how many.
-
-    Parameters
-    ----------
-    shapes_at
-        Departures of the transfer's logarithm, complex, from frequencies and the half frequency.
-    """
+def exceeds_model(fitter: EdgeFitter, fit: EdgeFit, deviations: float = THRESHOLDS.departure_sd) -> bool:
+    """Tell whether smooth departures of modulus and phase gain more chi squared, to first order, than noise allows."""
     maps = fitter.maps
-    transfer = maps.shift_transfers(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
-    moved = maps.white(transfer * shapes_at(maps.grid, float(np.exp(fit.point[1])))) * abs(fitter.profile.step)
-    both, none = np.concatenate([fit.design, moved]), np.zeros(len(moved))
-    off, precision = np.concatenate([fit.off, none]), np.concatenate([fit.precision, none])
-    with_them = chi2_explained(fit.residual, both, off, precision)
-    return with_them - chi2_explained(fit.residual, fit.design, fit.off, fit.precision), len(moved)
-
-
-# Cores that are fitted after a Gaussian, each from where the one before led.
-CORES: tuple[Core, ...] = ("exponential", "moffat", "airy")
+    transfer = maps.transfers(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))[0]
+    real, imaginary = np.split(transfer, 2)
+    ratio = maps.grid / np.exp(fit.point[1])
+    modulus, phase = cosine_shapes(ratio, KNOTS), cosine_shapes(ratio, PHASE_KNOTS)
+    shapes = np.block([[modulus * real, modulus * imaginary], [-phase * imaginary, phase * real]])
+    white = shapes @ maps.white * abs(fitter.profile.step)
+    gain = chi2_explained(fit.at, white) - chi2_explained(fit.at)
+    return gain > len(white) + deviations * np.sqrt(2.0 * len(white))
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceWeightedModels:
-    """A fitted form with its share of the evidence."""
+    """A fitted form with its weight by evidence."""
 
-    fit: BlurModelFit
+    fit: EdgeFit
     share: float
 
 
 def candidate_components(context: Context, half_width_px: float, *, transposed: bool) -> tuple[ExtendedComponent, ...]:
-    """Return what light beyond the core the window can show."""
+    """Return the extended components that a window can show."""
     if context.sensor is not None:
         low, high = halo_diameters_px(context, transposed=transposed)
         return (HaloComponent(size_px=(low, high)),) if half_width_px >= 0.6 * high else ()
@@ -248,93 +225,77 @@ def candidate_components(context: Context, half_width_px: float, *, transposed: 
     return tuple(found)
 
 
-def fit_blur_models(fitter: BlurModelFitter, wide: tuple[ExtendedComponent, ...]) -> list[EvidenceWeightedModels]:
-    """Fit the forms that the data may ask for, simple ones first, and return them, the most probable first."""
+def fit_blur_models(fitter: EdgeFitter, wide: tuple[ExtendedComponent, ...]) -> list[EvidenceWeightedModels]:
+    """Fit the models that the data may require, simple ones first, and return them, the most probable first."""
     found = _fit_cores_and_components(fitter, wide, EVEN_PER_PX)
     found = _best_of_each([*found, *_fits_with_gradients(fitter, found)])
     likeliest = max(found, key=_evidence)
     if likeliest.slope_sd_per_px > EVEN_PER_PX:
         # What was given up as hopeless in even light may be what the slopes stand for.
         found = _best_of_each([*found, *_fit_cores_and_components(fitter, wide, likeliest.slope_sd_per_px)])
-    return _weight_by_evidence(_best_of_each([*found, *_fits_with_unresolved_glare(fitter, found, wide)]))
+    found = _best_of_each([*found, *_fits_with_unresolved_glare(fitter, found, wide)])
+    weights = weigh_by_evidence(
+        [fit.log_evidence for fit in found], power=THRESHOLDS.evidence_power, least=THRESHOLDS.min_model_weight
+    )
+    return [EvidenceWeightedModels(fit=found[index], share=weight) for index, weight in weights]
 
 
 def _fit_cores_and_components(
-    fitter: BlurModelFitter, wide: tuple[ExtendedComponent, ...], slope_sd_per_px: float
-) -> list[BlurModelFit]:
-    """Fit the cores, then light beyond those that may have it, under one prior of the light's slopes."""
+    fitter: EdgeFitter, wide: tuple[ExtendedComponent, ...], slope_sd_per_px: float
+) -> list[EdgeFit]:
+    """Fit cores alone, then with the extended components that may gain, under one prior of the gradients."""
     found = _fit_cores(fitter, slope_sd_per_px)
     best = max(found[:2], key=_evidence)
-    # Light beyond a Moffat is asked for only where wings are likelier than none: it explains them a second time.
-    wings = (
-        best.family.core != "gaussian"
-        and found[2].log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
-    )
-    lenses = [
-        fit for fit in found[3:] if fit.log_evidence > max(map(_evidence, found)) - THRESHOLDS.competitive_ln_evidence
-    ]
-    pursued = [*(found[:3] if wings else found[:2]), *lenses]
+    near = best.log_evidence - THRESHOLDS.competitive_ln_evidence
+    least = max(map(_evidence, found)) - THRESHOLDS.competitive_ln_evidence
+    # A component beside a Moffat only where wings are likelier than none: it explains them a second time.
+    wings = best.family.core != "gaussian" and found[2].log_evidence > near
+    pursued = [*(found[:3] if wings else found[:2]), *(fit for fit in found[3:] if fit.log_evidence > least)]
     least_gains = {UNEVEN_PER_PX: THRESHOLDS.component_in_gradient_chi2, slope_sd_per_px: 0.0}
-    promised = [one for core in pursued for one in score_extended_components(fitter, core, wide, least_gains)]
-    own = _components_worth_fitting([one for one in promised if one.core.slope_sd_per_px == slope_sd_per_px])
-    hidden = _components_masked_by_gradients(
-        [one for one in promised if one.core.slope_sd_per_px != slope_sd_per_px], own, best
-    )
-    for promise in sorted([*own, *hidden], key=lambda one: wide.index(one.wide)):
-        fit = fit_extended_component(fitter, promise, min(fit.cost for fit in found) + THRESHOLDS.max_start_chi2)
+    scores = [one for core in pursued for one in score_extended_components(fitter, core, wide, least_gains)]
+    own = _components_worth_fitting([one for one in scores if one.core.slope_sd_per_px == slope_sd_per_px])
+    already = {(one.core.family, one.wide) for one in own}
+    # A halo and a gradient may hide each other.
+    hidden = [
+        one
+        for one in scores
+        if one.core.slope_sd_per_px != slope_sd_per_px
+        and (one.core.family, one.wide) not in already
+        and one.log_evidence > near
+    ]
+    for score in sorted([*own, *hidden], key=lambda one: wide.index(one.wide)):
+        fit = fit_extended_component(fitter, score, min(fit.cost for fit in found) + THRESHOLDS.max_start_chi2)
         found = found if fit is None else [*found, fit]
     return found
 
 
-def _fit_cores(fitter: BlurModelFitter, slope_sd_per_px: float) -> list[BlurModelFit]:
-    """Fit a Gaussian, a tube's form, a Moffat and lenses, each from where the one before led."""
+def _fit_cores(fitter: EdgeFitter, slope_sd_per_px: float) -> list[EdgeFit]:
+    """Fit a Gaussian, a tube's core, a Moffat and pupils, each from where the one before led."""
     guess = fitter.guess()
     found = [fitter.fit(BlurModel(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)]
-    for core in CORES:
+    cores: tuple[Core, ...] = ("exponential", "moffat", "airy")
+    for core in cores:
         found.append(_next_core(fitter, core, found[-1], guess))
     best = max(found, key=_evidence)
     lens_like = found[-1].log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
-    return (
-        [*found, _next_core(fitter, "pupil", best, guess)]
-        if lens_like or _exceeds_model_by(fitter, best, THRESHOLDS.pupil_departure_sd)
-        else found
-    )
+    if lens_like or exceeds_model(fitter, best, THRESHOLDS.pupil_departure_sd):
+        found.append(_next_core(fitter, "pupil", best, guess))
+    return found
 
 
-def _components_masked_by_gradients(
-    promised: list[ExtendedComponentScore], own: list[ExtendedComponentScore], best: BlurModelFit
-) -> list[ExtendedComponentScore]:
-    """Return the light beyond a core that only slopes make room for: a halo and slopes may hide each other.
+def _components_worth_fitting(scores: list[ExtendedComponentScore]) -> list[ExtendedComponentScore]:
+    """Return all scores that the edge can measure, and the likeliest of those it cannot.
 
-    Parameters
-    ----------
-    promised
-        What is promised under slopes.
-    own, best
-        What is fitted without them, and the likeliest core.
+    An edge too weak to show a component leaves it as likely as it was: one stands for all of that.
     """
-    already = {(one.core.family, one.wide) for one in own}
-    return [
-        one
-        for one in promised
-        if (one.core.family, one.wide) not in already
-        and one.log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
-    ]
-
-
-def _components_worth_fitting(promised: list[ExtendedComponentScore]) -> list[ExtendedComponentScore]:
-    """Return the light beyond a core that is worth a fit: all that the edge tells, and the likeliest of what it cannot.
-
-    An edge too weak to tell light beyond the core leaves it as likely as it was: one stands for all of that.
-    """
-    measurable = [one for one in promised if one.gains.max() >= THRESHOLDS.component_chi2]
-    rest = [one for one in promised if one.gains.max() < THRESHOLDS.component_chi2]
-    best = max((one.core.log_evidence for one in promised), default=0.0)
+    measurable = [one for one in scores if one.gains.max() >= THRESHOLDS.component_chi2]
+    rest = [one for one in scores if one.gains.max() < THRESHOLDS.component_chi2]
+    best = max((one.core.log_evidence for one in scores), default=0.0)
     likely = np.array([one.odds * np.exp(one.core.log_evidence - best) for one in rest])
     if not likely.sum() > THRESHOLDS.component_bayes_factor:
         return measurable
-    likeliest = rest[int(np.argmax(likely))]
     stands_for = float(np.log(likely.sum() / likely.max()))
+    likeliest = rest[int(np.argmax(likely))]
     return [*measurable, replace(likeliest, ln_weight=likeliest.ln_weight + stands_for)]
 
 
@@ -342,22 +303,20 @@ def _start(core: Core, half_frequency_cy_per_px: float) -> Array:
     return np.concatenate([[0.0], BlurModel(core=core).start(half_frequency_cy_per_px)])
 
 
-def _next_core(
-    fitter: BlurModelFitter, core: Core, near: BlurModelFit, half_frequency_cy_per_px: float
-) -> BlurModelFit:
+def _next_core(fitter: EdgeFitter, core: Core, near: EdgeFit, half_frequency_cy_per_px: float) -> EdgeFit:
     """Fit a core from the shift and half frequency of another."""
     start = _start(core, half_frequency_cy_per_px)
     start[:2] = near.point[:2]
     return fitter.fit(BlurModel(core=core), start, near.slope_sd_per_px)
 
 
-def _evidence(fit: BlurModelFit) -> float:
+def _evidence(fit: EdgeFit) -> float:
     return fit.log_evidence
 
 
-def _best_of_each(fits: list[BlurModelFit]) -> list[BlurModelFit]:
-    """Return the likeliest fit of each form: one form fitted twice must not count twice."""
-    best: dict[tuple[BlurModel, float], BlurModelFit] = {}
+def _best_of_each(fits: list[EdgeFit]) -> list[EdgeFit]:
+    """Return the best fit of each form: one form fitted twice must not count twice."""
+    best: dict[tuple[BlurModel, float], EdgeFit] = {}
     for fit in fits:
         key = fit.family, fit.slope_sd_per_px
         if key not in best or fit.cost < best[key].cost:
@@ -365,11 +324,8 @@ def _best_of_each(fits: list[BlurModelFit]) -> list[BlurModelFit]:
     return list(best.values())
 
 
-def _fits_with_gradients(fitter: BlurModelFitter, found: list[BlurModelFit]) -> list[BlurModelFit]:
-    """Fit again the forms that uneven light would make probable.
-
-    All of them are asked: light that slopes on both sides may hide behind wings or a halo fitted to it.
-    """
+def _fits_with_gradients(fitter: EdgeFitter, found: list[EdgeFit]) -> list[EdgeFit]:
+    """Fit again the models that an illumination gradient would make probable; a gradient may hide behind wings."""
     asked = [
         fitter.under(fit, slope)
         for fit in found
@@ -385,9 +341,9 @@ def _fits_with_gradients(fitter: BlurModelFitter, found: list[BlurModelFit]) -> 
 
 
 def _fits_with_unresolved_glare(
-    fitter: BlurModelFitter, found: list[BlurModelFit], wide: tuple[ExtendedComponent, ...]
-) -> list[BlurModelFit]:
-    """Fit light wider than the window to what was taken for uneven light, where it rises on both sides."""
+    fitter: EdgeFitter, found: list[EdgeFit], wide: tuple[ExtendedComponent, ...]
+) -> list[EdgeFit]:
+    """Fit glare wider than the window to what was taken for an illumination gradient, where both sides rise."""
     veils = [prior for prior in wide if isinstance(prior, UnresolvedGlareComponent)]
     sloped = [fit for fit in found if fit.slope_sd_per_px > EVEN_PER_PX and fit.family.wide is None]
     rising = [fit for fit in sloped if fitter.side_slopes(fit).min() > 0]
@@ -396,27 +352,6 @@ def _fits_with_unresolved_glare(
     best, veil = max(rising, key=_evidence), veils[0]
     widest = veil.size_px[1]
     # The edge spread of a Gaussian rises by 1 / (sqrt(2 pi) sigma) at its middle.
-    share = min(float(fitter.side_slopes(best).min() / best.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
+    share = min(float(fitter.side_slopes(best).min() / best.at.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
     start = np.concatenate([best.point, [share, 0.5 * widest]])
     return [fitter.fit(BlurModel(core=best.family.core, wide=veil), start, UNEVEN_PER_PX, -float(np.log(len(wide))))]
-
-
-def _weight_by_evidence(found: list[BlurModelFit]) -> list[EvidenceWeightedModels]:
-    evidence = np.array([fit.log_evidence for fit in found])
-    share = np.exp(THRESHOLDS.evidence_power * (evidence - evidence.max()))
-    share /= share.sum()
-    return [
-        EvidenceWeightedModels(fit=found[i], share=float(share[i]))
-        for i in np.argsort(-share)
-        if share[i] > THRESHOLDS.min_model_weight
-    ]
-
-
-def exceeds_model(fitter: BlurModelFitter, fit: BlurModelFit) -> bool:
-    """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
-    return _exceeds_model_by(fitter, fit, THRESHOLDS.departure_sd)
-
-
-def _exceeds_model_by(fitter: BlurModelFitter, fit: BlurModelFit, deviations: float) -> bool:
-    gain, count = departure_gain(fitter, fit, departure_shapes)
-    return gain > count + deviations * np.sqrt(2.0 * count)

@@ -1,4 +1,4 @@
-"""Where the edge is: a straight line found by projections and refined row by row against the edge's own profile."""
+"""Position of an edge: a straight line found by projections and refined row by row, and displacements of fields."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -7,74 +7,51 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.mtf.edge.thresholds import ACCURACY
+from charact.mtf.edge.thresholds import THRESHOLDS
 from charact.mtf.mean_frame import OrientedFrame
 from charact.robust import NORMAL, median, robust_sd
 
 Array = NDArray[np.float64]
 
-# Slopes among which the strongest step is looked for, and their distance, px per row.
+# Slopes among which the strongest step is searched, px per row.
 SLOPES = np.tan(np.deg2rad(np.arange(-48.0, 49.0, 2.0)))
-# Share of the pixels of a full side that each side of a step must have.
-MIN_SIDE = 0.1
-
-
-def strongest_step(value: Array) -> tuple[float, float, float]:
-    """Return the largest weighted step of the profiles projected along all slopes: signed, its place and its slope."""
-    return _strongest_step(np.ascontiguousarray(value), SLOPES)
+# Distance from the edge up to which a row locates it, px, and cells per px of the mean profile it is compared with.
+ROW_REACH_PX, CELLS_PER_PX = 14.0, 4
+# Displacement of the odd lines against the even ones, px, and its standard uncertainty.
+Displacement = tuple[float, float]
 
 
 @njit(cache=True)
 def _strongest_step(value: Array, slopes: Array) -> tuple[float, float, float]:
-    best, place, along = 0.0, 0.0, 0.0
-    for slope in slopes:
-        first, total, count = _running_sums(value, slope)
-        score, cut = _largest_step(total, count, min(value.shape))
-        if abs(score) > abs(best):
-            best, place, along = score, cut - 0.5 + first, slope
-    return best, place, along
-
-
-@njit(cache=True)
-def _running_sums(value: Array, slope: float) -> tuple[float, Array, Array]:
-    """Return the first cell's place, and running sums of the pixels projected along a slope and of their number."""
+    """Return the largest weighted step of the profiles projected along slopes: signed, its position and its slope."""
     rows, cols = value.shape
-    middle = 0.5 * (rows - 1)
-    first = -abs(slope) * middle
-    size = int(np.rint(cols - 1 - 2.0 * first)) + 1
-    total, count = np.zeros(size + 1), np.zeros(size + 1)
-    for row in range(rows):
-        begin = int(np.rint(-slope * (row - middle) - first)) + 1
-        for col in range(cols):
-            total[begin + col] += value[row, col]
-            count[begin + col] += 1.0
-    for cell in range(size):
-        total[cell + 1] += total[cell]
-        count[cell + 1] += count[cell]
-    return first, total, count
-
-
-@njit(cache=True)
-def _largest_step(total: Array, count: Array, side: int) -> tuple[float, float]:
-    """Return the largest step between neighbouring stretches of a profile, weighted by its pixels, and its cell."""
-    size, reach = total.size - 1, max(3, side // 6)
-    best, at = 0.0, 0.0
-    for cut in range(2, size - 1):
-        low, high = max(cut - reach, 0), min(cut + reach, size)
-        left, right = count[cut] - count[low], count[high] - count[cut]
-        if min(left, right) <= MIN_SIDE * reach * side:
-            continue
-        step = (total[high] - total[cut]) / right - (total[cut] - total[low]) / left
-        score = step * np.sqrt(left * right / (left + right))
-        if abs(score) > abs(best):
-            best, at = score, float(cut)
-    return best, at
-
-
-# How far from the edge a row tells where it is, px.
-ROW_REACH_PX = 14.0
-# Cells of the mean profile with which rows are compared.
-CELLS_PER_PX = 4
+    side, middle = min(rows, cols), 0.5 * (rows - 1)
+    reach = max(3, side // 6)
+    best, position, along = 0.0, 0.0, 0.0
+    for slope in slopes:
+        # Running sums of the pixels projected along the slope and of their number.
+        first = -abs(slope) * middle
+        size = int(np.rint(cols - 1 - 2.0 * first)) + 1
+        total, count = np.zeros(size + 1), np.zeros(size + 1)
+        for row in range(rows):
+            begin = int(np.rint(-slope * (row - middle) - first)) + 1
+            for col in range(cols):
+                total[begin + col] += value[row, col]
+                count[begin + col] += 1.0
+        for cell in range(size):
+            total[cell + 1] += total[cell]
+            count[cell + 1] += count[cell]
+        for cut in range(2, size - 1):
+            low, high = max(cut - reach, 0), min(cut + reach, size)
+            left, right = count[cut] - count[low], count[high] - count[cut]
+            # Each side of a step has at least a tenth of a full side's pixels.
+            if min(left, right) <= 0.1 * reach * side:
+                continue
+            step = (total[high] - total[cut]) / right - (total[cut] - total[low]) / left
+            score = step * np.sqrt(left * right / (left + right))
+            if abs(score) > abs(best):
+                best, position, along = score, cut - 0.5 + first, slope
+    return best, position, along
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,27 +88,19 @@ class EdgeLine:
 
 def find(picture: OrientedFrame) -> tuple[OrientedFrame, EdgeLine]:
     """Find the strongest straight step, turn the picture upright and return both."""
-    factor = max(1, int(np.ceil(max(picture.value.shape) / ACCURACY.search_size_px)))
-    small = _block_means(picture.value, factor)
-    ways = [(strongest_step(small.T if transpose else small), transpose) for transpose in (0, 1)]
-    (score, place, slope), transpose = max(ways, key=lambda way: abs(way[0][0]))
-    upright = picture.turned(transpose=bool(transpose), mirror=score < 0)
+    factor = max(1, int(np.ceil(max(picture.value.shape) / 96)))
+    rows, cols = (size // factor * factor for size in picture.value.shape)
+    small = picture.value[:rows, :cols].reshape(rows // factor, factor, cols // factor, factor).mean(axis=(1, 3))
+    found = [_strongest_step(np.ascontiguousarray(one), SLOPES) for one in (small, small.T)]
+    transpose = abs(found[1][0]) > abs(found[0][0])
+    score, place, slope = found[int(transpose)]
+    upright = picture.turned(transpose=transpose, mirror=score < 0)
     width = upright.value.shape[1]
     position = (place + 0.5) * factor - 0.5
     line = EdgeLine(position=width - 1 - position if score < 0 else position, slope=-slope if score < 0 else slope)
-    return upright, replace(iterate_edge_line(upright, line), strength=_strength(small, score))
-
-
-def _block_means(value: Array, factor: int) -> Array:
-    """Return block means, the remainder cut off."""
-    rows, cols = (size // factor * factor for size in value.shape)
-    return value[:rows, :cols].reshape(rows // factor, factor, cols // factor, factor).mean(axis=(1, 3))
-
-
-def _strength(small: Array, score: float) -> float:
-    """Return a step score over the noise between neighbouring coarse pixels, whichever axis is the quieter."""
     noise = min(median(np.abs(np.diff(small, axis=axis))) for axis in (0, 1)) / 0.6745 / np.sqrt(2)
-    return abs(score) / max(noise, 1e-12 * (1 + abs(score)))
+    strength = abs(score) / max(noise, 1e-12 * (1 + abs(score)))
+    return upright, replace(iterate_edge_line(upright, line), strength=strength)
 
 
 def iterate_edge_line(picture: OrientedFrame, line: EdgeLine, iterations: int = 12) -> EdgeLine:
@@ -145,7 +114,7 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine, iterations: int = 
     """
     rows, cols = picture.value.shape
     row = np.arange(rows) - (rows - 1) / 2
-    slack = 0.5 * rows * ACCURACY.slope_step
+    slack = 0.5 * rows * 0.035
     across = line.across((rows, cols))
     reach = 12.0 + slack
     inside = np.nonzero(np.abs(across) < reach)
@@ -153,11 +122,11 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine, iterations: int = 
     if every[0].size < 16:
         return line
     # The first steps are far from exact: some of the pixels tell them.
-    few = tuple(np.ascontiguousarray(part[:: max(1, every[0].size // ACCURACY.coarse_pixels)]) for part in every)
+    few = tuple(np.ascontiguousarray(part[:: max(1, every[0].size // 2000)]) for part in every)
     shift, turn, width, clip = 0.0, 0.0, max(2.0, slack), np.inf
     last = np.inf
     for iteration in range(iterations):
-        value, distance, height = few if iteration < ACCURACY.coarse_iterations else every
+        value, distance, height = few if iteration < 3 else every
         place = (distance - shift - turn * height) / width
         design, residual = _step_and_derivatives(value, place, np.tanh(place), height, width)
         if iteration in (3, 6):
@@ -167,7 +136,7 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine, iterations: int = 
         shift, turn = _clamp(shift + step[0], -reach, reach), turn + step[1]
         width = _clamp(width + _clamp(move[2], -0.5 * width, width), 0.4, 20.0)
         size = abs(step[0]) + abs(step[1])
-        if iteration > ACCURACY.coarse_iterations and size < 1e-3 and last < 0.1:
+        if iteration > 3 and size < 1e-3 and last < 0.1:
             break
         last = size
     return replace(line, position=line.position + shift, slope=line.slope + turn / rows)
@@ -226,7 +195,7 @@ class RowFit:
 
 
 def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
-    """Return the displacement of each row's edge from the line, the line's own course corrected by them.
+    """Return the displacement of each row's edge from the line, which is corrected by them.
 
     Notes
     -----
@@ -247,7 +216,12 @@ def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
 
 def _compare_rows(picture: OrientedFrame, line: EdgeLine, row: Array) -> tuple[Array, NDArray[np.bool_], float, float]:
     """Return the rows' displacements, which of them hold the edge, and their mean and slope over the rows."""
-    offset, good = _row_offsets(picture, line)
+    across = line.across(picture.value.shape)
+    sums, counts = _profile_sums(picture.value, across)
+    places, kernel = _smoothing()
+    profile = kernel @ sums / np.maximum(kernel @ counts, 1e-300)
+    offset, power = _row_displacements(picture.value, across, places, profile, np.gradient(profile, places))
+    good = (power > 0.5 * median(power)) & (power > 0)
     if good.sum() < 3:
         return offset, good, 0.0, 0.0
     good &= np.abs(offset - median(offset[good])) < 6 * robust_sd(offset[good]) + 1e-9
@@ -256,21 +230,11 @@ def _compare_rows(picture: OrientedFrame, line: EdgeLine, row: Array) -> tuple[A
     return offset, good, float(shift), float(turn)
 
 
-def _row_offsets(picture: OrientedFrame, line: EdgeLine) -> tuple[Array, NDArray[np.bool_]]:
-    """Return each row's displacement against the mean profile, and which rows hold the edge."""
-    across = line.across(picture.value.shape)
-    sums, counts = _profile_sums(picture.value, across)
-    places, kernel = _smoothing()
-    profile = kernel @ sums / np.maximum(kernel @ counts, 1e-300)
-    offset, power = _row_displacements(picture.value, across, places, profile, np.gradient(profile, places))
-    return offset, (power > 0.5 * median(power)) & (power > 0)
-
-
 @lru_cache(maxsize=1)
 def _smoothing() -> tuple[Array, Array]:
     """Return the cells of the rows' mean profile, px, and the weights that smooth it, shape (cell, cell)."""
     places = (np.arange(2 * CELLS_PER_PX * int(ROW_REACH_PX)) + 0.5) / CELLS_PER_PX - ROW_REACH_PX
-    return places, np.exp(-0.5 * ((places[:, None] - places) / ACCURACY.row_profile_blur_px) ** 2)
+    return places, np.exp(-0.5 * ((places[:, None] - places) / 0.5) ** 2)
 
 
 @njit(cache=True)
@@ -337,3 +301,55 @@ def orientation_deg(picture: OrientedFrame, angle_rad: float) -> float:
     # Upright, the normal stands at -tilt to the columns' direction; mirrored it is turned over, transposed exchanged.
     tilt = tilt if picture.mirrored else -tilt
     return (90.0 - tilt if picture.transposed else tilt) % 180.0
+
+
+def is_significant(displacement: Displacement) -> bool:
+    """Tell whether fields are displaced by more than chance, and by enough to matter."""
+    apart, error = displacement
+    return bool(abs(apart) > max(THRESHOLDS.field_displacement_sd * error, THRESHOLDS.field_displacement_px))
+
+
+def field_displacement_of_rows(picture: OrientedFrame, rows: RowFit) -> Displacement:
+    """Return the displacement of the edge in odd lines of the frame, which are rows of the picture."""
+    good = np.isfinite(rows.offset)
+    odd = (picture.row_index[:, 0] % 2).astype(bool)
+    one, other = rows.offset[good & odd], rows.offset[good & ~odd]
+    if min(one.size, other.size) < 6:
+        return 0.0, np.inf
+    error = 1.25 * np.hypot(robust_sd(one) / np.sqrt(one.size), robust_sd(other) / np.sqrt(other.size))
+    return median(one) - median(other), float(error)
+
+
+def field_displacement_of_pixels(
+    line_parity: NDArray[np.int64], residual: Array, steep: Array, noise: float
+) -> Displacement:
+    """Return the displacement of odd lines, which run along the edge, by least squares on single pixels.
+
+    Parameters
+    ----------
+    line_parity
+        0 or 1 for the field of every pixel, shape (pixel,).
+    residual, steep
+        Pixels less their mean profile, DN, and slope of that profile, DN per px, shape (pixel,).
+    noise
+        Standard deviation of a pixel, DN.
+    """
+    shape = (0.5 - line_parity) * steep
+    power = float(shape @ shape)
+    if power <= 0 or line_parity.min() == line_parity.max():
+        return 0.0, np.inf
+    return float(shape @ residual) / power, noise / np.sqrt(power)
+
+
+def steepness(place: Array, value: Array, distance: Array) -> Array:
+    """Return the slope of a profile at distances, DN per px, smoothed over even steps, as bins may lie close together.
+
+    Zero within a pixel of its ends, and for a profile that is too short.
+    """
+    step_px, smooth = 0.25, 5
+    even = np.arange(place[0], place[-1], step_px)
+    if even.size < smooth + 6:
+        return np.zeros_like(distance)
+    running = np.convolve(np.interp(even, place, value), np.ones(smooth) / smooth, "valid")
+    middle = even[smooth // 2 : -(smooth // 2)]
+    return np.interp(distance, middle[2:-2], np.gradient(running, step_px)[2:-2], left=0.0, right=0.0)

@@ -1,4 +1,4 @@
-"""An edge's profile with the noise that is in it: bin means, their covariance, levels and shading."""
+"""Edge profile: pixels binned by their distance from the line, with the covariance of the bin means."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -7,12 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.mtf.edge.fit.esf_from_mtf import edge_weights
-from charact.mtf.edge.fit.sufficient_statistics import ProfileStatistics, profile_statistics
-from charact.mtf.edge.pixels.bins import BinnedPixels, bin_pixels, coarsen
-from charact.mtf.edge.pixels.fields import steepness
-from charact.mtf.edge.pixels.line import EdgeLine
-from charact.mtf.edge.pixels.noise_model import EdgeNoiseModel, bin_covariance, estimate_edge_noise
+from charact.mtf.edge.pixels.line import EdgeLine, steepness
+from charact.mtf.edge.pixels.noise_model import NARROWEST_PX, EdgeNoiseModel, bin_covariance, estimate_edge_noise
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.mean_frame import OrientedFrame
 from charact.mtf.nonlinearity import usable_black_level
@@ -20,85 +16,117 @@ from charact.robust import NORMAL, median
 
 Array = NDArray[np.float64]
 
+# Distance up to which bins have which width, px, and the width beyond.
+WIDTHS_PX = ((4.0, NARROWEST_PX), (8.0, 0.25), (16.0, 0.5), (np.inf, 1.0))
 DEFECT_SD = 8.0
+# Slope of the illumination on either side, fraction of the step per px: in a good set-up, a fair and a poor one.
+EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX = 4e-5, 3e-4, 2e-3
 
 
-def residual_of(picture: OrientedFrame, gathered: BinnedPixels) -> tuple[Array, Array]:
-    """Return the picture less its own bin means, and the profile from 0 to 1, at every pixel.
+@dataclass(frozen=True, kw_only=True)
+class BinnedPixels:
+    """Pixels of a band along the edge and the bins they fall in.
 
-    A bin's mean takes part of its pixels' noise with it; the residuals are enlarged for that.
+    Parameters
+    ----------
+    distance, along
+        Distance of every pixel along the normal, positive on the bright side, and position along the edge from its
+        middle, shape (row, col), px.
+    used
+        Pixels inside the band that are not masked, shape (row, col).
+    bin_index
+        Bin of every pixel, shape (row, col); meaningful where used.
+    borders
+        Borders of the bins, shape (bin + 1,), px.
+    half_width_px
+        Half the width of the band.
     """
-    mean, count = gathered.means(picture.value)
-    level = _level(mean, count, gathered)
-    lost = np.sqrt(count / np.maximum(count - 1.0, 0.5))
-    value = (picture.value - _profile_at_pixels(mean, count, gathered)) * lost[gathered.bin_index]
-    value = np.where(gathered.used, value, 0.0)
-    return value, level
 
+    distance: Array
+    along: Array
+    used: NDArray[np.bool_]
+    bin_index: NDArray[np.int64]
+    borders: Array
+    half_width_px: float
 
-def _level(mean: Array, count: Array, gathered: BinnedPixels) -> Array:
-    """Return the profile from 0 to 1 at every pixel."""
-    dark, bright = levels_of(mean, count, gathered)
-    return ((mean - dark) / (bright - dark if bright != dark else 1.0))[gathered.bin_index]
+    def means(self, value: Array) -> tuple[Array, Array]:
+        """Return mean of a quantity and count of pixels in every bin, shape (bin,)."""
+        return _means(value, self.used, self.bin_index, self.borders.size - 1)
 
-
-def span(picture: OrientedFrame, gathered: BinnedPixels) -> float:
-    """Return the step between the outer halves of both sides, DN."""
-    dark, bright = levels_of(*gathered.means(picture.value), gathered)
-    return bright - dark
-
-
-def _profile_at_pixels(mean: Array, count: Array, gathered: BinnedPixels) -> Array:
-    """Return the profile at every pixel: its bin's mean, and its slope for the place within the bin."""
-    filled, rise = count > 0, np.zeros_like(mean)
-    if np.count_nonzero(filled) > 8:
-        rise[filled] = steepness(gathered.place[filled], mean[filled], gathered.place[filled])
-    return gathered.interpolate(mean, rise)
-
-
-def remove_slope_along(picture: OrientedFrame, gathered: BinnedPixels) -> OrientedFrame:
-    """Return the picture less the change of its light along the edge, of which a tilted window would make a slope."""
-    mean, count = gathered.means(picture.value)
-    level = _level(mean, count, gathered)
-    slope = _slope_along(picture.value - _profile_at_pixels(mean, count, gathered), gathered, level)
-    return replace(picture, value=picture.value - slope)
-
-
-def remove_slope(value: Array, gathered: BinnedPixels, level: Array) -> Array:
-    """Return residuals less an illumination slope along the edge, on both sides of it."""
-    return np.where(gathered.used, value - _slope_along(value, gathered, level), value)
-
-
-def _slope_along(value: Array, gathered: BinnedPixels, level: Array) -> Array:
-    """Return the part of residuals that changes evenly along the edge, by its own amount on both sides of it.
-
-    Pixels are compared with those at the same distance: what changes across the edge is the profile's.
-    """
-    along = gathered.along / max(float(np.abs(gathered.along).max()), 1.0)
-    middle = gathered.means(along)[0]
-    sides = _side_equations(value, along, level, gathered.used, gathered.bin_index, middle)
-    bright, dark = np.linalg.lstsq(*sides, rcond=1e-9)[0]
-    return along * (bright * level + dark * (1.0 - level))
+    @cached_property
+    def place(self) -> Array:
+        """Mean distance of the pixels of every bin, shape (bin,), px."""
+        return self.means(self.distance)[0]
 
 
 @njit(cache=True)
-def _side_equations(
-    value: Array, along: Array, level: Array, used: NDArray[np.bool_], index: NDArray[np.int64], middle: Array
-) -> tuple[Array, Array]:
-    """Return the normal equations of values that change evenly along the edge, by their own amount on both sides."""
-    normal, pull = np.zeros((2, 2)), np.zeros(2)
+def _means(value: Array, used: NDArray[np.bool_], index: NDArray[np.int64], size: int) -> tuple[Array, Array]:
+    total, count = np.zeros(size), np.zeros(size)
     for row in range(value.shape[0]):
         for col in range(value.shape[1]):
             if used[row, col]:
-                within = along[row, col] - middle[index[row, col]]
-                bright, dark = within * level[row, col], within * (1.0 - level[row, col])
-                normal[0, 0] += bright * bright
-                normal[0, 1] += bright * dark
-                normal[1, 1] += dark * dark
-                pull[0] += bright * value[row, col]
-                pull[1] += dark * value[row, col]
-    normal[1, 0] = normal[0, 1]
-    return normal, pull
+                total[index[row, col]] += value[row, col]
+                count[index[row, col]] += 1.0
+    return total / np.maximum(count, 1.0), count
+
+
+def bin_pixels(
+    picture: OrientedFrame, line: EdgeLine, half_width_px: float, masked: NDArray[np.bool_] | None = None
+) -> BinnedPixels:
+    """Bin the pixels within a half width of the line, less where the frame ends earlier; masked ones are left out."""
+    angle = line.angle_rad(picture.pitch_ratio)
+    shape = picture.value.shape
+    distance = line.across(shape) * np.cos(angle)
+    row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
+    along = row * picture.pitch_ratio / np.cos(angle) + distance * np.tan(angle)
+    # On both sides as far as most rows reach.
+    flat = distance.ravel()
+    counts = [np.bincount((-flat[flat < 0]).astype(np.int64)), np.bincount(flat[flat >= 0].astype(np.int64))]
+    enough = 0.6 * max(median(one[:4]) if one.size else 0.0 for one in counts)
+    reach = []
+    for one in counts:
+        stop = int(np.argmin(one >= enough)) if not (one >= enough).all() else one.size
+        reach.append(float(min(max(stop, 1), half_width_px)))
+    borders = _borders(reach[0], reach[1])
+    # Borders lie on multiples of the narrowest width from the first.
+    narrow = np.rint(np.diff(borders) / NARROWEST_PX).astype(np.int64)
+    lookup = np.repeat(np.arange(narrow.size), narrow)
+    cell = np.floor((distance - borders[0]) / NARROWEST_PX).astype(np.int64)
+    return BinnedPixels(
+        distance=distance,
+        along=along,
+        used=(distance >= borders[0]) & (distance < borders[-1]) & (True if masked is None else ~masked),
+        bin_index=lookup[np.clip(cell, 0, lookup.size - 1)],
+        borders=borders,
+        half_width_px=min(reach),
+    )
+
+
+def coarsen(gathered: BinnedPixels) -> BinnedPixels:
+    """Return the band with bins twice as wide, which hold the narrower ones whole; pixels beyond the last are left."""
+    borders = _borders(-gathered.borders[0], gathered.borders[-1], wider=2)
+    middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
+    into = np.searchsorted(borders, middle) - 1
+    inside = (into >= 0) & (into < borders.size - 1)
+    return replace(
+        gathered,
+        borders=borders,
+        used=gathered.used & inside[gathered.bin_index],
+        bin_index=np.clip(into, 0, borders.size - 2)[gathered.bin_index],
+    )
+
+
+def _borders(dark_px: float, bright_px: float, wider: int = 1) -> Array:
+    """Return the borders of bins on both sides, which widen with the distance from the edge."""
+    sides = []
+    for limit in (dark_px, bright_px):
+        begin, parts = 0.0, []
+        for end, width in WIDTHS_PX:
+            stop = min(limit, end)
+            parts.append(np.arange(begin + wider * width, stop + 1e-9, wider * width))
+            begin = end
+        sides.append(np.concatenate(parts))
+    return np.concatenate([-sides[0][::-1], [0.0], sides[1]])
 
 
 def levels_of(mean: Array, count: Array, gathered: BinnedPixels) -> tuple[float, float]:
@@ -111,23 +139,43 @@ def levels_of(mean: Array, count: Array, gathered: BinnedPixels) -> tuple[float,
     return dark, bright
 
 
-def find_defects(residual: Array, level: Array, used: NDArray[np.bool_], rounding_sd: float) -> NDArray[np.bool_]:
+def _residual_of(value: Array, gathered: BinnedPixels) -> tuple[Array, Array, Array]:
+    """Return the frame less its profile, the profile from 0 to 1 at every pixel, and counts of the bins.
+
+    The profile is its bin's mean, with its slope for the position within the bin.
+    """
+    mean, count = gathered.means(value)
+    dark, bright = levels_of(mean, count, gathered)
+    level = ((mean - dark) / (bright - dark if bright != dark else 1.0))[gathered.bin_index]
+    filled, rise = count > 0, np.zeros_like(mean)
+    if np.count_nonzero(filled) > 8:
+        rise[filled] = steepness(gathered.place[filled], mean[filled], gathered.place[filled])
+    index = gathered.bin_index
+    residual = value - (mean[index] + rise[index] * (gathered.distance - gathered.place[index]))
+    return residual, level, count
+
+
+def _slope_along(value: Array, gathered: BinnedPixels, level: Array) -> Array:
+    """Return the part of residuals that changes evenly along the edge, by its own amount on both sides of it.
+
+    Pixels are compared with those at the same distance: what changes across the edge is the profile's.
+    """
+    along = gathered.along / max(float(np.abs(gathered.along).max()), 1.0)
+    middle = gathered.means(along)[0]
+    within = np.where(gathered.used, along - middle[gathered.bin_index], 0.0)
+    sides = np.stack([(within * level).ravel(), (within * (1.0 - level)).ravel()])
+    bright, dark = np.linalg.lstsq(sides @ sides.T, sides @ value.ravel(), rcond=1e-9)[0]
+    return along * (bright * level + dark * (1.0 - level))
+
+
+def _find_defects(residual: Array, level: Array, used: NDArray[np.bool_], least_sd: float) -> NDArray[np.bool_]:
     """Tell which pixels the noise of their level cannot explain; none in heavy-tailed noise, where many nearly are."""
     size = np.where(used, np.abs(residual), 0.0)
     sides = [used & (level < 0.25), used & (level > 0.75)]
-    dark, bright = (_robust_sd(size[side if side.any() else used], rounding_sd) for side in sides)
+    dark, bright = (max(NORMAL * median(size[side if side.any() else used]), least_sd) for side in sides)
     sd = np.sqrt(dark**2 + np.clip(level, 0.0, 1.0) * (bright**2 - dark**2))
     far, near = size > DEFECT_SD * sd, np.count_nonzero(size > 5.0 * sd)
     return far & (sd > 0) if np.count_nonzero(far) > THRESHOLDS.defect_fraction * near else np.zeros_like(used)
-
-
-def _robust_sd(size: Array, rounding_sd: float) -> float:
-    """Return the standard deviation of normal noise whose absolute values have this median."""
-    return max(NORMAL * median(size), rounding_sd)
-
-
-# Share of the step in a pixel by which light slopes on either side: in a good set-up, a fair and a poor one.
-EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX = 4e-5, 3e-4, 2e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +199,7 @@ class IlluminationGradient:
         return np.concatenate([np.ones((distance_px.size, 1)), sides @ self.ways.T], axis=1)
 
     def slopes_sd(self, slope_sd_per_px: float) -> Array:
-        """Return the deviations of the priors of both ways from that of the bright side's slope, in its unit."""
+        """Return the standard deviations of the priors of both ways from that of the bright side's slope."""
         apart = max(THRESHOLDS.gradient_asymmetry * slope_sd_per_px, EVEN_PER_PX) if self.together else slope_sd_per_px
         return np.array([slope_sd_per_px / self.ways[0, 0], apart])
 
@@ -160,13 +208,8 @@ class IlluminationGradient:
         return np.concatenate([amplitude[:-2], amplitude[-2:] @ self.ways])
 
 
-def uneven_light(dark_dn: float, bright_dn: float, black_dn: float | None) -> IlluminationGradient:
-    """Return how light slopes on an edge between two levels.
-
-    Parameters
-    ----------
-    black_dn
-        Code at no light, as `believed_black` gives it; None: not known, and with it how much light either side gets.
+def illumination_gradient(dark_dn: float, bright_dn: float, black_dn: float | None) -> IlluminationGradient:
+    """Return how light slopes on an edge between two levels; without a black level each side by itself.
 
     Notes
     -----
@@ -179,9 +222,6 @@ def uneven_light(dark_dn: float, bright_dn: float, black_dn: float | None) -> Il
     return IlluminationGradient(
         ways=np.array([[bright, dark], [-dark, bright]]) / np.hypot(bright, dark), together=True
     )
-
-
-MIN_SHADED_PX = 1.4 * ACCURACY.shading_length_px
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,22 +237,20 @@ class EdgeProfile:
         shape (bin,).
     keep
         Which bins of the band those are.
-    dark, bright
-        Levels of both sides at the edge, DN.
-    black
-        Code at no light, DN; None: not known.
+    dark, bright, black
+        Levels of both sides at the edge, and black level, DN; None: unknown.
     grain
-        Noise of the picture.
+        Noise of the frame.
     covariance
         Of the bin means, shape (bin, bin), DN^2.
     shading_sd
-        Standard deviation of slow undulations of the plateaus that the grain does not hold, DN.
+        Standard deviation of slow undulations of the plateaus beyond the noise, DN.
     defects
-        Pixels left out for values that the noise cannot explain.
+        Number of pixels left out for values that the noise cannot explain.
     angle_rad, slopes
         Angle of the edge; change of distance with one column and one row, px.
     variance_floor
-        Least variance of a pixel, DN^2: rounding to codes, and a ten-thousandth of the step.
+        Least variance of a pixel, DN^2: quantisation, and a ten-millionth of the squared step.
     """
 
     gathered: BinnedPixels
@@ -240,7 +278,7 @@ class EdgeProfile:
     @cached_property
     def light(self) -> IlluminationGradient:
         """How light may slope."""
-        return uneven_light(self.dark, self.bright, self.black)
+        return illumination_gradient(self.dark, self.bright, self.black)
 
     @cached_property
     def levels(self) -> Array:
@@ -248,86 +286,65 @@ class EdgeProfile:
         return self.light.levels(self.distance)
 
     def slopes_sd(self, slope_sd_per_px: float) -> Array:
-        """Return the deviations of the priors of the two ways in which light slopes, DN per px.
+        """Return the standard deviations of the priors of the two ways in which light slopes, DN per px.
 
         Parameters
         ----------
         slope_sd_per_px
-            Standard deviation of the prior of the bright side's slope, share of the step per px.
+            That of the bright side's slope, fraction of the step per px.
         """
         return self.light.slopes_sd(slope_sd_per_px) * max(abs(self.step), 1e-300)
 
-    def evidence(self, grid: Array, slope_sd_per_px: float) -> ProfileStatistics:
-        """Return the evidence on nodes, level, step and the slopes of the light marginalised.
-
-        Parameters
-        ----------
-        slope_sd_per_px
-            As of `slopes_sd`.
-        """
-        spread = np.concatenate(edge_weights(grid, self.distance, self.spread_px), axis=1)
-        prior = np.array([np.inf, *self.slopes_sd(slope_sd_per_px)])
-        return profile_statistics(self.value, self.covariance, spread, self.levels, prior, abs(self.step))
+    def with_noise(self, grain: EdgeNoiseModel) -> "EdgeProfile":
+        """Return the profile with another noise, its plateaus taken as even."""
+        level = (self.value - self.dark) / (self.step if self.step != 0 else 1.0)
+        covariance = bin_covariance(grain, self.gathered.borders, level, self.count, self.keep, self.slopes)
+        return replace(self, grain=grain, covariance=covariance, shading_sd=0.0)
 
 
 def profile_of(picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, quickly: bool = False) -> EdgeProfile:
-    """Gather the profile of an edge and estimate its noise from what the pixels leave over after it.
+    """Bin the pixels of an edge and estimate its noise from the residuals of its profile.
 
     Parameters
     ----------
     half_width_px
         Half width of the band wanted.
     quickly
-        Whether bins may be twice as wide where noise hides what narrow ones would tell: a fit costs as their square.
+        Whether bins may be twice as wide where noise hides what narrow ones would show: a fit costs as their square.
     """
-    masked = np.zeros(picture.value.shape, bool)
-    gathered = bin_pixels(picture, line, half_width_px, masked)
-    picture = remove_slope_along(picture, gathered)
-    residual, level = residual_of(picture, gathered)
-    rounding_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
-    spread = abs(span(picture, gathered))
-    masked = find_defects(residual, level, gathered.used, max(rounding_sd, THRESHOLDS.min_defect * spread / DEFECT_SD))
+    gathered = bin_pixels(picture, line, half_width_px)
+    # Light that changes along the edge makes a slope in a tilted window.
+    residual, level, _ = _residual_of(picture.value, gathered)
+    value = picture.value - _slope_along(residual, gathered, level)
+    residual, level, count = _residual_of(value, gathered)
+
+    def enlarged(residual: Array, gathered: BinnedPixels, count: Array) -> Array:
+        """Return residuals raised for the part of the noise that a bin's mean takes with it."""
+        lost = np.sqrt(count / np.maximum(count - 1.0, 0.5))
+        return np.where(gathered.used, residual * lost[gathered.bin_index], 0.0)
+
+    residual = enlarged(residual, gathered, count)
+    dark, bright = levels_of(*gathered.means(value), gathered)
+    step = abs(bright - dark)
+    quantisation_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
+    least_sd = max(quantisation_sd, THRESHOLDS.min_defect * step / DEFECT_SD)
+    masked = _find_defects(residual, level, gathered.used, least_sd)
     defects = int(masked.sum())
     if defects:
         gathered = bin_pixels(picture, line, half_width_px, masked)
-        residual, level = residual_of(picture, gathered)
-    if quickly and spread < THRESHOLDS.noisy_step_sd * np.std(residual[gathered.used]):
+        residual, level, count = _residual_of(value, gathered)
+        residual = enlarged(residual, gathered, count)
+    if quickly and step < THRESHOLDS.noisy_step_sd * np.std(residual[gathered.used]):
         gathered = coarsen(gathered)
-    return _assemble(picture, line, gathered, residual, level, defects)
-
-
-def centre_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
-    """Return the line moved to where the profile is half way up, so that bins fall alike on both sides of the edge."""
-    gathered = bin_pixels(picture, line, 16.0, np.zeros(picture.value.shape, bool))
-    mean, count = gathered.means(picture.value)
-    filled = count > 0
-    distance, value = gathered.place[filled], mean[filled]
-    dark, bright = levels_of(mean, count, gathered)
-    smooth = np.convolve(value, np.ones(9) / 9.0, "same")[4:-4]
-    above = smooth > 0.5 * (dark + bright)
-    place = distance[4:-4]
-    rises = np.flatnonzero(np.diff(above.astype(int)) == 1)
-    shift = median(place[rises]) if rises.size else 0.0
-    if not np.isfinite(shift) or abs(shift) > 4.0:
-        return line
-    return replace(line, position=line.position + shift / float(np.cos(line.angle_rad(picture.pitch_ratio))))
-
-
-def _assemble(
-    picture: OrientedFrame, line: EdgeLine, gathered: BinnedPixels, residual: Array, level: Array, defects: int
-) -> EdgeProfile:
-    """Return the profile of gathered pixels with the covariance of its bins."""
-    mean, count = gathered.means(picture.value)
-    distance = gathered.place
-    square, _ = gathered.means(gathered.distance**2)
+    mean, count = gathered.means(value)
+    distance, (square, _) = gathered.place, gathered.means(gathered.distance**2)
     keep = count >= 1
     dark, bright = levels_of(mean, count, gathered)
     angle = line.angle_rad(picture.pitch_ratio)
-    slopes = (float(np.cos(angle)), float(-line.slope * np.cos(angle)))
-    rounding = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
-    floor = max(rounding, (3e-4 * (bright - dark)) ** 2, 1e-30)
-    grain = estimate_edge_noise(residual, level, gathered, floor, picture.field_axis)
-    profile = EdgeProfile(
+    quantisation = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
+    floor = max(quantisation, (3e-4 * (bright - dark)) ** 2, 1e-30)
+    grain = estimate_edge_noise(residual, level, gathered.used, gathered.distance, floor, picture.field_axis)
+    return EdgeProfile(
         gathered=gathered,
         distance=distance[keep],
         spread_px=np.sqrt(np.maximum(square - distance**2, 0.0))[keep],
@@ -342,74 +359,64 @@ def _assemble(
         shading_sd=0.0,
         defects=defects,
         angle_rad=angle,
-        slopes=slopes,
+        slopes=(float(np.cos(angle)), float(-line.slope * np.cos(angle))),
         variance_floor=floor,
-    )
-    return with_noise(profile, grain)
+    ).with_noise(grain)
+
+
+def centre_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
+    """Return the line moved to where the profile is half way up, so that bins fall alike on both sides of the edge."""
+    gathered = bin_pixels(picture, line, 16.0)
+    mean, count = gathered.means(picture.value)
+    filled = count > 0
+    dark, bright = levels_of(mean, count, gathered)
+    smooth = np.convolve(mean[filled], np.ones(9) / 9.0, "same")[4:-4]
+    above = smooth > 0.5 * (dark + bright)
+    rises = np.flatnonzero(np.diff(above.astype(int)) == 1)
+    shift = median(gathered.place[filled][4:-4][rises]) if rises.size else 0.0
+    if not np.isfinite(shift) or abs(shift) > 4.0:
+        return line
+    return replace(line, position=line.position + shift / float(np.cos(line.angle_rad(picture.pitch_ratio))))
 
 
 def refine_noise(profile: EdgeProfile, picture: OrientedFrame, model_value: Array) -> EdgeProfile:
-    """Return the profile with its noise estimated anew from what the pixels leave over after a model's bin values.
-
-    Parameters
-    ----------
-    model_value
-        The model at every kept bin, shape (bin,), DN.
-    """
-    at_pixel = np.interp(profile.gathered.distance, profile.distance, model_value)
+    """Return the profile with its noise estimated anew from the residuals of a model's bin values, shape (bin,), DN."""
+    gathered = profile.gathered
+    at_pixel = np.interp(gathered.distance, profile.distance, model_value)
     level = (at_pixel - profile.dark) / profile.step
-    value = np.where(profile.gathered.used, picture.value - at_pixel, 0.0)
-    residual = remove_slope(value, profile.gathered, level)
-    grain = estimate_edge_noise(residual, level, profile.gathered, profile.variance_floor, picture.field_axis)
-    anew = with_noise(profile, grain)
-    return with_shading(anew, profile.value)
-
-
-def with_noise(profile: EdgeProfile, grain: EdgeNoiseModel) -> EdgeProfile:
-    """Return the profile with another noise, its plateaus taken as even."""
-    level = (profile.value - profile.dark) / (profile.step if profile.step != 0 else 1.0)
-    covariance = bin_covariance(grain, profile.gathered, level, profile.count, profile.keep, profile.slopes)
-    return replace(profile, grain=grain, covariance=covariance, shading_sd=0.0)
+    value = np.where(gathered.used, picture.value - at_pixel, 0.0)
+    residual = np.where(gathered.used, value - _slope_along(value, gathered, level), value)
+    floor = profile.variance_floor
+    grain = estimate_edge_noise(residual, level, gathered.used, gathered.distance, floor, picture.field_axis)
+    return with_shading(profile.with_noise(grain), profile.value)
 
 
 def with_shading(profile: EdgeProfile, left_over: Array) -> EdgeProfile:
-    """Return the profile with slow undulations of its plateaus allowed for, as large as values left over show them.
+    """Return the profile with slow undulations of its plateaus allowed for, as large as residuals show them.
+
+    A plateau not much longer than the correlation length is fitted by a parabola within a thousandth: no estimate.
 
     Parameters
     ----------
     left_over
-        The bins' values, or what a model leaves of them, shape (bin,), DN.
+        The bins' values, or their residuals of a model, shape (bin,), DN.
     """
-    bare = profile.covariance - _shading_covariance(profile.distance, profile.shading_sd)
-    shading = _shading_sd(replace(profile, covariance=bare), left_over)
-    return replace(profile, covariance=bare + _shading_covariance(profile.distance, shading), shading_sd=shading)
-
-
-def _shading_covariance(place: Array, sd: float) -> Array | float:
-    """Return the covariance of slow undulations at some places, shape (place, place); 0 where there are none."""
-    if sd == 0:
-        return 0.0
-    return sd**2 * np.exp(-0.5 * ((place[:, None] - place) / ACCURACY.shading_length_px) ** 2)
-
-
-def _shading_sd(profile: EdgeProfile, left_over: Array) -> float:
-    """Return the standard deviation by which the plateaus undulate beyond the noise of wide bins.
-
-    A plateau not much longer than the correlation length is fitted by a parabola within a thousandth: no estimate.
-    """
-    excess, weight, scatter = 0.0, 0.0, 0.0
-    for side in (profile.distance < -ACCURACY.plateau_from_px, profile.distance > ACCURACY.plateau_from_px):
-        place = profile.distance[side]
-        if place.size < 12 or np.ptp(place) < MIN_SHADED_PX:
+    place, excess, weight, scatter = profile.distance, 0.0, 0.0, 0.0
+    even = np.exp(-0.5 * ((place[:, None] - place) / ACCURACY.shading_length_px) ** 2)
+    bare = profile.covariance - profile.shading_sd**2 * even
+    for side in (place < -ACCURACY.plateau_from_px, place > ACCURACY.plateau_from_px):
+        own = place[side]
+        if own.size < 12 or np.ptp(own) < 1.4 * ACCURACY.shading_length_px:
             continue
-        basis = np.linalg.qr(np.stack([np.ones_like(place), place, place**2], axis=1))[0]
-        noise, even = profile.covariance[np.ix_(side, side)], _shading_covariance(place, 1.0)
-        # Of what is left of values, noise and undulations after the bend I - B B^T: squares and traces.
+        basis = np.linalg.qr(np.stack([np.ones_like(own), own, own**2], axis=1))[0]
+        noise, undulation = bare[np.ix_(side, side)], even[np.ix_(side, side)]
+        # Of the residuals of values, noise and undulations after the bend I - B B^T: squares and traces.
         across = noise @ basis
         within = basis.T @ across
         bend = basis.T @ left_over[side]
         excess += float(left_over[side] @ left_over[side] - bend @ bend - np.trace(noise) + np.trace(within))
         scatter += 2.0 * float(np.sum(noise**2) - 2.0 * np.sum(across**2) + np.sum(within**2))
-        weight += float(np.trace(even) - np.sum(basis * (even @ basis)))
+        weight += float(np.trace(undulation) - np.sum(basis * (undulation @ basis)))
     # The excess of plateaus without shading scatters by this much; only what stands out of it counts.
-    return float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0
+    shading = float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0
+    return replace(profile, covariance=bare + shading**2 * even, shading_sd=shading)

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.mtf.edge.pixels.fields import steepness
+from charact.mtf.edge.pixels.line import steepness
 from charact.mtf.edge.pixels.profile import EdgeProfile
 from charact.mtf.edge.thresholds import ACCURACY
 from charact.mtf.mean_frame import OrientedFrame
@@ -17,35 +17,38 @@ from charact.mtf.target_motion import TargetMotion
 
 Array = NDArray[np.float64]
 
-# Least rows that tell, least places on a plateau, and rows over which noise ties places.
-MIN_ROWS = 16
-# Step of the distances at which the profile's slope is looked at, px.
+# Step of the distances at which the profile's slope is tabulated, px.
 STEP_PX = 0.25
 
 
 def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
-    """Return how an edge wanders along its length about a straight line.
+    """Return the deviation of an edge from a straight line along its length.
 
     Notes
     -----
     A row's displacement is least squares on -m'(d), m the edge's profile, its own level and contrast free. Noise half
-    way up is taken as the mean of both sides', as that of light and of read-out are. The mean squares of places at the
-    edge and on the plateaus are compared as Fisher's F.
+    way up is taken as the mean of both sides', as that of light and of read-out are. The mean squares of displacements
+    at the edge and on the plateaus are compared as Fisher's F.
     """
     from scipy.special import fdtrc
 
-    reach = _half_width(profile)
+    # Pixels that locate the edge: they hold most of the squared slope.
+    at = np.arange(0.0, ACCURACY.max_row_window_px, STEP_PX)
+    steep = sum(steepness(profile.distance, profile.value, sign * at) ** 2 for sign in (-1.0, 1.0))
+    held = np.cumsum(steep)
+    reach = at[int(np.searchsorted(held, ACCURACY.slope_fraction * held[-1]))] + STEP_PX if held[-1] > 0 else 0.0
+    reach = max(float(reach), ACCURACY.min_row_window_px)
     places, squares = _positions_of(picture, profile, reach)
     edge = places[:, 0]
     valid = np.flatnonzero(np.isfinite(edge))
     plateaus = [_plateau_scatter(side) for side in np.split(places[:, 1:], 2, axis=1)]
-    if valid.size < MIN_ROWS or min(one[1] for one in plateaus) < ACCURACY.min_plateau_positions:
+    if valid.size < 16 or min(one[1] for one in plateaus) < ACCURACY.min_plateau_positions:
         return TargetMotion()
     left = edge[valid] - np.polyval(np.polyfit(valid, edge[valid], 1), valid)
     # Of each pixel the profile holds as much as one of its bin's pixels weighs.
-    held = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach]))
-    square = float(left @ left) / (valid.size - 2) / max(1.0 - held, 0.5)
-    noise = 0.5 * sum(one[0] for one in plateaus) + _rounding(picture, profile) * float(np.mean(squares[valid]))
+    own = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach]))
+    square = float(left @ left) / (valid.size - 2) / max(1.0 - own, 0.5)
+    noise = 0.5 * sum(one[0] for one in plateaus) + _quantisation(picture, profile) * float(np.mean(squares[valid]))
     if not square > noise > 0:
         return TargetMotion()
     tied = 0.5 * sum(one[2] for one in plateaus)
@@ -55,8 +58,8 @@ def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
     return TargetMotion(rms_px=float(np.sqrt(square - noise)), chance=chance)
 
 
-def _rounding(picture: OrientedFrame, profile: EdgeProfile) -> float:
-    """Return the mean square that rounding to whole codes leaves in means of pixels at any level, DN^2.
+def _quantisation(picture: OrientedFrame, profile: EdgeProfile) -> float:
+    """Return the mean square of the quantisation error in means of pixels at any level, DN^2.
 
     All pixels of a plateau have it alike; those near an edge differ. Sawtooth of `charact.mtf.quantisation_checks`.
     """
@@ -64,25 +67,12 @@ def _rounding(picture: OrientedFrame, profile: EdgeProfile) -> float:
         return 0.0
     sides = np.array([profile.grain.dark_variance, profile.grain.bright_variance])
     variance = np.maximum(sides * picture.frames - QUANTISATION_DN2, 0.0)
-    turn = np.pi * np.arange(1, ACCURACY.rounding_terms + 1)[:, None]
+    turn = np.pi * np.arange(1, 7)[:, None]
     return float(np.mean(np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0)))
 
 
-def _half_width(profile: EdgeProfile) -> float:
-    """Return how far from the edge pixels tell where it is, px."""
-    distance = np.arange(0.0, ACCURACY.max_row_window_px, STEP_PX)
-    steep = sum(steepness(profile.distance, profile.value, sign * distance) ** 2 for sign in (-1.0, 1.0))
-    held = np.cumsum(steep)
-    reach = (
-        distance[int(np.searchsorted(held, ACCURACY.slope_fraction * held[-1]))]
-        if held[-1] > 0
-        else ACCURACY.min_row_window_px
-    )
-    return max(float(reach) + STEP_PX, ACCURACY.min_row_window_px)
-
-
 def _positions_of(picture: OrientedFrame, profile: EdgeProfile, reach: float) -> tuple[Array, Array]:
-    """Return the rows' places at the edge, then in as many windows on its dark as on its bright side.
+    """Return the rows' displacements at the edge, then in as many windows on its dark as on its bright side.
 
     Shape (row, 1 + window), px, NaN where a window is not whole; and the sum of squares of each row's weights.
     """
@@ -94,20 +84,13 @@ def _positions_of(picture: OrientedFrame, profile: EdgeProfile, reach: float) ->
     steep = steepness(profile.distance, profile.value, at)
     step = reach / abs(profile.slopes[0])
     away = np.rint(np.arange(2.0 * step, max(picture.value.shape[1], 2.0 * step + 1.0), step)).astype(np.int64)
-    return _row_positions(
-        residual, distance, gathered.used, reach, profile_at, steep, np.concatenate([[0], -away, away])
-    )
+    shifts = np.concatenate([[0], -away, away])
+    return _row_positions(residual, distance, gathered.used, reach, profile_at, steep, shifts)
 
 
 @njit(cache=True)
 def _row_positions(
-    residual: Array,
-    distance: Array,
-    used: NDArray[np.bool_],
-    reach: float,
-    profile: Array,
-    steep: Array,
-    shifts: NDArray[np.int64],
+    residual: Array, distance: Array, used: NDArray, reach: float, profile: Array, steep: Array, shifts: NDArray
 ) -> tuple[Array, Array]:
     """Return each row's displacement by the same weights at columns shifted, and the weights' sum of squares."""
     rows, cols = residual.shape
@@ -129,7 +112,7 @@ def _row_positions(
             for k in range(3):
                 for m in range(3):
                     normal[k, m] += shape[col, k] * shape[col, m]
-        # A row tells where the edge is if its pixels lie on both sides of it as far as they are looked at.
+        # A row locates the edge if its pixels lie on both sides of it up to the reach.
         if last - first < 4 or distance[row, first] > 1.0 - reach or distance[row, last] < reach - 1.0:
             continue
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -151,9 +134,9 @@ def _row_positions(
 
 
 def _plateau_scatter(places: Array) -> tuple[float, int, float]:
-    """Return mean square, number and ties of places on a plateau, shape (row, window).
+    """Return mean square and number of displacements on a plateau, shape (row, window), and their variance factor.
 
-    Ties are by how much a mean square scatters more than that of as many independent normal places.
+    The factor is by how much a mean square scatters more than that of as many independent normal displacements.
     """
     good = np.isfinite(places)
     count = np.count_nonzero(good, axis=0)

@@ -15,8 +15,7 @@ from charact.mtf.blur_models.one_dimensional import (
     UnresolvedGlareComponent,
 )
 from charact.mtf.blur_models.transfer import moffat
-from charact.mtf.edge.fit.gauss_newton import linearise, transfer_and_jacobian
-from charact.mtf.edge.fit.model_fit import _flat
+from charact.mtf.edge.fit.model_fit import _flat, _linearise, _transfer_and_jacobian
 
 FREQUENCY = np.concatenate([[1e-5, 1e-3], np.linspace(0.01, 4.3, 60)])
 WIDES = (
@@ -86,13 +85,13 @@ def test_the_model_made_linear_moves_as_the_model_itself(seed):
     white, levels = rng.standard_normal((80, 60)), rng.standard_normal((3, 60))
     point, move = np.array([0.1, np.log(0.2), 1.4]), np.array([1e-4, -1e-4, 2e-4])
     data = 30.0 * (
-        transfer_and_jacobian(kind_of(family), point, 0.0, grid, fixed, tables())[0] @ white
+        _transfer_and_jacobian(kind_of(family), point, 0.0, grid, fixed, tables())[0] @ white
     ) + rng.standard_normal(60)
     prior = np.zeros(7), np.full(7, 1e-9)
 
     def at(where):
-        return linearise(
-            transfer_and_jacobian(kind_of(family), where, 0.0, grid, fixed, tables()),
+        return _linearise(
+            _transfer_and_jacobian(kind_of(family), where, 0.0, grid, fixed, tables()),
             where,
             white,
             levels,
@@ -100,7 +99,7 @@ def test_the_model_made_linear_moves_as_the_model_itself(seed):
             *prior,
         )
 
-    residual, design, amplitude, _, _ = at(point)
-    moved, _, other, _, _ = at(point + move)
+    _, _, _, residual, design, amplitude, _ = at(point)
+    _, _, _, moved, _, other, _ = at(point + move)
     foretold = residual - np.concatenate([move, other - amplitude]) @ design
     assert np.abs(moved - foretold).max() < 1e-3 * np.abs(moved - residual).max()

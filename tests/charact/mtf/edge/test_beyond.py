@@ -13,14 +13,14 @@ from charact.method import Context
 from charact.mtf.blur_models.one_dimensional import BlurModel, DiscComponent, ScatterComponent, UnresolvedGlareComponent
 from charact.mtf.edge import result as edge_result
 from charact.mtf.edge.fit import model_selection as edge_beyond
-from charact.mtf.edge.fit import model_selection as edge_forms
-from charact.mtf.edge.fit.model_fit import BlurModelFitter
+from charact.mtf.edge.fit.model_fit import EdgeFitter
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import known_transfer
 from charact.study.edge.scene import EdgeScene, TrueBlur
+from labdata.measurement import measurement_from_draws
 
 QUICK = Context(quick=True)
 PLAIN = EdgeScene(
@@ -32,7 +32,7 @@ PLAIN = EdgeScene(
 def odds_of(scene, seed):
     """Odds of a disc beyond a Gaussian fitted to a frame of a scene."""
     edge = prepare_edge(scene.frames_drawn(np.random.default_rng(seed)), None, QUICK)
-    fitter = BlurModelFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
+    fitter = EdgeFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
     fit = fitter.fit(BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
     (promise,) = edge_beyond.score_extended_components(
         fitter, fit, (DiscComponent(size_px=(6.0, 100.0)),), {EVEN_PER_PX: 0.0}
@@ -48,11 +48,11 @@ def test_odds_are_the_mean_likelihood_over_shares(wide, amplitude, precision):
     """By quadrature, at one size: the mean of the likelihood ratio over all shares that the light may have."""
     size = np.array([[40.0]])
     unit = float(wide.share_unit(size)[0, 0])
-    light = edge_beyond.ComponentFit(wide=wide, shapes=size, unit=np.array([unit]), change=np.zeros((1, 1)))
+    light = edge_beyond.TrialComponent(wide=wide, shapes=size, unit=np.array([unit]), change=np.zeros((1, 1)))
     ratio = lambda q: np.exp(precision * (amplitude * unit * q - 0.5 * (unit * q) ** 2))  # noqa: E731
     low, high = wide.fraction
     expected = quad(ratio, low, high, points=[np.clip(amplitude / unit, low, high)], limit=200)[0] / (high - low)
-    found = edge_beyond.ln_bayes_factor_of(light, np.array([amplitude]), np.array([precision]))
+    found = light.bayes_factor(np.array([amplitude]), np.array([precision]))
     assert found == pytest.approx(expected, rel=0.02)
 
 
@@ -77,7 +77,7 @@ def test_a_halo_that_noise_hides_stays_possible(monkeypatch):
     stack = case_of(cell, cell.scene.truth_mtf50, 14).drawn()
     reach = {}
     for odds in (THRESHOLDS.component_bayes_factor, np.inf):
-        monkeypatch.setattr(edge_forms, "THRESHOLDS", replace(THRESHOLDS, component_bayes_factor=odds))
+        monkeypatch.setattr(edge_beyond, "THRESHOLDS", replace(THRESHOLDS, component_bayes_factor=odds))
         found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
         beyond = sum(share for name, share in found.provenance.settings["forms"].items() if "+" in name)
         reach[odds] = found.interval95[1] - found.value
@@ -98,7 +98,7 @@ def test_a_halo_much_like_wings_is_not_ruled_out_by_evidence_alone(monkeypatch):
     stack = case_of(cell, truth, 16).drawn()
 
     def away(power, black_dn):
-        monkeypatch.setattr(edge_forms, "THRESHOLDS", replace(THRESHOLDS, evidence_power=power))
+        monkeypatch.setattr(edge_beyond, "THRESHOLDS", replace(THRESHOLDS, evidence_power=power))
         found = edge_parametric(replace(stack, black_level_dn=black_dn), context=QUICK).find("mtf50")[0]
         return (truth - found.value) / (found.interval95[1] - found.value)
 
@@ -118,7 +118,7 @@ def test_a_halo_and_light_that_slopes_do_not_hide_each_other(monkeypatch):
     stack = case_of(cell, truth, 14).drawn()
     away = {}
     for least in (THRESHOLDS.component_in_gradient_chi2, np.inf):
-        monkeypatch.setattr(edge_forms, "THRESHOLDS", replace(THRESHOLDS, component_in_gradient_chi2=least))
+        monkeypatch.setattr(edge_beyond, "THRESHOLDS", replace(THRESHOLDS, component_in_gradient_chi2=least))
         found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
         assert found.status == "ok"
         away[least] = (found.value - truth) / (found.value - found.interval95[0])
@@ -131,7 +131,7 @@ def test_what_a_fit_would_be_in_other_light_is_about_what_it_becomes(seed):
     """Slopes are linear in the model: their prior may change with the point as it is, and no fit."""
     stack = replace(PLAIN, snr=40.0, gradient=0.1).frames_drawn(np.random.default_rng(seed))
     edge = prepare_edge(stack, None, QUICK)
-    fitter = BlurModelFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
+    fitter = EdgeFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
     even = fitter.fit(BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
     told = fitter.under(even, UNEVEN_PER_PX)
     fitted = fitter.fit(even.family, even.point, UNEVEN_PER_PX)
@@ -157,22 +157,10 @@ def test_wings_stay_possible_beside_a_gaussian_that_noise_cannot_tell_from_them(
     )
 
 
-def test_forms_are_weighed_by_their_evidence_to_a_power():
-    """Odds of e^3 and e in evidence count as those to the power given; what is less than a fiftieth counts nothing."""
-    edge = prepare_edge(replace(PLAIN, snr=20.0).frames_drawn(np.random.default_rng(1)), None, QUICK)
-    fitter = BlurModelFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
-    core = fitter.fit(BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
-    fits = [replace(core, log_evidence=core.log_evidence - less) for less in (3.0, 0.0, 1.0, 9.0)]
-    best, second, third = edge_forms._weight_by_evidence(fits)
-    assert best.fit is fits[1]
-    assert best.share / second.share == pytest.approx(np.exp(THRESHOLDS.evidence_power))
-    assert best.share / third.share == pytest.approx(np.exp(3.0 * THRESHOLDS.evidence_power))
-
-
 def test_what_stands_for_all_that_cannot_be_told_weighs_as_much_as_all_of_it():
     """The likeliest of three kinds is fitted, with the odds of all three; one that the edge tells is fitted besides."""
     edge = prepare_edge(replace(PLAIN, snr=3.0).frames_drawn(np.random.default_rng(1)), None, QUICK)
-    fitter = BlurModelFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
+    fitter = EdgeFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
     core = fitter.fit(BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
     kinds = (
         DiscComponent(size_px=(6.0, 60.0)),
@@ -184,7 +172,7 @@ def test_what_stands_for_all_that_cannot_be_told_weighs_as_much_as_all_of_it():
         replace(one, odds=odds, gains=np.array([gain]))
         for one, odds, gain in zip(found, (0.6, 0.9, 5.0), (1.0, 2.0, 30.0), strict=True)
     ]
-    worth = edge_forms._components_worth_fitting(promised)
+    worth = edge_beyond._components_worth_fitting(promised)
     assert [one.wide for one in worth] == [kinds[2], kinds[1]]
     assert np.exp([one.ln_weight for one in worth]) == pytest.approx([1 / 3, 1.5 / 0.9 / 3])
     fit = edge_beyond.fit_extended_component(fitter, worth[1], np.inf)
@@ -205,11 +193,17 @@ def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_n
     assert curve.interval95[:, column] == pytest.approx(wide)
 
 
+def finished(quantity, draws):
+    """A measurement of draws with its margins."""
+    unit = "1" if quantity == "mtf" else "cy/px"
+    return edge_result._finish(measurement_from_draws(quantity, unit, draws, method="edge-parametric"), draws)
+
+
 @pytest.mark.parametrize("deviation", [0.01, 0.05, 0.13])
 def test_the_value_is_the_most_probable_frequency(deviation):
     """Reference: where the density of draws that are normal in ln f is highest; the 68 % interval stays theirs."""
     draws = 0.2 * np.exp(deviation * ndtri((np.arange(4001) + 0.5) / 4001))
-    found = edge_result._crossing_frequency("mtf50", 0.5, draws, None, {"method": "edge-parametric"})
+    found = finished("mtf50", draws)
     grid = np.linspace(0.1, 0.3, 20001)
     density = lognorm.pdf(grid, deviation, scale=0.2)
     assert found.value == pytest.approx(grid[np.argmax(density)], rel=0.03 * deviation**2 + 1e-4)
@@ -217,8 +211,7 @@ def test_the_value_is_the_most_probable_frequency(deviation):
 
 
 def test_a_value_stays_inside_its_68_percent_interval():
-    draws = np.random.default_rng(0).uniform(0.01, 0.5, 4000)
-    found = edge_result._crossing_frequency("mtf50", 0.5, draws, None, {"method": "edge-parametric"})
+    found = finished("mtf50", np.random.default_rng(0).uniform(0.01, 0.5, 4000))
     assert found.interval68[0] <= found.value <= found.interval68[1]
     assert "low-signal" in found.flags
 
@@ -226,11 +219,9 @@ def test_a_value_stays_inside_its_68_percent_interval():
 def test_a_frequency_known_to_a_tenth_may_lie_further_up_than_down_and_a_modulus_either_way():
     """By 3 % and its relative error down, three times that up; a modulus by twice its relative error."""
     draws = 0.2 * (1.0 + 0.1 * ndtri((np.arange(2001) + 0.5) / 2001))
-    common = {"method": "edge-parametric"}
     reach = 1.959964 * 0.02
-    frequency = edge_result._crossing_frequency("mtf50", 0.5, draws, None, common)
+    frequency, modulus = finished("mtf50", draws), finished("mtf", draws)
     assert frequency.interval95 == pytest.approx((0.2 - 1.129 * reach, 0.2 + 1.328 * reach), rel=2e-3)
-    modulus = edge_result._mtf_at(0.1, draws, common)
     assert modulus.interval95 == pytest.approx((0.2 - 1.229 * reach, 0.2 + 1.229 * reach), rel=2e-3)
 
 

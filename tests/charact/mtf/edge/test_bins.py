@@ -8,8 +8,8 @@ import pytest
 from charact.method import Context
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.pixels import profile
-from charact.mtf.edge.pixels.bins import coarsen
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
+from charact.mtf.edge.pixels.profile import coarsen
 from charact.mtf.edge.thresholds import THRESHOLDS
 from charact.study.edge.scene import EdgeScene, TrueBlur
 

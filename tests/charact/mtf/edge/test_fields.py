@@ -7,7 +7,7 @@ import pytest
 
 from charact.method import Context
 from charact.mtf.edge import checks
-from charact.mtf.edge.gradient import edge_gradient
+from charact.mtf.edge.conventional import edge_gradient
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
 from charact.study.edge.scene import EdgeScene, TrueBlur
@@ -97,10 +97,10 @@ def test_motion_of_lines_along_the_edge_is_told_in_every_drawing(angle_deg, seed
         _, stack = drawn(angle_deg, 3.0, 10 * seed + number, snr=20.0, noise_blur_px=0.9, offset_px=offset_px)
         edge = prepare_edge(stack, None, Context(quick=True), quickly=True)
         assert isinstance(edge, PreparedEdge)
-        apart_px, error_px = checks._column_field_displacement(edge.picture, edge.profile)
+        apart_px, error_px = checks._field_displacement(edge)
         # The mean profile is smeared over both places, and its slope a fifth off.
         assert 0.8 * across - 5.0 * error_px < abs(apart_px) < 1.25 * across + 5.0 * error_px
-        assert "interlace-motion" in checks.line_flags(edge.picture, edge.rows, edge.profile)
+        assert "interlace-motion" in checks.edge_flags(edge, 0.2, Context(), lambda _: False)
 
 
 @pytest.mark.parametrize("angle_deg", [93.0, 251.6])
@@ -111,7 +111,7 @@ def test_lines_along_an_edge_at_rest_scatter_as_noise_lets_them(angle_deg, seed)
         _, stack = drawn(angle_deg, 0.0, 100 * seed + number, snr=20.0, offset_px=offset_px)
         edge = prepare_edge(stack, None, Context(quick=True), quickly=True)
         assert isinstance(edge, PreparedEdge)
-        apart_px, error_px = checks._column_field_displacement(edge.picture, edge.profile)
+        apart_px, error_px = checks._field_displacement(edge)
         away.append(apart_px / error_px)
     # The root mean square of sixty is known to a tenth.
     assert np.sqrt(np.mean(np.square(away))) == pytest.approx(1.0, abs=0.45)

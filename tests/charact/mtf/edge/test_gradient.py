@@ -8,7 +8,6 @@ from benchmarks.studies.edge_coverage import measure_mixed_scene
 from benchmarks.studies.edge_peers import answers
 from charact import mtf
 from charact.method import Context
-from charact.mtf.edge import gradient as edge_gradient
 from labdata.frames import FrameStack
 
 QUICK = Context(quick=True)
@@ -36,20 +35,6 @@ def test_light_outside_the_window_of_the_blur_counts():
     form = lambda f: np.exp(-((f / 0.25) ** 1.1))  # noqa: E731
     found = measured(1000.0 + 2000.0 * edges.frame_of(form, 128, 128, angle_deg=5.0)).find("mtf50")[0]
     assert found.value == pytest.approx(edges.level_of(form, 5.0), rel=0.012)
-
-
-@pytest.mark.parametrize("pitch_ratio", [1.0, 1.3])
-@pytest.mark.parametrize("frequency", [0.1, 0.3, 0.45, 0.7])
-def test_differences_pass_of_a_wave_what_is_divided_out(frequency, pitch_ratio):
-    """The slopes of a plane wave along the normal have the amplitude 2 pi f times what the differences pass."""
-    angle = np.deg2rad(9.0)
-    row, col = np.mgrid[:60, :60]
-    normal = np.cos(angle) * col - np.sin(angle) * row * pitch_ratio
-    wave = np.exp(2j * np.pi * frequency * normal)
-    slope = [edge_gradient._along_normal(part, angle, pitch_ratio) for part in (wave.real, wave.imag)]
-    passed = edge_gradient._transfer_of_differences(np.array([0.0, frequency]), angle, pitch_ratio)[1]
-    cells = np.sinc(frequency / edge_gradient.OVERSAMPLING)
-    assert np.abs(np.hypot(*slope) / (2 * np.pi * frequency) * cells - passed).max() < 1e-12
 
 
 def test_it_stands_noise_better_than_a_differentiated_profile(seed):

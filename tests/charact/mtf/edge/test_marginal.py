@@ -6,8 +6,8 @@ from scipy.stats import multivariate_normal
 
 from charact.method import Context
 from charact.mtf.blur_models.one_dimensional import BlurModel
-from charact.mtf.edge.fit.model_fit import BLOCK, BlurModelFitter, EdgeMaps
-from charact.mtf.edge.fit.sufficient_statistics import Marginal, apply_phases
+from charact.mtf.edge.fit.edge_maps import EdgeMaps, Marginal, apply_phases
+from charact.mtf.edge.fit.model_fit import BLOCK, EdgeFitter, form_of
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
 from charact.mtf.known_transfer import known_transfer
 from charact.study.edge.scene import EdgeScene
@@ -35,34 +35,27 @@ def test_step_level_and_slopes_are_marginalised(slope_sd, seed):
     assert np.ptp(found) > 1.0
 
 
-def test_the_best_step_is_that_of_least_squares(seed):
-    """Priors as further rows of the equations, solved by numpy."""
-    rng = np.random.default_rng(seed)
-    white, stacked = rng.standard_normal((10, 30)), rng.standard_normal((4, 10))
-    levels, data, precision = rng.standard_normal((3, 30)), rng.standard_normal(30), np.array([0.0, 2.0, 50.0])
-    steps, left = Marginal(white, levels, data, precision, 1.0).amplitude(stacked)
-    for one, step, chi2 in zip(stacked, steps, left, strict=True):
-        design = np.concatenate([(one @ white)[:, None], levels.T], axis=1)
-        rows = np.concatenate([design, np.diag([0.0, *np.sqrt(precision)])])
-        amplitude, residual, *_ = np.linalg.lstsq(rows, np.concatenate([data, np.zeros(4)]), rcond=None)
-        assert (step, chi2) == pytest.approx((amplitude[0], residual[0]))
-
-
 def test_maps_made_elsewhere_tell_the_same(seed):
     """The likelihood of a place of the edge does not hang on the shift around which the maps are made."""
     maps = EdgeMaps(*_profile_and_optics(seed))
     modulus = np.exp(-((maps.grid / 0.3) ** 2))[None].repeat(5, axis=0)
     shifts, free = np.linspace(0.1, 0.5, 5), np.array([0.0, 0.01, 0.01])
-    here = maps.likelihood(free)(modulus, shifts)
+
+    def likelihood():
+        turns = np.multiply.outer(shifts - maps.centre_px, maps.grid)
+        marginal = Marginal(maps.white, maps.levels, maps.data, free, maps.profile.step)
+        return marginal.log_likelihood(apply_phases(modulus, turns, maps.fixed))
+
+    here = likelihood()
     maps.rebuild_for(0.4)
     assert np.ptp(here) > 100.0
-    assert maps.likelihood(free)(modulus, shifts) == pytest.approx(here, abs=1e-3 * np.ptp(here))
+    assert likelihood() == pytest.approx(here, abs=1e-3 * np.ptp(here))
 
 
 def test_points_asked_together_are_as_probable_as_each_alone(seed):
     """None, one, and more than stay in the processor's cache."""
-    fitter, family = BlurModelFitter(*_profile_and_optics(seed)), BlurModel(core="exponential")
-    log_probability = fitter.log_probability(family, 1e-4)
+    fitter, family = EdgeFitter(*_profile_and_optics(seed)), BlurModel(core="exponential")
+    log_probability = fitter.log_probability(form_of(family), 1e-4)
     points = np.array([0.0, np.log(0.3), 1.8]) + 0.05 * np.random.default_rng(seed).standard_normal((2 * BLOCK + 3, 3))
     together = log_probability(points)
     assert log_probability(points[:0]).shape == (0,)

@@ -130,16 +130,6 @@ def test_a_curvature_is_told_where_it_is_sure_and_moves_more_than_the_interval(c
     assert edge_response.response_flags((curvature, error), 0.8, deviation) == (("gamma",) if told else ())
 
 
-@pytest.mark.parametrize(
-    ("error", "deviation", "said"),
-    [(0.2, 0.008, "3.6 %"), (0.9, 0.008, "5.8 %"), (0.2, 0.012, "3.6 %"), (0.2, 0.03, None), (0.05, 0.008, None)],
-    ids=["hidden", "as far as seen", "three errors", "covered by the errors", "would show"],
-)
-def test_what_a_hidden_curvature_may_do_is_noted(error, deviation, said):
-    notes = edge_response.notes_on_undetected_nonlinearity((0.1, error), 0.5, deviation)
-    assert [said in note for note in notes] == ([] if said is None else [True])
-
-
 @pytest.mark.parametrize(("shot_share", "said"), [(0.0, True), (0.95, False)], ids=["even noise", "photons' noise"])
 def test_noise_of_photons_takes_away_the_doubt_about_the_response(shot_share, said, seed):
     """Wings that hide a curvature of 0.3: noise that grows as the light does is the only witness."""

@@ -7,7 +7,7 @@ import pytest
 
 from charact.method import Context
 from charact.mtf.edge.parametric import edge_parametric
-from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX, uneven_light
+from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX, illumination_gradient
 from charact.mtf.edge.thresholds import THRESHOLDS
 from charact.mtf.nonlinearity import usable_black_level
 from charact.study.edge.scene import EdgeScene, TrueBlur
@@ -19,7 +19,7 @@ DARK, BRIGHT, BLACK = 900.0, 2400.0, 200.0
 @pytest.mark.parametrize("share_per_px", [-3e-3, 2e-4])
 def test_one_light_on_both_sides_slopes_in_the_first_way_alone(share_per_px):
     """Light that gains a share per pixel makes ramps of that share of either level over black."""
-    light = uneven_light(DARK, BRIGHT, BLACK)
+    light = illumination_gradient(DARK, BRIGHT, BLACK)
     ramp = share_per_px * np.where(DISTANCE > 0, (BRIGHT - BLACK) * DISTANCE, (DARK - BLACK) * DISTANCE)
     level, together, apart = np.linalg.lstsq(light.levels(DISTANCE), 500.0 + ramp, rcond=None)[0]
     assert level == pytest.approx(500.0, rel=1e-12)
@@ -30,7 +30,7 @@ def test_one_light_on_both_sides_slopes_in_the_first_way_alone(share_per_px):
 
 def test_the_bright_side_slopes_as_much_as_asked_and_the_dark_one_with_it():
     """Under the prior: the sides' deviations, and a correlation that leaves stray light some room."""
-    light = uneven_light(DARK, BRIGHT, BLACK)
+    light = illumination_gradient(DARK, BRIGHT, BLACK)
     variance = light.slopes_sd(UNEVEN_PER_PX) ** 2
     covariance = light.ways.T @ np.diag(variance) @ light.ways
     ratio = (DARK - BLACK) / (BRIGHT - BLACK)
@@ -43,7 +43,7 @@ def test_the_bright_side_slopes_as_much_as_asked_and_the_dark_one_with_it():
 @pytest.mark.parametrize("black_dn", [None, 2500.0])
 def test_without_a_black_each_side_slopes_by_itself(black_dn):
     """No black, or one above the light: no share of what a side gets can be told."""
-    light = uneven_light(DARK, BRIGHT, black_dn)
+    light = illumination_gradient(DARK, BRIGHT, black_dn)
     assert np.array_equal(light.ways, np.eye(2))
     assert np.array_equal(light.slopes_sd(UNEVEN_PER_PX), [UNEVEN_PER_PX, UNEVEN_PER_PX])
 
@@ -57,7 +57,7 @@ def test_a_black_well_above_the_dark_side_is_none(black_dn, believed):
 
 
 def test_a_dark_side_without_light_hardly_slopes():
-    light = uneven_light(BLACK - 1.0, BRIGHT, BLACK)
+    light = illumination_gradient(BLACK - 1.0, BRIGHT, BLACK)
     assert np.array_equal(light.ways, np.eye(2))
     assert light.slopes_sd(UNEVEN_PER_PX)[1] == pytest.approx(THRESHOLDS.gradient_asymmetry * UNEVEN_PER_PX)
     assert light.slopes_sd(EVEN_PER_PX) == pytest.approx([EVEN_PER_PX, EVEN_PER_PX])
