@@ -52,9 +52,9 @@ class Camera(Protocol):
 class FrameLevels:
     """Levels of a frame."""
 
-    mean: float  # Mean pixel value, fraction of full scale
-    saturated: float  # Fraction of pixels at full scale
-    allowed: float = 0.0  # Fraction allowed by its step
+    mean: float  #: Mean pixel value, fraction of full scale
+    saturated: float  #: Fraction of pixels at full scale
+    allowed: float = 0.0  #: Fraction allowed by its step
 
     @classmethod
     def of(cls, pixels: NDArray, full_scale_dn: float, *, allowed: float = 0.0) -> "FrameLevels":

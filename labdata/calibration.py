@@ -19,11 +19,11 @@ class RisingTable:
     uncertainty of the interpolation, which is added to that of the calibration in quadrature.
     """
 
-    of: str  # Name of the table in messages, such as "gain table"
-    names: tuple[str, str]  # Names of the two columns, with their units
-    first: tuple[float, ...]  # The columns
-    second: tuple[float, ...]  # The columns
-    relative_sd: tuple[float, ...]  # Relative standard uncertainty of the second column, dimensionless
+    of: str  #: Name of the table in messages, such as "gain table"
+    names: tuple[str, str]  #: Names of the two columns, with their units
+    first: tuple[float, ...]  #: The columns
+    second: tuple[float, ...]  #: The columns
+    relative_sd: tuple[float, ...]  #: Relative standard uncertainty of the second column, dimensionless
 
     def __post_init__(self) -> None:
         columns = (self.first, self.second, self.relative_sd)
@@ -81,23 +81,23 @@ SETTABLE_A = 1e-3  # Current step that every LED driver can set, A
 class LampSetting:
     """Lamp and filter setting of one illuminance."""
 
-    current_a: float  # Current through the lamp, A
-    position: int  # Position of the filter wheel, counted from 1
-    read: Conditions  # Resulting light: illuminance with uncertainty, filter and current
+    current_a: float  #: Current through the lamp, A
+    position: int  #: Position of the filter wheel, counted from 1
+    read: Conditions  #: Resulting light: illuminance with uncertainty, filter and current
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampCalibration:
     """Calibration of the lamp and its filters, E = E0(I) 10^-D; a table that does not rise is BadInput."""
 
-    source: str  # Origin of the calibration: who measured it, how and when
-    current_a: tuple[float, ...]  # Currents through the lamp, A, increasing
-    illuminance_lux: tuple[float, ...]  # Illuminance on the photocathode at each, without filter, lux, increasing
-    relative_sd: tuple[float, ...]  # Relative standard uncertainty of each illuminance, dimensionless
-    # Optical densities of the filters by wheel position; a bench without a wheel has the single density of its fixed
-    # filter
+    source: str  #: Origin of the calibration: who measured it, how and when
+    current_a: tuple[float, ...]  #: Currents through the lamp, A, increasing
+    illuminance_lux: tuple[float, ...]  #: Illuminance on the photocathode at each, without filter, lux, increasing
+    relative_sd: tuple[float, ...]  #: Relative standard uncertainty of each illuminance, dimensionless
+    #: Optical densities of the filters by wheel position; a bench without a wheel has the single density of its fixed
+    #: filter
     filter_density: tuple[float, ...] = (0.0,)
-    filter_density_sd: float = 0.0  # Standard uncertainty of a density that is not 0
+    filter_density_sd: float = 0.0  #: Standard uncertainty of a density that is not 0
 
     def __post_init__(self) -> None:
         if not self.source.strip():
@@ -183,11 +183,11 @@ class GainTable:
     `RisingTable`.
     """
 
-    source: str  # Origin of the calibration: who measured it, how and when
-    tube: str | None = None  # Name of the tube; None: not stated
-    mcp_v: tuple[float, ...]  # Voltages across the MCP, V, increasing
-    luminous_gain: tuple[float, ...]  # Luminous gain at each, lm/lm or in the unit of the calibration, increasing
-    relative_sd: tuple[float, ...]  # Relative standard uncertainty of each gain, dimensionless
+    source: str  #: Origin of the calibration: who measured it, how and when
+    tube: str | None = None  #: Name of the tube; None: not stated
+    mcp_v: tuple[float, ...]  #: Voltages across the MCP, V, increasing
+    luminous_gain: tuple[float, ...]  #: Luminous gain at each, lm/lm or in the unit of the calibration, increasing
+    relative_sd: tuple[float, ...]  #: Relative standard uncertainty of each gain, dimensionless
 
     def __post_init__(self) -> None:
         if not self.source.strip():

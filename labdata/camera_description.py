@@ -15,11 +15,11 @@ Standing = Literal["sheet", "default", "derived", "fitted", "prior"]
 class Parameter:
     """One number of a sensor description; its unit is in the name of the field that holds it."""
 
-    value: float  # Best value
-    low: float | None = None  # 95 % bounds; both None where the number is exact by construction
-    high: float | None = None  # 95 % bounds; both None where the number is exact by construction
-    standing: Standing = "default"  # Basis of the value, see `Standing`
-    source: str = ""  # Source, as text
+    value: float  #: Best value
+    low: float | None = None  #: 95 % bounds; both None where the number is exact by construction
+    high: float | None = None  #: 95 % bounds; both None where the number is exact by construction
+    standing: Standing = "default"  #: Basis of the value, see `Standing`
+    source: str = ""  #: Source, as text
 
     def __post_init__(self) -> None:
         check(self, of=" of a parameter", finite="value low high")

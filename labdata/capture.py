@@ -31,17 +31,17 @@ FieldOrder = Literal["progressive", "top first", "bottom first", "top only", "bo
 class CameraSettings:
     """Settings of a camera; None leaves a setting as it is."""
 
-    rows: int | None = None  # Size of the image, px
-    columns: int | None = None  # Size of the image, px
-    first_row: int | None = None  # First row and column of the image on the sensor, px
-    first_column: int | None = None  # First row and column of the image on the sensor, px
-    pixel_format: str | None = None  # A name of `PIXEL_BITS`, such as "Mono8" or "Mono16"
-    exposure_s: float | None = None  # Exposure of one field or frame, s
-    gain_db: float | None = None  # Camera gain, dB (of a camera with a raw gain: its own steps)
-    frame_rate_hz: float | None = None  # Frames per second, Hz
-    trigger: str | None = None  # "off": free-running; else the camera's name of the trigger source, such as "Line1"
-    field_order: FieldOrder | None = None  # Order of the two fields of a frame
-    notes: tuple[str, ...] = ()  # Remarks of the camera on its frames; read back, never set
+    rows: int | None = None  #: Size of the image, px
+    columns: int | None = None  #: Size of the image, px
+    first_row: int | None = None  #: First row and column of the image on the sensor, px
+    first_column: int | None = None  #: First row and column of the image on the sensor, px
+    pixel_format: str | None = None  #: A name of `PIXEL_BITS`, such as "Mono8" or "Mono16"
+    exposure_s: float | None = None  #: Exposure of one field or frame, s
+    gain_db: float | None = None  #: Camera gain, dB (of a camera with a raw gain: its own steps)
+    frame_rate_hz: float | None = None  #: Frames per second, Hz
+    trigger: str | None = None  #: "off": free-running; else the camera's name of the trigger source, such as "Line1"
+    field_order: FieldOrder | None = None  #: Order of the two fields of a frame
+    notes: tuple[str, ...] = ()  #: Remarks of the camera on its frames; read back, never set
 
     def __post_init__(self) -> None:
         positive, not_negative = "rows columns exposure_s frame_rate_hz", "first_row first_column"
@@ -52,10 +52,10 @@ class CameraSettings:
 class Frame:
     """One complete frame as sent by the camera."""
 
-    pixels: NDArray  # Pixel values, shape (row, col), DN. Made read-only
-    number: int  # The camera's own running number; a gap is a lost frame
-    time_s: float  # The camera's own time stamp, s
-    field_order: FieldOrder | None = None  # Order of its two fields; None where the camera does not report it
+    pixels: NDArray  #: Pixel values, shape (row, col), DN. Made read-only
+    number: int  #: The camera's own running number; a gap is a lost frame
+    time_s: float  #: The camera's own time stamp, s
+    field_order: FieldOrder | None = None  #: Order of its two fields; None where the camera does not report it
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", read_only(self.pixels))
@@ -65,9 +65,9 @@ class Frame:
 class LostFrames:
     """Consecutive frames that the camera numbered and that were not recorded."""
 
-    first: int  # The camera's numbers of the first and the last of them
-    last: int  # The camera's numbers of the first and the last of them
-    reason: str  # Cause, such as "missing packets"
+    first: int  #: The camera's numbers of the first and the last of them
+    last: int  #: The camera's numbers of the first and the last of them
+    reason: str  #: Cause, such as "missing packets"
 
     def __post_init__(self) -> None:
         if self.last < self.first:

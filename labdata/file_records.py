@@ -37,32 +37,32 @@ MOST_STEPS = 20_000  # Largest number of steps of a plan; more are an error of i
 class SweepRecord:
     """One [[sweep]] of a plan file: every combination of the settings that are lists, nested in the order of `AXES`."""
 
-    kind: Kind  # Kind of target
-    frames: int  # Number of frames per stack
-    # Prefix of every label; the varied values and the number of the repeat follow. Default: the kind
+    kind: Kind  #: Kind of target
+    frames: int  #: Number of frames per stack
+    #: Prefix of every label; the varied values and the number of the repeat follow. Default: the kind
     label: str | None = None
-    target: Target | tuple[Target, ...] = field(default_factory=Target)  # The target, or several
-    mcp_v: Numbers | None = None  # Voltage across the MCP, V; one or several
-    # Luminous gain, lm/lm, converted to volts by the gain table of the plan or its sensor; one or several
+    target: Target | tuple[Target, ...] = field(default_factory=Target)  #: The target, or several
+    mcp_v: Numbers | None = None  #: Voltage across the MCP, V; one or several
+    #: Luminous gain, lm/lm, converted to volts by the gain table of the plan or its sensor; one or several
     luminous_gain: Numbers | None = None
-    gate_ns: Numbers | None = None  # Gate, ns; one or several
-    exposure_s: Numbers | None = None  # Exposure, s; one or several
-    camera_gain_db: Numbers | None = None  # Camera gain, dB; one or several
-    filter_density: Numbers | None = None  # Optical density of the neutral filter in front of the lamp; one or several
-    illuminance_lux: Numbers | None = None  # Light, lux; one or several
-    illuminance_relative_sd: float | None = None  # Relative standard uncertainty of the light
-    repeats: int = 1  # Number of passes through the sweep
-    # "as-written": order of the lists, the last axis fastest. "boustrophedon": every inner list alternately forwards
-    # and backwards, so that no setting jumps. "randomised": every repeat shuffled separately
+    gate_ns: Numbers | None = None  #: Gate, ns; one or several
+    exposure_s: Numbers | None = None  #: Exposure, s; one or several
+    camera_gain_db: Numbers | None = None  #: Camera gain, dB; one or several
+    filter_density: Numbers | None = None  #: Optical density of the neutral filter in front of the lamp; one or several
+    illuminance_lux: Numbers | None = None  #: Light, lux; one or several
+    illuminance_relative_sd: float | None = None  #: Relative standard uncertainty of the light
+    repeats: int = 1  #: Number of passes through the sweep
+    #: "as-written": order of the lists, the last axis fastest. "boustrophedon": every inner list alternately forwards
+    #: and backwards, so that no setting jumps. "randomised": every repeat shuffled separately
     order: Order = "as-written"
-    seed: int = 0  # Seed of the shuffle
-    # Number of stacks between darks, with one before the first and one after the last stack, at the settings of the
-    # adjacent stack; 0: no darks
+    seed: int = 0  #: Seed of the shuffle
+    #: Number of stacks between darks, with one before the first and one after the last stack, at the settings of the
+    #: adjacent stack; 0: no darks
     dark_every: int = 0
-    dark_frames: int | None = None  # Frames per dark; None: as many as per stack
-    # Criterion to stop each stack but the darks before it has all its frames; None: no criterion
+    dark_frames: int | None = None  #: Frames per dark; None: as many as per stack
+    #: Criterion to stop each stack but the darks before it has all its frames; None: no criterion
     until: StopCriterion | None = None
-    # Fraction of a frame's pixels that may be saturated in each stack but the darks
+    #: Fraction of a frame's pixels that may be saturated in each stack but the darks
     saturated_fraction: float | None = None
 
     def __post_init__(self) -> None:
@@ -179,45 +179,45 @@ def _flat(conditions: Conditions) -> dict[str, Any]:
 class StackRecord(Conditions):
     """One [[stack]] of a session file; its conditions are keys of the same table."""
 
-    label: str  # Name of the stack, unique in the session
-    kind: Kind  # Kind of target
-    frames: str | tuple[str, ...]  # File or files of the frames, or a Zarr array, relative to the session's folder
-    axis: str | None = None  # Number (from 0) or name of the frame axis of the files; by default the first
-    plane: str | None = None  # Plane to read of colour images, mosaics and files with more axes
-    asked: Conditions | None = None  # Requested conditions, where they differ from those in force
-    target: Target = field(default_factory=Target)  # Target in front of the camera
-    finished: bool | None = None  # False while the stack is being acquired, and after an interrupted acquisition
-    lost_frames: int | None = None  # Number of frames that the camera numbered and that were not recorded
-    lost: tuple[LostFrames, ...] = ()  # Their numbers and causes, where known
-    # Reason to doubt its frames, such as a bench that went to the safe state while they were acquired
+    label: str  #: Name of the stack, unique in the session
+    kind: Kind  #: Kind of target
+    frames: str | tuple[str, ...]  #: File or files of the frames, or a Zarr array, relative to the session's folder
+    axis: str | None = None  #: Number (from 0) or name of the frame axis of the files; by default the first
+    plane: str | None = None  #: Plane to read of colour images, mosaics and files with more axes
+    asked: Conditions | None = None  #: Requested conditions, where they differ from those in force
+    target: Target = field(default_factory=Target)  #: Target in front of the camera
+    finished: bool | None = None  #: False while the stack is being acquired, and after an interrupted acquisition
+    lost_frames: int | None = None  #: Number of frames that the camera numbered and that were not recorded
+    lost: tuple[LostFrames, ...] = ()  #: Their numbers and causes, where known
+    #: Reason to doubt its frames, such as a bench that went to the safe state while they were acquired
     doubt: str | None = None
-    notes: tuple[str, ...] = ()  # Remarks
+    notes: tuple[str, ...] = ()  #: Remarks
 
 
 @dataclass(frozen=True, kw_only=True)
 class SessionFile:
     """A session file, session.toml."""
 
-    name: str  # Name of the session
-    # Name of a shipped sensor description, or the path of one relative to the session's folder
+    name: str  #: Name of the session
+    #: Name of a shipped sensor description, or the path of one relative to the session's folder
     sensor: str | None = None
-    bit_depth: int | None = None  # Bits of the digitiser; full scale is 2^bits - 1
-    interlaced: bool | None = None  # Whether the two fields of a frame were exposed one after the other
-    notes: tuple[str, ...] = ()  # Remarks
-    stack: tuple[StackRecord, ...] = ()  # The stacks
+    bit_depth: int | None = None  #: Bits of the digitiser; full scale is 2^bits - 1
+    interlaced: bool | None = None  #: Whether the two fields of a frame were exposed one after the other
+    notes: tuple[str, ...] = ()  #: Remarks
+    stack: tuple[StackRecord, ...] = ()  #: The stacks
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepRecord(Conditions):
     """One [[step]] of a plan file; the requested conditions are keys of the same table."""
 
-    label: str  # Label of the stack to acquire, unique in the plan
-    kind: Kind  # Kind of target
-    frames: int  # Number of frames to acquire; with `until`, the largest number
-    target: Target = field(default_factory=Target)  # The target, with the keys of its kind
-    until: StopCriterion | None = None  # Criterion to stop before all frames are acquired
-    search: SaturationSearch | None = None  # A search for the light that saturates; it starts at the step's own light
-    saturated_fraction: float | None = None  # Fraction of a frame's pixels that may be saturated
+    label: str  #: Label of the stack to acquire, unique in the plan
+    kind: Kind  #: Kind of target
+    frames: int  #: Number of frames to acquire; with `until`, the largest number
+    target: Target = field(default_factory=Target)  #: The target, with the keys of its kind
+    until: StopCriterion | None = None  #: Criterion to stop before all frames are acquired
+    search: SaturationSearch | None = None  #: A search for the light that saturates; it starts at the step's own light
+    saturated_fraction: float | None = None  #: Fraction of a frame's pixels that may be saturated
 
     def step(self) -> Step:
         """Return the step that this table describes."""
@@ -228,13 +228,13 @@ class StepRecord(Conditions):
 class PlanFile(PlanHead):
     """A plan file."""
 
-    override: tuple[Override, ...] = ()  # Overridden limits of the tube, with reasons
-    # Gain calibration of the tube, needed for steps with a luminous gain, or the path of its TOML file
+    override: tuple[Override, ...] = ()  #: Overridden limits of the tube, with reasons
+    #: Gain calibration of the tube, needed for steps with a luminous gain, or the path of its TOML file
     gain_table: GainTable | str | None = None
-    # Calibration of the light source and its filters, or the path of its TOML file
+    #: Calibration of the light source and its filters, or the path of its TOML file
     lamp: LampCalibration | str | None = None
-    step: tuple[StepRecord, ...] = ()  # The stacks to acquire, in order
-    sweep: tuple[SweepRecord, ...] = ()  # Series of stacks, acquired after the single steps, in order
+    step: tuple[StepRecord, ...] = ()  #: The stacks to acquire, in order
+    sweep: tuple[SweepRecord, ...] = ()  #: Series of stacks, acquired after the single steps, in order
 
     def built(self) -> Plan:
         """Return the plan that this file describes."""

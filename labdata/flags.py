@@ -45,9 +45,9 @@ FLAGS: dict[str, str] = {
 class Finding:
     """What a check found in the data."""
 
-    flag: str  # A key of `FLAGS`
-    effect: str  # Size of the effect, with quantity and unit: "MTF50 may be up to 1.3 % high"
-    remedy: str  # Option, frames or description that removes it: "--black-dn, or darks in the session"
+    flag: str  #: A key of `FLAGS`
+    effect: str  #: Size of the effect, with quantity and unit: "MTF50 may be up to 1.3 % high"
+    remedy: str  #: Option, frames or description that removes it: "--black-dn, or darks in the session"
 
     def __post_init__(self) -> None:
         ordered_flags((self.flag,))

@@ -30,20 +30,20 @@ def blocks(data: NDArray) -> Iterator[NDArray]:
 class FrameStack:
     """A stack of frames taken under one set of conditions; empty ones, or pixels that are not finite, are BadInput."""
 
-    data: NDArray  # Pixel values, shape (frame, row, col), DN (or another unit, see `unit`). Made read-only
-    unit: str = "DN"  # Unit of the pixel values
-    # Time stamp of each frame, shape (frame,), s; empty if unknown
+    data: NDArray  #: Pixel values, shape (frame, row, col), DN (or another unit, see `unit`). Made read-only
+    unit: str = "DN"  #: Unit of the pixel values
+    #: Time stamp of each frame, shape (frame,), s; empty if unknown
     time_s: NDArray = field(default_factory=lambda: np.empty(0))
-    # The camera's own number of each frame, shape (frame,); empty if unknown
+    #: The camera's own number of each frame, shape (frame,); empty if unknown
     frame_number: NDArray = field(default_factory=lambda: np.empty(0, np.int64))
-    lost_frames: int = 0  # Frames numbered by the camera that never arrived
-    # Black level recorded with the frames, DN; None if unknown. Never subtracted on reading
+    lost_frames: int = 0  #: Frames numbered by the camera that never arrived
+    #: Black level recorded with the frames, DN; None if unknown. Never subtracted on reading
     black_level_dn: float | None = None
-    full_scale_dn: float | None = None  # Full scale of the digitiser, DN; None if unknown
-    # Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b", "luminance"), or "mono"
+    full_scale_dn: float | None = None  #: Full scale of the digitiser, DN; None if unknown
+    #: Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b", "luminance"), or "mono"
     plane: str = "mono"
-    notes: tuple[str, ...] = ()  # Remarks on how the frames were read
-    origin: tuple[int, int] = (0, 0)  # First row and column in the file: a non-finite border is cut off
+    notes: tuple[str, ...] = ()  #: Remarks on how the frames were read
+    origin: tuple[int, int] = (0, 0)  #: First row and column in the file: a non-finite border is cut off
 
     def __post_init__(self) -> None:
         data = np.asarray(self.data)

@@ -16,40 +16,38 @@ Role = Literal["gate", "supply", "light-source", "filter-wheel", "light-meter", 
 class InstrumentConnection:
     """One serial instrument of the bench and its connection."""
 
-    role: Role  # Role of the instrument
-    model: str  # Name of its model
-    port: str | None  # Serial port of the instrument or of its adapter; None: not known
-    address: int = 0  # GPIB address behind an adapter
+    role: Role  #: Role of the instrument
+    model: str  #: Name of its model
+    port: str | None  #: Serial port of the instrument or of its adapter; None: not known
+    address: int = 0  #: GPIB address behind an adapter
 
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentConfig:
     """Models and connections of the instruments."""
 
-    # "virtual": the processes of the virtual bench on pseudo-terminals. "in-process": its camera and lines inside this
-    # process, where Aravis is not available. "real": the ports below. On a virtual bench an instrument whose port is
-    # named, or a named camera, is a real one among virtual ones
+    #: "virtual": the processes of the virtual bench on pseudo-terminals. "in-process": its camera and lines inside this
+    #: process, where Aravis is not available. "real": the ports below. On a virtual bench an instrument whose port is
+    #: named, or a named camera, is a real one among virtual ones
     bench: Literal["virtual", "in-process", "real"] = "virtual"
-    # Models of the gate generator and of the high-voltage supply; other packages can provide further models
+    #: Model of the gate generator; other packages can provide further models
     gate: str = "dg645"
-    supply: str = "ps350"
-    gate_port: str | None = None  # Serial ports of gate and supply, or of their adapters
-    supply_port: str | None = None  # Serial ports of gate and supply, or of their adapters
-    gate_address: int = 15  # GPIB addresses behind an adapter
-    supply_address: int = 14  # GPIB addresses behind an adapter
-    # Models of the light source, its filter wheel, the light meter and the thermometer; None: there is none, and a
-    # person sets the light
-    light: str | None = None
-    light_port: str | None = None  # Serial ports of these
-    wheel: str | None = None
-    wheel_port: str | None = None  # Serial ports of these
-    light_meter: str | None = None
-    light_meter_port: str | None = None  # Serial ports of these
-    thermometer: str | None = None
-    thermometer_port: str | None = None  # Serial ports of these
-    # Aravis identifier or IP address; "v4l2:/dev/video0" (with "#1": input 1 of a capture card); "replay:FOLDER" or
-    # "replay:FOLDER#LABEL": a recorded session or one of its stacks. None: the only camera there is, or the virtual
-    # bench's own
+    supply: str = "ps350"  #: Model of the high-voltage supply; other packages can provide further models
+    gate_port: str | None = None  #: Serial port of the gate generator, or of its adapter
+    supply_port: str | None = None  #: Serial port of the supply, or of its adapter
+    gate_address: int = 15  #: GPIB address of the gate generator behind an adapter
+    supply_address: int = 14  #: GPIB address of the supply behind an adapter
+    light: str | None = None  #: Model of the light source; None: there is none, and the operator sets the light
+    light_port: str | None = None  #: Serial port of the light source
+    wheel: str | None = None  #: Model of the filter wheel; None: there is none
+    wheel_port: str | None = None  #: Serial port of the filter wheel
+    light_meter: str | None = None  #: Model of the light meter; None: there is none
+    light_meter_port: str | None = None  #: Serial port of the light meter
+    thermometer: str | None = None  #: Model of the thermometer; None: there is none
+    thermometer_port: str | None = None  #: Serial port of the thermometer
+    #: Aravis identifier or IP address; "v4l2:/dev/video0" (with "#1": input 1 of a capture card); "replay:FOLDER" or
+    #: "replay:FOLDER#LABEL": a recorded session or one of its stacks. None: the only camera there is, or the virtual
+    #: bench's own
     camera: str | None = None
 
     def __post_init__(self) -> None:
@@ -88,13 +86,13 @@ PORT_KEYS: dict[Role, str] = {role: f"{key}_port" for role, key in KEYS.items()}
 class Meters:
     """Use of the auxiliary meters."""
 
-    # Illuminance on the photocathode per watt on the head of the light meter, lux/W; None: not calibrated, only watts
-    # are recorded
+    #: Illuminance on the photocathode per watt on the head of the light meter, lux/W; None: not calibrated, only watts
+    #: are recorded
     lux_per_w: float | None = None
-    wavelength_nm: float = 550.0  # Wavelength of the light meter's sensitivity correction, nm
-    # Whether a run ends if the meter does not answer; otherwise this is reported and noted with the stack
+    wavelength_nm: float = 550.0  #: Wavelength of the light meter's sensitivity correction, nm
+    #: Whether a run ends if the meter does not answer; otherwise this is reported and noted with the stack
     light_needed: bool = False
-    temperature_needed: bool = False
+    temperature_needed: bool = False  #: Whether a run ends if the thermometer does not answer
 
     def __post_init__(self) -> None:
         check(self, positive="lux_per_w wavelength_nm")

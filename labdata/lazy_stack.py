@@ -19,13 +19,13 @@ from labdata.store.array_reader import open_array, read_frames
 class LazyStack:
     """Frames that are read on demand."""
 
-    label: str  # As in the session
-    shape: tuple[int, int, int]  # Frames, rows and columns
-    dtype: np.dtype  # Type of the pixels
-    time_s: NDArray  # As in `labdata.frames.FrameStack`
-    frame_number: NDArray  # As in `labdata.frames.FrameStack`
-    full_scale_dn: float | None  # Full scale where it is stated, DN; None where only the frames could show it
-    block: Callable[[int, int], NDArray]  # Returns the frames first..last-1, shape (frame, row, col)
+    label: str  #: As in the session
+    shape: tuple[int, int, int]  #: Frames, rows and columns
+    dtype: np.dtype  #: Type of the pixels
+    time_s: NDArray  #: As in `labdata.frames.FrameStack`
+    frame_number: NDArray  #: As in `labdata.frames.FrameStack`
+    full_scale_dn: float | None  #: Full scale where it is stated, DN; None where only the frames could show it
+    block: Callable[[int, int], NDArray]  #: Returns the frames first..last-1, shape (frame, row, col)
 
     def __len__(self) -> int:
         return self.shape[0]

@@ -20,14 +20,14 @@ _SIDES_95 = 2 * 1.96
 class TubeLoad:
     """Current through photocathode and MCP."""
 
-    luminous_sensitivity_ua_per_lm: float  # Luminous sensitivity of the photocathode at 2856 K, uA/lm
-    electron_gain: float  # Electron gain of the MCP at reference_v
-    reference_v: float  # Voltage of that gain, V
-    gain_exponent: float  # m of G = G0 (V / V0)^m
-    saturated_na_per_cm2: float  # Output current density at which the MCP gain has halved, nA/cm2
-    ebi_lux: float = 0.0  # Equivalent background illumination, lux
-    relative_sd: float  # Standard uncertainty of the logarithm of the current at reference_v
-    exponent_sd: float = 0.0  # Standard uncertainty of the exponent
+    luminous_sensitivity_ua_per_lm: float  #: Luminous sensitivity of the photocathode at 2856 K, uA/lm
+    electron_gain: float  #: Electron gain of the MCP at reference_v
+    reference_v: float  #: Voltage of that gain, V
+    gain_exponent: float  #: m of G = G0 (V / V0)^m
+    saturated_na_per_cm2: float  #: Output current density at which the MCP gain has halved, nA/cm2
+    ebi_lux: float = 0.0  #: Equivalent background illumination, lux
+    relative_sd: float  #: Standard uncertainty of the logarithm of the current at reference_v
+    exponent_sd: float = 0.0  #: Standard uncertainty of the exponent
 
     @classmethod
     def of(cls, sensor: "Sensor") -> "TubeLoad":
@@ -107,26 +107,26 @@ def _cautious(value: float, reason: str) -> Any:
 class TubeLimits:
     """Limits of a tube; the source of each parameter gives the reason. The defaults suit an unknown tube."""
 
-    # Highest voltage across the microchannel plate, V
+    #: Highest voltage across the microchannel plate, V
     mcp_v: Parameter = _cautious(900.0, "a single plate works at 500 to 900 V, never above 1000 V")
-    # Fastest rise of that voltage, V/s
+    #: Fastest rise of that voltage, V/s
     ramp_v_per_s: Parameter = _cautious(50.0, "small steps let a plate outgas; slower after storage")
-    gate_ns: Parameter = _cautious(2e7, "one field of 50 Hz video")  # Longest gate, ns
-    # Largest fraction of the time that the gate may be open
+    gate_ns: Parameter = _cautious(2e7, "one field of 50 Hz video")  #: Longest gate, ns
+    #: Largest fraction of the time that the gate may be open
     gate_duty: Parameter = _cautious(0.999, "a gate unit needs to recover between pulses")
-    # Brightest large area on the photocathode, lux, whatever the gain
+    #: Brightest large area on the photocathode, lux, whatever the gain
     illuminance_lux: Parameter = _cautious(1e-2, "night sky with a moon; a supply protects its tube above this")
-    # Brightest image of a pinhole on the photocathode, lux, whatever the gain
+    #: Brightest image of a pinhole on the photocathode, lux, whatever the gain
     point_illuminance_lux: Parameter = _cautious(
         10.0, "too small an area to strain the tube, but the cathode ages there"
     )
-    # Largest mean MCP output current density at the present gain and duty, without saturation, nA/cm2
+    #: Largest mean MCP output current density at the present gain and duty, without saturation, nA/cm2
     anode_na_per_cm2: Parameter = _cautious(100.0, "a tenth of a strip current of 1 uA/cm2 keeps the plate linear")
-    # The same inside the image of a pinhole, where the MCP saturates far below it
+    #: The same inside the image of a pinhole, where the MCP saturates far below it
     point_anode_na_per_cm2: Parameter = _cautious(
         3e6, "what 10 lux ask of a gain of 1000; the plate gives its strip current"
     )
-    # Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only a warning
+    #: Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only a warning
     screen_charge_c_per_cm2: Parameter = _cautious(0.1, "uncoated plates age their cathodes within 0.1 to 1 C/cm2")
 
     def __post_init__(self) -> None:
@@ -154,9 +154,9 @@ class Limits:
 class Override:
     """A limit of the tube that a plan overrides, with its reason; kept in the session and printed in its report."""
 
-    limit: str  # Name of the limit, see `TubeLimits`
-    value: float  # Value in force instead, in the unit of the name
-    reason: str  # Reason, as text
+    limit: str  #: Name of the limit, see `TubeLimits`
+    value: float  #: Value in force instead, in the unit of the name
+    reason: str  #: Reason, as text
 
     def __post_init__(self) -> None:
         if self.limit not in LIMITS:

@@ -19,20 +19,20 @@ Interval = tuple[float, float]
 class Posterior:
     """Draws of a posterior distribution with their convergence diagnostics."""
 
-    names: tuple[str, ...]  # Name and unit of each parameter
-    units: tuple[str, ...]  # Name and unit of each parameter
-    draws: NDArray[np.float64]  # Thinned draws, shape (draw, parameter), read-only
-    # Integrated autocorrelation time of each parameter, steps, shape (parameter,)
+    names: tuple[str, ...]  #: Name and unit of each parameter
+    units: tuple[str, ...]  #: Name and unit of each parameter
+    draws: NDArray[np.float64]  #: Thinned draws, shape (draw, parameter), read-only
+    #: Integrated autocorrelation time of each parameter, steps, shape (parameter,)
     autocorrelation_time: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    acceptance: float | None = None  # Mean acceptance fraction, dimensionless
-    # Split R-hat over independent ensembles, shape (parameter,)
+    acceptance: float | None = None  #: Mean acceptance fraction, dimensionless
+    #: Split R-hat over independent ensembles, shape (parameter,)
     r_hat: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    # Effective number of independent draws of each parameter, shape (parameter,)
+    #: Effective number of independent draws of each parameter, shape (parameter,)
     effective_sample_size: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    # "emcee", "laplace" (curvature at the maximum) or "importance" (importance sampling). by their weight
+    #: "emcee", "laplace" (curvature at the maximum) or "importance" (importance sampling). by their weight
     sampler: Literal["emcee", "laplace", "importance"] = "emcee"
-    seed: int = 0  # Seed of the draws
-    flags: tuple[str, ...] = ()  # Reasons to distrust it
+    seed: int = 0  #: Seed of the draws
+    flags: tuple[str, ...] = ()  #: Reasons to distrust it
 
     def __post_init__(self) -> None:
         draws = np.asarray(self.draws, float)
@@ -65,10 +65,10 @@ QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
 class Provenance:
     """Provenance of a value, sufficient to reproduce it."""
 
-    version: str  # Version of charact
-    seed: int | None = None  # Seed of every random step
-    settings: dict[str, Any] = field(default_factory=dict)  # Settings of the method, by name
-    # SHA-256 of each input file, by path as given; see `labdata.session`
+    version: str  #: Version of charact
+    seed: int | None = None  #: Seed of every random step
+    settings: dict[str, Any] = field(default_factory=dict)  #: Settings of the method, by name
+    #: SHA-256 of each input file, by path as given; see `labdata.session`
     inputs: dict[str, str] = field(default_factory=dict)
 
 
@@ -76,23 +76,23 @@ class Provenance:
 class Measurement:
     """One measured quantity; made by `make_measurement`, `measurement_from_draws` or `make_refusal`."""
 
-    quantity: str  # A name of `labdata.quantity.QUANTITIES` and one of its units
-    unit: str  # A name of `labdata.quantity.QUANTITIES` and one of its units
-    value: float | None  # Value and equal-tailed intervals; all None when refused
-    interval68: Interval | None  # Value and equal-tailed intervals; all None when refused
-    interval95: Interval | None  # Value and equal-tailed intervals; all None when refused
-    status: Status  # "ok" (no flags), "suspect" (flagged) or "refused" (no value; see `reason`)
-    method: str  # Name of the method and its run time without compilation, s
-    seconds: float | None = None  # Name of the method and its run time without compilation, s
+    quantity: str  #: A name of `labdata.quantity.QUANTITIES` and one of its units
+    unit: str  #: A name of `labdata.quantity.QUANTITIES` and one of its units
+    value: float | None  #: Value and equal-tailed intervals; all None when refused
+    interval68: Interval | None  #: Value and equal-tailed intervals; all None when refused
+    interval95: Interval | None  #: Value and equal-tailed intervals; all None when refused
+    status: Status  #: "ok" (no flags), "suspect" (flagged) or "refused" (no value; see `reason`)
+    method: str  #: Name of the method and its run time without compilation, s
+    seconds: float | None = None  #: Name of the method and its run time without compilation, s
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     reason: str | None = None
-    # Where applicable: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`; direction in degrees
+    #: Where applicable: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`; direction in degrees
     stack: str | None = None
     region: tuple[int, int, int, int] | None = None
     frequency_cy_per_px: float | None = None
     orientation_deg: float | None = None
-    posterior: Posterior | None = None  # Posterior from which the intervals were computed, if any
+    posterior: Posterior | None = None  #: Posterior from which the intervals were computed, if any
     provenance: Provenance | None = None
 
     def __post_init__(self) -> None:
@@ -167,14 +167,14 @@ def make_refusal(quantity: str, unit: str, reason: str, *, method: str, **fields
 class Curve:
     """A quantity against spatial frequency with its pointwise intervals."""
 
-    # Increasing frequencies, shape (n,), cycles per pixel along the measured direction
+    #: Increasing frequencies, shape (n,), cycles per pixel along the measured direction
     frequency_cy_per_px: NDArray[np.float64]
-    value: NDArray[np.float64]  # Values, shape (n,)
-    interval68: NDArray[np.float64] | None = None  # Lower and upper bounds, shape (2, n), or None
-    interval95: NDArray[np.float64] | None = None  # Lower and upper bounds, shape (2, n), or None
-    stack: str | None = None  # Label of the measured stack
-    # Curves drawn from the posterior, shape (draw, n), for the correlation of errors between frequencies; None where
-    # there are none. Not written to files
+    value: NDArray[np.float64]  #: Values, shape (n,)
+    interval68: NDArray[np.float64] | None = None  #: Lower and upper bounds, shape (2, n), or None
+    interval95: NDArray[np.float64] | None = None  #: Lower and upper bounds, shape (2, n), or None
+    stack: str | None = None  #: Label of the measured stack
+    #: Curves drawn from the posterior, shape (draw, n), for the correlation of errors between frequencies; None where
+    #: there are none. Not written to files
     draws: NDArray[np.float64] | None = None
 
 
@@ -182,10 +182,10 @@ class Curve:
 class Result:
     """Result of one analysis."""
 
-    measurements: tuple[Measurement, ...] = ()  # The quantities
-    # Curves by name ("mtf", "mtf_vertical", ...). Curves of several stacks of a session have a suffix ":label"
+    measurements: tuple[Measurement, ...] = ()  #: The quantities
+    #: Curves by name ("mtf", "mtf_vertical", ...). Curves of several stacks of a session have a suffix ":label"
     curves: dict[str, Curve] = field(default_factory=dict)
-    # Figure data by name: JSON-ready mappings of lists and numbers (profiles, fits, residuals)
+    #: Figure data by name: JSON-ready mappings of lists and numbers (profiles, fits, residuals)
     evidence: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def __add__(self, other: "Result") -> "Result":

@@ -23,12 +23,12 @@ from labdata.target import Target
 class FrameFormat:
     """Frame format requested for all steps; None: as in the sensor description."""
 
-    rows: int | None = None  # Size of the image, px; by default the full sensor
-    columns: int | None = None  # Size of the image, px; by default the full sensor
-    first_row: int | None = None  # First row and column of the image on the sensor, px
-    first_column: int | None = None  # First row and column of the image on the sensor, px
-    pixel_format: str | None = None  # Such as "Mono12" or "Mono12p"; by default "Mono8" or "Mono16"
-    trigger: str | None = None  # "off": free-running; else the camera's name of the trigger source, such as "Line1"
+    rows: int | None = None  #: Size of the image, px; by default the full sensor
+    columns: int | None = None  #: Size of the image, px; by default the full sensor
+    first_row: int | None = None  #: First row and column of the image on the sensor, px
+    first_column: int | None = None  #: First row and column of the image on the sensor, px
+    pixel_format: str | None = None  #: Such as "Mono12" or "Mono12p"; by default "Mono8" or "Mono16"
+    trigger: str | None = None  #: "off": free-running; else the camera's name of the trigger source, such as "Line1"
 
     def __post_init__(self) -> None:
         check(self, of=" of a picture", one_or_more="rows columns", not_negative="first_row first_column")
@@ -40,8 +40,8 @@ class FrameFormat:
 class StopCriterion:
     """Criterion by which a step stops before it has all its frames."""
 
-    mean_within_dn: float  # Largest half-width of the 95 % interval of the stack's mean at which the step stops, DN
-    least_frames: int = 8  # Smallest number of frames
+    mean_within_dn: float  #: Largest half-width of the 95 % interval of the stack's mean at which the step stops, DN
+    least_frames: int = 8  #: Smallest number of frames
 
     def __post_init__(self) -> None:
         check(self, positive="mean_within_dn")
@@ -53,8 +53,8 @@ class StopCriterion:
 class SaturationSearch:
     """Search for the light that saturates a stack: doubling, then bisection of the logarithm."""
 
-    most_illuminance_lux: float  # Upper limit of the light, lux
-    # Largest gap between the highest unsaturated and the lowest saturated light at the end, %
+    most_illuminance_lux: float  #: Upper limit of the light, lux
+    #: Largest gap between the highest unsaturated and the lowest saturated light at the end, %
     within_percent: float = 10.0
 
     def __post_init__(self) -> None:
@@ -94,16 +94,16 @@ class SaturationSearch:
 class Step:
     """One stack to acquire."""
 
-    label: str  # Name of the stack, and kind of target
-    kind: Kind  # Name of the stack, and kind of target
-    frames: int  # Frames to acquire; with `until`, the largest number
-    conditions: Conditions  # Set-points of the instruments
-    target: Target = field(default_factory=Target)  # Target in front of the camera
-    until: StopCriterion | None = None  # Criterion to stop before all frames are acquired; None: no criterion
-    # Search for the light that saturates, one stack per level; None: a single stack
+    label: str  #: Name of the stack, and kind of target
+    kind: Kind  #: Name of the stack, and kind of target
+    frames: int  #: Frames to acquire; with `until`, the largest number
+    conditions: Conditions  #: Set-points of the instruments
+    target: Target = field(default_factory=Target)  #: Target in front of the camera
+    until: StopCriterion | None = None  #: Criterion to stop before all frames are acquired; None: no criterion
+    #: Search for the light that saturates, one stack per level; None: a single stack
     search: SaturationSearch | None = None
-    # Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends the run. None: 0, for
-    # a point 0.3, for a search 1
+    #: Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends the run. None: 0,
+    #: for a point 0.3, for a search 1
     saturated_fraction: float | None = None
 
     def __post_init__(self) -> None:
@@ -162,8 +162,8 @@ class Step:
 class SettleTimes:
     """Settle times after a change of settings."""
 
-    after_gain_s: float = 0.0  # Time after the MCP voltage was changed and verified, s
-    after_light_s: float = 0.0  # Time after a change of light, filter, gate or target, s
+    after_gain_s: float = 0.0  #: Time after the MCP voltage was changed and verified, s
+    after_light_s: float = 0.0  #: Time after a change of light, filter, gate or target, s
 
     def __post_init__(self) -> None:
         check_range(self, 0.0, 86400.0, "after_gain_s", "after_light_s")  # one day
@@ -178,18 +178,18 @@ class SettleTimes:
 class PlanHead:
     """Keys common to a plan and its file record."""
 
-    name: str  # Name of the plan and of its session
-    sensor: str | None = None  # Name of a shipped sensor description, or path of one
-    tube: str | None = None  # Name of the tube, such as its serial number; names its dose ledger
-    seed: int = 0  # Seed of the virtual bench
-    scene: str | None = None  # Lab scene of the virtual bench
-    wires: InstrumentConfig = field(default_factory=InstrumentConfig)  # Models and ports of the instruments
-    limits: Limits = field(default_factory=Limits)  # Limits of the plan, where tighter than those of the tube
-    settle: SettleTimes = field(default_factory=SettleTimes)  # Settle times after a change
-    meters: Meters = field(default_factory=Meters)  # Use of the auxiliary meters
-    # Trigger of the gate, and its synchronisation with the camera's fields
+    name: str  #: Name of the plan and of its session
+    sensor: str | None = None  #: Name of a shipped sensor description, or path of one
+    tube: str | None = None  #: Name of the tube, such as its serial number; names its dose ledger
+    seed: int = 0  #: Seed of the virtual bench
+    scene: str | None = None  #: Lab scene of the virtual bench
+    wires: InstrumentConfig = field(default_factory=InstrumentConfig)  #: Models and ports of the instruments
+    limits: Limits = field(default_factory=Limits)  #: Limits of the plan, where tighter than those of the tube
+    settle: SettleTimes = field(default_factory=SettleTimes)  #: Settle times after a change
+    meters: Meters = field(default_factory=Meters)  #: Use of the auxiliary meters
+    #: Trigger of the gate, and its synchronisation with the camera's fields
     gating: Gating = field(default_factory=Gating)
-    # Frame format of all steps, where not the full sensor in 8 or 16 bits
+    #: Frame format of all steps, where not the full sensor in 8 or 16 bits
     picture: FrameFormat = field(default_factory=FrameFormat)
 
     @property
@@ -202,12 +202,12 @@ class PlanHead:
 class Plan(PlanHead):
     """An acquisition plan."""
 
-    overrides: tuple[Override, ...] = ()  # Overridden limits of the tube, with reasons
-    # Gain calibration of the tube, needed for steps with a luminous gain; None: that of the sensor, if any
+    overrides: tuple[Override, ...] = ()  #: Overridden limits of the tube, with reasons
+    #: Gain calibration of the tube, needed for steps with a luminous gain; None: that of the sensor, if any
     gain_table: GainTable | None = None
-    # Calibration of the light source and its filters; required if the wires name a light source
+    #: Calibration of the light source and its filters; required if the wires name a light source
     lamp: LampCalibration | None = None
-    steps: tuple[Step, ...]  # The stacks to acquire, in order
+    steps: tuple[Step, ...]  #: The stacks to acquire, in order
 
     def __post_init__(self) -> None:
         labels = [step.label for step in self.steps]

@@ -9,8 +9,8 @@ from labdata.errors import BadInput
 class Quantity:
     """A measurable quantity of the command-line contract."""
 
-    units: tuple[str, ...]  # Allowed units; the first is the default
-    title: str  # Title in reports
+    units: tuple[str, ...]  #: Allowed units; the first is the default
+    title: str  #: Title in reports
 
 
 def _entry(title: str, *units: str) -> Quantity:

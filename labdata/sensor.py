@@ -20,13 +20,13 @@ class Optics:
 
     f_number: Parameter
     transmission: Parameter
-    aberration_blur_um: Parameter  # s of the MTF exp(-2 (pi f s)^2)
+    aberration_blur_um: Parameter  #: s of the MTF exp(-2 (pi f s)^2)
     veiling_glare_fraction: Parameter
     focal_length_mm: Parameter
-    vignetting_fraction: Parameter  # of the light, lost at the picture's corner beyond cos^4
-    distortion_fraction: Parameter  # radial, at the picture's corner; positive is pincushion
-    focal_shift_um: Parameter  # how far 925 nm focuses behind 500 nm; linear in wavelength
-    focus_nm: Parameter  # wavelength of best focus
+    vignetting_fraction: Parameter  #: of the light, lost at the picture's corner beyond cos^4
+    distortion_fraction: Parameter  #: radial, at the picture's corner; positive is pincushion
+    focal_shift_um: Parameter  #: how far 925 nm focuses behind 500 nm; linear in wavelength
+    focus_nm: Parameter  #: wavelength of best focus
 
     def __post_init__(self) -> None:
         check(
@@ -44,22 +44,22 @@ class Photocathode:
 
     material: str
     wavelength_nm: tuple[float, ...]
-    relative_quantum_efficiency: tuple[float, ...]  # scaled to the luminous sensitivity
-    spectral_range_nm: tuple[float, float]  # as the maker states it
-    luminous_sensitivity_ua_per_lm: Parameter  # at 2856 K
+    relative_quantum_efficiency: tuple[float, ...]  #: scaled to the luminous sensitivity
+    spectral_range_nm: tuple[float, float]  #: as the maker states it
+    luminous_sensitivity_ua_per_lm: Parameter  #: at 2856 K
     ebi_lm_per_cm2: Parameter
     diameter_mm: Parameter
     gap_mm: Parameter
     gap_v: Parameter
-    bright_source_v: Parameter  # across the gap once the supply protects the cathode from a bright source
-    lateral_energy_ev: Parameter  # mean energy of emission across the axis
-    gap_resolution_lp_per_mm: Parameter  # where the gap's own contrast is 3 %
-    ebi_doubling_k: Parameter  # warming that doubles the EBI
-    ebi_temperature_c: Parameter  # temperature at which the EBI is stated
-    halo_fraction: Parameter  # of the photoelectrons that land after an elastic or partial bounce
-    halo_elastic_share: Parameter  # of the halo electrons, keep their energy (rim); others: uniform in energy
-    gate_on_off_ratio: Parameter  # light through the open gate over light through the shut one
-    bright_source_lux: Parameter  # mean illuminance of the cathode that lowers gap_v to bright_source_v
+    bright_source_v: Parameter  #: across the gap once the supply protects the cathode from a bright source
+    lateral_energy_ev: Parameter  #: mean energy of emission across the axis
+    gap_resolution_lp_per_mm: Parameter  #: where the gap's own contrast is 3 %
+    ebi_doubling_k: Parameter  #: warming that doubles the EBI
+    ebi_temperature_c: Parameter  #: temperature at which the EBI is stated
+    halo_fraction: Parameter  #: of the photoelectrons that land after an elastic or partial bounce
+    halo_elastic_share: Parameter  #: of the halo electrons, keep their energy (rim); others: uniform in energy
+    gate_on_off_ratio: Parameter  #: light through the open gate over light through the shut one
+    bright_source_lux: Parameter  #: mean illuminance of the cathode that lowers gap_v to bright_source_v
 
     def __post_init__(self) -> None:
         must_be_an_efficiency_table(self.wavelength_nm, self.relative_quantum_efficiency)
@@ -82,27 +82,27 @@ class MicrochannelPlate:
     """Microchannel plate, or stack of plates, with its film; gain and pulse heights are those of the stack."""
 
     detection_probability: Parameter
-    film_transmission: Parameter  # the factors of the detection probability: T (OAR + (1 - OAR) recovery)
+    film_transmission: Parameter  #: the factors of the detection probability: T (OAR + (1 - OAR) recovery)
     open_area_ratio: Parameter
     web_recovery: Parameter
-    pulse_height_shape: Parameter  # Polya k; 1 is exponential
-    reference_v: Parameter  # voltage at which the tube has its nominal luminous gain
-    gain_exponent: Parameter  # G = G0 (V / V0)^m
-    electron_gain: Parameter  # electrons out per electron in, at reference_v
+    pulse_height_shape: Parameter  #: Polya k; 1 is exponential
+    reference_v: Parameter  #: voltage at which the tube has its nominal luminous gain
+    gain_exponent: Parameter  #: G = G0 (V / V0)^m
+    electron_gain: Parameter  #: electrons out per electron in, at reference_v
     channel_pitch_um: Parameter
-    resolution_lp_per_mm: Parameter  # where the plate's own contrast is 3 %
+    resolution_lp_per_mm: Parameter  #: where the plate's own contrast is 3 %
     strip_current_ua_per_cm2: Parameter
-    saturation_fraction: Parameter  # a of G / (1 + j / (a j_strip))
-    saturation_blur_um: Parameter  # width of the neighbourhood whose current lowers the gain
+    saturation_fraction: Parameter  #: a of G / (1 + j / (a j_strip))
+    saturation_blur_um: Parameter  #: width of the neighbourhood whose current lowers the gain
     channel_recovery_ms: Parameter
     ion_event_rate_per_s_cm2: Parameter
     ion_event_size_pe: Parameter
-    stages: int  # plates in the stack
-    gain_control_counts: Parameter  # counts of the gain's control word that raise the gain by gain_control_ratio
+    stages: int  #: plates in the stack
+    gain_control_counts: Parameter  #: counts of the gain's control word that raise the gain by gain_control_ratio
     gain_control_ratio: Parameter
-    gain_control_reference: Parameter  # counts at which the tube has its nominal luminous gain
-    pattern_contrast: Parameter  # depth of the plate's multi-fibre boundaries
-    pattern_pitch_um: Parameter  # of that pattern, at the cathode
+    gain_control_reference: Parameter  #: counts at which the tube has its nominal luminous gain
+    pattern_contrast: Parameter  #: depth of the plate's multi-fibre boundaries
+    pattern_pitch_um: Parameter  #: of that pattern, at the cathode
 
     def __post_init__(self) -> None:
         check(
@@ -125,15 +125,15 @@ class Tube:
     """Parameters of the complete tube."""
 
     name: str
-    luminous_gain: Parameter  # lm/lm (fL/fc), at reference_v
+    luminous_gain: Parameter  #: lm/lm (fL/fc), at reference_v
     limiting_resolution_lp_per_mm: Parameter
-    mtf_frequency_lp_per_mm: Parameter  # fc of exp(-(f/fc)^n), at the cathode
-    mtf_exponent: Parameter  # n
-    post_gain_share: Parameter  # share of the exponent (f/fc)^n that acts after the gain
+    mtf_frequency_lp_per_mm: Parameter  #: fc of exp(-(f/fc)^n), at the cathode
+    mtf_exponent: Parameter  #: n
+    post_gain_share: Parameter  #: share of the exponent (f/fc)^n that acts after the gain
     magnification: Parameter
     life_h: Parameter
-    brightness_control_lux: Parameter  # illuminance at the cathode above which the supply lowers the plate's voltage
-    brightness_control_s: Parameter  # its attack time
+    brightness_control_lux: Parameter  #: illuminance at the cathode above which the supply lowers the plate's voltage
+    brightness_control_s: Parameter  #: its attack time
 
     def __post_init__(self) -> None:
         check(
@@ -153,14 +153,14 @@ class Phosphor:
     luminous_efficacy_lm_per_w: Parameter
     photon_energy_ev: Parameter
     peak_nm: Parameter
-    width_nm: Parameter  # full width at half maximum
-    photons_per_electron: Parameter  # out of the window, per electron that leaves the plate
+    width_nm: Parameter  #: full width at half maximum
+    photons_per_electron: Parameter  #: out of the window, per electron that leaves the plate
     screen_kv: Parameter
-    resolution_lp_per_mm: Parameter  # where the screen's own contrast is 3 %
-    fast_fraction: Parameter  # of the light at the start of the decay
+    resolution_lp_per_mm: Parameter  #: where the screen's own contrast is 3 %
+    fast_fraction: Parameter  #: of the light at the start of the decay
     fast_decay_ms: Parameter
     slow_decay_ms: Parameter
-    gain_nonuniformity: Parameter  # relative standard deviation
+    gain_nonuniformity: Parameter  #: relative standard deviation
 
     def __post_init__(self) -> None:
         check(
@@ -178,14 +178,14 @@ class Taper:
 
     demagnification: Parameter
     transmission: Parameter
-    numerical_aperture: Parameter  # the factors of the transmission: (NA / M)^2 core bulk
+    numerical_aperture: Parameter  #: the factors of the transmission: (NA / M)^2 core bulk
     core_fraction: Parameter
     bulk_transmission: Parameter
-    fibre_pitch_um: Parameter  # at the small end
-    interface_mtf_lp_per_mm: Parameter  # f0 of exp(-(f/f0)^2), at the detector
-    pattern_contrast: Parameter  # depth of the multi-fibre boundaries
+    fibre_pitch_um: Parameter  #: at the small end
+    interface_mtf_lp_per_mm: Parameter  #: f0 of exp(-(f/f0)^2), at the detector
+    pattern_contrast: Parameter  #: depth of the multi-fibre boundaries
     pattern_pitch_um: Parameter
-    distortion_fraction: Parameter  # at the corner
+    distortion_fraction: Parameter  #: at the corner
     shear_um: Parameter
 
     def __post_init__(self) -> None:
@@ -207,15 +207,15 @@ class Ccd:
     rows: int
     pitch_x_um: Parameter
     pitch_y_um: Parameter
-    quantum_efficiency: Parameter  # fill factor included, at the phosphor's peak; without a tube, the table's highest
-    full_well_e: Parameter  # of one pixel as read
+    quantum_efficiency: Parameter  #: fill factor included, at the phosphor's peak; without a tube, the table's highest
+    full_well_e: Parameter  #: of one pixel as read
     read_noise_e: Parameter
-    dark_current_e_per_s: Parameter  # per pixel at 25 C
+    dark_current_e_per_s: Parameter  #: per pixel at 25 C
     dark_current_doubling_k: Parameter
-    prnu: Parameter  # relative standard deviation
-    smear_fraction: Parameter  # of the overexposed pixel, for a spot one tenth of the picture high
-    antibloom_ratio: Parameter  # overexposure that the drain carries off, in full wells; 1 is no drain
-    dsnu_e: Parameter  # standard deviation of the fixed dark pattern, per exposure at 25 C
+    prnu: Parameter  #: relative standard deviation
+    smear_fraction: Parameter  #: of the overexposed pixel, for a spot one tenth of the picture high
+    antibloom_ratio: Parameter  #: overexposure that the drain carries off, in full wells; 1 is no drain
+    dsnu_e: Parameter  #: standard deviation of the fixed dark pattern, per exposure at 25 C
 
     def __post_init__(self) -> None:
         check(
@@ -232,28 +232,28 @@ class Video:
     """Read-out and digitiser; of an analog camera, the video between them. A digital one has no bandwidth."""
 
     interlaced: bool
-    field_rate_hz: Parameter  # exposures per second; a progressive camera has one field a frame
+    field_rate_hz: Parameter  #: exposures per second; a progressive camera has one field a frame
     gamma: Parameter
-    automatic_gain: bool  # what the camera can do; whether it was on belongs to the session
+    automatic_gain: bool  #: what the camera can do; whether it was on belongs to the session
     bit_depth: int
     black_level_dn: Parameter
-    conversion_gain_dn_per_e: Parameter  # K, DN per electron at the output, behind any multiplication
-    lines: int | None = None  # of a frame, the blanked ones counted
+    conversion_gain_dn_per_e: Parameter  #: K, DN per electron at the output, behind any multiplication
+    lines: int | None = None  #: of a frame, the blanked ones counted
     pixel_clock_mhz: Parameter | None = None
     bandwidth_mhz: Parameter | None = None
     filter_order: int | None = None
-    aperture_correction_db: Parameter | None = None  # boost at 4.5 MHz
-    resolution_horizontal_tvl: Parameter | None = None  # television lines per picture height
+    aperture_correction_db: Parameter | None = None  #: boost at 4.5 MHz
+    resolution_horizontal_tvl: Parameter | None = None  #: television lines per picture height
     resolution_vertical_tvl: Parameter | None = None
     output_vpp: Parameter | None = None
     impedance_ohm: Parameter | None = None
-    setup_ire: Parameter | None = None  # black above blanking
-    sensitivity_lux: Parameter | None = None  # as the maker states it
+    setup_ire: Parameter | None = None  #: black above blanking
+    sensitivity_lux: Parameter | None = None  #: as the maker states it
     signal_to_noise_db: Parameter | None = None
     automatic_gain_range_db: Parameter | None = None
-    automatic_gain_s: Parameter | None = None  # time constant
-    sync_jitter_ns: Parameter | None = None  # standard deviation of a line's start
-    line_noise_dn: Parameter | None = None  # standard deviation of an offset common to a line
+    automatic_gain_s: Parameter | None = None  #: time constant
+    sync_jitter_ns: Parameter | None = None  #: standard deviation of a line's start
+    line_noise_dn: Parameter | None = None  #: standard deviation of an offset common to a line
 
     def __post_init__(self) -> None:
         check(self, positive="field_rate_hz gamma conversion_gain_dn_per_e")
@@ -294,8 +294,8 @@ _ANALOG = ("lines", "pixel_clock_mhz", "filter_order", "aperture_correction_db",
 class Draws:
     """Joint posterior draws of the fitted parameters, by path such as "tube.post_gain_share"."""
 
-    names: tuple[str, ...] = ()  # Paths of the parameters
-    values: tuple[tuple[float, ...], ...] = ()  # Draws, one tuple per draw in the order of the names
+    names: tuple[str, ...] = ()  #: Paths of the parameters
+    values: tuple[tuple[float, ...], ...] = ()  #: Draws, one tuple per draw in the order of the names
 
     def __post_init__(self) -> None:
         if any(len(row) != len(self.names) for row in self.values):
@@ -328,7 +328,7 @@ class Sensor(Description):
     ccd: Ccd
     video: Video
     limits: TubeLimits = field(default_factory=TubeLimits)
-    gain_table: GainTable | None = None  # calibration of this very tube, where there is one
+    gain_table: GainTable | None = None  #: calibration of this very tube, where there is one
     draws: Draws = field(default_factory=Draws)
     notes: tuple[str, ...] = ()
 

@@ -166,10 +166,10 @@ def _commented(source: str) -> dict[str, str]:
     before: list[str] = []
     for line in source.splitlines():
         name, _, behind = line.strip().partition(":")
-        if line.strip().startswith("# "):
-            before.append(line.strip()[2:])
+        if line.strip().startswith("#: "):
+            before.append(line.strip()[3:])
             continue
-        if name.isidentifier() and (text := behind.partition("  # ")[2] or " ".join(before)):
+        if name.isidentifier() and (text := behind.partition("  #: ")[2] or " ".join(before)):
             words[name] = text.rstrip(".") + "."
         before = []
     return words

@@ -36,25 +36,25 @@ DARK_SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s")
 class StackEntry:
     """One stack of a session, its frames not yet read."""
 
-    label: str  # Name, unique in the session
-    kind: Kind  # Kind of target
-    # Path of the frames relative to the session folder: a file, an array of the session's store, or several consecutive
-    # files
+    label: str  #: Name, unique in the session
+    kind: Kind  #: Kind of target
+    #: Path of the frames relative to the session folder: a file, an array of the session's store, or several
+    #: consecutive files
     frames: str | tuple[str, ...]
-    # Conditions in force: read-backs where an instrument can be read, else the set-points
+    #: Conditions in force: read-backs where an instrument can be read, else the set-points
     conditions: Conditions = field(default_factory=Conditions)
-    asked: Conditions | None = None  # Requested conditions; None where there were no set-points
-    target: Target = field(default_factory=Target)  # The target
-    finished: bool = True  # False after an interrupted acquisition; acknowledged frames are kept
-    lost_frames: int = 0  # Number of frames that the camera numbered and that were not recorded
-    losses: tuple[LostFrames, ...] = ()  # Their numbers and causes, where known
-    notes: tuple[str, ...] = ()  # Remarks of the manifest
-    record_notes: tuple[str, ...] = ()  # Damage and gaps in the record of the frames
-    bit_depth: int | None = None  # Bits of the digitiser; None if unknown
-    axis: str | None = None  # Frame axis of the files and plane to read; see `labdata.importers.read_frames`
-    plane: str | None = None  # Frame axis of the files and plane to read; see `labdata.importers.read_frames`
-    folder: Path  # The session's folder
-    view: "View | None" = None  # How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are
+    asked: Conditions | None = None  #: Requested conditions; None where there were no set-points
+    target: Target = field(default_factory=Target)  #: The target
+    finished: bool = True  #: False after an interrupted acquisition; acknowledged frames are kept
+    lost_frames: int = 0  #: Number of frames that the camera numbered and that were not recorded
+    losses: tuple[LostFrames, ...] = ()  #: Their numbers and causes, where known
+    notes: tuple[str, ...] = ()  #: Remarks of the manifest
+    record_notes: tuple[str, ...] = ()  #: Damage and gaps in the record of the frames
+    bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
+    axis: str | None = None  #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
+    plane: str | None = None  #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
+    folder: Path  #: The session's folder
+    view: "View | None" = None  #: How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -129,16 +129,16 @@ def _agreeing(one: Conditions, other: Conditions) -> tuple[str, ...]:
 class Session:
     """A session as described by its manifest."""
 
-    folder: Path  # The session's folder
-    name: str  # Its name
-    stacks: tuple[StackEntry, ...]  # Its stacks in the order of the manifest
-    # Description of the intensified camera named in the manifest; None without a name, or for a camera without
-    # intensifier, which is measured like an unknown camera
+    folder: Path  #: The session's folder
+    name: str  #: Its name
+    stacks: tuple[StackEntry, ...]  #: Its stacks in the order of the manifest
+    #: Description of the intensified camera named in the manifest; None without a name, or for a camera without
+    #: intensifier, which is measured like an unknown camera
     sensor: Sensor | None = None
-    # Electron-multiplying register of a named camera without intensifier; None where it has none
+    #: Electron-multiplying register of a named camera without intensifier; None where it has none
     register: Register | None = None
-    bit_depth: int | None = None  # Bits of the digitiser; None if unknown
-    # Whether the two fields of a frame were exposed one after the other; None: as in the sensor description
+    bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
+    #: Whether the two fields of a frame were exposed one after the other; None: as in the sensor description
     interlaced: bool | None = None
     notes: tuple[str, ...] = ()
 

@@ -14,7 +14,7 @@ class Silicon:
     """Quantum efficiency by wavelength, with fill factor and surface losses."""
 
     wavelength_nm: tuple[float, ...]
-    quantum_efficiency: tuple[float, ...]  # absolute
+    quantum_efficiency: tuple[float, ...]  #: absolute
 
     def __post_init__(self) -> None:
         must_be_an_efficiency_table(self.wavelength_nm, self.quantum_efficiency)
@@ -24,10 +24,10 @@ class Silicon:
 class Register:
     """Electron-multiplying register; a plain CCD has a gain of exactly 1."""
 
-    em_gain: Parameter  # at most; the session says what it was set to
-    pulse_height_shape: Parameter  # of one electron at high gain; 1 is exponential
-    clock_induced_e: Parameter  # electrons that clocking sets free, per pixel and frame, before the gain
-    stages: int  # of the register
+    em_gain: Parameter  #: at most; the session says what it was set to
+    pulse_height_shape: Parameter  #: of one electron at high gain; 1 is exponential
+    clock_induced_e: Parameter  #: electrons that clocking sets free, per pixel and frame, before the gain
+    stages: int  #: of the register
 
     def __post_init__(self) -> None:
         check(self, one_or_more="em_gain")

@@ -172,9 +172,9 @@ class StepForecast:
     """Forecast of one step, with all its frames."""
 
     step: Step
-    seconds: float  # Duration, s
-    anode_na_per_cm2: float  # MCP output current density without saturation, nA/cm2
-    share_of_limit: float  # Fraction of the allowed current density
+    seconds: float  #: Duration, s
+    anode_na_per_cm2: float  #: MCP output current density without saturation, nA/cm2
+    share_of_limit: float  #: Fraction of the allowed current density
     dose: Dose
 
 
@@ -183,10 +183,10 @@ class Forecast:
     """Forecast of a plan, in the order of its steps."""
 
     steps: tuple[StepForecast, ...]
-    bytes: int  # Disk space of its frames; 0 where no sensor gives the frame size
+    bytes: int  #: Disk space of its frames; 0 where no sensor gives the frame size
     limits: LimitsInForce
     gain_table: GainTable | None
-    out_of_step: tuple[str, ...] = ()  # One sentence for each unsynchronised pair of gate and exposure
+    out_of_step: tuple[str, ...] = ()  #: One sentence for each unsynchronised pair of gate and exposure
 
     @property
     def seconds(self) -> float:

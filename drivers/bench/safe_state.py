@@ -31,11 +31,11 @@ BY_HAND = "switch the high-voltage supply off at its front panel, then cover the
 class SafeStateReport:
     """Report of a safe action."""
 
-    gate_shut: bool  # Whether the gate read back no pulses and a shut idle level
-    off_ordered: bool  # Whether the command to switch the high voltage off was sent
-    residual_v: float | None  # Last voltage measured at the output, V; None if none could be measured
-    light_dark: bool = True  # Whether every lamp of the bench read back that it is off; true without lamps
-    failures: tuple[str, ...] = ()  # One sentence for each failed step of an instrument that was not verified
+    gate_shut: bool  #: Whether the gate read back no pulses and a shut idle level
+    off_ordered: bool  #: Whether the command to switch the high voltage off was sent
+    residual_v: float | None  #: Last voltage measured at the output, V; None if none could be measured
+    light_dark: bool = True  #: Whether every lamp of the bench read back that it is off; true without lamps
+    failures: tuple[str, ...] = ()  #: One sentence for each failed step of an instrument that was not verified
 
     @property
     def whole(self) -> bool:

@@ -29,16 +29,16 @@ FIELD_RATE_HZ = 60.0 / 1.001  # Field rate of 525-line video, Hz
 class BenchSetup:
     """Configuration of one bench."""
 
-    wires: InstrumentConfig  # Models and serial ports of the instruments
-    limits: LimitsInForce  # Limits in force
-    log: Path  # File to which every safety step is appended as a JSON line
-    # Calibration of the light source named in the wires; None: a person sets the light
+    wires: InstrumentConfig  #: Models and serial ports of the instruments
+    limits: LimitsInForce  #: Limits in force
+    log: Path  #: File to which every safety step is appended as a JSON line
+    #: Calibration of the light source named in the wires; None: a person sets the light
     lamp: LampCalibration | None = None
-    meters: Meters = field(default_factory=Meters)  # Use of the auxiliary meters
-    field_hz: float = FIELD_RATE_HZ  # Field rate of the camera, Hz; the gate opens once per field
-    gating: Gating = field(default_factory=Gating)  # Trigger of the gate
-    dose: DoseLedger | None = None  # Dose ledger of the tube; None: the dose is not recorded
-    session: str = ""  # Name of the session, written to the ledger
+    meters: Meters = field(default_factory=Meters)  #: Use of the auxiliary meters
+    field_hz: float = FIELD_RATE_HZ  #: Field rate of the camera, Hz; the gate opens once per field
+    gating: Gating = field(default_factory=Gating)  #: Trigger of the gate
+    dose: DoseLedger | None = None  #: Dose ledger of the tube; None: the dose is not recorded
+    session: str = ""  #: Name of the session, written to the ledger
 
     def __post_init__(self) -> None:
         if (self.lamp is None) != (self.wires.light is None):

@@ -37,14 +37,14 @@ class Instrument(ABC):
 class InstrumentModel:
     """One model of instrument."""
 
-    name: str  # Name in a plan, such as "dg645"
-    role: Role  # Role; the driver has the public methods of the shipped driver of that role, and of `Gate` or `Supply`
-    title: str  # Name in messages, such as "delay generator"
-    # Makes a line on a port; the second argument is the address on a bus, if any
+    name: str  #: Name in a plan, such as "dg645"
+    role: Role  #: Role; the driver has the public methods of the shipped driver of that role, and of `Gate` or `Supply`
+    title: str  #: Name in messages, such as "delay generator"
+    #: Makes a line on a port; the second argument is the address on a bus, if any
     line: Callable[[Port, int], InstrumentLine]
-    driver: Callable[[InstrumentLine], Any]  # Makes the driver on a line
-    baud: int = 9600  # Rate of the serial port, baud
-    hardware_handshake: bool = False  # RTS/CTS
+    driver: Callable[[InstrumentLine], Any]  #: Makes the driver on a line
+    baud: int = 9600  #: Rate of the serial port, baud
+    hardware_handshake: bool = False  #: RTS/CTS
 
     def open_line(self, port: str, address: int = 0, *, exclusive: bool = True) -> InstrumentLine:
         """Open a serial port and return the line to the instrument; InstrumentDisconnected if it cannot be opened.

@@ -249,14 +249,14 @@ def _describe_axes(names: Sequence[str], shape: Sequence[int]) -> str:
 class Recorded:
     """Pixels of a file before the choice of axes and plane."""
 
-    data: NDArray  # Pixels, any number of axes
-    names: Sequence[str]  # Meaning of each axis
-    pattern: str | None = None  # Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic
-    # Black level, DN: one value, or one per site of the mosaic in reading order; empty: unknown
+    data: NDArray  #: Pixels, any number of axes
+    names: Sequence[str]  #: Meaning of each axis
+    pattern: str | None = None  #: Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic
+    #: Black level, DN: one value, or one per site of the mosaic in reading order; empty: unknown
     black_dn: tuple[float, ...] = ()
-    full_scale_dn: float | None = None  # Full scale, DN; None: not stated
-    notes: tuple[str, ...] = ()  # Notes on the storage of the pixels
-    doubts: tuple[str, ...] = ()  # Notes on the axes, omitted if the frame axis is selected
+    full_scale_dn: float | None = None  #: Full scale, DN; None: not stated
+    notes: tuple[str, ...] = ()  #: Notes on the storage of the pixels
+    doubts: tuple[str, ...] = ()  #: Notes on the axes, omitted if the frame axis is selected
 
 
 def lossy_note(how: str) -> str:

@@ -88,10 +88,10 @@ NUMBERS = range(-(2**63), 2**63)  # Frame numbers of 64 bits
 class Acknowledged:
     """One line of the journal."""
 
-    index: int  # Index of the frame in the array
-    frame_number: int  # The camera's own number
-    time_s: float  # Time stamp, s
-    sha256: str  # SHA-256 of the frame's bytes, rows first, little-endian
+    index: int  #: Index of the frame in the array
+    frame_number: int  #: The camera's own number
+    time_s: float  #: Time stamp, s
+    sha256: str  #: SHA-256 of the frame's bytes, rows first, little-endian
 
     def line(self) -> bytes:
         """Return the line as written, with checksum and line end."""
@@ -103,10 +103,10 @@ class Acknowledged:
 class Journal:
     """Content of a journal and its array."""
 
-    path: Path  # Folder of the array
-    frames: tuple[Acknowledged, ...]  # Acknowledged frames that can be read, by index; indices may be missing
-    array_frames: int  # Number of frames in the metadata of the array
-    damaged_lines: tuple[int, ...]  # Numbers, from 1, of the lines that are not one complete record
+    path: Path  #: Folder of the array
+    frames: tuple[Acknowledged, ...]  #: Acknowledged frames that can be read, by index; indices may be missing
+    array_frames: int  #: Number of frames in the metadata of the array
+    damaged_lines: tuple[int, ...]  #: Numbers, from 1, of the lines that are not one complete record
 
     @property
     def end(self) -> int:

@@ -11,25 +11,25 @@ from simulate.virtual_bench.outputs import faults_file, replace_file
 class Faults:
     """Faults of one instrument."""
 
-    silent: bool = False  # It hears nothing and says nothing
-    mute: bool = False  # It obeys, but none of its answers arrives
-    late_s: float = 0.0  # Extra time before each answer, s
-    # A short circuit of the load: a supply trips on current, a lamp goes out, as long as this holds
+    silent: bool = False  #: It hears nothing and says nothing
+    mute: bool = False  #: It obeys, but none of its answers arrives
+    late_s: float = 0.0  #: Extra time before each answer, s
+    #: A short circuit of the load: a supply trips on current, a lamp goes out, as long as this holds
     tripped: bool = False
-    garbage: bool = False  # Every byte of its answers arrives changed
-    half_lines: bool = False  # Only the first half of each answer arrives
-    unplugged: bool = False  # Its port is gone as long as this holds; its outputs stay as they are
-    power_cycles: int = 0  # How often it has lost its power for a moment; each rise is one more time
-    stalled: bool = False  # The camera answers, and sends no frame
-    lost_packet_share: float = 0.0  # Fraction of the camera's packets that get lost, dimensionless
-    clock_jump_s: float = 0.0  # How far the camera's clock is off its time, s
-    # Commands entered at the front panel, in the instrument's own language: once, when they change
+    garbage: bool = False  #: Every byte of its answers arrives changed
+    half_lines: bool = False  #: Only the first half of each answer arrives
+    unplugged: bool = False  #: Its port is gone as long as this holds; its outputs stay as they are
+    power_cycles: int = 0  #: How often it has lost its power for a moment; each rise is one more time
+    stalled: bool = False  #: The camera answers, and sends no frame
+    lost_packet_share: float = 0.0  #: Fraction of the camera's packets that get lost, dimensionless
+    clock_jump_s: float = 0.0  #: How far the camera's clock is off its time, s
+    #: Commands entered at the front panel, in the instrument's own language: once, when they change
     panel: tuple[str, ...] = ()
-    # It answers as if it obeyed, and its outputs stay as they are; what it measures there is true
+    #: It answers as if it obeyed, and its outputs stay as they are; what it measures there is true
     disobedient: bool = False
-    untriggered: bool = False  # No pulses come to the delay generator's trigger input
-    port_name: str = ""  # Name under which its port stands now; empty: its own
-    room_light_lux: float = 0.0  # Of the surroundings: light that falls on the photocathode besides the source's, lux
+    untriggered: bool = False  #: No pulses come to the delay generator's trigger input
+    port_name: str = ""  #: Name under which its port stands now; empty: its own
+    room_light_lux: float = 0.0  #: Of the surroundings: light that falls on the photocathode besides the source's, lux
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "panel", tuple(self.panel))  # JSON knows lists only

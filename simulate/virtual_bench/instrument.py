@@ -42,13 +42,13 @@ class SerialInstrument(Protocol):
 class VirtualModel:
     """One model of virtual instrument."""
 
-    name: str  # Name of the model, such as "dg645"
-    place: str  # Where it stands at the bench, such as "delay_generator": the name of its port and of its faults
-    # Makes it, from its address on a bus and how much faster than life it moves
+    name: str  #: Name of the model, such as "dg645"
+    place: str  #: Where it stands at the bench, such as "delay_generator": the name of its port and of its faults
+    #: Makes it, from its address on a bus and how much faster than life it moves
     make: Callable[[int, float], SerialInstrument]
-    baud: int | None  # Rate set on it, baud; None: a USB adapter, which has none
-    # Commands that do what a hand at its panel does, by setting: of a gate "source", "idle level", "width" and "busy"
-    # (every second trigger is lost), of a supply "voltage" and "on"
+    baud: int | None  #: Rate set on it, baud; None: a USB adapter, which has none
+    #: Commands that do what a hand at its panel does, by setting: of a gate "source", "idle level", "width" and "busy"
+    #: (every second trigger is lost), of a supply "voltage" and "on"
     panel: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
@@ -184,9 +184,9 @@ def read_register(value: int, bit: int | None) -> tuple[int, int]:
 class Command:
     """One command of a line, such as "DLAY? 2"."""
 
-    mnemonic: str  # Upper case
+    mnemonic: str  #: Upper case
     query: bool
-    arguments: tuple[str, ...]  # As they were written, stripped of blanks
+    arguments: tuple[str, ...]  #: As they were written, stripped of blanks
 
 
 _COMMAND = re.compile(r"^(\*[A-Z]{3}|[A-Z]{4})(\?)?\s*(.*)$", re.DOTALL)

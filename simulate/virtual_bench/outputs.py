@@ -24,29 +24,29 @@ Trigger = Literal["clock", "mains", "camera"]
 class GateOutput:
     """What the delay generator's AB output does to the gate unit."""
 
-    gate_open: bool = False  # Whether the gate opens at all
-    gate_ns: float = 0.0  # Width of one opening, ns; infinite where the output idles in the state that opens the gate
-    gate_hz: float = 0.0  # Openings per second, Hz
-    # What triggers them: the generator's own clock, the mains, or the camera's field pulse at its input
+    gate_open: bool = False  #: Whether the gate opens at all
+    gate_ns: float = 0.0  #: Width of one opening, ns; infinite where the output idles in the state that opens the gate
+    gate_hz: float = 0.0  #: Openings per second, Hz
+    #: What triggers them: the generator's own clock, the mains, or the camera's field pulse at its input
     gate_trigger: Trigger = "clock"
-    gate_delay_ns: float = 0.0  # From trigger to opening, ns
+    gate_delay_ns: float = 0.0  #: From trigger to opening, ns
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
     """Present inputs of the tube."""
 
-    mcp_v: float  # Voltage across the microchannel plate, V
-    gate_open: bool  # See `GateOutput`
-    gate_ns: float  # See `GateOutput`
-    gate_hz: float  # See `GateOutput`
-    gate_trigger: Trigger = "clock"  # See `GateOutput`
-    gate_delay_ns: float = 0.0  # See `GateOutput`
-    lamp_a: float | None = None  # Current through the lamp of the bench, A; None: it has no lamp
-    filter_position: int | None = None  # Position of the wheel before the lamp; None: it turns, or there is none
-    has_wheel: bool = False  # Whether there is a wheel before the lamp
-    temperature_c: float | None = None  # Temperature of the tube, degrees Celsius; None: nobody measures it
-    room_light_lux: float = 0.0  # Light of the surroundings on the photocathode, lux
+    mcp_v: float  #: Voltage across the microchannel plate, V
+    gate_open: bool  #: See `GateOutput`
+    gate_ns: float  #: See `GateOutput`
+    gate_hz: float  #: See `GateOutput`
+    gate_trigger: Trigger = "clock"  #: See `GateOutput`
+    gate_delay_ns: float = 0.0  #: See `GateOutput`
+    lamp_a: float | None = None  #: Current through the lamp of the bench, A; None: it has no lamp
+    filter_position: int | None = None  #: Position of the wheel before the lamp; None: it turns, or there is none
+    has_wheel: bool = False  #: Whether there is a wheel before the lamp
+    temperature_c: float | None = None  #: Temperature of the tube, degrees Celsius; None: nobody measures it
+    room_light_lux: float = 0.0  #: Light of the surroundings on the photocathode, lux
 
     def open_ns(self, exposure_s: float) -> float:
         """Time that the gate is open during one exposure of `exposure_s` seconds, ns, averaged over its phase."""
@@ -113,10 +113,10 @@ _FILE = "operator.json"
 class TargetPlacement:
     """Target and light before the camera."""
 
-    number: int = 0  # Counts placements since the bench was built; no two have the same
-    kind: Kind = "dark"  # What the frames will show
-    target: Target = field(default_factory=Target)  # The target
-    illuminance_lux: float = 0.0  # Light on the photocathode as the meter reads it, lux
+    number: int = 0  #: Counts placements since the bench was built; no two have the same
+    kind: Kind = "dark"  #: What the frames will show
+    target: Target = field(default_factory=Target)  #: The target
+    illuminance_lux: float = 0.0  #: Light on the photocathode as the meter reads it, lux
 
 
 class VirtualOperator:

@@ -44,15 +44,15 @@ _OF = {
 class ScriptedFault:
     """One fault."""
 
-    instrument: Place  # Whose
-    kind: Kind  # What is wrong with it
-    at_step: str | None = None  # Label of the step whose beginning starts the clock; None: the beginning of the run
-    at_s: float = 0.0  # How long after that it strikes, s
-    for_s: float = 1.0  # How long it lasts, s; a power cycle is over at once
-    # For late answers how late, s; for packet loss the fraction lost; for a clock jump how far, s; for room light the
-    # illuminance on the photocathode, lux
+    instrument: Place  #: Whose
+    kind: Kind  #: What is wrong with it
+    at_step: str | None = None  #: Label of the step whose beginning starts the clock; None: the beginning of the run
+    at_s: float = 0.0  #: How long after that it strikes, s
+    for_s: float = 1.0  #: How long it lasts, s; a power cycle is over at once
+    #: For late answers how late, s; for packet loss the fraction lost; for a clock jump how far, s; for room light the
+    #: illuminance on the photocathode, lux
     value: float | None = None
-    panel: tuple[str, ...] = ()  # For the front panel: what is entered there, in the instrument's own language
+    panel: tuple[str, ...] = ()  #: For the front panel: what is entered there, in the instrument's own language
 
     def __post_init__(self) -> None:
         if not self.at_s >= 0.0 or not self.for_s > 0.0:
@@ -89,7 +89,7 @@ class ScriptedFault:
 class FaultScript:
     """A file of faults."""
 
-    fault: tuple[ScriptedFault, ...]  # The faults, in any order
+    fault: tuple[ScriptedFault, ...]  #: The faults, in any order
 
     def __post_init__(self) -> None:
         if not self.fault:

@@ -23,11 +23,11 @@ STEPS = 32  # Open times are rounded to this fraction of one opening, since each
 class Fields:
     """Timing of gate and fields of a camera."""
 
-    width_ns: float  # Width of one opening, ns
-    rate_hz: float  # Openings a second, Hz
-    field_hz: float  # Fields a second, Hz
-    exposure_s: float  # Exposure of a field, which ends with it, s
-    first_s: float  # When the first field begins, s after an opening begins
+    width_ns: float  #: Width of one opening, ns
+    rate_hz: float  #: Openings a second, Hz
+    field_hz: float  #: Fields a second, Hz
+    exposure_s: float  #: Exposure of a field, which ends with it, s
+    first_s: float  #: When the first field begins, s after an opening begins
 
     @classmethod
     def of(cls, outputs: Outputs, *, field_hz: float, exposure_s: float, phase: float) -> "Fields":
@@ -63,7 +63,7 @@ class Scene:
 
     placement: TargetPlacement
     conditions: Conditions
-    fields: Fields | None = None  # How gate and fields run against one another, where they do not keep step
+    fields: Fields | None = None  #: How gate and fields run against one another, where they do not keep step
 
 
 class VirtualTube:

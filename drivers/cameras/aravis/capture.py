@@ -48,9 +48,9 @@ def _mono12_packed(byte: _Bytes) -> tuple[_Bytes, ...]:
 class Packing:
     """Packing of pixels into bytes."""
 
-    pixels: int  # Pixels of one group, and its bytes
-    bytes: int  # Pixels of one group, and its bytes
-    # Converts the bytes of all groups, shape (byte, group), to the pixels, one array each
+    pixels: int  #: Pixels of one group, and its bytes
+    bytes: int  #: Pixels of one group, and its bytes
+    #: Converts the bytes of all groups, shape (byte, group), to the pixels, one array each
     split: Callable[[_Bytes], tuple[_Bytes, ...]]
 
     def size_bytes(self, pixels: int) -> int:

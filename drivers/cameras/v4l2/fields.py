@@ -60,10 +60,10 @@ def rows_of(height: int, field: int) -> int:
 class Field:
     """One field."""
 
-    pixels: NDArray  # Pixels of the field, shape (row, col), DN
-    parity: int  # The kernel's number of the field: TOP or BOTTOM
-    number: int  # Number of its frame
-    time_s: float  # Time stamp, s of the kernel's clock
+    pixels: NDArray  #: Pixels of the field, shape (row, col), DN
+    parity: int  #: The kernel's number of the field: TOP or BOTTOM
+    number: int  #: Number of its frame
+    time_s: float  #: Time stamp, s of the kernel's clock
 
 
 class FieldPairs:

@@ -24,14 +24,14 @@ _KINDS: dict[int, Kind] = {1: "integer", 2: "boolean", 3: "menu", 4: "button", 8
 class Control:
     """One control."""
 
-    identifier: int  # The kernel's number
-    name: str  # Name given by the driver
-    kind: Kind  # Kind of its values
-    minimum: int  # Range of its values, in its own unit
-    maximum: int  # Range of its values, in its own unit
-    step: int  # Range of its values, in its own unit
-    default: int  # Range of its values, in its own unit
-    is_read_only: bool  # Whether it cannot be set, also while inactive because of another control
+    identifier: int  #: The kernel's number
+    name: str  #: Name given by the driver
+    kind: Kind  #: Kind of its values
+    minimum: int  #: Range of its values, in its own unit
+    maximum: int  #: Range of its values, in its own unit
+    step: int  #: Range of its values, in its own unit
+    default: int  #: Range of its values, in its own unit
+    is_read_only: bool  #: Whether it cannot be set, also while inactive because of another control
 
 
 def list_controls(device: Device) -> tuple[Control, ...]:
@@ -104,9 +104,9 @@ def _control(device: Device, query: Any) -> Control:
 class OfferedFormat:
     """A pixel format of a device."""
 
-    letters: str  # FourCC of the format
-    name: str | None  # Name as a camera setting; None for an unsupported format, such as a compressed one
-    sizes: tuple[tuple[int, int], ...]  # Rows and columns of the images; empty where any size within bounds is offered
+    letters: str  #: FourCC of the format
+    name: str | None  #: Name as a camera setting; None for an unsupported format, such as a compressed one
+    sizes: tuple[tuple[int, int], ...]  #: Rows and columns of the images; empty where any size within bounds is offered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,12 +121,12 @@ class OfferedInput:
 class VideoDevice:
     """A device that can capture."""
 
-    path: str  # Device file, such as "/dev/video0"
-    card: str  # Name of the card, kernel driver and bus position
-    driver: str  # Name of the card, kernel driver and bus position
-    bus: str  # Name of the card, kernel driver and bus position
-    inputs: tuple[OfferedInput, ...]  # Inputs and pixel formats
-    formats: tuple[OfferedFormat, ...]  # Inputs and pixel formats
+    path: str  #: Device file, such as "/dev/video0"
+    card: str  #: Name of the card, kernel driver and bus position
+    driver: str  #: Name of the card, kernel driver and bus position
+    bus: str  #: Name of the card, kernel driver and bus position
+    inputs: tuple[OfferedInput, ...]  #: Inputs and pixel formats
+    formats: tuple[OfferedFormat, ...]  #: Inputs and pixel formats
 
 
 def list_devices() -> tuple[VideoDevice, ...]:

@@ -17,11 +17,11 @@ MOST_PIXELS_A_SIDE = 65536
 class Layout:
     """Position of the grey values in memory."""
 
-    name: str  # Name of the format, as in `labdata.capture.PIXEL_BITS`
-    kind: str = "u1"  # NumPy type of one value
-    first: int = 0  # Position of the first value of a row, and distance to the next one, in values
-    step: int = 1  # Position of the first value of a row, and distance to the next one, in values
-    planes: float = 1.0  # Size of the complete image relative to the plane of grey values, dimensionless
+    name: str  #: Name of the format, as in `labdata.capture.PIXEL_BITS`
+    kind: str = "u1"  #: NumPy type of one value
+    first: int = 0  #: Position of the first value of a row, and distance to the next one, in values
+    step: int = 1  #: Position of the first value of a row, and distance to the next one, in values
+    planes: float = 1.0  #: Size of the complete image relative to the plane of grey values, dimensionless
 
     @property
     def is_video(self) -> bool:
@@ -51,12 +51,12 @@ LAYOUTS = _layouts()  # Supported formats by the kernel's number, in order of pr
 class BufferImage:
     """Layout of one image in a buffer."""
 
-    rows: int  # Size of the image, px
-    columns: int  # Size of the image, px
-    row_bytes: int  # Bytes from one row to the next
-    layout: Layout  # Position of the grey values
-    # First row of the field stored first, 0 (top) or 1 (bottom), for fields one after the other; None for interleaved
-    # rows
+    rows: int  #: Size of the image, px
+    columns: int  #: Size of the image, px
+    row_bytes: int  #: Bytes from one row to the next
+    layout: Layout  #: Position of the grey values
+    #: First row of the field stored first, 0 (top) or 1 (bottom), for fields one after the other; None for interleaved
+    #: rows
     first_field: int | None = None
 
     def __post_init__(self) -> None:

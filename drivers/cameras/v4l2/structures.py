@@ -86,9 +86,9 @@ _READ, _WRITE, _BOTH = 2, 1, 3
 class Request:
     """One kind of ioctl."""
 
-    name: str  # Name in the kernel, without VIDIOC_
-    code: int  # Number: direction, size of the structure, the letter V, and a running number (asm-generic/ioctl.h)
-    structure: Any  # Structure passed to the kernel and filled in by it
+    name: str  #: Name in the kernel, without VIDIOC_
+    code: int  #: Number: direction, size of the structure, the letter V, and a running number (asm-generic/ioctl.h)
+    structure: Any  #: Structure passed to the kernel and filled in by it
 
 
 def _request(name: str, number: int, structure: type, direction: int = _BOTH) -> Request:

@@ -64,10 +64,10 @@ class Setting:
 
     low: float
     high: float
-    factory: float = 0  # Value after `*RST`
-    count: int = 0  # Number of indices; 0: none
-    form: str = "{:d}"  # How the value is answered
-    step: float = 0.0  # Resolution to which values are rounded; 0: none
+    factory: float = 0  #: Value after `*RST`
+    count: int = 0  #: Number of indices; 0: none
+    form: str = "{:d}"  #: How the value is answered
+    step: float = 0.0  #: Resolution to which values are rounded; 0: none
     wrong: int = Dg645Error.ILLEGAL_VALUE
 
     @property
