@@ -120,8 +120,8 @@ def render_annotations(stack: FrameStack, result: Result, frequency: Frequency =
     captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown]
     sizes = [(LINE_PX * len(lines) + 8, max(map(_width, lines)) + 12) for lines in captions]
     places = place_captions(boxes, sizes, image.shape[:2])
-    for measurement, *caption in zip(shown, captions, places, sizes, boxes, strict=True):
-        _write(image, *caption, status=measurement.status)
+    for measurement, lines, place, size, box in zip(shown, captions, places, sizes, boxes, strict=True):
+        _write(image, lines, place, size, box, measurement.status)
     return np.concatenate([image, _legend(shown, frequency, image.shape[1])])
 
 

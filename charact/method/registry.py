@@ -21,7 +21,7 @@ Spread = Callable[[Callable[..., Any], Sequence[Any]], Iterable[Any]]
 
 
 @contextmanager
-def parallel_map(scheduler: str | None) -> Iterator[Spread]:
+def parallel_map(scheduler: str | None, *, timeout_s: float = 10.0) -> Iterator[Spread]:
     """Yield a function that maps another function over parts of the work, results in order.
 
     `scheduler`: address of a Dask scheduler, such as "tcp://host:8786", whose workers see the session's files under the
@@ -38,8 +38,8 @@ def parallel_map(scheduler: str | None) -> Iterator[Spread]:
         raise BadInput("--scheduler needs Dask (pip install 'charact[dask]'), which is not installed") from None
     try:
         # A client without a scheduler prints a traceback when it is garbage-collected, so the port is tried first.
-        create_connection(get_address_host_port(scheduler), timeout=10.0).close()
-        client = Client(scheduler, timeout=10.0, set_as_default=False)
+        create_connection(get_address_host_port(scheduler), timeout=timeout_s).close()
+        client = Client(scheduler, timeout=timeout_s, set_as_default=False)
     except (OSError, OverflowError, ValueError, TimeoutError):
         raise BadInput(f"--scheduler must be the address of a running Dask scheduler, got {scheduler!r}") from None
     with client:

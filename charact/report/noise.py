@@ -171,7 +171,8 @@ def plot_noise_against_gain(data: Data) -> Any:
     figure, grid = panels(1, 2, size=(7.2, 3.8))
     gains, noises = grid[0]
     setting, gain, law = (first_array(data, name) for name in ("setting", "gain_dn", "law_setting"))
-    plot_band(gains, law, *np.asarray(data["law_interval95_dn"], float), MODEL)
+    low, high = np.asarray(data["law_interval95_dn"], float)
+    plot_band(gains, law, low, high, MODEL)
     plot_line(gains, law, first_array(data, "law_gain_dn"), color=MODEL, label="fit, 95 %")
     sd = gain * first_array(data, "gain_relative_sd")
     plot_points(gains, setting, gain, sd, color=DATA, markersize=4.5, label="each, ± 1 sd")

@@ -96,7 +96,8 @@ def _overlay(name: str, data: Mapping[str, Any]) -> Figure:
         named = isinstance(data["x"][0], str)
         x = np.arange(len(data["x"]), dtype=float) if named else np.asarray(data["x"], float)
         x_simulated = np.asarray(data["x_simulated"], float) if has_all(data, "x_simulated") else x
-        plot_band(axes, *subsample(x_simulated, data["low95"], data["high95"]), MODEL)
+        at, low, high = subsample(x_simulated, data["low95"], data["high95"])
+        plot_band(axes, at, low, high, MODEL)
         axes.plot(*subsample(x_simulated, data["simulated"]), color=MODEL, label="simulated, band 95 %")
         style = "o" if len(x) < 30 else "-"
         axes.plot(*subsample(x, data["measured"]), style, color=DATA, markersize=4, label="measured")

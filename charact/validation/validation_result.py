@@ -179,8 +179,7 @@ def load(folder: str | Path) -> Validation | None:
 
 
 def _statistics(stored: list[dict[str, Any]]) -> tuple[Statistic, ...]:
-    return tuple(
-        Statistic(**{key: tuple(value) if isinstance(value, list) else value for key, value in one.items()
-                     if key != "passed"})
-        for one in stored
-    )  # fmt: skip
+    def fields(one: dict[str, Any]) -> dict[str, Any]:
+        return {key: tuple(v) if isinstance(v, list) else v for key, v in one.items() if key != "passed"}
+
+    return tuple(Statistic(**fields(one)) for one in stored)

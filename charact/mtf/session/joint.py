@@ -110,7 +110,7 @@ def fit_joint_model(problem: JointLikelihood) -> JointFit:
     # Curvature of -ln Phi(z): h (h + z), h the density over Phi.
     ratio = np.exp(-0.5 * below**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(below))
     curvature = slope.T @ (np.concatenate([np.ones(count), ratio * (ratio + below)])[:, None] * slope)
-    covariance = np.linalg.inv(curvature + np.diag(problem.form.prior_precision))
+    covariance = np.asarray(np.linalg.inv(curvature + np.diag(problem.form.prior_precision)), np.float64)
     height = float(problem.log_probability(point[None])[0])
     volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
     return JointFit(

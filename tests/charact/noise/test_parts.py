@@ -111,10 +111,9 @@ def test_what_is_no_address_of_a_scheduler_ends_in_one_sentence_before_there_is_
             pass
 
 
-def test_a_scheduler_that_does_not_answer_ends_in_one_sentence(monkeypatch):
+def test_a_scheduler_that_does_not_answer_ends_in_one_sentence():
     pytest.importorskip("distributed", reason="Dask is not installed: pip install 'charact[dask]'")
-    monkeypatch.setattr("charact.method.registry.CONNECT_S", 0.5)
-    with pytest.raises(BadInput, match="running Dask scheduler"), parallel_map("tcp://127.0.0.1:9"):
+    with pytest.raises(BadInput, match="running Dask scheduler"), parallel_map("tcp://127.0.0.1:9", timeout_s=0.5):
         pass
 
 
