@@ -110,9 +110,8 @@ def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sh
     fx, fy = f[None, :] / camera.cells.pitch_x_mm, f[:, None] / camera.cells.pitch_y_mm
     turns = [(m, n) for m in range(-3, 4) for n in range(-3, 4)]
     beside = 1.0 / camera.cells.pitch_x_mm, 1.0 / camera.cells.pitch_y_mm
-    due = sum(
-        product((*blurs, aperture), *np.broadcast_arrays(fx + m * beside[0], fy + n * beside[1])) ** 2 for m, n in turns
-    )
+    replicas = (np.broadcast_arrays(fx + m * beside[0], fy + n * beside[1]) for m, n in turns)
+    due = np.sum([product((*blurs, aperture), *place) ** 2 for place in replicas], axis=0)
     low = np.hypot(f[:, None], f[None, :]) < 0.11
     assert np.allclose(found[low], due[low], rtol=4e-3)
     assert np.allclose(found, due, atol=4e-3)
