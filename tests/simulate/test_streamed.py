@@ -11,11 +11,10 @@ from labdata.errors import BadInput
 from labdata.sensors import load_sensor
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
+from simulate.iiccd.chain import PulseMoments, Slot
 from simulate.iiccd.fast_sampler import charge_distribution, event_samplers, frame_generator, kernel
 from simulate.iiccd.fast_sampler.event_samplers import Exposure, SparseLight, SparseScreen
 from simulate.iiccd.grid import ACCURACY
-from simulate.iiccd.moments import PulseMoments
 from simulate.iiccd.phosphor import PhosphorDecay
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.iiccd.stage_image import StageImage
