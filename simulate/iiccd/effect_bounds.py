@@ -20,10 +20,9 @@ from labdata.errors import BadInput
 from simulate.effect_selection import DEFAULT_TOLERANCE, EffectSelection, OptionalEffect, select_effects
 from simulate.iiccd.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Chain, Slot
+from simulate.iiccd.chain import Chain, PulseMoments, Slot
 from simulate.iiccd.fast_sampler.kernel import noise_kernel
 from simulate.iiccd.grid import ACCURACY
-from simulate.iiccd.moments import PulseMoments
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur, product
 

@@ -1,6 +1,7 @@
 """Image of one frame behind each stage, for teaching and fault finding."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,7 @@ def stage_images(
         fields are apart, of the whole frame from the scan on. Images on cells are cut to the image, and blurs that
         the chain computes only later are computed for them.
     """
-    at_mcp = light
+    at_mcp: Any = light
     if isinstance(light, RadianceCube):
         at_mcp = yield from _before_the_draw(camera, light, conditions)
     chain, readout_rng = camera.chain(conditions), np.random.default_rng([seed, 1, 0])
@@ -73,7 +74,7 @@ def stage_images(
     yield from _draw_images(chain.between(Slot.SCAN, Slot.VIDEO), StageImage(values=shown), readout_rng)
 
 
-def _before_the_draw(camera: Camera, cube: RadianceCube, conditions: Conditions):
+def _before_the_draw(camera: Any, cube: RadianceCube, conditions: Conditions):
     """Noiseless stages up to the MCP or the chip; returns the image behind them."""
     photons_per_s = camera.lens().mean(cube)
     yield _image_of(Slot.OPTICS, photons_per_s)

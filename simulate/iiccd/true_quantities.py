@@ -14,8 +14,7 @@ from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.moments import PulseMoments
+from simulate.iiccd.chain import PulseMoments, Slot
 from simulate.iiccd.transfer import PixelAperture, StageBlur, product
 from simulate.iiccd.video import NoFilter, VideoFilter
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ SAMPLERS: tuple[Sampler, ...] = ("chain", "fast", "normal")
 
 
 def drawn_by(
-    sampler: Sampler, camera: IntensifiedCamera, light: StageImage, conditions: Conditions, *, seed: int, **more: int
+    sampler: Sampler, camera: IntensifiedCamera, light: StageImage, conditions: Conditions, *, seed: int, **more: Any
 ) -> Iterator[NDArray[np.unsignedinteger]]:
     """Yield frames stage by stage, by the fast sampler, or by it with a normal law of sums."""
     if sampler == "chain":

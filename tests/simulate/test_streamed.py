@@ -11,11 +11,10 @@ from labdata.errors import BadInput
 from labdata.sensors import load_sensor
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
+from simulate.iiccd.chain import PulseMoments, Slot
 from simulate.iiccd.fast_sampler import charge_distribution, event_samplers, frame_generator, kernel
 from simulate.iiccd.fast_sampler.event_samplers import Exposure, SparseLight, SparseScreen
 from simulate.iiccd.grid import ACCURACY
-from simulate.iiccd.moments import PulseMoments
 from simulate.iiccd.phosphor import PhosphorDecay
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.iiccd.stage_image import StageImage
@@ -110,9 +109,8 @@ def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sh
     fx, fy = f[None, :] / camera.cells.pitch_x_mm, f[:, None] / camera.cells.pitch_y_mm
     turns = [(m, n) for m in range(-3, 4) for n in range(-3, 4)]
     beside = 1.0 / camera.cells.pitch_x_mm, 1.0 / camera.cells.pitch_y_mm
-    due = sum(
-        product((*blurs, aperture), *np.broadcast_arrays(fx + m * beside[0], fy + n * beside[1])) ** 2 for m, n in turns
-    )
+    replicas = (np.broadcast_arrays(fx + m * beside[0], fy + n * beside[1]) for m, n in turns)
+    due = np.sum([product((*blurs, aperture), *place) ** 2 for place in replicas], axis=0)
     low = np.hypot(f[:, None], f[None, :]) < 0.11
     assert np.allclose(found[low], due[low], rtol=4e-3)
     assert np.allclose(found, due, atol=4e-3)
@@ -251,8 +249,9 @@ def scene(sheet):
     return camera, mcp_input_from_photoelectrons(camera, image, Conditions())
 
 
-def _frames(scene, count, tier="fast", **more):
-    return np.stack(list(islice(drawn_by(tier, *scene, Conditions(), seed=9, **more), count)))
+def _frames(scene, count, tier="fast", seed=9, **more):
+    camera, light = scene
+    return np.stack(list(islice(drawn_by(tier, camera, light, Conditions(), seed=seed, **more), count)))
 
 
 @pytest.mark.parametrize("tier", ["fast", "normal"])
@@ -262,7 +261,7 @@ def test_frames_follow_from_seed_and_number_whoever_draws_them_and_in_whatever_o
     assert run.tobytes() == _frames(scene, 11, tier=tier, threads=2).tobytes()
     for first in (1, 4, 6, 8):
         assert run[first : first + 2].tobytes() == _frames(scene, 2, tier=tier, first_frame=first).tobytes()
-    assert run.tobytes() != np.stack(list(islice(drawn_by(tier, *scene, Conditions(), seed=10), 11))).tobytes()
+    assert run.tobytes() != _frames(scene, 11, tier=tier, seed=10).tobytes()
 
 
 def test_every_tier_averages_to_the_mean_frame(scene, seed):

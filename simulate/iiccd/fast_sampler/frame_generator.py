@@ -140,6 +140,7 @@ class FrameGenerator:
                     self._screen.expose(earlier, [first.light] * self._fields, 1.0, self._run_in_bands)
             exposures, output = [], 0.0
             for scene in batch:
+                assert scene.grid is not None
                 output += float(plate.mean(scene).values.sum(dtype=float)) / scene.grid.cell_area_cm2
                 working = plate
                 if plate.depletion_blur_um is not None:
@@ -186,7 +187,8 @@ class FrameGenerator:
         from simulate.iiccd.fast_sampler.charge_rows import charge_rows, read_rows
 
         ccd, video, screen, normal = self._ccd, self._video, self._screen, normal_quantiles()
-        codes, charge = np.empty(mean.shape, video.code_type), self._charge
+        codes: Frame = np.empty(mean.shape, video.code_type)
+        charge = self._charge
         wing = far_wing(screen.kernel, coarse, mean.shape)
         read_e = ccd.read_noise_e if wells.read_apart else 0.0
         variance = ccd.dark_e + (0.0 if wells.read_apart else ccd.read_noise_e**2)
