@@ -266,7 +266,7 @@ def outline_cells(mesh: TargetMesh, view: TargetView) -> NDArray[np.bool_]:
         cells = np.stack([np.floor(np.interp(steps, way, axis)).astype(int) + 1 for axis in corners.T])
         inside = (cells >= 0).all(axis=0) & (cells[0] < mixed.shape[0]) & (cells[1] < mixed.shape[1])
         mixed[tuple(cells[:, inside])] = True
-    return binary_dilation(mixed, np.ones((3, 3)))[1:-1, 1:-1]
+    return np.asarray(binary_dilation(mixed, np.ones((3, 3))), bool)[1:-1, 1:-1]
 
 
 def _fractions_along(bench: LabSetup, view: TargetView, cell: Array) -> NDArray[np.float32]:

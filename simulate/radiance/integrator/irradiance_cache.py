@@ -46,8 +46,8 @@ class IrradianceCache:
 
         Image coordinates of the rays that meet the points, shape (point,), are integers at the corners of pixels.
         """
-        at = [np.floor(axis) if self.fine else axis / LIMITS.cache_step_px - 0.5 for axis in (row, col)]
-        light, has = self.nodes.between(self.change, *at, points.place_m, points.normal)
+        row, col = (np.floor(axis) if self.fine else axis / LIMITS.cache_step_px - 0.5 for axis in (row, col))
+        light, has = self.nodes.between(self.change, row, col, points.place_m, points.normal)
         shares = np.flatnonzero(has & points.is_diffuse)
         light = light[shares]
         if not self.stage.lighting.environment_map.dark:

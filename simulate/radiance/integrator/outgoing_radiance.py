@@ -45,7 +45,7 @@ class RadianceComponents:
         self.shape, self.split = shape, split
         self.found: dict[str, Light] = {}
 
-    def add(self, name: str, which: Rows, light: Light) -> None:
+    def add(self, name: str, which: Rows, light: Array) -> None:
         """Add light to a component at some points, each named once."""
         if len(which):
             found = self.found.setdefault(name if self.split else "", np.zeros(self.shape, np.float32))
@@ -98,11 +98,11 @@ class ShadingRequest:
         even = None if self.even is None else self.even.some(which)
         return replace(self, points=self.points.some(which), rows=self.rows[which], even=even)
 
-    def add(self, name: str, which: Rows, light: Light) -> None:
+    def add(self, name: str, which: Rows, light: Array) -> None:
         """Add light to a component at some of the points, each named once."""
         self.parts.add(name, self.rows[which], light)
 
-    def add_rays(self, name: str, which: Rows, light: Light) -> None:
+    def add_rays(self, name: str, which: Rows, light: Array) -> None:
         """Add light of some gather rays to a component; the rays of a point are consecutive."""
         if len(which):
             owner = which // self.rays

@@ -81,7 +81,8 @@ class PathStates(NamedTuple):
         shape |= dict.fromkeys(("place", "start", "normal", "direction", "target_direction"), (3,))
         whole = ("active", "shadow_rays", "point", "face", "chosen")
         kind = dict.fromkeys(whole, np.int64) | {"weight": np.float32, "throughput": np.float32}
-        return cls(*(np.zeros((WAVE, *shape.get(name, ())), kind.get(name, np.float64)) for name in cls._fields))
+        arrays: Any = [np.zeros((WAVE, *shape.get(name, ())), kind.get(name, np.float64)) for name in cls._fields]
+        return cls(*arrays)
 
 
 class DeferredPaths(NamedTuple):
@@ -132,11 +133,9 @@ def follow_paths(
     shine = np.array([lamp.name not in effort.neglected for lamp in light.lamps], np.bool_)
     found = np.zeros((len(points), bands), np.float32)
     room = 0 if diffuse.all() else len(points) * even.rays
-    back = DeferredPaths(
-        *(np.empty(room, np.int64) for _ in range(3)),
-        *(np.empty((room, 3)) for _ in range(2)),
-        np.empty((room, bands), np.float32),
-    )
+    owner, at_depth, face = (np.empty(room, np.int64) for _ in range(3))
+    place, direction = np.empty((2, room, 3))
+    back = DeferredPaths(owner, at_depth, face, place, direction, np.empty((room, bands), np.float32))
     assert tracer.scene is not None
     start = tracer.above(points.face, points.place_m, points.normal)
     roulette = np.iinfo(np.int64).max if effort.roulette_depth is None else effort.roulette_depth
@@ -158,7 +157,8 @@ def follow_paths(
         found,
         tuple(back),
     )
-    return found, DeferredPaths(*(values[:count] for values in back))
+    kept: Any = [values[:count] for values in back]
+    return found, DeferredPaths(*kept)
 
 
 @numba.njit(**COMPILED)

@@ -229,7 +229,7 @@ def render_scene(
     progress(1.0)
     add_small_sources(stage, view, radiance)
     below_zero = int(np.count_nonzero((radiance < 0.0).any(axis=1)))
-    signal = (radiance @ weight).reshape(view.shape)
+    signal = (radiance @ weight).astype(np.float32).reshape(view.shape)
     np.maximum(radiance, 0.0, out=radiance)
     cube = np.ascontiguousarray(radiance.T).reshape(stage.bands, *view.shape)
     return Rendering(

@@ -323,7 +323,8 @@ class Air:
         assert table is not None
         place = np.clip(NODES * np.log2(np.maximum(range_m, 1.0)), 0.0, len(table) - 1.0)
         below = np.minimum(place.astype(np.int64), len(table) - 2)
-        return table[below] + (place - below).astype(np.float32)[:, None] * (table[below + 1] - table[below])
+        share = (place - below).astype(np.float32)[:, None]
+        return np.asarray(table[below] + share * (table[below + 1] - table[below]), np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)

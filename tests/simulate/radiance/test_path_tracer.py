@@ -75,7 +75,7 @@ def crowded(case: dict) -> SpectralScene:
     return staged(parts, rho, **lights)
 
 
-@pytest.mark.parametrize(("number", "name"), enumerate(CASES))
+@pytest.mark.parametrize(("number", "name"), list(enumerate(CASES)))
 def test_loops_find_what_batches_find(number, name, seed):
     """Light asked for in parts is gathered in batches: over 300 places the means agree to four standard errors."""
     case, known = CASES[name], (1.0, 0.4)[number % 2]
