@@ -22,7 +22,7 @@ from charact.method import Context
 from charact.method.registry import with_single_blas_thread
 from charact.mtf.blur_models.one_dimensional import EXPONENT_PRIOR, HALF_FREQUENCY_PRIOR, BlurModel
 from charact.mtf.curve import FINE, crossing_frequency
-from charact.mtf.edge.fit.model_fit import EdgeFitter
+from charact.mtf.edge.fit.model_fit import EdgeFitter, form_of
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX
 from charact.mtf.known_transfer import known_transfer
@@ -305,7 +305,7 @@ def posterior_draws(sampler: str, stack: FrameStack, seed: int) -> Array | Poste
     known = known_transfer(edge.picture, edge.profile.angle_rad, context)
     fitter = EdgeFitter(edge.profile, known)
     fit = fitter.fit(FORM, np.concatenate([[0.0], FORM.start(fitter.guess())]), EVEN_PER_PX)
-    likelihood = fitter.log_probability(FORM, EVEN_PER_PX)
+    likelihood = fitter.log_probability(form_of(FORM), EVEN_PER_PX)
 
     def log_probability(theta: Array) -> Array:
         inside = np.all((theta >= BOUNDS[:, 0]) & (theta <= BOUNDS[:, 1]), axis=1)

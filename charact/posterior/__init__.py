@@ -4,7 +4,7 @@ from charact.posterior.chain import sample
 from charact.posterior.diagnostics import has_several_peaks
 from charact.posterior.importance import importance_sample
 from charact.posterior.laplace import find_maximum, laplace
-from charact.posterior.predictive import PredictiveCheck, predictive_check, predictive_probability
+from charact.posterior.predictive import PredictiveCheck, predictive_check
 from charact.posterior.sampling import sample_posterior
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "importance_sample",
     "laplace",
     "predictive_check",
-    "predictive_probability",
     "sample",
     "sample_posterior",
 ]

@@ -101,39 +101,6 @@ def predictive_check(
     return PredictiveCheck(chi_squared=odd[0], runs=odd[1], neighbours=odd[2], level=level)
 
 
-def predictive_probability(
-    draws: ArrayLike,
-    data: ArrayLike,
-    replicate: Callable[[Array, np.random.Generator], Array],
-    discrepancy: Callable[[Array, Array], Array],
-    *,
-    rng: np.random.Generator,
-) -> float:
-    """Return the posterior predictive p-value of a discrepancy, for noise of any distribution.
-
-    Parameters
-    ----------
-    draws
-        Posterior draws, shape (draw, parameter).
-    data
-        Measured data, any shape.
-    replicate
-        Function of draws (draw, parameter) and a generator that returns replicates, shape (draw, *data).
-    discrepancy
-        Function of data (draw, *data) and draws that returns discrepancies, shape (draw,).
-
-    Notes
-    -----
-    Gelman, Meng & Stern 1996: P(T(y_rep, theta) >= T(y, theta)). The data are used twice, so that the p-value is closer
-    to 1/2 than a uniform one: values below alpha occur with at most about the probability alpha.
-    """
-    drawn = np.atleast_2d(np.asarray(draws, float))
-    measured = np.asarray(data, float)
-    ours = discrepancy(np.broadcast_to(measured, (len(drawn), *measured.shape)), drawn)
-    theirs = discrepancy(replicate(drawn, rng), drawn)
-    return float(np.mean(theirs > ours) + 0.5 * np.mean(theirs == ours))
-
-
 def _whitener(noise: Array, size: int) -> Callable[[Array], Array]:
     """Return the map that makes noise white and of unit variance, along the first axis."""
     if noise.shape == (size,):
@@ -161,25 +128,13 @@ def _shrink_by_fit(white: Array, spread: Array) -> Array:
 
 def _discrepancies(residual: Array) -> Array:
     """Return the three discrepancies of white residuals (data set, datum), shape (discrepancy, data set)."""
-    return np.array([_chi_squared(residual), _few_runs(residual), _neighbours(residual)])
-
-
-def _chi_squared(residual: Array) -> Array:
-    return np.sum(residual**2, axis=1)
-
-
-def _few_runs(residual: Array) -> Array:
-    """Minus the number of runs of one sign."""
-    return -np.sum(np.diff(residual > 0, axis=1), axis=1).astype(float)
-
-
-def _neighbours(residual: Array) -> Array:
-    """Sum of the autocorrelations up to the root of the number of data, weighted by 1 - lag/(last + 1)."""
-    count = residual.shape[1]
-    last = max(1, round(np.sqrt(count)))
+    squares = np.sum(residual**2, axis=1)
+    runs = np.sum(np.diff(residual > 0, axis=1), axis=1).astype(float)
+    # Autocorrelations up to the root of the number of data, weighted by 1 - lag/(last + 1).
+    last = max(1, round(np.sqrt(residual.shape[1])))
     products = [np.einsum("rn,rn->r", residual[:, lag:], residual[:, :-lag]) for lag in range(1, last + 1)]
     weights = 1.0 - np.arange(1, last + 1) / (last + 1)
-    return weights @ np.array(products) / np.sum(residual**2, axis=1)
+    return np.array([squares, -runs, weights @ np.array(products) / squares])
 
 
 def _tail(ours: float, theirs: Array, rng: np.random.Generator) -> float:

@@ -95,7 +95,7 @@ class HaloComponent(ExtendedComponent):
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of each parameter by name."""
+        """As of `ExtendedComponent`, and the elastic share."""
         return {**super().parameters, "halo_elastic_share": ("1", (0.0, 1.0))}
 
     def transfer(self, frequency: Array, shape: Array) -> Array:

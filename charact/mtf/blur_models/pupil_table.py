@@ -14,8 +14,7 @@ Array = NDArray[np.float64]
 
 # Diameter of the obscuration over that of the pupil: telescopes have up to about a half.
 OBSCURATION = (0.0, 0.8)
-# Defocus up to which `NODES` integrate to 1e-7, waves.
-DEFOCUS_WAVES = (0.0, 3.0)
+# Nodes that integrate to 1e-7 up to a defocus of 3 waves.
 NODES = 16
 _AT, _WEIGHT = np.polynomial.legendre.leggauss(NODES)
 

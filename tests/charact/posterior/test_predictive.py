@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, norm
 
-from charact.posterior import find_maximum, predictive_check, predictive_probability, sample
+from charact.posterior import find_maximum, predictive_check, sample
 from labdata.errors import BadInput
 
 PLACES = np.linspace(-1.0, 1.0, 60)
@@ -126,28 +126,6 @@ def test_an_edge_through_a_gamma_is_no_symmetric_edge(gamma, seed):
     draws = rng.multivariate_normal(peak, covariance, 500)
     check = predictive_check(data, mean(draws), np.full(300, 0.4), rng=rng)
     assert check.flags == (() if gamma == 1.0 else ("model-misfit",))
-
-
-def test_counts_more_scattered_than_poisson_ones_are_told_and_poisson_ones_are_not():
-    def replicate(draws, rng):
-        return rng.poisson(np.repeat(draws, 200, axis=1))
-
-    def discrepancy(counts, draws):
-        return ((counts - draws) ** 2 / draws).sum(1)
-
-    right = []
-    for trial in range(150):
-        rng = np.random.default_rng(trial)
-        counts = rng.poisson(20.0, 200)
-        draws = rng.gamma(counts.sum() + 0.5, 1 / 200, (400, 1))
-        right.append(predictive_probability(draws, counts, replicate, discrepancy, rng=rng))
-    # Nearer to 1/2 than uniform, at most: mean 1/2 and variance no more than 1/12.
-    assert abs(np.mean(right) - 0.5) < 4.5 / np.sqrt(12 * 150)
-    assert np.mean((np.array(right) - 0.5) ** 2) < 1 / 12 + 4.5 / np.sqrt(180 * 150)
-    rng = np.random.default_rng(0)
-    counts = rng.negative_binomial(20, 0.5, 200)  # twice the variance of Poisson counts
-    draws = rng.gamma(counts.sum() + 0.5, 1 / 200, (400, 1))
-    assert predictive_probability(draws, counts, replicate, discrepancy, rng=rng) < 0.01
 
 
 @pytest.mark.parametrize(
