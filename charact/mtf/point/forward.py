@@ -1,5 +1,7 @@
 """Forward method for points: the blur model of a described intensifier, or that of a tube, fitted to the pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from charact.method import Context, register
@@ -61,8 +63,8 @@ def point_forward(
     def forms(pinhole: float | tuple[float, float], holds_halo: bool, _reach_px: float):
         if context.sensor is not None:
             return [described_tube(context, pinhole, halo=holds_halo)], None
-        kinds = (("gaussian", False), ("exponential", False), ("exponential", True))
-        return [BlurModel2D(core=core, lens=lens, pinhole_px=pinhole) for core, lens in kinds], None
+        tube = BlurModel2D(core="exponential", pinhole_px=pinhole)
+        return [replace(tube, core="gaussian"), tube, replace(tube, lens=True)], None
 
     method = PointMethod(name=METHOD, quantities=tuple(LEVELS), forms=forms)
     return measure_points(method, stack, region, regions, pinhole_px, context)
