@@ -83,7 +83,7 @@ def _bars_and_gaps(
     across, _ = target.coordinates(mean.shape)
     phase = (across * target.frequency + ahead + (target.bars - 1) / 2.0) % 1.0
     near = np.minimum(phase, 1.0 - phase)
-    within = inner & (np.abs(across) < ((target.bars - 1) / 2.0 + periods) / target.frequency)
+    within = inner & (np.abs(across) < ((target.bars - 1) / 2.0 + min(periods, 0.1)) / target.frequency)
     return mean[within & (near < periods)], mean[within & (near > 0.5 - periods)]
 
 

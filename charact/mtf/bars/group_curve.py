@@ -25,8 +25,6 @@ Array = NDArray[np.float64]
 METHOD = "bars-joint"
 # Method without errors by harmonics or phase.
 GROUPS_BY = "bars-forward"
-# Half of a 68 % interval in standard deviations.
-HALF68_SD = 0.994458
 # Frequency grid for MTF50, cy/px.
 FINE = np.arange(0.002, 1.2, 0.002)
 
@@ -45,7 +43,8 @@ def group_of(measurement: Measurement) -> Group:
     value, interval, frequency = measurement.value, measurement.interval68, measurement.frequency_cy_per_px
     if value is None or interval is None or frequency is None:
         raise BadInput(f"a group of bars must have an MTF with an interval at a frequency, got {measurement.status}")
-    sd = (interval[1] - interval[0]) / (2.0 * HALF68_SD)
+    # Half of a 68 % interval is 0.994458 standard deviations.
+    sd = (interval[1] - interval[0]) / (2.0 * 0.994458)
     return Group(frequency, value, sd, float(np.deg2rad(measurement.orientation_deg or 0.0)))
 
 

@@ -17,9 +17,6 @@ DIRECTIONS_DEG = np.arange(0.0, 180.0, 10.0)
 RAYLEIGH_TENTH = float(np.sqrt(-2.0 * np.log(0.9)))
 
 
-SD_OF_RANGE = 2.0 * 1.959964
-
-
 @dataclass(frozen=True, kw_only=True)
 class BarTarget:
     """Bars in an image, in column pitches; rows are scaled by the pitch ratio."""
@@ -257,5 +254,5 @@ def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
 def _draw_parameter(parameter: Parameter, rng: np.random.Generator) -> Array:
     if parameter.low is None or parameter.high is None:
         return np.full(ACCURACY.description_draws, parameter.value)
-    sd = (parameter.high - parameter.low) / SD_OF_RANGE
+    sd = (parameter.high - parameter.low) / (2.0 * 1.959964)
     return np.clip(rng.normal(parameter.value, sd, ACCURACY.description_draws), parameter.low, parameter.high)

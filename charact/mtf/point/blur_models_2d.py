@@ -13,24 +13,14 @@ from numpy.typing import NDArray
 
 from charact.mtf.blur_models.one_dimensional import BlurModel, ExtendedComponent
 from charact.mtf.blur_models.pupil_table import OBSCURATION, pupil
+from charact.mtf.point.thresholds import PRIORS
 
 Array = NDArray[np.float64]
 
-# Ratio of horizontal to vertical half frequency, ln: lenses and tubes are nearly round.
-STRETCH = (-0.6, 0.6)
-STRETCH_SD = 0.15
-# Exponent of a tube's tails next to a Gaussian of lens, fibres and pulse (physics reference 1.12: 1.1 to 2).
-TAIL = (1.0, 2.0)
-TAIL_PRIOR = (1.3, 0.25)
-BLUR_PX = (0.05, 2.0)
-# Scattered fraction: half-normal prior of a few per cent.
-WIDE_SHARE_SD = 0.1
 # Exponent of the long exposure through turbulent air (Fried 1966, J. Opt. Soc. Am. 56, 1372).
 TURBULENT = 5.0 / 3.0
 # A clear pupil in focus falls to one half at this fraction of its cut-off: acos v - v sqrt(1 - v^2) = pi / 4.
 HALF_OF_CUT_OFF = 0.4039728
-# Bounds of the square of the defocus, waves^2, in which a transfer is linear, and its half-normal prior.
-DEFOCUS_SQUARE, DEFOCUS_SQUARE_SD = (0.0, 2.25), 0.5
 # Centres of the departure bumps in ln of frequency over half frequency, and their width.
 BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
 # Half frequencies of a tube at which a Gaussian blur is distinguishable, ln of cycles per column pitch.
@@ -48,7 +38,7 @@ PUPILS: dict[str, tuple[str, ...]] = {
 }
 PUPIL_PARAMETERS = {
     "obscuration_square": ("1", (0.0, OBSCURATION[1] ** 2)),
-    "defocus_square": ("waves^2", DEFOCUS_SQUARE),
+    "defocus_square": ("waves^2", PRIORS.defocus_square),
 }
 
 
@@ -230,10 +220,10 @@ def _parameters(form: BlurModel2D) -> dict[str, tuple[str, tuple[float, float]]]
     core.update({name: PUPIL_PARAMETERS[name] for name in PUPILS.get(form.core, ())})
     if form.lens:
         if "exponent" in core:
-            core["ln_half_frequency"], core["exponent"] = ("ln(cy/px)", TUBE), ("1", TAIL)
-        core["blur_px"] = ("px", BLUR_PX)
+            core["ln_half_frequency"], core["exponent"] = ("ln(cy/px)", TUBE), ("1", PRIORS.tail)
+        core["blur_px"] = ("px", PRIORS.blur_px)
     wide = form.wide.parameters if form.wide else {}
-    stretch = {} if form.round else {"stretch": ("1", STRETCH)}
+    stretch = {} if form.round else {"stretch": ("1", PRIORS.stretch)}
     out: dict[str, tuple[str, tuple[float, float]]] = {**core, **stretch, **wide}
     if form.departures:
         most = 4.0 * form.departures
@@ -252,14 +242,14 @@ def _prior(form: BlurModel2D) -> tuple[Array, Array]:
         if name in names:
             mean[names.index(name)], precision[names.index(name)] = own, inverse
     if form.lens and "exponent" in names:
-        mean[1], precision[1] = TAIL_PRIOR[0], TAIL_PRIOR[1] ** -2
-    known = {"stretch": STRETCH_SD, "defocus_square": DEFOCUS_SQUARE_SD}
+        mean[1], precision[1] = PRIORS.tail_prior[0], PRIORS.tail_prior[1] ** -2
+    known = {"stretch": PRIORS.stretch_sd, "defocus_square": PRIORS.defocus_square_sd}
     known.update({f"departure_{number}": form.departures for number in range(len(BUMPS))})
     for index, name in enumerate(names):
         if name in known:
             precision[index] = known[name] ** -2
     if form.wide is not None:
-        precision[form.blur_parameters] = WIDE_SHARE_SD**-2
+        precision[form.blur_parameters] = PRIORS.wide_share_sd**-2
     for name, own, sd in form.known:
         mean[names.index(name)], precision[names.index(name)] = own, sd**-2
     return mean, precision

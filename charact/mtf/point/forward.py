@@ -1,5 +1,7 @@
 """Forward method for points: the blur model of a described intensifier, or that of a tube, fitted to the pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from charact.method import Context, register
@@ -9,14 +11,13 @@ from charact.mtf.known_transfer import halo_diameters_px
 from charact.mtf.mean_frame import Region
 from charact.mtf.point.blur_models_2d import BANDWIDTH, BlurModel2D
 from charact.mtf.point.parametric import PointMethod, measure_points
+from charact.mtf.point.thresholds import PRIORS
 from charact.mtf.session.stage_transfers import prior_sd_of
 from charact.video_filter import VideoFilter
 from labdata.frames import FrameStack
 from labdata.measurement import Result
 
 METHOD = "point-forward"
-# Standard deviations of a camera about its description: ln cut-off, exponent, relative blur, ln aspect.
-CUT_OFF_SD, EXPONENT_SD, BLUR_SD, STRETCH_SD = 0.12, 0.08, 0.25, 0.03
 
 
 @register(
@@ -62,8 +63,8 @@ def point_forward(
     def forms(pinhole: float | tuple[float, float], holds_halo: bool, _reach_px: float):
         if context.sensor is not None:
             return [described_tube(context, pinhole, halo=holds_halo)], None
-        kinds = (("gaussian", False), ("exponential", False), ("exponential", True))
-        return [BlurModel2D(core=core, lens=lens, pinhole_px=pinhole) for core, lens in kinds], None
+        tube = BlurModel2D(core="exponential", pinhole_px=pinhole)
+        return [replace(tube, core="gaussian"), tube, replace(tube, lens=True)], None
 
     method = PointMethod(name=METHOD, quantities=tuple(LEVELS), forms=forms)
     return measure_points(method, stack, region, regions, pinhole_px, context)
@@ -81,10 +82,10 @@ def described_tube(context: Context, pinhole: float | tuple[float, float], *, ha
     faces = 1e3 / (np.pi * np.sqrt(2.0) * float(sensor.taper.interface_mtf_lp_per_mm) * pitch_um)
     blur = float(np.sqrt(lens**2 + fibres**2 + faces**2))
     known = [
-        ("ln_half_frequency", float(np.log(cut_off) + np.log(np.log(2.0)) / exponent), CUT_OFF_SD),
-        ("exponent", exponent, EXPONENT_SD),
-        ("blur_px", blur, BLUR_SD * blur),
-        ("stretch", 0.0, STRETCH_SD),
+        ("ln_half_frequency", float(np.log(cut_off) + np.log(np.log(2.0)) / exponent), PRIORS.cut_off_sd),
+        ("exponent", exponent, PRIORS.exponent_sd),
+        ("blur_px", blur, PRIORS.blur_sd * blur),
+        ("stretch", 0.0, PRIORS.described_stretch_sd),
     ]
     if halo:
         fraction, gap = sensor.photocathode.halo_fraction, sensor.photocathode.gap_mm

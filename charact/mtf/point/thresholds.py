@@ -20,7 +20,7 @@ class PointLimits:
     max_chi2_sd: float = 5.0  # Its noise, standard deviations
     low_light_sd: float = 10.0  # Light down to which intervals are validated, standard uncertainties
     max_prior_sd: float = 3.0  # Distance of the cut-off from the description, standard deviations
-    max_negative_power: float = 0.35  # Extra negative power of the noise that only a nonlinear response explains
+    max_negative_power: float = 0.6  # Extra power of a described tube's noise; linear ones have down to -0.5
     min_region_px: int = 9  # Side of a region, px
     min_light_sd: float = 6.0  # Light of a source, standard uncertainties
     full_fraction: float = 0.97  # Fraction of full scale at which frames clip or the wells of a sensor fill
@@ -138,5 +138,25 @@ class PointAccuracy:
     asymmetry_cy_per_px: tuple[float, float] = (0.06, 0.1)  # Frequencies of the asymmetry test, cy/px
 
 
+@dataclass(frozen=True)
+class PointPriors:
+    """Bounds, means and standard deviations of the blur's parameters before the data."""
+
+    stretch: tuple[float, float] = (-0.6, 0.6)  # ln ratio of horizontal to vertical half frequency
+    stretch_sd: float = 0.15  # The same: lenses and tubes are nearly round
+    # Exponent of a tube's tails next to a Gaussian of lens, fibres and pulse (physics reference 1.12: 1.1 to 2).
+    tail: tuple[float, float] = (1.0, 2.0)
+    tail_prior: tuple[float, float] = (1.3, 0.25)  # Its mean and standard deviation
+    blur_px: tuple[float, float] = (0.05, 2.0)  # Standard deviation of that Gaussian, px
+    wide_share_sd: float = 0.1  # Scattered fraction: half-normal, a few per cent
+    defocus_square: tuple[float, float] = (0.0, 2.25)  # Square of the defocus, waves^2, in which a transfer is linear
+    defocus_square_sd: float = 0.5  # Its half-normal prior
+    cut_off_sd: float = 0.12  # ln cut-off of a camera about its description
+    exponent_sd: float = 0.08  # Its exponent
+    blur_sd: float = 0.25  # Its relative Gaussian blur
+    described_stretch_sd: float = 0.03  # Its ln aspect
+
+
+PRIORS = PointPriors()
 LIMITS = PointLimits()
 ACCURACY = PointAccuracy()
