@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from charact import bloom
 from charact.method import Context
+from charact.study.flats.flat_cases import InMemoryStack
+from charact.study.harness import judge_measurement
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement
-from labdata.session import Session, StackEntry
+from labdata.session import Session
 
 Array = NDArray[np.float64]
 
@@ -27,17 +29,6 @@ RIMS = ("flat", "linear", "quadratic", "ring")
 WINGS = ("none", "gaussian", "exponential", "moffat")
 # What a halo's diameter may be off by: px or a fraction, whichever is more.
 WITHIN_PX, WITHIN = 1.0, 0.02
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeldStack(StackEntry):
-    """A stack in memory."""
-
-    held: FrameStack
-
-    def read(self, plane: str | None = None) -> FrameStack:
-        """Return its frames."""
-        return self.held
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,8 +173,10 @@ def session_of(halo: Halo, rng: np.random.Generator) -> Session:
         kind = "point" if times else "dark"
         conditions = Conditions(exposure_s=0.02, illuminance_lux=1e-5 * times if times else None)
         held = FrameStack(data=data, full_scale_dn=halo.full_dn)
-        stacks.append(HeldStack(label=f"{kind}-{index}", kind=kind, frames="", conditions=conditions, folder=Path("."),
-                                held=held))  # fmt: skip
+        label = f"{kind}-{index}"
+        stacks.append(
+            InMemoryStack(label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=held)
+        )
     return Session(folder=Path("."), name="strangers", stacks=tuple(stacks))
 
 
@@ -197,33 +190,21 @@ def is_within(halo: Halo, found: Measurement) -> bool:
     return bool(abs(off_px(halo, found)) <= max(WITHIN_PX, WITHIN * halo.diameter_px))
 
 
-def is_silent(halo: Halo, found: Measurement) -> bool:
-    """Return whether a diameter is `ok` and further off than twice its 95 % half interval."""
-    if found.status != "ok" or found.value is None or found.interval95 is None:
-        return False
-    half = max(found.value - found.interval95[0], found.interval95[1] - found.value)
-    return bool(abs(off_px(halo, found)) > 2.0 * half)
-
-
-def holds(halo: Halo, found: Measurement) -> bool:
-    """Return whether the 95 % interval holds the truth."""
-    return found.interval95 is not None and found.interval95[0] <= halo.diameter_px <= found.interval95[1]
-
-
 def row_of(name: str, rows: list[tuple[Halo, Measurement, Measurement]]) -> str:
     """Return one line of the table."""
     if not rows:
         return f"{name:<12}{0:>5}"
     pairs = [(halo, one) for halo, one, _ in rows]
     ok = [pair for pair in pairs if pair[1].status == "ok"]
+    judged = [judge_measurement(one, halo.diameter_px) for halo, one in ok]
     errors = np.array([off_px(*pair) for pair in pairs if pair[1].value is not None])
     wide = [0.5 * (one.interval95[1] - one.interval95[0]) for _, one in ok if one.interval95]
     share = [halo.fraction >= one.interval95[0] and halo.fraction <= one.interval95[1]
              for halo, _, one in rows if one.status == "ok" and one.interval95]  # fmt: skip
     return (
         f"{name:<12}{len(rows):>5}{sum(is_within(*pair) for pair in pairs):>8}{len(ok):>5}"
-        f"{sum(is_within(*pair) for pair in ok):>10}{sum(holds(*pair) for pair in ok):>7}"
-        f"{sum(is_silent(*pair) for pair in ok):>8}"
+        f"{sum(is_within(*pair) for pair in ok):>10}{sum(one['covers'] for one in judged):>7}"
+        f"{sum(one['silent'] for one in judged):>8}"
         f"{sum(one.status == 'refused' for _, one in pairs):>9}"
         f"{np.sqrt(np.mean(errors**2)) if len(errors) else np.nan:>9.3f}{np.median(wide) if wide else np.nan:>10.3f}"
         f"{sum(share):>8}/{len(share)}"
@@ -249,7 +230,8 @@ def main() -> None:
         measuring += time.process_time() - began
         (found,), (share,) = result.find("halo_diameter"), result.find("halo_fraction")
         rows.append((halo, found, share))
-        if asked.each and (found.status != "ok" or not is_within(halo, found) or not holds(halo, found)):
+        holds = judge_measurement(found, halo.diameter_px).get("covers", False)
+        if asked.each and (found.status != "ok" or not is_within(halo, found) or not holds):
             print(
                 number, halo, found.value, found.interval95, found.status, found.flags, found.reason or "", flush=True
             )

@@ -16,8 +16,6 @@ DRAWS = 200
 ONE_CONTOUR = (3.0, 0.1)
 # Radius below which sectors are narrow, so that one pixel is significant, px.
 NARROW_PX = 4.0
-# The component of the source has a pixel closer than this, px.
-NEAR_PX = 2.5
 NORMAL = np.asarray([NormalDist().inv_cdf((n + 0.5) / DRAWS) for n in range(DRAWS)])
 # Signal over full scale above which rings are affected by clipping.
 CUT_SHARE = 0.85
@@ -273,7 +271,7 @@ def _component(view: SourceView, above: Mask) -> Mask:
     from scipy import ndimage
 
     labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
-    near = labels[(view.polar.radius < NEAR_PX) & above]
+    near = labels[(view.polar.radius < 2.5) & above]
     return labels == np.bincount(near).argmax() if len(near) else np.zeros_like(above)
 
 

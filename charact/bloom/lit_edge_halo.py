@@ -24,8 +24,6 @@ METHOD = "lit-edge"
 QUANTITIES = (("halo_diameter", "px"), ("halo_fraction", "1"))
 # Parameters of the core besides the Gaussian's, by core.
 CORES = {"gaussian": (), "tube": tube_priors(None), "moffat": WINGS["moffat"]}
-# Maximum halo radius over the distance to the border.
-WHOLE = 0.85
 LEAST_STRIPS = 24
 
 
@@ -255,7 +253,8 @@ def _measure(session: Session, context: Context, fields: dict[str, Any], evidenc
         raise Unmeasurable("the halo diameter is uncertain by more than 10 %: a fainter, unclipped stack would locate "
                            "the edge")  # fmt: skip
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound") + _misfit(best)
-    flags += ("window-too-small",) if float(np.median(diameter)) > 2 * WHOLE * line.dark_px else ()
+    # Maximum halo radius over the distance to the border.
+    flags += ("window-too-small",) if float(np.median(diameter)) > 2 * 0.85 * line.dark_px else ()
     notes = ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
     notes += () if session.of_kind("dark") else ("the black level is estimated from the darkest pixels",)
     common = {"flags": flags, "notes": notes, "posterior": posterior, **fields}

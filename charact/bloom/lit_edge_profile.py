@@ -9,8 +9,6 @@ from charact.bloom.thresholds import Unmeasurable
 
 Array = NDArray[np.float64]
 
-# Farthest strip on the dark side, px.
-DARK_PX = 90
 # Minimum number of rows along a straight edge.
 LEAST_ROWS = 24
 # Parts of the edge whose scatter gives standard errors, and maximum distance of correlated strips.
@@ -41,7 +39,8 @@ class LitEdgeLine:
     @property
     def dark_px(self) -> float:
         """Width of the dark side that is used, column pitches."""
-        return float(min(self.room_px, DARK_PX))
+        # Farthest strip on the dark side, px.
+        return float(min(self.room_px, 90))
 
     def distance(self, shape: tuple[int, int], pitch_ratio: float) -> Array:
         """Distance of every pixel from the edge, positive on the dark side, column pitches, shape (row, col)."""

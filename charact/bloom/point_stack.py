@@ -19,8 +19,6 @@ Array = NDArray[np.float64]
 SMOOTHING_PX = 1.5
 # Subsampling for medians.
 THIN = 2
-# Maximum distance of a contour's centre from the detected position, px.
-FARTHEST_PX = 10.0
 # Positions closer than this are the same, px.
 NEAR_PX = 1.5
 # Minimum distance of another source, px.
@@ -99,7 +97,8 @@ def middle(view: SourceView, row: float, col: float) -> tuple[float, float, bool
         return None
     contour, whole = found
     down, along = contour.shift()
-    if np.hypot(down, along) > FARTHEST_PX:
+    # Maximum distance of a contour's centre from the detected position, px.
+    if np.hypot(down, along) > 10.0:
         return None
     return row + down / view.polar.row_pitch, col + along, whole
 
@@ -149,8 +148,6 @@ def _falls_off(smooth: Array, row: int, col: int, height: float, row_pitch: floa
 DETECTED = 8.0
 # Fraction of full scale above which noise is clipped.
 LINEAR_SHARE = 0.75
-# Fraction of full scale above which a peak counts as clipped.
-CUT_SHARE = 0.9
 # Grey values are rounded: full scale is shown from half a step below.
 HALF_STEP_DN = 0.5
 
@@ -243,7 +240,8 @@ def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, co
         return found
     row, col = found.row, found.col
     view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
-    cut = float(view.signal[view.polar.radius < 1.5].max(initial=0.0)) > CUT_SHARE * view.top
+    # Fraction of full scale above which a peak counts as clipped.
+    cut = float(view.signal[view.polar.radius < 1.5].max(initial=0.0)) > 0.9 * view.top
     settled = False
     for _ in range(5):
         better = middle(view, row, col)

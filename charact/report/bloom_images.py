@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from charact.bloom.posterior_psf import spread_of
 from charact.method import Context
-from charact.report.blooms import EXTENTS
+from charact.report.blooms import EXTENTS, pick_levels
 from charact.report.style import DATA, MODEL, THIRD, WARN, panels
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
@@ -27,8 +27,7 @@ def plot_bloom_frames(data: Data) -> Any:
     `full_scale_dn`, `bloom_diameter_px` and `streak_length_px` (or None); `halo_diameter_px`, common to all, or
     None; `aspect`, row pitch over column pitch.
     """
-    count = len(data["label"])
-    shown = sorted({int(n) for n in np.linspace(0, count - 1, min(count, 6)).round()})
+    shown = pick_levels(len(data["label"]))
     cols = min(3, len(shown))
     rows = -(-len(shown) // cols)
     figure, grid = panels(rows, cols, size=(2.15 * cols + 0.3, 2.25 * rows + 0.5))

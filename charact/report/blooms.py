@@ -35,7 +35,7 @@ def plot_point_profile(data: Data) -> Any:
     figure, grid = panels(rows, 1, size=(5.8, 5.2 if fitted else 4.0), sharex=True,
                           height_ratios=(2.2, 1.0) if fitted else None)  # fmt: skip
     axes = grid[0, 0]
-    for colour, number in zip(COLOURS * 2, _pick_levels(len(data["label"])), strict=False):
+    for colour, number in zip(COLOURS * 2, pick_levels(len(data["label"])), strict=False):
         radius, mean, sd = (np.asarray(data[key][number], float) for key in ("radius_px", "mean_dn", "sd_dn"))
         used = np.asarray(data["used"][number], bool)
         plot_points(axes, radius[used], mean[used], sd[used], color=colour, label=str(data["label"][number]), alpha=0.8)
@@ -101,7 +101,7 @@ def plot_point_spread(data: Data) -> Any:
     return figure
 
 
-def _pick_levels(count: int) -> list[int]:
+def pick_levels(count: int) -> list[int]:
     """Return at most six level indices at equal intervals."""
     return sorted({int(n) for n in np.linspace(0, count - 1, min(count, 6)).round()})
 
@@ -125,7 +125,7 @@ def plot_illuminated_edge(data: Data) -> Any:
     """
     figure, grid = panels(2, 1, size=(5.8, 4.8), sharex=True, height_ratios=(2.2, 1.0))
     upper, lower = grid[:, 0]
-    for colour, number in zip(COLOURS * 2, _pick_levels(len(data["label"])), strict=False):
+    for colour, number in zip(COLOURS * 2, pick_levels(len(data["label"])), strict=False):
         at, mean, sd, model = (
             np.asarray(data[key][number], float) for key in ("distance_px", "mean_dn", "sd_dn", "model_dn")
         )

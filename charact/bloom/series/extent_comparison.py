@@ -31,8 +31,6 @@ JUDGED = "bloom_diameter"
 # full scale the model replaces what clipping hides.
 LONG = {"bloom_diameter": 0.44, "bloom_diameter_clip": 0.5, "bloom_diameter_background": 0.6}
 SHORT = {"bloom_diameter": 1.1, "bloom_diameter_clip": 1.5, "bloom_diameter_background": 1.5}
-# Difference of both without noise or model error, px.
-APART_PX = 0.02
 
 
 def compare_extents(
@@ -60,7 +58,8 @@ def compare_extents(
             alone = off or read is None or read.pulled or read.contour is None
             diameter = _diameter(series.node_px, curve, level)
             if one.quantity == JUDGED and not alone and np.isfinite(diameter):
-                apart.append((cast(float, one.value) - diameter) / np.hypot(_sd(one), APART_PX))
+                # Difference of both without noise or model error, px.
+                apart.append((cast(float, one.value) - diameter) / np.hypot(_sd(one), 0.02))
             one = _combine_diameters(one, diameter, alone=alone, frames=spot.frames)
             one = one.with_(flags=MISFIT) if off and one.quantity in CONTRADICTED else one
         out.append(one)

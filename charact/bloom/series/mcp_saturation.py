@@ -19,8 +19,6 @@ Array = NDArray[np.float64]
 PLATE_LOAD = ModelParameter(name="plate_load", unit="px/DN", low=0.0, high=0.05, start=0.0)
 # Fraction of the core's blur after the gain, without a sensor description.
 POST_GAIN_SHARE = ModelParameter(name="post_gain_share", unit="1", low=0.0, high=1.0, mean=0.5, sd=0.3)
-# Minimum gain in log-probability of the two additional parameters.
-WORTHWHILE = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,4 +152,5 @@ def fit_mcp_saturation(
     if near.log_probability < rest:
         return None
     last = optimise(tiring, near.point)
-    return None if last.log_probability - rest < WORTHWHILE else (tiring, last)
+    # Minimum gain in log-probability of the two additional parameters.
+    return None if last.log_probability - rest < 10.0 else (tiring, last)

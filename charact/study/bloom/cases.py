@@ -16,8 +16,6 @@ from labdata.session import Session
 # Levels that show the halo: its plateau over full scale, from the faintest to the brightest, two decades apart.
 SHOWN = (0.008, 0.8)
 BRIGHTEST = 1e6
-# Frames reach this far beyond the halo on every side, px.
-AROUND_PX = 22
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +51,8 @@ def halo_overload(scene: BloomScene) -> float:
 def scene_in_scope(rng: np.random.Generator, *, widest_px: float = 70.0, most_frames: int = 16) -> BloomScene:
     """Return a source inside the scope: every other core has a wing; one camera in four has 12 bits."""
     diameter = float(rng.uniform(25.0, widest_px))
-    side = int(np.ceil(diameter + 2 * AROUND_PX + rng.uniform(0.0, 20.0)))
+    # Frames reach this far beyond the halo on every side, px.
+    side = int(np.ceil(diameter + 2 * 22 + rng.uniform(0.0, 20.0)))
     fine = rng.random() < 0.25
     scale = 16.0 if fine else 1.0
     return BloomScene(

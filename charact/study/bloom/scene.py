@@ -19,11 +19,6 @@ from labdata.session import Session
 
 Array = NDArray[np.float64]
 
-# Photoelectrons of a pixel and frame from which on their summed pulses are as good as normal.
-MANY = 50.0
-FRAMES_PER_S = 30.0
-LUX_AT_OVERLOAD_1 = 1e-6
-
 
 def noiseless_frame(scene: BloomScene, overload: float, *, faintest: float | None = None) -> Array:
     """Return the noiseless picture of a source that stands still, not clipped and not digitised, (row, col), DN.
@@ -66,7 +61,8 @@ def _pulses(scene: BloomScene, light: Array, frames: int, rng: np.random.Generat
     """Pulses of the photoelectrons where they fell, DN, (frame, row, col): the plate's gain falls with the light."""
     height = scene.photoelectron_dn / (1.0 + light / _half_gain(scene))
     mean = np.broadcast_to(light / scene.photoelectron_dn, (frames, scene.rows, scene.cols))
-    many = mean > MANY
+    # From so many photoelectrons on their summed pulses are as good as normal.
+    many = mean > 50.0
     out = np.empty(mean.shape)
     out[many] = mean[many] + np.sqrt(mean[many] * scene.excess) * rng.standard_normal(int(many.sum()))
     counted = rng.poisson(mean[~many])
@@ -140,7 +136,7 @@ def digitise_frames(scene: BloomScene, level_dn: Array, rng: np.random.Generator
     """Read frames of given levels, shape (frame, row, col), DN: white noise, whole codes, the highest one."""
     noisy = level_dn + scene.read_noise_dn * rng.standard_normal(level_dn.shape)
     codes = np.clip(np.rint(noisy), 0, scene.full_scale_dn).astype(np.uint8 if scene.bits <= 8 else np.uint16)
-    times = np.arange(len(codes)) / FRAMES_PER_S
+    times = np.arange(len(codes)) / 30.0
     return FrameStack(data=codes, time_s=times, full_scale_dn=scene.full_scale_dn)
 
 
@@ -152,7 +148,7 @@ def bloom_session(
     entries = []
     for number, (overload, child) in enumerate(zip(overloads, children[1:], strict=True)):
         held = stack(scene, overload, child, faintest=min(overloads))
-        stated = LUX_AT_OVERLOAD_1 * overload * float(np.exp(scene.light_sd * child.standard_normal()))
+        stated = 1e-6 * overload * float(np.exp(scene.light_sd * child.standard_normal()))
         entries.append(in_memory_stack("point", f"point-{number}", held, stated))
     if darks:
         level = np.full((scene.frames, scene.rows, scene.cols), scene.dark_dn + scene.wrong_dark_dn)

@@ -17,7 +17,6 @@ Array = NDArray[np.float64]
 
 # Side of the square that veiling glare fills, px.
 GLARE_SIDE_PX = 600.0
-STEP_PX = 0.2
 # What the wing alone blurs is smooth: rings of the halo there, and the step of its table, px.
 SMOOTH_RINGS, SMOOTH_STEP_PX = 60, 0.5
 # Samples of light along a pixel's side.
@@ -26,8 +25,6 @@ FINE = 2
 RINGS = 200
 # Gaussians that make up a Moffat wing where it blurs a halo, and the least weight of those left out on either side.
 GAUSSIANS, LEAST_WEIGHT = 48, 1e-8
-# Standard deviations beyond which a Gaussian is nothing.
-NOTHING = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,7 +205,8 @@ def rings_blurred(radius_px: Array, rings: tuple[Array, Array], sigma_px: float)
 
     at, weight = rings
     out = np.zeros(len(radius_px))
-    near = radius_px < at.max() + NOTHING * sigma_px
+    # Standard deviations beyond which a Gaussian is nothing.
+    near = radius_px < at.max() + 8.0 * sigma_px
     apart = np.subtract.outer(radius_px[near], at) / sigma_px
     blurred = np.exp(-0.5 * apart**2) * i0e(np.multiply.outer(radius_px[near], at) / sigma_px**2)
     out[near] = blurred @ weight / (2.0 * np.pi * sigma_px**2)
@@ -294,6 +292,6 @@ def _source(optics: BloomScene, row: float, col: float) -> Array:
 
     down = (np.arange(FINE * optics.rows) / FINE - row)[:, None] * optics.row_pitch
     radius = np.hypot(down, (np.arange(FINE * optics.cols) / FINE - col)[None, :])
-    table = np.arange(0.0, radius.max() + 1.0, STEP_PX)
+    table = np.arange(0.0, radius.max() + 1.0, 0.2)
     light = np.asarray(CubicSpline(table, radial_light(optics, table, before_gain=True))(radius))
     return optics.row_pitch * optics.source_dn(1.0) * (light + optics.glare_fraction / GLARE_SIDE_PX**2)

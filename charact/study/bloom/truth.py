@@ -18,8 +18,6 @@ FAR_PX, STEP_PX = 200.0, 0.1
 PARTS = 4
 # The halo's plateau and its rim, in radii of the halo.
 PLATEAU, RIM = (0.3, 0.7), (0.75, 1.1)
-# Radius that holds the core, in its standard deviations.
-CORE_SIGMAS = 4.0
 
 
 def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) -> dict[str, float]:
@@ -128,7 +126,8 @@ def _compression(scene: BloomScene, overload: float) -> float:
     saturated, unsaturated = (noiseless_frame(one, overload) for one in (calm, replace(calm, plate_saturation_dn=None)))
     rows, cols = np.indices(saturated.shape)
     away = np.hypot((rows - scene.centre[0]) * scene.row_pitch, cols - scene.centre[1])
-    near, dark = away < CORE_SIGMAS * scene.core_sigma_px, scene.dark_dn + scene.background_dn
+    # Radius that holds the core, in its standard deviations.
+    near, dark = away < 4.0 * scene.core_sigma_px, scene.dark_dn + scene.background_dn
     return float((saturated[near] - dark).sum() / (unsaturated[near] - dark).sum())
 
 

@@ -1,27 +1,17 @@
 """Point sources of exactly known halo, drawn electron by electron: the bounce itself is thrown, no formula of ours."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
-from labdata.session import Session, StackEntry
+from labdata.session import Session
 
 DARK_DN = 12.0
 FULL_SCALE_DN = 255.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeldStack(StackEntry):
-    """A stack that lies in memory."""
-
-    held: FrameStack
-
-    def read(self) -> FrameStack:
-        return self.held
 
 
 def thrown_halo(rng: np.random.Generator, count: int, diameter_px: float, elastic_share: float):
@@ -73,7 +63,7 @@ def point_frames(
 def session_of(stacks: list[tuple[str, FrameStack, float]], *, darks: bool = True) -> Session:
     """A session of point stacks in memory, with a dark one."""
     held = [
-        HeldStack(label=label, kind="point", frames=label, conditions=Conditions(illuminance_lux=light),
+        InMemoryStack(label=label, kind="point", frames=label, conditions=Conditions(illuminance_lux=light),
                   folder=Path("."), held=frames)
         for label, frames, light in stacks
     ]  # fmt: skip
@@ -81,7 +71,9 @@ def session_of(stacks: list[tuple[str, FrameStack, float]], *, darks: bool = Tru
         shape = stacks[0][1].data.shape[1:]
         dark = FrameStack(data=np.full((2, *shape), int(DARK_DN), np.uint8), full_scale_dn=FULL_SCALE_DN)
         held.append(
-            HeldStack(label="dark", kind="dark", frames="dark", conditions=Conditions(), folder=Path("."), held=dark)
+            InMemoryStack(
+                label="dark", kind="dark", frames="dark", conditions=Conditions(), folder=Path("."), held=dark
+            )
         )
     return Session(folder=Path("."), name="in memory", stacks=tuple(held))
 
