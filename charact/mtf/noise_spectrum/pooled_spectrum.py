@@ -148,7 +148,7 @@ def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
     darks = dark_shares((dark for _, dark, _ in chosen.pairs), weight)
     parts = [(float(own), flat) for own, flat in zip(weight, flats, strict=True)]
     power = np.sum([own * _power(flat, lag) for own, flat in parts], axis=0)
-    dark_power = sum((share * _power(dark, lag) for dark, share in darks), np.zeros_like(power))
+    dark_power = np.sum([np.zeros_like(power), *(share * _power(dark, lag) for dark, share in darks)], axis=0)
     bins = flats[0].bins
 
     def looks(correlation: Array) -> Array:
