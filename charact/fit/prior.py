@@ -97,7 +97,9 @@ def prior_of(sensor: Sensor, requested: tuple[str, ...]) -> SensorPrior:
     parameters on which the session's data depend.
     """
     known = sensor.parameters()
-    rows = [(path, *_row(path, known[path])) for path in requested if _has_range(known[path])]
+    ranges = {path: (known[path].low, known[path].high) for path in requested}
+    ranged = [path for path, (low, high) in ranges.items() if low is not None and high is not None and high > low]
+    rows = [(path, *_row(path, known[path])) for path in ranged]
     numbers = np.array([row[1:] for row in rows], float).reshape(-1, 6)
     return SensorPrior(
         names=tuple(row[0] for row in rows), power=numbers[:, 0].astype(int), centre=numbers[:, 1],
@@ -110,10 +112,6 @@ def values_of_description(sensor: Sensor) -> Values:
     values = {path: np.array([float(parameter)]) for path, parameter in sensor.parameters().items()}
     order = sensor.video.filter_order
     return values if order is None else {**values, "video.filter_order": np.array([float(order)])}
-
-
-def _has_range(parameter: Parameter) -> bool:
-    return parameter.low is not None and parameter.high is not None and parameter.high > parameter.low
 
 
 def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, float, float]:

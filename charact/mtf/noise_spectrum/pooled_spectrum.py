@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
-from charact.noise.gain.series import CLIPPED_SHARE, longest_series, read_levels, series_of
+from charact.noise.gain.series import CLIPPED_SHARE, dark_shares, longest_series, read_levels, series_of
 from charact.noise.rounding import QUANTISATION_DN2, variance_range_before_rounding
 from charact.noise.stack.spectrum import Bins, bins_of
 from charact.noise.stack.stack_statistics import StackStatistics
@@ -145,23 +145,19 @@ def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
     gain = np.array([m if signal is None else signal for m, (_, _, signal) in zip(mean, chosen.pairs, strict=True)])
     weight = np.array([flat.runs * len(flat.time) for flat in flats]) * gain / np.array(mean) ** 2
     weight /= weight @ gain
-    darks = {dark.label: dark for _, dark, _ in chosen.pairs if dark is not None}
-    shares = dict.fromkeys(darks, 0.0)
-    for own, (_, dark, _) in zip(weight, chosen.pairs, strict=True):
-        if dark is not None:
-            shares[dark.label] += float(own)
+    darks = dark_shares((dark for _, dark, _ in chosen.pairs), weight)
     parts = [(float(own), flat) for own, flat in zip(weight, flats, strict=True)]
     power = np.sum([own * _power(flat, lag) for own, flat in parts], axis=0)
-    dark_power = sum((shares[label] * _power(dark, lag) for label, dark in darks.items()), np.zeros_like(power))
+    dark_power = np.sum([np.zeros_like(power), *(share * _power(dark, lag) for dark, share in darks)], axis=0)
     bins = flats[0].bins
 
     def looks(correlation: Array) -> Array:
         every = [(own, flat, _independent(flat, correlation)) for own, flat in parts]
-        every += [(shares[label], dark, _independent(dark, lag[:0])) for label, dark in darks.items()]
+        every += [(share, dark, _independent(dark, lag[:0])) for dark, share in darks]
         square = sum((own * _power(one, lag)) ** 2 / number for own, one, number in every)
         return power**2 / square * (bins.modes * bins.efficiency)
 
-    ranges = [_quantisation_noise_dn2(dark, shares[label]) for label, dark in darks.items()]
+    ranges = [_quantisation_noise_dn2(dark, share) for dark, share in darks]
     low, high = np.sum(ranges, axis=0) if ranges else 2 * (float(weight.sum()) * QUANTISATION_DN2,)
     return PooledSpectrum(
         bins=bins, power_dn2=power, dark_dn2=dark_power, looks=looks(lag[:0]), looks_lagged=looks(lag),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from charact.noise.gain.model import PixelReadoutModel
-from charact.noise.gain.series import FlatSeries
+from charact.noise.gain.series import FlatSeries, dark_shares
 from charact.noise.gain.white_floor import Beyond, beyond_of
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.stack.temporal import error_correlation, n_effective_samples, same_row_lags, truncation_bias
@@ -199,26 +199,17 @@ def _independent(level: StackStatistics, name: str, lag: ImageLag) -> tuple[floa
 def _power_sd(pairs, weight: Array, name: str, known: Array, lag: ImageLag) -> Array:
     """Return the standard error of the pooled spectrum; a common dark is a common error."""
     bins = pairs[0][0].bins
-    modes = bins.modes * bins.efficiency
-    square = sum(
-        (w * getattr(f, name).power_dn2[:, 0]) ** 2 / (modes * count)
-        for w, (f, _), count in zip(weight, pairs, known, strict=True)
-    )
-    for dark in {d.label: d for _, d in pairs}.values():
-        shared = sum(w for w, (_, d) in zip(weight, pairs, strict=True) if d.label == dark.label)
-        square = square + (shared * getattr(dark, name).power_dn2[:, 0]) ** 2 / (
-            modes * _independent(dark, name, lag)[0]
-        )
-    return np.sqrt(square)
+    parts = [(flat, w, count) for w, (flat, _), count in zip(weight, pairs, known, strict=True)]
+    parts += [(dark, w, _independent(dark, name, lag)[0]) for dark, w in dark_shares([d for _, d in pairs], weight)]
+    square = sum((w * getattr(one, name).power_dn2[:, 0]) ** 2 / count for one, w, count in parts)
+    return np.sqrt(square / (bins.modes * bins.efficiency))
 
 
 def _variance_sd(pairs, weight: Array, inflation: Array) -> float:
     """Return the standard error of the pooled variance over signal; `inflation` is the variance factor of the lags."""
-    square = sum((w * f.variance_sd_dn2) ** 2 * more for w, (f, _), more in zip(weight, pairs, inflation, strict=True))
-    for dark in {d.label: d for _, d in pairs}.values():
-        shared = sum(w for w, (_, d) in zip(weight, pairs, strict=True) if d.label == dark.label)
-        square += (shared * dark.variance_sd_dn2) ** 2
-    return float(np.sqrt(square))
+    parts = [(flat, w, more) for w, (flat, _), more in zip(weight, pairs, inflation, strict=True)]
+    parts += [(dark, w, 1.0) for dark, w in dark_shares([d for _, d in pairs], weight)]
+    return float(np.sqrt(sum((w * one.variance_sd_dn2) ** 2 * more for one, w, more in parts)))
 
 
 def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[StackStatistics], share: Array) -> ImageLag:

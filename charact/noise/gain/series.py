@@ -145,6 +145,17 @@ def _peak(flats: list[StackStatistics], signal: Array) -> int | None:
     return top if rose and len(beyond) and beyond.min() < 0.9 * variance[top] else None
 
 
+def dark_shares(
+    darks: Iterable[StackStatistics | None], weight: Iterable[float]
+) -> list[tuple[StackStatistics, float]]:
+    """Return each dark once with the sum of the weights of its flats, whose error it has in common."""
+    shares: dict[str, tuple[StackStatistics, float]] = {}
+    for dark, own in zip(darks, weight, strict=True):
+        if dark is not None:
+            shares[dark.label] = dark, shares.get(dark.label, (dark, 0.0))[1] + float(own)
+    return list(shares.values())
+
+
 def gain_obstacle(series: FlatSeries) -> str | None:
     """Return why a series cannot give a gain, or None."""
     if not len(series.flats):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.gain.model import NAMES, PixelReadoutModel, transfer
-from charact.noise.gain.series import FlatSeries
+from charact.noise.gain.series import FlatSeries, dark_shares
 from charact.noise.illumination import lognormal_draws
 from charact.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY
 from charact.noise.stack.stack_statistics import StackStatistics, shares_of
@@ -75,9 +75,7 @@ def beyond_of(
         none += each * dark.variance_dn2**2
         once += each * 2.0 * light * dark.variance_dn2
         twice += each * light**2
-    for dark in {dark.label: dark for dark in darks}.values():
-        shared = sum(w for w, own in zip(weight, darks, strict=True) if own.label == dark.label)
-        none += (shared * dark.variance_sd_dn2) ** 2
+    none += sum((shared * dark.variance_sd_dn2) ** 2 for dark, shared in dark_shares(darks, weight))
     column, row, share = points_beyond(bins.row_pitch)
     waves = np.stack([np.ones_like(column), np.cos(2.0 * np.pi * column), np.cos(2.0 * np.pi * row * bins.row_pitch)])
     return Beyond(value_dn=whole - inside, inside_dn=inside, noise=(float(none), float(once), float(twice)),

@@ -99,7 +99,7 @@ def test_a_camera_that_warms_up_while_it_is_read_is_told(in_memory, seed):
 def test_an_interval_of_95_percent_holds_the_truth_as_often(in_memory, seed):
     """Levels move by more than their noise from stack to stack, as they do: Student's law allows for it."""
     rng = np.random.default_rng(seed)
-    held, repeats = 0, 60
+    held, repeats = 0, 30
     for _ in range(repeats):
         stacks = []
         for exposure_s in EXPOSURES_S:

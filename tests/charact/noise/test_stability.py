@@ -7,7 +7,7 @@ from charact import noise
 from charact.method import Context
 
 QUICK = Context(seed=1, quick=True)
-SESSIONS = 48
+SESSIONS = 16
 # A silent failure is this many standard errors and this share away from the truth.
 ERRORS, SHARE = 4.0, 0.02
 
@@ -77,14 +77,14 @@ def test_no_number_is_wrong_without_a_flag(pulses, keeping, series, seed, method
     assert trusted > 0.2 * SESSIONS
 
 
-@pytest.mark.parametrize("frames", [2, 3, 4, 6])
+@pytest.mark.parametrize("frames", [2, 4])
 def test_the_interval_of_few_frames_covers_or_says_that_they_are_too_few(pulses, series, seed, frames):
-    """95 % intervals of 40 sessions of small frames miss at most 7 times: once in some 6000 by chance."""
+    """95 % intervals of 20 sessions of small frames miss at most 5 times: once in some 3000 by chance."""
     camera = pulses(transfer=gaussian(0.7), shape=(96, 128))
     missed = 0
-    for index in range(40):
+    for index in range(20):
         session = series(camera, np.random.default_rng((seed, frames, index)), (5.0, 15.0, 30.0), frames=frames)
         (gain,) = noise.measure(session, context=QUICK).find("covariance_gain")
         low, high = gain.interval95
         missed += "too-few-frames" not in gain.flags and not low <= camera.covariance_gain_dn <= high
-    assert missed <= 7
+    assert missed <= 5
