@@ -51,12 +51,12 @@ def rows() -> Iterator[Row]:
         limit_seconds=FULL_S,
     )
     frame = FrameStack(data=frame_of_edges(np.random.default_rng(2))[None], full_scale_dn=1e9)
-    found = measure_all("edge", frame, at_most=EDGES, context=Context(quick=True)).find("mtf50")
+    found = measure_all("edge", frame, max_targets=EDGES, context=Context(quick=True)).find("mtf50")
     if len(found) != EDGES or any(one.value is None for one in found):
         raise AssertionError(f"{EDGES} edges must be measured, got {sum(one.value is not None for one in found)}")
     yield Row(
         name=f"frame 768 x 493, {EDGES} edges, --quick",
-        seconds=best_seconds(lambda: measure_all("edge", frame, at_most=EDGES, context=Context(quick=True)), 3),
+        seconds=best_seconds(lambda: measure_all("edge", frame, max_targets=EDGES, context=Context(quick=True)), 3),
         peer=f"{EDGES} such fits, places known",
         peer_seconds=EDGES * fitted_s,
         limit_seconds=FRAME_S,

@@ -79,7 +79,7 @@ class SweepScene:
             "gain_exponent 1": self.exponent,
             "gain_knee V": 800.0 * float(knee / self.pulses_dn) ** (1.0 / (self.exponent - self.excess)),
             "gain_knee DN": float(knee) + self.electron_gain_dn,
-            "plate_saturation DN": self.saturation_dn,
+            "mcp_saturation DN": self.saturation_dn,
         }
 
     def drawn(self, rng: np.random.Generator, *, lit: bool = True) -> tuple[Sweep, Array, Array]:

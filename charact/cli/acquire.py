@@ -15,7 +15,7 @@ def acquire(
     resume: Annotated[
         bool, typer.Option("--resume", help="Resume an interrupted run; completed steps are kept.")
     ] = False,
-    rehearse: Annotated[
+    inject_faults: Annotated[
         Path | None,
         typer.Option(metavar="FAULTS.toml", help="Inject the faults of FAULTS.toml into the virtual bench."),
     ] = None,
@@ -51,7 +51,7 @@ def acquire(
             resume=resume,
             progress=progress,
             tell=lambda sentence: print_message(sentence, events=events),
-            rehearse=None if rehearse is None else from_toml(rehearse, FaultScript),
+            inject_faults=None if inject_faults is None else from_toml(inject_faults, FaultScript),
         )
         print(f"{out}: {len(session.stacks)} stacks\nNext: charact measure {out}")
 

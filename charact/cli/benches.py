@@ -47,17 +47,17 @@ def acquire_session(
     resume: bool,
     progress: Progress,
     tell: Callable[[str], None] = print_message,
-    rehearse: "FaultScript | None" = None,
+    inject_faults: "FaultScript | None" = None,
 ) -> Session:
-    """Run a plan on its bench and return the session; `rehearse`: faults to inject into a virtual bench."""
+    """Run a plan on its bench and return the session; `inject_faults`: faults to inject into a virtual bench."""
     from drivers.errors import BenchError
 
     real = plan.wires.bench == "real"
-    if real and rehearse is not None:
+    if real and inject_faults is not None:
         raise BadInput("fault injection needs a virtual bench, got a real one")
     run: dict[str, Any] = {"tell": tell, "resume": resume, "progress": progress}
     try:
-        taken = _on_real_bench(plan, session, **run) if real else _on_virtual_bench(plan, session, rehearse, **run)
+        taken = _on_real_bench(plan, session, **run) if real else _on_virtual_bench(plan, session, inject_faults, **run)
     except BenchError as error:
         raise BadInput(str(error)) from error
     for sentence in warnings(_ledger(plan, session).total(), taken.sensor):

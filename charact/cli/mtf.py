@@ -115,7 +115,7 @@ def _flats_of(file: Path, sensor: "Sensor | None", plane: str | None, axis: str 
 
 
 def _measure(
-    kind: str, *, file: Path, roi: str | None, method: str, within: float, quick: bool, seed: int, at_most: int,
+    kind: str, *, file: Path, roi: str | None, method: str, within: float, quick: bool, seed: int, max_targets: int,
     plane: str | None, axis: str | None, sensor: str | None, annotate: Path | None, as_json: bool, events: bool,
     units: str, pitch_um: float | None, demagnification: float | None, focal_length_mm: float | None,
     black_dn: float | None = None, **target: Any,
@@ -146,7 +146,7 @@ def _measure(
             context = Context(seed=seed, quick=quick, sensor=description, interlaced=interlaced, progress=progress)
             arguments = {"method": method, "within_percent": within, "context": context, **target}
             if region is None:
-                result = mtf.measure_all(kind, stack, at_most=at_most, **arguments)
+                result = mtf.measure_all(kind, stack, max_targets=max_targets, **arguments)
             else:
                 # The border of the file may have been cropped.
                 inside = (region[0] - stack.origin[0], region[1] - stack.origin[1], *region[2:])

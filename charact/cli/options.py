@@ -59,8 +59,8 @@ Demagnification = Annotated[
 FocalLengthMm = Annotated[
     float | None, typer.Option("--focal-length-mm", help="Focal length for cy/mrad, mm (default: from the sensor).")
 ]
-AtMost = Annotated[
-    int, typer.Option("--at-most", help="Maximum number of targets measured per frame, spread over the field.", min=1)
+MaxTargets = Annotated[
+    int, typer.Option("--max-targets", help="Maximum number of targets measured per frame, spread over the field.", min=1)
 ]
 Annotate = Annotated[Path | None, typer.Option(help="Write a PNG of the frame with measured regions and MTF50.")]
 BloomMap = Annotated[
@@ -88,7 +88,7 @@ SHARED: dict[str, tuple[Any, Any]] = {
     "pitch_um": (PitchUm, None),
     "demagnification": (Demagnification, None),
     "focal_length_mm": (FocalLengthMm, None),
-    "at_most": (AtMost, 24),
+    "max_targets": (MaxTargets, 24),
     "annotate": (Annotate, None),
     "as_json": (Json, False),
     "events": (Events, False),

@@ -52,7 +52,7 @@ def simulate(
     illuminance_lux: Lux = None,
     frequency: Annotated[float | None, typer.Option(help="Bench, bars: frequency, cy/px.")] = None,
     pinhole_px: Annotated[float | None, typer.Option(help="Bench, point: pinhole image diameter, px.")] = None,
-    within: Annotated[
+    error_budget: Annotated[
         float, typer.Option(help="Error budget for neglected effects, percent of the temporal noise.", min=0.0)
     ] = 10.0,
     exact: Annotated[
@@ -99,7 +99,7 @@ def simulate(
             target=Target(frequency_cy_per_px=frequency, pinhole_px=pinhole_px),
             photoelectrons_per_dn=photoelectrons_per_dn,
             black_dn=black_dn,
-            tolerance=None if exact else within / 100.0,
+            tolerance=None if exact else error_budget / 100.0,
             seed=seed,
         )
         beyond = api.voltage_limit_warnings(camera, conditions)

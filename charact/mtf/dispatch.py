@@ -201,7 +201,7 @@ def measure_all(
     *,
     method: str = "auto",
     within_percent: float = 2.0,
-    at_most: int = 24,
+    max_targets: int = 24,
     context: Context,
     **target: Any,
 ) -> Result:
@@ -211,7 +211,7 @@ def measure_all(
     ----------
     kind, stack, method, within_percent, context, target
         As for `measure`; for bars `frequency_cy_per_px` may be None: it is measured.
-    at_most
+    max_targets
         Maximum number of targets measured; a note states how many are not. Edges and points are taken from all parts of
         the frame, the clearest of each part first; bar groups by clarity.
 
@@ -226,18 +226,18 @@ def measure_all(
     Raises
     ------
     BadInput
-        If `at_most` is less than 1, or as for `measure`.
+        If `max_targets` is less than 1, or as for `measure`.
     """
-    if at_most < 1:
-        raise BadInput(f"at least 1 target must be measured, got at most {at_most}")
+    if max_targets < 1:
+        raise BadInput(f"at least 1 target must be measured, got at most {max_targets}")
     arguments = {"method": method, "within_percent": within_percent, "context": context}
     if kind == "bars" and target.get("frequency_cy_per_px") is not None:
         return measure(kind, stack, **arguments, **target)
     found = targets(kind, stack, context, **target)
     if len(found) < (1 if kind == "bars" else 2):
         return measure(kind, stack, **arguments, **target)
-    best_first = found if kind == "bars" else spread_over_frame(found, stack.shape[1:], at_most)
-    chosen = sorted(best_first[:at_most], key=lambda one: one.region[:2])
+    best_first = found if kind == "bars" else spread_over_frame(found, stack.shape[1:], max_targets)
+    chosen = sorted(best_first[:max_targets], key=lambda one: one.region[:2])
     results = []
     for done, one in enumerate(chosen):
         context.progress(f"{kind} in {one.region}", done / len(chosen))
@@ -273,12 +273,12 @@ def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> li
     raise BadInput(f"a target must be an edge, bars or a point, got {kind!r}")
 
 
-def spread_over_frame(found: list[LocatedTarget], shape: tuple[int, ...], at_most: int) -> list[LocatedTarget]:
-    """Order targets, given best first, so that the first `at_most` cover the frame.
+def spread_over_frame(found: list[LocatedTarget], shape: tuple[int, ...], max_targets: int) -> list[LocatedTarget]:
+    """Order targets, given best first, so that the first `max_targets` cover the frame.
 
-    The frame is divided into about `at_most` parts; the best target of every part precedes the second of any.
+    The frame is divided into about `max_targets` parts; the best target of every part precedes the second of any.
     """
-    parts = int(np.ceil(np.sqrt(at_most)))
+    parts = int(np.ceil(np.sqrt(max_targets)))
     taken: Counter[tuple[int, ...]] = Counter()
     turns = []
     for one in found:
@@ -311,7 +311,7 @@ def _notes(best: bool, count: int, left_out: int, first: bool, kind: str, curves
     if best and curves and count > 1:
         yield f"Curve `mtf` is from this region, the most precise of {count}."
     if first and left_out:
-        yield f"{left_out} further {NAMES[kind]} were not measured (limit {count}; see --at-most)."
+        yield f"{left_out} further {NAMES[kind]} were not measured (limit {count}; see --max-targets)."
 
 
 def _quality_rank(result: Result) -> tuple[int, float]:

@@ -71,7 +71,7 @@ def test_the_flat_disc_of_the_case_is_44_px_wide_and_holds_12_percent():
     assert halo.value == pytest.approx(44.0, abs=1.0)
     assert halo.interval95[0] < 44.0 < halo.interval95[1]
     assert share.value == pytest.approx(0.12, abs=0.006)
-    assert not result.find("plate_saturation_density")
+    assert not result.find("mcp_saturation_density")
     assert "tube" not in str(result.evidence) and "plate" not in str(result.evidence["bloom-forms"])
 
 

@@ -24,7 +24,7 @@ HERE = Path(__file__).parent
 CASES = {"mtf50": 20, "mtf": 20, "covariance_gain": 4, "system_gain": 8, "post_gain_mtf50": 6, "halo_diameter": 6}
 SENSORS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512")
 LEVELS_PE = (0.0, 0.03, 0.5, 3.0, 40.0, 400.0)
-SETTINGS = ((), ("--exact",), ("--within", "0"), ("--temperature-c", "0"))
+SETTINGS = ((), ("--exact",), ("--error-budget", "0"), ("--temperature-c", "0"))
 Row = tuple[str, ...]
 
 

@@ -124,7 +124,7 @@ def test_a_plate_that_tires_in_its_bright_cores_tells_its_saturation_and_the_gap
     context = Context(seed=1, quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
     result = bloom.measure(session, method="series-forward", context=context)
     density_dn = density_at_half_gain_dn(sensor)
-    (found,) = result.find("plate_saturation_density")
+    (found,) = result.find("mcp_saturation_density")
     assert abs(found.value - density_dn) < 0.25 * density_dn
     assert abs(found.value - density_dn) < 4.5 * 0.5 * (found.interval68[1] - found.interval68[0])
     (halo,) = result.find("halo_diameter")
@@ -140,7 +140,7 @@ def test_without_the_camera_described_a_plate_that_tires_is_told_widely_or_not_a
     sensor = specimen(load_sensor("pulnix-ag5745ef3"), seed + specimen_number)
     session = series(sensor, LIGHTS_TO_TIRE_LUX, seed, frames=12, depletes=True)
     context = Context(seed=1, quick=True, interlaced=True, full_scale_dn=255.0)
-    (found,) = bloom.measure(session, method="series-forward", context=context).find("plate_saturation_density")
+    (found,) = bloom.measure(session, method="series-forward", context=context).find("mcp_saturation_density")
     density_dn = density_at_half_gain_dn(sensor)
     if found.value is None:
         assert found.reason

@@ -136,7 +136,7 @@ LEFT_OUT = {
     "encircled_radius_50": (0.006, 1.0, 0.3),
     "encircled_radius_90": (0.015, 1.0, 1.0),
     "veiling_glare": (0.05, 3.0, 0.7),
-    "plate_saturation_density": (0.03, 6.0, 0.7),
+    "mcp_saturation_density": (0.03, 6.0, 0.7),
 }
 LEAKS = "light that leaks through the target around its pinhole counts as glare"
 # Draws of derived quantities.
@@ -324,14 +324,14 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
     best, posterior, flags = fit.best, fit.posterior, fit.light_flags
     if not isinstance(best.problem, SaturatingSeriesLikelihood):
         reason = "the cores are linear in all stacks: no MCP saturation is visible"
-        return [make_refusal("plate_saturation_density", "DN", reason, **fit.fields)]
+        return [make_refusal("mcp_saturation_density", "DN", reason, **fit.fields)]
     # Distance, in ln, of the densities of other cores' models from the best one's.
     saturating = [one for one in fit.forms if isinstance(one.problem, SaturatingSeriesLikelihood)]
     ln = np.log([max(float(one.peak.point[one.form.names.index("plate_load")]), 1e-9) for one in saturating])
     unlike = float(np.abs(ln - ln[0]).max())
     if unlike > float(np.log(4.0)):
         reason = f"core models give densities that differ by a factor of {np.exp(unlike):.2g}: describe the camera"
-        return [make_refusal("plate_saturation_density", "DN", reason, **fit.fields)]
+        return [make_refusal("mcp_saturation_density", "DN", reason, **fit.fields)]
     load = best.form.names.index("plate_load")
     if crowds_at_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
         flags = (*flags, "prior-bound")
@@ -341,9 +341,9 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
     points = posterior.draws.copy()
     points[:, load] = np.clip(points[:, load] / factors, *best.form.bounds[load])
     density = 1.0 / np.maximum(points[:, load], 1e-9)
-    density = density * _model_error_factors(best, "plate_saturation_density", len(density), posterior)
+    density = density * _model_error_factors(best, "mcp_saturation_density", len(density), posterior)
     out = [
-        measurement_from_draws("plate_saturation_density", "DN", density, flags=flags, notes=fit.notes, **fit.fields)
+        measurement_from_draws("mcp_saturation_density", "DN", density, flags=flags, notes=fit.notes, **fit.fields)
     ]
     left = best.problem.compression(points[:DERIVED])
     for label, draws in zip(best.problem.series.labels, left, strict=True):

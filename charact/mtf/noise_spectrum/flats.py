@@ -153,7 +153,7 @@ def misfit(peak: SpectrumOptimum, posterior: Posterior, rng: np.random.Generator
 
 KIND = "post-gain"
 NOTE = "MTF of what comes after the gain (screen, taper, chip, video): lens and cathode gap are not in it"
-QUANTITIES = ("post_gain_mtf50", "post_gain_mtf", "white_noise_share")
+QUANTITIES = ("post_gain_mtf50", "post_gain_mtf", "white_noise_fraction")
 
 
 @register(
@@ -171,7 +171,7 @@ def noise_spectrum(session: Session, *, context: Context) -> Result:
     -------
     Result
         `post_gain_mtf50` and `post_gain_mtf` at pinned frequencies along rows (0 deg) and columns (90 deg),
-        `white_noise_share`; curves "mtf_post_gain" and "mtf_post_gain_vertical", and the non-parametric ones.
+        `white_noise_fraction`; curves "mtf_post_gain" and "mtf_post_gain_vertical", and the non-parametric ones.
 
     Notes
     -----

@@ -83,7 +83,7 @@ def quantities(spectrum: PooledSpectrum, found: SpectrumDraws, own: dict[str, An
     # White floor over all noise at frequency 0, without the dark's part.
     mean = float(np.mean(spectrum.power_dn2 - spectrum.dark_dn2))
     white = found.mixture_of(lambda peak, draws: draws[:, 1] * mean / (draws[:, 1] * mean + np.exp(draws[:, 0])))
-    measurements.append(measurement_from_draws("white_noise_share", "1", white, **own))
+    measurements.append(measurement_from_draws("white_noise_fraction", "1", white, **own))
     return Result(measurements=tuple(measurements), curves=curves(spectrum, found))
 
 

@@ -243,14 +243,14 @@ def _saturation(joint: SweepJointFit, fields: Fields) -> Measurement:
     response = joint.response
     if response is None:
         reason = "MCP saturation needs light recorded at two settings at least"
-        return make_refusal("plate_saturation", "DN", reason, **fields)
+        return make_refusal("mcp_saturation", "DN", reason, **fields)
     if not reaches_saturation(response):
-        return make_refusal("plate_saturation", "DN", saturation_limit(response), **fields)
+        return make_refusal("mcp_saturation", "DN", saturation_limit(response), **fields)
     findings = [*joint.findings, *bending_findings(joint.responsivity_settings, response)]
     lost = response.lost_per_dn
     percent = 100.0 * float(np.median(response.posterior["lost"]))
     note = f"{percent:.2g} % of the gain is lost at the brightest level, {response.brightest_dn:.4g} DN above the dark"
-    return measurement_from_draws("plate_saturation", "DN", 1.0 / lost[lost > 0], flags=flags_of(findings),
+    return measurement_from_draws("mcp_saturation", "DN", 1.0 / lost[lost > 0], flags=flags_of(findings),
                       notes=(*notes_of(findings), note), posterior=response.posterior, **fields)  # fmt: skip
 
 

@@ -194,7 +194,7 @@ def test_cores_cut_at_every_level_leave_the_halo_and_hide_its_share(seed):
 def test_a_plate_that_tires_is_told_by_its_density_and_leaves_the_halo(saturation_dn, seed):
     scene = BloomScene(plate_saturation_dn=saturation_dn)
     result = measured(scene, seed, tuple(np.geomspace(0.3, 1e5, 9)))
-    density = only(result, "plate_saturation_density")
+    density = only(result, "mcp_saturation_density")
     assert abs(errors(density, saturation_dn)) < 4.5
     assert abs(errors(only(result, "halo_fraction"), scene.halo_fraction)) < 4.5
     left = [one.value for one in result.find("core_compression")]

@@ -59,7 +59,7 @@ def test_a_lamp_in_view_keeps_halo_and_overflow(folder):
 
 
 def test_within_nothing_only_what_has_no_influence_is_left_out(folder):
-    _simulated(folder, "dim", "within", "--within", 0)
+    _simulated(folder, "dim", "within", "--error-budget", 0)
     plan = json.loads((folder / "within" / "economy.json").read_text())
     assert all(effect["kept"] == (effect["influence"] > 0.0) for effect in plan["effects"])
 

@@ -74,7 +74,7 @@ def true_knee_dn() -> float:
 
 def test_law_knee_saturation_and_excess_noise_are_those_of_the_camera(pulses, in_memory, seed):
     result = measured(swept(pulses, in_memory, seed, saturation_dn=SATURATION_DN))
-    exponent, saturation = one(result, "gain_exponent"), one(result, "plate_saturation")
+    exponent, saturation = one(result, "gain_exponent"), one(result, "mcp_saturation")
     knee = true_knee_dn()
     for found, truth in (
         (exponent, EXPONENT),
@@ -105,7 +105,7 @@ def test_of_200_sweeps_the_intervals_hold_as_often_as_they_say(seed):
     exponent = told["gain_exponent 1"]
     assert len(exponent) > 180
     assert 3 - (200 - len(exponent)) <= exponent.count(False) <= 15
-    for name in ("gain_knee V", "plate_saturation DN", "relative_excess_noise_factor 1", "covariance_gain DN"):
+    for name in ("gain_knee V", "mcp_saturation DN", "relative_excess_noise_factor 1", "covariance_gain DN"):
         assert len(told[name]) > 40
         assert np.mean(told[name]) > 0.95 - 3.5 * np.sqrt(0.05 * 0.95 / min(len(told[name]), 200)), name
 
@@ -114,7 +114,7 @@ def test_chain_and_quick_estimate_agree():
     sweep, _, _ = SweepScene().drawn(np.random.default_rng(3))
     quick = told_by(sweep)
     slow = told_by(sweep, Context(seed=1))
-    for quantity in ("gain_exponent", "plate_saturation"):
+    for quantity in ("gain_exponent", "mcp_saturation"):
         a, b = one(quick, quantity), one(slow, quantity)
         width = a.interval95[1] - a.interval95[0]
         assert b.posterior.sampler == "emcee" and abs(a.value - b.value) < 0.1 * width
@@ -150,7 +150,7 @@ def test_decibels_are_held_against_what_the_camera_does(true_slope):
     slope = one(result, "gain_slope")
     assert slope.unit == "dB/dB" and abs(errors(slope, true_slope)) < 4.5
     assert slope.interval95[1] - slope.interval95[0] < 0.1
-    assert not result.find("plate_saturation")
+    assert not result.find("mcp_saturation")
 
 
 def test_a_setting_measured_badly_is_drawn_to_the_law_and_one_measured_well_is_not(seed):
@@ -178,7 +178,7 @@ def test_a_knee_or_a_saturation_beyond_the_sweep_is_refused_with_its_limit(seed)
     scene = SweepScene(volts=(760.0, 800.0, 830.0), saturation_dn=1e6)
     result = told_by(scene.drawn(np.random.default_rng(seed))[0])
     assert all(m.status == "refused" and "below the sweep" in m.reason for m in result.find("gain_knee"))
-    saturation = one(result, "plate_saturation")
+    saturation = one(result, "mcp_saturation")
     assert saturation.status == "refused" and "not reached in the sweep" in saturation.reason
 
 
@@ -188,8 +188,8 @@ def test_a_camera_that_bends_behind_the_plate_is_not_taken_for_a_plate_that_tire
     settings = tuple(
         replace(s, levels_dn=s.levels_dn * (1.0 - s.signal_dn / 2500.0) ** 2) for s in sweep.settings
     )  # fmt: skip
-    plate = one(told_by(sweep), "plate_saturation")
-    camera = one(told_by(replace(sweep, settings=settings)), "plate_saturation")
+    plate = one(told_by(sweep), "mcp_saturation")
+    camera = one(told_by(replace(sweep, settings=settings)), "mcp_saturation")
     assert plate.status == "ok" and abs(errors(plate, 2500.0)) < 4.5
     assert "nonlinear" in camera.flags
 

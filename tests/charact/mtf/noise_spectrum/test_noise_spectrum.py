@@ -58,7 +58,7 @@ def test_the_transfer_is_found_along_rows_and_columns_with_its_pixel(seed, frequ
 def test_the_white_floor_is_told_from_the_pulses_without_a_dark(seed):
     """K mu + r^2 + 1/12 over all noise at frequency 0: electrons as strong as a twentieth of the pulses."""
     scene = ScintillatingFlats(electron_gain_dn=2.0, read_noise_dn=4.0, photoelectrons=(8.0,), darks=False)
-    (found,) = measured(scene, seed).find("white_noise_share")
+    (found,) = measured(scene, seed).find("white_noise_fraction")
     light = 8.0 * scene.gain_dn
     white, pulses = scene.electron_gain_dn * light + 16.0, 2.0 * scene.gain_dn * light
     assert abs(errors(found, white / (white + pulses))) < 4.5

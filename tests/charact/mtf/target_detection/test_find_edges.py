@@ -102,7 +102,7 @@ def test_every_mtf50_lies_in_its_interval_as_often_as_promised() -> None:
     picture = noisy(CHART.mean(), np.random.default_rng(11), sd_dn=STEP_DN / 40.0, shot_share=0.8)
     stack = FrameStack(data=picture[None], full_scale_dn=4095.0)
     began = time.perf_counter()
-    result = mtf.measure_all("edge", stack, at_most=8, context=Context(quick=True))
+    result = mtf.measure_all("edge", stack, max_targets=8, context=Context(quick=True))
     print(f"\n8 edges of a 768 x 493 frame, quick: {time.perf_counter() - began:.2f} s")
     found = result.find("mtf50")
     assert len({m.region for m in found}) == 8
@@ -124,7 +124,7 @@ def test_every_mtf50_lies_in_its_interval_as_often_as_promised() -> None:
 def test_what_is_left_out_is_said() -> None:
     picture = noisy(CHART.mean(), np.random.default_rng(11), sd_dn=40.0)
     result = mtf.measure_all(
-        "edge", FrameStack(data=picture[None]), method="edge-slanted", at_most=2, context=Context(quick=True)
+        "edge", FrameStack(data=picture[None]), method="edge-slanted", max_targets=2, context=Context(quick=True)
     )
     assert len({m.region for m in result.measurements}) == 2
     assert any("18 further edges were not measured" in note for m in result.measurements for note in m.notes)

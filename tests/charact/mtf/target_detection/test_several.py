@@ -27,10 +27,10 @@ def test_every_part_of_the_frame_has_its_say_before_any_has_two() -> None:
     assert chosen[0] == CORNER[0]
 
 
-@pytest.mark.parametrize("at_most", [1, 2, 3, 7, 24, 100])
-def test_nothing_is_lost_and_the_best_comes_first(at_most: int) -> None:
+@pytest.mark.parametrize("max_targets", [1, 2, 3, 7, 24, 100])
+def test_nothing_is_lost_and_the_best_comes_first(max_targets: int) -> None:
     found = [*CORNER, *ELSEWHERE]
-    ordered = spread_over_frame(found, SHAPE, at_most)
+    ordered = spread_over_frame(found, SHAPE, max_targets)
     assert ordered[0] == found[0]
     assert sorted(one.region for one in ordered) == sorted(one.region for one in found)
 
