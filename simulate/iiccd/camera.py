@@ -185,11 +185,11 @@ class IntensifiedCamera(Camera):
 
     def stage(self, slot: Slot, conditions: Conditions | None = None) -> Any:
         stage = super().stage(slot, conditions)
-        return stage if self.local_depletion else stage.without(frozenset({"local depletion"}))
+        return stage if self.local_depletion else stage.without(frozenset({"local gain depletion"}))
 
     def chain(self, conditions: Conditions, state: AutomaticState = UNTOUCHED) -> Chain:
         chain = super().chain(conditions)
-        if not self.geometry or "fibre geometry" in self.left_out:
+        if not self.geometry or "taper distortion and fibre shear" in self.left_out:
             chain = chain.without(Slot.FIBRES)
         plate, video = chain[Slot.MCP], chain[Slot.VIDEO]
         return chain.replacing(
@@ -198,7 +198,7 @@ class IntensifiedCamera(Camera):
 
     def photoelectrons(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
         cathode = self.stage(Slot.PHOTOCATHODE, conditions)
-        return cathode.without(frozenset({"dark emission"})).mean(photons_per_s)
+        return cathode.without(frozenset({"EBI"})).mean(photons_per_s)
 
     def cathode_lux(self, photoelectrons: StageImage) -> float:
         """Mean illuminance of 2856 K light over cathode and time, from photoelectrons per cell and exposure, lux."""
@@ -267,7 +267,7 @@ class IntensifiedCamera(Camera):
 
         sampler = FrameGenerator(self.chain(conditions), self.fields_per_frame, seed=seed, threads=threads)
         # A normal law of sums is one of many pulses.
-        sparse = self.is_sparse(at_mcp) and "pulse-height law" not in self.left_out
+        sparse = self.is_sparse(at_mcp) and "pulse-height distribution" not in self.left_out
         return sampler.static(at_mcp, self.automatic_state_of(at_mcp, conditions), first_frame, sparse=sparse)
 
     def chain_frames(self, at_mcp: StageImage, conditions: Conditions, *, seed: int, first_frame: int = 0) -> Frames:

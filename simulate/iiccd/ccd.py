@@ -83,12 +83,12 @@ class Ccd(Stage, slot=Slot.CCD):
     takes: str = "screen photons as read"
     emits: str = "charge"
     effects: ClassVar = {
-        "overflow": {"full_well_e": np.inf},
+        "column blooming": {"full_well_e": np.inf},
         "smear": {"smear_fraction": 0.0},
-        "dark pattern": {"dsnu_e": 0.0},
-        "dark charge": {"dark_e": 0.0},
+        "DSNU": {"dsnu_e": 0.0},
+        "CCD dark current": {"dark_e": 0.0},
         "read noise": {"read_noise_e": 0.0},
-        "unequal pixels": {"prnu": 0.0},
+        "PRNU": {"prnu": 0.0},
     }
 
     @classmethod
@@ -165,12 +165,12 @@ class Ccd(Stage, slot=Slot.CCD):
         )
         pixels = 2.0 * float(budget.mean_pe.size)
         return {
-            "overflow": budget.of_mean(beyond / budget.charge_e),
+            "column blooming": budget.of_mean(beyond / budget.charge_e),
             "smear": budget.of_mean(budget.smear),
-            "dark pattern": pattern_of_dark,
-            "dark charge": budget.of_white(budget.of_chain.white * self.dark_e) + pattern_of_dark,
+            "DSNU": pattern_of_dark,
+            "CCD dark current": budget.of_white(budget.of_chain.white * self.dark_e) + pattern_of_dark,
             "read noise": budget.of_white(budget.of_chain.white * self.read_noise_e**2),
-            "unequal pixels": budget.extreme(pixels) * self.prnu * budget.of_gain(1.0),
+            "PRNU": budget.extreme(pixels) * self.prnu * budget.of_gain(1.0),
         }
 
 

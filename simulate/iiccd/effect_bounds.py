@@ -30,15 +30,15 @@ Map = NDArray[np.floating]
 # Seconds that effects cost for a million pixels, once and a frame, as `python -m benchmarks.economy --costs` measures
 # them: medians, which scatter by some 0.05 s and 0.5 ms; what is not here costs less than that.
 SETUP_S = {
-    "pulse-height law": 1.5,
-    "fibre geometry": 0.6,
-    "local depletion": 0.25,
-    "screen mottle": 0.15,
-    "plate saturation": 0.15,
-    "afterglow": 0.1,
+    "pulse-height distribution": 1.5,
+    "taper distortion and fibre shear": 0.6,
+    "local gain depletion": 0.25,
+    "phosphor granularity": 0.15,
+    "MCP saturation": 0.15,
+    "phosphor decay": 0.1,
     "multi-fibre pattern": 0.1,
 }
-FRAME_S = {"overflow": 5.3e-3, "pulse-height law": 2.9e-3, "afterglow": 1.9e-3, "dark pattern": 0.7e-3}
+FRAME_S = {"column blooming": 5.3e-3, "pulse-height distribution": 2.9e-3, "phosphor decay": 1.9e-3, "DSNU": 0.7e-3}
 
 
 @dataclass(frozen=True)

@@ -53,11 +53,11 @@ class MicrochannelPlate(Stage, slot=Slot.MCP, takes="photoelectrons at the plate
     # Whether a normal law of the same mean and variance stands for that of the sum of many pulses.
     normal_law: bool = False
     effects: ClassVar = {
-        "plate saturation": {"saturation_e_per_s_cm2": np.inf},
-        "local depletion": {"depletion_blur_um": None},
-        "ion events": {"ion_events_per_s_cm2": 0.0},
+        "MCP saturation": {"saturation_e_per_s_cm2": np.inf},
+        "local gain depletion": {"depletion_blur_um": None},
+        "ion feedback": {"ion_events_per_s_cm2": 0.0},
         "multi-fibre pattern": {"pattern_contrast": 0.0},
-        "pulse-height law": {"normal_law": True},
+        "pulse-height distribution": {"normal_law": True},
     }
 
     @classmethod
@@ -194,19 +194,19 @@ class MicrochannelPlate(Stage, slot=Slot.MCP, takes="photoelectrons at the plate
         that normal noise exceeds with a chance q by p/(q z).
         """
         mean, pixels = budget.mean_load, 3.0 / budget.blurs[0]
-        found = {"plate saturation": budget.of_gain(mean)}
+        found = {"MCP saturation": budget.of_gain(mean)}
         if self.depletion_blur_um is not None:
             near = budget.with_blur(GapSpread(radius_um=float(np.sqrt(2.0)) * self.depletion_blur_um))
             local = np.maximum(budget.load(near), 0.0)
             # Relative to whichever gain is the lower.
-            found["local depletion"] = budget.of_gain((local - mean) / (1.0 + np.minimum(local, mean)))
-            found["plate saturation"] = max(found["plate saturation"], budget.of_gain(local))
+            found["local gain depletion"] = budget.of_gain((local - mean) / (1.0 + np.minimum(local, mean)))
+            found["MCP saturation"] = max(found["MCP saturation"], budget.of_gain(local))
         fields = 1 + int(np.sum(budget.of_chain.shares.mean(axis=0)[1:] > 0.01))
         pushed = min(budget.ions * pixels * fields / budget.RARE / budget.RARE_SD, 1.0)
         ion_mean = budget.of_mean(budget.ions * self.ion_event_size_pe / self.detection_probability)
         return {
             **found,
-            "ion events": max(budget.of_variance(budget.of_ions) + ion_mean, pushed),
+            "ion feedback": max(budget.of_variance(budget.of_ions) + ion_mean, pushed),
             "multi-fibre pattern": self.pattern_contrast * budget.of_gain(1.0),
-            "pulse-height law": budget.of_skewness(budget.mean_pe),
+            "pulse-height distribution": budget.of_skewness(budget.mean_pe),
         }

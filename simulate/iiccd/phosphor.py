@@ -37,7 +37,7 @@ class Phosphor(Stage, slot=Slot.PHOSPHOR, takes="electrons", emits="screen photo
     spread: StageBlur  # blur after the gain: whole pulses are spread, so that neighbouring pixels share their noise
     gain_nonuniformity: float = 0.0  # relative standard deviation of the phosphor's granularity, dimensionless
     pattern_seed: int = 0  # seed of the granularity: the same device always has the same
-    effects: ClassVar = {"screen mottle": {"gain_nonuniformity": 0.0}}
+    effects: ClassVar = {"phosphor granularity": {"gain_nonuniformity": 0.0}}
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
@@ -57,7 +57,7 @@ class Phosphor(Stage, slot=Slot.PHOSPHOR, takes="electrons", emits="screen photo
         """Return the influence of the granularity: a change of gain by its largest value."""
         cells = budget.camera.cells
         grains = budget.mean_pe.size * cells.pitch_x_mm * cells.pitch_y_mm / pattern.GRANULARITY_MM**2
-        return {"screen mottle": budget.extreme(2.0 * grains) * self.gain_nonuniformity * budget.of_gain(1.0)}
+        return {"phosphor granularity": budget.extreme(2.0 * grains) * self.gain_nonuniformity * budget.of_gain(1.0)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,7 @@ class PhosphorDecay(Stage, slot=Slot.DECAY, takes="screen photons on pixels", em
     components: Components  # decay law, see `decay_components`
     gate_s: float  # time that the gate is open at the start of each field, s
     field_s: float  # time from one field to the next, s
-    effects: ClassVar = {"afterglow": {"components": ((1.0, 0.0),)}}
+    effects: ClassVar = {"phosphor decay": {"components": ((1.0, 0.0),)}}
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
@@ -209,7 +209,7 @@ class PhosphorDecay(Stage, slot=Slot.DECAY, takes="screen photons on pixels", em
         together = budget.of_chain.next_field / second
         grown = np.sqrt(1.0 + share * (1.0 / second - 1.0)) - 1.0
         skewed = budget.of_skewness(budget.mean_pe) * abs(1.0 - second**1.5 / third)
-        return {"afterglow": max(float(grown) + skewed, together * share)}
+        return {"phosphor decay": max(float(grown) + skewed, together * share)}
 
 
 def apply_phosphor_decay(fields: Sequence[NDArray] | NDArray, shares: NDArray[np.float64]) -> NDArray[np.float32]:

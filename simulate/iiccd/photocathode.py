@@ -38,7 +38,7 @@ class Photocathode(Stage, slot=Slot.PHOTOCATHODE, takes="photons", emits="photoe
     on_off_ratio: float = np.inf
     # Time from one exposure to the next, s: while the gate is shut, light leaks for the rest of it.
     field_s: float = 0.0
-    effects: ClassVar = {"dark emission": {"ebi_per_s_cm2": 0.0}}
+    effects: ClassVar = {"EBI": {"ebi_per_s_cm2": 0.0}}
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
@@ -72,7 +72,7 @@ class Photocathode(Stage, slot=Slot.PHOTOCATHODE, takes="photons", emits="photoe
 
     def bounds(self, budget: Any) -> dict[str, float]:
         """Return the influence of dark emission, by its mean, its noise and its pulses' skewness."""
-        return {"dark emission": budget.of_light(budget.dark_pe) + budget.of_skewness(budget.dark_pe)}
+        return {"EBI": budget.of_light(budget.dark_pe) + budget.of_skewness(budget.dark_pe)}
 
 
 @dataclass(frozen=True, kw_only=True)

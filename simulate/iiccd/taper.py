@@ -25,7 +25,7 @@ class Taper(Stage, slot=Slot.TAPER, takes="screen photons", emits="screen photon
     pattern_pitch_um: float = 750.0
     line_um: float = 6.0
     demagnification: float = 1.0  # large end over small end
-    effects: ClassVar = {"chicken wire": {"pattern_contrast": 0.0}}
+    effects: ClassVar = {"multi-fibre (chicken-wire) pattern": {"pattern_contrast": 0.0}}
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
@@ -54,7 +54,7 @@ class Taper(Stage, slot=Slot.TAPER, takes="screen photons", emits="screen photon
 
     def bounds(self, budget: Any) -> dict[str, float]:
         """Return the influence of the dark lines: a change of gain by their depth."""
-        return {"chicken wire": self.pattern_contrast * budget.of_gain(1.0)}
+        return {"multi-fibre (chicken-wire) pattern": self.pattern_contrast * budget.of_gain(1.0)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,7 @@ class FibreGeometry(Stage, slot=Slot.FIBRES, takes="photoelectrons at the plate"
     pattern_pitch_um: float = 750.0  # pitch of the multi-fibres at the small end
     demagnification: float = 1.0  # large end over small end
     pattern_seed: int = 0  # seed of the shears
-    effects: ClassVar = {"fibre geometry": {"distortion_fraction": 0.0, "shear_um": 0.0}}
+    effects: ClassVar = {"taper distortion and fibre shear": {"distortion_fraction": 0.0, "shear_um": 0.0}}
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
@@ -102,7 +102,7 @@ class FibreGeometry(Stage, slot=Slot.FIBRES, takes="photoelectrons at the plate"
 
     def bounds(self, budget: Any) -> dict[str, float]:
         """Return the influence of the displacement."""
-        return {"fibre geometry": budget.of_light(self._largest_change(budget))}
+        return {"taper distortion and fibre shear": budget.of_light(self._largest_change(budget))}
 
     def _largest_change(self, budget: Any) -> NDArray[np.float64]:
         """Bound on the change of each pixel: the range of values within the extent of the displacement.

@@ -90,7 +90,7 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
     gain: float = 1.0  # factor of the automatic gain, which acts on signal and noise alike, dimensionless
     sync_jitter_px: float = 0.0  # standard deviation of the start of a line, pixels
     line_noise_dn: float = 0.0  # standard deviation of an offset common to a line, DN
-    effects: ClassVar = {"sync jitter": {"sync_jitter_px": 0.0}, "line noise": {"line_noise_dn": 0.0}}
+    effects: ClassVar = {"line jitter": {"sync_jitter_px": 0.0}, "row noise": {"line_noise_dn": 0.0}}
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
@@ -178,8 +178,8 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
         moved = budget.of_white((late * steepest * budget.charge_e) ** 2)
         averaged = budget.of_white(1.5 * late**2 * budget.variance)
         return {
-            "sync jitter": max(moved + averaged, budget.of_mean(0.5 * late**2 * (right - left))),
-            "line noise": budget.of_white(budget.line_noise_e**2),
+            "line jitter": max(moved + averaged, budget.of_mean(0.5 * late**2 * (right - left))),
+            "row noise": budget.of_white(budget.line_noise_e**2),
         }
 
 

@@ -22,5 +22,5 @@ def drawn_by(
     if sampler == "chain":
         return camera.chain_frames(light, conditions, seed=seed, **more)
     if sampler == "normal":
-        camera = replace(camera, left_out=camera.left_out | {"pulse-height law"})
+        camera = replace(camera, left_out=camera.left_out | {"pulse-height distribution"})
     return camera.frames(light, conditions, seed=seed, **more)

@@ -245,9 +245,9 @@ def test_the_noise_that_tolerances_are_shares_of_is_that_of_drawn_frames() -> No
 def test_a_dim_scene_is_simulated_without_halo_overflow_and_smear_and_nothing_measured_shows_it(sheet: Sensor) -> None:
     tolerance = 0.1
     pair = Pair.of(IntensifiedCamera(small(sheet)), dim_picture(), Conditions(mcp_v=800.0), tolerance)
-    assert {"halo", "overflow", "smear"} <= pair.plan.names
+    assert {"halo", "column blooming", "smear"} <= pair.plan.names
     said = {line.split("  ")[0]: line for line in pair.plan.text().splitlines()}
-    assert all("left out" in said[name] for name in ("halo", "overflow", "smear"))
+    assert all("left out" in said[name] for name in ("halo", "column blooming", "smear"))
     (whole, thin), (variance, thinned) = pair.means, pair.variances
     noise = np.sqrt(variance)
     assert np.max(np.abs(thin - whole) / noise) < tolerance
@@ -273,7 +273,7 @@ def test_with_one_bright_lamp_in_view_they_are_kept(sheet: Sensor) -> None:
     lit = dim_picture()
     lit[60:63, 40:43] += 1e5
     pair = Pair.of(IntensifiedCamera(small(sheet)), lit, Conditions(mcp_v=800.0), 0.1)
-    assert not {"halo", "overflow", "smear"} & pair.plan.names
+    assert not {"halo", "column blooming", "smear"} & pair.plan.names
 
 
 def test_a_control_that_will_lower_the_gain_keeps_the_noise_that_then_shows(sheet: Sensor) -> None:
@@ -314,7 +314,7 @@ def test_each_effect_alone_changes_no_more_than_its_influence(number: int) -> No
     for effect in (*plan.kept, *plan.left_out):
         # Below a thousandth of the noise, single precision tells as much as the effect; beyond the tolerance, shares
         # of the variance are not meant to hold.
-        if effect.name == "pulse-height law" or not 1e-3 < effect.influence < scene.tolerance:
+        if effect.name == "pulse-height distribution" or not 1e-3 < effect.influence < scene.tolerance:
             continue
         without = replace(camera, left_out=frozenset({effect.name}))
         pair = Pair(camera, without, plan, conditions, (light, without.to_mcp_input(freed, conditions)))

@@ -87,8 +87,8 @@ def test_geometry_without_numbers_is_no_geometry():
 
 def test_bench_camera_has_no_geometry_and_a_whole_one_has(sheet):
     bench, whole = IntensifiedCamera(sheet), IntensifiedCamera(sheet, geometry=True)
-    assert "fibre geometry" not in [stage.name for stage in bench.chain(Conditions()).stages]
-    assert "fibre geometry" in [stage.name for stage in whole.chain(Conditions()).stages]
+    assert "taper distortion and fibre shear" not in [stage.name for stage in bench.chain(Conditions()).stages]
+    assert "taper distortion and fibre shear" in [stage.name for stage in whole.chain(Conditions()).stages]
 
 
 def test_transmission_of_a_fibre_optic_is_na_over_m_squared_times_core_and_bulk(sheet):

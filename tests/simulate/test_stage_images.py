@@ -45,7 +45,7 @@ def test_light_at_the_plate_is_that_of_the_exposure():
     assert grid is not None
     top, left = grid.margin_rows * 2, grid.margin_columns * 2
     whole = at_mcp.values[top : top + 2 * grid.rows, left : left + 2 * grid.columns]
-    assert shown["fibre geometry"] == pytest.approx(whole, rel=1e-4)
+    assert shown["taper distortion and fibre shear"] == pytest.approx(whole, rel=1e-4)
 
 
 def test_levels_grow_by_the_gains_of_the_stages(plain):

@@ -23,12 +23,12 @@ TUBE = (
     "optics",
     "photocathode",
     "gap",
-    "fibre geometry",
+    "taper distortion and fibre shear",
     "microchannel plate",
     "phosphor",
     "taper",
     "pixels",
-    "afterglow",
+    "phosphor decay",
     "scan",
     "ccd",
     "video",
@@ -51,9 +51,9 @@ def _light_for(camera: Camera, stage: Stage) -> StageImage | RadianceCube:
         return RadianceCube(wavelength_nm=np.array([500.0, 700.0, 900.0]), radiance=1e-9 * rng.random((3, 24, 40)))
     if stage.name in ("optics", "photocathode", "gap", "silicon"):
         shape, grid, level = camera.scene_cells.shape, camera.scene_cells, 50.0
-    elif stage.name in ("fibre geometry", "microchannel plate", "phosphor", "taper", "pixels"):
+    elif stage.name in ("taper distortion and fibre shear", "microchannel plate", "phosphor", "taper", "pixels"):
         shape, grid, level = camera.cells.shape, camera.cells, 3.0
-    elif stage.name in ("afterglow", "scan"):
+    elif stage.name in ("phosphor decay", "scan"):
         shape, grid, level = (4, *camera.shape), None, 2000.0
     else:
         shape, grid, level = (2, *camera.shape), None, 2000.0

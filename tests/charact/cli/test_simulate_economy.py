@@ -44,10 +44,10 @@ def _left_out(session: Path) -> set[str]:
 
 def test_a_dim_scene_goes_without_halo_overflow_and_smear_and_the_session_says_so(folder):
     done = _simulated(folder, "dim", "dim", "--explain")
-    assert {"halo", "overflow", "smear"} <= _left_out(folder / "dim")
+    assert {"halo", "column blooming", "smear"} <= _left_out(folder / "dim")
     rows = {line[:26].strip(): line for line in done.stdout.splitlines()}
     assert "left out" in rows["halo"]
-    assert "kept" in rows["pulse-height law"]
+    assert "kept" in rows["pulse-height distribution"]
     notes = " ".join(open_session(folder / "dim").stacks[0].notes)
     assert "halo" in notes
     assert "% of the temporal noise, of 10 % allowed" in notes
@@ -55,7 +55,7 @@ def test_a_dim_scene_goes_without_halo_overflow_and_smear_and_the_session_says_s
 
 def test_a_lamp_in_view_keeps_halo_and_overflow(folder):
     _simulated(folder, "lamp", "lamp")
-    assert not {"halo", "overflow", "smear"} & _left_out(folder / "lamp")
+    assert not {"halo", "column blooming", "smear"} & _left_out(folder / "lamp")
 
 
 def test_within_nothing_only_what_has_no_influence_is_left_out(folder):
