@@ -148,8 +148,9 @@ def read_levels_of(
     levels: list[StackStatistics | None] = []
     for entry, stack, of_stack in zip(entries, stacks, parts, strict=True):
         context.progress(f"noise of {entry.label}", len(levels) / len(entries))
-        bins = bins_of_run(stack.shape, context, spectra=spectra if of_stack else False)
-        levels.append(_join(entry, list(islice(found, len(of_stack))), shape=stack.shape, bins=bins))
+        own = list(islice(found, len(of_stack)))
+        bins = bins_of_run(stack.shape, context, spectra=spectra if own else False)
+        levels.append(_join(entry, own, shape=stack.shape, bins=bins))
     return levels
 
 
