@@ -60,7 +60,8 @@ FocalLengthMm = Annotated[
     float | None, typer.Option("--focal-length-mm", help="Focal length for cy/mrad, mm (default: from the sensor).")
 ]
 MaxTargets = Annotated[
-    int, typer.Option("--max-targets", help="Maximum number of targets measured per frame, spread over the field.", min=1)
+    int,
+    typer.Option("--max-targets", help="Maximum number of targets measured per frame, spread over the field.", min=1),
 ]
 Annotate = Annotated[Path | None, typer.Option(help="Write a PNG of the frame with measured regions and MTF50.")]
 BloomMap = Annotated[

@@ -342,9 +342,7 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
     points[:, load] = np.clip(points[:, load] / factors, *best.form.bounds[load])
     density = 1.0 / np.maximum(points[:, load], 1e-9)
     density = density * _model_error_factors(best, "mcp_saturation_density", len(density), posterior)
-    out = [
-        measurement_from_draws("mcp_saturation_density", "DN", density, flags=flags, notes=fit.notes, **fit.fields)
-    ]
+    out = [measurement_from_draws("mcp_saturation_density", "DN", density, flags=flags, notes=fit.notes, **fit.fields)]
     left = best.problem.compression(points[:DERIVED])
     for label, draws in zip(best.problem.series.labels, left, strict=True):
         out.append(measurement_from_draws("core_compression", "1", draws, flags=flags, stack=label, **fit.fields))
