@@ -97,7 +97,8 @@ def test_channels_recover_after_a_flash(plain, seed):
 
 
 def test_a_lamp_that_enters_the_picture_pumps_the_tubes_brightness(plain, seed):
-    sensor = plain(30, 44, photocathode__ebi_lm_per_cm2=0.0, video__conversion_gain_dn_per_e=1e-4)
+    changes = {"photocathode__ebi_lm_per_cm2": 0.0, "video__conversion_gain_dn_per_e": 1e-4, "ccd__full_well_e": 1e12}
+    sensor = plain(30, 44, **changes)
     camera, on = IntensifiedCamera(sensor), Conditions(brightness_control=True)
     per_lux = tube_photometry.photoelectrons_per_lumen_s(sensor) * 1e-4 * camera.field_s * camera.field_pixel_area_cm2
     threshold = float(sensor.tube.brightness_control_lux) * per_lux
