@@ -25,12 +25,10 @@ lamp = Lamp(flux=spectrum("high-pressure-sodium", lumens=9000.0), distribution=S
 
 # %%
 # Spectra are means over bands. The bands follow the lines of the sources and the quantum efficiency of the sensor.
-wavelength_nm, width_nm = spectral_grid(
-    [*sky.sources(), lamp.flux], [450, 550, 750, 900, 940], [0.02, 0.2, 0.6, 0.15, 0.0]
-)
+wavelength_nm = spectral_grid([*sky.sources(), lamp.flux], [450, 550, 750, 900, 940], [0.02, 0.2, 0.6, 0.15, 0.0])
 up = np.array([[0.0, 0.0, 1.0]])
 radiance = sky.radiance(up, wavelength_nm)[:, 0]
-intensity = lamp.intensity(up, wavelength_nm)[:, 0]
+intensity = lamp.flux.on(wavelength_nm) * lamp.distribution.per_sr(up)
 print(f"{len(wavelength_nm)} bands, {wavelength_nm[0]:.0f} to {wavelength_nm[-1]:.0f} nm")
 
 figure, axes = plt.subplots(figsize=(6, 3.6))
