@@ -179,6 +179,9 @@ def _linearity(series: FlatSeries, response: emva1288.GainLine, photons: Array, 
     chosen = np.flatnonzero(series.fitted)
     value = np.median(response.slope) * photons[chosen]
     inside = value > 0.05 * (series.signal_dn[series.peak] if series.peak is not None else value.max())
+    if not inside.any():
+        reason = "no fitted flat lies between 5 and 70 % of saturation; add levels there"
+        return make_refusal("linearity_error", "%", reason, **fields)
     error = np.array([np.sqrt(series.flats[i].variance_dn2 / series.flats[i].pixels) for i in chosen])
     departure = np.abs(response.residual[inside] / value[inside])
     sd = np.hypot(float(np.sqrt(np.sum((error / value)[inside] ** 2))) / inside.sum(),

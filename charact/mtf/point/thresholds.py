@@ -20,7 +20,7 @@ class PointLimits:
     max_chi2_sd: float = 5.0  # Its noise, standard deviations
     low_light_sd: float = 10.0  # Light down to which intervals are validated, standard uncertainties
     max_prior_sd: float = 3.0  # Distance of the cut-off from the description, standard deviations
-    max_negative_power: float = 0.6  # Extra power of a described tube's noise; linear ones have down to -0.5
+    max_negative_power: float = 0.35  # Extra negative power of the noise that only a nonlinear response explains
     min_region_px: int = 9  # Side of a region, px
     min_light_sd: float = 6.0  # Light of a source, standard uncertainties
     full_fraction: float = 0.97  # Fraction of full scale at which frames clip or the wells of a sensor fill
