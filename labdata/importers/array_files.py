@@ -14,10 +14,16 @@ from labdata.importers.decompression_limit import require_room
 
 def read_npy(path: Path) -> Recorded:
     """Map a .npy array into memory; see `labdata.importers.read_frames`."""
-    # An empty file cannot be mapped.
-    data = np.load(path, mmap_mode="r" if path.stat().st_size else None, allow_pickle=False)
+    try:
+        # An empty file cannot be mapped.
+        data = np.load(path, mmap_mode="r" if path.stat().st_size else None, allow_pickle=False)
+    except (ValueError, EOFError):
+        data = None
     if not isinstance(data, np.ndarray):
-        raise BadInput(f"a .npy file must hold one whole array of numbers, got something else in {path}")
+        raise BadInput(
+            "a .npy file must hold one whole array of numbers, got something else, or fewer pixels than its header "
+            f"states, in {path}"
+        )
     return Recorded(data=data, names=names_of_shape(data.shape))
 
 
