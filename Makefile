@@ -11,7 +11,7 @@ QUIET := OPENBLAS_NUM_THREADS=1
 demo: $(READY)
 	$(BIN)/charact demo demo
 
-# Tests that take a second at most; the others run in test-all.
+# Tests that take half a second at most; the others run in test-all.
 test: $(READY)
 	$(BIN)/pytest -q -m "not wires and not slow" -n $(WORKERS) --dist loadfile
 

@@ -23,12 +23,13 @@ def check(record: Any, *, of: str = "", **rules: str | Iterable[str]) -> None:
 
     check(self, positive="rows columns", share="gate_duty") names the first field that breaks a rule, `of` the record.
     """
-    for rule, names in rules.items():
-        holds, words = _RULES[rule]
+    for kind, names in rules.items():
+        holds, words = _RULES[kind]
         for name in names.split() if isinstance(names, str) else names:
             value = getattr(record, name)
             if value is not None and not holds(float(value)):
-                raise BadInput(f"{name}{of} {words}, got {float(value):g}")
+                rule = words if math.isfinite(value) else "must be a finite number"
+                raise BadInput(f"{name}{of} {rule}, got {float(value):g}")
 
 
 def check_range(record: Any, low: float, high: float, *names: str, of: str = "") -> None:

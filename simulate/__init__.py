@@ -1,8 +1,11 @@
 """Simulation: scene radiance, intensified and solid-state cameras, and virtual instruments."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from labdata.numba_cache import keep_loops
+
+if TYPE_CHECKING:
+    from simulate.api import SimulationRequest, conditions_of, load_described_camera, save_session, simulate
 
 keep_loops()
 

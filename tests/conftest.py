@@ -17,6 +17,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 DEFAULT_SEED = 20261121
 
 
+# Tests, without their parameters, that take more than half a second of processor time (`pytest --durations=0`).
+SLOW = frozenset((Path(__file__).parent / "slow_tests.txt").read_text().split())
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that `make test` leaves out."""
+    for item in items:
+        if item.nodeid.partition("[")[0] in SLOW:
+            item.add_marker("slow")
+
+
 def pytest_report_header() -> str:
     return f"charact test seed: {test_seed()} (set CHARACT_TEST_SEED to choose another)"
 

@@ -18,7 +18,6 @@ PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.m
 TUTORIAL = ROOT / "docs" / "tutorial" / "index.md"
 
 
-@pytest.mark.slow
 def test_the_steps_of_the_tutorial_run_as_printed(tmp_path, monkeypatch):
     (tmp_path / "docs").symlink_to(ROOT / "docs")
     monkeypatch.chdir(tmp_path)
@@ -46,7 +45,6 @@ def test_the_programs_of_a_page_run_as_printed(page, tmp_path, monkeypatch):
             assert np.array_equal(names["frame_1000"], next(following))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("example", sorted((ROOT / "docs" / "examples").glob("plot_*.py")), ids=lambda path: path.stem)
 def test_an_example_runs_and_draws_a_figure(example, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "agg")

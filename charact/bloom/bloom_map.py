@@ -240,8 +240,8 @@ def spread_from(result: Result, *, area_px: float, pitch_ratio: float = 1.0, rng
     `pitch_ratio`: row pitch over column pitch; `rng`: generator of the glare's draws. Raises BadInput if the result has
     no posterior of core and halo.
     """
-    found = [one for one in result.find("halo_fraction") + result.find("halo_diameter") if one.posterior is not None]
-    posterior = next((one.posterior for one in found if "halo_fraction" in one.posterior.names), None)
+    found = [one.posterior for one in result.find("halo_fraction") + result.find("halo_diameter")]
+    posterior = next((one for one in found if one is not None and "halo_fraction" in one.names), None)
     if posterior is None:
         reasons = "; ".join(str(m.reason) for m in result.find("halo_diameter") if m.reason)
         raise BadInput(f"a bloom map needs the halo of a point series: {reasons or 'none was measured'}")

@@ -35,8 +35,7 @@ def profile_of(spot: PointStack, *, context: Context) -> Profile:
     """
     rows, cols = spot.image.shape
     reach = int(max(8, min(60, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
-    down, along = np.indices(spot.image.shape, sparse=True)
-    dx, dy = along - spot.col, (down - spot.row) * context.pitch_ratio
+    dx, dy = np.arange(cols) - spot.col, (np.arange(rows)[:, None] - spot.row) * context.pitch_ratio
     column = (np.abs(dx) <= 2.5) & (np.hypot(dx, dy) >= 6.0)
     geometry = geometry_of(
         (rows, cols), spot.row, spot.col, pitch_ratio=context.pitch_ratio, spoiled=column, reach_px=reach

@@ -140,7 +140,8 @@ def _depressions(
             out.append(make_refusal("background_depression", "dB", reason, **common))
             continue
         value = DECIBEL * float(np.log(reference.background_dn / one.background_dn))
-        sd = DECIBEL * float(np.hypot(*(each.background_sd_dn / each.background_dn for each in (reference, one))))
+        relative = [each.background_sd_dn / each.background_dn for each in (reference, one)]
+        sd = DECIBEL * float(np.hypot(relative[0], relative[1]))
         # This quantity measures the fall itself, which is no reason to flag it.
         own_flags = tuple(flag for flag in flags.get(one.spot.label, ()) if flag != "agc")
         own_flags += () if one.spot.dark_known else ("no-darks",)

@@ -122,10 +122,11 @@ def least_squares(
         there = linearise(trial)
         gain = here.cost - there.cost
         if gain >= 0:
-            point, here, damping, accepted = trial, there, max(damping * shrink, min_damping), accepted + 1
-            # Near the optimum a step gains at least as much as all later ones.
+            # Near the optimum a step gains at least as much as all later ones, unless damping shortens it.
+            is_whole, accepted = damping < 1.0, accepted + 1
+            point, here, damping = trial, there, max(damping * shrink, min_damping)
             is_hopeless = accepted > 2 and here.cost - gain > hopeless
-            if gain < max(tolerance, relative_tolerance * here.cost) or is_hopeless:
+            if is_whole and (gain < max(tolerance, relative_tolerance * here.cost) or is_hopeless):
                 break
         else:
             damping *= grow

@@ -284,7 +284,7 @@ def test_an_array_that_is_no_stack_of_pictures_is_refused(tmp_path, data):
 
 def test_pickled_objects_are_never_loaded(tmp_path):
     np.save(tmp_path / "a.npy", np.array([[{}]], dtype=object), allow_pickle=True)
-    with pytest.raises(BadInput, match="must be whole and readable"):
+    with pytest.raises(BadInput, match="must hold one whole array of numbers"):
         read_frames(tmp_path / "a.npy")
 
 

@@ -388,7 +388,7 @@ def _edge_of_line(places: Array, distance: Array, spread_px: Array, known: Known
         integral = np.zeros((*gone.shape, places.size))
         integral[..., 1:] += gaps * 0.5 * up_to**2
         integral[..., :-1] += gaps * (up_to - 0.5 * up_to**2)
-        return np.tensordot(kernel, integral, axes=(0, 1))
+        return np.asarray(np.tensordot(kernel, integral, axes=(0, 1)), float)
 
     # The mean over a bin: half its variance times the second derivative, by differences of a tenth of a pixel.
     middle = smeared(0.0)

@@ -145,7 +145,7 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(tmp
             ("--frequency", 0.1),
             ("--frequency is only for --kind bars of a bench scene, got it with --kind edge",),
         ),
-        ("bench", ("--kind", "point", "--pinhole-px", "inf"), ("pinhole_px must not be negative, or infinite",)),
+        ("bench", ("--kind", "point", "--pinhole-px", "inf"), ("pinhole_px must be a finite number, got inf",)),
         ("bench", ("--kind", "dark", "--illuminance-lux", 1), ("a dark must have no light, got --illuminance-lux 1",)),
     ],
 )

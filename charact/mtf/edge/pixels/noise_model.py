@@ -249,7 +249,7 @@ def _autocorrelation(field: NDArray, shape: tuple[int, int]) -> Array:
     """
     from scipy.fft import next_fast_len
 
-    fast = tuple(next_fast_len(size, real=True) for size in shape)
+    fast = [int(next_fast_len(size, real=True) or size) for size in shape]
     spectrum = np.asarray(np.fft.rfft2(field.astype(np.float32), fast), np.complex64)
     return np.asarray(np.fft.irfft2(spectrum.real**2 + spectrum.imag**2, fast), np.float64)
 
