@@ -71,7 +71,7 @@ def test_only_gain_in_db_and_temperature_may_be_negative():
     [
         ({"bars": 1}, "at least 2 bars, got 1"),
         ({"frequency_cy_per_px": 0.0}, "must be positive, got 0"),
-        ({"frequency_cy_per_px": float("inf")}, "must be positive, got inf"),
+        ({"frequency_cy_per_px": float("inf")}, "must be a finite number, got inf"),
         ({"pinhole_px": -1.0}, "must not be negative, got -1"),
         ({"contrast": 1.5}, r"must lie in \(0, 1\], got 1\.5"),
     ],

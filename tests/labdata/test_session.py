@@ -61,7 +61,7 @@ def test_frames_are_not_read_before_they_are_asked_for(tmp_path):
     (folder / "a.npy").write_text("no array")
     session = open_session(folder)
     assert isinstance(session, Session)
-    with pytest.raises(BadInput, match=r"must be whole and readable"):
+    with pytest.raises(BadInput, match=r"must hold one whole array of numbers"):
         session.stack("flat-03").read()
 
 
