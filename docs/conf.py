@@ -25,7 +25,11 @@ autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 
 html_theme = "alabaster"
-html_theme_options = {"description": "Intensified cameras: measure, simulate, validate", "page_width": "1280px"}
+html_theme_options = {
+    "description": "Intensified cameras: measure, simulate, validate",
+    "page_width": "1280px",
+    "body_max_width": "1020px",
+}
 html_sidebars = {"**": ["about.html", "searchfield.html", "navigation.html"]}
 html_static_path: list[str] = []
 
@@ -36,6 +40,7 @@ sphinx_gallery_conf = {
     "abort_on_example_error": True,
     "download_all_examples": False,
     "show_signature": False,
+    "capture_repr": (),
     "remove_config_comments": True,
 }
 

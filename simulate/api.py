@@ -11,8 +11,6 @@ api.save_session(shot, camera, Path("frames"), frames=8, seed=0)
 import json
 import math
 import os
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
@@ -25,18 +23,17 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.file_io import require_regular, write_atomically
-from labdata.importers.decompression_limit import require_room
+from labdata.file_io import write_atomically
 from labdata.limits import TubeLimits
 from labdata.sensor import Sensor
 from labdata.session import Kind
 from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
+from simulate.image_source import read_cube, read_image
 
 if TYPE_CHECKING:
     from simulate.effect_selection import EffectSelection
     from simulate.outdoor_rendering import OutdoorRendering, RenderedView
-    from simulate.radiance.cube import RadianceCube
 
 Description = Sensor | SolidStateCamera
 Progress = Callable[[str, float], None]
@@ -398,77 +395,3 @@ def voltage_limit_warnings(camera: Description, conditions: Conditions) -> tuple
     if limit == TubeLimits().mcp_v or mcp_v <= float(limit):
         return ()
     return (f"mcp_v of {mcp_v:.4g} exceeds the limit {float(limit):g} of {camera.name!r}: its bench would refuse it",)
-
-
-def read_image(
-    path: Path, *, photoelectrons_per_dn: float | None, black_dn: float, shape: tuple[int, int]
-) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """Read the first frame of an image as mean photoelectrons on a frame of a camera, with notes for the session.
-
-    The image is centred on rows and columns `shape`, cropped or padded with darkness; the scale is as in
-    `SimulationRequest`. Raises BadInput if the file cannot be read, a pixel is negative or not finite, or the scale is
-    missing or not positive.
-    """
-    from labdata.importers import read_frames
-
-    scale = photoelectrons_per_dn
-    if scale is None:
-        raise BadInput(
-            "an image needs --photoelectrons-per-dn, mean photoelectrons per pixel and exposure for each DN, got none"
-        )
-    if not (math.isfinite(scale) and scale > 0.0):
-        raise BadInput(f"--photoelectrons-per-dn must be positive, got {scale:g}")
-    if not math.isfinite(black_dn):
-        raise BadInput(f"--black-dn must be a number, got {black_dn:g}")
-    stack = read_frames(path)
-    image = stack.data[0].astype(np.float64)
-    if image.min() < 0.0:
-        raise BadInput(f"an image must have no negative pixel, got {image.min():g} in {path.name}")
-    above = image - black_dn
-    below = int(np.count_nonzero(above < 0.0))
-    placed, how = centre_on_frame(np.maximum(above, 0.0) * scale, shape)
-    notes = [f"{path.name}: {scale:g} photoelectrons per DN above {black_dn:g} DN, per pixel and exposure", *how]
-    notes += [f"first of {len(stack)} frames of {path.name}"] if len(stack) > 1 else []
-    notes += [f"{below} pixels below {black_dn:g} DN count as dark"] if below else []
-    return placed.astype(np.float32), (*notes, *stack.notes)
-
-
-def centre_on_frame(image: NDArray[np.floating], shape: tuple[int, int]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Return an image centred on a frame, cropped or padded with zeros, and a note if its shape differs."""
-    frame = np.zeros(shape)
-    there, here = [], []
-    for size, room in zip(image.shape, shape, strict=True):
-        shift, kept = (room - size) // 2, min(size, room)
-        there.append(slice(max(shift, 0), max(shift, 0) + kept))
-        here.append(slice(max(-shift, 0), max(-shift, 0) + kept))
-    frame[tuple(there)] = image[tuple(here)]
-    sizes = list(zip(image.shape, shape, strict=True))
-    done = ["cropped"] * any(size > room for size, room in sizes)
-    done += ["padded with darkness"] * any(size < room for size, room in sizes)
-    (rows, cols), (height, width) = image.shape, shape
-    note = f"the image of {rows} x {cols} pixels is centred on the frame of {height} x {width}, {' and '.join(done)}"
-    return frame, (note,) if done else ()
-
-
-def read_cube(path: Path) -> "RadianceCube":
-    """Read a radiance cube, an .npz of `wavelength_nm` (band,) and `radiance` (band, row, col), W m-2 sr-1 nm-1."""
-    from simulate.radiance.cube import RadianceCube
-
-    require_regular(path, "a radiance cube")
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as packed:
-            unpacked_bytes = sum(part.file_size for part in packed.zip.infolist())
-            require_room(path, pixels=unpacked_bytes // 8, pixel_bytes=8)
-            missing = sorted({"wavelength_nm", "radiance"} - set(packed.files))
-            arrays = {} if missing else {name: packed[name] for name in ("wavelength_nm", "radiance")}
-    except BadInput:
-        raise
-    except (ValueError, TypeError, AttributeError, EOFError, MemoryError, zlib.error, zipfile.BadZipFile):
-        raise BadInput(f"a radiance cube must be a complete .npz file, got {path.name}") from None
-    if missing:
-        raise BadInput(f"a radiance cube must contain wavelength_nm and radiance, got no {' and no '.join(missing)}")
-    if any(array.dtype.kind not in "uif" for array in arrays.values()):
-        raise BadInput(f"wavelength_nm and radiance must be numbers, got {[str(a.dtype) for a in arrays.values()]}")
-    if not all(np.isfinite(array).all() for array in arrays.values()) or arrays["radiance"].min(initial=0.0) < 0.0:
-        raise BadInput(f"radiance must be finite and not negative, got another value in {path.name}")
-    return RadianceCube(**arrays)

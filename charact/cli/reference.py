@@ -186,7 +186,7 @@ class VirtualPair(AbstractContextManager["VirtualPair"]):
 
     def __init__(self, name: str, folder: Path) -> None:
         from drivers.instruments.models import models
-        from simulate.virtual_bench.models import virtual_model
+        from simulate.virtual_bench.instrument import virtual_model
         from simulate.virtual_bench.process import VirtualInstruments
 
         known = models()

@@ -42,7 +42,7 @@ frequency = curve.frequency_cy_per_px
 true = np.exp(-2.0 * (np.pi * SIGMA_PX * frequency) ** 2) * np.abs(
     np.sinc(frequency * np.cos(angle)) * np.sinc(frequency * np.sin(angle))
 )
-figure, axes = plt.subplots(figsize=(6, 3.6))
+figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
 axes.plot(frequency, true, "k--", label="true")
 axes.plot(frequency, curve.value, label="measured")
 axes.fill_between(frequency, *curve.interval95, alpha=0.3, label="95 % interval")

@@ -29,6 +29,6 @@ for level_pe in levels_pe:
     print(f"{level_pe:6.2f} photoelectrons: mean {mean_dn[-1]:7.2f} DN, variance {variance_dn2[-1]:7.2f} DN²")
 
 # %%
-figure, axes = plt.subplots(figsize=(6, 3.6))
+figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
 axes.plot(mean_dn, variance_dn2, "o-")
 axes.set(xlabel="mean (DN)", ylabel="temporal variance (DN²)")

@@ -31,7 +31,7 @@ radiance = sky.radiance(up, wavelength_nm)[:, 0]
 intensity = lamp.flux.on(wavelength_nm) * lamp.distribution.per_sr(up)
 print(f"{len(wavelength_nm)} bands, {wavelength_nm[0]:.0f} to {wavelength_nm[-1]:.0f} nm")
 
-figure, axes = plt.subplots(figsize=(6, 3.6))
+figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
 axes.step(wavelength_nm, radiance / radiance.max(), where="mid", label="sky straight up")
 axes.step(wavelength_nm, intensity / intensity.max(), where="mid", label="high-pressure sodium lamp")
 axes.set(xlabel="wavelength (nm)", ylabel="relative spectral radiance, intensity")

@@ -7,8 +7,8 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from simulate.virtual_bench.faults import FaultFile
+from simulate.virtual_bench.instrument import virtual_model
 from simulate.virtual_bench.instruments.meters import PowerMeter
-from simulate.virtual_bench.models import virtual_model
 from simulate.virtual_bench.outputs import read_outputs, read_placement, replace_file
 from simulate.virtual_bench.pseudo_terminal import PseudoTerminal, serve
 

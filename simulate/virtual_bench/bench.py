@@ -14,7 +14,7 @@ from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.faults import Faults, inject_faults
 from simulate.virtual_bench.in_process import InProcessCamera, InProcessInstruments
-from simulate.virtual_bench.models import virtual_model
+from simulate.virtual_bench.instrument import virtual_model
 from simulate.virtual_bench.outputs import Outputs, VirtualOperator, read_outputs, read_placement, read_room_light_lux
 from simulate.virtual_bench.process import VirtualInstruments
 from simulate.virtual_bench.true_sensor import TRUTH, BenchTruth, load_or_draw_truth, read_truth

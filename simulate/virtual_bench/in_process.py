@@ -15,9 +15,8 @@ from labdata.capture import CameraSettings, Frame
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, Role
 from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.instrument import SerialInstrument
+from simulate.virtual_bench.instrument import SerialInstrument, virtual_model
 from simulate.virtual_bench.instruments.meters import TEMPERATURE_C
-from simulate.virtual_bench.models import virtual_model
 from simulate.virtual_bench.outputs import GateOutput, Outputs
 from simulate.virtual_bench.prologix import PrologixAdapter
 from simulate.virtual_bench.pseudo_terminal import enter_at_panel

@@ -1,4 +1,8 @@
-"""Common parts of the virtual instruments: lines, buses, command language, delays, published outputs."""
+"""Common parts of the virtual instruments: lines, buses, command language, delays, published outputs, models by name.
+
+A package brings a virtual instrument with a Python entry point of the group `charact.virtual_instruments` whose value
+is a `VirtualModel`; its name is the one of the driver's model in the group `charact.instruments`.
+"""
 
 import math
 import re
@@ -9,6 +13,8 @@ from enum import IntFlag
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
+from labdata.errors import BadInput
+from labdata.instrument_config import models_by_name
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import GATE_FILE, VOLTAGE_FILE, GateOutput, Trigger, publish
 
@@ -305,3 +311,16 @@ class VoltageSource(VirtualInstrument):
         elapsed_s = 0.0 if self._now_s is None else (now_s - self._now_s) * self._time_scale
         self._now_s = now_s
         return elapsed_s
+
+
+def virtual_models() -> dict[str, VirtualModel]:
+    """Return all virtual models by name: those of the package `instruments`, and those of other packages."""
+    return models_by_name("simulate.virtual_bench.instruments", VirtualModel, "charact.virtual_instruments")
+
+
+def virtual_model(name: str) -> VirtualModel:
+    """Return a virtual model by its name."""
+    known = virtual_models()
+    if name not in known:
+        raise BadInput(f"a virtual instrument must be one of {', '.join(sorted(known))}, got {name!r}")
+    return known[name]

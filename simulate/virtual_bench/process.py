@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from labdata.errors import BadInput
-from simulate.virtual_bench.models import virtual_model
+from simulate.virtual_bench.instrument import virtual_model
 
 START_S = 10.0
 STOP_S = 3.0

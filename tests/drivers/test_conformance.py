@@ -8,7 +8,7 @@ import pytest
 from charact.cli.reference import VirtualPair
 from drivers.instruments.conformance import rules_for
 from drivers.instruments.models import models
-from simulate.virtual_bench.models import virtual_models
+from simulate.virtual_bench.instrument import virtual_models
 
 pytestmark = pytest.mark.wires
 

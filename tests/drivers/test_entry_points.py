@@ -9,14 +9,14 @@ from charact.cli.reference import VirtualPair
 from drivers.instruments.conformance import rules_for
 from drivers.instruments.models import models
 from labdata.errors import BadInput
-from simulate.virtual_bench.models import virtual_models
+from simulate.virtual_bench.instrument import virtual_models
 
 pytestmark = pytest.mark.wires
 
 MODULE = """
     from drivers.instruments.models import InstrumentModel
     from drivers.serial_lines.line import FramedLine, KnownAnswer
-    from simulate.virtual_bench.models import VirtualModel
+    from simulate.virtual_bench.instrument import VirtualModel
     from simulate.virtual_bench.instruments.meters import Thermometer as Virtual
 
     class Thermometer:

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from charact.cli.image_figures import SHEET, save_stages, sheet
 from labdata import BadInput
 from labdata.sensors import load_camera, load_sensor
-from simulate.api import centre_on_frame, conditions_of, read_cube, read_image, voltage_limit_warnings
+from simulate.api import conditions_of, voltage_limit_warnings
+from simulate.image_source import centre_on_frame, read_cube, read_image
 
 
 @pytest.fixture(scope="module")
