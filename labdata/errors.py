@@ -13,7 +13,7 @@ _RULES: dict[str, tuple[Callable[[float], bool], str]] = {
     "finite": (math.isfinite, "must be a finite number"),
     "positive": (lambda number: 0.0 < number < math.inf, "must be positive"),
     "not_negative": (lambda number: 0.0 <= number < math.inf, "must not be negative"),
-    "share": (lambda number: 0.0 <= number <= 1.0, "must lie between 0 and 1"),
+    "fraction": (lambda number: 0.0 <= number <= 1.0, "must lie between 0 and 1"),
     "one_or_more": (lambda number: number >= 1.0, "must be at least 1"),
 }
 
@@ -21,7 +21,7 @@ _RULES: dict[str, tuple[Callable[[float], bool], str]] = {
 def check(record: Any, *, of: str = "", **rules: str | Iterable[str]) -> None:
     """Require numbers of a record to obey rules, each with the names of its fields; None is no number.
 
-    check(self, positive="rows columns", share="gate_duty") names the first field that breaks a rule, `of` the record.
+    check(self, positive="rows columns", fraction="gate_duty") names the first field that breaks a rule, `of` the record.
     """
     for kind, names in rules.items():
         holds, words = _RULES[kind]

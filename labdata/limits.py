@@ -130,7 +130,7 @@ class TubeLimits:
     screen_charge_c_per_cm2: Parameter = _cautious(0.1, "uncoated plates age their cathodes within 0.1 to 1 C/cm2")
 
     def __post_init__(self) -> None:
-        check(self, positive=(item.name for item in fields(self)), share="gate_duty")
+        check(self, positive=(item.name for item in fields(self)), fraction="gate_duty")
 
 
 @dataclass(frozen=True, kw_only=True)
