@@ -107,7 +107,7 @@ def must_not_be_negative(stage: Any, *names: str) -> None:
 
 def must_be_a_share(stage: Any, *names: str) -> None:
     """Require fractions and probabilities of a stage to lie between 0 and 1."""
-    check(stage, share=names)
+    check(stage, fraction=names)
 
 
 def must_be_an_efficiency_table(wavelength_nm: tuple[float, ...], efficiency: tuple[float, ...]) -> None:

@@ -32,7 +32,7 @@ class Optics:
         check(
             self,
             positive="f_number focal_length_mm focus_nm",
-            share="transmission veiling_glare_fraction vignetting_fraction",
+            fraction="transmission veiling_glare_fraction vignetting_fraction",
             not_negative="aberration_blur_um",
         )
         check_range(self, -0.5, 0.5, "distortion_fraction")
@@ -68,7 +68,7 @@ class Photocathode:
             positive="luminous_sensitivity_ua_per_lm diameter_mm gap_mm gap_v bright_source_v lateral_energy_ev "
             "gap_resolution_lp_per_mm ebi_doubling_k bright_source_lux",
             not_negative="ebi_lm_per_cm2",
-            share="halo_fraction halo_elastic_share",
+            fraction="halo_fraction halo_elastic_share",
         )
         check(self, one_or_more="gate_on_off_ratio")
         if not float(self.bright_source_v) <= float(self.gap_v):
@@ -107,7 +107,7 @@ class MicrochannelPlate:
     def __post_init__(self) -> None:
         check(
             self,
-            share="detection_probability film_transmission open_area_ratio web_recovery pattern_contrast",
+            fraction="detection_probability film_transmission open_area_ratio web_recovery pattern_contrast",
             positive="detection_probability pulse_height_shape reference_v electron_gain channel_pitch_um "
             "resolution_lp_per_mm pattern_pitch_um gain_control_counts strip_current_ua_per_cm2 "
             "saturation_fraction channel_recovery_ms",
@@ -140,7 +140,7 @@ class Tube:
             self,
             positive="luminous_gain limiting_resolution_lp_per_mm mtf_frequency_lp_per_mm mtf_exponent magnification "
             "brightness_control_lux brightness_control_s",
-            share="post_gain_share",
+            fraction="post_gain_share",
         )
         check_range(self, 0.0, 10.0, "mtf_exponent")
 
@@ -167,7 +167,7 @@ class Phosphor:
             self,
             positive="luminous_efficacy_lm_per_w photon_energy_ev peak_nm width_nm photons_per_electron screen_kv "
             "resolution_lp_per_mm fast_decay_ms slow_decay_ms",
-            share="fast_fraction",
+            fraction="fast_fraction",
             not_negative="gain_nonuniformity",
         )
 
@@ -193,7 +193,7 @@ class Taper:
             self,
             positive="demagnification transmission numerical_aperture fibre_pitch_um interface_mtf_lp_per_mm "
             "pattern_pitch_um",
-            share="transmission core_fraction bulk_transmission pattern_contrast",
+            fraction="transmission core_fraction bulk_transmission pattern_contrast",
             not_negative="shear_um",
         )
         check_range(self, -0.5, 0.5, "distortion_fraction")
@@ -222,7 +222,7 @@ class Ccd:
             self,
             one_or_more="columns rows",
             positive="pitch_x_um pitch_y_um full_well_e dark_current_doubling_k quantum_efficiency",
-            share="quantum_efficiency smear_fraction",
+            fraction="quantum_efficiency smear_fraction",
             not_negative="read_noise_e dark_current_e_per_s prnu dsnu_e antibloom_ratio",
         )
 
