@@ -21,7 +21,8 @@ _RULES: dict[str, tuple[Callable[[float], bool], str]] = {
 def check(record: Any, *, of: str = "", **rules: str | Iterable[str]) -> None:
     """Require numbers of a record to obey rules, each with the names of its fields; None is no number.
 
-    check(self, positive="rows columns", fraction="gate_duty") names the first field that breaks a rule, `of` the record.
+    check(self, positive="rows columns", fraction="gate_duty") names the first field that breaks a rule; `of` is the
+    record.
     """
     for kind, names in rules.items():
         holds, words = _RULES[kind]
