@@ -4,29 +4,34 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 QUIET := OPENBLAS_NUM_THREADS=1
+# Compiled modules are kept whatever the shell says: to collect the tests anew takes a process half a minute without them.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: demo test test-all check bench study docs lock
 
 # The whole loop on the virtual bench.
 demo: $(READY)
-	$(BIN)/charact demo demo
+	$(BIN)/charact demo demo --force
 
 # Tests that take half a second at most; the others run in test-all.
 test: $(READY)
 	$(BIN)/pytest -q -m "not wires and not slow" -n $(WORKERS) --dist loadfile
 
-# All tests: wire tests one at a time, since their camera has one port; slow tests; statistical tests with three seeds from
-# the clock; every index of the compiled loops checked; V4L2 in a guest.
+# All tests: wire tests one at a time, since their camera has one port; slow tests; those that draw by chance with three
+# seeds from the clock; every index of the compiled loops checked; V4L2 in a guest; the wheel in a
+# fresh environment, and in two with the lowest and the newest packages that pyproject.toml allows.
 test-all: test
 	$(BIN)/pytest -m wires
 	$(BIN)/pytest -m "slow and not wires" -n $(WORKERS) --dist loadfile
 	for i in 1 2 3; do \
 	  seed=$$(date +%N | sed 's/^0*//'); echo "seed from the clock: $$seed"; \
-	  CHARACT_TEST_SEED=$$seed $(BIN)/pytest -q -m "not wires" -n $(WORKERS) --dist loadfile || exit 1; \
+	  CHARACT_TEST_SEED=$$seed $(BIN)/pytest -q -m "seeded and not wires" -n $(WORKERS) --dist loadfile || exit 1; \
 	done
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/bounds $(BIN)/pytest -q -m "not wires" -n $(WORKERS) \
 	  --dist loadfile tests/simulate tests/charact tests/physics
 	$(BIN)/python tests/vivid/guest.py
+	PYTHON=$(PYTHON) sh .ci/wheel
+	sh .ci/bounds
 
 check: $(READY)
 	$(BIN)/ruff check --no-cache .

@@ -23,8 +23,8 @@ from labdata.conditions import Conditions
 from labdata.event_log import read_events
 from labdata.plan import Plan, Step
 from labdata.session import Session
-from labdata.store import SessionWriter
-from labdata.store.storage_thread import CAPACITY_BYTES, Storage
+from labdata.session_writer import SessionWriter
+from labdata.storage_thread import CAPACITY_BYTES, Storage
 
 RATE_HZ = 30.0
 LEAST_TIMES_RATE = 8.0

@@ -30,7 +30,7 @@ def rows() -> Iterator[Row]:
 
 def _store(folder: Path, frames: np.ndarray) -> None:
     from labdata.conditions import Conditions
-    from labdata.store import SessionWriter
+    from labdata.session_writer import SessionWriter
     from labdata.target import Target
 
     writer = SessionWriter.create(folder, name="benchmark")

@@ -1,10 +1,10 @@
 """Characterize image-intensified cameras: measurements with posteriors, validation against simulation, reports.
 
-import charact, labdata
+import charact
 
-session = labdata.open_session("day1")
-result = charact.measure(session)
-for measurement in result.find("mtf50"):
+result = charact.mtf("edge.tif", quick=True)       # an array, a file or a stack
+print(result)                                      # result.mtf50.value, .interval95, .status; result.plot()
+for measurement in charact.measure("day1").find("mtf50"):
     print(measurement.value, measurement.interval95, measurement.status)
 """
 
@@ -17,19 +17,40 @@ __version__ = "0.1.0"
 keep_loops()
 
 if TYPE_CHECKING:
-    from charact.fit import fit_sensor
-    from charact.session_measurement import measure
-    from charact.validation import validate
+    from charact.api import (
+        Analysis,
+        bloom,
+        check,
+        compare,
+        fit,
+        frames_of,
+        measure,
+        mtf,
+        noise,
+        report,
+        session,
+        simulate,
+        stack,
+        validate,
+    )
+    from labdata.errors import BadInput
 
-__all__ = ["fit_sensor", "measure", "validate"]
-
-_HOMES = {"measure": "charact.session_measurement", "fit_sensor": "charact.fit", "validate": "charact.validation"}
+__all__ = [
+    "Analysis", "BadInput", "bloom", "check", "compare", "fit", "frames_of", "measure", "mtf", "noise", "report",
+    "session", "simulate", "stack", "validate",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     """Import the analysis on first use, so that the command line starts fast."""
-    if name in _HOMES:
-        from importlib import import_module
+    from importlib import import_module
 
-        return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'charact' has no attribute {name!r}")
+    if name not in __all__:
+        raise AttributeError(f"module 'charact' has no attribute {name!r}")
+    if name in ("bloom", "fit", "mtf", "noise", "report"):  # packages that can be called
+        return import_module(f"charact.{name}")
+    return getattr(import_module("labdata.errors" if name == "BadInput" else "charact.api"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

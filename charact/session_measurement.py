@@ -1,18 +1,72 @@
 """Measurement of a session: every stack goes to the analysis of its kind."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from charact.method import Context
 from charact.method.registry import Progress, Spread, ignore_progress
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
-from labdata.measurement import Result
+from labdata.lazy_stack import open_lazy_stack
+from labdata.measurement import Result, make_refusal
 from labdata.session import MANIFEST, Session, StackEntry, open_session, sha256_of
 
-Task = Callable[[Context], Result]
+Quantities = tuple[tuple[str, str], ...]
+METHOD = "session"
+# Height and width that an image must have for a spot with its surroundings, px: twice the 8 px of an edge's region.
+LEAST_PX = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """One analysis of a session: its sentence of progress, and the quantities that it gives, by name and unit."""
+
+    sentence: str
+    run: Callable[[Context], Result]
+    quantities: Quantities
+    stack: str | None = None  # label of its stack, if it is of one
+
+
+def attempt(
+    run: Callable[[], Result], quantities: Quantities, *, stack: str | None = None, before: Result | None = None
+) -> Result:
+    """Return the result of an analysis; a numerical failure becomes a refusal of its quantities.
+
+    Parameters
+    ----------
+    run
+        The analysis.
+    quantities
+        Name and unit of each quantity that it gives.
+    stack
+        Label of its stack; None for one of several stacks.
+    before
+        Result that the analysis extends; returned with the refusals if it fails.
+    """
+    try:
+        return run()
+    except (np.linalg.LinAlgError, ArithmeticError) as failure:
+        reason = f"the computation failed numerically: {str(failure) or type(failure).__name__}"
+        return (before or Result()) + _refusals(quantities, reason, stack)
+
+
+def _refusals(quantities: Quantities, reason: str, stack: str | None) -> Result:
+    return Result(measurements=tuple(make_refusal(*one, reason, method=METHOD, stack=stack) for one in quantities))
+
+
+def _require_size(entries: tuple[StackEntry, ...]) -> None:
+    """Raise BadInput for the first stack whose images are too small for a bloom."""
+    for entry in entries:
+        _, rows, columns = open_lazy_stack(entry).shape
+        if min(rows, columns) < LEAST_PX:
+            raise BadInput(
+                f"images of a bloom must have at least {LEAST_PX} x {LEAST_PX} pixels, got {rows} x {columns} in "
+                f"stack {entry.label!r}"
+            )
 
 
 def measure(
@@ -50,7 +104,12 @@ def measure(
     Raises
     ------
     BadInput
-        If every stack is of kind scene, which is not measured.
+        If every stack is of kind scene, which is not measured, or no analysis can use the session.
+
+    Notes
+    -----
+    An analysis that fails numerically, or that the session's frames do not suit, becomes a refusal of its quantities
+    with the reason; the others go on.
     """
     session = session if isinstance(session, Session) else open_session(session)
     tasks = _tasks(session, within_percent)
@@ -59,13 +118,82 @@ def measure(
             "a session must have a stack of kind dark, flat, edge, bars or point to be measured, got only kind "
             f"'scene': say in {session.folder / MANIFEST} what the frames show"
         )
+    from charact.infrared import is_linear
+
     context, result = method_context(session, quick=quick, seed=seed, spread=spread), Result()
-    for done, (sentence, task) in enumerate(tasks):
-        progress(sentence, done / len(tasks))
-        result += task(replace(context, progress=partial(_within, progress, done, len(tasks))))
-        context = _with_measured_gap(context, result)
+    complaints: list[BadInput] = []
+    for done, task in enumerate(tasks):
+        progress(task.sentence, done / len(tasks))
+        own = replace(context, progress=partial(_within, progress, done, len(tasks)))
+        try:
+            result += attempt(partial(task.run, own), task.quantities, stack=task.stack)
+        except BadInput as complaint:
+            complaints.append(complaint)
+            result += _refusals(task.quantities, str(complaint), task.stack)
+        context = _with_measured_gap(replace(context, linear=is_linear(result)), result)
+    if len(complaints) == len(tasks):
+        raise complaints[0]
     progress("measured", 1.0)
     return _combine_targets(session, result, context)
+
+
+def measure_noise(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
+    """Measure the noise of darks and flats, of flats of a black body in kelvin.
+
+    Parameters
+    ----------
+    session
+        Session with at least one dark or flat stack.
+    method, within_percent
+        As for `charact.noise.measure`; flats of a black body have one method.
+    context
+        Settings of the methods.
+
+    Raises
+    ------
+    BadInput
+        If the session has neither darks nor flats, or the method is unknown.
+    """
+    from charact import infrared, noise
+    from charact.method import choose
+
+    choose("flats", method, within_percent=within_percent)
+    heated, others = bool(infrared.blackbody_flats(session)), _of_light(session)
+    result = Result()
+    if others.of_kind("dark", "flat") or not heated:
+        run = partial(noise.measure, others, method=method, within_percent=within_percent, context=context)
+        result += attempt(run, NOISE)
+    if heated:
+        result += attempt(partial(infrared.measure, session, context=context), (("sitf", "DN/K"), ("netd", "mK")))
+    return result
+
+
+NOISE = (("system_gain", "DN/e-"), ("read_noise", "DN"))
+BLOOM = (("halo_diameter", "px"), ("bloom_diameter", "px"))
+
+
+def measure_bloom(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
+    """Measure halo and blooming of point sources; arguments as for `charact.bloom.measure`.
+
+    Raises
+    ------
+    BadInput
+        If the session has no point source, or its images are too small for one.
+    """
+    from charact import bloom
+
+    _require_size(session.of_kind("point") or session.of_kind("edge"))
+    return attempt(
+        partial(bloom.measure, session, method=method, within_percent=within_percent, context=context), BLOOM
+    )
+
+
+def _of_light(session: Session) -> Session:
+    """Return a session without its flats of a black body."""
+    from charact.infrared import blackbody_flats
+
+    heated = {entry.label for entry in blackbody_flats(session)}
+    return replace(session, stacks=tuple(entry for entry in session.stacks if entry.label not in heated))
 
 
 def with_inputs(result: Result, session: Session) -> Result:
@@ -96,23 +224,32 @@ def _within(progress: Progress, done: int, tasks: int, sentence: str, share: flo
 
 
 def _combine_targets(session: Session, result: Result, context: Context) -> Result:
-    """Add the joint MTF of all targets, MTF consistency, MTF uniformity and the MTF budget to a session's result."""
+    """Add the joint MTF of all targets, its consistency, uniformity and budget, and the MRTD of an infrared camera."""
+    from charact.infrared import add_mrtd, blackbody_flats
     from charact.mtf.bars.group_curve import session_curves
     from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
     from charact.mtf.session.joint import fit_joint_mtf
     from charact.mtf.session.mtf_budget import add_mtf_budget
+    from charact.tube import add_resolution
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}
     conditions = {entry.label: entry.conditions for entry in targets}
+    joint: Quantities = (("mtf50", "cy/px"),)
     whole = (
         result
-        + session_curves(result, kinds, context=context)
-        + fit_joint_mtf(result, kinds, context=context)
-        + mtf_consistency(result, kinds)
-        + mtf_uniformity(result, kinds, conditions, context=context)
+        + attempt(partial(session_curves, result, kinds, context=context), joint)
+        + attempt(partial(fit_joint_mtf, result, kinds, context=context), joint)
+        + attempt(partial(mtf_consistency, result, kinds), joint)
+        + attempt(partial(mtf_uniformity, result, kinds, conditions, context=context), joint)
     )
-    return add_mtf_budget(whole, kinds, context=context)
+    whole = attempt(partial(add_mtf_budget, whole, kinds, context=context), joint, before=whole)
+    flats = blackbody_flats(session)
+    if flats:
+        return attempt(partial(add_mrtd, session, flats, whole, context=context), (("mrtd", "K"),), before=whole)
+    known = {entry.label: entry.conditions for entry in session.stacks}
+    resolution = (("limiting_resolution", "lp/mm"),)
+    return attempt(partial(add_resolution, whole, known, context=context), resolution, before=whole)
 
 
 def _with_measured_gap(context: Context, result: Result) -> Context:
@@ -140,6 +277,7 @@ def method_context(
         quick=quick,
         sensor=session.sensor,
         register=session.register,
+        imager=session.imager,
         interlaced=session.is_interlaced,
         full_scale_dn=full_scale_dn,
         progress=progress,
@@ -147,29 +285,38 @@ def method_context(
     )
 
 
-def _tasks(session: Session, within_percent: float) -> list[tuple[str, Task]]:
-    """Sentence and function of every analysis the session has stacks for; the halo precedes the MTF, which uses it."""
-    from charact import bloom, mtf, noise
+def _tasks(session: Session, within_percent: float) -> list[Analysis]:
+    """Every analysis that the session has stacks for; the halo precedes the MTF, which uses it."""
+    from charact import mtf
 
-    def of(analysis: Callable[..., Result]) -> Task:
-        return lambda context: analysis(session, within_percent=within_percent, context=context)
+    def of(analysis: Callable[..., Result], stacks: Session = session) -> Callable[[Context], Result]:
+        return lambda context: analysis(stacks, within_percent=within_percent, context=context)
 
-    tasks: list[tuple[str, Task]] = []
+    tasks: list[Analysis] = []
+    lit, points = _of_light(session), session.of_kind("point")
+    mtf50 = (("mtf50", "cy/px"),)
     if session.of_kind("dark", "flat"):
-        tasks.append(("noise against gain", of(noise.measure)))
-    if session.of_kind("flat"):
-        tasks.append(("post-gain MTF from the noise of flats", of(mtf.measure_flats)))
-    if session.of_kind("point"):
-        tasks.append(("halo and blooming", of(bloom.measure)))
-    targets = session.of_kind("edge", "bars")
-    tasks += [(f"MTF of {entry.label}", partial(_target, session, entry, within_percent)) for entry in targets]
-    if session.of_kind("point"):
-        tasks.append(("MTF of a point source", partial(_best_point, session, within_percent)))
+        tasks.append(Analysis(sentence="noise against gain", run=of(measure_noise), quantities=NOISE))
+    if lit.of_kind("flat"):
+        spectrum, after = of(mtf.measure_flats, lit), (("post_gain_mtf50", "cy/px"),)
+        tasks.append(Analysis(sentence="post-gain MTF from the noise of flats", run=spectrum, quantities=after))
+    if points:
+        tasks.append(Analysis(sentence="halo and blooming", run=of(measure_bloom), quantities=BLOOM))
+    for entry in session.of_kind("edge", "bars"):
+        run = partial(_target, session, entry, within_percent)
+        sentence = f"MTF of {entry.label}"
+        tasks.append(
+            Analysis(sentence=sentence, run=run, quantities=mtf50, stack=entry.label)
+        )  # fmt: skip
+    if points:
+        run = partial(_best_point, session, within_percent)
+        tasks.append(Analysis(sentence="MTF of a point source", run=run, quantities=mtf50))
     return tasks
 
 
 def _target(session: Session, entry: StackEntry, within_percent: float, context: Context) -> Result:
     from charact import mtf
+    from charact.infrared.scan_directions import scan_directions
 
     target, stack = entry.target, entry.read()
     if entry.kind == "edge" and stack.black_level_dn is None:
@@ -179,28 +326,29 @@ def _target(session: Session, entry: StackEntry, within_percent: float, context:
         "bars": {"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px},
         "point": {"pinhole_px": target.pinhole_px},
     }[entry.kind]
-    found = mtf.measure(
-        entry.kind, stack, region=target.region, within_percent=within_percent, context=context, **arguments
-    )
-    return with_stack_label(found, entry.label)
+    result = Result()
+    for direction, part, region, own in scan_directions(stack, target.region, context=context):
+        found = mtf.measure(entry.kind, part, region=region, within_percent=within_percent, context=own, **arguments)
+        result += with_stack_label(found, f"{entry.label}, lines {direction}" if direction else entry.label)
+    return result
 
 
 def _best_point(session: Session, within_percent: float, context: Context) -> Result:
-    """Measure all point sources; return the MTF with the fewest refusals and flags, of equals the brightest.
+    """Measure point sources from the brightest on; return the first MTF with the fewest refusals and flags.
 
     The narrowest interval would select a halo that is too small by chance, with an MTF that is too high.
     """
     from charact.mtf.point.source import source_signal
 
-    found: list[tuple[tuple[int, int], StackEntry, Result]] = []
-    for entry in session.of_kind("point"):
-        one = _target(session, entry, within_percent, context)
-        refusals = sum(m.status == "refused" for m in one.measurements)
-        found.append(((refusals, sum(len(m.flags) for m in one.measurements)), entry, one))
-    least = min(distrust for distrust, _, _ in found)
-    trusted = [(entry, result) for distrust, entry, result in found if distrust == least]
-    # Read again: a long series does not fit into memory.
-    return max(trusted, key=lambda one: source_signal(one[0].read().data))[1] if len(trusted) > 1 else trusted[0][1]
+    found: list[tuple[tuple[int, int], Result]] = []
+    # Read again when measured: a long series does not fit into memory.
+    for entry in sorted(session.of_kind("point"), key=lambda one: -source_signal(one.read().data)):
+        result = _target(session, entry, within_percent, context)
+        refusals = sum(m.status == "refused" for m in result.measurements)
+        found.append(((refusals, sum(len(m.flags) for m in result.measurements)), result))
+        if found[-1][0] == (0, 0):
+            break
+    return min(found, key=lambda one: one[0])[1]
 
 
 def with_stack_label(result: Result, label: str) -> Result:

@@ -1,6 +1,7 @@
 """Video filter: causal low-pass along the rows with an uncertain bandwidth."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +81,12 @@ class VideoFilter:
 
     def _at(self, frequency: Array, ln_bandwidth: float) -> NDArray[np.complex128]:
         bandwidth = self.bandwidth_mhz * float(np.exp(ln_bandwidth))
-        return transfer(np.ravel(frequency), bandwidth, self.clock_mhz, self.order).reshape(np.shape(frequency))
+        flat = np.ravel(frequency)
+        # Images and spectra repeat few frequencies.
+        different, place = np.unique(flat, return_inverse=True)
+        if different.size == 1:
+            different, place = flat, slice(None)
+        return transfer(different, bandwidth, self.clock_mhz, self.order)[place].reshape(np.shape(frequency))
 
 
 def powers(ln_bandwidth: Array) -> Array:
@@ -96,6 +102,15 @@ def transfer(frequency: Array, bandwidth_mhz: float, clock_mhz: float, order: in
     Each pixel is held for one clock and sampled at its end, so the sampled response is the difference of the step
     response at whole clocks. The step response is the impulse response's own running integral, done numerically.
     """
+    taps = _taps(bandwidth_mhz, clock_mhz, order)
+    clock = np.arange(len(taps))
+    delay = float(np.sum(clock * taps))
+    return np.asarray(np.exp(-2j * np.pi * np.outer(frequency, clock - delay)) @ taps, np.complex128)
+
+
+@lru_cache(maxsize=64)
+def _taps(bandwidth_mhz: float, clock_mhz: float, order: int) -> Array:
+    """Return the sampled response at whole clocks, shape (clock,)."""
     fine = 64
     clocks = 40
     omega = 2.0 * np.pi * bandwidth_mhz / clock_mhz
@@ -106,6 +121,4 @@ def transfer(frequency: Array, bandwidth_mhz: float, clock_mhz: float, order: in
     others = np.array([np.prod(np.delete(pole - poles, index)) for index, pole in enumerate(poles)])
     impulse = np.real((omega**order / others) @ np.exp(np.outer(poles, time)))
     taps = impulse.reshape(clocks, fine).mean(axis=1)
-    taps = taps / taps.sum()
-    delay = float(np.sum(np.arange(clocks) * taps))
-    return np.exp(-2j * np.pi * np.outer(frequency, np.arange(clocks) - delay)) @ taps
+    return taps / taps.sum()

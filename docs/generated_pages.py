@@ -9,9 +9,11 @@ SCHEMAS = {
     "session": "`session.toml`: the stacks of a session and their conditions",
     "sensor": "description of an intensified camera",
     "solid-state": "description of a camera without a tube",
+    "infrared": "description of an infrared imager",
     "plan": "acquisition plan",
     "scene": "outdoor scene",
     "bench": "target of the lab bench",
+    "limits": "limits that a session is checked against",
 }
 
 RESULTS = ("ok", "suspect", "refused", "missed", "silent")
@@ -152,13 +154,14 @@ def measured_tables() -> str:
 
 def file_schemas() -> str:
     """Return the keys of each file format with type, meaning and default."""
-    from labdata.serialiser import file_schema
+    from charact.comparison import Limits
+    from labdata.schema import file_schema
     from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import LabScene
 
     parts = ["# File formats\n", "`charact schema KIND` prints the JSON Schema of a kind, for editors.\n"]
     for kind, title in SCHEMAS.items():
-        schema = file_schema(kind, {"scene": OutdoorScene, "bench": LabScene})
+        schema = file_schema(kind, {"limits": Limits, "scene": OutdoorScene, "bench": LabScene})
         parts.append(f"## {kind}\n\n{title[0].upper()}{title[1:]}.\n\n{_keys(schema)}")
         for name, part in schema.get("$defs", {}).items():
             if part.get("properties"):

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from labdata.capture import CameraSettings, Frame, LostFrames
 from labdata.conditions import Conditions
-from labdata.session import Kind
-from labdata.target import Target
+from labdata.target import Kind, Target
 
 
 class Capture(Iterable[Frame], AbstractContextManager["Capture"], Protocol):

@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
 
 from labdata.errors import BadInput, check
 
@@ -62,8 +64,31 @@ def _of_number(given: Any) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Draws:
+    """Joint posterior draws of the fitted parameters, by path such as "tube.post_gain_share"."""
+
+    names: tuple[str, ...] = ()  #: Paths of the parameters
+    values: tuple[tuple[float, ...], ...] = ()  #: Draws, one tuple per draw in the order of the names
+
+    def __post_init__(self) -> None:
+        if any(len(row) != len(self.names) for row in self.values):
+            raise BadInput(f"every draw must hold {len(self.names)} numbers, one for each name")
+
+    def without_phosphor(self, factors: dict[str, float]) -> "Draws":
+        """Return the draws with some columns multiplied and those of the screen left out."""
+        kept = [i for i, name in enumerate(self.names) if not name.startswith("phosphor.")]
+        scale = [factors.get(self.names[i], 1.0) for i in kept]
+        return Draws(
+            names=tuple(self.names[i] for i in kept),
+            values=tuple(tuple(row[i] * by for i, by in zip(kept, scale, strict=True)) for row in self.values),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Description:
     """A camera as stages of parameters, such as "optics.f_number"."""
+
+    is_thermal: ClassVar[bool] = False  # whether it sees the thermal infrared, in kelvin
 
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by its path, such as "optics.f_number"."""
@@ -93,6 +118,14 @@ class Description:
         return self.with_parameters(
             {path: replace(known[path], value=float(value), low=None, high=None) for path, value in values.items()}
         )
+
+    def draw(self, rng: np.random.Generator) -> Self:
+        """Return the camera of one joint posterior draw; a description without draws is a BadInput."""
+        draws: Draws = getattr(self, "draws", Draws())
+        if not draws.values:
+            raise BadInput("a camera to draw must be a fitted one with posterior draws, got a description without")
+        row = draws.values[int(rng.integers(len(draws.values)))]
+        return self.with_values(dict(zip(draws.names, row, strict=True)))
 
 
 def must_be_positive(stage: Any, *names: str) -> None:

@@ -1,6 +1,7 @@
-"""Conditions of a stack: gain, gate, exposure, light and temperature."""
+"""Conditions of a stack: gain, gate, exposure, light and temperatures."""
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 from labdata.errors import check, check_range
 
@@ -38,10 +39,29 @@ class Conditions:
     luminous_gain_relative_sd: float | None = None
     #: Optical density (base 10) of the neutral filter in the beam; the illuminance is that behind the filter
     filter_density: float | None = None
+    blackbody_c: float | None = None  #: Temperature of the black body that fills the field of view, degrees Celsius
+    #: Temperature of the background of a black body or target: the room, or the plate around it, degrees Celsius
+    background_c: float | None = None
 
     def __post_init__(self) -> None:
         names = [item.name for item in fields(Conditions)]
-        free = {"camera_gain_db", "temperature_c", "metered_w", "metered_lux"}
+        free = {"camera_gain_db", "temperature_c", "metered_w", "metered_lux", "blackbody_c", "background_c"}
         check(self, finite=names, not_negative=[name for name in names if name not in free], one_or_more="em_gain")
         check_range(self, -200.0, 200.0, "camera_gain_db")
         check_range(self, -200.0, 150.0, "temperature_c")  # plausible for a camera
+        check_range(self, -200.0, 3000.0, "blackbody_c", "background_c")
+
+
+def flat_conditions(record: Conditions) -> dict[str, Any]:
+    """Return the conditions of a record, or conditions, by name."""
+    return {item.name: getattr(record, item.name) for item in fields(Conditions)}
+
+
+def conditions_of(record: Conditions) -> Conditions:
+    """Return the conditions of a stack or step record."""
+    return Conditions(**flat_conditions(record))
+
+
+def own_keys(of: Any, record: type) -> dict[str, Any]:
+    """Return the values of a record's keys other than its conditions."""
+    return {name: getattr(of, name) for name in record.__annotations__}

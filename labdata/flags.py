@@ -38,6 +38,8 @@ FLAGS: dict[str, str] = {
     "several-modes": "The posterior is multimodal.",
     "extrapolated": "The value lies outside the measured range and depends on the fitted law.",
     "unlike-conditions": "The compared stacks were acquired under different conditions.",
+    "uncalibrated": "The noise of a camera is unknown; it was estimated from the frame itself.",
+    "unregistered": "The bands are shifted against each other.",
 }
 
 
@@ -50,7 +52,7 @@ class Finding:
     remedy: str  #: Option, frames or description that removes it: "--black-dn, or darks in the session"
 
     def __post_init__(self) -> None:
-        ordered_flags((self.flag,))
+        order_flags((self.flag,))
 
     @property
     def note(self) -> str:
@@ -58,7 +60,7 @@ class Finding:
         return f"{self.flag}: {self.effect}; what settles it: {self.remedy}"
 
 
-def ordered_flags(flags: Iterable[str]) -> tuple[str, ...]:
+def order_flags(flags: Iterable[str]) -> tuple[str, ...]:
     """Return the flags in vocabulary order, without repeats; an unknown flag is a ValueError."""
     given = set(flags)
     if unknown := given - FLAGS.keys():

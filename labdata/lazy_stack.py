@@ -61,8 +61,8 @@ def open_lazy_stack(entry: StackEntry) -> LazyStack:
 
 def _as_they_are(entry: StackEntry) -> LazyStack:
     """Return the frames of a stack without its view."""
+    from labdata.file_io import require_picture
     from labdata.importers.axes import FRAME, UNNAMED, names_of_shape
-    from labdata.importers.decompression_limit import require_picture
 
     path = entry.paths[0] if isinstance(entry.frames, str) else None
     if path is not None and is_ours(path):

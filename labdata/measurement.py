@@ -13,6 +13,9 @@ from labdata.quantity import QUANTITIES
 
 Status = Literal["ok", "suspect", "refused"]
 Interval = tuple[float, float]
+# Why there is no number: the attempt failed, frames or a description are missing, or the camera or frames have no such
+# quantity
+Refusal = Literal["failed", "missing", "not-applicable"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +42,7 @@ class Posterior:
         if draws.ndim != 2 or draws.shape[1] != len(self.names) or len(self.names) != len(self.units):
             raise ValueError(f"draws must be (draw, {len(self.names)}) with a unit each, got shape {draws.shape}")
         object.__setattr__(self, "draws", read_only(draws))
-        object.__setattr__(self, "flags", vocabulary.ordered_flags(self.flags))
+        object.__setattr__(self, "flags", vocabulary.order_flags(self.flags))
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """Draws of one parameter, shape (draw,)."""
@@ -87,6 +90,7 @@ class Measurement:
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     reason: str | None = None
+    refusal: Refusal = "failed"  #: Of a refused measurement, its kind
     #: Where applicable: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`; direction in degrees
     stack: str | None = None
     region: tuple[int, int, int, int] | None = None
@@ -96,7 +100,7 @@ class Measurement:
     provenance: Provenance | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "flags", vocabulary.ordered_flags(self.flags))
+        object.__setattr__(self, "flags", vocabulary.order_flags(self.flags))
         known = QUANTITIES.get(self.quantity)
         if known is None or self.unit not in known.units:
             raise ValueError(f"no quantity {self.quantity!r} with the unit {self.unit!r} in labdata.quantity")
@@ -110,7 +114,7 @@ class Measurement:
     def with_(self, *, findings: Iterable[vocabulary.Finding] = (), **changes: Any) -> "Measurement":
         """Return a copy with fields changed; flags and findings are added and change the status to suspect."""
         found = tuple(findings)
-        flags = vocabulary.ordered_flags((*self.flags, *(each.flag for each in found), *changes.pop("flags", ())))
+        flags = vocabulary.order_flags((*self.flags, *(each.flag for each in found), *changes.pop("flags", ())))
         if found:
             changes["notes"] = (*changes.get("notes", self.notes), *(each.note for each in found))
         status = self.status if self.status == "refused" else ("suspect" if flags else "ok")

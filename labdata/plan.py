@@ -15,8 +15,7 @@ from labdata.gating import Gating
 from labdata.instrument_config import InstrumentConfig, Meters
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
 from labdata.sensor import Sensor
-from labdata.session import Kind
-from labdata.target import Target
+from labdata.target import Kind, Target
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,18 +38,24 @@ QUANTITIES: dict[str, Quantity] = {
     "minimum_illumination": _entry("Minimum illumination (pixel SNR = 1)", "lux", "photons/px"),
     "minimum_illumination_area": _entry("Minimum illumination (area SNR = 1)", "lux", "photons/px"),
     "tube_snr": _entry("Image-intensifier SNR (108 µlx, 0.2 mm spot, 10 Hz)", "1"),
+    "limiting_resolution": _entry("Limiting resolution at the photocathode", "lp/mm"),
+    "figure_of_merit": _entry("Figure of merit: limiting resolution times tube SNR", "lp/mm"),
+    "mrc": _entry("Minimum resolvable contrast at the stated frequency", "1"),
     "conversion_gain": _entry("Conversion gain K (white-noise floor)", "DN/e-"),
     "pulse_gain": _entry("Pulse gain kF²", "DN"),
     "pulse_height_factor": _entry("Normalised second moment of the pulse-height distribution, pF²", "1"),
     "snr_max": _entry("Largest signal-to-noise ratio", "1"),
     "dynamic_range": _entry("Dynamic range", "1"),
-    "noise_t": _entry("3-D noise σ_t: frame bounce", "DN"),
-    "noise_v": _entry("3-D noise σ_v: fixed row noise", "DN"),
-    "noise_h": _entry("3-D noise σ_h: fixed column noise", "DN"),
-    "noise_tv": _entry("3-D noise σ_tv: temporal row noise", "DN"),
-    "noise_th": _entry("3-D noise σ_th: temporal column noise", "DN"),
-    "noise_vh": _entry("3-D noise σ_vh: fixed-pattern noise", "DN"),
-    "noise_tvh": _entry("3-D noise σ_tvh: random spatio-temporal noise", "DN"),
+    "noise_t": _entry("3-D noise σ_t: frame bounce", "DN", "K"),
+    "noise_v": _entry("3-D noise σ_v: fixed row noise", "DN", "K"),
+    "noise_h": _entry("3-D noise σ_h: fixed column noise", "DN", "K"),
+    "noise_tv": _entry("3-D noise σ_tv: temporal row noise", "DN", "K"),
+    "noise_th": _entry("3-D noise σ_th: temporal column noise", "DN", "K"),
+    "noise_vh": _entry("3-D noise σ_vh: fixed-pattern noise", "DN", "K"),
+    "noise_tvh": _entry("3-D noise σ_tvh: random spatio-temporal noise", "DN", "K"),
+    "sitf": _entry("Signal transfer SiTF at the background temperature", "DN/K"),
+    "netd": _entry("Noise-equivalent temperature difference NETD", "mK"),
+    "mrtd": _entry("Minimum resolvable temperature difference MRTD (objective)", "K"),
     "quantum_efficiency": _entry("Quantum efficiency", "%"),
     "dark_signal": _entry("Dark signal", "DN", "e-", "e-/s"),
     "defect_pixels": _entry("Defective pixels", "px"),
@@ -87,9 +93,17 @@ QUANTITIES: dict[str, Quantity] = {
     "background_depression": _entry("Background depression relative to the lowest source level", "dB"),
     "recovery_time_10": _entry("Recovery time to 10 % after source-off", "s"),
     "recovery_time_1": _entry("Recovery time to 1 % after source-off", "s"),
+    "surface_temperature": _entry("Surface temperature: mean over the area of one object and material", "C"),
+    "fused_noise": _entry("Noise of the fused picture: median standard deviation over the display range", "1"),
+    "fused_share": _entry("Share of a band in the contrast of objects of the fused picture, median", "1"),
+    "fused_filled_area": _entry("Area of the fused picture that lacks a band", "1"),
+    "fusion_error": _entry("Restoration error of the fused picture over the spread of the truth", "%"),
 }
 
-FREQUENCY_UNITS = ("cy/px", "lp/mm", "lp/mm-cathode", "tvl/ph", "cy/mrad")
+FREQUENCY_UNITS = ("cy/px", "lp/mm", "lp/mm-cathode", "tvl/ph", "lw/ph", "cy/in", "cy/mrad", "cy/arcmin")
+
+
+ARCMIN_MRAD = 0.2908882  # One arc minute, mrad
 
 
 def convert_frequency(
@@ -106,14 +120,14 @@ def convert_frequency(
     Parameters
     ----------
     pitch_um
-        Pixel pitch along the frequency's direction, um; for lp/mm at detector and cathode and for cy/mrad.
+        Pixel pitch along the frequency's direction, um; for lp/mm at detector and cathode, cy/in and angles.
     picture_height_px
-        Picture height in the same pitches, px; for television lines per picture height (two lines per cycle).
+        Picture height in the same pitches, px; for television lines and line widths per picture height, two a cycle.
     focal_length_mm
-        Focal length, mm; for cy/mrad.
+        Focal length, mm; for cy/mrad and cy/arcmin.
     demagnification
         Length at the photocathode over its image's at the detector, dimensionless; for lp/mm at the cathode,
-        and for cy/mrad of a camera that has one. None: the lens forms its image on the detector.
+        and for angles of a camera that has one. None: the lens forms its image on the detector.
     """
 
     def need(name: str) -> float:
@@ -129,9 +143,12 @@ def convert_frequency(
         return frequency_cy_per_px / need("pitch_um") * 1e3
     if unit == "lp/mm-cathode":
         return frequency_cy_per_px / (need("pitch_um") * need("demagnification")) * 1e3
-    if unit == "tvl/ph":
+    if unit == "cy/in":
+        return frequency_cy_per_px / need("pitch_um") * 25.4e3
+    if unit in ("tvl/ph", "lw/ph"):
         return 2.0 * frequency_cy_per_px * need("picture_height_px")
-    if unit == "cy/mrad":
+    if unit in ("cy/mrad", "cy/arcmin"):
         image_um = need("pitch_um") * (1.0 if demagnification is None else demagnification)
-        return frequency_cy_per_px * need("focal_length_mm") / image_um
+        per_mrad = frequency_cy_per_px * need("focal_length_mm") / image_um
+        return per_mrad if unit == "cy/mrad" else per_mrad * ARCMIN_MRAD
     raise BadInput(f"a frequency unit must be one of {', '.join(FREQUENCY_UNITS)}, got {unit!r}")

@@ -57,6 +57,17 @@ def save(result: Result, folder: str | Path) -> Path:
     return folder / RESULTS
 
 
+def save_into(result: Result, folder: str | Path) -> Path:
+    """Save the result of one analysis in a session folder; other quantities saved there stay."""
+    kept = load(folder) or Result()
+    anew = {m.quantity for m in result.measurements}
+    others = Result(
+        measurements=tuple(m for m in kept.measurements if m.quantity not in anew), curves=kept.curves,
+        evidence=kept.evidence,
+    )  # fmt: skip
+    return save(others + result, folder)
+
+
 def load(folder: str | Path) -> Result | None:
     """Load the result saved in a session folder; None if there is none, BadInput if it cannot be read."""
     path = Path(folder) / RESULTS
@@ -93,6 +104,8 @@ def _curve(curve: Curve) -> dict[str, Any]:
 def _full_measurement(measurement: Measurement, key: str, arrays: dict[str, NDArray]) -> dict[str, Any]:
     """Return a measurement with provenance and posterior; its arrays are replaced by names, equal ones by one."""
     whole = _measurement(measurement)
+    if measurement.value is None:
+        whole["refusal"] = measurement.refusal
     if measurement.provenance is not None:
         whole["provenance"] = _value(vars(measurement.provenance))
     if measurement.posterior is not None:

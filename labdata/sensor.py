@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from labdata.calibration import GainTable
 from labdata.camera_description import (
     Description,
+    Draws,
     Parameter,
     must_be_an_efficiency_table,
 )
@@ -291,27 +290,6 @@ _ANALOG = ("lines", "pixel_clock_mhz", "filter_order", "aperture_correction_db",
 
 
 @dataclass(frozen=True, kw_only=True)
-class Draws:
-    """Joint posterior draws of the fitted parameters, by path such as "tube.post_gain_share"."""
-
-    names: tuple[str, ...] = ()  #: Paths of the parameters
-    values: tuple[tuple[float, ...], ...] = ()  #: Draws, one tuple per draw in the order of the names
-
-    def __post_init__(self) -> None:
-        if any(len(row) != len(self.names) for row in self.values):
-            raise BadInput(f"every draw must hold {len(self.names)} numbers, one for each name")
-
-    def without_phosphor(self, factors: dict[str, float]) -> "Draws":
-        """Return the draws with some columns multiplied and those of the screen left out."""
-        kept = [i for i, name in enumerate(self.names) if not name.startswith("phosphor.")]
-        scale = [factors.get(self.names[i], 1.0) for i in kept]
-        return Draws(
-            names=tuple(self.names[i] for i in kept),
-            values=tuple(tuple(row[i] * by for i, by in zip(kept, scale, strict=True)) for row in self.values),
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
 class Sensor(Description):
     """An image-intensified camera.
 
@@ -356,13 +334,6 @@ class Sensor(Description):
         note = f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {kept} stayed."
         draws, notes = self.draws.without_phosphor(factors), (*self.notes, note)
         return replace(changed, phosphor=phosphor, gain_table=None, draws=draws, notes=notes)
-
-    def draw(self, rng: np.random.Generator) -> "Sensor":
-        """Return the sensor of one joint posterior draw; a sensor without draws is a BadInput."""
-        if not self.draws.values:
-            raise BadInput(f"the sensor {self.name!r} has no posterior draws; only a fitted sensor can be drawn")
-        row = self.draws.values[int(rng.integers(len(self.draws.values)))]
-        return self.with_values(dict(zip(self.draws.names, row, strict=True)))
 
 
 def _lumens_per_photon(phosphor: Phosphor) -> float:

@@ -5,14 +5,12 @@ import difflib
 import inspect
 import json
 import math
-import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from functools import cache, reduce
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.file_io import require_regular
 
@@ -109,77 +107,11 @@ def _display(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def with_descriptions(schema: dict[str, Any], types: dict[str, type]) -> dict[str, Any]:
-    """Return a schema with the descriptions of its tables and keys; `types` are its dataclasses by name."""
-    return {
-        **_table(schema, types.get(schema["title"])),
-        "$defs": {name: _table(table, types.get(name)) for name, table in schema["$defs"].items()},
-    }
-
-
-def _table(table: dict[str, Any], type_: type | None) -> dict[str, Any]:
-    if type_ is None or "properties" not in table:
-        return table
-    words = parameters_of(type_)
-    keys = {name: _key(key, words.get(name)) for name, key in table["properties"].items()}
-    whole = {**table, "description": summary_of(type_), "properties": keys}
-    # A bare number in a file is an exact parameter.
-    return {"anyOf": [{"type": "number"}, whole]} if type_ is Parameter else whole
-
-
-def _key(key: dict[str, Any], words: str | None) -> dict[str, Any]:
-    """Return the schema of one key without null, which TOML does not have."""
-    kinds = [kind for kind in key.get("anyOf", []) if kind != {"type": "null"}]
-    kept = {name: part for name, part in key.items() if name not in ("anyOf", "title") and part is not None}
-    kept |= kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {}
-    return kept | ({"description": words} if words else {})
-
-
-def summary_of(type_: type) -> str:
-    """Return the first paragraph of a docstring as one line."""
-    return " ".join((inspect.getdoc(type_) or "").split("\n\n")[0].split())
-
-
-def parameters_of(type_: type) -> dict[str, str]:
-    """Return the documentation of each field of a class and its bases, as one line each."""
-    words: dict[str, str] = {}
-    for base in reversed(type_.__mro__):
-        words |= _documented(inspect.cleandoc(base.__dict__.get("__doc__") or ""))
-        if dataclasses.is_dataclass(base):
-            words |= _commented(inspect.getsource(base))
-    return words
-
-
-def _documented(docstring: str) -> dict[str, str]:
-    """Return the numpydoc text of each parameter."""
-    _, _, section = docstring.partition("Parameters\n----------\n")
-    section = re.split(r"\n\S+\n-{3,}\n", section)[0]
-    words = {}
-    for names, text in re.findall(r"^(\w[\w, ]*)\n((?:[ \t]+\S.*\n?)+)", section, re.MULTILINE):
-        words.update({name.strip(): " ".join(text.split()) for name in names.split(",")})
-    return words
-
-
-def _commented(source: str) -> dict[str, str]:
-    """Return the comment behind each field, or on the lines before it."""
-    words: dict[str, str] = {}
-    before: list[str] = []
-    for line in source.splitlines():
-        name, _, behind = line.strip().partition(":")
-        if line.strip().startswith("#: "):
-            before.append(line.strip()[3:])
-            continue
-        if name.isidentifier() and (text := behind.partition("  #: ")[2] or " ".join(before)):
-            words[name] = text.rstrip(".") + "."
-        before = []
-    return words
-
-
 T = TypeVar("T")
 
 
 def from_toml(path: str | Path, type_: type[T]) -> T:
-    """Read a TOML file into a dataclass or a form of `labdata.file_records`.
+    """Read a TOML file into a dataclass.
 
     A file that is missing or no TOML, an unknown key or an invalid value is BadInput with key and place.
     """
@@ -206,23 +138,12 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") -> T:
     """Build a dataclass from a mapping of TOML or JSON values, checked as by `from_toml`; `where` names its file."""
-    form = _forms().get(type_)
-    written = _read(mapping, form or type_, where)
-    if form is None:
-        return written
-    try:
-        return written.built()
-    except BadInput as error:
-        raise BadInput(f"{error}, in {where}" if where else str(error)) from None
-
-
-def _read(mapping: Mapping[str, Any], type_: type, where: str) -> Any:
     from pydantic import ValidationError
 
     # Strict JSON accepts a list for a tuple, strict Python values do not; neither accepts "780" as a number.
     text = json.dumps([dict(mapping)], default=lambda date: {"date": str(date)})
     try:
-        return _adapter(type_).validate_json(text)[0]
+        return adapter(type_).validate_json(text)[0]
     except ValidationError as errors:
         found = errors.errors(include_url=False)
         raise BadInput(sentence(found, mapping, where, _valid_keys(type_))) from None
@@ -237,46 +158,15 @@ def to_toml(value: Any) -> str:
 
 def to_mapping(value: Any) -> dict[str, Any]:
     """Return a dataclass as the mapping of plain values of its file."""
-    form = _forms().get(type(value))
-    return _plain(value if form is None else form.from_plan(value))
+    return _plain(value)
 
 
-def json_schema(type_: type) -> dict[str, Any]:
-    """Return the JSON Schema of the file form of a dataclass, for editors that complete and check TOML."""
-    written = _forms().get(type_, type_)
-    schema = _adapter(written).json_schema()
-    definitions = schema["$defs"]
-    whole = definitions.pop(written.__name__)
-    return with_descriptions(
-        {
-            "$schema": "https://json-schema.org/draft/2020-12/schema",
-            **whole,
-            "title": written.__name__,
-            "$defs": definitions,
-        },
-        _dataclasses_in(written),
-    )
-
-
-def file_schema(kind: str, more: Mapping[str, type] | None = None) -> dict[str, Any]:
-    """Return the JSON Schema of a kind of file: "session", "sensor", "solid-state", "plan", or one of more kinds."""
-    from labdata.file_records import SessionFile
-    from labdata.plan import Plan
-    from labdata.sensor import Sensor
-    from labdata.solid_state import SolidStateCamera
-
-    kinds = {"session": SessionFile, "sensor": Sensor, "solid-state": SolidStateCamera, "plan": Plan, **(more or {})}
-    if kind not in kinds:
-        raise BadInput(f"a schema must be of one of {', '.join(kinds)}, got {kind!r}")
-    return json_schema(kinds[kind])
-
-
-def _dataclasses_in(type_: Any) -> dict[str, type]:
+def dataclasses_in(type_: Any) -> dict[str, type]:
     """Return a dataclass and all dataclasses inside it, by name."""
     if dataclasses.is_dataclass(type_) and isinstance(type_, type):
-        inner = [_dataclasses_in(hint) for hint in get_type_hints(type_).values()]
+        inner = [dataclasses_in(hint) for hint in get_type_hints(type_).values()]
         return {type_.__name__: type_, **{name: found for one in inner for name, found in one.items()}}
-    return {name: found for one in get_args(type_) for name, found in _dataclasses_in(one).items()}
+    return {name: found for one in get_args(type_) for name, found in dataclasses_in(one).items()}
 
 
 def _plain(value: Any) -> Any:
@@ -310,7 +200,7 @@ def _plain_fields(value: Any) -> dict[str, Any]:
 
 
 @cache
-def _adapter(type_: type) -> Any:
+def adapter(type_: type) -> Any:
     """Return the strict reader of a dataclass and of all dataclasses inside it."""
     from pydantic import ConfigDict, TypeAdapter
 
@@ -321,14 +211,7 @@ def _adapter(type_: type) -> Any:
 
 @cache
 def _valid_keys(type_: type) -> tuple[str, ...]:
-    return tuple(sorted({key.name for table in _dataclasses_in(type_).values() for key in dataclasses.fields(table)}))
-
-
-@cache
-def _forms() -> dict[type, Any]:
-    from labdata.file_records import FORMS
-
-    return FORMS
+    return tuple(sorted({key.name for table in dataclasses_in(type_).values() for key in dataclasses.fields(table)}))
 
 
 def _lower_first(text: str) -> str:

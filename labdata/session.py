@@ -4,32 +4,71 @@ import hashlib
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labdata.capture import LostFrames
-from labdata.conditions import Conditions
+from labdata.conditions import Conditions, conditions_of, flat_conditions
 from labdata.errors import BadInput
 from labdata.file_io import require_regular
 from labdata.frames import FrameStack
+from labdata.infrared_imager import InfraredImager
 from labdata.sensor import Sensor
+from labdata.sensors import Camera, load_camera
+from labdata.serialiser import from_toml
 from labdata.solid_state import Register, SolidStateCamera
-from labdata.target import Target
+from labdata.target import Kind, Target
 
 if TYPE_CHECKING:
-    from labdata.file_records import SessionFile, StackRecord
     from labdata.lazy_stack import View
 
 
 MANIFEST = "session.toml"
-Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
-
 
 UNUSED = "does not use its target's"  # Text of the note on target fields of another kind
 
 # Settings that determine the black level.
 DARK_SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StackRecord(Conditions):
+    """One [[stack]] of a session file; its conditions are keys of the same table."""
+
+    label: str  #: Name of the stack, unique in the session
+    kind: Kind  #: Kind of target
+    frames: str | tuple[str, ...]  #: File or files of the frames, or a Zarr array, relative to the session's folder
+    axis: str | None = None  #: Number (from 0) or name of the frame axis of the files; by default the first
+    plane: str | None = None  #: Plane to read of colour images, mosaics and files with more axes
+    asked: Conditions | None = None  #: Requested conditions, where they differ from those in force
+    target: Target = field(default_factory=Target)  #: Target in front of the camera
+    sensor: str | None = None  #: Its sensor description, where a session has stacks of several; as the session's
+    bit_depth: int | None = None  #: Bits of its digitiser, in place of the session's
+    finished: bool | None = None  #: False while the stack is being acquired, and after an interrupted acquisition
+    lost_frames: int | None = None  #: Number of frames that the camera numbered and that were not recorded
+    lost: tuple[LostFrames, ...] = ()  #: Their numbers and causes, where known
+    #: Reason to doubt its frames, such as a bench that went to the safe state while they were acquired
+    doubt: str | None = None
+    notes: tuple[str, ...] = ()  #: Remarks
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionFile:
+    """A session file, session.toml."""
+
+    name: str  #: Name of the session
+    #: Name of a shipped sensor description, or the path of one relative to the session's folder
+    sensor: str | None = None
+    bit_depth: int | None = None  #: Bits of the digitiser; full scale is 2^bits - 1
+    interlaced: bool | None = None  #: Whether the two fields of a frame were exposed one after the other
+    notes: tuple[str, ...] = ()  #: Remarks
+    stack: tuple[StackRecord, ...] = ()  #: The stacks
+
+
+def stack_record(conditions: Conditions, **keys: Any) -> StackRecord:
+    """Return the record of a stack from its conditions and its other keys."""
+    return StackRecord(**flat_conditions(conditions), **keys)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +90,7 @@ class StackEntry:
     notes: tuple[str, ...] = ()  #: Remarks of the manifest
     record_notes: tuple[str, ...] = ()  #: Damage and gaps in the record of the frames
     bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
+    sensor: str | None = None  #: Name of its sensor description, or a path relative to the folder; None: the session's
     axis: str | None = None  #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
     plane: str | None = None  #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
     folder: Path  #: The session's folder
@@ -95,6 +135,17 @@ class StackEntry:
         return full_scale_dn
 
 
+@dataclass(frozen=True, kw_only=True)
+class LoadedStackEntry(StackEntry):
+    """A stack with its frames in memory."""
+
+    kept: FrameStack  #: The frames
+
+    def read(self, plane: str | None = None) -> FrameStack:
+        """Return the frames; `plane` has no effect."""
+        return self.kept
+
+
 def _concatenate(parts: list[FrameStack], label: str) -> FrameStack:
     """Return the stacks of several files as one stack."""
     first = parts[0]
@@ -132,11 +183,7 @@ class Session:
     folder: Path  #: The session's folder
     name: str  #: Its name
     stacks: tuple[StackEntry, ...]  #: Its stacks in the order of the manifest
-    #: Description of the intensified camera named in the manifest; None without a name, or for a camera without
-    #: intensifier, which is measured like an unknown camera
-    sensor: Sensor | None = None
-    #: Electron-multiplying register of a named camera without intensifier; None where it has none
-    register: Register | None = None
+    camera: Camera | None = None  #: Description of the camera named in the manifest; None without a name
     bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
     #: Whether the two fields of a frame were exposed one after the other; None: as in the sensor description
     interlaced: bool | None = None
@@ -166,11 +213,27 @@ class Session:
         return dark.read().mean_dn
 
     @property
+    def sensor(self) -> Sensor | None:
+        """Description of the camera where it is an intensified one."""
+        return self.camera if isinstance(self.camera, Sensor) else None
+
+    @property
+    def imager(self) -> InfraredImager | None:
+        """Description of the camera where it is an infrared imager."""
+        return self.camera if isinstance(self.camera, InfraredImager) else None
+
+    @property
+    def register(self) -> Register | None:
+        """Electron-multiplying register of a camera without intensifier; None where it has none."""
+        camera = self.camera
+        return camera.register if isinstance(camera, SolidStateCamera) and camera.register.multiplies else None
+
+    @property
     def is_interlaced(self) -> bool:
         """Whether frames have two fields exposed one after the other."""
         if self.interlaced is not None:
             return self.interlaced
-        return self.sensor is not None and self.sensor.video.interlaced
+        return self.camera is not None and self.camera.video.interlaced
 
 
 def open_session(path: str | Path) -> Session:
@@ -181,9 +244,6 @@ def open_session(path: str | Path) -> Session:
     BadInput
         If there is no session, it has no stacks, a key is unknown, a condition breaks a rule, or frames are missing.
     """
-    from labdata.file_records import SessionFile
-    from labdata.serialiser import from_toml
-
     path = Path(path)
     folder = path.parent if path.name == MANIFEST else path
     if not (folder / MANIFEST).is_file():
@@ -191,10 +251,8 @@ def open_session(path: str | Path) -> Session:
     return session_of(folder, from_toml(folder / MANIFEST, SessionFile))
 
 
-def session_of(folder: Path, form: "SessionFile") -> Session:
+def session_of(folder: Path, form: SessionFile) -> Session:
     """Return the session of a manifest, checked as by `open_session`."""
-    from labdata.sensors import load_camera
-
     _check(form, folder)
     camera = None if form.sensor is None else load_camera(form.sensor, relative_to=folder)
     stacks = tuple(_entry(stack, form, folder) for stack in form.stack)
@@ -206,8 +264,7 @@ def session_of(folder: Path, form: "SessionFile") -> Session:
         folder=folder,
         name=form.name,
         stacks=stacks,
-        sensor=camera if isinstance(camera, Sensor) else None,
-        register=camera.register if isinstance(camera, SolidStateCamera) and camera.register.multiplies else None,
+        camera=camera,
         bit_depth=form.bit_depth,
         interlaced=form.interlaced,
         notes=(*form.notes, *_superfluous_targets(stacks), *(note for entry in stacks for note in entry.record_notes)),
@@ -220,7 +277,7 @@ def _superfluous_targets(stacks: tuple[StackEntry, ...]) -> tuple[str, ...]:
     return tuple(f"stack {entry.label!r} of kind {entry.kind!r} {UNUSED} {them}" for entry, them in superfluous if them)
 
 
-def _check(form: "SessionFile", folder: Path) -> None:
+def _check(form: SessionFile, folder: Path) -> None:
     labels = [stack.label for stack in form.stack]
     if not labels:
         raise BadInput(f"a session must have at least one stack, got none in {folder}")
@@ -232,9 +289,7 @@ def _check(form: "SessionFile", folder: Path) -> None:
         raise BadInput(f"a stack must name its frames, got none for {empty[0]!r} in {folder}")
 
 
-def _entry(stack: "StackRecord", form: "SessionFile", folder: Path) -> StackEntry:
-    from labdata.file_records import conditions_of
-
+def _entry(stack: StackRecord, form: SessionFile, folder: Path) -> StackEntry:
     lost_frames, record_notes = _record(stack, folder)
     return StackEntry(
         label=stack.label,
@@ -248,7 +303,8 @@ def _entry(stack: "StackRecord", form: "SessionFile", folder: Path) -> StackEntr
         losses=stack.lost,
         notes=stack.notes if stack.doubt is None else (*stack.notes, stack.doubt),
         record_notes=record_notes,
-        bit_depth=form.bit_depth,
+        bit_depth=form.bit_depth if stack.bit_depth is None else stack.bit_depth,
+        sensor=stack.sensor,
         # The stacks of a manifest are frames by definition.
         axis=stack.axis or "frame",
         plane=stack.plane,
@@ -256,7 +312,7 @@ def _entry(stack: "StackRecord", form: "SessionFile", folder: Path) -> StackEntr
     )
 
 
-def _record(stack: "StackRecord", folder: Path) -> tuple[int, tuple[str, ...]]:
+def _record(stack: StackRecord, folder: Path) -> tuple[int, tuple[str, ...]]:
     """Return the number of frames lost by the journal of a stack's array, and its notes."""
     from labdata.store.journal import is_ours, read_journal
 

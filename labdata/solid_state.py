@@ -1,10 +1,11 @@
 """Description of a camera without an intensifier: CCD or electron-multiplying CCD."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
-from labdata.camera_description import Description, Parameter, must_be_an_efficiency_table
+from labdata.camera_description import Description, Draws, Parameter, must_be_an_efficiency_table
 from labdata.errors import BadInput, check
 from labdata.sensor import Ccd, Optics, Video
 
@@ -49,6 +50,9 @@ def excess_noise_factor(em_gain: float, stages: float = np.inf) -> float:
     return 2.0 * (em_gain - 1.0) * em_gain ** -(1.0 + 1.0 / stages) + 1.0 / em_gain
 
 
+EFFICIENCY = "ccd.quantum_efficiency"
+
+
 @dataclass(frozen=True, kw_only=True)
 class SolidStateCamera(Description):
     """A progressive, digital camera without an intensifier.
@@ -63,6 +67,7 @@ class SolidStateCamera(Description):
     ccd: Ccd
     register: Register
     video: Video
+    draws: Draws = field(default_factory=Draws)
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -74,3 +79,14 @@ class SolidStateCamera(Description):
             )
         if self.video.interlaced or not self.video.digital:
             raise BadInput("a camera without a tube must be progressive and digital, got video or interlace")
+
+    def with_parameters(self, changes: dict[str, Parameter]) -> Self:
+        """Return a copy with parameters replaced by path; the silicon's table is scaled to a new highest efficiency."""
+        if EFFICIENCY not in changes:
+            return super().with_parameters(changes)
+        highest = float(changes[EFFICIENCY])
+        table = self.silicon.quantum_efficiency
+        scaled = tuple(min(one * highest / max(table), highest) for one in table)
+        silicon = replace(self.silicon, quantum_efficiency=scaled)
+        ccd = replace(self.ccd, quantum_efficiency=changes[EFFICIENCY])
+        return super(SolidStateCamera, replace(self, silicon=silicon, ccd=ccd)).with_parameters(changes)

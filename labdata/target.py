@@ -1,8 +1,11 @@
 """Target in front of the camera."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from labdata.errors import BadInput, check
+
+Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
 
 # Fields of a single kind of target.
 BELONGS_TO = {"bars": "bars", "frequency_cy_per_px": "bars", "pinhole_px": "point"}

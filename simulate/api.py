@@ -1,43 +1,43 @@
-"""Simulation of a scene, image or radiance cube through a described camera, and its storage as a session.
+"""Simulation of a scene, image or radiance cube through a described camera.
 
 from pathlib import Path
-from simulate import api
+from simulate import api, session_files
 
 camera = api.load_described_camera("pulnix-ag5745ef3")
 shot = api.simulate(api.SimulationRequest(source=Path("bench"), kind="flat"), camera, api.conditions_of(camera))
-api.save_session(shot, camera, Path("frames"), frames=8, seed=0)
+session_files.save_session(shot, camera, Path("frames"), frames=8, seed=0)
 """
 
-import json
 import math
-import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
-from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.file_io import write_atomically
+from labdata.infrared_imager import InfraredImager
 from labdata.limits import TubeLimits
 from labdata.sensor import Sensor
+from labdata.sensors import Camera
 from labdata.session import Kind
 from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
-from simulate.image_source import read_cube, read_image
+from simulate.image_source import name_of, read_cube, read_image
+from simulate.motion import Look, Motion
+from simulate.shot import InfraredShot, Shot
 
 if TYPE_CHECKING:
-    from simulate.effect_selection import EffectSelection
+    from simulate.infrared_view import InfraredView
     from simulate.outdoor_rendering import OutdoorRendering, RenderedView
+    from simulate.radiance.outdoor.scene import OutdoorScene
+    from simulate.thermal.temperatures import Temperatures
 
-Description = Sensor | SolidStateCamera
+Description = Camera
 Progress = Callable[[str, float], None]
-Stage = tuple[str, str, NDArray[Any]]  # name, quantity with unit, image (row, col)
 # Field of a target: its option and its kind of target.
 OF_A_TARGET: dict[str, tuple[str, Kind]] = {
     "frequency_cy_per_px": ("--frequency", "bars"),
@@ -56,7 +56,7 @@ class SimulationRequest:
     Parameters
     ----------
     source
-        A scene (.toml, or a shipped one's name), a radiance cube (.npz) or an image.
+        A scene (.toml, or a shipped one's name), a radiance cube (.npz) or an image, as a file or array.
     kind
         Kind of the stack; None: edge for a bench scene, else scene.
     target
@@ -68,81 +68,21 @@ class SimulationRequest:
         every pulse is sampled.
     seed
         Seed of the camera rays of an outdoor scene.
+    sensor
+        Name of the camera in the scene's rig; None: it stands in the place of the scene's camera.
+    temperatures
+        Surface temperatures of the scene, shared by several sensors; None: computed where a thermal imager needs them.
     """
 
-    source: Path
+    source: "Path | NDArray[Any]"
     kind: Kind | None = None
     target: Target = field(default_factory=Target)
     photoelectrons_per_dn: float | None = None
     black_dn: float | None = None
     tolerance: float | None = None
     seed: int = 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shot:
-    """A simulated camera, its light and the metadata of the session.
-
-    Parameters
-    ----------
-    camera, light
-        The camera, and expected photoelectrons at the MCP, or in the sensor of a camera without tube.
-    kind, conditions, target, notes
-        Metadata of the stack.
-    seen
-        Input of the camera: an image in photoelectrons, a radiance cube, or None.
-    plan, exact
-        Effect selection (None for a camera without tube, where all are retained); whether every pulse is sampled.
-    view
-        Rendering of an outdoor scene: radiance, effect selection and auxiliary layers.
-    """
-
-    camera: Any
-    light: Any
-    kind: Kind
-    conditions: Conditions
-    seen: Any = None
-    target: Target = field(default_factory=Target)
-    notes: tuple[str, ...] = ()
-    plan: "EffectSelection | None" = None
-    exact: bool = False
-    view: "RenderedView | None" = None
-
-    def frames(self, *, seed: int) -> "Iterator[Any]":
-        """Yield frames without end."""
-        threads = min(2, os.cpu_count() or 1)
-        return self.camera.frames(self.light, self.conditions, seed=seed, exact=self.exact, threads=threads)
-
-    def stages(self, *, seed: int) -> "Iterator[Stage]":
-        """Yield the input, the expected photoelectrons or radiance behind the lens, and the image after each stage."""
-        from simulate.iiccd.stage_images import stage_images
-        from simulate.radiance.cube import RadianceCube
-
-        if isinstance(self.seen, RadianceCube):
-            yield from stage_images(self.camera, self.seen, self.conditions, seed)
-            return
-        if self.seen is not None:
-            yield "picture", "photoelectrons per exposure and pixel, expected", self.seen
-        place = "at the plate" if self.camera.has_tube else "in the chip"
-        inside = self.light.values[(..., *self.light.grid.inside)]
-        yield f"photoelectrons {place}", "photoelectrons per exposure and cell, expected", inside
-        yield from stage_images(self.camera, self.light, self.conditions, seed)
-
-    @property
-    def explanation(self) -> str:
-        """Text of retained and neglected effects of light and camera with their bounds."""
-        light = () if self.view is None else (self.view.plan.text(), "")
-        camera = "camera without tube: all effects are retained" if self.plan is None else self.plan.text()
-        return "\n".join((*light, camera))
-
-    @property
-    def economy_note(self) -> str:
-        """Note on neglected effects."""
-        if self.plan is None or self.exact:
-            return "nothing left out"
-        names = ", ".join(effect.name for effect in self.plan.left_out) or "nothing"
-        share = f"{100.0 * self.plan.influence:.2g} % of the temporal noise, of {100.0 * self.plan.tolerance:g} %"
-        return f"left out, together at most {share} allowed: {names}; see economy.json"
+    sensor: str | None = None
+    temperatures: "Temperatures | None" = None
 
 
 def load_described_camera(sensor: str, phosphor: str | None = None) -> Description:
@@ -153,7 +93,7 @@ def load_described_camera(sensor: str, phosphor: str | None = None) -> Descripti
     camera = load_camera(sensor)
     if phosphor is None:
         return camera
-    if isinstance(camera, SolidStateCamera):
+    if not isinstance(camera, Sensor):
         raise BadInput(f"--phosphor needs a camera with a tube, got {camera.name!r}")
     return camera.with_phosphor(load_phosphor(phosphor))
 
@@ -174,26 +114,20 @@ def simulate(
         photoelectrons_from_radiance,
     )
 
-    view, seen, notes, scene = None, None, (), None
+    if isinstance(description, InfraredImager):
+        return _infrared_shot(request, description, conditions, progress)
     if is_scene(request.source):
         from simulate.radiance.scene import LabScene, load_scene
 
         _require_no_image_options(request)
         if isinstance(scene := load_scene(request.source), LabScene):
             return _bench_shot(request, scene, description, conditions)
-        if request.kind == "dark":
-            raise BadInput(f"a dark must have no light, got the scene {scene.name!r}")
+        return _outdoor_shot(request, scene, description, conditions, progress)
     _require_no_bench_options(request, conditions)
     camera = camera_from_description(description)
-    if scene is not None:
-        from simulate.outdoor_rendering import OutdoorRendering
-
-        view = _render(OutdoorRendering(scene, camera, conditions), request, progress)
-        seen, notes = view.picture.cube, (f"scene {scene.name}", *view.notes)
-    elif request.source.suffix == ".npz":
+    if isinstance(request.source, Path) and request.source.suffix == ".npz":
         _require_no_image_options(request)
-        seen, notes = read_cube(request.source), (f"spectral radiance of {request.source.name}",)
-    if seen is not None:
+        seen, notes = read_cube(request.source), (f"spectral radiance of {name_of(request.source)}",)
         _require_dark(request, seen.radiance)
         photoelectrons = photoelectrons_from_radiance(camera, seen, conditions)
     else:
@@ -205,18 +139,142 @@ def simulate(
         photoelectrons = photoelectrons_from_image(camera, seen)
     camera, planned = _select_effects(camera, photoelectrons, conditions, request)
     light, kind = camera.to_mcp_input(photoelectrons, conditions), request.kind or "scene"
+    return Shot(camera=camera, light=light, kind=kind, conditions=conditions, seen=seen, notes=notes, **planned)
+
+
+def _outdoor_shot(
+    request: SimulationRequest, scene: "OutdoorScene", description: Description, conditions: Conditions,
+    progress: Progress,
+) -> Shot:  # fmt: skip
+    """Return a camera of visible light before an outdoor scene."""
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
+    from simulate.outdoor_rendering import OutdoorRendering
+
+    if request.kind == "dark":
+        raise BadInput(f"a dark must have no light, got the scene {scene.name!r}")
+    _require_no_bench_options(request, conditions)
+    whole, temperatures, delay_s = camera_from_description(description), request.temperatures, _delay_s(request, scene)
+
+    def render(now: "OutdoorScene", seed: int, like: "RenderedView | None" = None) -> "tuple[RenderedView, Any]":
+        """Return a view of the scene as it stands, and its photoelectrons."""
+        rendering = OutdoorRendering(now, whole, conditions)
+        view = _render(rendering, replace(request, seed=seed), progress, like)
+        if temperatures is not None:
+            view = view.with_temperatures(temperatures.moved(now).map_k(rendering.view))
+        return view, photoelectrons_from_radiance(whole, view.picture.cube, conditions)
+
+    view, photoelectrons = render(scene.at(delay_s).for_sensor(request.sensor), request.seed)
+    camera, planned = _select_effects(whole, photoelectrons, conditions, request)
+
+    def look(now: "OutdoorScene", seed: int) -> Look:
+        later, released = render(now, seed, view)
+        return Look(view=later, light=camera.to_mcp_input(released, conditions))
+
     return Shot(
-        camera=camera, light=light, kind=kind, conditions=conditions, seen=seen, notes=notes, view=view, **planned
-    )
+        camera=camera, light=camera.to_mcp_input(photoelectrons, conditions), kind=request.kind or "scene",
+        conditions=conditions, seen=view.picture.cube, notes=(f"scene {scene.name}", *view.notes), view=view,
+        delay_s=delay_s, motion=_motion(scene, request, look), **planned,
+    )  # fmt: skip
 
 
-def is_scene(source: Path) -> bool:
+def _delay_s(request: SimulationRequest, scene: "OutdoorScene") -> float:
+    """Return the time by which the first frame of the requested sensor is later than the scene's time, s."""
+    return scene.rig[request.sensor].delay_s if request.sensor in scene.rig else 0.0
+
+
+def _motion(
+    scene: "OutdoorScene", request: SimulationRequest, look: "Callable[[OutdoorScene, int], Look]"
+) -> Motion | None:
+    """Return the motion of a scene before a camera; None where it has no keyframes."""
+    return Motion(scene=scene, sensor=request.sensor, look=look, seed=request.seed) if scene.moves else None
+
+
+def _infrared_shot(
+    request: SimulationRequest, description: InfraredImager, conditions: Conditions, progress: Progress,
+    *, preview: bool = False,
+) -> InfraredShot:  # fmt: skip
+    """Return a thermal imager before an outdoor scene; another source is BadInput."""
+    from simulate.infrared.camera import InfraredCamera
+    from simulate.infrared_view import view_infrared
+    from simulate.radiance.outdoor.scene import OutdoorScene
+    from simulate.radiance.scene import load_scene
+    from simulate.thermal.temperatures import temperatures_of
+
+    scene = load_scene(request.source) if is_scene(request.source) else None
+    if not isinstance(scene, OutdoorScene):
+        raise BadInput(f"a thermal imager needs an outdoor scene, got {name_of(request.source)}")
+    _require_no_image_options(request)
+    _require_no_bench_options(request, conditions)
+    if request.kind not in (None, "scene"):
+        raise BadInput(f"--kind of an outdoor scene must be scene, got {request.kind}")
+    progress("surface temperatures", 0.0)
+    temperatures, delay_s = request.temperatures or temperatures_of(scene, seed=request.seed), _delay_s(request, scene)
+
+    def view(now: OutdoorScene, camera: InfraredCamera, seed: int, is_set: bool) -> "InfraredView":
+        return view_infrared(
+            now, camera, temperatures.moved(now), tolerance=request.tolerance, seed=seed, preview=preview,
+            is_set=is_set, progress=lambda share: progress("infrared light", share),
+        )  # fmt: skip
+
+    seen = view(scene.at(delay_s).for_sensor(request.sensor), InfraredCamera(description), request.seed, False)
+
+    def look(now: OutdoorScene, seed: int) -> Look:
+        later = view(now, seen.camera, seed, True)
+        return Look(view=later, light=later.signal)
+
+    return InfraredShot(
+        camera=seen.camera, light=None, kind="scene", conditions=conditions, seen=seen,
+        notes=(f"scene {scene.name}", *seen.notes), view=seen, exact=True, delay_s=delay_s,
+        motion=_motion(scene, request, look),
+    )  # fmt: skip
+
+
+def simulate_rig(
+    request: SimulationRequest, sensors: "Mapping[str, tuple[Description, Conditions]]",
+    progress: Progress = _ignore_progress,
+) -> dict[str, Shot]:  # fmt: skip
+    """Return camera and light of each sensor of a rig before one outdoor scene, which share its surface temperatures.
+
+    Parameters
+    ----------
+    request
+        Scene and options for all of them.
+    sensors
+        Description and conditions by the names that the scene's rig and the session use.
+    """
+    from simulate.radiance.outdoor.scene import OutdoorScene
+    from simulate.radiance.scene import load_scene
+    from simulate.thermal.temperatures import temperatures_of
+
+    scene = load_scene(request.source) if is_scene(request.source) else None
+    if not isinstance(scene, OutdoorScene):
+        raise BadInput(f"several sensors need an outdoor scene, got {name_of(request.source)}")
+    if any(description.is_thermal for description, _ in sensors.values()):
+        progress("surface temperatures", 0.0)
+        request = replace(request, temperatures=temperatures_of(scene, seed=request.seed))
+    return {
+        name: simulate(
+            replace(request, sensor=name),
+            *camera,
+            lambda sentence, share, of=name: progress(f"{of}: {sentence}", share),
+        )
+        for name, camera in sensors.items()
+    }
+
+
+def is_scene(source: "Path | NDArray[Any]") -> TypeGuard[Path]:
     """Whether a source is a scene file or the name of a shipped scene."""
+    if not isinstance(source, Path):
+        return False
     return source.suffix == ".toml" or (not source.suffix and not source.is_file())
 
 
-def outdoor_view(request: SimulationRequest, description: Description, conditions: Conditions) -> "OutdoorRendering":
-    """Return the outdoor scene of a request with its camera; another source raises BadInput."""
+def preview(
+    request: SimulationRequest, description: Description, conditions: Conditions
+) -> "RenderedView | InfraredView":
+    """Return an outdoor scene in few pixels of a camera; another source raises BadInput."""
+    if isinstance(description, InfraredImager):
+        return _infrared_shot(request, description, conditions, _ignore_progress, preview=True).seen
     from simulate.iiccd.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
     from simulate.radiance.outdoor.scene import OutdoorScene
@@ -224,13 +282,17 @@ def outdoor_view(request: SimulationRequest, description: Description, condition
 
     scene = load_scene(request.source) if is_scene(request.source) else None
     if not isinstance(scene, OutdoorScene):
-        raise BadInput(f"--preview needs an outdoor scene, got {request.source.name}")
+        raise BadInput(f"--preview needs an outdoor scene, got {name_of(request.source)}")
     _require_no_image_options(request)
     _require_no_bench_options(request, conditions)
-    return OutdoorRendering(scene, camera_from_description(description), conditions)
+    now = scene.at(_delay_s(request, scene)).for_sensor(request.sensor)
+    rendering = OutdoorRendering(now, camera_from_description(description), conditions)
+    return rendering.render(tolerance=request.tolerance, seed=request.seed, preview=True)
 
 
-def _render(view: "OutdoorRendering", request: SimulationRequest, progress: Progress) -> "RenderedView":
+def _render(
+    view: "OutdoorRendering", request: SimulationRequest, progress: Progress, like: "RenderedView | None"
+) -> "RenderedView":
     """Render an outdoor scene; a rendering of more than a minute announces its time."""
     sentence = "light"
 
@@ -240,8 +302,8 @@ def _render(view: "OutdoorRendering", request: SimulationRequest, progress: Prog
         progress(sentence, 0.0)
 
     return view.render(
-        tolerance=request.tolerance, seed=request.seed, progress=lambda share: progress(sentence, share),
-        announce=announce,
+        tolerance=request.tolerance, seed=request.seed, like=like,
+        progress=lambda share: progress(sentence, share), announce=announce,
     )  # fmt: skip
 
 
@@ -249,8 +311,8 @@ def _bench_shot(request: SimulationRequest, scene: Any, description: Description
     from simulate.lab import LabBench
     from simulate.radiance.lab_target import as_stood
 
-    if not isinstance(description, Sensor):
-        raise BadInput(f"a bench scene needs a camera with a tube, got {description.name!r}")
+    if isinstance(description, InfraredImager):
+        raise BadInput(f"a bench scene needs a camera of visible light, got {description.name!r}")
     kind, lux = request.kind or "edge", conditions.illuminance_lux
     for name, (option, of) in OF_A_TARGET.items():
         value = getattr(request.target, name)
@@ -262,10 +324,13 @@ def _bench_shot(request: SimulationRequest, scene: Any, description: Description
         raise BadInput(f"a dark must have no light, got --illuminance-lux {lux:g}")
     target = as_stood(kind, request.target)
     if lux is None:
+        if kind != "dark" and not isinstance(description, Sensor):
+            raise BadInput(f"a bench scene before {description.name!r} needs --illuminance-lux at its chip, got none")
         conditions = replace(conditions, illuminance_lux=0.0 if kind == "dark" else 1e-4)
     bench = LabBench(description, scene)
     _, planned = _select_effects(bench.camera, bench.photoelectrons(kind, target, conditions), conditions, request)
-    bench = bench.without(planned["plan"].names)
+    if "plan" in planned:
+        bench = bench.without(planned["plan"].names)
     light = bench.mcp_input(kind, target, conditions)
     return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=target, **planned)
 
@@ -275,19 +340,20 @@ def _require_no_bench_options(request: SimulationRequest, conditions: Conditions
         raise BadInput("--illuminance-lux is only for bench scenes")
     for name, (option, kind) in OF_A_TARGET.items():
         if getattr(request.target, name) is not None:
-            raise BadInput(f"{option} is only for --kind {kind} of a bench scene, got it with {request.source.name}")
+            named = name_of(request.source)
+            raise BadInput(f"{option} is only for --kind {kind} of a bench scene, got it with {named}")
 
 
 def _require_no_image_options(request: SimulationRequest) -> None:
     for option, value in (("--photoelectrons-per-dn", request.photoelectrons_per_dn), ("--black-dn", request.black_dn)):
         if value is not None:
-            raise BadInput(f"{option} is only for an image, got it with {request.source.name}")
+            raise BadInput(f"{option} is only for an image, got it with {name_of(request.source)}")
 
 
 def _require_dark(request: SimulationRequest, seen: NDArray[np.floating]) -> None:
     """Raise BadInput if --kind is dark and the source has light."""
     if request.kind == "dark" and (lit := float((seen > 0.0).mean())):
-        raise BadInput(f"a dark must have no light, got it on {100.0 * lit:.3g} % of {request.source.name}")
+        raise BadInput(f"a dark must have no light, got it on {100.0 * lit:.3g} % of {name_of(request.source)}")
 
 
 def _select_effects(
@@ -304,40 +370,6 @@ def _select_effects(
         return camera, {"exact": True, "plan": EffectSelection(tolerance=0.0, kept=tuple(effects), left_out=())}
     camera, plan = select_camera_effects(camera, photoelectrons, conditions, request.tolerance)
     return camera, {"exact": False, "plan": plan}
-
-
-def save_session(
-    shot: Shot, description: Description, out: Path, *, frames: int, seed: int, notes: tuple[str, ...] = (),
-    progress: Progress = _ignore_progress,
-) -> None:  # fmt: skip
-    """Simulate frames and store them as a session, one frame at a time, with effect selection and auxiliary layers."""
-    from labdata.sensors import save_sensor
-    from labdata.store import SessionWriter
-
-    stream, kind = shot.frames(seed=seed), shot.kind
-    first, video = next(stream), description.video
-    with SessionWriter.create(
-        out, name=f"simulated {kind}", sensor="sensor.toml", bit_depth=video.bit_depth, interlaced=video.interlaced
-    ) as writer:
-        save_sensor(description, out / "sensor.toml")
-        with writer.begin_stack(kind, kind, first.shape, first.dtype, shot.conditions, target=shot.target) as stack:
-            stack.append(first, 0.0, 0)
-            for number, frame in enumerate(islice(stream, frames - 1), 1):
-                stack.append(frame, number * shot.camera.frame_s, number)
-                progress(f"frame {number + 1} of {frames}", (number + 1) / frames)
-            maker = f"simulated by charact {version('charact')}, seed {seed}"
-            stack.finish(notes=(maker, *shot.notes, shot.economy_note, *notes))
-        if shot.view is not None:
-            save_view(shot.view, out)
-        if shot.plan is not None:
-            write_atomically(out / "economy.json", json.dumps(shot.plan.document(), indent=1).encode())
-
-
-def save_view(view: "RenderedView", out: Path) -> None:
-    """Save the rendering of an outdoor scene: auxiliary layers and selected effects."""
-    out.mkdir(parents=True, exist_ok=True)
-    view.picture.truth.save(out / "truth.npz")
-    write_atomically(out / "light.json", view.document())
 
 
 # Options of a tube, by the name of their condition.
@@ -359,6 +391,11 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
     if gain is not None and not (math.isfinite(gain) and gain > 0.0):
         raise BadInput(f"--gain must be positive, got {gain:g}")
     exposure_s = 1.0 / float(camera.video.field_rate_hz)
+    if isinstance(camera, InfraredImager):
+        if unfit := [*given, *(["gain"] if gain is not None else [])]:
+            raise BadInput(f"--{unfit[0].replace('_', '-')} needs a camera of visible light, got {camera.name!r}")
+        cooled = camera.cooled_array
+        return Conditions(exposure_s=exposure_s if cooled is None else 1e-3 * float(cooled.integration_ms))
     if given.get("automatic_gain") and not camera.video.automatic_gain:
         raise BadInput(f"--automatic-gain needs a camera that has it, got {camera.name!r}")
     if isinstance(camera, SolidStateCamera):
@@ -389,7 +426,7 @@ def voltage_of(sensor: Sensor, luminous_gain: float | None) -> float:
 def voltage_limit_warnings(camera: Description, conditions: Conditions) -> tuple[str, ...]:
     """Return a warning if the MCP voltage exceeds the limit of the description, which the bench would refuse."""
     mcp_v = conditions.mcp_v
-    if isinstance(camera, SolidStateCamera) or mcp_v is None:
+    if not isinstance(camera, Sensor) or mcp_v is None:
         return ()
     limit = camera.limits.mcp_v
     if limit == TubeLimits().mcp_v or mcp_v <= float(limit):

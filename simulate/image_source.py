@@ -4,29 +4,28 @@ import math
 import zipfile
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from labdata.file_io import require_regular
-from labdata.importers.decompression_limit import require_room
+from labdata.file_io import require_regular, require_room
 
 if TYPE_CHECKING:
     from simulate.radiance.cube import RadianceCube
 
 
 def read_image(
-    path: Path, *, photoelectrons_per_dn: float | None, black_dn: float, shape: tuple[int, int]
+    source: Path | NDArray[Any], *, photoelectrons_per_dn: float | None, black_dn: float, shape: tuple[int, int]
 ) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """Read the first frame of an image as mean photoelectrons on a frame of a camera, with notes for the session.
+    """Return the first frame of a file or array as mean photoelectrons on a frame of a camera, with notes.
 
     The image is centred on rows and columns `shape`, cropped or padded with darkness; the scale is as in
     `SimulationRequest`. Raises BadInput if the file cannot be read, a pixel is negative or not finite, or the scale is
     missing or not positive.
     """
-    from labdata.importers import read_frames
+    from labdata.importers import read_array, read_frames
 
     scale = photoelectrons_per_dn
     if scale is None:
@@ -37,17 +36,23 @@ def read_image(
         raise BadInput(f"--photoelectrons-per-dn must be positive, got {scale:g}")
     if not math.isfinite(black_dn):
         raise BadInput(f"--black-dn must be a number, got {black_dn:g}")
-    stack = read_frames(path)
+    stack = read_frames(source) if isinstance(source, Path) else read_array(source)
+    name = name_of(source)
     image = stack.data[0].astype(np.float64)
     if image.min() < 0.0:
-        raise BadInput(f"an image must have no negative pixel, got {image.min():g} in {path.name}")
+        raise BadInput(f"an image must have no negative pixel, got {image.min():g} in {name}")
     above = image - black_dn
     below = int(np.count_nonzero(above < 0.0))
     placed, how = centre_on_frame(np.maximum(above, 0.0) * scale, shape)
-    notes = [f"{path.name}: {scale:g} photoelectrons per DN above {black_dn:g} DN, per pixel and exposure", *how]
-    notes += [f"first of {len(stack)} frames of {path.name}"] if len(stack) > 1 else []
+    notes = [f"{name}: {scale:g} photoelectrons per DN above {black_dn:g} DN, per pixel and exposure", *how]
+    notes += [f"first of {len(stack)} frames of {name}"] if len(stack) > 1 else []
     notes += [f"{below} pixels below {black_dn:g} DN count as dark"] if below else []
     return placed.astype(np.float32), (*notes, *stack.notes)
+
+
+def name_of(source: Path | NDArray[Any]) -> str:
+    """Return the name of a source in messages."""
+    return source.name if isinstance(source, Path) else "the array"
 
 
 def centre_on_frame(image: NDArray[np.floating], shape: tuple[int, int]) -> tuple[NDArray[np.float64], tuple[str, ...]]:

@@ -1,4 +1,4 @@
-"""Lab bench: frames of a target before the intensified camera, and their noiseless mean."""
+"""Lab bench: frames of a target before a camera of visible light, and their noiseless mean."""
 
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -15,12 +15,13 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack, read_only
 from labdata.sensor import Sensor
 from labdata.session import Kind
+from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
-from simulate.iiccd import tube_photometry
-from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd import tube_photometry as photometry
+from simulate.iiccd.camera import IntensifiedCamera, SiliconCamera
 from simulate.iiccd.chain import Slot
 from simulate.iiccd.stage_image import StageImage
-from simulate.radiance.lab_target import TargetView
+from simulate.radiance.lab_target import TargetView, render_bench
 from simulate.radiance.scene import LabScene, load_bench
 from simulate.radiance.spectrum import planck
 
@@ -40,21 +41,33 @@ class LabBench:
         The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if None.
     left_out
         Neglected effects of the camera, see `simulate.iiccd.chain.Stage.effects`.
+    like
+        Bench of a camera with the same pixels and nearly the same optics: targets lie as before it, so that benches of
+        many draws of one camera share their images. None: none.
 
     Notes
     -----
-    The bench states the illuminance *at the photocathode* of the target's brightest large area, as a meter in its place
-    would read it. What the lens does to the light on its way there is therefore left out, its blur and veiling glare
-    excepted: loss, fall-off, vignetting, distortion. So is the fibres' geometry, as targets are known on the frame, and
-    protection from bright sources, since the bench stays far below a lux. For these, see
+    The bench states the illuminance *at the photocathode*, or at the chip of a camera without a tube, of the target's
+    brightest large area, as a meter in its place would read it; light on a chip may be stated as `photons_per_px` of
+    one wavelength instead. What the lens does to the light on its way there is therefore left out, its blur and veiling
+    glare excepted: loss, fall-off, vignetting, distortion. So is the fibres' geometry, as targets are known on the
+    frame, and protection from bright sources, since the bench stays far below a lux. For these, see
     `simulate.iiccd.scene_to_photoelectrons.mcp_input_from_radiance`.
     """
 
     def __init__(
-        self, sensor: Sensor, scene: LabScene | str | Path | None = None, *, left_out: frozenset[str] = frozenset()
+        self,
+        sensor: Sensor | SolidStateCamera,
+        scene: LabScene | str | Path | None = None,
+        *,
+        left_out: frozenset[str] = frozenset(),
+        like: "LabBench | None" = None,
     ) -> None:
-        self.camera = IntensifiedCamera(sensor, left_out=left_out)
+        self.camera: IntensifiedCamera | SiliconCamera = (
+            IntensifiedCamera(sensor, left_out=left_out) if isinstance(sensor, Sensor) else SiliconCamera(sensor)
+        )
         self.scene = scene if isinstance(scene, LabScene) else load_bench(scene or "bench")
+        self._like = like
         self._pictures: OrderedDict[tuple[Kind, Target], NDArray[np.float32]] = OrderedDict()
 
     def expose(
@@ -88,7 +101,7 @@ class LabBench:
             data=np.stack(list(islice(stream, frames))),
             time_s=numbers * self.camera.frame_s,
             frame_number=numbers,
-            full_scale_dn=float(2**self.camera.sensor.video.bit_depth - 1),
+            full_scale_dn=float(2**self.camera.description.video.bit_depth - 1),
         )
 
     def stream(
@@ -103,34 +116,44 @@ class LabBench:
         return self.camera.mean_frame(self.mcp_input(kind, target, conditions), conditions)
 
     def mcp_input(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
-        """Return the expected photoelectrons at the MCP input, per cell and exposure, dark ones included."""
+        """Return the expected photoelectrons at the MCP input or in the chip, per cell and exposure, EBI included."""
         camera = self.camera
+        if not camera.has_tube:
+            if kind == "dark":
+                return StageImage(values=np.zeros(camera.cells.shape, np.float32), grid=camera.cells)
+            light = np.float32(self._lux(kind, conditions) * camera.open_s(conditions))
+            return StageImage(values=self._picture(kind, target) * light, grid=camera.cells)
         cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s
         if kind == "dark":
             return StageImage(values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells)
-        lit = self._picture(kind, target) * np.float32(_require_illuminance(kind, conditions) * cathode.open_s)
+        lit = self._picture(kind, target) * np.float32(self._lux(kind, conditions) * cathode.open_s)
         return StageImage(values=lit + np.float32(dark), grid=camera.cells)
 
     def without(self, left_out: frozenset[str]) -> "LabBench":
         """Return the bench with neglected camera effects."""
-        return LabBench(self.camera.sensor, self.scene, left_out=left_out)
+        return LabBench(self.camera.description, self.scene, left_out=left_out)
 
     def photoelectrons(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons from the cathode, per scene cell and exposure, before any blur."""
         cells = self.camera.scene_cells
         if kind == "dark":
             return StageImage(values=np.zeros(cells.shape, np.float32), grid=cells)
-        lux = np.float32(_require_illuminance(kind, conditions))
+        lux = np.float32(self._lux(kind, conditions))
         return self.camera.photoelectrons(StageImage(values=self._photons(kind, target) * lux, grid=cells), conditions)
 
     def _picture(self, kind: Kind, target: Target) -> NDArray[np.float32]:
-        """Photoelectrons at the MCP input per s and cell at 1 lux, shape of the camera's cells."""
+        """Photoelectrons at the MCP input, or in the chip, per s and cell at 1 lux, shape of the camera's cells."""
         key = (kind, target)
         if key not in self._pictures:
             scene_light = StageImage(values=self._photons(kind, target), grid=self.camera.scene_cells)
-            front = self.camera.chain(Conditions()).between(Slot.OPTICS, Slot.GAP)
-            one_second = replace(front[Slot.PHOTOCATHODE], gate_s=1.0, ebi_per_s_cm2=0.0)
+            chain = self.camera.chain(Conditions())
+            if self.camera.has_tube:
+                front = chain.between(Slot.OPTICS, Slot.GAP)
+                one_second = replace(front[Slot.PHOTOCATHODE], gate_s=1.0, ebi_per_s_cm2=0.0)
+            else:
+                front = chain.between(Slot.OPTICS, Slot.SILICON)
+                one_second = replace(front[Slot.SILICON], exposure_s=1.0)
             self._pictures[key] = front.replacing(one_second).mean(scene_light).values
         self._pictures.move_to_end(key)
         while len(self._pictures) > 12:
@@ -140,12 +163,30 @@ class LabBench:
     def _photons(self, kind: Kind, target: Target) -> NDArray[np.float32]:
         """Photons per s and cell at 1 lux, referred to the wavelength of peak quantum efficiency, before any blur."""
         scene = self._scene_of(target)
-        port = planck(WAVELENGTH_NM, scene.sphere.temperature_k) * scene.open.transmittance_at(WAVELENGTH_NM)
-        per_cm2, weight = tube_photometry.photons_per_lux(self.camera.sensor, WAVELENGTH_NM, port)
+        per_cm2, weight = self._photons_per_lux(scene)
         # Rounded, so that devices of one type share their images.
         digits = tuple(float(f"{band:.9e}") for band in weight)
         relative = _relative_picture(scene, kind, target, self._view(target), digits)
         return relative * np.float32(per_cm2 * self.camera.scene_cells.cell_area_cm2)
+
+    def _photons_per_lux(self, scene: LabScene) -> tuple[float, NDArray[np.float64]]:
+        """Photons per s and cm2 of the port's light at 1 lux, and what turns radiance in bands into photons."""
+        port = planck(WAVELENGTH_NM, scene.sphere.temperature_k) * scene.open.transmittance_at(WAVELENGTH_NM)
+        return photometry.photons_per_lux(self.camera.description, WAVELENGTH_NM, port)
+
+    def _lux(self, kind: Kind, conditions: Conditions) -> float:
+        """Illuminance at photocathode or chip, lux; of light stated in photons, one that frees as many electrons."""
+        camera, photons = self.camera, conditions.photons_per_px
+        if conditions.illuminance_lux is not None:
+            return conditions.illuminance_lux
+        if isinstance(camera, IntensifiedCamera) or photons is None or conditions.wavelength_nm is None:
+            stated = "" if camera.has_tube else ", or photons_per_px and wavelength_nm,"
+            raise BadInput(f"illuminance_lux{stated} must be given for a stack of kind {kind!r}, got none")
+        silicon = camera.description.silicon
+        efficiency = np.interp(conditions.wavelength_nm, silicon.wavelength_nm, silicon.quantum_efficiency, 0.0, 0.0)
+        per_cm2, _ = self._photons_per_lux(self.scene)
+        counted = photons * float(efficiency) / max(silicon.quantum_efficiency)
+        return counted / (per_cm2 * camera.field_pixel_area_cm2 * camera.open_s(conditions))
 
     def _scene_of(self, target: Target) -> LabScene:
         """The bench with a plate of the target's contrast; without one the plate is as opaque as the scene says."""
@@ -162,6 +203,8 @@ class LabBench:
 
     def _view(self, target: Target) -> TargetView:
         """The scene's cells on the target's plane, in column pitches about the target's centre."""
+        if self._like is not None:
+            return self._like._view(target)
         camera, cells = self.camera, self.camera.scene_cells
         ratio = cells.pitch_y_mm / cells.pitch_x_mm
         rows, columns = camera.shape
@@ -169,7 +212,7 @@ class LabBench:
         # Frame rows that sum two rows of the chip are centred half a row further down.
         centre_row = row + height / 2.0 + (0.5 if camera.is_interlaced else 0.0)
         centre_col = col + width / 2.0
-        lens_mm = float(camera.sensor.optics.focal_length_mm)
+        lens_mm = float(camera.description.optics.focal_length_mm)
         return TargetView(
             shape=cells.shape,
             cell_px=(1.0 / cells.per_column, ratio / cells.per_row),
@@ -180,22 +223,12 @@ class LabBench:
         )
 
 
-def _require_illuminance(kind: Kind, conditions: Conditions) -> float:
-    if conditions.illuminance_lux is None:
-        raise BadInput(f"illuminance_lux must be given for a stack of kind {kind!r}, got none")
-    return conditions.illuminance_lux
-
-
 @lru_cache(maxsize=6)
 def _relative_picture(
     scene: LabScene, kind: Kind, target: Target, view: TargetView, weight: tuple[float, ...]
 ) -> NDArray[np.float32]:
     """A target's light on cells of the view, relative to that of a large open area, shape (row, col)."""
-    from simulate.radiance.lab_target import render_bench, set_up, target_mesh
-
-    mesh = target_mesh(kind, target, scene.holder, 1.0 / view.metre_per_px)
-    bench = set_up(scene, mesh, view.metre_per_px)
     picture = np.empty(view.shape, np.float32)
     for place, tile in view.tiles(128):
-        picture[place] = render_bench(bench, tile, WAVELENGTH_NM).sum_bands(np.array(weight))
+        picture[place] = render_bench(scene, kind, target, tile, WAVELENGTH_NM).sum_bands(np.array(weight))
     return read_only(picture)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
@@ -18,6 +19,7 @@ from simulate.iiccd.grid import ACCURACY
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import KNOWN, RenderSensor, workers
 from simulate.radiance.integrator.renderer import Rendering, render_scene
+from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.outdoor.render_settings import RenderSettings, choose_render_settings, exact
 from simulate.radiance.outdoor.scene import OutdoorScene
@@ -86,7 +88,9 @@ class RenderedView:
 
     picture: Rendering  # radiance, its error and the truth of each pixel
     plan: RenderSettings  # what it was made with
+    stage: SpectralScene  # surfaces and light on the bands
     eye: RenderSensor  # the sensor as it was planned for
+    viewpoint: Viewpoint  # pose and pixels
     title: str  # what it shows, where and when
     left_out: tuple[str, ...] = ()  # what files of the scene say that is not used, in sentences
 
@@ -107,13 +111,22 @@ class RenderedView:
         out = ", ".join(sorted(self.plan.plan.names)) or "nothing"
         below = self.picture.below_zero
         return (
-            f"light by rays: left out {out}; see light.json; truth of each pixel in truth.npz",
+            f"light by rays: left out {out}; see light; the truth of each pixel is in truth, next to the frames",
             *((f"{below} pixels came out below zero by chance and count as dark",) if below else ()),
             f"by the scatter of their rays pixels are uncertain by {100.0 * self.chance:.2g} % of their noise (or "
             f"{100.0 * KNOWN * self.chance:.2g} % of the signal where that is more), root mean square",
             *self.left_out,
             *((f"that is more than the {100.0 * self.plan.chance:.2g} % of the plan: {SPENT}",) if self.short else ()),
         )
+
+    def text(self) -> str:
+        """Return the plan as lines."""
+        return self.plan.text()
+
+    def with_temperatures(self, temperature_k: NDArray[np.float32]) -> "RenderedView":
+        """Return the view with the temperature of each pixel, K, in its truth."""
+        truth = replace(self.picture.truth, temperature_k=temperature_k)
+        return replace(self, picture=replace(self.picture, truth=truth))
 
     def document(self) -> bytes:
         """Return the plan as JSON."""
@@ -160,6 +173,7 @@ class OutdoorRendering:
         tolerance: float | None,
         seed: int,
         preview: bool = False,
+        like: RenderedView | None = None,
         threads: int | None = None,
         progress: Callable[[float], None] = lambda share: None,
         announce: Callable[[float], None] = lambda seconds: None,
@@ -175,6 +189,9 @@ class OutdoorRendering:
             Seed of all rays.
         preview
             Few pixels, so that it takes seconds.
+        like
+            A view of the scene with its objects or camera in other poses, whose settings and light this one has; None:
+            settings are chosen by the tolerance.
         threads
             Threads that share the work; None: one for each of up to two processors.
         progress
@@ -185,7 +202,9 @@ class OutdoorRendering:
         view, eye = self.view, render_sensor_of(self.camera, self.conditions)
         if preview:
             view = view.smaller(max(1, round(max(view.shape) / PREVIEW_PX)))
-        if tolerance is None:
+        if like is not None:
+            plan, stage = like.plan, self.site.like(like.stage)
+        elif tolerance is None:
             plan, stage = exact(self.site, view, eye, seed)
         else:
             plan, stage = choose_render_settings(self.site, view, eye, tolerance, seed)
@@ -203,7 +222,15 @@ class OutdoorRendering:
                 progress=progress,
                 announce=lambda seconds: announce(seconds / count),
             )
-        return RenderedView(picture=found, plan=plan, eye=eye, title=self._title(), left_out=self.site.surfaces.notes)
+        return RenderedView(
+            picture=found,
+            plan=plan,
+            stage=stage,
+            eye=eye,
+            viewpoint=view,
+            title=self._title(),
+            left_out=(*self.site.surfaces.notes, *(one.note for one in self.scene.material if one.note)),
+        )
 
     def _title(self) -> str:
         where, sky = self.scene.place, self.site.sky

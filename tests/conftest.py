@@ -17,15 +17,31 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 DEFAULT_SEED = 20261121
 
 
-# Tests, without their parameters, that take more than half a second of processor time (`pytest --durations=0`).
+# Tests, without their parameters, that take more than half a second of processor time, the processes that they start
+# included (`pytest --durations=0` shows where to look).
 SLOW = frozenset((Path(__file__).parent / "slow_tests.txt").read_text().split())
+SLOW_FILES = frozenset(name.partition("::")[0] for name in SLOW)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "seeded: draws by chance, and holds for any seed; set by its fixture `seed`")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no file without a slow test where only slow ones are asked for: a third of the time of collection."""
+    name = collection_path.name
+    if not (config.option.markexpr.startswith("slow") and name.startswith("test_") and name.endswith(".py")):
+        return None
+    return None if collection_path.relative_to(config.rootpath).as_posix() in SLOW_FILES else True
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that `make test` leaves out."""
+    """Mark the tests that `make test` leaves out, and those that another seed makes others."""
     for item in items:
         if item.nodeid.partition("[")[0] in SLOW:
             item.add_marker("slow")
+        if "seed" in getattr(item, "fixturenames", ()):
+            item.add_marker("seeded")
 
 
 def pytest_report_header() -> str:

@@ -1,12 +1,17 @@
 """The documentation is right: commands and programs run as printed; pictures, links and tables are complete."""
 
+import json
+import math
 import re
 import runpy
 import shlex
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.special
+import tifffile
 from typer.testing import CliRunner
 
 from charact.cli.application import app
@@ -16,6 +21,13 @@ from labdata.quantity import QUANTITIES
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if "generated" not in path.parts)]
 TUTORIAL = ROOT / "docs" / "tutorial" / "index.md"
+
+
+def _slanted_edge() -> np.ndarray:
+    """An edge of 5 degrees with a Gaussian line spread of 0.7 px and Poisson noise, shape (row, col), DN."""
+    row, col = np.mgrid[:96, :96] - 47.5
+    lit = scipy.special.ndtr((col - math.tan(math.radians(5.0)) * row) / 0.7)
+    return np.random.default_rng(0).poisson(200.0 + 1000.0 * lit).astype(np.uint16)
 
 
 def test_the_steps_of_the_tutorial_run_as_printed(tmp_path, monkeypatch):
@@ -36,6 +48,8 @@ def test_the_steps_of_the_tutorial_run_as_printed(tmp_path, monkeypatch):
 def test_the_programs_of_a_page_run_as_printed(page, tmp_path, monkeypatch):
     if page.name == "README.md":
         pytest.skip("the README's program needs a session of a user; the tutorial makes sessions")
+    monkeypatch.chdir(tmp_path)
+    tifffile.imwrite("edge.tif", _slanted_edge())
     for program in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
         names: dict = {}
         exec(program, names)
@@ -70,3 +84,24 @@ def test_the_reference_has_every_quantity_and_every_flag():
 
 def test_pictures_are_small():
     assert all(picture.stat().st_size < 600_000 for picture in (ROOT / "docs" / "pictures").rglob("*.png"))
+
+
+# The instructions of a Containerfile, as its reference names them.
+INSTRUCTIONS = (
+    "ADD ARG CMD COPY ENTRYPOINT ENV EXPOSE FROM HEALTHCHECK LABEL ONBUILD RUN SHELL STOPSIGNAL USER VOLUME WORKDIR"
+)
+
+
+def test_the_containerfile_names_what_there_is():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    text = re.sub(r"\\\n", " ", (ROOT / "Containerfile").read_text())
+    lines = [line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")]
+    assert lines[0][0] == "FROM" and {name for name, _ in lines} <= set(INSTRUCTIONS.split())
+    copied = [source for name, rest in lines if name == "COPY" for source in shlex.split(rest)[:-1]]
+    assert copied and all((ROOT / source).exists() for source in copied)
+    start, arguments = (json.loads(dict(lines)[name]) for name in ("ENTRYPOINT", "CMD"))
+    assert start[0] in project["scripts"]
+    assert CliRunner().invoke(app, [*start[1:], *arguments]).exit_code == 0
+    extras = re.findall(r"/src\[([^]]+)\]", text)[0].split(",")
+    assert set(extras) <= set(project["optional-dependencies"])
+    assert re.match(r"\S+/python:3\.1[1-9]-", lines[0][1])

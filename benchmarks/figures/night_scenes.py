@@ -47,8 +47,7 @@ def draw(name: str, path: Path) -> None:
     conditions = conditions_of(camera, gate_ns=GATES_NS.get(name))
     shot = simulate(SimulationRequest(source=Path(name), tolerance=TOLERANCE, seed=SEED), camera, conditions)
     assert shot.view is not None
-    frames = shot.frames(seed=SEED)
-    seen = np.mean([next(frames) for _ in range(AS_SEEN)], axis=0)
+    seen = np.mean(list(shot.frames(seed=SEED, count=AS_SEEN)), axis=0)
     figure = Figure(figsize=(9.0, 11.6), layout="constrained")
     FigureCanvasAgg(figure)
     above, below = figure.subplots(2)

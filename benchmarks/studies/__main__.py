@@ -40,6 +40,10 @@ STUDIES = {
     "gain-map": Study(module="gain_map", about="failure map of the gain methods: table, figure; 30 minutes"),
     "gain-sweeps": Study(module="gain_sweeps", about="coverage of gain sweeps: printed; 10 minutes"),
     "held-out": Study(module="held_out_cases", about="choice of `auto` on cases that no chart used: table; 5 minutes"),
+    "infrared-settings": Study(
+        module="infrared_settings",
+        about="settings of the infrared renderer and where it could fail: page, figure, table; 6 minutes",
+    ),
     "mtf-consistency": Study(
         module="consistency_table",
         arguments=("--keep", "--simulated", "100", "--workers", "2"),
@@ -54,6 +58,9 @@ STUDIES = {
     ),
     "strangers-noise": Study(module="strangers_noise", about="flats of other generators: printed; 20 minutes"),
     "strangers-points": Study(module="strangers_points", about="points of other generators: printed; 15 minutes"),
+    "temperature-settings": Study(
+        module="temperature_settings", about="settings of the temperature solver: printed, figure; 1 minute"
+    ),
     "fault-campaign": Study(
         module="tests.faults.campaign",
         arguments=("--strikes", "5", "--seed", "20260", "--keep", "docs/validation/faults.md"),

@@ -222,7 +222,7 @@ class SimulatedScene:
             )
             for number, (kind, lux) in enumerate(levels)
         )  # fmt: skip
-        return Session(folder=Path("."), name="flats", stacks=stacks, sensor=self.camera, bit_depth=8)
+        return Session(folder=Path("."), name="flats", stacks=stacks, camera=self.camera, bit_depth=8)
 
 
 def _expose_stack(camera: Sensor, kind: Kind, target: Target, lux: float, rng: np.random.Generator) -> FrameStack:

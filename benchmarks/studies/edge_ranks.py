@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.method.registry import with_single_blas_thread
+from charact.method.registry import single_blas_thread
 from charact.mtf.blur_models.one_dimensional import EXPONENT_PRIOR, HALF_FREQUENCY_PRIOR, BlurModel
 from charact.mtf.curve import FINE, crossing_frequency
 from charact.mtf.edge.fit.model_fit import EdgeFitter, form_of
@@ -295,7 +295,7 @@ def edge_drawn(true: Array, rng: np.random.Generator) -> FrameStack:
     return scene.frames_drawn(rng)
 
 
-@with_single_blas_thread
+@single_blas_thread()
 def posterior_draws(sampler: str, stack: FrameStack, seed: int) -> Array | Posterior:
     """Return draws of half frequency, exponent and MTF50, shape (draw, 3); the posterior itself where it is flagged."""
     context = Context(seed=seed)

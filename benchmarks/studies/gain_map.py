@@ -121,7 +121,7 @@ class GainScene:
         lux = self.photoelectrons / self.truth["photoelectrons_per_lux"]
         stacks = [self._stack("dark", 0.0, rng), *(self._stack("flat", float(level), rng) for level in lux)]
         return Session(folder=Path("."), name="simulated flats", stacks=tuple(stacks), interlaced=self.interlaced,
-                       sensor=self.description, bit_depth=8)  # fmt: skip
+                       camera=self.description, bit_depth=8)  # fmt: skip
 
     @cached_property
     def _bench(self) -> Any:

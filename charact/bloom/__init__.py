@@ -4,12 +4,15 @@ from dataclasses import replace
 
 from charact.bloom.defects import with_sound_pixels
 from charact.bloom.extent_measurements import add_findings
+from charact.callable_package import make_callable
 from charact.method import Context, choose
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
 
 __all__ = ["measure"]
+
+make_callable(__name__)
 
 # Method for edges, see `charact.bloom.lit_edge_halo`.
 EXTENDED = "lit-edge"

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact import robust
-from charact.bloom.point_stack import DETECTED, PointStack
+from charact.bloom.point_stack import PointStack
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
@@ -325,11 +325,8 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
 
     The length is defined with or without overflow, as a chord of the bloom. The level is refused without overflow.
     """
-    half, common = spot.dark_dn + 0.5 * (spot.full_scale_dn - spot.dark_dn), {"stack": spot.label, **fields}
-    if spot.significance < DETECTED:
-        reason = (
-            f"no point source: the brightest spot has {spot.significance:.1f} standard deviations, at least 8 needed"
-        )
+    half, common = spot.half_dn, {"stack": spot.label, **fields}
+    if reason := spot.why_undetected:
         names = (("streak_length", "px"), ("streak_level", "DN"))
         return [make_refusal(name, unit, reason, **common) for name, unit in names]
     streak = streak_of(spot, context)
@@ -337,7 +334,7 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
     flags += ("several-targets",) if streak.uneven else ()
     if streak.length_px < 0.5:
         reason = f"the source stays below half of full scale, {half:.4g} DN"
-        length = make_refusal("streak_length", "px", reason, **common)
+        length = make_refusal("streak_length", "px", reason, refusal="not-applicable", **common)
     else:
         sd = streak.length_sd_px
         if not spot.dark_known:
@@ -355,7 +352,8 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
         flags += ("clipped",)
         common["notes"] = (*common.get("notes", ()), "lower limit of the full well: the streak is at full scale")
     if reason:
-        return [length, make_refusal("streak_level", "DN", reason, **common)]
+        kind = "failed" if streak.overflows else "not-applicable"
+        return [length, make_refusal("streak_level", "DN", reason, refusal=kind, **common)]
     return [
         length,
         measurement_from_sd("streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common),

@@ -18,6 +18,7 @@ from labdata.measurement import (
     Interval,
     Measurement,
     Provenance,
+    Refusal,
     Result,
     make_measurement,
     make_refusal,
@@ -105,8 +106,8 @@ def quantisation_flags(spot: PointStack) -> tuple[str, ...]:
 
 def _reason(spot: PointStack, name: str) -> str:
     """Refusal reason of a stack without a region at a threshold."""
-    if spot.significance < DETECTED:
-        return f"no point source: the brightest spot has {spot.significance:.1f} standard deviations, at least 8 needed"
+    if reason := spot.why_undetected:
+        return reason
     level = {"bloom_diameter": spot.half_dn, "bloom_diameter_clip": spot.full_scale_dn}.get(name)
     if level is not None:
         return f"the source stays below {LEVELS[name]}, {level:.4g} DN"
@@ -119,9 +120,25 @@ def _reason(spot: PointStack, name: str) -> str:
     return f"the source stays below {LEVELS[name]}, {spot.dark_dn + 2 * spot.light.level_dn:.4g} DN"
 
 
+def _refusal(spot: PointStack, name: str) -> Refusal:
+    """Return the kind of refusal: a detected source that stays below a level has no extent at that level."""
+    if spot.why_undetected:
+        return "failed"
+    if name in ("bloom_diameter", "bloom_diameter_clip"):
+        return "not-applicable"
+    if not spot.dark_known:
+        return "missing"
+    return "not-applicable" if spot.light.even else "failed"
+
+
+def _below_level(quantity: str, unit: str, spot: PointStack, name: str, **common: Any) -> Measurement:
+    """Refuse a quantity of the region at a level that the source does not reach."""
+    return make_refusal(quantity, unit, _reason(spot, name), refusal=_refusal(spot, name), **common)
+
+
 def _diameter(name: str, spot: PointStack, extent: Extent | None, **common: Any) -> Measurement:
     if extent is None:
-        return make_refusal(name, "px", _reason(spot, name), **common)
+        return _below_level(name, "px", spot, name, **common)
     if extent.region.all():
         return make_refusal(name, "px", f"the complete frame is at or above {LEVELS[name]}", **common)
     return _measurement_around(name, "px", extent.diameter_px, extent.draws, flags=flags_of(spot, extent), **common)
@@ -136,12 +153,14 @@ def _measurement_around(name: str, unit: str, value: float, draws: Any, **common
 
 def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
     if spot.half is None:
-        return make_refusal("bloom_ellipticity", "1", _reason(spot, "bloom_diameter"), **common)
+        return _below_level("bloom_ellipticity", "1", spot, "bloom_diameter", **common)
     if not spot.half.has_contour and not spot.half.pulled:
         return make_refusal("bloom_ellipticity", "1", "the noise prevents a contour of the region", **common)
     found = ellipticity(spot.half, row_pitch=spot.row_pitch)
     if found is None:
-        return make_refusal("bloom_ellipticity", "1", "the region has fewer than 12 pixels", **common)
+        return make_refusal(
+            "bloom_ellipticity", "1", "the region has fewer than 12 pixels", refusal="not-applicable", **common
+        )
     return make_measurement("bloom_ellipticity", "1", *found, flags=flags_of(spot, spot.half), **common)
 
 
@@ -153,7 +172,7 @@ def _areas_at_full_scale(spot: PointStack, sensor: Sensor | None, **common: Any)
         pixel_mm2 = side_mm**2 * spot.row_pitch
         units |= {"mm2": pixel_mm2, "mrad2": pixel_mm2 / (1e-3 * float(sensor.optics.focal_length_mm)) ** 2}
     if spot.clip is None:
-        return [make_refusal("saturated_area", "px", _reason(spot, "bloom_diameter_clip"), **common)]
+        return [_below_level("saturated_area", "px", spot, "bloom_diameter_clip", **common)]
     value, draws = spot.clip.area / spot.row_pitch, np.pi / 4.0 * spot.clip.draws**2 / spot.row_pitch
     if spot.clip.pulled:
         # Streaks fill whole pixels, which are counted.

@@ -202,13 +202,7 @@ def _optimise_from(problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.b
     return EdgeHaloOptimum(problem=problem, point=point, covariance=covariance, log_probability=value)
 
 
-@register(
-    "lit-edge",
-    METHOD,
-    quantities=("halo_diameter", "halo_fraction"),
-    scope="A straight edge of a bright area, four times as long as the halo radius, next to a dark area; "
-    "preferably with one unclipped stack.",
-)
+@register("lit-edge", METHOD)
 def measure_lit_edge(session: Session, *, context: Context) -> Result:
     """Measure diameter and fraction of the halo from the edges of a session.
 
@@ -330,12 +324,12 @@ def _average_models(
 
 
 def _misfit(best: EdgeHaloOptimum) -> tuple[str, ...]:
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     problem, point = best.problem, best.point[None]
     total = sum(float((problem.fit_level(one, point)[0] ** 2).sum()) for one in range(len(problem.strips)))
     freedom = sum(int(one.used.sum()) - 2 for one in problem.strips) - len(best.point)
-    return ("model-misfit",) if chi2.sf(total, max(freedom, 1)) < 1e-4 else ()
+    return ("model-misfit",) if chdtrc(max(freedom, 1), total) < 1e-4 else ()
 
 
 def _evidence(best: EdgeHaloOptimum) -> dict[str, Any]:

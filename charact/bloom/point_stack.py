@@ -184,6 +184,13 @@ class PointStack:
     others: tuple[SourcePosition, ...] = ()
 
     @property
+    def why_undetected(self) -> str:
+        """Refusal reason without a detected source; empty with one."""
+        if self.significance >= DETECTED:
+            return ""
+        return f"no point source: the brightest spot has {self.significance:.1f} standard deviations, at least 8 needed"
+
+    @property
     def half_dn(self) -> float:
         """Half of full scale above dark, DN."""
         return self.dark_dn + 0.5 * (self.full_scale_dn - self.dark_dn)

@@ -137,7 +137,7 @@ def _depressions(
         elif _has_background_fallen(one, reference):
             reason = "the background is brighter than that of the faintest stack: it contains the source's own light"
         if reason:
-            out.append(make_refusal("background_depression", "dB", reason, **common))
+            out.append(make_refusal("background_depression", "dB", reason, refusal="not-applicable", **common))
             continue
         value = DECIBEL * float(np.log(reference.background_dn / one.background_dn))
         relative = [each.background_sd_dn / each.background_dn for each in (reference, one)]

@@ -130,12 +130,7 @@ METHOD = "series-forward"
 EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
 
 
-@register(
-    "bloom",
-    METHOD,
-    quantities=("halo_diameter", "halo_fraction", "bloom_diameter", "streak_length"),
-    scope="A round source with a halo edge above the noise in at least one stack, at any saturation.",
-)
+@register("bloom", METHOD)
 def series_forward(session: Session, *, context: Context) -> Result:
     """Measure halo, encircled energy, glare, bloom diameters and streaks of a point series.
 
@@ -243,7 +238,7 @@ def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
 
 def _flags(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None) -> tuple[str, ...]:
     """Flags of the series; bounds of nuisance parameters are ignored."""
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")
     series = best.problem.series
@@ -255,7 +250,7 @@ def _flags(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array,
     if diameter / 2.0 > 0.92 * series.radius_px[-1]:
         flags += ("window-too-small",)
     apart, freedom = levels_apart(own)
-    return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < 1e-4 else ())
+    return flags + (("model-misfit",) if freedom and chdtrc(freedom, apart) < 1e-4 else ())
 
 
 def _notes(context: Context, group: tuple[PointStack, ...], spots: tuple[PointStack, ...]) -> tuple[str, ...]:

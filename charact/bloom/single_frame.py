@@ -121,7 +121,10 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     stack, of_spot = entry.read(), {"stack": spot.label, **fields}
     extents = partial(bloom_measurements, square=context.sensor is None, sensor=context.sensor, **fields)
     out = [*extents((spot,)), *_energy_radii(spot, stack, context, of_spot), _halo(spot, context, of_spot)]
-    out += [make_refusal(quantity, unit, reason, **of_spot) for quantity, unit, reason in BEYOND_ONE_FRAME]
+    out += [
+        make_refusal(quantity, unit, reason, refusal="missing", **of_spot)
+        for quantity, unit, reason in BEYOND_ONE_FRAME
+    ]
     if spot.others:
         out = [m.with_(region=_box(spot)) for m in out]
     first = SourcePosition(row=spot.row, col=spot.col, significance=spot.significance)

@@ -222,7 +222,7 @@ def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measu
     if not seen.any():
         most = max(mean, 0.0) + 2.0 * total
         reason = f"no stack shows smear: it is at most {most:.2g} of a column's signal, if the light is as stated"
-        return make_refusal("smear_fraction", "1", reason, **fields)
+        return make_refusal("smear_fraction", "1", reason, refusal="not-applicable", **fields)
     flags = ()
     if light[seen].max() < LEAST_RATIO * light[seen].min():
         flags += ("extrapolated",)

@@ -7,6 +7,7 @@ import typer
 
 from charact.cli import options
 from charact.cli.output import exit_on_bad_input, print_message, progress_bar
+from charact.cli.outputs import Force, require_free_session
 
 
 def acquire(
@@ -19,6 +20,7 @@ def acquire(
         Path | None,
         typer.Option(metavar="FAULTS.toml", help="Inject the faults of FAULTS.toml into the virtual bench."),
     ] = None,
+    force: Force = False,
     events: options.Events = False,
 ) -> None:
     """Run an acquisition plan on real or virtual instruments and store a session.
@@ -41,12 +43,21 @@ def acquire(
     """
     interrupted = f"interrupted; frames acquired so far are kept. Resume with: charact acquire {plan} {out} --resume"
     with exit_on_bad_input(str(plan), events=events, interrupted=interrupted), progress_bar(events=events) as progress:
-        from charact.cli.benches import acquire_session, load_plan
+        from charact.cli.benches import acquire_session, load_plan, remove_run
+        from labdata.errors import BadInput
         from labdata.serialiser import from_toml
         from simulate.virtual_bench.rehearsal import FaultScript
 
+        if resume and force:
+            raise BadInput("--resume continues a session and --force replaces it: one of them must be given, got both")
+        loaded = load_plan(plan)
+        if not resume:
+            replayed = (loaded.wires.camera or "").removeprefix("replay:").partition("#")[0]
+            require_free_session(out, "plan", force=force, sources=(plan, Path(replayed) / "session.toml"))
+        if force:
+            remove_run(loaded, out)
         session = acquire_session(
-            load_plan(plan),
+            loaded,
             out,
             resume=resume,
             progress=progress,
@@ -65,6 +76,7 @@ def demo(
         int | None,
         typer.Option(help="Random seed of the device under test and of all noise (default: from the clock).", min=0),
     ] = None,
+    force: Force = False,
     events: options.Events = False,
 ) -> None:
     """Run the complete loop on the virtual bench: acquire, characterize, fit, simulate, validate, report.
@@ -74,7 +86,7 @@ def demo(
     with exit_on_bad_input(str(out), events=events):
         from charact.cli.demo_loop import demonstrate
 
-        if not demonstrate(out, quick=quick, seed=seed, events=events):
+        if not demonstrate(out, quick=quick, seed=seed, force=force, events=events):
             raise typer.Exit(1)
 
 

@@ -1,4 +1,4 @@
-"""Annotated image: the mean frame with every measured region, its MTF50 and its status."""
+"""Annotated image: the mean frame with every region found, its MTF50 and its status, or why it has none."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -73,24 +73,45 @@ def _overlap(one: Box, other: Box) -> float:
 
 
 Image = NDArray[np.uint8]
+Unusable = Sequence[tuple[Box, str]]
+"""Row, column, height and width of edges that are not measured, px, and why."""
 
-# Blue, orange and vermilion, distinct for all colour vision (Okabe and Ito); blue, green, red order.
-COLOURS = {"ok": (230, 170, 70), "suspect": (0, 160, 240), "refused": (60, 80, 235)}
-LINE_STYLES = {"ok": "solid line", "suspect": "dashed line", "refused": "crossed out"}
+# Blue, orange, vermilion and grey, distinct for all colour vision (Okabe and Ito); blue, green, red order.
+NOT_MEASURED = "not measured"
+COLOURS = {"ok": (230, 170, 70), "suspect": (0, 160, 240), "refused": (60, 80, 235), NOT_MEASURED: (170, 170, 170)}
+LINE_STYLES = {"ok": "solid line", "suspect": "dashed line", "refused": "crossed out", NOT_MEASURED: "grey line"}
 LINE_PX, DASH_PX = 18, 12
 INK, PAPER = (255, 255, 255), (25, 25, 25)
 
 
 def write_annotated_image(
-    stack: FrameStack, result: Result, path: Path, frequency: Frequency = in_cycles_per_pixel
+    stack: FrameStack, result: Result, path: Path, frequency: Frequency = in_cycles_per_pixel, unusable: Unusable = ()
 ) -> None:
     """Write the mean frame with the regions of a result as PNG, atomically; captions in the unit of `frequency`."""
     import cv2
 
-    ok, encoded = cv2.imencode(".png", render_annotations(stack, result, frequency))
+    ok, encoded = cv2.imencode(".png", render_annotations(stack, result, frequency, unusable))
     if not ok:
         raise BadInput(f"the annotated image must be encoded as PNG, and was not: {path}")
     write_atomically(path, encoded.tobytes())
+
+
+def unusable_edges(stack: FrameStack, result: Result) -> Unusable:
+    """Return the edges of a frame that could not be measured, but for those in a measured region."""
+    from charact.mtf.target_detection.edges import find_unusable_edges
+
+    measured = [_in_stack(m.region, stack) for m in result.measurements if m.value is not None and m.region]
+
+    def is_measured(edge: Box) -> bool:
+        row, col = edge[0] + edge[2] / 2, edge[1] + edge[3] / 2
+        return any(r[0] <= row < r[0] + r[2] and r[1] <= col < r[1] + r[3] for r in measured)
+
+    return [(edge, why) for edge, why in find_unusable_edges(stack) if not is_measured(edge)]
+
+
+def _in_stack(region: Box, stack: FrameStack) -> Box:
+    """Return a region of the file (row, col, height, width) in the stack, whose border may be cropped."""
+    return region[0] - stack.origin[0], region[1] - stack.origin[1], region[2], region[3]
 
 
 def require_png(path: Path) -> None:
@@ -99,11 +120,14 @@ def require_png(path: Path) -> None:
         raise BadInput(f"--annotate must name a .png file, got {path.name!r}")
 
 
-def render_annotations(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel) -> Image:
+def render_annotations(
+    stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel, unusable: Unusable = ()
+) -> Image:
     """Return the annotated image, shape (row, col, 3), blue, green, red.
 
     Every region has an outline in the colour and line style of its status and a caption with the value and its 95 %
-    interval; a leader connects it to the region's centre. A legend is below the image.
+    interval, or why it has none; a leader connects it to the region's centre. `unusable` edges are grey. A legend is
+    below the image.
     """
     import cv2
 
@@ -114,15 +138,17 @@ def render_annotations(stack: FrameStack, result: Result, frequency: Frequency =
     grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     image = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
     shown = _one_per_region(result)
-    boxes = [_box(measurement, stack, scale) for measurement in shown]
-    for measurement, box in zip(shown, boxes, strict=True):
-        _outline(image, box, measurement.status)
-    captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown]
+    placed = [_in_stack(m.region or (*stack.origin, *stack.shape[1:]), stack) for m in shown]
+    boxes = [_box(region, scale) for region in (*placed, *(region for region, _ in unusable))]
+    statuses = [*(m.status for m in shown), *(NOT_MEASURED for _ in unusable)]
+    for box, status in zip(boxes, statuses, strict=True):
+        _outline(image, box, status)
+    captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown] + [[why] for _, why in unusable]
     sizes = [(LINE_PX * len(lines) + 8, max(map(_width, lines)) + 12) for lines in captions]
     places = place_captions(boxes, sizes, image.shape[:2])
-    for measurement, lines, place, size, box in zip(shown, captions, places, sizes, boxes, strict=True):
-        _write(image, lines, place, size, box, measurement.status)
-    return np.concatenate([image, _legend(shown, frequency, image.shape[1])])
+    for status, lines, place, size, box in zip(statuses, captions, places, sizes, boxes, strict=True):
+        _write(image, lines, place, size, box, status)
+    return np.concatenate([image, _legend(shown, statuses, frequency, image.shape[1])])
 
 
 def _one_per_region(result: Result) -> list[Measurement]:
@@ -139,9 +165,9 @@ def _one_per_region(result: Result) -> list[Measurement]:
     return list(by_region.values())
 
 
-def _box(measurement: Measurement, stack: FrameStack, scale: int) -> Box:
-    """Return top, left, bottom and right of a region in the enlarged image."""
-    row, col, height, width = measurement.region or (0, 0, *stack.shape[1:])
+def _box(region: Box, scale: int) -> Box:
+    """Return top, left, bottom and right of a region (row, col, height, width) in the enlarged image."""
+    row, col, height, width = region
     return scale * row, scale * col, scale * (row + height) - 1, scale * (col + width) - 1
 
 
@@ -149,7 +175,7 @@ def _caption(m: Measurement, frequency: Frequency, *, alone: bool) -> list[str]:
     """Return the lines of a caption: complete for a single region, else value and interval."""
     name = f"{m.quantity} " if alone else ""
     if m.value is None:
-        return [f"{name}refused", *([str(m.reason)[:90]] if alone else [])]
+        return [f"{name}refused", *([str(m.reason)[:90]] if alone else m.flags[:1] or [str(m.reason)[:30]])]
     value, unit, ends = in_unit(m, frequency)
     of = f" {unit}" if alone and unit != "1" else ""
     at = "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
@@ -218,17 +244,16 @@ def _write(
         _text(image, line, left + 6, top + LINE_PX * (number + 1))
 
 
-def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Image:
+def _legend(shown: list[Measurement], statuses: list[str], frequency: Frequency, width: int) -> Image:
     """Return the legend below the image: quantities, line styles of the status, and flags."""
     quantities = dict.fromkeys(f"{m.quantity}, {frequency(0.0, m)[1] if m.unit == 'cy/px' else m.unit}" for m in shown)
     flags = dict.fromkeys(flag for m in shown for flag in m.flags)
     lines = [f"{'; '.join(quantities)}: value and 95 % interval", *(f"{flag}: {FLAGS[flag]}" for flag in flags)]
     strip = np.full((LINE_PX * (len(lines) + 1) + 16, width, 3), PAPER, np.uint8)
     left = 10
-    for status in (status for status in COLOURS if any(m.status == status for m in shown)):
+    for status in (status for status in COLOURS if status in statuses):
         _outline(strip, (9, left, 9 + LINE_PX - 4, left + 40), status)
-        count = sum(m.status == status for m in shown)
-        text = f"{status} ({LINE_STYLES[status]}): {count}"
+        text = f"{status} ({LINE_STYLES[status]}): {statuses.count(status)}"
         _text(strip, text, left + 50, 8 + LINE_PX - 4)
         left += 80 + _width(text)
     for number, line in enumerate(lines):

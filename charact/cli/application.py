@@ -8,7 +8,19 @@ from typing import Annotated
 import typer
 
 from charact import __version__
-from charact.cli import acquire, import_session, live, mtf, plan, reference, sessions, simulate, temperatures
+from charact.cli import (
+    acquire,
+    compare,
+    files,
+    fuse,
+    live,
+    mtf,
+    plan,
+    reference,
+    sessions,
+    simulate,
+    temperatures,
+)
 
 app = typer.Typer(
     name="charact",
@@ -39,7 +51,8 @@ def charact(
 
 
 app.add_typer(mtf.app, name="mtf")
-app.add_typer(import_session.app, name="import")
+app.add_typer(files.import_app, name="import")
+app.add_typer(fuse.app, name="fuse")
 for verb in (
     acquire.demo,
     simulate.simulate,
@@ -58,6 +71,10 @@ for verb in (
     sessions.fit,
     sessions.validate,
     sessions.report,
+    files.view,
+    files.convert,
+    compare.compare,
+    compare.check,
     reference.chart,
     reference.stability,
     reference.methods,

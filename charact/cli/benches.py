@@ -2,6 +2,7 @@
 
 import math
 import os
+import shutil
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
@@ -13,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.cli.output import Progress, print_message
+from charact.cli.outputs import remove_session
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, Role
 from labdata.limits import limits_in_force
 from labdata.plan import Plan, Step
+from labdata.plan_file import plan_of, read_plan
 from labdata.sensor import Sensor
-from labdata.serialiser import from_mapping, from_toml, read_toml
+from labdata.serialiser import read_toml
 from labdata.session import Session
 from labdata.tube_dose import DoseLedger, ledger_of, warnings
 
@@ -48,8 +51,13 @@ def acquire_session(
     progress: Progress,
     tell: Callable[[str], None] = print_message,
     inject_faults: "FaultScript | None" = None,
+    time_scale: float = 1.0,
 ) -> Session:
-    """Run a plan on its bench and return the session; `inject_faults`: faults to inject into a virtual bench."""
+    """Run a plan on its bench and return the session.
+
+    `inject_faults`: faults to inject into a virtual bench; `time_scale`: how many times faster than real ones the
+    instruments of a virtual bench move.
+    """
     from drivers.errors import BenchError
 
     real = plan.wires.bench == "real"
@@ -57,12 +65,29 @@ def acquire_session(
         raise BadInput("fault injection needs a virtual bench, got a real one")
     run: dict[str, Any] = {"tell": tell, "resume": resume, "progress": progress}
     try:
-        taken = _on_real_bench(plan, session, **run) if real else _on_virtual_bench(plan, session, inject_faults, **run)
+        if real:
+            taken = _on_real_bench(plan, session, **run)
+        else:
+            taken = _on_virtual_bench(plan, session, inject_faults, time_scale, **run)
     except BenchError as error:
         raise BadInput(str(error)) from error
     for sentence in warnings(_ledger(plan, session).total(), taken.sensor):
         tell(sentence)
     return taken
+
+
+def remove_run(plan: Plan, session: Path) -> None:
+    """Delete the session of an earlier run and its virtual bench, after the check of the plan that replaces it."""
+    from drivers.acquisition.plan_check import check_plan
+    from labdata.plan import in_volts
+    from labdata.sensors import load_sensor
+    from simulate.virtual_bench.true_sensor import TRUTH
+
+    sensor = None if plan.sensor is None else load_sensor(plan.sensor)
+    check_plan(in_volts(plan, sensor), session, sensor)
+    remove_session(session, "plan")
+    if (bench_folder(session) / TRUTH).is_dir():
+        shutil.rmtree(bench_folder(session))
 
 
 def _ledger(plan: Plan, session: Path) -> DoseLedger:
@@ -74,7 +99,7 @@ def _ledger(plan: Plan, session: Path) -> DoseLedger:
 
 
 def _on_virtual_bench(
-    plan: Plan, session: Path, script: "FaultScript | None", tell: Callable[[str], None], **run: Any
+    plan: Plan, session: Path, script: "FaultScript | None", time_scale: float, tell: Callable[[str], None], **run: Any
 ) -> Session:
     """Run a plan on virtual instruments, with the faults of a script."""
     from drivers.acquisition.acquire import LOG
@@ -91,7 +116,7 @@ def _on_virtual_bench(
     sensor, folder = load_sensor(plan.sensor), bench_folder(session)
     with ExitStack() as stack:
         virtual = stack.enter_context(
-            VirtualBench(folder, sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, say=tell)
+            VirtualBench(folder, sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, time_scale=time_scale, say=tell)
         )
         if script is not None:
             log = folder / "rehearsal.jsonl"
@@ -131,7 +156,7 @@ def _bench(
 ) -> "BenchClient | LocalBench":  # fmt: skip
     """Return the bench of a plan; `lines` replace its serial ports."""
     from drivers.acquisition.plan_check import field_hz
-    from drivers.bench.setup import open_bench
+    from drivers.bench.local_bench import open_bench
 
     return open_bench(
         wires, limits_in_force(plan.limits, sensor, plan.overrides), log=log, lines=lines, lamp=plan.lamp,
@@ -199,13 +224,13 @@ def load_plan(path: Path) -> Plan:
     """
     if str(path) in builtin_plan_names():
         with resources.as_file(resources.files("charact.cli") / "plans" / f"{path}.toml") as shipped:
-            return from_toml(shipped, Plan)
+            return read_plan(shipped)
     if not os.path.exists(path):
         raise BadInput(f"a plan must be a file or one of {', '.join(builtin_plan_names())}, got {path}")
     written = read_toml(path)
     files = {key: name for key in ("gain_table", "lamp") if isinstance(name := written.get(key), str)}
     placed = {**written, **{key: str(path.parent / name) for key, name in files.items()}}
-    plan = from_mapping(placed, Plan, where=path.name)
+    plan = plan_of(placed, where=path.name)
     sensor = path.parent / (plan.sensor or "")
     return replace(plan, sensor=str(sensor.resolve())) if plan.sensor is not None and os.path.isfile(sensor) else plan
 

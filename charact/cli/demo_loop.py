@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from charact.cli.benches import acquire_session, bench_folder, load_plan
 from charact.cli.output import print_message, progress_bar
-from charact.cli.sessions import FITTED, fit_and_save, measure_folder, validate_and_save
+from charact.cli.outputs import FITTED, is_taken, remove_session, require_free, why_kept
+from charact.cli.sessions import fit_and_save, measure_folder, validate_and_save
 from labdata.errors import BadInput
 from labdata.plan import Plan
 from labdata.session import Session, open_session
@@ -21,18 +22,23 @@ if TYPE_CHECKING:
 
 # Probability that a correct session has a z-score beyond the limit.
 CHANCE = 1e-3
+# How many times faster than real ones the virtual instruments move: the high voltage rises at 50 V/s to 800 V.
+QUICK_TIME_SCALE = 20.0
 MARKER_FILE = "demo.txt"
 
 
-def demonstrate(out: Path, *, quick: bool, seed: int | None, events: bool) -> bool:
+def demonstrate(out: Path, *, quick: bool, seed: int | None, force: bool, events: bool) -> bool:
     """Run the loop into a folder; return whether all values agree with the truth and the validation passed."""
     seed = time.time_ns() % 2**31 if seed is None else seed
     session = out / "session"
-    _delete_previous(out, session, seed)
+    _make_room(out, session, seed, force=force)
     print_message(f"seed {seed} (repeat with --seed {seed}); output folder: {out}", events=events)
     left_out: list[str] = []
     with _step("acquire", events), progress_bar(events=events) as progress:
-        acquire_session(demo_plan(seed, quick=quick), session, resume=False, progress=progress, tell=left_out.append)
+        acquire_session(
+            demo_plan(seed, quick=quick), session, resume=False, progress=progress, tell=left_out.append,
+            time_scale=QUICK_TIME_SCALE if quick else 1.0,
+        )  # fmt: skip
     for sentence in left_out:
         print_message(sentence, events=events)
     with _step("measure", events):
@@ -69,25 +75,28 @@ def max_z(numbers: int) -> float:
 
 
 def demo_plan(seed: int, *, quick: bool) -> Plan:
-    """Return the shipped plan with a seed; `quick`: with fewer frames."""
+    """Return the shipped plan with a seed; `quick`: with fewer frames, and a bench without wires and processes."""
     plan = replace(load_plan(Path("demo")), seed=seed)
     if not quick:
         return plan
-    return replace(plan, steps=tuple(replace(step, frames=min(step.frames, 10)) for step in plan.steps))
+    steps = tuple(replace(step, frames=min(step.frames, 10)) for step in plan.steps)
+    return replace(plan, steps=steps, wires=replace(plan.wires, bench="in-process"))
 
 
-def _delete_previous(out: Path, session: Path, seed: int) -> None:
-    """Delete the session of an earlier demonstration."""
+def _make_room(out: Path, session: Path, seed: int, *, force: bool) -> None:
+    """Raise BadInput if there is an earlier demonstration, or with `force` delete its session and bench."""
     marker = out / MARKER_FILE
-    if session.exists() and not marker.is_file():
-        raise BadInput(
-            f"{session} must not exist or must be from an earlier demonstration, got a folder without {marker}"
-        )
-    for old in (session, bench_folder(session)):
-        if old.exists():
-            shutil.rmtree(old)
+    taken = is_taken(session, "plan") or (out.exists() and not out.is_dir())
+    require_free(
+        out, force=force, taken=taken,
+        kept=lambda: why_kept(session, "plan") if marker.is_file() else f"something without {MARKER_FILE}",
+    )  # fmt: skip
+    if force:
+        remove_session(session, "plan")
+    if marker.is_file() and bench_folder(session).is_dir():
+        shutil.rmtree(bench_folder(session))
     out.mkdir(parents=True, exist_ok=True)
-    marker.write_text(f"Written by charact demo (seed {seed}); the next charact demo overwrites this folder.\n")
+    marker.write_text(f"Written by charact demo (seed {seed}); charact demo --force replaces its session and report.\n")
 
 
 @contextmanager

@@ -77,6 +77,18 @@ def save_radiance(cube: "RadianceCube", title: str, path: Path) -> None:
     save_png(frame_figure(image, title, low, max(high, 10.0 * low), label, logarithmic=True), path)
 
 
+def save_apparent_temperature(kelvin: NDArray, title: str, path: Path, pixel_aspect: float = 1.0) -> None:
+    """Plot apparent temperatures (row, col), K, between percentiles, with pixels of a height over width."""
+    celsius = kelvin - 273.15
+    low, high = (float(end) for end in np.percentile(celsius, (2.0, 99.5)))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure = frame_figure(celsius, title, low, max(high, low + 0.1), "apparent temperature, C")
+    rows, columns = kelvin.shape
+    figure.set_size_inches(WIDTH_INCHES, WIDTH_INCHES * pixel_aspect * rows / columns * 0.87 + 0.5)
+    figure.axes[0].set_aspect(pixel_aspect)
+    save_png(figure, path)
+
+
 def save_stages(stages: Iterable[tuple[str, str, NDArray]], folder: Path, title: str) -> int:
     """Write every stage's name, quantity and image (row, col) as a numbered TIFF, and the contact sheet; count them."""
     import tifffile

@@ -198,7 +198,10 @@ def _context(sensor: str | None, full_scale_dn: float | None) -> "Context":
 
 
 def watch(
-    session: Annotated[Path, typer.Argument(help="Session folder of a running acquisition.")],
+    session: Annotated[
+        Path, typer.Argument(help="Session folder of a running acquisition, or a folder of plain files.")
+    ],
+    kind: Annotated[str, typer.Option(help="Plain files: kind of their targets, edge, bars or point.")] = "edge",
     once: Annotated[bool, typer.Option("--once", help="Process the stacks present now, then exit.")] = False,
     patience_s: Annotated[
         float, typer.Option("--patience-s", help="Maximum wait for the next stack, s.", min=0.0)
@@ -207,17 +210,24 @@ def watch(
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """Measure each stack of a running acquisition as it is completed, one line per stack.
+    """Measure each stack of a running acquisition, or each new file of a folder, as it is completed: one line each.
 
-    With --json each line is one JSON object. Ends with the run.
+    With --json each line is one JSON object. Ends with the run; a folder of plain files is watched until Ctrl-C, or
+    until no file has come for --patience-s.
 
     Example: charact watch day1
+
+    Example: charact watch incoming --kind edge
     """
     interrupted = f"stopped watching; the acquisition continues. Resume with: charact watch {session}"
     with exit_on_bad_input(str(session), as_json=as_json, events=events, interrupted=interrupted):
         from charact.live.quick_look import look_at, watch_stacks
+        from labdata.session import MANIFEST
 
         require_session(session)
+        if session.is_dir() and not (session / MANIFEST).is_file():
+            _watch_files(session, kind, once=once, patience_s=patience_s, seed=seed, as_json=as_json, events=events)
+            return
         for so_far, entry in watch_stacks(session, once=once, patience_s=patience_s):
             try:
                 looked = look_at(so_far, entry, seed=seed)
@@ -225,6 +235,27 @@ def watch(
                 print_message(f"{entry.label}: {error}", events=events)
                 continue
             print(json.dumps(_object(looked)) if as_json else _line(looked), flush=True)
+
+
+def _watch_files(
+    folder: Path, kind: str, *, once: bool, patience_s: float, seed: int, as_json: bool, events: bool
+) -> None:
+    """Measure the targets of each new file of a folder."""
+    from charact.api import mtf
+    from charact.live.quick_look import watch_files
+    from charact.report.summary import rows_of_file
+    from labdata.result_io import to_json
+
+    for path in watch_files(folder, once=once, patience_s=patience_s):
+        try:
+            result = mtf(path, kind, quick=True, seed=seed)
+        except (BadInput, OSError) as error:
+            print_message(f"{path.name}: {error}", events=events)
+            continue
+        if as_json:
+            print(json.dumps(to_json(result, given=str(path), version=__version__)), flush=True)
+        else:
+            print(*rows_of_file(path.name, result), sep="\n", flush=True)
 
 
 def _line(looked: "QuickLook") -> str:

@@ -46,7 +46,8 @@ SensorName = Annotated[
 Units = Annotated[
     str,
     typer.Option(
-        help="Display unit of frequency: cy/px, lp/mm, lp/mm-cathode, tvl/ph or cy/mrad. JSON is always cy/px."
+        help="Display unit of frequency: cy/px, lp/mm, lp/mm-cathode, tvl/ph, lw/ph, cy/in, cy/mrad or cy/arcmin. JSON "
+        "is always cy/px."
     ),
 ]
 PitchUm = Annotated[
@@ -64,6 +65,11 @@ MaxTargets = Annotated[
     typer.Option("--max-targets", help="Maximum number of targets measured per frame, spread over the field.", min=1),
 ]
 Annotate = Annotated[Path | None, typer.Option(help="Write a PNG of the frame with measured regions and MTF50.")]
+Everything = Annotated[
+    bool, typer.Option("--all", help="Print every value, flag and note (default: a summary of at most 40 lines).")
+]
+Plot = Annotated[Path | None, typer.Option("--plot", help="Write the MTF curves as a figure: .png, .svg or .pdf.")]
+Csv = Annotated[Path | None, typer.Option("--csv", help="Write every value with its 95 % interval as CSV.")]
 BloomMap = Annotated[
     Path | None,
     typer.Option("--map", help="Write the bloom map (fraction of each pixel's signal that is blooming): .png or .npz."),
@@ -91,6 +97,9 @@ SHARED: dict[str, tuple[Any, Any]] = {
     "focal_length_mm": (FocalLengthMm, None),
     "max_targets": (MaxTargets, 24),
     "annotate": (Annotate, None),
+    "plot": (Plot, None),
+    "csv": (Csv, None),
+    "everything": (Everything, False),
     "as_json": (Json, False),
     "events": (Events, False),
     "scheduler": (Scheduler, None),

@@ -1,13 +1,13 @@
 """Output of a verb: result as JSON or lines, messages, progress and exit code."""
 
 import json
-import math
 import os
+import shutil
 import sys
+import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, NoReturn
 
@@ -18,8 +18,6 @@ from labdata.errors import BadInput
 from labdata.flags import FLAGS
 
 if TYPE_CHECKING:
-    from charact.mtf.mean_frame import Region
-    from labdata.frames import FrameStack
     from labdata.measurement import Measurement, Result
 
 Frequency = Callable[[float, "Measurement | None"], tuple[float, str]]
@@ -73,27 +71,26 @@ def print_result(
     result: "Result",
     *,
     given: str,
+    verb: str,
     as_json: bool,
     events: bool = False,
+    everything: bool = False,
     frequency: Frequency = in_cycles_per_pixel,
     next_verb: str | None = None,
     then: Callable[[], object] | None = None,
 ) -> None:
     """Print a result; exit with code 1 and a sentence if no measurement has a value.
 
-    `frequency` converts cy/px to the display unit (JSON is always in cy/px), `next_verb` is suggested on a terminal,
-    and `then` writes further output files after the result; its failure is reported on stderr, with exit code 1.
+    `verb` and `given` are the title; `everything`: print all values and notes, not a summary. `frequency` converts
+    cy/px to the display unit (JSON is always in cy/px), `next_verb` is suggested on a terminal. `then` writes further
+    output files after the result; its failure is reported on stderr, with exit code 1.
     """
     if as_json:
         from labdata.result_io import to_json
 
         print(json.dumps(to_json(result, given=given, version=__version__), allow_nan=False))
     else:
-        # One line per region suits the targets of one image; session quantities have no region.
-        of_one_picture = not any(m.stack for m in result.measurements)
-        several = len({m.region for m in result.measurements}) > 1
-        lines = lines_of_regions if several and of_one_picture else lines_of
-        print("\n".join(lines(result.measurements, frequency)))
+        print(_text(result, f"{verb} of {given}", frequency, everything))
     if then is not None:
         sys.stdout.flush()
         # The JSON object is already printed.
@@ -105,6 +102,25 @@ def print_result(
         raise typer.Exit(1)
     if next_verb and sys.stdout.isatty() and not as_json:
         print(f"\nNext: {next_verb}")
+
+
+def _text(result: "Result", title: str, frequency: Frequency, everything: bool) -> str:
+    """Return a result as text: a summary that fits the terminal, or every line."""
+    from charact.report.summary import LINES, summary
+
+    width = min(100, shutil.get_terminal_size((100, 40)).columns)
+    # One line per region suits the targets of one image; session quantities have no region.
+    of_one_picture = not any(m.stack for m in result.measurements)
+    if len({m.region for m in result.measurements}) > 1 and of_one_picture:
+        lines = list(lines_of_regions(result.measurements, frequency))
+        if everything:
+            return "\n".join(lines)
+        wrapped = [part for line in lines for part in textwrap.wrap(line, width, subsequent_indent=" " * 8)]
+        more = [f"and {len(wrapped) - LINES + 1} more lines (--all)"] if len(wrapped) > LINES else []
+        return "\n".join([*wrapped[: LINES - len(more)], *more])
+    if everything:
+        return "\n".join(lines_of(result.measurements, frequency))
+    return summary(result, title=title, frequency=frequency, width=width)
 
 
 def lines_of(measurements: Iterable["Measurement"], frequency: Frequency = in_cycles_per_pixel) -> Iterator[str]:
@@ -243,95 +259,3 @@ def progress_bar(*, events: bool = False) -> Iterator[Progress]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar, announce_compilation(announce):
         task = bar.add_task("", total=1.0)
         yield lambda sentence, share: bar.update(task, description=sentence, completed=share)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrequencyUnit:
-    """Display unit of spatial frequency (one of `FREQUENCY_UNITS`) with the lengths it needs.
-
-    Pitch of columns and rows (None: that of the columns), µm; rows of a frame; focal length, mm; length at the
-    photocathode over length at the detector. Raises BadInput if the unit is unknown, or a length is not positive or
-    missing.
-    """
-
-    unit: str = "cy/px"
-    pitch_x_um: float | None = None
-    pitch_y_um: float | None = None
-    rows: int | None = None
-    focal_length_mm: float | None = None
-    demagnification: float | None = None
-
-    def __post_init__(self) -> None:
-        from labdata.quantity import FREQUENCY_UNITS
-
-        held = {
-            "pitch_um": self.pitch_x_um,
-            "focal_length_mm": self.focal_length_mm,
-            "demagnification": self.demagnification,
-        }
-        options = {name: f"--{name.replace('_', '-')}" for name in held}
-        for name, length in held.items():
-            if length is not None and not (math.isfinite(length) and length > 0):
-                raise BadInput(f"{options[name]} must be positive, got {length:g}")
-        needs = {
-            "lp/mm": ("pitch_um",),
-            "lp/mm-cathode": ("pitch_um", "demagnification"),
-            "cy/mrad": ("pitch_um", "focal_length_mm"),
-        }
-        if missing := [name for name in needs.get(self.unit, ()) if held[name] is None]:
-            remedies = " and ".join(f"{options[name]} or --sensor" for name in missing)
-            raise BadInput(f"--units {self.unit} needs a positive {' and '.join(missing)}: give {remedies}")
-        if self.unit not in FREQUENCY_UNITS:
-            raise BadInput(f"a frequency unit must be one of {', '.join(FREQUENCY_UNITS)}, got {self.unit!r}")
-
-    def __call__(self, frequency_cy_per_px: float, measurement: "Measurement | None" = None) -> tuple[float, str]:
-        """Return the frequency of a measurement in this unit, and the unit."""
-        from labdata.quantity import convert_frequency
-
-        by_rows = measurement is not None and counts_rows(measurement)
-        pitch_y_um = self.pitch_y_um or self.pitch_x_um
-        ratio = 1.0 if not self.pitch_x_um or not pitch_y_um else pitch_y_um / self.pitch_x_um
-        height = None if self.rows is None else self.rows * (1.0 if by_rows else ratio)
-        value = convert_frequency(
-            frequency_cy_per_px, self.unit, pitch_um=pitch_y_um if by_rows else self.pitch_x_um,
-            picture_height_px=height, focal_length_mm=self.focal_length_mm, demagnification=self.demagnification,
-        )  # fmt: skip
-        return value, self.unit
-
-
-def counts_rows(measurement: "Measurement") -> bool:
-    """Return whether a measurement's cycles per pixel are cycles per row pitch.
-
-    Edge methods count pixels of the axis nearest to the edge's normal; all others count column pitches.
-    """
-    normal = measurement.orientation_deg
-    return measurement.method.startswith("edge") and normal is not None and 45.0 < normal % 180.0 < 135.0
-
-
-def in_file_coordinates(result: "Result", stack: "FrameStack") -> "Result":
-    """Return the result with regions in coordinates of the file and with the notes of the importer."""
-    from charact.mtf.dispatch import REGION_NAME
-
-    def shift(region: "Region") -> "Region":
-        return region[0] + stack.origin[0], region[1] + stack.origin[1], region[2], region[3]
-
-    names = {
-        REGION_NAME.format(*m.region): REGION_NAME.format(*shift(m.region)) for m in result.measurements if m.region
-    }
-
-    def rename(name: str) -> str:
-        here = next((suffix for suffix in names if name.endswith(suffix)), None)
-        return name if here is None else name.removesuffix(here) + names[here]
-
-    return replace(
-        result,
-        measurements=tuple(
-            m.with_(
-                region=None if m.region is None else shift(m.region),
-                notes=tuple(dict.fromkeys((*m.notes, *stack.notes))),
-            )
-            for m in result.measurements
-        ),
-        curves={rename(name): curve for name, curve in result.curves.items()},
-        evidence={rename(name): shown for name, shown in result.evidence.items()},
-    )

@@ -14,7 +14,7 @@ import typer
 
 from charact import __version__
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, progress_bar
+from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
@@ -26,13 +26,12 @@ def methods(as_json: options.Json = False) -> None:
 
     Example: charact methods
     """
-    from charact.method.registry import MODULES, chart_table, methods_of_kind
+    from charact.method.registry import chart_table, describe_methods
     from charact.method.stopwatch import time_text
 
     rows = []
-    for method in (method for kind in MODULES for method in methods_of_kind(kind).values()):
-        charted = [r for q in method.quantities for r in chart_table(q) if r["method"] == method.name]
-        row = {name: getattr(method, name) for name in ("kind", "name", "quantities", "scope")}
+    for row in describe_methods():
+        charted = [r for q in row["quantities"] for r in chart_table(q) if r["method"] == row["name"]]
         rows.append(row | ({key: charted[0][key] for key in ("error_percent", "seconds")} if charted else {}))
     if as_json:
         print(json.dumps({"methods": rows}))
@@ -43,18 +42,21 @@ def methods(as_json: options.Json = False) -> None:
 
 
 def schema(
-    kind: Annotated[str, typer.Argument(help="session, sensor, solid-state, plan, scene (outdoor) or bench.")],
+    kind: Annotated[
+        str, typer.Argument(help="session, sensor, solid-state, infrared, plan, limits, scene (outdoor) or bench.")
+    ],
 ) -> None:
     """Print the JSON Schema of a file format, for editors.
 
     Example: charact schema plan > plan.schema.json
     """
     with exit_on_bad_input(kind):
-        from labdata.serialiser import file_schema
+        from charact.comparison import Limits
+        from labdata.schema import file_schema
         from simulate.radiance.outdoor.scene import OutdoorScene
         from simulate.radiance.scene import LabScene
 
-        found = file_schema(kind, {"scene": OutdoorScene, "bench": LabScene})
+        found = file_schema(kind, {"limits": Limits, "scene": OutdoorScene, "bench": LabScene})
         if kind == "scene":
             # The folder is not part of the file.
             del found["properties"]["folder"]
@@ -66,39 +68,78 @@ Out = Annotated[Path, typer.Option(help="Folder for the table and the figure.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Reduced run: fewer cases, no Markov chains.")]
 
 
+Measure = Annotated[bool, typer.Option("--measure", help="Measure anew (minutes) instead of showing what is shipped.")]
+
+
 def chart(
     quantity: Name,
     out: Out = Path("study"),
-    update: Annotated[bool, typer.Option("--update", help="Also update the table used by auto.")] = False,
+    measure: Measure = False,
+    update: Annotated[
+        bool, typer.Option("--update", help="With --measure: also update the table used by auto.")
+    ] = False,
     quick: Quick = False,
     seed: options.Seed = 0,
     events: options.Events = False,
 ) -> None:
-    """Measure error against computing time of every method of a quantity on common cases.
+    """Show error against computing time of every method of a quantity; --measure measures them on common cases.
 
     Example: charact chart mtf50 --out study
     """
     with exit_on_bad_input(quantity, events=events), progress_bar(events=events) as progress:
+        from charact.method.registry import CHARTED, chart_table
+        from charact.report.method_chart import chart_lines, write_chart
+
+        rows = chart_table(quantity)
+        if update and not measure:
+            raise BadInput("--update needs --measure: it stores what is measured")
+        if not measure and not rows:
+            charted = ", ".join(dict.fromkeys(name for name, _ in CHARTED.values() if chart_table(name)))
+            raise BadInput(f"a chart is shipped of {charted}, got {quantity!r}: --measure measures one")
+        if not measure:
+            print("\n".join(chart_lines(quantity, rows)))
+            print(f"{write_chart(quantity, rows, out)}\nMeasure anew: charact chart {quantity} --measure")
+            return
         from charact import study
 
+        _announce(rows, events)
         print(study.chart(quantity, seed=seed, out=out, quick=quick, update=update, progress=progress).text())
 
 
 def stability(
     quantity: Name,
     out: Out = Path("study"),
+    measure: Measure = False,
     quick: Quick = False,
     seed: options.Seed = 0,
     events: options.Events = False,
 ) -> None:
-    """Map error, refusals, flags and silent failures of every method beyond its breaking point.
+    """Show how every method of a quantity failed on the shipped cases; --measure sweeps it past its breaking point.
 
-    Example: charact stability mtf50 --out study
+    Example: charact stability mtf50 --measure --out study
     """
     with exit_on_bad_input(quantity, events=events), progress_bar(events=events) as progress:
+        from charact.method.registry import chart_table
+        from charact.report.method_chart import failure_lines
+
+        rows = chart_table(quantity)
+        if not measure:
+            if not rows:
+                raise BadInput(f"no cases of {quantity!r} are shipped: --measure measures some")
+            print("\n".join(failure_lines(quantity, rows)))
+            print(f"Map of the breaking points: charact stability {quantity} --measure")
+            return
         from charact import study
 
+        _announce(rows, events)
         print(study.stability(quantity, seed=seed, out=out, quick=quick, progress=progress).text())
+
+
+def _announce(rows: list[dict[str, Any]], events: bool) -> None:
+    """Say how long a measurement takes at least, by the shipped table."""
+    seconds = sum(row["seconds"] * row["cases"] for row in rows)
+    if seconds > 0:
+        print_message(f"at least {seconds / 60.0:.1f} min on one core like that of the shipped table", events=events)
 
 
 def doctor(
@@ -149,7 +190,7 @@ def conform(
 
 def _check_model(name: str) -> int:
     """Check one model, print each rule, and return the number of broken rules."""
-    from drivers.instruments.conformance import rules_for
+    from drivers.conformance import rules_for
 
     broken = 0
     with tempfile.TemporaryDirectory() as folder, VirtualPair(name, Path(folder)) as pair:

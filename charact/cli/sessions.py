@@ -12,19 +12,34 @@ import typer
 
 from charact import __version__
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, in_file_coordinates, print_message, print_result, progress_bar
+from charact.cli.output import exit_on_bad_input, print_message, print_result, progress_bar
+from charact.cli.outputs import FITTED, Force, require_free, why_other_kind
+from labdata.camera_description import Draws
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
+    from charact.fit.prior import VisibleCamera
     from charact.method import Context
-    from charact.validation import Statistic, Validation
+    from charact.validation import Validation
     from labdata.measurement import Result
-    from labdata.sensor import Sensor
     from labdata.session import Session
 
-SessionFolder = Annotated[Path, typer.Argument(help="Session folder.")]
-SessionFolders = Annotated[list[Path], typer.Argument(help="Session folders.")]
-FITTED = "fitted.toml"
+
+def session_in(folder: Path) -> Path:
+    """Return the session folder inside the folder of a demonstration, else the folder."""
+    from labdata.session import MANIFEST
+
+    inside = folder / "session"
+    return inside if (inside / MANIFEST).is_file() and not (folder / MANIFEST).is_file() else folder
+
+
+def _sessions_in(folders: list[Path]) -> list[Path]:
+    return [session_in(folder) for folder in folders]
+
+
+HELP = "Session folder, or that of a demonstration."
+SessionFolder = Annotated[Path, typer.Argument(help=HELP, callback=session_in)]
+SessionFolders = Annotated[list[Path], typer.Argument(help=HELP, callback=_sessions_in)]
 
 
 def is_image(path: Path) -> bool:
@@ -52,7 +67,7 @@ def open_session_only(path: Path) -> "Session":
     return open_session(path)
 
 
-@options.with_options("method", "within", "quick", "seed", "scheduler", "as_json", "events")
+@options.with_options("method", "within", "quick", "seed", "scheduler", "everything", "as_json", "events")
 def noise(sessions: SessionFolders, **settings: Any) -> None:
     """Measure noise and gain from flat and dark stacks of one or more sessions.
 
@@ -78,7 +93,9 @@ def noise(sessions: SessionFolders, **settings: Any) -> None:
         raise typer.Exit(1)
 
 
-@options.with_options("method", "within", "quick", "seed", "as_json", "events", "map_to", "map_of", "plane", "axis")
+@options.with_options(
+    "method", "within", "quick", "seed", "everything", "as_json", "events", "map_to", "map_of", "plane", "axis"
+)
 def bloom(
     session: SessionFolder, *, map_to: Path | None, map_of: str | None, plane: str | None, axis: str | None,
     **settings: Any,
@@ -103,68 +120,84 @@ def bloom(
 
 
 def _analyse(
-    room: str, folder: Path, *, method: str, within: float, quick: bool, seed: int, as_json: bool, events: bool,
+    room: str, folder: Path, *, method: str, within: float, quick: bool, seed: int, everything: bool, as_json: bool,
+    events: bool,
     scheduler: str | None = None, drawn: "Callable[[Session, Result, Context], None] | None" = None,
 ) -> None:  # fmt: skip
     with exit_on_bad_input(str(folder), as_json=as_json, events=events), progress_bar(events=events) as progress:
-        from importlib import import_module
-
         from charact.method.registry import parallel_map
-        from charact.session_measurement import method_context
+        from charact.session_measurement import measure_bloom, measure_noise, method_context, with_inputs
+        from labdata import result_io
 
         given = open_session_only(folder)
-        analysis = import_module(f"charact.{room}")
+        analysis = measure_noise if room == "noise" else measure_bloom
+
+        def keep(given: "Session", result: "Result", context: "Context") -> None:
+            try:
+                result_io.save_into(with_inputs(result, given), given.folder)
+            except OSError as error:  # a folder of others may be read-only
+                print_message(f"the result is not kept in {given.folder}: {error.strerror or error}", events=events)
+            if drawn is not None:
+                drawn(given, result, context)
+
         with parallel_map(scheduler) as spread:
             context = method_context(given, quick=quick, seed=seed, progress=progress, spread=spread)
-            result = analysis.measure(given, method=method, within_percent=within, context=context)
+            result = analysis(given, method=method, within_percent=within, context=context)
         print_result(
-            result, given=str(folder), as_json=as_json, events=events, next_verb=f"charact measure {folder}",
-            then=None if drawn is None else lambda: drawn(given, result, context),
+            result, given=str(folder), verb=room, as_json=as_json, events=events, everything=everything,
+            next_verb=f"charact measure {folder}", then=lambda: keep(given, result, context),
         )  # fmt: skip
 
 
 def _bloom_of_image(
-    path: Path, *, method: str, within: float, quick: bool, seed: int, mapped: bool, plane: str | None,
-    axis: str | None, as_json: bool, events: bool,
+    path: Path, *, mapped: bool, plane: str | None, axis: str | None, within: float, everything: bool, as_json: bool,
+    events: bool, **settings: Any,
 ) -> None:  # fmt: skip
     """Measure and print the bloom extent of a point source in a single image."""
     with exit_on_bad_input(str(path), as_json=as_json, events=events):
-        from charact import bloom
-        from charact.bloom.single_frame import bare_session, measure_frame
-        from charact.session_measurement import method_context
+        from charact.api import bloom, frames_of
 
-        if not path.exists():
-            raise BadInput(f"the file of frames must exist, got {path}")
         if mapped:
             raise BadInput(
                 f"--map needs a session with point sources, got the file {path}; create one with "
                 f"charact import frames {path} OUT --kind point"
             )
-        session = bare_session(path)
-        session = replace(session, stacks=(replace(session.stacks[0], plane=plane, axis=axis),))
+        frames = frames_of(path, plane=plane, axis=axis)
         with progress_bar(events=events) as progress:
-            context = method_context(session, quick=quick, seed=seed, progress=progress)
-            if method == "auto":
-                result = measure_frame(session, context=context)
-            else:
-                result = bloom.measure(session, method=method, within_percent=within, context=context)
-        result = in_file_coordinates(result, session.stacks[0].read())
+            result = bloom(frames, within_percent=within, progress=progress, label=path.stem, **settings)
         further = f"charact import frames {path} mine --kind point, then charact measure mine"
-        print_result(result, given=str(path), as_json=as_json, events=events, next_verb=further)
+        print_result(
+            result, given=str(path), verb="bloom", as_json=as_json, events=events, everything=everything,
+            next_verb=further,
+        )  # fmt: skip
 
 
-@options.with_options("within", "quick", "seed", "scheduler", "as_json", "events")
-def measure(session: SessionFolder, *, as_json: bool, events: bool, **settings: Any) -> None:
+@options.with_options(
+    "within", "quick", "seed", "scheduler", "units", "pitch_um", "demagnification", "focal_length_mm", "everything",
+    "as_json", "events",
+)  # fmt: skip
+def measure(
+    session: SessionFolder, *, units: str, pitch_um: float | None, demagnification: float | None,
+    focal_length_mm: float | None, everything: bool, as_json: bool, events: bool, **settings: Any,
+) -> None:  # fmt: skip
     """Measure everything the stacks of a session support and store the result in the session.
 
     Example: charact measure day1 --quick
     """
     with exit_on_bad_input(str(session), as_json=as_json, events=events):
+        from charact.report.frequency_unit import FrequencyUnit
         from labdata import result_io
+        from labdata.lazy_stack import open_lazy_stack
 
+        given = open_session_only(session)
+        frequency = FrequencyUnit.of(
+            given.sensor or given.imager, rows=open_lazy_stack(given.stacks[0]).shape[1] if given.stacks else None,
+            unit=units, pitch_um=pitch_um, demagnification=demagnification, focal_length_mm=focal_length_mm,
+        )  # fmt: skip
         result = measure_folder(session, events=events, **settings)
         print_result(
-            result, given=str(session), as_json=as_json, events=events, next_verb=f"charact report {session}",
+            result, given=str(session), verb="measure", as_json=as_json, events=events, everything=everything,
+            frequency=frequency, next_verb=f"charact report {session}",
             then=lambda: result_io.save(result, open_session_only(session).folder),
         )  # fmt: skip
 
@@ -207,6 +240,7 @@ def load_or_measure(folder: Path, *, seed: int, events: bool) -> "Result":
 def fit(
     session: SessionFolder,
     sensor_out: Annotated[Path, typer.Option("--sensor-out", help="Output TOML file of the fitted sensor.")],
+    force: Force = False,
     seed: options.Seed = 0,
     events: options.Events = False,
 ) -> None:
@@ -215,6 +249,7 @@ def fit(
     Example: charact fit day1 --sensor-out day1/fitted.toml
     """
     with exit_on_bad_input(str(session), events=events):
+        require_free(sensor_out, force=force, kept=lambda: _why_no_fit(sensor_out, session))
         result = load_or_measure(session, seed=seed, events=events)
         fitted = fit_and_save(session, result, sensor_out, seed=seed, events=events)
         for path, p in fitted.parameters().items():
@@ -223,7 +258,19 @@ def fit(
         print(f"{sensor_out}\nNext: charact validate {session} --sensor {sensor_out}")
 
 
-def fit_and_save(folder: Path, result: "Result", out: Path, *, seed: int, events: bool) -> "Sensor":
+def _why_no_fit(path: Path, session: Path) -> str | None:
+    """Return what a file is that is no fitted sensor, or is the camera of the session; else None."""
+    from labdata.sensors import load_camera
+
+    if path.resolve() == (session / "sensor.toml").resolve():
+        return "the camera of the session"
+    try:
+        return None if getattr(load_camera(path), "draws", Draws()).values else "a sensor that was not fitted"
+    except BadInput:
+        return "a file that is no sensor"
+
+
+def fit_and_save(folder: Path, result: "Result", out: Path, *, seed: int, events: bool) -> "VisibleCamera":
     """Fit the sensor of a session and save it as a TOML file."""
     from charact.fit import fit_sensor
     from labdata.sensors import save_sensor
@@ -259,41 +306,56 @@ def validate(
 def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bool) -> "Validation":
     """Validate a session against a fitted sensor and save the result in the session folder."""
     from charact import validation
-    from labdata.sensors import load_sensor
+    from labdata.infrared_imager import InfraredImager
+    from labdata.sensors import load_camera
 
     session = open_session_only(folder)
     if isinstance(sensor, Path) and not sensor.is_file():
         raise BadInput(
             f"validate needs a fitted sensor, got no file {sensor}; run charact fit {folder} --sensor-out {sensor}"
         )
-    fitted = load_sensor(sensor)
+    fitted = load_camera(sensor)
+    if isinstance(fitted, InfraredImager):
+        raise BadInput(f"validate needs a camera of visible light, got {fitted.name!r} of the thermal infrared")
     if not fitted.draws.values:
         sentence = f"{fitted.name} has no posterior draws: it is simulated without parameter uncertainty"
         print_message(sentence, events=events)
     with progress_bar(events=events) as progress:
         done = validation.validate(session, fitted, seed=seed, progress=progress)
+    if Path(sensor).resolve().parent == session.folder.resolve():
+        done = replace(done, notes=(*done.notes, validation.SAME_SESSION))
     validation.save(done, session.folder)
     return done
 
 
 def _lines(validation: "Validation") -> Iterator[str]:
-    """Yield one line per statistic, both controls, and the verdict."""
-    yield from map(_line, validation.statistics)
+    """Yield one line per statistic, what the controls noticed and did not, detectable errors, and the verdict."""
+    for one in validation.statistics:
+        yield f"{one.title}: p {one.p_text}, {'agrees' if one.passed else 'DIFFERS'}"
+        if not one.passed:
+            yield f"    most in {one.worst}; may come from {one.cause}"
     for control in validation.controls:
-        yield f"{control.name} control ({control.title}): {'held' if control.passed else 'DID NOT HOLD'}"
-        yield from (f"    {_line(statistic)}" for statistic in control.statistics)
+        if control.name == "null":
+            failing = "" if control.passed else f": {', '.join(control.noticed_by)}"
+            yield f"null control, {control.title}: {'passes' if control.passed else 'FAILS'}{failing}"
+    negative = [one for one in validation.controls if one.name == "negative"]
+    unseen = [one.title for one in negative if not one.passed]
+    yield f"negative controls: {len(negative) - len(unseen)} of {len(negative)} noticed" + (
+        f"; not seen: {', '.join(unseen)}" if unseen else ""
+    )
+    found = [f"{one.title} {100.0 * one.relative_error:.2g} %" for one in validation.power if one.statistic]
+    if found:
+        share = f"{100.0 * validation.power[0].probability:g} %"
+        yield f"errors that would have been found in {share} of cases: {', '.join(found)}"
+    yield from (f"note: {note}" for note in validation.notes)
     yield f"validation: {'passed' if validation.passed else 'FAILED'}"
-
-
-def _line(statistic: "Statistic") -> str:
-    verdict = "agrees" if statistic.passed else "differs"
-    return f"{statistic.title}: p {statistic.p_value:.3g} at level {statistic.level:.3g}, {verdict}"
 
 
 def report(
     session: SessionFolder,
     out: Annotated[Path | None, typer.Option(help="Output HTML file (default: report.html in the session).")] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Also write a PDF.")] = False,
+    force: Force = False,
     seed: options.Seed = 0,
     events: options.Events = False,
 ) -> None:
@@ -305,6 +367,8 @@ def report(
         from charact.report import write
         from charact.validation import load
 
+        for path in () if out is None else (out, *((out.with_suffix(".pdf"),) if pdf else ())):
+            require_free(path, force=force, kept=lambda path=path: why_other_kind(path, b"<!doctype html", b"%PDF"))
         given = open_session_only(session)
         result = load_or_measure(session, seed=seed, events=events)
         print(write(given, result, out or session / "report.html", validation=load(given.folder), pdf=pdf))

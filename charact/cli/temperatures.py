@@ -2,17 +2,21 @@
 
 import io
 import json
+import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message, progress_bar
+from charact.cli.output import exit_on_bad_input, print_message, print_result, progress_bar
+from charact.cli.outputs import Force, require_free
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from labdata.measurement import Result
     from simulate.thermal.temperatures import Temperatures
 
 
@@ -26,16 +30,24 @@ def temperatures(
         float, typer.Option(help="Error budget for neglected terms at the scene's time, mK.", min=0.0)
     ] = 20.0,
     seed: options.Seed = 0,
+    force: Force = False,
     explain: Annotated[
         bool, typer.Option("--explain", help="Print the bound on each term and which terms are neglected.")
     ] = False,
+    as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
     """Compute surface temperatures of a scene over the day before its time, and their map at its time.
 
     Example: charact temperatures hangar warm --explain
     """
-    with exit_on_bad_input(str(scene), events=events), progress_bar(events=events) as progress:
+    with (
+        exit_on_bad_input(str(scene), as_json=as_json, events=events),
+        progress_bar(events=events) as progress,
+    ):
+        taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
+        other = None if (out / "temperatures.json").is_file() else "something without a temperatures.json"
+        require_free(out, force=force, taken=taken, kept=lambda: other)
         import numpy as np
 
         from charact.cli.image_figures import save_png
@@ -48,19 +60,19 @@ def temperatures(
         from simulate.radiance.scene import LabScene, load_scene
         from simulate.thermal.temperatures import temperatures_of
 
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise BadInput(f"OUT must be a new or empty folder, got {out}; nothing is overwritten")
         loaded = load_scene(scene)
         if isinstance(loaded, LabScene):
             raise BadInput(f"surface temperatures need an outdoor scene, got the lab bench {loaded.name!r}")
         view = OutdoorRendering(loaded, camera_from_description(load_described_camera(sensor)), Conditions()).view
         progress("heat balance", 0.0)
+        began = time.perf_counter()
         found = temperatures_of(loaded, tolerance_mk=within_mk, seed=seed)
+        result = _result(found, time.perf_counter() - began, seed)
         kelvin = found.map_k(view, lambda fraction: progress("map", fraction))
         for note in found.balance.weather.notes:
             print_message(note, events=events)
         if explain:
-            print("\n".join(_terms(found, within_mk)))
+            print("\n".join(_terms(found, within_mk)), file=sys.stderr if as_json else sys.stdout)
         title = f"{loaded.name}, {found.balance.weather.moment.isoformat(sep=' ', timespec='minutes')}"
         out.mkdir(parents=True, exist_ok=True)
         write_atomically(out / "temperatures.csv", _table(found).encode())
@@ -70,7 +82,51 @@ def temperatures(
         content = io.BytesIO()
         np.savez_compressed(content, temperature_k=kelvin)
         write_atomically(out / "map.npz", content.getbuffer())
+        if as_json:
+            print_result(result, given=str(scene), verb="temperatures", as_json=True, events=events)
+            return
+        print("\n".join(_last_row(result)))
         print(f"{out}: temperatures.csv, temperatures.png, map.png, map.npz (kelvin), temperatures.json (numbers used)")
+
+
+def _result(found: "Temperatures", seconds: float, seed: int) -> "Result":
+    """Return the mean temperature of each OBJECT:MATERIAL at the scene's time as measurements."""
+    from charact import __version__
+    from labdata.measurement import Provenance, Result, measurement_from_sd
+
+    of_library = {slab.source for slab in found.balance.slabs if slab.source}
+    notes = (*found.balance.weather.notes, *(f"slabs: {source}" for source in sorted(of_library)[:1]))
+    _, _, surfaces = found.means_c()
+    return Result(
+        measurements=tuple(
+            measurement_from_sd(
+                "surface_temperature",
+                "C",
+                float(surfaces[name][-1]),
+                sd,
+                method="slab",
+                seconds=seconds,
+                stack=name,
+                notes=notes,
+                provenance=Provenance(version=__version__, seed=seed),
+            )
+            for name, sd in found.last_sd_k().items()
+        )
+    )
+
+
+def _last_row(result: "Result") -> list[str]:
+    """Return lines on surfaces at the scene's time, the warmest first, with 95 % intervals."""
+    from charact.report.summary import LINES
+
+    most = LINES - 10
+    ordered = sorted(result.measurements, key=lambda one: -(one.value or 0.0))
+    lines = [f"{'surface at the scene time':44}  {'mean, C':>8}  {'95 %':>6}"]
+    for one in ordered[:most]:
+        low, high = one.interval95 or (0.0, 0.0)
+        lines.append(f"{one.stack or '':44}  {one.value:8.1f}  ±{0.5 * (high - low):5.1f}")
+    more = len(ordered) - most
+    return [*lines, *([f"and {more} more in temperatures.csv"] if more > 0 else [])]
 
 
 def _terms(found: "Temperatures", within_mk: float) -> list[str]:
@@ -81,7 +137,10 @@ def _terms(found: "Temperatures", within_mk: float) -> list[str]:
         ordered = sorted(effects, key=lambda effect: -effect.influence)
         lines += [f"{effect.name:58}  {effect.influence:20.3g}  {verdict}" for effect in ordered]
     together = sum(effect.influence for effect in solution.left_out)
-    return [*lines, f"left out together: at most {together:.3g} mK; each may have {within_mk:g} mK"]
+    lines.append(f"left out together: at most {together:.3g} mK; each may have {within_mk:g} mK")
+    lines.append(f"{'uncertain input':58}  {'1 sd, at most, mK':>20}")
+    errors = {name: 1e3 * float(abs(error).max()) for name, error in solution.errors_k.items()}
+    return [*lines, *(f"{name:58}  {size:20.3g}" for name, size in sorted(errors.items(), key=lambda one: -one[1]))]
 
 
 def _table(found: "Temperatures") -> str:
@@ -109,6 +168,7 @@ def _document(found: "Temperatures") -> dict:
             for effects, kept in ((solution.effects, True), (solution.left_out, False))
             for effect in effects
         ],
+        "standard_deviation_k": found.last_sd_k(),
         "slabs": {
             name: {"label": slab.label} | {key: asdict(number) for key, number in slab.parameters().items()}
             for name, slab in slabs.items()

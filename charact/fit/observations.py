@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 
 from charact.fit import predicted_quantities
 from charact.fit.predicted_quantities import Values
-from charact.fit.prior import values_of_description
+from charact.fit.prior import VisibleCamera, values_of_description
+from charact.noise.illumination import gathering_s
+from labdata.conditions import Conditions
 from labdata.measurement import Curve, Measurement, Result
 from labdata.sensor import Sensor
 from labdata.session import Session, StackEntry
+from labdata.solid_state import SolidStateCamera
 
 Array = NDArray[np.float64]
 
@@ -103,47 +106,103 @@ def one(
     )  # fmt: skip
 
 
+def at_least(name: str, value: float, sd: float, predict: Callable[[Values], Array], speaks_of: tuple[str, ...]
+             ) -> Observation:  # fmt: skip
+    """Return the observation of a lower bound: a prediction above it agrees."""
+    return one(name, value, sd, lambda values: np.minimum(predict(values), value), speaks_of)
+
+
 @dataclass(frozen=True, kw_only=True)
 class StackMean:
-    """Mean of one stack."""
+    """Mean of one stack, its temporal variance and that of its fixed pattern."""
 
     label: str  # label of the stack
     mean_dn: float  # mean over frames and pixels, DN
     sd_dn: float  # its standard error, from the scatter of the frames' means, DN
     noise_dn: float  # robust noise of a pixel, DN: half the range of the central 68 %
-    # illuminance_lux, gate_s, exposure_s, mcp_v: conditions; a dark has no illuminance
+    # illuminance_lux, gate_s, exposure_s, mcp_v: conditions; a dark has no illuminance, nan is unknown
     illuminance_lux: float
     gate_s: float
     exposure_s: float
     mcp_v: float
+    entry: StackEntry | None = None  # the stack
+    # mean over pixels of the variance between frames, variance over pixels of the mean frame without its noise, and the
+    # standard errors of both, DN^2; nan of a single frame
+    temporal_dn2: tuple[float, float] = (np.nan, np.nan)
+    spatial_dn2: tuple[float, float] = (np.nan, np.nan)
+
+    @property
+    def conditions(self) -> Conditions:
+        """Conditions of the stack."""
+        return Conditions() if self.entry is None else self.entry.conditions
+
+    @property
+    def dark(self) -> bool:
+        """Whether the stack is a dark."""
+        return self.illuminance_lux == 0.0
+
+
+# Fraction of pixels at an end of the scale, and level over full scale, up to which a stack is in the linear range.
+MOST_CLIPPED, HIGHEST_LEVEL = 1e-3, 0.85
 
 
 def levels_of(session: Session) -> tuple[StackMean, ...]:
-    """Return the means of the session's darks and flats within the linear range."""
+    """Return the means of the session's darks and flats of known light within the linear range."""
     found = (_level(session, entry) for entry in session.of_kind("dark", "flat"))
     return tuple(level for level in found if level is not None)
 
 
 def _level(session: Session, entry: StackEntry) -> StackMean | None:
-    conditions = entry.conditions
+    conditions, camera = entry.conditions, session.camera
     illuminance = 0.0 if entry.kind == "dark" else conditions.illuminance_lux
-    if illuminance is None or session.sensor is None:
+    if isinstance(camera, SolidStateCamera):
+        if illuminance is None and conditions.photons_per_px and conditions.wavelength_nm:
+            illuminance = np.nan
+        reference_v, field_s = 0.0, 1.0 / float(camera.video.field_rate_hz)
+        shutter_s = gathering_s(conditions) or field_s
+    elif isinstance(camera, Sensor):
+        reference_v, field_s = float(camera.microchannel_plate.reference_v), 1.0 / float(camera.video.field_rate_hz)
+        shutter_s = conditions.exposure_s or field_s
+    else:
+        return None
+    if illuminance is None:
         return None
     stack = entry.read()
-    top = stack.full_scale_dn or float(2**session.sensor.video.bit_depth - 1)
+    top = stack.full_scale_dn or float(2**camera.video.bit_depth - 1)
     means = stack.data.mean(axis=(1, 2), dtype=np.float64)
-    if np.mean(stack.data >= top) > 1e-3 or means.mean() > 0.85 * top:
+    clipped = max(np.mean(stack.data >= top), np.mean(stack.data <= 0))
+    if clipped > MOST_CLIPPED or means.mean() > HIGHEST_LEVEL * top:
         return None
     scatter = float(means.std(ddof=1)) / np.sqrt(len(means)) if len(means) > 1 else float(stack.data.std()) / 10.0
-    field_s = 1.0 / float(session.sensor.video.field_rate_hz)
-    exposure_s = conditions.exposure_s or field_s
-    gate_s = exposure_s if conditions.gate_ns is None else min(conditions.gate_ns * 1e-9, exposure_s)
-    reference_v = float(session.sensor.microchannel_plate.reference_v)
+    gate_s = shutter_s if conditions.gate_ns is None else min(conditions.gate_ns * 1e-9, shutter_s)
+    temporal, spatial = _variances(stack.data)
     return StackMean(
         label=entry.label, mean_dn=float(means.mean()), sd_dn=scatter, noise_dn=_noise_dn(stack.data[0]),
-        illuminance_lux=float(illuminance), gate_s=float(gate_s), exposure_s=float(exposure_s),
-        mcp_v=float(conditions.mcp_v or reference_v),
+        illuminance_lux=float(illuminance), gate_s=float(gate_s), exposure_s=float(shutter_s),
+        mcp_v=float(conditions.mcp_v or reference_v), entry=entry, temporal_dn2=temporal, spatial_dn2=spatial,
     )  # fmt: skip
+
+
+def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return temporal variance and variance of the fixed pattern with their standard errors, frame offsets removed.
+
+    Standard errors are from the scatter over pixels, taken as independent: for white noise.
+    """
+    count, pixels = len(data), data[0].size
+    if count < 2:
+        return (np.nan, np.nan), (np.nan, np.nan)
+    total, square = np.zeros(data.shape[1:]), np.zeros(data.shape[1:])
+    for frame in data:
+        away = frame - frame.mean(dtype=np.float64)
+        total += away
+        square += away**2
+    each = (square - total**2 / count) / (count - 1)
+    own = (total / count) ** 2 - each / count
+    root = np.sqrt(pixels)
+    return (
+        (float(each.mean()), float(each.std() / root)),
+        (float(own.mean()), float(own.std() / root)),
+    )
 
 
 def _noise_dn(frame: NDArray) -> float:
@@ -163,11 +222,16 @@ MTF_MODEL_SD = 0.004
 MTF_SPACING_CY_PER_PX = 0.04
 
 
-def mtf_observations(session: Session, sensor: Sensor, result: Result) -> list[Observation]:
-    """Return the observations of MTF curves and bar targets, each along its own direction."""
+def mtf_observations(
+    session: Session, sensor: VisibleCamera, result: Result, depends: tuple[str, ...] = SPREAD
+) -> list[Observation]:
+    """Return the observations of MTF curves and bar targets, each along its own direction.
+
+    `depends`: paths of the parameters that the MTF depends on.
+    """
     stacks = {m.stack for m in admissible_measurements(result, "mtf50")}
     found = [
-        _curve(name, line, session, sensor, result)
+        _curve(name, line, session, sensor, result, depends)
         for name, line in result.curves.items()
         if name.split(":")[0] in ("mtf", "mtf_vertical")
         and line.interval68 is not None
@@ -180,7 +244,7 @@ def mtf_observations(session: Session, sensor: Sensor, result: Result) -> list[O
             fx, fy = _components(np.array([m.frequency_cy_per_px]), angle_deg or 0.0, sensor)
             sd = float(np.hypot(sd_of(m), MTF_MODEL_SD))
             predict = partial(predicted_quantities.mtf, across=fx, along=fy)
-            found.append(one(f"mtf of {m.stack}", m.value or 0.0, sd, lambda v, f=predict: f(v)[:, 0], SPREAD))
+            found.append(one(f"mtf of {m.stack}", m.value or 0.0, sd, lambda v, f=predict: f(v)[:, 0], depends))
     return found
 
 
@@ -189,7 +253,8 @@ def _stack_of(name: str, line: Curve) -> str | None:
     return line.stack or (name.split(":", 1)[1] if ":" in name else None)
 
 
-def _curve(name: str, line: Curve, session: Session, sensor: Sensor, result: Result) -> Observation:
+def _curve(name: str, line: Curve, session: Session, sensor: VisibleCamera, result: Result, depends: tuple[str, ...]
+           ) -> Observation:  # fmt: skip
     """Observe an MTF curve at frequencies far enough apart."""
     wanted = np.arange(MTF_SPACING_CY_PER_PX, 0.45 + 1e-9, MTF_SPACING_CY_PER_PX)
     frequency = np.asarray(line.frequency_cy_per_px, float)
@@ -202,7 +267,7 @@ def _curve(name: str, line: Curve, session: Session, sensor: Sensor, result: Res
     # Errors are correlated over 0.08 cy/px: closely spaced points add little information.
     apart, sd = np.abs(np.subtract.outer(wanted[used], wanted[used])), sd[used]
     covariance = np.outer(sd, sd) * np.exp(-apart / 0.08) + MTF_MODEL_SD**2 * np.eye(sd.size)
-    return Observation(name=name, value=value[used], covariance=covariance, speaks_of=SPREAD,
+    return Observation(name=name, value=value[used], covariance=covariance, speaks_of=depends,
                        predict=partial(predicted_quantities.mtf, across=fx, along=fy))  # fmt: skip
 
 
@@ -220,7 +285,7 @@ def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> floa
     return angles[0] if angles else 0.0
 
 
-def _components(frequency: Array, angle_deg: float, sensor: Sensor) -> tuple[Array, Array]:
+def _components(frequency: Array, angle_deg: float, sensor: VisibleCamera) -> tuple[Array, Array]:
     """Split frequencies in cy per column pitch: along rows in the same, along columns in cy per row pitch."""
     pitch_ratio = float(sensor.ccd.pitch_y_um) / float(sensor.ccd.pitch_x_um)
     angle = np.deg2rad(angle_deg)
@@ -264,7 +329,7 @@ def noise_observations(
             at = float(own_volts.get(m.stack or "") or volts)
             found.append(_Noise(mcp_v=at, value=value, sd=sd, predict=predict, speaks_of=depends))
     found += _neighbours(result, volts)
-    darks = [level for level in levels if level.illuminance_lux == 0.0]
+    darks = [level for level in levels if level.dark]
     # The read noise must be large against the quantisation step, so that rounding is additive.
     least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
     if darks and least_e * float(sensor.video.conversion_gain_dn_per_e) > LEAST_NOISE_DN:
@@ -347,8 +412,29 @@ def observations(
     path = "photocathode.halo_fraction"
     for m in admissible_measurements(result, "halo_fraction"):
         found.append(one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values[path], (path,)))
+    found += _fixed_patterns(sensor, result)
     found += [_levels(levels, reference_v)] if levels else []
     return tuple(found)
+
+
+# Relative model error of the variance of a tube's fixed pattern: blur of the screen's grain.
+PATTERN_MODEL_SD = 0.1
+# Variance of a hexagonal pattern of lines over its squared contrast: 2 w/P sqrt(pi)/2 of Gaussian lines of width w, a
+# fibre or two of 6 um, at the pitch P of 0.5 mm.
+LINE_AREA = 0.03
+
+
+def _fixed_patterns(sensor: Sensor, result: Result) -> list[Observation]:
+    """Observe the relative variance of the fixed pattern; the lines of the multi-fibres are a systematic error."""
+    plates = (sensor.taper.pattern_contrast, sensor.microchannel_plate.pattern_contrast)
+    lines = sum(LINE_AREA * (plate.high or float(plate)) ** 2 / 2.0 for plate in plates)
+    found = []
+    for m in admissible_measurements(result, "prnu", "%"):
+        value = 1e-4 * (m.value or 0.0) ** 2
+        sd = float(np.hypot.reduce([2e-4 * (m.value or 0.0) * sd_of(m), PATTERN_MODEL_SD * value, lines]))
+        depends = ("ccd.prnu", "phosphor.gain_nonuniformity")
+        found.append(one("fixed pattern", value, sd, predicted_quantities.spatial_variance, depends))
+    return found
 
 
 def _levels(levels: tuple[StackMean, ...], reference_v: float) -> Observation:

@@ -15,21 +15,23 @@ def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0) -> Array:
     """Return the system MTF.
 
     `across`: horizontal frequencies, shape (m,), cycles per column pitch; `along`: vertical frequencies, shape (m,),
-    cycles per row pitch; a field row is the sum of two sensor rows.
+    cycles per row pitch of the sensor; a field row of interlaced video is the sum of two sensor rows.
 
     Returns Array, shape (n, m).
 
-    lens x [(1 - q) + q halo] x tube x fibres x pixel x video, each a function of the frequency at its own plane.
+    lens x [(1 - q) + q halo] x tube x fibres x pixel x video, each a function of the frequency at its own plane; a
+    camera without a tube has lens x pixel only.
     """
     fx, fy = np.broadcast_arrays(np.atleast_1d(np.asarray(across, float)), np.asarray(along, float))
     detector = _per_mm_at_detector(values, fx, fy)
+    if not has_tube(values):
+        return _lens(values, detector) * _readout(values, fx, fy)
     cathode = detector / _column(values, "taper.demagnification")
     share = _column(values, "photocathode.halo_fraction")
     halo = halo_transfer(
         cathode, _column(values, "photocathode.gap_mm"), _column(values, "photocathode.halo_elastic_share")
     )
-    lens = lens_transfer(cathode, _column(values, "optics.aberration_blur_um"), _column(values, "optics.f_number"))
-    before = lens * ((1.0 - share) + share * halo)
+    before = _lens(values, cathode) * ((1.0 - share) + share * halo)
     return before * _tube(values, cathode, 1.0) * _coupling(values, detector) * _readout(values, fx, fy)
 
 
@@ -49,7 +51,9 @@ def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
     """
     weights = _video_weights(values)
     across = aperture_transfer(_ACROSS) * video_filter_transfer(weights, _ACROSS)
-    detector = _per_mm_at_detector(values, *(plane.ravel() for plane in np.meshgrid(_ACROSS, _ALONG / 2.0)))
+    detector = _per_mm_at_detector(
+        values, *(plane.ravel() for plane in np.meshgrid(_ACROSS, _ALONG / rows_per_pixel(values)))
+    )
     cathode = detector / _column(values, "taper.demagnification")
     after = _tube(values, cathode, _column(values, "tube.post_gain_share")) * _coupling(values, detector)
     down = aperture_transfer(_ALONG) ** 2 * _ALONG_WEIGHT
@@ -122,7 +126,7 @@ def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: fl
     fraction sum l^2.
     """
     filtered = np.sum(_video_weights(values) ** 2, axis=1)
-    dark_e = 2.0 * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
+    dark_e = rows_per_pixel(values) * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
     reading = values["video.conversion_gain_dn_per_e"] ** 2 * (values["ccd.read_noise_e"] ** 2 + dark_e) * filtered
     events = background_rate(values) * gate_s
     pulses = covariance_gain(values, gain_dn_per_pe) * gain_dn_per_pe * events * blur
@@ -168,6 +172,28 @@ def halo_diameter_px(values: Values) -> Array:
     return 4.0 * values["photocathode.gap_mm"] / pitch_mm
 
 
+def spatial_variance(values: Values) -> Array:
+    """Return the relative variance of the fixed pattern of a flat behind a tube, shape (n,), dimensionless.
+
+    PRNU of the detector, white before the video filter, and granularity of the screen, coarser than the blur; borders
+    of multi-fibres are left to the model error.
+    """
+    filtered = np.sum(_video_weights(values) ** 2, axis=1)
+    return values["ccd.prnu"] ** 2 * filtered + values["phosphor.gain_nonuniformity"] ** 2
+
+
+def has_tube(values: Values) -> bool:
+    """Return whether the values are those of a camera with an intensifier."""
+    return "tube.luminous_gain" in values
+
+
+def rows_per_pixel(values: Values) -> float:
+    """Return the sensor rows that a row of a field sums: two of interlaced analog video, else one."""
+    if "video.rows_per_pixel" in values:
+        return float(np.ravel(values["video.rows_per_pixel"])[0])
+    return 2.0 if "video.bandwidth_mhz" in values else 1.0
+
+
 def _column(values: Values, path: str) -> Array:
     return values[path][:, None]
 
@@ -176,6 +202,10 @@ def _per_mm_at_detector(values: Values, fx: Array, fy: Array) -> Array:
     across = fx / (_column(values, "ccd.pitch_x_um") * 1e-3)
     along = fy / (_column(values, "ccd.pitch_y_um") * 1e-3)
     return np.hypot(across, along)
+
+
+def _lens(values: Values, image_plane: Array) -> Array:
+    return lens_transfer(image_plane, _column(values, "optics.aberration_blur_um"), _column(values, "optics.f_number"))
 
 
 def _tube(values: Values, cathode: Array, share: Array | float) -> Array:
@@ -191,11 +221,13 @@ def _coupling(values: Values, detector: Array) -> Array:
 
 
 def _readout(values: Values, fx: Array, fy: Array) -> Array:
-    pixel = aperture_transfer(fx) * aperture_transfer(2.0 * fy)
+    pixel = aperture_transfer(fx) * aperture_transfer(rows_per_pixel(values) * fy)
     return pixel * video_filter_transfer(_video_weights(values), fx)
 
 
 def _video_weights(values: Values) -> Array:
+    if "video.bandwidth_mhz" not in values:
+        return np.eye(1, LENGTH_PX)
     clock_mhz, order = float(values["video.pixel_clock_mhz"][0]), int(values["video.filter_order"][0])
     return video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
 
@@ -212,7 +244,7 @@ def _electrons_per_lumen(values: Values) -> Array:
 
 
 def _field_pixel_m2(values: Values) -> Array:
-    pitch = values["ccd.pitch_x_um"] * 2.0 * values["ccd.pitch_y_um"] * 1e-12
+    pitch = values["ccd.pitch_x_um"] * rows_per_pixel(values) * values["ccd.pitch_y_um"] * 1e-12
     return pitch * values["taper.demagnification"] ** 2
 
 

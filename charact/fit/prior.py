@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 from charact.fit.predicted_quantities import Values, excess_noise_factor
 from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
+from labdata.solid_state import SolidStateCamera
 
 Array = NDArray[np.float64]
+VisibleCamera = Sensor | SolidStateCamera
+
 # Fractions and probabilities with the upper bound 1.
 _AT_MOST_ONE = (
     "photocathode.halo_fraction",
@@ -34,7 +37,10 @@ _FACTORS = (
     "ccd.quantum_efficiency",
     "video.conversion_gain_dn_per_e",
     "ccd.read_noise_e",
+    "ccd.pitch_x_um",
 )
+# A parameter whose range spans more than this factor is a scale: drawn as its logarithm.
+SCALE_RATIO = 5.0
 # Parameters that enter as 1 + c / parameter: drawn as -1/parameter, in which the dependence is linear.
 _LIMITS = ("microchannel_plate.strip_current_ua_per_cm2",)
 # Half of a Gaussian's 95 % interval in standard deviations.
@@ -89,15 +95,21 @@ class SensorPrior:
         turned = -1.0 / np.where(inverse, coordinates, -1.0)
         return np.where(logarithmic, exponential, np.where(inverse, turned, coordinates))
 
+    def coordinates(self, parameters: Array) -> Array:
+        """Return the coordinates of parameters, shape (n, parameter)."""
+        logarithms = np.log(np.where(self.power == 0, parameters, 1.0))
+        turned = -1.0 / np.where(self.power == -1, parameters, -1.0)
+        return np.where(self.power == 0, logarithms, np.where(self.power == -1, turned, parameters))
 
-def prior_of(sensor: Sensor, requested: tuple[str, ...]) -> SensorPrior:
+
+def prior_of(sensor: VisibleCamera, requested: tuple[str, ...]) -> SensorPrior:
     """Return the prior of the requested parameters that have a range.
 
     `sensor`: sensor description whose low..high contain each parameter with 95 % probability; `requested`: paths of the
-    parameters on which the session's data depend.
+    parameters on which the session's data depend; those that the camera lacks are left out.
     """
     known = sensor.parameters()
-    ranges = {path: (known[path].low, known[path].high) for path in requested}
+    ranges = {path: (known[path].low, known[path].high) for path in requested if path in known}
     ranged = [path for path, (low, high) in ranges.items() if low is not None and high is not None and high > low]
     rows = [(path, *_row(path, known[path])) for path in ranged]
     numbers = np.array([row[1:] for row in rows], float).reshape(-1, 6)
@@ -107,11 +119,13 @@ def prior_of(sensor: Sensor, requested: tuple[str, ...]) -> SensorPrior:
     )  # fmt: skip
 
 
-def values_of_description(sensor: Sensor) -> Values:
-    """Return the description's value of every parameter, shape (1,)."""
-    values = {path: np.array([float(parameter)]) for path, parameter in sensor.parameters().items()}
-    order = sensor.video.filter_order
-    return values if order is None else {**values, "video.filter_order": np.array([float(order)])}
+def values_of_description(sensor: VisibleCamera) -> Values:
+    """Return the description's value of every parameter and count that a prediction needs, shape (1,)."""
+    counts = {"video.filter_order": sensor.video.filter_order, "video.rows_per_pixel": 1 + sensor.video.interlaced}
+    if isinstance(sensor, SolidStateCamera):
+        counts["register.stages"] = sensor.register.stages
+    numbers = sensor.parameters() | {path: count for path, count in counts.items() if count is not None}
+    return {path: np.array([float(number)]) for path, number in numbers.items()}
 
 
 def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, float, float]:
@@ -121,7 +135,8 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
     """
     low, value, high = float(parameter.low or 0.0), float(parameter.value), float(parameter.high or 0.0)
     floor, ceiling = 0.0 if low == 0 else 0.02 * value, 1.0 if path in _AT_MOST_ONE else np.inf
-    power = 0 if path in _FACTORS and low > 0 else -1 if path in _LIMITS and low > 0 else 1
+    scale = path in _FACTORS or high > SCALE_RATIO * low
+    power = 1 if low <= 0 else -1 if path in _LIMITS else 0 if scale else 1
     if power < 1:
         ends = np.array([floor, low, value, high, min(ceiling, 1e3 * value)])
         floor, low, value, high, ceiling = (np.log(ends) if power == 0 else -1.0 / ends).tolist()
@@ -159,7 +174,7 @@ PRODUCTS = (
 )
 
 
-def products_of(sensor: Sensor, requested: tuple[str, ...]) -> tuple[Product, ...]:
+def products_of(sensor: VisibleCamera, requested: tuple[str, ...]) -> tuple[Product, ...]:
     """Return the products whose carrier and partners are all requested and have ranges."""
     known = sensor.parameters()
     return tuple(
@@ -170,12 +185,14 @@ def products_of(sensor: Sensor, requested: tuple[str, ...]) -> tuple[Product, ..
     )
 
 
-def widen_to_products(sensor: Sensor, products: tuple[Product, ...]) -> Sensor:
+def widen_to_products(sensor: VisibleCamera, products: tuple[Product, ...]) -> VisibleCamera:
     """Return the description in which every carrier has the range of its product."""
     return sensor.with_parameters({product.carrier: _whole(sensor, product) for product in products})
 
 
-def distribute_product(sensor: Sensor, product: Product, carried: Array, rng: np.random.Generator) -> dict[str, Array]:
+def distribute_product(
+    sensor: VisibleCamera, product: Product, carried: Array, rng: np.random.Generator
+) -> dict[str, Array]:
     """Distribute drawn products over carrier and partners, shape (draw,) each.
 
     For each product one of many prior draws of the partners is selected, with the probability of the remaining carrier
@@ -194,7 +211,29 @@ def distribute_product(sensor: Sensor, product: Product, carried: Array, rng: np
     return {product.carrier: carried / relative[pick], **{path: partners[path][pick] for path in prior.names}}
 
 
-def _whole(sensor: Sensor, product: Product) -> Parameter:
+def divide_product(sensor: VisibleCamera, product: Product, whole: float) -> dict[str, float]:
+    """Return carrier and partners of a product where their joint prior is largest."""
+    from charact.posterior import find_maximum
+
+    prior, own = prior_of(sensor, product.partners), prior_of(sensor, (product.carrier,))
+
+    def carrier_of(coordinates: Array) -> Array:
+        partners = dict(zip(prior.names, prior.parameters(coordinates).T, strict=True))
+        return (whole / _relative(sensor, product, partners))[:, None]
+
+    def density(coordinates: Array) -> Array:
+        inside = np.isfinite(prior.log_density(coordinates))
+        left = carrier_of(np.where(inside[:, None], coordinates, prior.centre))
+        return np.where(inside, prior.log_density(coordinates) + own.log_density(own.coordinates(left)), -np.inf)
+
+    best = prior.centre
+    if np.isfinite(density(best[None])[0]):
+        best, _ = find_maximum(density, best, prior.bounds)
+    partners = dict(zip(prior.names, prior.parameters(best[None])[0].tolist(), strict=True))
+    return {product.carrier: float(carrier_of(best[None])[0, 0]), **partners}
+
+
+def _whole(sensor: VisibleCamera, product: Product) -> Parameter:
     """Return the carrier with the 95 % range of its product, with the partners' values as unity."""
     rng = np.random.default_rng(0)
     partners, _ = _partners(sensor, product, rng, PRIOR_DRAWS)
@@ -209,7 +248,7 @@ def _whole(sensor: Sensor, product: Product) -> Parameter:
 
 
 def _partners(
-    sensor: Sensor, product: Product, rng: np.random.Generator, count: int
+    sensor: VisibleCamera, product: Product, rng: np.random.Generator, count: int
 ) -> tuple[dict[str, Array], SensorPrior]:
     """Return prior draws of the partners by path."""
     prior = prior_of(sensor, product.partners)
@@ -217,7 +256,7 @@ def _partners(
     return dict(zip(prior.names, drawn.T, strict=True)), prior
 
 
-def _relative(sensor: Sensor, product: Product, partners: dict[str, Array]) -> Array:
+def _relative(sensor: VisibleCamera, product: Product, partners: dict[str, Array]) -> Array:
     """Return the partners' factor over that of their values."""
     known = sensor.parameters()
     values = {path: np.array([float(known[path])]) for path in product.partners}

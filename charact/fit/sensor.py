@@ -12,28 +12,38 @@ from charact.fit.predicted_quantities import Values
 from charact.fit.prior import (
     Product,
     SensorPrior,
+    VisibleCamera,
     distribute_product,
+    divide_product,
     prior_of,
     products_of,
     values_of_description,
     widen_to_products,
 )
+from charact.fit.silicon_observations import silicon_observations
 from charact.noise.illumination import relative_sd_of
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
+from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Posterior, Result
 from labdata.sensor import Draws, Sensor
 from labdata.session import Session
 
 Array = NDArray[np.float64]
 KEPT_DRAWS = 400
+# Of the importance sampling: an effective sample of 500 and more for the draws that are kept.
+SAMPLING_EFFORT = 0.5
+# Steps of the Markov chain that follows where importance sampling fails; beyond, the draws are flagged.
+MOST_STEPS = 6000
+# Row pitch of pixels of known shape: it follows the column pitch.
+TIED = {"ccd.pitch_y_um": "ccd.pitch_x_um"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
     """Prior and likelihood of the requested parameters."""
 
-    sensor: Sensor  # sensor description with the prior ranges and the parameters not drawn
+    sensor: VisibleCamera  # sensor description with the prior ranges and the parameters not drawn
     products: tuple[Product, ...]  # products drawn as one, with the partners at their values
     prior: SensorPrior  # prior of the parameters drawn; that of a product's carrier is the product's
     observed: tuple[Observation, ...]  # observations of the session
@@ -46,7 +56,12 @@ class Model:
     def values(self, coordinates: Array) -> Values:
         """Return every parameter's value: (n,) for those drawn, at coordinates (n, parameter), else (1,)."""
         drawn = dict(zip(self.prior.names, self.prior.parameters(coordinates).T, strict=True))
-        return {**self._description_values, **drawn}
+        return {**self._description_values, **drawn, **self.tied(drawn)}
+
+    def tied(self, drawn: dict[str, Array]) -> dict[str, Array]:
+        """Return the parameters that keep their ratio to one that is drawn."""
+        known = self._description_values
+        return {path: drawn[by] * (known[path] / known[by]) for path, by in TIED.items() if by in drawn}
 
     @cached_property
     def _description_values(self) -> Values:
@@ -62,7 +77,7 @@ class Model:
         return out
 
 
-def model_of(sensor: Sensor, observed: tuple[Observation, ...]) -> Model:
+def model_of(sensor: VisibleCamera, observed: tuple[Observation, ...]) -> Model:
     """Return the model of the parameters that the observations depend on."""
     requested = tuple(dict.fromkeys(path for one in observed for path in one.speaks_of))
     products = products_of(sensor, requested)
@@ -95,13 +110,13 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
     below 1e-4 is a misfit: all errors are then scaled by the root of the reduced chi squared (Birge's ratio), so that
     ranges include the model error.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     best = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
     parts = {one.name: float(one.chi_squared(model.values(best[None]))[0]) for one in model.observed}
     parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])
     numbers, total = sum(one.value.size for one in model.observed), sum(parts.values())
-    if total <= chi2.isf(1e-4, numbers):
+    if total <= chdtri(numbers, 1e-4):
         return model, None
     factor = float(np.sqrt(total / numbers))
     worst = max(parts, key=lambda name: parts[name])
@@ -114,12 +129,19 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
 
 def posterior_of(model: Model, *, seed: int) -> Posterior:
     """Draw the joint posterior in the prior's coordinates."""
-    from charact.posterior import find_maximum, sample
+    from charact.posterior import find_maximum, sample_posterior
 
     prior = model.prior
     point, covariance = find_maximum(model.log_probability, prior.centre, prior.bounds)
-    return sample(model.log_probability, names=prior.names, units=("1",) * len(prior.names), start=point, seed=seed,
-                  covariance=covariance, bounds=prior.bounds, draws=KEPT_DRAWS)  # fmt: skip
+    if FULL_WELL in prior.names:
+        # A lower bound alone: the curvature at the bound says nothing of the width above it.
+        well = prior.names.index(FULL_WELL)
+        covariance[well, :] = covariance[:, well] = 0.0
+        covariance[well, well] = prior.sd[well] ** 2
+    return sample_posterior(
+        model.log_probability, names=prior.names, units=("1",) * len(prior.names), start=point, seed=seed,
+        covariance=covariance, bounds=prior.bounds, draws=KEPT_DRAWS, effort=SAMPLING_EFFORT, max_steps=MOST_STEPS,
+    )  # fmt: skip
 
 
 FULL_WELL = "ccd.full_well_e"
@@ -134,7 +156,7 @@ def fills_the_scale(session: Session) -> bool:
     return any(int(entry.read().data.max()) >= 2**session.bit_depth - 1 for entry in session.of_kind("point"))
 
 
-def full_well_draws(sensor: Sensor, drawn: dict[str, Array], rng: np.random.Generator) -> Array | None:
+def full_well_draws(sensor: VisibleCamera, drawn: dict[str, Array], rng: np.random.Generator) -> Array | None:
     """Return the full well for each draw of gain and black level, e-; None if not constrained.
 
     The prior, truncated below (full scale - black level) / gain; that charge where nothing remains.
@@ -153,6 +175,8 @@ def full_well_draws(sensor: Sensor, drawn: dict[str, Array], rng: np.random.Gene
 Progress = Callable[[str, float], None]
 # A parameter is identified if its posterior is narrower than this fraction of its prior, in standard deviations.
 IDENTIFIED_SHARE = 0.7
+# Quantile of its posterior below which, or above its complement, the mode is no typical value.
+EDGE = 0.1
 # Parameters that the systematic uncertainty of the light meter affects.
 _METERED = (
     "tube.luminous_gain",
@@ -164,13 +188,14 @@ _METERED = (
 
 def fit_sensor(
     session: Session, result: Result, *, seed: int = 0, progress: Progress = lambda sentence, share: None
-) -> Sensor:
-    """Fit the session's sensor description to its measurements.
+) -> VisibleCamera:
+    """Fit the session's camera description to its measurements.
 
     Parameters
     ----------
     session
-        Session; its sensor description gives the priors, its darks and flats the stack means.
+        Session of a described camera of visible light, with a tube or without; its description gives the priors, its
+        darks and flats the stack means.
     result
         Measurements of the session.
     seed
@@ -180,33 +205,38 @@ def fit_sensor(
 
     Returns
     -------
-    Sensor
-        Every parameter that the data identify is `fitted` (value, 95 % range); every other requested one keeps value
-        and range of its prior and is marked `prior`; the rest is unchanged. `draws` contains the joint posterior of all
-        requested parameters without the systematic uncertainty of the light meter: products of parameters are better
-        known than each of them.
+    Sensor or SolidStateCamera
+        Every requested parameter has the value of the joint posterior's mode. One that the data identify is `fitted`
+        (95 % range of the posterior); every other one keeps the range of its prior and is marked `prior`, and its value
+        departs from the prior's only as a factor of a combination that the data determine. The rest is unchanged.
+        `draws` contains the joint posterior of all requested parameters, with a tube without the systematic uncertainty
+        of the light meter: products of parameters are better known than each of them. Frame size and bit depth are the
+        session's.
 
     Raises
     ------
     BadInput
-        If the session has no sensor, one without interlaced analog video, or no measurement of it.
+        If the session names no camera, one of the thermal infrared, or has no measurement of it.
     """
-    if session.sensor is None:
-        raise BadInput(f"a fit needs a sensor description with prior ranges, got none in session {session.name!r}")
-    if session.sensor.video.digital or not session.sensor.video.interlaced:
-        raise BadInput(f"a fit needs a camera of interlaced analog video, got {session.sensor.name!r}")
+    camera = _camera_of(session)
     progress("levels of darks and flats", 0.0)
-    observed = observations(session, session.sensor, result, levels_of(session))
+    levels = levels_of(session)
+    observed = (
+        observations(session, camera, result, levels)
+        if isinstance(camera, Sensor)
+        else silicon_observations(session, camera, result, levels)
+    )
     if not observed:
         raise BadInput(f"a fit needs at least one measurement that was not refused, got none in {session.name!r}")
-    model, doubt = inflate_errors(model_of(session.sensor, observed))
+    model, doubt = inflate_errors(model_of(camera, observed))
     progress("posterior of the sensor", 0.2)
     posterior = posterior_of(model, seed=seed)
     progress("identifying parameters", 0.9)
     lit = [entry.conditions for entry in session.of_kind("flat") if entry.conditions.illuminance_lux]
+    metered = isinstance(camera, Sensor)
     fitted = description_from_posterior(
-        model, posterior, illuminance_relative_sd=relative_sd_of(lit, "lux")[0], scale_filled=fills_the_scale(session),
-        seed=seed,
+        model, posterior, illuminance_relative_sd=relative_sd_of(lit, "lux")[0] if metered else 0.0,
+        scale_filled=metered and fills_the_scale(session), seed=seed,
     )  # fmt: skip
     if doubt:
         fitted = replace(fitted, notes=(*fitted.notes, doubt))
@@ -214,27 +244,64 @@ def fit_sensor(
     return fitted
 
 
+def _camera_of(session: Session) -> VisibleCamera:
+    """Return the session's camera with the size and bit depth of its frames; BadInput without one."""
+    camera = session.camera
+    if camera is None:
+        raise BadInput(
+            f"a fit needs a sensor description with prior ranges, got none in session {session.name!r}: name one in "
+            f"its session.toml, sensor = {proposed_description(session)!r} fits its stacks"
+        )
+    if not isinstance(camera, VisibleCamera):
+        raise BadInput(f"a fit needs a camera of visible light, got {camera.name!r} of the thermal infrared")
+    if not session.stacks:
+        return camera
+    _, rows, columns = open_lazy_stack(session.stacks[0]).shape
+    video = replace(camera.video, bit_depth=session.bit_depth or camera.video.bit_depth)
+    return replace(camera, ccd=replace(camera.ccd, rows=rows, columns=columns), video=video)
+
+
+def proposed_description(session: Session) -> str:
+    """Return the name of the shipped camera description that fits a session's conditions."""
+    conditions = [entry.conditions for entry in session.stacks]
+    if any(one.em_gain is not None for one in conditions):
+        return "emccd-512"
+    gated = any(
+        value is not None for one in conditions for value in (one.mcp_v, one.gate_ns, one.gain_control)
+    )  # fmt: skip
+    if session.interlaced or (gated and session.bit_depth == 8):
+        return "pulnix-ag5745ef3"
+    return "gen3-digital-iccd" if gated else "machine-vision"
+
+
 def description_from_posterior(
     model: Model, posterior: Posterior, *, illuminance_relative_sd: float, seed: int, scale_filled: bool = False
-) -> Sensor:
-    """Return the sensor description of a posterior.
+) -> VisibleCamera:
+    """Return the camera description of a posterior.
 
     `posterior`: draws in the coordinates of the model's prior; `illuminance_relative_sd`: relative standard uncertainty
     of the illuminance; widens the ranges of the parameters that depend on the meter; `scale_filled`: whether frames
     reach full scale, which constrains the full well.
     """
-    left = dict(zip(posterior.names, posterior.draws.std(axis=0, ddof=1) / model.prior.sd, strict=True))
-    point, carriers = _consistent(model, posterior, left)
-    values = dict(zip(posterior.names, model.prior.parameters(point[None])[0], strict=True))
+    point = _typical(model, posterior.draws)
+    values = dict(zip(posterior.names, model.prior.parameters(point[None])[0].tolist(), strict=True))
     rng = np.random.default_rng([seed, 1])
     draws = dict(zip(posterior.names, model.prior.parameters(posterior.draws).T, strict=True))
+    combined = tuple(
+        _combination(product, draws[product.carrier], values[product.carrier]) for product in model.products
+    )
     for product in model.products:
         draws.update(distribute_product(model.sensor, product, draws[product.carrier], rng))
+        values.update(divide_product(model.sensor, product, values[product.carrier]))
+    draws.update(model.tied(draws))
+    values.update(
+        {path: float(one[0]) for path, one in model.tied({p: np.array([v]) for p, v in values.items()}).items()}
+    )
     meter = 1.0 + illuminance_relative_sd * rng.standard_normal(len(posterior.draws))
     before = model.sensor.parameters()
     changes = {
-        path: _parameter(before[path], values.get(path), drawn * meter if path in _METERED else drawn,
-                         left.get(path, 1.0), path in carriers)
+        path: _parameter(before[path], values[path], drawn * meter if path in _METERED else drawn,
+                         _remaining_width(model.sensor, path, drawn))
         for path, drawn in draws.items()
     }  # fmt: skip
     well = full_well_draws(model.sensor, draws, rng) if scale_filled else None
@@ -250,40 +317,44 @@ def description_from_posterior(
         model.sensor.with_parameters(changes),
         name=f"{model.sensor.name}, fitted",
         draws=Draws(names=tuple(draws), values=tuple(tuple(float(f"{x:.7g}") for x in row) for row in table)),
-        notes=(*model.sensor.notes, _how(model, posterior, point)),
+        notes=(*model.sensor.notes, _how(model, posterior, point), *combined),
     )
 
 
-def _consistent(model: Model, posterior: Posterior, left: dict[str, float]) -> tuple[Array, set[str]]:
-    """Return a point consistent with the data while unidentified parameters keep their prior value.
-
-    If the data determine only a combination, none of its parameters may be identified; the best-determined one is then
-    fitted as well, and returned in the second result.
-    """
-    share = np.array([left[name] for name in posterior.names])
-    best = most_probable(model, np.median(posterior.draws, axis=0), np.ones(share.size, bool))
-    allowed = float(model.misfit(best[None])[0]) + 1.0
-    free = share < IDENTIFIED_SHARE
-    own = free.copy()
-    while True:
-        point = most_probable(model, np.where(free, best, model.prior.centre), free)
-        if float(model.misfit(point[None])[0]) <= allowed or free.all():
-            return point, {name for name, one in zip(posterior.names, free & ~own, strict=True) if one}
-        held = np.flatnonzero(~free)
-        free[held[np.argmin(share[held])]] = True
+def _typical(model: Model, draws: Array) -> Array:
+    """Return the posterior's mode, in which a coordinate that stands at a bound of the data has its median."""
+    middle = np.median(draws, axis=0)
+    point = most_probable(model, middle, np.ones(middle.size, bool))
+    place = np.mean(draws < point, axis=0)
+    inside = (place > EDGE) & (place < 1.0 - EDGE)
+    return most_probable(model, np.where(inside, point, middle), inside)
 
 
-def _parameter(before: Parameter, value: float | None, draws: Array, left: float, carrier: bool) -> Parameter:
+def _combination(product: Product, carried: Array, value: float) -> str:
+    """Return the note on a product: its ratio to that of the description, and that its factors share it."""
+    low, high = (float(q) / value for q in np.quantile(carried, (0.025, 0.975)))
+    return (
+        f"The data determine {product.carrier} only together with {', '.join(product.partners)}: the combination is "
+        f"known to {low - 1.0:+.1%} to {high - 1.0:+.1%} (95 %), and its departure from the description is divided "
+        "over the factors as their prior ranges allow."
+    )
+
+
+def _remaining_width(sensor: VisibleCamera, path: str, drawn: Array) -> float:
+    """Return the posterior's standard deviation over the prior's, in the coordinate of the prior."""
+    prior = prior_of(sensor, (TIED.get(path, path),))
+    return float(prior.coordinates(drawn[:, None]).std(ddof=1) / prior.sd[0])
+
+
+def _parameter(before: Parameter, value: float, draws: Array, left: float) -> Parameter:
     """Return one parameter of the fitted description; `left` is the remaining fraction of its prior's width."""
-    if value is None:
-        said = "requested, but the session's data determine only its product with others"
-        return replace(before, standing="prior", source=f"{said}; prior: {before.source}")
-    if left >= IDENTIFIED_SHARE and not carrier:
+    if left >= IDENTIFIED_SHARE:
         said = f"requested, but not identified by the session's data: {left:.0%} of the prior's width remains"
-        return replace(before, standing="prior", source=f"{said}; prior: {before.source}")
+        low, high = (value if end is None else end for end in (before.low, before.high))
+        source = f"{said}; prior: {before.source}"
+        return Parameter(value=value, low=min(low, value), high=max(high, value), standing="prior", source=source)
     low, high = (float(q) for q in np.quantile(draws, (0.025, 0.975)))
-    how = "represents a combination that the session's data determine" if carrier else "fitted to the session's data"
-    source = f"{how}; value with the unidentified parameters at theirs; {left:.0%} of the prior's width remains"
+    source = f"fitted to the session's data; {left:.0%} of the prior's width remains"
     return Parameter(value=value, low=min(low, value), high=max(high, value), standing="fitted", source=source)
 
 

@@ -19,7 +19,7 @@ from drivers.cameras.aravis.capture import SOCKET_BUFFER_BYTES
 from labdata.capture import Frame
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.store import SessionWriter
+from labdata.session_writer import SessionWriter
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,12 @@ import numpy as np
 from charact.method import Context
 from drivers.interface import Camera
 from labdata.capture import CameraSettings, Frame
-from labdata.conditions import Conditions
+from labdata.conditions import Conditions, conditions_of
 from labdata.errors import BadInput
-from labdata.file_records import SessionFile, StackRecord, conditions_of
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.serialiser import from_toml
-from labdata.session import MANIFEST
+from labdata.session import MANIFEST, SessionFile, StackRecord
 from labdata.store import Acknowledged, ArrayFollower, is_ours
 
 ENDLESS = 2**40  # frames; at a thousand a second, 35 years

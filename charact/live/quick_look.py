@@ -1,7 +1,9 @@
 """Quick look at the stacks of a running acquisition: grey values and quick measurements."""
 
+import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,11 +13,11 @@ from charact.live.frame_source import full_scale_of
 from charact.session_measurement import measure, method_context
 from labdata.errors import BadInput
 from labdata.event_log import read_events
-from labdata.file_records import SessionFile
 from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Measurement, Result
 from labdata.serialiser import from_toml
-from labdata.session import MANIFEST, Kind, Session, StackEntry, session_of
+from labdata.session import MANIFEST, Session, SessionFile, StackEntry, session_of
+from labdata.target import Kind
 
 LEADING: dict[Kind, tuple[str, ...]] = {
     "dark": ("dark_signal", "read_noise", "noise_tvh"),
@@ -160,3 +162,34 @@ def _stacks_on_disk(folder: Path) -> Iterator[tuple[Session, StackEntry]]:
     for place, entry in enumerate(session.stacks):
         if entry.finished:
             yield replace(session, stacks=session.stacks[: place + 1]), entry
+
+
+def watch_files(
+    folder: Path, *, once: bool, patience_s: float, poll_s: float = 0.5, sleep: Callable[[float], None] = time.sleep
+) -> Iterator[Path]:
+    """Yield each file of frames in a folder once it is complete, in the order of their times.
+
+    A file is complete when its size has not changed for one poll. Ends with `once` after the files that are there, else
+    when no file has come for `patience_s`.
+    """
+    from labdata.importers import module_of
+
+    seen: set[Path] = set()
+    sizes: dict[Path, int] = {}
+    waited_s = 0.0
+    while True:
+        states = {}
+        for path in folder.iterdir():
+            if module_of(path) and path not in seen:
+                with suppress(FileNotFoundError):  # renamed or deleted meanwhile
+                    states[path] = path.stat()
+        new = [path for path, state in states.items() if stat.S_ISREG(state.st_mode)]
+        ready = [path for path in new if sizes.get(path) == states[path].st_size]
+        sizes = {path: states[path].st_size for path in new}
+        for path in sorted(ready, key=lambda path: (states[path].st_mtime, path.name)):
+            seen.add(path)
+            yield path
+        waited_s = 0.0 if ready else waited_s + poll_s
+        if (once and not set(new) - set(ready)) or waited_s > patience_s:
+            return
+        sleep(poll_s)

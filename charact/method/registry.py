@@ -4,18 +4,23 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache, wraps
+from functools import lru_cache
 from importlib import import_module, resources
+from importlib.metadata import entry_points
 from socket import create_connection
-from typing import Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from threadpoolctl import ThreadpoolController
-
+from charact.method.descriptions import DESCRIPTIONS
 from charact.method.stopwatch import with_timing
 from labdata.errors import BadInput
-from labdata.measurement import Measurement, Result
-from labdata.sensor import Sensor
-from labdata.solid_state import Register
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
+
+    from labdata.infrared_imager import InfraredImager
+    from labdata.measurement import Measurement, Result
+    from labdata.sensor import Sensor
+    from labdata.solid_state import Register
 
 Spread = Callable[[Callable[..., Any], Sequence[Any]], Iterable[Any]]
 
@@ -57,31 +62,9 @@ def _in_order(futures: list[Any]) -> Iterator[Any]:
         yield futures.pop(0).result()
 
 
+ENTRY_POINTS = "charact.methods"  # Group of entry points by which other packages add methods
 MODULES: dict[str, dict[str, str]] = {
-    "edge": {
-        "edge-forward": "charact.mtf.edge.parametric",
-        "edge-free": "charact.mtf.edge.free",
-        "edge-gradient": "charact.mtf.edge.conventional",
-        "edge-parametric": "charact.mtf.edge.parametric",
-        "edge-slanted": "charact.mtf.edge.conventional",
-    },
-    "bars": {
-        "bars-coltman": "charact.mtf.bars.contrast",
-        "bars-contrast": "charact.mtf.bars.contrast",
-        "bars-forward": "charact.mtf.bars.forward",
-    },
-    "point": {
-        "point-forward": "charact.mtf.point.forward",
-        "point-parametric": "charact.mtf.point.parametric",
-        "point-spread": "charact.mtf.point.spot_transform",
-    },
-    "post-gain": {
-        "noise-spectrum": "charact.mtf.noise_spectrum.flats",
-        "noise-spectrum-free": "charact.mtf.noise_spectrum.flats",
-    },
-    "flats": {"covariance-sum": "charact.noise.covariance_sum", "variance": "charact.noise.variance"},
-    "bloom": {"series-forward": "charact.bloom.series_forward"},
-    "lit-edge": {"lit-edge": "charact.bloom.lit_edge_halo"},
+    kind: {name: method.module for name, method in methods.items()} for kind, methods in DESCRIPTIONS.items()
 }
 
 
@@ -94,11 +77,15 @@ CHARTED: dict[str, tuple[str, str]] = {
     "flats": ("covariance_gain", "covariance-sum"),
     "bloom": ("halo_diameter", "series-forward"),
     "lit-edge": ("halo_diameter", "lit-edge"),
+    "fusion": ("fusion_error", "noise-aware"),
 }
 
 
 def load(kind: str, name: str | None = None) -> None:
     """Import the modules that register the methods of a kind, or only the named method.
+
+    A name that is not ours, and None, also load the entry points `charact.methods` of other packages, which name
+    modules that call `register`; one that cannot be imported is BadInput.
 
     Examples
     --------
@@ -110,32 +97,30 @@ def load(kind: str, name: str | None = None) -> None:
     for method, module in MODULES.get(kind, {}).items():
         if name in (None, method):
             import_module(module)
+    if name in MODULES.get(kind, {}):
+        return
+    for point in entry_points(group=ENTRY_POINTS):
+        try:
+            point.load()
+        except Exception as error:  # another package may raise anything
+            raise BadInput(f"the method {point.name!r} must be importable, got {error!r} from {point.value}") from None
 
 
-Arguments = ParamSpec("Arguments")
-
-
-Found = TypeVar("Found")
-
-
-def with_single_blas_thread(function: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
-    """Return a function that runs with one BLAS thread and restores the previous number afterwards.
+@contextmanager
+def single_blas_thread() -> Iterator[None]:
+    """Use one BLAS thread and restore the previous number afterwards.
 
     On two cores an edge takes twice as long on two threads as on one, and forty times as long when other work runs.
     """
-
-    @wraps(function)
-    def alone(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Found:
-        with _libraries().limit(limits=1):
-            return function(*args, **kwargs)
-
-    return alone
+    with _libraries().limit(limits=1):
+        yield
 
 
 @lru_cache(maxsize=1)
-def _libraries() -> ThreadpoolController:
+def _libraries() -> "ThreadpoolController":
     """Return the BLAS libraries of this process: NumPy's, and SciPy's, which compiled functions call."""
     import scipy.linalg  # noqa: F401  # loads its own
+    from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(user_api="blas")
 
@@ -153,7 +138,7 @@ def reach_percent(value: float, interval95: tuple[float, float]) -> float:
     return 100.0 * max(value - interval95[0], interval95[1] - value) / abs(value)
 
 
-def beyond_note(measurement: Measurement, within_percent: float) -> str | None:
+def beyond_note(measurement: "Measurement", within_percent: float) -> str | None:
     """Return the note on an interval wider than the tolerance; None if it is not wider."""
     if not measurement.value or measurement.interval95 is None:
         return None
@@ -184,8 +169,12 @@ class Context:
         Sensor description, for pixel pitches and priors; None if unknown.
     register
         Electron-multiplying register of a camera without a tube; None if absent or unknown.
+    imager
+        Description of an infrared imager; None if it is none or unknown.
     interlaced
         Whether each frame consists of two interlaced fields.
+    linear
+        Whether the response was measured to be linear, as by the signal transfer of an infrared camera.
     full_scale_dn
         Full scale, DN; None: determined from the data.
     progress
@@ -196,9 +185,11 @@ class Context:
 
     seed: int = 0
     quick: bool = False
-    sensor: Sensor | None = None
-    register: Register | None = None
+    sensor: "Sensor | None" = None
+    register: "Register | None" = None
+    imager: "InfraredImager | None" = None
     interlaced: bool = False
+    linear: bool = False
     full_scale_dn: float | None = None
     progress: Progress = ignore_progress
     spread: Spread = map
@@ -206,6 +197,9 @@ class Context:
     @property
     def pitch_ratio(self) -> float:
         """Row pitch over column pitch; 1 if the sensor is unknown."""
+        if self.imager is not None:
+            row, col = self.imager.pitch_mrad
+            return row / col
         if self.sensor is None:
             return 1.0
         return float(self.sensor.ccd.pitch_y_um) / float(self.sensor.ccd.pitch_x_um)
@@ -223,21 +217,41 @@ class Method:
     name: str
     quantities: tuple[str, ...]
     scope: str
-    function: Callable[..., Result]
+    function: "Callable[..., Result]"
 
 
 METHODS: dict[tuple[str, str], Method] = {}
 
 
-def register(kind: str, name: str, *, quantities: tuple[str, ...], scope: str) -> Callable[[Any], Any]:
-    """Register a function as a named method of a kind; it is timed and runs on one BLAS thread."""
+def register(
+    kind: str, name: str, *, quantities: tuple[str, ...] | None = None, scope: str | None = None
+) -> Callable[[Any], Any]:
+    """Register a function as a named method of a kind; it is timed and runs on one BLAS thread.
 
-    def enter(function: Callable[..., Result]) -> Callable[..., Result]:
-        function = with_single_blas_thread(with_timing(function))
+    `quantities`, `scope`: None for our methods, which `DESCRIPTIONS` describes.
+    """
+    if quantities is None or scope is None:
+        _, quantities, scope = DESCRIPTIONS[kind][name]
+
+    def enter(function: "Callable[..., Result]") -> "Callable[..., Result]":
+        function = with_timing(function, single_blas_thread)
         METHODS[kind, name] = Method(kind=kind, name=name, quantities=quantities, scope=scope, function=function)
         return function
 
     return enter
+
+
+def describe_methods() -> list[dict[str, Any]]:
+    """Return kind, name, quantities and scope of all methods; ours are not imported for it."""
+    load("")
+    ours = [(kind, name, *one[1:]) for kind, methods in DESCRIPTIONS.items() for name, one in methods.items()]
+    others = [
+        (m.kind, m.name, m.quantities, m.scope) for m in METHODS.values() if m.name not in MODULES.get(m.kind, "")
+    ]
+    rows: list[dict[str, Any]] = [
+        dict(zip(("kind", "name", "quantities", "scope"), row, strict=True)) for row in (*ours, *others)
+    ]
+    return [row for kind in MODULES for row in rows if row["kind"] == kind]
 
 
 def methods_of_kind(kind: str) -> dict[str, Method]:
@@ -253,7 +267,7 @@ def chart_table(quantity: str) -> list[dict[str, Any]]:
     return json.loads(path.read_text())["methods"] if path.is_file() else []
 
 
-def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Method:
+def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0, among: Sequence[str] | None = None) -> Method:
     """Return the named method, or for "auto" the fastest one whose measured error meets the tolerance.
 
     Parameters
@@ -261,6 +275,8 @@ def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Met
     within_percent
         Tolerance on the relative error, percent: the 95th percentile over the chart's cases must be below it by its
         upper confidence limit. If no method meets it, the most accurate one is taken.
+    among
+        Names of methods from which "auto" chooses, the first of them without a chart; None: all.
 
     Raises
     ------
@@ -275,7 +291,8 @@ def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Met
     if kind not in MODULES:
         raise BadInput(f"the kind of target must be one of {', '.join(sorted(MODULES))}, got {kind!r}")
     quantity, preferred = CHARTED[kind]
-    names = {*MODULES[kind], *(method for of, method in METHODS if of == kind)}
+    names = among or {*MODULES[kind], *(method for of, method in METHODS if of == kind)}
+    preferred = among[0] if among else preferred
     rows = [row for row in chart_table(quantity) if row["method"] in names]
     if not rows:
         return choose(kind, preferred)

@@ -8,13 +8,14 @@ as importing parts of SciPy (0.3 s).
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache, wraps
 from time import perf_counter
-from typing import ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec
 
-from labdata.measurement import Result
+if TYPE_CHECKING:
+    from labdata.measurement import Result
 
 Arguments = ParamSpec("Arguments")
 
@@ -29,33 +30,32 @@ class Stopwatch:
     """Elapsed time less numba's compilation time in this thread."""
 
     def __init__(self) -> None:
-        listen()
-        self._compiled_s, self._made_s = _HERE.seconds(), perf_counter()
+        # Without numba there is nothing to count.
+        if "numba" in sys.modules:
+            _listen()
+        self._begun_s = perf_counter() - _HERE.seconds()
 
     def seconds(self) -> float:
         """Return the seconds since construction without compilation."""
-        return perf_counter() - self._made_s - self.compilation_s()
-
-    def compilation_s(self) -> float:
-        """Return the seconds of compilation since construction."""
-        return _HERE.seconds() - self._compiled_s
+        return perf_counter() - _HERE.seconds() - self._begun_s
 
 
-def with_timing(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+def with_timing(
+    function: "Callable[Arguments, Result]", inside: Callable[[], AbstractContextManager[Any]] = nullcontext
+) -> "Callable[Arguments, Result]":
     """Return a function that records its run time, without compilation, in each of its measurements.
 
-    A measurement that already has a time keeps it: an inner timed call made it.
+    A measurement that already has a time keeps it: an inner timed call made it. `inside`: context of each call.
     """
 
     @wraps(function)
-    def timing(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+    def timing(*args: Arguments.args, **kwargs: Arguments.kwargs) -> "Result":
         watch = Stopwatch()
-        result = function(*args, **kwargs)
+        with inside():
+            result = function(*args, **kwargs)
         seconds = watch.seconds()
-        return replace(
-            result,
-            measurements=tuple(m if m.seconds is not None else m.with_(seconds=seconds) for m in result.measurements),
-        )
+        each = (m if m.seconds is not None else m.with_(seconds=seconds) for m in result.measurements)
+        return replace(result, measurements=tuple(each))
 
     return timing
 
@@ -79,21 +79,20 @@ class _Here(threading.local):
 
 
 _HERE = _Here()
-
-
+# Called at the start of each compiled function.
 _ANNOUNCERS: list[Callable[[], None]] = []
-"""Called at the start of each compiled function."""
 
 
 @contextmanager
 def announce_compilation(say: Callable[[str], None]) -> Iterator[None]:
     """Announce a long compilation within this block once, and the number of compiled functions at its end."""
-    watch, functions, said = Stopwatch(), 0, False
+    Stopwatch()
+    before_s, functions, said = _HERE.seconds(), 0, False
 
     def begin() -> None:
         nonlocal functions, said
         functions += 1
-        if not said and watch.compilation_s() > LONG_S:
+        if not said and _HERE.seconds() - before_s > LONG_S:
             said = True
             say("compiling once on this machine, up to a minute; the next call finds it on disk")
 
@@ -103,7 +102,7 @@ def announce_compilation(say: Callable[[str], None]) -> Iterator[None]:
     finally:
         _ANNOUNCERS.remove(begin)
         if said:
-            say(f"compiled {functions} functions in {time_text(watch.compilation_s())}")
+            say(f"compiled {functions} functions in {time_text(_HERE.seconds() - before_s)}")
 
 
 @cache
@@ -130,9 +129,3 @@ def _listen() -> None:
     listener = Listener()
     for kind in (LOCKED, COMPILES):
         event.register(kind, listener)
-
-
-def listen() -> None:
-    """Start counting numba's time, if numba is loaded."""
-    if "numba" in sys.modules:
-        _listen()

@@ -1,15 +1,14 @@
 """Entry points of the MTF methods: method choice, argument checks and notes."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from charact.method import Context, Method, choose
+from charact.method import Context, choose
 from charact.method.registry import beyond_note
-from charact.method.stopwatch import with_timing
 from charact.mtf.mean_frame import Region
 from charact.mtf.target_detection import find_bar_groups, find_edges, find_pinholes
 from charact.mtf.thresholds import ACCURACY
@@ -36,7 +35,14 @@ def drop_duplicate_frames(stack: FrameStack) -> FrameStack:
     Noise never produces two identical frames. Identical frames would make the noise, estimated from frame differences,
     too small.
     """
-    first = _distinct_indices(stack)
+    step = max(1, stack.shape[1] // ACCURACY.compared_rows)
+    alike: dict[bytes, list[int]] = defaultdict(list)
+    first = []
+    for number, frame in enumerate(stack.data):
+        before = alike[frame[::step].tobytes()]
+        if not any(np.array_equal(frame, stack.data[one]) for one in before):
+            before.append(number)
+            first.append(number)
     frames = len(stack)
     if len(first) == frames:
         return stack
@@ -46,19 +52,6 @@ def drop_duplicate_frames(stack: FrameStack) -> FrameStack:
         note = f"{frames - len(first)} of {frames} frames are identical to an earlier one and do not count."
     stamps = {name: getattr(stack, name)[first] for name in ("time_s", "frame_number") if getattr(stack, name).size}
     return replace(stack, data=stack.data[first], notes=(*stack.notes, note), **stamps)
-
-
-def _distinct_indices(stack: FrameStack) -> list[int]:
-    """Return the indices of the frames that equal none before them."""
-    step = max(1, stack.shape[1] // ACCURACY.compared_rows)
-    alike: dict[bytes, list[int]] = defaultdict(list)
-    first = []
-    for number, frame in enumerate(stack.data):
-        before = alike[frame[::step].tobytes()]
-        if not any(np.array_equal(frame, stack.data[one]) for one in before):
-            before.append(number)
-            first.append(number)
-    return first
 
 
 def measure(
@@ -106,20 +99,27 @@ def measure(
     described = FOR_DESCRIBED_CAMERAS.get(kind) if method == "auto" and context.sensor is not None else None
     chosen = choose(kind, described or method, within_percent=within_percent)
     counted = drop_duplicate_frames(stack)
-    first = chosen.function(counted, region=region, context=context, **target)
-    if method == "auto" and chosen.name in WITHOUT_MODEL and _is_model_rejected(first, chosen):
+    found = chosen.function(counted, region=region, context=context, **target)
+    own, notes = found.find(chosen.quantities[0]), counted.notes[len(stack.notes) :]
+    if method == "auto" and chosen.name in WITHOUT_MODEL and any("model-misfit" in one.flags for one in own):
         chosen = choose(kind, WITHOUT_MODEL[chosen.name])
         without = chosen.function(counted, region=region, context=context, **target)
-        first = _add_notes(without, (NO_MODEL,)) if without.find(chosen.quantities[0]) else first
-    found = _add_notes(first, counted.notes[len(stack.notes) :])
-    if method == "auto":
-        found = _note_tolerance(found, chosen, within_percent)
-    return found if stack.plane == "mono" else _record_plane(found, stack.plane)
+        if without.find(chosen.quantities[0]):
+            found, notes = without, (NO_MODEL, *notes)
 
+    def finish(one: Measurement) -> Measurement:
+        """Add notes unless they are there, that on the tolerance to the charted quantity, and the colour plane."""
+        beyond = None
+        if method == "auto" and one.quantity == chosen.quantities[0] and one.status != "refused":
+            beyond = beyond_note(one, within_percent)
+        added = [note for note in notes if note not in one.notes] + ([beyond] if beyond else [])
+        one = one.with_(notes=(*one.notes, *added)) if added else one
+        if stack.plane == "mono" or one.provenance is None:
+            return one
+        settings = {**one.provenance.settings, "plane": stack.plane}
+        return one.with_(provenance=replace(one.provenance, settings=settings))
 
-def _is_model_rejected(found: Result, chosen: Method) -> bool:
-    """Return whether the data reject the blur model of a method."""
-    return any("model-misfit" in one.flags for one in found.find(chosen.quantities[0]))
+    return replace(found, measurements=tuple(map(finish, found.measurements)))
 
 
 def measure_flats(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
@@ -145,40 +145,6 @@ def measure_flats(session: Session, *, method: str = "auto", within_percent: flo
     return chosen.function(session, context=context)
 
 
-def _change_each(found: Result, change: Callable[[Measurement], Measurement]) -> Result:
-    return replace(found, measurements=tuple(change(one) for one in found.measurements))
-
-
-def _add_notes(found: Result, notes: Sequence[str]) -> Result:
-    """Add notes to every measurement, unless it has them."""
-    return _change_each(
-        found, lambda one: one.with_(notes=(*one.notes, *(note for note in notes if note not in one.notes)))
-    )
-
-
-def _note_tolerance(found: Result, chosen: Method, within_percent: float) -> Result:
-    """Add a note to measurements of the charted quantity whose interval exceeds the tolerance."""
-
-    def add_note(one: Measurement) -> Measurement:
-        if one.quantity != chosen.quantities[0] or one.status == "refused":
-            return one
-        note = beyond_note(one, within_percent)
-        return one if note is None else one.with_(notes=(*one.notes, note))
-
-    return _change_each(found, add_note)
-
-
-def _record_plane(found: Result, plane: str) -> Result:
-    """Record the colour plane in the provenance."""
-
-    def add_plane(one: Measurement) -> Measurement:
-        if one.provenance is None:
-            return one
-        return one.with_(provenance=replace(one.provenance, settings={**one.provenance.settings, "plane": plane}))
-
-    return _change_each(found, add_plane)
-
-
 def _require_valid_bars(bars: Any = None, frequency_cy_per_px: Any = None) -> None:
     if bars is not None and int(bars) < 2:
         raise BadInput(f"a bar target must have at least 2 bars, got {bars}")
@@ -194,7 +160,6 @@ class LocatedTarget:
     requested: dict[str, Any] = field(default_factory=dict)
 
 
-@with_timing
 def measure_all(
     kind: str,
     stack: FrameStack,

@@ -1,10 +1,11 @@
 """Mean frame of a stack, oriented so that an edge is upright with its bright side right."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.thresholds import LIMITS
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -53,43 +54,42 @@ class OrientedFrame:
 
     def turned(self, *, transpose: bool, mirror: bool) -> "OrientedFrame":
         """Return the frame transposed and then mirrored."""
-        value, row_index = self.value, self.row_index
-        if transpose:
-            value, row_index = value.T, row_index.T
-        if mirror:
-            value, row_index = value[:, ::-1], row_index[:, ::-1]
-        return OrientedFrame(
-            value=np.ascontiguousarray(value),
-            row_index=np.ascontiguousarray(row_index),
+        value, row_index = (self.value.T, self.row_index.T) if transpose else (self.value, self.row_index)
+        step = -1 if mirror else 1
+        return replace(
+            self,
+            value=np.ascontiguousarray(value[:, ::step]),
+            row_index=np.ascontiguousarray(row_index[:, ::step]),
             transposed=self.transposed != transpose,
             mirrored=self.mirrored != mirror,
-            frames=self.frames,
-            whole_codes=self.whole_codes,
-            black_dn=self.black_dn,
             pitch_ratio=1.0 / self.pitch_ratio if transpose else self.pitch_ratio,
-            interlaced=self.interlaced,
         )
 
-    def upright(self, frame: NDArray) -> Array:
-        """Return a single frame in the same orientation."""
-        turned = frame.T if self.transposed else frame
-        return np.ascontiguousarray(turned[:, ::-1] if self.mirrored else turned, np.float64)
+    def upright(self, frames: NDArray) -> Array:
+        """Return frames (frame, row, col) in the same orientation."""
+        turned = frames.swapaxes(1, 2) if self.transposed else frames
+        return np.ascontiguousarray(turned[:, :, ::-1] if self.mirrored else turned, np.float64)
 
 
-def mean_oriented_frame(stack: FrameStack, pitch_ratio: float, *, interlaced: bool = False) -> OrientedFrame:
+def mean_oriented_frame(stack: FrameStack, pitch_ratio: float, *, interlaced: bool) -> OrientedFrame:
     """Return the mean frame of a stack, not yet reoriented."""
     data = stack.data
     frames, rows, cols = data.shape
-    value = data[0].astype(float) if frames == 1 else data.mean(axis=0, dtype=np.float64)
-    whole = data.dtype.kind in "ui" or bool(np.all(data[0] == np.rint(data[0])))
     return OrientedFrame(
-        value=value,
+        value=data[0].astype(float) if frames == 1 else data.mean(axis=0, dtype=np.float64),
         row_index=np.broadcast_to(np.arange(rows)[:, None], (rows, cols)),
         transposed=False,
         mirrored=False,
         frames=frames,
-        whole_codes=whole,
+        whole_codes=data.dtype.kind in "ui" or bool(np.all(data[0] == np.rint(data[0]))),
         black_dn=stack.black_level_dn,
         pitch_ratio=pitch_ratio,
         interlaced=interlaced,
     )
+
+
+def usable_black_level(black_dn: float | None, dark_dn: float, bright_dn: float) -> float | None:
+    """Return the black level, DN; None if it is unknown or lies well above the dark side."""
+    if black_dn is None or black_dn > dark_dn + LIMITS.max_below_black * (bright_dn - dark_dn):
+        return None
+    return black_dn

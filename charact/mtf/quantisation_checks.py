@@ -31,40 +31,41 @@ def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...
     having a flat plateau. Clipped pixels alternate between the extreme value and values several steps away; where they
     do, the extreme value may be as rare as the adjacent one.
     """
-    if not _has_pile_up(data):
+    # Without a pile-up the histogram of all values is not needed.
+    extremes = np.count_nonzero(data == data.max()), np.count_nonzero(data == data.min())
+    if not max(extremes) > LIMITS.pile_up_fraction * data.size:
         return ()
-    values, counts = _histogram(data)
+    if data.dtype.kind == "u" and data.dtype.itemsize <= 2:
+        counts = np.bincount(data.ravel())
+        values = np.flatnonzero(counts)
+        counts = counts[values]
+    else:
+        values, counts = np.unique(data, return_counts=True)
     if values.size < 3:
         return ("clipped",) if data.size > 64 else ()
-    fraction = counts / data.size
+    fraction, middle = counts / data.size, 0.5 * (float(values[0]) + float(values[-1]))
+    least_noise = LIMITS.min_relative_noise * float(values[-1] - values[0])
     clipped = full_scale_dn is not None and bool(values[-1] >= full_scale_dn and fraction[-1] > LIMITS.pile_up_fraction)
-    noise, step = _noise_below(data, 0.5 * (float(values[0]) + float(values[-1]))), float(np.diff(values).min())
-    noisy = noise > LIMITS.min_relative_noise * float(values[-1] - values[0]) and values.size > 12
+    noise, step = _noise_below(data[0], middle), float(np.diff(values).min())
+    noisy = noise > least_noise and values.size > 12
     top = fraction[-1] > 2 * LIMITS.pile_up_fraction and counts[-1] > LIMITS.pile_up_ratio * counts[-2]
     bottom = fraction[0] > 2 * LIMITS.pile_up_fraction and counts[0] > LIMITS.pile_up_ratio * counts[1]
-    brighter = np.count_nonzero(data > 0.5 * (float(values[0]) + float(values[-1])))
+    brighter = np.count_nonzero(data > middle)
     clipped |= bool(top and noisy and noise >= step and counts[-1] > LIMITS.plateau_fraction * brighter)
     # Black clips at zero or at the floor of the video range; a quiet plateau above either is not clipped.
-    clipped |= bool(
-        bottom and values[0] in ACCURACY.video_floors_dn and values.size > 12 and _shows_noise(data, values)
-    )
+    if bottom and values[0] in ACCURACY.video_floors_dn and values.size > 12:
+        clipped |= _noise_below(-np.asarray(data[0], np.float64), -middle) > least_noise
     clipped |= bool(top and not bottom and noisy and fraction[-2] > 1e-4)
     clipped = clipped or any(_cuts_noise(data, values, counts, end=end) for end in (0, -1))
     return ("clipped",) if clipped else ()
 
 
-def _noise_below(data: NDArray, level: float) -> float:
+def _noise_below(frame: NDArray, level: float) -> float:
     """Return the noise of the pixels below a level, DN, from differences of neighbours along rows."""
-    frame = np.asarray(data[0], np.float64)
+    frame = np.asarray(frame, np.float64)
     dark = (frame[..., 1:] <= level) & (frame[..., :-1] <= level)
     apart = np.abs(np.diff(frame, axis=-1))[dark]
     return 1.05 * float(np.median(apart)) if apart.size else 0.0
-
-
-def _shows_noise(data: NDArray, values: NDArray) -> bool:
-    """Return whether the brighter half of the pixels has noise."""
-    noise = _noise_below(-np.asarray(data[:1], np.float64), -0.5 * (float(values[0]) + float(values[-1])))
-    return noise > LIMITS.min_relative_noise * float(values[-1] - values[0])
 
 
 def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) -> bool:
@@ -75,11 +76,8 @@ def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) ->
     """
     inwards = values[::-1] if end else values
     own, adjacent = counts[[-1, -2]] if end else counts[:2]
-    if (
-        own
-        < max(LIMITS.min_pile_pixels, 2 * LIMITS.pile_up_fraction * data.size, LIMITS.noisy_pile_up_ratio * adjacent)
-        or values.size <= 12
-    ):
+    least = max(LIMITS.min_pile_pixels, 2 * LIMITS.pile_up_fraction * data.size, LIMITS.noisy_pile_up_ratio * adjacent)
+    if own < least or values.size <= 12:
         return False
     piled = data == inwards[0]
     away = data <= inwards[LIMITS.clipped_steps] if end else data >= inwards[LIMITS.clipped_steps]
@@ -93,21 +91,6 @@ def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) ->
         crossing > max(LIMITS.min_pile_pixels, LIMITS.min_crossing * own)
         and staying > max(LIMITS.min_pile_pixels, LIMITS.min_staying * own)
     )
-
-
-def _has_pile_up(data: NDArray) -> bool:
-    """Return whether an extreme value is frequent enough to be a pile-up; avoids a histogram of all values."""
-    extremes = np.count_nonzero(data == data.max()), np.count_nonzero(data == data.min())
-    return bool(max(extremes) > LIMITS.pile_up_fraction * data.size)
-
-
-def _histogram(data: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the values that occur and their counts."""
-    if data.dtype.kind == "u" and data.dtype.itemsize <= 2:
-        counts = np.bincount(data.ravel())
-        values = np.flatnonzero(counts)
-        return values, counts[values]
-    return np.unique(data, return_counts=True)
 
 
 def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:

@@ -1,6 +1,6 @@
 """Target motion between frames, by analysis of variance of line positions.
 
-Edge roughness has the same effect within a frame (`charact.mtf.edge.pixels.roughness`).
+Edge roughness has the same effect within a frame (`charact.mtf.edge.pixels.prepare_edge.roughness_of`).
 """
 
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ class TargetMotion:
 
 
 def measure_line_motion(
-    frames: Sequence[Array], across: Array, line: NDArray[np.int64], used: NDArray[np.bool_]
+    frames: Sequence[Array] | Array, across: Array, line: NDArray[np.int64], used: NDArray[np.bool_]
 ) -> TargetMotion:
     """Return the motion of a target whose lines have one common profile.
 
@@ -64,42 +64,33 @@ def measure_line_motion(
     The displacement of a line is the least-squares coefficient of -m'(d), m the mean profile of all lines, with the
     line's level and contrast free (lamp flicker).
     """
+    from scipy.ndimage import gaussian_filter1d
+
     if len(frames) < 2 or not used.any():
         return TargetMotion()
     values = np.stack([frame[used] for frame in frames]).astype(np.float64)
-    mean, where = values.mean(axis=0), line[used]
-    template, rise = _profile(mean, across[used])
-    weight, holds = _weights(np.stack([rise, template - template.mean(), np.ones_like(rise)]), where)
-    positions = np.stack([np.bincount(where, weight * (one - mean), minlength=holds.size) for one in values])
-    return measure_target_motion(np.asarray(positions[:, holds], np.float64))
-
-
-def _profile(value: Array, across: Array) -> tuple[Array, Array]:
-    """Return the smoothed mean profile of all lines and its slope at every pixel."""
-    from scipy.ndimage import gaussian_filter1d
-
-    cell = np.floor((across - across.min()) * ACCURACY.profile_cells_per_px).astype(np.intp)
-    blur = ACCURACY.profile_smoothing_px * ACCURACY.profile_cells_per_px
-    sums, counts = (gaussian_filter1d(np.bincount(cell, one), blur) for one in (value, np.ones_like(value)))
+    mean, where, away, cells_per_px = values.mean(axis=0), line[used], across[used], ACCURACY.profile_cells_per_px
+    # The smoothed mean profile of all lines and its slope, at every pixel.
+    cell = np.floor((away - away.min()) * cells_per_px).astype(np.intp)
+    blur = ACCURACY.profile_smoothing_px * cells_per_px
+    sums, counts = (gaussian_filter1d(np.bincount(cell, one), blur) for one in (mean, np.ones_like(mean)))
     profile = sums / np.maximum(counts, 1e-12)
-    position = across.min() + (np.arange(profile.size) + 0.5) / ACCURACY.profile_cells_per_px
-    slope = np.gradient(profile) * ACCURACY.profile_cells_per_px if profile.size > 1 else np.zeros(1)
-    return np.interp(across, position, profile), np.interp(across, position, slope)
-
-
-def _weights(shapes: Array, line: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the weight of each pixel in its line's displacement, and the usable lines.
-
-    `shapes` are slope, contrast and level at every pixel, shape (3, pixel).
-    """
+    place = away.min() + (np.arange(profile.size) + 0.5) / cells_per_px
+    slope = np.gradient(profile) * cells_per_px if profile.size > 1 else np.zeros(1)
+    template, rise = np.interp(away, place, profile), np.interp(away, place, slope)
+    # The weight of each pixel in its line's displacement, and the lines that are precise enough.
+    shapes = np.stack([rise, template - template.mean(), np.ones_like(rise)])
     scale = np.sqrt(np.maximum(np.mean(shapes**2, axis=1), 1e-300))
     shapes = shapes / scale[:, None]
-    normal = np.array([[np.bincount(line, one * other) for other in shapes] for one in shapes]).transpose(2, 0, 1)
-    size = np.maximum(np.bincount(line), 1)[:, None, None]
+    pixels = np.bincount(where)
+    normal = np.array([[np.bincount(where, one * other) for other in shapes] for one in shapes]).transpose(2, 0, 1)
+    size = np.maximum(pixels, 1)[:, None, None]
     inverse = np.linalg.inv(normal / size + 1e-9 * np.eye(3)) / size
-    power = np.where(np.bincount(line) > 0, 1.0 / inverse[:, 0, 0], 0.0)
+    power = np.where(pixels > 0, 1.0 / inverse[:, 0, 0], 0.0)
     holds = power > LIMITS.min_line_power * np.median(power[power > 0])
-    return -np.einsum("pk,kp->p", inverse[line, 0], shapes) / scale[0], holds
+    weight = -np.einsum("pk,kp->p", inverse[where, 0], shapes) / scale[0]
+    positions = np.stack([np.bincount(where, weight * (one - mean), minlength=holds.size) for one in values])
+    return measure_target_motion(np.asarray(positions[:, holds], np.float64))
 
 
 def measure_target_motion(places: Array) -> TargetMotion:

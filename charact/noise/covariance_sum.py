@@ -36,8 +36,9 @@ from charact.noise.quantities import (
     transfer_figure_data,
     without_flats,
 )
-from charact.noise.rounding import quantised_flags
+from charact.noise.rounding import flags_of_rounding
 from charact.noise.snr_against_light import snr_against_light
+from charact.noise.stack.spectrum import Bins
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.sweep.sweep import gain_sweep
 from charact.noise.three_dimensional import three_dimensional
@@ -125,16 +126,9 @@ def _of_electrons(
 
 
 METHOD = "covariance-sum"
-QUANTITIES = ("covariance_gain", "blur_factor", "read_noise", "photoelectron_gain")
 
 
-@register(
-    "flats",
-    METHOD,
-    quantities=QUANTITIES,
-    scope="Flats and darks of at least two frames, intensified or not; images of some hundred pixels a side and more. "
-    "For white noise the gains are slopes over all levels; a nonlinearity of up to 2 % is not flagged.",
-)
+@register("flats", METHOD)
 def covariance_sum(session: Session, *, context: Context) -> Result:
     """Measure covariance gain, blur factor and all derived quantities from darks and flats.
 
@@ -165,7 +159,7 @@ def _measure_levels(
     fields: dict[str, Any],
 ) -> Result:  # fmt: skip
     """Return the gains and derived quantities, or refusals."""
-    small = image_size_obstacle([*darks, *flats])
+    small = image_size_obstacle([level.bins for level in (*darks, *flats)])
     if small is not None:
         out = [make_refusal(*name, small, **fields) for name in (("covariance_gain", "DN"), ("blur_factor", "1"))]
         out += dark_quantities(tuple(darks), flags=(), **fields) if darks else []
@@ -179,14 +173,14 @@ def _measure_levels(
     return _measure_series(session, series, context, fields)
 
 
-def image_size_obstacle(levels: list[StackStatistics]) -> str | None:
+def image_size_obstacle(bins: list[Bins]) -> str | None:
     """Return why images have too few low frequencies for a covariance sum, or None."""
-    least = min(levels, key=lambda level: len(level.bins.modes), default=None)
-    if least is None or len(least.bins.modes) >= GAIN.min_bins:
+    least = min(bins, key=lambda one: len(one.modes), default=None)
+    if least is None or len(least.modes) >= GAIN.min_bins:
         return None
     return (
-        f"images of {least.pixels} px have too few low spatial frequencies for a covariance sum; about 100 x 100 px "
-        "are needed at least; the method variance works on any size"
+        f"images of {least.window.size} px have too few low spatial frequencies for a covariance sum; about 100 x 100 "
+        "px are needed at least; the method variance works on any size"
     )
 
 
@@ -225,7 +219,8 @@ def _measure_series(session: Session, series: FlatSeries, context: Context, fiel
             f"noise of neighbouring pixels is correlated (blur factor {float(np.median(posterior['blur_factor'])):.3g})"
             ": variance over signal is no gain per electron; see covariance_gain"
         )
-        out.append(make_refusal("system_gain", "DN/e-", reason, **fields))
+        kind = "failed" if context.sensor is None else "not-applicable"
+        out.append(make_refusal("system_gain", "DN/e-", reason, refusal=kind, **fields))
         out += separate_gains(series, posterior, context=context, flags=plain, covariance_flags=flags, **fields)
     out.append(saturation_level(series, flags=plain, **fields))
     out += dark_quantities(series.all_darks, flags=plain, **fields) if series.all_darks else []
@@ -276,7 +271,7 @@ def _blur_of_darks(darks: list[StackStatistics], context: Context, fields: dict[
     forms = blur_models(blur_exponent(context), blurred=False, floor=False)
     blur = fit_spectrum(summary, seed=context.seed, quick=context.quick, forms=forms)
     flags = ("model-misfit",) if blur.chance < 1e-4 else ()
-    flags += dark_clipping_flags(dark) + quantised_flags(dark.variance_dn2) + blur.posterior.flags
+    flags += dark_clipping_flags(dark) + flags_of_rounding(dark.variance_dn2) + blur.posterior.flags
     note = ("from the darks alone: includes the white noise of the electronics",)
     found = measurement_from_draws("blur_factor", "1", blur.posterior["blur_factor"], flags=flags, notes=note,
                                    posterior=blur.posterior, **fields)  # fmt: skip

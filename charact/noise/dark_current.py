@@ -10,7 +10,8 @@ from charact.method import Context
 from charact.method.stopwatch import with_timing
 from charact.noise.findings import Finding, fields_of, flags_of, notes_of
 from charact.noise.gain.checks import drift_and_flicker
-from charact.noise.gain.series import gain_of
+from charact.noise.gain.series import group_by_gain
+from charact.noise.illumination import mean_sd
 from charact.noise.linear_fit import linear_fit
 from charact.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2
 from charact.noise.stack.stack_statistics import StackStatistics
@@ -53,7 +54,7 @@ def dark_current(darks: list[StackStatistics], result: Result, *, context: Conte
             + (f"only {known[0]:.4g} s" if len(known) == 1 else "no two alike but for their exposure" if known else
                "none whose exposure is stated")
         )  # fmt: skip
-        return Result(measurements=(make_refusal("dark_current", "DN/s", reason, **fields),))
+        return Result(measurements=(make_refusal("dark_current", "DN/s", reason, refusal="missing", **fields),))
     best = max(slopes, key=lambda slope: slope.exposures)
     out = [_current(best, "DN/s", best.draws, (), **fields), *_electrons(best, result, rng, **fields)]
     out.append(_doubling(slopes, rng, **fields))
@@ -62,14 +63,16 @@ def dark_current(darks: list[StackStatistics], result: Result, *, context: Conte
 
 def _groups(darks: list[StackStatistics]) -> list[list[StackStatistics]]:
     """Group darks by temperature, at the gain of most darks."""
-    gains: dict[tuple, list[StackStatistics]] = {}
-    for dark in darks:
-        clipped = max(dark.low_fraction, dark.high_fraction) > CHECKS.max_clipped_fraction
-        if dark.conditions.exposure_s is not None and not clipped:
-            gains.setdefault(gain_of(dark.conditions), []).append(dark)
+    usable = [
+        dark for dark in darks
+        if dark.conditions.exposure_s is not None
+        and max(dark.low_fraction, dark.high_fraction) <= CHECKS.max_clipped_fraction
+    ]  # fmt: skip
     groups: list[list[StackStatistics]] = []
     last = None
-    for dark in sorted(max(gains.values(), key=len, default=[]), key=lambda one: one.conditions.temperature_c or 0.0):
+    for dark in sorted(
+        max(group_by_gain(usable), key=len, default=[]), key=lambda one: one.conditions.temperature_c or 0.0
+    ):
         here = dark.conditions.temperature_c
         far = abs((here or 0.0) - (last or 0.0)) >= DARK_CURRENT.same_temperature_k
         if not groups or (last is None) != (here is None) or far:
@@ -86,9 +89,7 @@ def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope 
     if exposures < 2:
         return None
     mean = np.array([d.mean_dn for d in darks])
-    # Standard error of the level of a dark, at least that of white noise.
-    white = [np.sqrt(max(d.variance_dn2, QUANTISATION_DN2) / (d.pixels * d.frames)) for d in darks]
-    sd = np.maximum([np.std(d.frame_mean_dn, ddof=1) / np.sqrt(d.frames) for d in darks], white)
+    sd = np.array([mean_sd(d, QUANTISATION_DN2) for d in darks])
     fit = linear_fit([np.ones_like(time), time / time.max()], mean, sd)
     value, error = float(fit.best[1] / time.max()), float(np.sqrt(fit.covariance[1, 1]) / time.max())
     freedom = len(time) - 2
@@ -149,7 +150,9 @@ def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) 
     known = [slope for slope in slopes if slope.temperature_c is not None]
     if len(known) < 2:
         need = "darks of two exposures each at two temperatures"
-        return make_refusal(*name, f"the temperature law of the dark current needs {need}, got one", **fields)
+        return make_refusal(
+            *name, f"the temperature law of the dark current needs {need}, got one", refusal="missing", **fields
+        )
     warm = np.array([slope.temperature_c for slope in known], float)
     draws = np.array([slope.draws for slope in known])
     unseen = [f"{t:.1f}" for t, current in zip(warm, draws, strict=True) if np.quantile(current, 0.025) <= 0]

@@ -8,6 +8,10 @@ from labdata import flags
 from labdata.measurement import Provenance
 
 
+class Unmeasurable(Exception):
+    """A quantity that the data cannot give; the message is the reason of its refusal."""
+
+
 class Finding(NamedTuple):
     """What a check found: a flag with its note, or a note alone."""
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from charact.method import Context
+from charact.noise.findings import Unmeasurable
 from charact.noise.gain.series import FlatSeries, gain_of
 from charact.noise.gain.white_floor import floor_of
 from charact.noise.illumination import (
@@ -89,7 +90,8 @@ def separate_gains(
     if floor.is_detected:
         out = [measurement_from_draws("conversion_gain", "DN/e-", floor.draws, **noisy)]
     else:
-        out = [make_refusal("conversion_gain", "DN/e-", floor.refusal_reason, **fields)]
+        kind = "failed" if context.sensor is None else "not-applicable"
+        out = [make_refusal("conversion_gain", "DN/e-", floor.refusal_reason, refusal=kind, **fields)]
     electrons = floor.draws * posterior["lag_factor"]
     pulses: Array | None = posterior["covariance_gain"] - electrons
     # K must be known, or negligible, relative to the covariance gain.
@@ -109,7 +111,7 @@ def separate_gains(
     if gain is None:
         reason = f"k and F2 are not separable: {response.refusal_reason}; {PULSES} would also separate them"
         names = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
-        out += [make_refusal(*name, reason, **fields) for name in names]
+        out += [make_refusal(*name, reason, refusal="missing", **fields) for name in names]
         return [*out, _tube(response, pulses, context, fields, noisy)]
     notes = (response.note, "the interval includes the uncertainty of the photocathode's sensitivity")
     kept = posterior_of("photoelectron_gain", "DN/pe", gain, seed)
@@ -130,9 +132,10 @@ def posterior_of(name: str, unit: str, draws: Array, seed: int) -> Posterior:
 
 def response_of(series: FlatSeries, count: int, context: Context) -> ResponsivityEstimate:
     """Return k and responsivity from the light of the flats."""
-    light = light_of_series(series.flats)
-    if isinstance(light, str):
-        return ResponsivityEstimate(refusal_reason=f"{APART} would tell ({light})")
+    try:
+        light = light_of_series(series.flats)
+    except Unmeasurable as reason:
+        return ResponsivityEstimate(refusal_reason=f"{APART} would tell ({reason})")
     chosen = series.fitted & (series.signal_dn > 0)
     sd = np.array([signal_sd(f, d) for f, d in zip(series.flats, series.darks, strict=True)])
     rng = np.random.default_rng([context.seed, 3])
@@ -171,7 +174,7 @@ def _tube(
     elif pulses is None:
         reason = "k F2 is not known; see pulse_gain"
     if response.per_lux_s is None or pulses is None or reason is not None:
-        return make_refusal("tube_snr", "1", str(reason), **fields)
+        return make_refusal("tube_snr", "1", str(reason), refusal="missing", **fields)
     area = pixel_area_m2(context, np.random.default_rng([context.seed, 33]), len(pulses))
     notes = (
         "spot of 0.2 mm at 108 microlux, bandwidth 10 Hz, 2856 K; noise of dark frames excluded; luminous sensitivity "

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.noise.findings import Unmeasurable
 from charact.noise.rounding import rounding_sd
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import SNR
@@ -40,7 +41,7 @@ def pixel_area_m2(context: Context, rng: np.random.Generator, count: int) -> Arr
     """Return draws of the pixel area at the photocathode, shape (count,), m2; two rows for a field."""
     sensor = context.sensor
     assert sensor is not None
-    demagnification = lognormal_draws(sensor.taper.demagnification, rng, count)
+    demagnification = lognormal_draws(sensor.taper.demagnification, rng, count) / float(sensor.tube.magnification)
     rows = 2.0 if context.interlaced else 1.0
     return float(sensor.ccd.pitch_x_um) * float(sensor.ccd.pitch_y_um) * demagnification**2 * rows * 1e-12
 
@@ -60,10 +61,15 @@ def luminous_sensitivity_ua_per_lm(cathode: Photocathode) -> float:
     S = int QE (e lambda / h c) P dlambda / (683 int V P dlambda), P Planck's law. V is taken as the Gaussian
     1.019 exp(-285.4 (lambda - 0.559)^2), lambda in um, which gives the lumens of this lamp within a percent.
     """
+    return table_sensitivity_ua_per_lm(cathode.wavelength_nm, cathode.relative_quantum_efficiency)
+
+
+def table_sensitivity_ua_per_lm(wavelength_nm: Sequence[float], quantum_efficiency: Sequence[float]) -> float:
+    """Return the photocurrent of a table of quantum efficiencies; see `luminous_sensitivity_ua_per_lm`."""
     wavelength = np.arange(360.0, 1101.0, 1.0)
     radiant = wavelength**-5.0 / np.expm1(SECOND_RADIATION_NM_K / (wavelength * LAMP_K))
     eye = 1.019 * np.exp(-285.4 * (wavelength * 1e-3 - 0.559) ** 2)
-    efficiency = np.interp(wavelength, cathode.wavelength_nm, cathode.relative_quantum_efficiency, left=0.0, right=0.0)
+    efficiency = np.interp(wavelength, wavelength_nm, quantum_efficiency, left=0.0, right=0.0)
     current = ELECTRON_C / PHOTON_J_NM * np.sum(efficiency * wavelength * radiant)
     return float(1e6 * current / (LUMENS_PER_WATT * np.sum(eye * radiant)))
 
@@ -130,14 +136,14 @@ def relative_sd_of(conditions: list[Conditions], unit: str) -> tuple[float, bool
     return (UNSTATED_ILLUMINANCE_SD if unit == "lux" else 0.0), False
 
 
-def light_of_series(flats: Sequence[StackStatistics]) -> StatedIllumination | str:
-    """Return the light of a series, or why it is unknown."""
+def light_of_series(flats: Sequence[StackStatistics]) -> StatedIllumination:
+    """Return the light of a series; Unmeasurable if it is unknown."""
     known = [flat.conditions for flat in flats]
     lux, photons = [c.illuminance_lux for c in known], [c.photons_per_px for c in known]
     if all(lux):
         times = [gathering_s(c) for c in known]
         if any(times) and not all(times):
-            return "either all flats must state exposure_s or gate_ns, or none"
+            raise Unmeasurable("either all flats must state exposure_s or gate_ns, or none")
         longest = max((time for time in times if time), default=None)
         share = np.array([1.0 if time is None or longest is None else time / longest for time in times])
         amount, unit = np.array(lux, float) * share, "lux"
@@ -145,7 +151,7 @@ def light_of_series(flats: Sequence[StackStatistics]) -> StatedIllumination | st
         return StatedIllumination(amount=amount, unit=unit, seconds=longest, relative_sd=relative_sd, stated=stated)
     if all(photons):
         return light_of_photons(flats, np.array(photons, float))
-    return "the light on the flats is unknown: illuminance_lux or photons_per_px of every flat is needed"
+    raise Unmeasurable("the light on the flats is unknown: illuminance_lux or photons_per_px of every flat is needed")
 
 
 def light_of_photons(flats: Sequence[StackStatistics], photons: Array) -> StatedIllumination:
@@ -157,12 +163,12 @@ def light_of_photons(flats: Sequence[StackStatistics], photons: Array) -> Stated
 def signal_sd(flat: StackStatistics, dark: StackStatistics) -> float:
     """Return the standard error of the signal, DN, from the scatter of frame means and from rounding."""
     steps = [rounding_sd(level.variance_dn2)[0] for level in (flat, dark)]
-    return float(np.linalg.norm([_mean_sd(flat), _mean_sd(dark), *steps]))
+    return float(np.linalg.norm([mean_sd(flat), mean_sd(dark), *steps]))
 
 
-def _mean_sd(level: StackStatistics) -> float:
-    """Return the standard error of the mean of a stack, at least that of white noise."""
-    white = np.sqrt(max(level.variance_dn2, 1e-12) / (level.pixels * level.frames))
+def mean_sd(level: StackStatistics, least_dn2: float = 1e-12) -> float:
+    """Return the standard error of the mean of a stack, DN, at least that of white noise of `least_dn2`."""
+    white = np.sqrt(max(level.variance_dn2, least_dn2) / (level.pixels * level.frames))
     return float(max(np.std(level.frame_mean_dn, ddof=1) / np.sqrt(level.frames), white))
 
 

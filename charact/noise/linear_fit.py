@@ -1,10 +1,14 @@
-"""Weighted linear least squares with the covariance of the parameters."""
+"""Weighted linear least squares, and draws of laws whose deviation is a parameter."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from charact.posterior import find_maximum
+from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
@@ -43,3 +47,23 @@ def weighted_mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
         return 0.0, np.inf
     fit = linear_fit([np.ones(len(known))], known[:, 0], np.maximum(known[:, 1], 1e-9))
     return float(fit.best[0]), float(np.sqrt(fit.covariance[0, 0]))
+
+
+def draw_posterior(
+    log_probability: Callable[[Array], Array], start: Array, bounds: Array, *, names: tuple[str, ...],
+    units: tuple[str, ...], seed: int, method: Callable[..., Posterior],
+) -> Posterior:  # fmt: skip
+    """Draw from a posterior inside bounds by a method of `charact.posterior`.
+
+    The flag `prior-bound` is dropped: an undetectably small departure or fraction is harmless.
+    """
+
+    def inside_bounds(points: Array) -> Array:
+        inside = np.all((points >= bounds[:, 0]) & (points <= bounds[:, 1]), axis=1)
+        return np.where(inside, log_probability(np.where(inside[:, None], points, start)), -np.inf)
+
+    point, covariance = find_maximum(inside_bounds, start, bounds)
+    drawn = method(
+        inside_bounds, names=names, units=units, start=point, covariance=covariance, seed=seed, bounds=bounds
+    )
+    return replace(drawn, flags=tuple(flag for flag in drawn.flags if flag != "prior-bound"))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from charact.noise.gain.pooled_noise import ImageLag
 from charact.noise.gain.series import CLIPPED_SHARE, FlatSeries
 from charact.noise.illumination import signal_sd
+from charact.noise.linear_fit import linear_fit
 from charact.noise.rounding import rounding_sd
 from charact.noise.stack.stack_statistics import StackStatistics, area_variance, shares_of
 from charact.noise.stack.temporal import n_effective_samples, same_row_lags
@@ -93,11 +94,9 @@ def noise_law(levels: SignalNoiseSeries, rng: np.random.Generator, *, reference:
     levels scatter by more than their errors, the errors are scaled to the scatter (Birge, Phys. Rev. 40, 207 (1932)).
     """
     design, data, sd = _equations(levels)
-    covariance = np.linalg.inv((design / sd[:, None] ** 2).T @ design).astype(float)
-    best = covariance @ (design / sd[:, None] ** 2).T @ data
+    best, covariance, chi2 = linear_fit(list(design.T), data, sd)
     rest = data - design @ best
     freedom = int(levels.fitted.sum()) - 1
-    chi2 = float(np.sum((rest / sd) ** 2))
     stretch = max(1.0, chi2 / freedom) if freedom else 1.0
     drawn = _positive(rng, best, covariance * stretch, (reference, len(best) - 2))
     pattern = _above_zero(rng, levels.pattern, levels.pattern_sd)
@@ -125,10 +124,10 @@ def _equations(levels: SignalNoiseSeries) -> tuple[Array, Array, Array]:
 
 def _misfit(rest: Array, levels: SignalNoiseSeries, chi2: float, freedom: int) -> str | None:
     """Return the note on a significant deviation of the levels from the law, or None."""
-    from scipy.stats import chi2 as chi_squared
+    from scipy.special import chdtrc
 
     flats = rest[len(levels.dark_variance_dn2) : -1] / levels.variance_dn2[levels.fitted]
-    if freedom < 1 or chi_squared.sf(chi2, freedom) > SNR.min_p_value or np.abs(flats).max() < SNR.misfit_fraction:
+    if freedom < 1 or chdtrc(freedom, chi2) > SNR.min_p_value or np.abs(flats).max() < SNR.misfit_fraction:
         return None
     return f"the noise deviates from read and shot noise by up to {100 * np.abs(flats).max():.2g} % of its variance"
 

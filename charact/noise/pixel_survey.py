@@ -135,8 +135,8 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
     )
     if frames == 2:
         found = _sudden_in_pair(first, SURVEY.sudden_sd * sd)
-        total = first.sum(axis=0, dtype=np.float32)
-        highest, lowest = np.float32(first.max(axis=0)), np.float32(first.min(axis=0))
+        highest, lowest = np.float32(np.maximum(*first)), np.float32(np.minimum(*first))
+        total = highest + lowest
     else:
         extremes = _Extremes(rows * cols)
         for at, block in blocks:

@@ -24,8 +24,6 @@ from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Posterior
 from labdata.session import StackEntry
 
-Array = NDArray[np.float64]
-
 Array = NDArray[np.floating]
 
 
@@ -47,37 +45,45 @@ class LightNoise:
         """
         if not self.pulse_dn:
             return self._electrons(np.broadcast_to(light_dn, (count, *light_dn.shape)), rng)
-        before = (
-            int(min(np.ceil(np.log(PREDICTIVE.min_lag) / np.log(self.kept)), PREDICTIVE.max_exposures))
-            if self.kept > PREDICTIVE.min_lag
-            else 0
-        )
-        blur = self._blur(light_dn.shape)
-        glow, out = light_dn.astype(float), []
-        for number in range(-before, 1 + (count - 1) * every):
-            glow = self.kept * glow + (1.0 - self.kept) * self._pulses(light_dn, blur, rng)
-            if number >= 0 and number % every == 0:
-                out.append(glow)
-        return self._electrons(np.array(out), rng)
+        glow = self._pulses(light_dn, np.inf, rng)
+        out = [glow]
+        for _ in range(count - 1):
+            glow = self.kept**every * glow + self._pulses(light_dn, every, rng)
+            out.append(glow)
+        light, blur = np.array(out), self._blur(light_dn.shape)
+        if blur is not None:
+            light = np.fft.irfft2(np.fft.rfft2(light) * blur, s=light_dn.shape)
+        return self._electrons(light, rng)
 
-    def _pulses(self, light_dn: Array, blur: Array | None, rng: np.random.Generator) -> Array:
-        """Return the light of the pulses of one exposure."""
-        number = rng.poisson(light_dn / self.pulse_dn)
-        light = number * self.pulse_dn
-        if self.height_variance > 0:
-            light = self.pulse_dn * self.height_variance * rng.standard_gamma(number / self.height_variance)
-        if blur is None:
-            return light
-        return np.fft.irfft2(np.fft.rfft2(light) * blur, s=light.shape)
+    def _pulses(self, light_dn: Array, exposures: float, rng: np.random.Generator) -> Array:
+        """Return what the pulses of the last exposures leave in the present one, before the blur.
+
+        Of i exposures ago the fraction (1 - r) r^i is left. Pulses of one height law replace those of all exposures:
+        their sum has the same mean, variance and third cumulant.
+        """
+        one, two, three = (
+            (1.0 - self.kept) ** k * (1.0 - self.kept ** (k * exposures)) / (1.0 - self.kept**k) for k in (1, 2, 3)
+        )
+        # Second over first moment of the heights, and third over second.
+        second = self.pulse_dn * (1.0 + self.height_variance) * two / one
+        third = self.pulse_dn * (1.0 + 2.0 * self.height_variance) * three / two
+        third = min(third, PREDICTIVE.max_skewness * second)
+        height, variance = 2.0 * second - third, (third - second) / (2.0 * second - third)
+        number = rng.poisson(one * light_dn / height)
+        if variance < 1e-9:
+            return number * height
+        return height * variance * rng.standard_gamma(number / variance)
 
     def _blur(self, shape: tuple[int, int]) -> Array | None:
         """Return the transfer at every frequency of an image."""
         if self.blur is None:
             return None
-        column, row = np.meshgrid(np.fft.rfftfreq(shape[1]), np.abs(np.fft.fftfreq(shape[0])) / self.reading.row_pitch)
+        # Frequencies along columns occur with both signs.
+        column, row = np.meshgrid(np.fft.rfftfreq(shape[1]), np.fft.rfftfreq(shape[0]) / self.reading.row_pitch)
         frequency = column.ravel().astype(float), row.ravel().astype(float)
-        power = model.transfer(self.blur[None], *frequency, self.reading)[0]
-        return np.sqrt(power).reshape(column.shape)
+        power = model.transfer(self.blur[None], *frequency, self.reading)[0].reshape(column.shape)
+        step = np.arange(shape[0])
+        return np.sqrt(power)[np.minimum(step, shape[0] - step)]
 
     def _electrons(self, light_dn: Array, rng: np.random.Generator) -> Array:
         """Return the light with shot noise of electrons."""
@@ -134,7 +140,7 @@ class SummaryStatistic:
 
 STATISTICS: dict[str, SummaryStatistic] = {
     "variance": SummaryStatistic(words=f"logarithm of the variance of {SIDE_PX} x {SIDE_PX} px", harmless=0.06),
-    "beside": SummaryStatistic(words="correlation of neighbouring squares of a row", harmless=0.03),
+    "row_neighbours": SummaryStatistic(words="correlation of neighbouring squares of a row", harmless=0.03),
     "below": SummaryStatistic(words="correlation of neighbouring squares of a column", harmless=0.03),
     "skewness": SummaryStatistic(words="skewness of the squares", harmless=0.06),
     "tail": SummaryStatistic(
@@ -163,7 +169,7 @@ def summary_statistics(frames: Array) -> dict[str, float]:
     power = max(float(np.mean(change**2)), 1e-30)
     found = {
         "variance": np.log(power),
-        "beside": np.mean(change[:, :, 1:] * change[:, :, :-1]) / power,
+        "row_neighbours": np.mean(change[:, :, 1:] * change[:, :, :-1]) / power,
         "below": np.mean(change[:, 1:] * change[:, :-1]) / power,
         "skewness": np.mean(change**3) / power**1.5,
         "tail": np.quantile(change, PREDICTIVE.tail_quantile) / np.sqrt(power),
@@ -247,15 +253,11 @@ def findings_of(residuals: list[PredictiveResidual]) -> list[Finding]:
 
 def predictive_figure_data(residuals: list[PredictiveResidual]) -> dict[str, Any]:
     """Return the figure data of the check."""
+    names = ("stack", "sign", "measured", "expected", "sd", "chance")
     return {
         "figure": "predictive-frames",
-        "stack": [one.stack for one in residuals],
-        "sign": [one.sign for one in residuals],
-        "measured": [one.measured for one in residuals],
-        "expected": [one.expected for one in residuals],
-        "sd": [one.sd for one in residuals],
+        **{name: [getattr(one, name) for one in residuals] for name in names},
         "harmless": [STATISTICS[one.sign].harmless for one in residuals],
-        "chance": [one.chance for one in residuals],
     }
 
 
@@ -325,11 +327,11 @@ def _resample_dark_noise(change: Array, count: int, rng: np.random.Generator) ->
 
 def _residual(label: str, name: str, measured: float, drawn: Array) -> PredictiveResidual:
     """Return the residual of one statistic, with a p-value by Student's t for few replicates."""
-    from scipy.stats import t as student
+    from scipy.special import stdtr
 
     expected, sd = float(drawn.mean()), max(float(drawn.std(ddof=1)), 1e-12)
     away = measured - expected if STATISTICS[name].upwards else abs(measured - expected)
     beyond = max(away - STATISTICS[name].harmless, 0.0) / (sd * np.sqrt(1.0 + 1.0 / len(drawn)))
     sides = 1.0 if STATISTICS[name].upwards else 2.0
-    chance = min(1.0, sides * float(student.sf(beyond, len(drawn) - 1))) if beyond > 0 else 1.0
+    chance = min(1.0, sides * float(stdtr(len(drawn) - 1, -beyond))) if beyond > 0 else 1.0
     return PredictiveResidual(stack=label, sign=name, measured=measured, expected=expected, sd=sd, chance=chance)

@@ -70,7 +70,7 @@ def _slope(surveys: Sequence[PixelSurvey]) -> float:
 
 def _blinking_mask(surveys: Sequence[PixelSurvey], wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the pixels that are outliers more often than chance allows."""
-    from scipy.stats import binom
+    from scipy.special import bdtrc
 
     counts, trials = np.zeros(len(wrong), np.int64), 0
     for one in surveys:
@@ -82,7 +82,7 @@ def _blinking_mask(surveys: Sequence[PixelSurvey], wrong: NDArray[np.bool_]) -> 
     never = float(np.mean(counts[~wrong] == 0))
     rate = min(SURVEY.rate_variation * (1.0 - max(never, 1e-9) ** (1.0 / trials)), 1.0)
     needed = np.arange(2, trials + 2)
-    enough = needed[binom.sf(needed - 1, trials, rate) * len(wrong) < SURVEY.false_alarm]
+    enough = needed[bdtrc(needed - 1, trials, rate) * len(wrong) < SURVEY.false_alarm]
     blinks = counts >= (enough[0] if len(enough) else trials + 1)
     return blinks if np.count_nonzero(blinks) <= SURVEY.max_fraction * len(wrong) else np.zeros(len(wrong), bool)
 

@@ -11,8 +11,8 @@ from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain import emva1288
 from charact.noise.gain.checks import dark_findings, light_findings
 from charact.noise.gain.series import FlatSeries, gain_obstacle, without_noise
-from charact.noise.illumination import light_of_photons
-from charact.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2, quantised_flags, rounding_sd
+from charact.noise.illumination import light_of_photons, mean_sd
+from charact.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2, flags_of_rounding, rounding_sd
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CHECKS, CORRELATION
 from labdata.measurement import Measurement, make_refusal, measurement_from_draws, measurement_from_sd
@@ -33,14 +33,13 @@ def dark_quantities(darks: tuple[StackStatistics, ...], *, flags: tuple[str, ...
         note = ("temporal noise of a dark frame: electronics, digitiser and dark scintillation",)
         out.append(
             measurement_from_sd(
-                "read_noise", "DN", noise, sd, flags=flags + quantised_flags(dark.variance_dn2), notes=note, **fields
+                "read_noise", "DN", noise, sd, flags=flags + flags_of_rounding(dark.variance_dn2), notes=note, **fields
             )
         )
     else:
         out.append(make_refusal("read_noise", "DN", f"{dark.label} does not change from frame to frame", **fields))
-    scatter = float(np.std(dark.frame_mean_dn, ddof=1)) / np.sqrt(dark.frames)
-    level_sd = max(scatter, np.sqrt(max(dark.variance_dn2, QUANTISED_DN2) / (dark.pixels * dark.frames)))
-    out.append(measurement_from_sd("dark_signal", "DN", dark.mean_dn, float(level_sd), flags=flags, **fields))
+    level_sd = mean_sd(dark, QUANTISED_DN2)
+    out.append(measurement_from_sd("dark_signal", "DN", dark.mean_dn, level_sd, flags=flags, **fields))
     return out
 
 
@@ -92,7 +91,7 @@ def pattern_quantities(series: FlatSeries, gain: Array | None, *, flags: tuple[s
 
 def _dark_pattern(dark: StackStatistics, gain: Array | None, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
     """Return the DSNU, in electrons if the gain is known."""
-    flags += image_lag_flags(dark) + quantised_flags(dark.variance_dn2)
+    flags += image_lag_flags(dark) + flags_of_rounding(dark.variance_dn2)
     notes = (PAIR,) if dark.frames < CORRELATION.few_frames else ()
     unit, scale, relative_sd = "DN", 1.0, 0.0
     if gain is not None:
@@ -163,7 +162,7 @@ def electron_quantities(
     names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
     if series.peak is None:
         reason = f"no flat reaches saturation: the variance still rises at {series.flats[-1].mean_dn:.4g} DN"
-        return [*out, *(make_refusal(name, unit, reason, **fields) for name, unit in names)]
+        return [*out, *(make_refusal(name, unit, reason, refusal="missing", **fields) for name, unit in names)]
     capacity = series.signal_dn[series.peak] / slope
     if efficiency is not None and photons is not None and not light:
         capacity = efficiency * photons[series.peak]
@@ -199,7 +198,7 @@ def without_flats(
         reason = f"noise needs stacks of at least two frames; {', '.join(single)} has one"
     else:
         reason = "there are no flats"
-    out = [make_refusal(quantity[0], quantity[1], reason, **fields)]
+    out = [make_refusal(quantity[0], quantity[1], reason, refusal="missing", **fields)]
     wrong = [] if series is None or not len(series.flats) else dark_findings(series)
     dark = dark_quantities(tuple(darks), flags=(), **fields) if darks else []
     notes = notes_of(wrong)

@@ -11,7 +11,7 @@ EVEN_DN2 = 0.45
 QUANTISED_DN2 = 0.32
 
 
-def quantised_flags(variance_dn2: float) -> tuple[str, ...]:
+def flags_of_rounding(variance_dn2: float) -> tuple[str, ...]:
     """Return the flag of noise smaller than the quantisation step."""
     return ("quantised",) if variance_dn2 < QUANTISED_DN2 else ()
 
@@ -36,12 +36,12 @@ def variance_range_before_rounding(variance_dn2: float) -> tuple[float, float]:
 def _variance_before_rounding(variance_dn2: float, place: float) -> float:
     """Return the variance of normal noise about a position between two grey values, given that after rounding."""
     from scipy.optimize import root_scalar
-    from scipy.stats import norm
+    from scipy.special import ndtr
 
     codes = np.arange(-8.0, 9.0)
 
     def excess(sd: float) -> float:
-        chance = np.diff(norm.cdf((np.append(codes - 0.5, codes[-1] + 0.5) - place) / sd))
+        chance = np.diff(ndtr((np.append(codes - 0.5, codes[-1] + 0.5) - place) / sd))
         return float(chance @ codes**2 - (chance @ codes) ** 2) - variance_dn2
 
     return 0.0 if excess(1e-4) >= 0.0 else root_scalar(excess, bracket=(1e-4, 1.0)).root ** 2

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from charact.noise.findings import Finding, fields_of, flags_of, notes_of
+from charact.noise.findings import Finding, Unmeasurable, fields_of, flags_of, notes_of
 from charact.noise.gain.checks import exposure_findings, is_quantisation_limited, series_findings
 from charact.noise.gain.pooled_noise import NO_LAG, pool_noise
-from charact.noise.gain.series import GAINS, FlatSeries, gain_obstacle, gain_of, series_of, without_noise
+from charact.noise.gain.series import GAINS, FlatSeries, gain_obstacle, group_by_gain, series_of, without_noise
 from charact.noise.gain.undetected_correlation import temporally_correlated_fraction
 from charact.noise.illumination import StatedIllumination, gathering_s, light_of_series, response_draws
 from charact.noise.noise_law import (
@@ -53,31 +53,21 @@ class Scope:
     law: NoiseLaw  # fitted noise law
 
 
-def scope_of(suffix: str, sentence: str, levels: SignalNoiseSeries, reference: int, context: Context) -> Scope:
-    """Fit the noise law of a pixel or an area; its read noise is that of the dark of flat `reference`."""
-    rng = np.random.default_rng([context.seed, 23, len(suffix)])
-    law = noise_law(levels, rng, reference=int(levels.dark[reference]))
-    return Scope(suffix=suffix, sentence=sentence, levels=levels, law=law)
-
-
 def minimum_illumination(
-    scope: Scope, light: StatedIllumination | str, response: Array | None, findings: list[Finding], *, seed: int,
-    **fields: Any,
-) -> Measurement:  # fmt: skip
+    scope: Scope, light: StatedIllumination, response: Array, findings: list[Finding], *, seed: int, **fields: Any
+) -> Measurement:
     """Return the light at which the SNR is `LEAST_SNR`, or a refusal.
 
-    `light`: light of the flats, or why it is unknown. `response`: draws of the signal per recorded light. `findings`:
-    findings of the series.
+    `light`: light of the flats. `response`: draws of the signal per recorded light. `findings`: those of the series.
     """
     name = f"minimum_illumination{scope.suffix}"
-    if isinstance(light, str) or response is None:
-        return make_refusal(name, "lux", str(light), **fields)
-    if "agc" in flags_of(findings):
-        return make_refusal(name, light.unit, ALTERNATIVE, **fields)
     amount = scope.law.signal_at(LEAST_SNR) / response
-    reason, farther = _beyond(amount, scope.levels, light)
-    if reason is not None:
-        return make_refusal(name, light.unit, reason, **fields)
+    try:
+        if "agc" in flags_of(findings):
+            raise Unmeasurable(ALTERNATIVE)
+        farther = _extrapolation_findings(amount, scope.levels, light)
+    except Unmeasurable as reason:
+        return make_refusal(name, light.unit, str(reason), **fields)
     scale = light.scale(seed, len(amount))
     misfit = [] if scope.law.misfit is None else [Finding("model-misfit", scope.law.misfit)]
     found = [*findings, *farther, *misfit]
@@ -93,40 +83,39 @@ def minimum_illumination(
                                   notes=(sentence, light.note, *notes_of(found)), **fields)  # fmt: skip
 
 
-def _beyond(amount: Array, levels: SignalNoiseSeries, light: StatedIllumination) -> tuple[str | None, list[Finding]]:
-    """Return the reason to refuse an extrapolation, or None, and the findings of a smaller one."""
+def _extrapolation_findings(amount: Array, levels: SignalNoiseSeries, light: StatedIllumination) -> list[Finding]:
+    """Return the findings of an extrapolation beyond the flats; Unmeasurable if it is too large."""
     chosen = levels.fitted & levels.is_illuminated
     low, high = float(light.amount[chosen].min()), float(light.amount[chosen].max())
     if np.mean(~np.isfinite(amount)) > SNR.max_unreached:
-        return f"the ratio may stay below {LEAST_SNR:g} at any light", []
+        raise Unmeasurable(f"the ratio may stay below {LEAST_SNR:g} at any light")
     middle = float(np.median(amount))
     if middle > SNR.max_factor_above * high:
-        return f"the ratio stays below {LEAST_SNR:g} up to the brightest flat, {high:.3g} {light.unit}", []
+        raise Unmeasurable(f"the ratio stays below {LEAST_SNR:g} up to the brightest flat, {high:.3g} {light.unit}")
     if middle < low / SNR.max_factor_below:
-        return (
+        raise Unmeasurable(
             f"it is about {middle:.1g} {light.unit}, too far below the dimmest flat of {low:.3g} {light.unit} to "
             "assume a linear camera response"
-        ), []
+        )
     if middle > high:
-        return None, [Finding("extrapolated", f"the brightest flat has {high:.3g} {light.unit}")]
+        return [Finding("extrapolated", f"the brightest flat has {high:.3g} {light.unit}")]
     if middle < low:
         sentence = f"the dimmest flat has {low:.3g} {light.unit}; below it the camera response is assumed linear"
-        return None, [Finding("extrapolated" if middle < low / SNR.interpolation_factor else None, sentence)]
-    return None, []
+        return [Finding("extrapolated" if middle < low / SNR.interpolation_factor else None, sentence)]
+    return []
 
 
 def setting_figure_data(
-    series: FlatSeries, words: str, light: StatedIllumination | str, response: Array | None, scopes: list[Scope],
+    series: FlatSeries, words: str, lit: tuple[StatedIllumination, Array] | None, scopes: list[Scope],
     found: list[Measurement],
 ) -> dict[str, Any]:  # fmt: skip
     """Return levels, noise laws and minima of one gain; without light the signal is the abscissa.
 
-    `words`: the gain setting. `light`, `response`: recorded light and signal per light.
+    `words`: the gain setting. `lit`: recorded light and draws of the signal per light.
     """
-    if isinstance(light, str) or response is None:
-        amount, per_amount, unit = series.signal_dn, 1.0, "DN"
-    else:
-        amount, per_amount, unit = light.amount, float(np.median(response)), light.unit
+    amount, per_amount, unit = series.signal_dn, 1.0, "DN"
+    if lit is not None:
+        amount, per_amount, unit = lit[0].amount, float(np.median(lit[1])), lit[0].unit
     shown = scopes[0].levels.is_illuminated & flats_without_clipping(series)
     return {
         "gain": words,
@@ -178,10 +167,8 @@ def snr_against_light(
     Noise is that of one exposure less the mean dark. The minimum illumination includes PRNU, and its interval the
     common uncertainty of the light; see `charact.noise.illumination`.
     """
-    groups: dict[tuple, list[StackStatistics]] = {}
-    for flat in flats:
-        groups.setdefault(gain_of(flat.conditions), []).append(flat)
-    parts = [_measure_setting(series_of(group, darks, single), len(groups) > 1, context) for group in groups.values()]
+    groups = group_by_gain(flats)
+    parts = [_measure_setting(series_of(group, darks, single), len(groups) > 1, context) for group in groups]
     measurements = tuple(one for found, _ in parts for one in found)
     gains = [evidence for _, evidence in parts if evidence is not None]
     units = {gain["unit"] for gain in gains}
@@ -208,7 +195,9 @@ def _measure_setting(
         parts = ("there are no darks of two frames or more: the signal is unknown", without_noise(series.single))
         reason = "; ".join(part for part in parts if part)
     if reason is not None or not len(series.flats):
-        return [make_refusal("minimum_illumination", "lux", reason or "there are no flats", **fields)], None
+        return [
+            make_refusal("minimum_illumination", "lux", reason or "there are no flats", refusal="missing", **fields)
+        ], None
     small = _area_obstacle(series)
     lag = NO_LAG if small else pool_noise(series, None).lag
     findings = series_findings(series)
@@ -216,27 +205,42 @@ def _measure_setting(
     findings += [Finding("lag", "image lag has not decayed at the end of the lag sum")] if lag.open else []
     words = gain_in_words(series.flats[0].conditions)
     findings += [Finding(None, words)] if several else []
-    light, response = light_of_series(series.flats), None
-    pixel = pixel_levels(series, lag)
-    chosen = pixel.fitted & pixel.is_illuminated
-    if not isinstance(light, str):
-        if chosen.any():
-            rng = np.random.default_rng([context.seed, 22])
-            lit = light.amount[chosen], pixel.signal_dn[chosen], pixel.signal_sd_dn[chosen]
-            response = response_draws(*lit, rng, SNR.draws)
-        else:
-            light = f"no flat below saturation is brighter than its dark by {SNR.lit_sd:g} standard errors"
+    pixel, lit, unlit = pixel_levels(series, lag), None, ""
+    try:
+        lit = _responsivity(series, pixel, context)
+    except Unmeasurable as reason:
+        unlit = str(reason)
     # The dark of the dimmest flat of the longest exposure gives the read noise.
     reference = int(np.argmax([gathering_s(flat.conditions) or 0.0 for flat in series.flats]))
-    scopes = [scope_of("", PIXEL, pixel, reference, context)]
+    parts = [("", PIXEL, pixel)]
     if small is None:
         whole = all(level.cube is not None for level in (*series.flats, *series.darks))
         sentence = AREA if whole else f"{AREA}; {AXES}"
-        scopes.append(scope_of("_area", sentence, area_levels(series, lag), reference, context))
+        parts.append(("_area", sentence, area_levels(series, lag)))
+    scopes = []
+    for suffix, sentence, levels in parts:
+        rng = np.random.default_rng([context.seed, 23, len(suffix)])
+        law = noise_law(levels, rng, reference=int(levels.dark[reference]))
+        scopes.append(Scope(suffix=suffix, sentence=sentence, levels=levels, law=law))
     out = [one for scope in scopes for one in _ratios(series, scope, findings, fields)]
-    out += [minimum_illumination(scope, light, response, findings, seed=context.seed, **fields) for scope in scopes]
-    out += [] if small is None else [make_refusal("snr_area", "1", small, **fields)]
-    return out, setting_figure_data(series, words, light, response, scopes, out)
+    if lit is None:
+        out += [
+            make_refusal(f"minimum_illumination{scope.suffix}", "lux", unlit, refusal="missing", **fields)
+            for scope in scopes
+        ]
+    else:
+        out += [minimum_illumination(scope, *lit, findings, seed=context.seed, **fields) for scope in scopes]
+    out += [] if small is None else [make_refusal("snr_area", "1", small, refusal="not-applicable", **fields)]
+    return out, setting_figure_data(series, words, lit, scopes, out)
+
+
+def _responsivity(series: FlatSeries, pixel: SignalNoiseSeries, context: Context) -> tuple[StatedIllumination, Array]:
+    """Return the light of the flats and draws of the signal per light; Unmeasurable without known light."""
+    light, chosen = light_of_series(series.flats), pixel.fitted & pixel.is_illuminated
+    if not chosen.any():
+        raise Unmeasurable(f"no flat below saturation is brighter than its dark by {SNR.lit_sd:g} standard errors")
+    levels = light.amount[chosen], pixel.signal_dn[chosen], pixel.signal_sd_dn[chosen]
+    return light, response_draws(*levels, np.random.default_rng([context.seed, 22]), SNR.draws)
 
 
 def _area_obstacle(series: FlatSeries) -> str | None:
@@ -256,7 +260,11 @@ def _ratios(series: FlatSeries, scope: Scope, findings: list[Finding], fields: d
     for index, (flat, dark) in enumerate(zip(series.flats, series.darks, strict=True)):
         name, own = f"snr{scope.suffix}", {**fields, "stack": flat.label}
         if not whole[index]:
-            out.append(make_refusal(name, "1", f"{flat.label} is saturated: clipping lowers the noise", **own))
+            out.append(
+                make_refusal(
+                    name, "1", f"{flat.label} is saturated: clipping lowers the noise", refusal="not-applicable", **own
+                )
+            )
         elif not levels.is_illuminated[index]:
             reason = f"{flat.label} is not brighter than its dark by {SNR.lit_sd:g} standard errors"
             out.append(make_refusal(name, "1", reason, **own))

@@ -88,7 +88,8 @@ def _common_findings(level: StackStatistics, cube: Cube, draws: Array) -> list[F
     """Return the findings common to all components of the stack."""
     out: list[Finding] = []
     if cube.fields > 1:
-        out.append(Finding(None, "even and odd rows form separate cubes; their variances are averaged"))
+        of = "even and odd rows" if cube.fields == 2 else "lines of both fields and both scan directions"
+        out.append(Finding(None, f"{of} form separate cubes; their variances are averaged"))
     variance, half = cube.components["tvh"].variance_dn2, _half(draws)
     for share, which in ((level.low_fraction, "0"), (level.high_fraction, "the highest")):
         # Clipping a fraction of a normal distribution lowers its variance by about twice that fraction.

@@ -149,8 +149,8 @@ class PredictiveLimits:
     smoothing_px: int = 17  # px; smoothing of the illumination
     # relative variance of heights: from equal to slightly beyond exponential
     height_variances: tuple[float, float] = (0.0, 1.2)
-    min_lag: float = 0.02  # neglected fraction of image lag
-    max_exposures: int = 12  # earlier exposures of image lag
+    # third moment of pulse heights over the second, in second over first: below 2, that of infinitely many pulses
+    max_skewness: float = 1.9
     patch: int = 6  # squares; side of a patch
     tail_quantile: float = 0.999  # quantile of the tail statistic
     min_exposures: int = 4  # fewest exposures of flicker and temporal correlation

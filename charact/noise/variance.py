@@ -34,13 +34,7 @@ from labdata.session import Session
 METHOD = "variance"
 
 
-@register(
-    "flats",
-    METHOD,
-    quantities=("system_gain", "read_noise", "quantum_efficiency", "saturation", "snr_max", "dynamic_range"),
-    scope="Cameras with white noise; blur after the gain stage lowers the result by the blur factor. A nonlinearity of "
-    "up to 2 % over the levels lowers it by up to 6 % without a flag, as in the standard.",
-)
+@register("flats", METHOD)
 def variance(session: Session, *, context: Context) -> Result:
     """Measure gain, efficiency, noise and range from the variance and mean of darks and flats.
 

@@ -23,9 +23,9 @@ from charact.posterior.laplace import (
     Vectorised,
     bounds_of,
     covariance_root,
+    draw_truncated_gaussian,
     find_maximum,
     laplace,
-    truncated_gaussian_draws,
 )
 from charact.posterior.probit_transform import NormalScores, ProbitTransform
 from labdata.errors import BadInput
@@ -170,7 +170,7 @@ def _start_ensembles(
     generators = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(ensembles)]
     first = [first_places(log_probability, places, covariance, open_space.walls, walkers, rng) for rng in generators]
     if len(places) == 1:
-        near = open_space.outside(truncated_gaussian_draws(generators[0], places[0], covariance, open_space.walls, 500))
+        near = open_space.outside(draw_truncated_gaussian(generators[0], places[0], covariance, open_space.walls, 500))
         moves = walker_moves(near.mean(axis=0)[None], np.atleast_2d(np.cov(near.T)), ensembles)
     else:
         stretch = open_space.stretch(places[0])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.posterior.laplace import Vectorised, covariance_root, truncated_gaussian_draws
+from charact.posterior.laplace import Vectorised, covariance_root, draw_truncated_gaussian
 from charact.posterior.probit_transform import NormalScores
 
 Array = NDArray[np.float64]
@@ -22,18 +22,9 @@ INDEPENDENT_SHARE = 0.75
 def walker_moves(
     places: Array, covariance: Array, ensembles: int, scores: NormalScores | None = None
 ) -> list[tuple[Any, float]]:
-    """Return the moves with their weights.
+    """Return the moves of consecutive ensembles with their weights.
 
-    Parameters
-    ----------
-    places
-        Optima of the independent draws, shape (place, parameter).
-    covariance
-        Covariance around each, shape (parameter, parameter).
-    ensembles
-        Number of consecutive ensembles in the state.
-    scores
-        Coordinates of places and covariance; None: the parameters themselves.
+    Independent draws scatter around optima, shape (place, parameter), in scores or, without these, in the parameters.
     """
     return [
         (DifferentialEvolution(ensembles), 1.0 - INDEPENDENT_SHARE),
@@ -48,11 +39,6 @@ class DifferentialEvolution:
     -----
     x' = x + gamma (a - b), a and b two walkers of the other half, gamma = 2.38 / sqrt(2 d) (ter Braak 2006,
     doi 10.1007/s11222-006-8769-1); symmetric, since a - b is as likely as b - a.
-
-    Attributes
-    ----------
-    proposed, accepted
-        Numbers of proposed and accepted moves.
     """
 
     def __init__(self, ensembles: int) -> None:
@@ -139,19 +125,7 @@ def _metropolis_step(
 
 
 class Ensembles:
-    """Independent ensembles that are advanced together.
-
-    Parameters
-    ----------
-    log_probability
-        Vectorised: points (n, parameter) -> (n,).
-    moves
-        Moves with their weights, as from `walker_moves`.
-    first
-        Initial walkers, shape (ensemble, walker, parameter).
-    seed
-        Seed of all draws.
-    """
+    """Independent ensembles that are advanced together, from walkers of shape (ensemble, walker, parameter)."""
 
     def __init__(self, log_probability: Vectorised, moves: list[tuple[Any, float]], first: Array, seed: int) -> None:
         self.shape = first.shape
@@ -203,7 +177,7 @@ def first_places(
     share = np.array_split(np.arange(walkers), len(places))
     first = np.concatenate(
         [
-            truncated_gaussian_draws(rng, place, 2.0 * covariance, walls, len(part))
+            draw_truncated_gaussian(rng, place, 2.0 * covariance, walls, len(part))
             for place, part in zip(places, share, strict=True)
         ]
     )
@@ -211,7 +185,7 @@ def first_places(
         lost = ~np.isfinite(log_probability(first))
         if not lost.any():
             return first
-        first[lost] = truncated_gaussian_draws(rng, places[0], shrink * covariance, walls, int(lost.sum()))
+        first[lost] = draw_truncated_gaussian(rng, places[0], shrink * covariance, walls, int(lost.sum()))
     raise ValueError(f"no point near the start {places[0].tolist()} has a finite log-probability")
 
 

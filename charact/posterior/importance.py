@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from charact.posterior.diagnostics import crowds_at_bound
-from charact.posterior.laplace import Vectorised, bounds_of, covariance_root, truncated_gaussian_draws
+from charact.posterior.laplace import Vectorised, bounds_of, covariance_root, draw_truncated_gaussian
 from charact.posterior.probit_transform import ProbitTransform
 from labdata.measurement import Posterior
 
@@ -73,7 +73,7 @@ def importance_sample(
     walls = bounds_of(bounds, len(names))
     space, rng = ProbitTransform(walls), np.random.default_rng(seed)
     near = space.outside(
-        truncated_gaussian_draws(rng, np.asarray(start, float), np.asarray(covariance, float), walls, 2000)
+        draw_truncated_gaussian(rng, np.asarray(start, float), np.asarray(covariance, float), walls, 2000)
     )
     first = _StudentT(near.mean(axis=0), WIDER * np.atleast_2d(np.cov(near.T)))
     mixture, points = [(first, first_draws)], first.draw(rng, first_draws)

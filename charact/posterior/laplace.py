@@ -154,14 +154,14 @@ def laplace(
     if covariance is None:
         peak, covariance = find_maximum(log_probability, peak, bounds)
     rng = np.random.default_rng(seed)
-    chosen = truncated_gaussian_draws(rng, peak, np.asarray(covariance, float), walls, draws, even=True)
+    chosen = draw_truncated_gaussian(rng, peak, np.asarray(covariance, float), walls, draws, even=True)
     leaning = ("prior-bound",) if crowds_at_bound(chosen, walls).any() else ()
     return Posterior(
         names=names, units=units, draws=chosen, sampler="laplace", seed=seed, flags=tuple({*flags, *leaning})
     )
 
 
-def truncated_gaussian_draws(
+def draw_truncated_gaussian(
     rng: np.random.Generator, peak: NDArray, covariance: NDArray, walls: NDArray, draws: int, *, even: bool = False
 ) -> NDArray[np.float64]:
     """Draw from a Gaussian truncated at its bounds, shape (draw, parameter).

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from charact.posterior.chain import sample
 from charact.posterior.diagnostics import has_several_peaks
-from charact.posterior.importance import importance_sample
+from charact.posterior.importance import FIRST_DRAWS, importance_sample
 from charact.posterior.laplace import Vectorised
 from labdata.measurement import Posterior
 
@@ -37,7 +37,7 @@ def sample_posterior(
     max_steps
         Maximum number of steps of each ensemble of the Markov chain.
     effort
-        Fraction of the requested effective sample size: low for models of small weight.
+        Fraction of the first draws and of the requested effective sample size: low for models of small weight.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def sample_posterior(
         "names": names, "units": units, "start": start, "covariance": covariance, "seed": seed, "bounds": bounds,
         "draws": draws,
     }  # fmt: skip
-    found = importance_sample(log_probability, **asked, enough=WANTED * effort)
+    found = importance_sample(log_probability, **asked, enough=WANTED * effort, first_draws=round(FIRST_DRAWS * effort))
     if found.effective_sample_size.min() < ENOUGH * effort:
         return sample(log_probability, **asked, max_steps=max_steps)
     return replace(found, flags=(*found.flags, "several-modes")) if has_several_peaks(found.draws) else found

@@ -6,12 +6,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.report.figure_svg import Label, path_svg, svg_head
 from charact.report.number_format import MINUS, SUPERSCRIPTS
-from charact.report.style import DATA, INK, MODEL, as_svg, panels, report_style, write_note
+from charact.report.style import DATA, MODEL
 from labdata.measurement import QUANTILES, Posterior
 from labdata.quantity import QUANTITIES
 
 BINS = 22
+# Room at the left and below, distance of panels and the gap between them, points.
+MARGIN, SIDE, GAP = 56.0, 90.0, 9.0
+FRAME = 'fill="none" stroke="currentColor" stroke-width=".8"'
+# Left, top, width and height of a panel, points.
+Panel = tuple[float, float, float, float]
 # Suffixes of parameter names that repeat the unit.
 UNIT_SUFFIXES = {"cy/px": "_cy_per_px", "DN": "_dn", "px": "_px", "deg": "_deg", "e-": "_e", "DN2": "_dn2", "pe": "_pe"}
 
@@ -19,15 +25,14 @@ UNIT_SUFFIXES = {"cy/px": "_cy_per_px", "DN": "_dn", "px": "_px", "deg": "_deg",
 def corner_svg(posterior: Posterior, title: str) -> str:
     """Return the corner plot of a posterior as SVG; at most five parameters that vary are shown."""
     shown = varying(posterior)
-    count = max(len(shown), 1)
-    with report_style():
-        figure, grid = panels(count, count, size=(1.15 + 1.25 * count, 0.85 + 1.15 * count))
-        if not shown:
-            write_note(grid[0, 0], "No parameter varies.")
-        for line in range(len(shown)):
-            for column in range(len(shown)):
-                _cell(grid[line, column], posterior, shown, line, column)
-        return as_svg(figure, f"Corner plot of the posterior of {title}")
+    width, height = MARGIN + GAP + SIDE * max(len(shown), 1), MARGIN + 0.92 * SIDE * max(len(shown), 1)
+    parts = [Label("No parameter varies.", width / 2, height / 2, 9.0).svg(height)] if not shown else []
+    for line in range(len(shown)):
+        for column in range(line + 1):
+            panel = (MARGIN + SIDE * column, 4.0 + 0.92 * SIDE * line, SIDE - GAP, 0.92 * SIDE - GAP)
+            parts.append(_cell(posterior, shown, (line, column), panel))
+    head = svg_head(f'<svg viewBox="0 0 {width:g} {height:g}"', f"Corner plot of the posterior of {title}")
+    return f'{head}<g fill="currentColor">{"".join(parts)}</g></svg>'
 
 
 def varying(posterior: Posterior) -> tuple[int, ...]:
@@ -40,21 +45,35 @@ def varying(posterior: Posterior) -> tuple[int, ...]:
     return tuple(sorted(order[:5]))
 
 
-def _cell(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, column: int) -> None:
-    """Plot one panel: empty above the diagonal, a marginal on it, joint regions below."""
-    if column > line:
-        axes.set_visible(False)
-        return
+def _cell(posterior: Posterior, shown: tuple[int, ...], cell: tuple[int, int], panel: Panel) -> str:
+    """Return one panel: a marginal on the diagonal, joint regions below it; labels at the left and the bottom only."""
+    line, column = cell
+    left, top, width, height = panel
     x = posterior.draws[:, shown[column]]
-    axes.grid(False)
-    axes.set_xlim(*_limits(x))
+    low, high = _limits(x)
+    across = _ticks(posterior.draws[:, shown[column]], low, high)
+    places = [left + width * share for _, share in across]
+    bottom = top + height
+    parts = [path_svg([step for at in places for step in (("M", at, bottom), ("L", at, bottom + 2))], FRAME)]
     if line == column:
-        _marginal(axes, x)
+        parts += [_marginal(x, panel), path_svg([("M", left, bottom), ("L", left + width, bottom)], FRAME)]
     else:
         y = posterior.draws[:, shown[line]]
-        axes.set_ylim(*_limits(y))
-        _joint(axes, x, y)
-    _label(axes, posterior, shown, line, column)
+        parts.append(_joint(x, y, panel))
+        parts.append(path_svg([("M", left, top), ("L", left, bottom), ("L", left + width, bottom)], FRAME))
+        up = _ticks(y, *_limits(y))
+        heights = [bottom - height * share for _, share in up]
+        parts.append(path_svg([step for at in heights for step in (("M", left - 2, at), ("L", left, at))], FRAME))
+        if column == 0:
+            labels = [Label(words, left - 4, -at, 6.5, "end") for (words, _), at in zip(up, heights, strict=True)]
+            labels.append(Label(parameter_label(posterior, shown[line]), 12.0, -(top + height / 2), 7.0, angle=90.0))
+            parts += (label.svg(0.0) for label in labels)
+    if line == len(shown) - 1:
+        labels = [Label(words, at + 2, -bottom - 7, 6.5, "end", 40.0)
+                  for (words, _), at in zip(across, places, strict=True)]  # fmt: skip
+        labels.append(Label(parameter_label(posterior, shown[column]), left + width / 2, -bottom - 33, 7.0))
+        parts += (label.svg(0.0) for label in labels)
+    return "".join(parts)
 
 
 def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
@@ -63,26 +82,53 @@ def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
     return float(low - room), float(high + room)
 
 
-def _marginal(axes: Any, values: NDArray[np.float64]) -> None:
-    """Plot the histogram of one parameter with the limits of both intervals."""
-    axes.hist(values, bins=BINS, range=_limits(values), color=DATA, alpha=0.6, histtype="stepfilled")
-    for quantile, style in zip(QUANTILES, (":", "--", "-", "--", ":"), strict=True):
-        axes.axvline(float(np.quantile(values, quantile)), color=INK, linewidth=0.8, linestyle=style)
-    axes.set_yticks([])
-    axes.spines["left"].set_visible(False)
+def _marginal(values: NDArray[np.float64], panel: Panel) -> str:
+    """Return the histogram of one parameter with the median and the limits of both intervals."""
+    left, top, width, height = panel
+    low, high = _limits(values)
+    counts, _ = np.histogram(values, BINS, (low, high))
+    steps = [("M", left, top + height)]
+    for number, count in enumerate(counts / (1.05 * max(counts.max(), 1))):
+        level = top + height * (1.0 - count)
+        steps += [("L", left + width * number / BINS, level), ("L", left + width * (number + 1) / BINS, level)]
+    parts = [path_svg([*steps, ("L", left + width, top + height)], f'fill="{DATA}" fill-opacity=".6"')]
+    for quantile, dashes in zip(QUANTILES, ("1 1.5", "3 1.5", "", "3 1.5", "1 1.5"), strict=True):
+        at = left + width * (float(np.quantile(values, quantile)) - low) / (high - low)
+        dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
+        parts.append(path_svg([("M", at, top), ("L", at, top + height)], FRAME + dashed))
+    return "".join(parts)
 
 
-def _joint(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    """Plot the highest-density regions of 68 and 95 % of the draws."""
-    counts, x_edges, y_edges = np.histogram2d(x, y, bins=BINS, range=(_limits(x), _limits(y)))
-    density = _smooth_counts(counts)
+def _joint(x: NDArray[np.float64], y: NDArray[np.float64], panel: Panel) -> str:
+    """Return the highest-density regions of 68 and 95 % of the draws, and the median."""
+    from skimage.measure import find_contours
+
+    left, top, width, height = panel
+    limits = _limits(x), _limits(y)
+
+    def place(column: Any, row: Any) -> tuple[Any, Any]:
+        return left + width * column, top + height * (1.0 - row)
+
+    counts, _, _ = np.histogram2d(x, y, bins=BINS, range=limits)
+    # Empty bins around close the contours; they lie outside the draws.
+    density = np.pad(_smooth_counts(counts), 1)
     levels = _density_levels(density, (0.95, 0.68))
-    middles = (x_edges[:-1] + x_edges[1:]) / 2, (y_edges[:-1] + y_edges[1:]) / 2
+    parts = []
     if levels[0] < levels[1] < density.max():
-        axes.contourf(*middles, density.T, levels=[*levels, density.max()], colors=[(DATA, 0.25), (DATA, 0.6)])
+        for level, opacity in zip(levels, (0.25, 0.45), strict=True):
+            steps = []
+            for contour in find_contours(density, level):
+                columns, rows = place(*np.clip((contour.T - 0.5) / BINS, 0.0, 1.0))
+                steps += [("L" if n else "M", *at) for n, at in enumerate(zip(columns, rows, strict=True))]
+            parts.append(path_svg(steps, f'fill="{DATA}" fill-opacity="{opacity}" fill-rule="evenodd"'))
     else:
-        axes.plot(x[::10], y[::10], ".", color=DATA, markersize=2)
-    axes.plot(np.median(x), np.median(y), "+", color=MODEL, markersize=7)
+        spots = [place((a - limits[0][0]) / np.ptp(limits[0]), (b - limits[1][0]) / np.ptp(limits[1]))
+                 for a, b in zip(x[::10], y[::10], strict=True)]  # fmt: skip
+        parts += (f'<circle cx="{a:.1f}" cy="{b:.1f}" r="1" fill="{DATA}"/>' for a, b in spots)
+    medians = [(float(np.median(z)) - low) / (high - low) for z, (low, high) in zip((x, y), limits, strict=True)]
+    a, b = place(*medians)
+    cross = [("M", a - 3.5, b), ("L", a + 3.5, b), ("M", a, b - 3.5), ("L", a, b + 3.5)]
+    return "".join([*parts, path_svg(cross, f'stroke="{MODEL}"')])
 
 
 def _smooth_counts(counts: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -99,26 +145,13 @@ def _density_levels(density: NDArray[np.float64], shares: tuple[float, ...]) -> 
     return [float(ordered[min(int(np.searchsorted(held, share)), held.size - 1)]) for share in shares]
 
 
-def _label(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, column: int) -> None:
-    """Label the left and lower panels only."""
-    last = line == len(shown) - 1
-    _ticks(axes.xaxis, posterior.draws[:, shown[column]])
-    axes.tick_params(labelsize=6.5, labelbottom=last, labelleft=column == 0 and line > 0, length=2)
-    axes.tick_params(axis="x", rotation=40)
-    if line > 0 and column < line:
-        _ticks(axes.yaxis, posterior.draws[:, shown[line]])
-    for number, setter, wanted in ((column, axes.set_xlabel, last), (line, axes.set_ylabel, column == 0 and line > 0)):
-        if wanted:
-            setter(parameter_label(posterior, shown[number]), fontsize=7)
-
-
-def _ticks(axis: Any, draws: NDArray[np.float64]) -> None:
-    """Set few ticks, with the power of ten moved to the label."""
-    from matplotlib.ticker import MaxNLocator
-
-    power = _power(draws)
-    axis.set_major_locator(MaxNLocator(3, prune="both"))
-    axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:g}".replace("-", MINUS))
+def _ticks(draws: NDArray[np.float64], low: float, high: float) -> list[tuple[str, float]]:
+    """Return words and place, as a fraction of the axis, of two to four ticks; the label has the power of ten."""
+    power = 10.0 ** _power(draws)
+    step = 10.0 ** math.floor(math.log10((high - low) / 2.0))
+    step *= max(factor for factor in (1.0, 2.0, 2.5, 5.0) if factor * step <= (high - low) / 2.0)
+    values = np.arange(math.ceil(low / step), math.floor(high / step) + 1) * step
+    return [(f"{value / power:.6g}".replace("-", MINUS), (value - low) / (high - low)) for value in values.tolist()]
 
 
 def _power(draws: NDArray[np.float64]) -> int:

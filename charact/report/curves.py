@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.report.figure_svg import as_svg
 from charact.report.style import (
     COLOURS,
     DATA,
     INK,
     MODEL,
     arms,
-    as_svg,
     first_array,
     has_all,
     panel,
@@ -22,6 +22,7 @@ from charact.report.style import (
     plot_points,
     report_style,
     subsample,
+    white_style,
     zero_line,
 )
 from charact.report.truth import Truth
@@ -81,6 +82,25 @@ def mtf_svgs(session: Session | None, result: Result, truth: Truth | None = None
     return tuple(drawn)
 
 
+def plot_files(results: Mapping[str, Result], axes: Any = None) -> Any:
+    """Plot the MTF curves of several files in one panel, on white; a file's main curve stands for it.
+
+    `axes`: those of a figure to plot into; None: a new figure. Returns the figure.
+    """
+    with white_style():
+        axes = panel((5.6, 3.9))[1] if axes is None else axes
+        curves, points = [], []
+        for name, result in results.items():
+            if len(results) > 1:
+                curves += [(f":{name}", result.curves["mtf"])] if "mtf" in result.curves else []
+                continue
+            own = [(key, curve) for key, curve in result.curves.items() if key.split(":")[0].startswith("mtf")]
+            curves += own or list(result.curves.items())
+            points += (m for m in result.find("mtf") if m.value is not None and m.frequency_cy_per_px is not None)
+        _plot_curves(axes, "MTF", curves, points, None)
+    return axes.figure
+
+
 def _plot_curves(
     axes: Any, way: str, curves: list[tuple[str, Curve]], points: list[Measurement], truth: Truth | None
 ) -> None:
@@ -105,7 +125,7 @@ def _plot_curves(
         frequency = np.linspace(1e-4, min(top, 1.0), 120)
         axes.plot(frequency, known(frequency, DEGREES[way]), "--", color=INK, linewidth=1.2, label="truth")
     _half_line(axes)
-    axes.set(xlim=(0, min(top, 0.75)), ylim=(-0.05, 1.15), title=f"{way.capitalize()}; bands hold 95 %")
+    axes.set(xlim=(0, min(top, 0.75)), ylim=(-0.05, 1.15), title=f"{way[:1].upper()}{way[1:]}; bands hold 95 %")
     axes.set(xlabel="spatial frequency (cy/px)", ylabel="MTF (1)")
     axes.legend(loc="upper right")
 

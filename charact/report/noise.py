@@ -141,6 +141,21 @@ def plot_three_dimensional_noise(data: Data) -> Any:
     return figure
 
 
+def plot_signal_transfer(data: Data) -> Any:
+    """Plot the mean of each black-body level against its temperature, and its departure from the law."""
+    figure, grid = panels(2, 1, size=(5.6, 4.4), height_ratios=(3, 1.4), sharex=True)
+    warm, mean, sd = (first_array(data, name) for name in ("blackbody_c", "mean_dn", "mean_sd_dn"))
+    plot_points(grid[0, 0], warm, mean, sd, color=DATA, markersize=4.5, label="levels, ± 1 sd")
+    plot_line(grid[0, 0], first_array(data, "law_c"), first_array(data, "law_mean_dn"), color=MODEL, label=data["law"])
+    grid[0, 0].axvline(float(data["background_c"]), color=INK, linewidth=0.8, linestyle=":", label="background")
+    grid[0, 0].set(ylabel="mean signal (DN)")
+    grid[0, 0].legend()
+    plot_points(grid[1, 0], warm, first_array(data, "residual_k"), color=DATA, markersize=4.5)
+    zero_line(grid[1, 0])
+    grid[1, 0].set(xlabel="temperature of the black body (°C)", ylabel="residual (K)")
+    return figure
+
+
 def plot_predictive_checks(data: Data) -> Any:
     """Plot posterior predictive checks: each statistic of the flats minus its prediction, in standard deviations."""
     figure, axes = panel((5.8, 3.6))

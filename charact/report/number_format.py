@@ -61,7 +61,9 @@ def quantity_title(m: Measurement) -> str:
     """Return the title of a quantity with its frequency, if any."""
     title = QUANTITIES[m.quantity].title
     return (
-        title if m.frequency_cy_per_px is None else title.replace("one frequency", f"{m.frequency_cy_per_px:.4g} cy/px")
+        title
+        if m.frequency_cy_per_px is None
+        else title.replace("the stated frequency", f"{m.frequency_cy_per_px:.4g} cy/px")
     )
 
 
@@ -83,12 +85,23 @@ def plus_minus(measurement: Measurement) -> str:
     """Return the value ± its 95 % interval as text."""
     if measurement.value is None or measurement.interval95 is None:
         return value_text(measurement)
-    exponent, digits = _format(measurement.value, spread_of(measurement))
     low, high = measurement.interval95
+    if low == high:  # exact: a count, or a limit of the pixels
+        whole = float(measurement.value).is_integer()
+        return f"{measurement.value:.0f}" if whole else round_to_spread(measurement.value)
+    exponent, digits = _format(measurement.value, spread_of(measurement))
     numbers = (measurement.value, high - measurement.value, measurement.value - low)
     value, up, down = (_mantissa(number, exponent, digits) for number in numbers)
     text = f"{value} ± {up}" if up == down else f"{value} +{up} {MINUS}{down}"
     return _with_power(f"({text})" if exponent else text, exponent)
+
+
+def plus_minus_of(value: float, low: float, high: float) -> str:
+    """Return a value ± the arms of its interval as text."""
+    spread = (high - low) / 4.0
+    up, down = (round_to_spread(arm, spread) for arm in (high - value, value - low))
+    text = round_to_spread(value, spread)
+    return f"{text} ± {up}" if up == down else f"{text} +{up} {MINUS}{down}"
 
 
 def short_text(value: object) -> str:

@@ -1,14 +1,14 @@
-"""Style and plot functions common to all figures: inline SVG in the text colour of the page."""
+"""Style and plot functions common to all figures."""
 
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from html import escape
-from io import StringIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from labdata.errors import BadInput
 
 # Placeholder of the page's text colour, so that figures suit light and dark backgrounds.
 INK = "#123457"
@@ -28,7 +28,7 @@ SETTINGS: dict[str, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
-    "grid.alpha": 0.18,
+    "grid.alpha": 0.12,
     "lines.linewidth": 1.4,
     "figure.facecolor": "none",
     "axes.facecolor": "none",
@@ -44,8 +44,11 @@ SETTINGS: dict[str, Any] = {
 @contextmanager
 def report_style() -> Iterator[None]:
     """Plot in the report's style, independent of the user's matplotlib settings."""
-    from matplotlib import style
+    from matplotlib import rcParams, style
 
+    if rcParams["text.color"] == INK:  # A page sets the style once for all of its figures.
+        yield
+        return
     with style.context(["default", SETTINGS]):
         yield
 
@@ -59,6 +62,22 @@ def white_style() -> Iterator[None]:
     white = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), "white")
     with style.context(["default", SETTINGS, {**dict.fromkeys(inks, PAPER_INK), **white}]):
         yield
+
+
+FIGURE_FILES = (".png", ".svg", ".pdf")
+
+
+def require_figure_file(path: str | Path) -> Path:
+    """Return the path of a figure; an ending other than `FIGURE_FILES` is BadInput."""
+    path = Path(path)
+    if path.suffix.lower() not in FIGURE_FILES:
+        raise BadInput(f"a figure must be a file in {', '.join(FIGURE_FILES)}, got {path.name!r}")
+    return path
+
+
+def save_figure(figure: Any, path: str | Path) -> None:
+    """Save a figure as a file of its own."""
+    figure.savefig(require_figure_file(path), dpi=130)
 
 
 def panels(
@@ -78,30 +97,6 @@ def panel(size: tuple[float, float] = (5.6, 3.4), **labels: Any) -> tuple[Any, A
     figure, grid = panels(size=size)
     grid[0, 0].set(**labels)
     return figure, grid[0, 0]
-
-
-def as_svg(figure: Any, description: str) -> str:
-    """Return a figure as an SVG element for an HTML page, with a text alternative."""
-    text = StringIO()
-    # The layout ignores some labels, such as ticks at the end of an axis.
-    figure.savefig(text, format="svg", metadata={"Date": None}, bbox_inches="tight", pad_inches=0.04)
-    svg = _lean(text.getvalue()).replace(INK, "currentColor")
-    return svg.replace("<svg", f'<svg role="img" aria-label="{escape(description, quote=True)}"', 1)
-
-
-def _lean(svg: str) -> str:
-    """Strip prologue, metadata, name spaces, group names, superfluous digits and space."""
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.S)
-    svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace("xlink:href", "href")
-    svg = re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2)
-    svg = re.sub(r"'DejaVu Sans'[^;\"]*", "sans-serif", svg)
-    # Group names repeat between figures; names of definitions are hashes of their content.
-    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
-    # Only inside tags; visible text keeps its digits.
-    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d\.\d)\d+", r"\1", " ".join(tag.group().split())), svg)
-    svg = re.sub(r">\s+<", "><", svg)
-    return re.sub(r"(<g/>)|(<g></g>)", "", svg)
 
 
 def subsample(*columns: ArrayLike, most: int = 300) -> tuple[NDArray[np.float64], ...]:

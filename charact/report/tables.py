@@ -1,4 +1,4 @@
-"""Tables of a report: quantities, EMVA 1288 summary, stacks, sensor parameters, provenance."""
+"""Tables of a report: quantities, stacks, sensor parameters, provenance."""
 
 import platform
 import shlex
@@ -28,11 +28,6 @@ from labdata.session import Session
 from labdata.target import Target
 
 LIBRARIES = ("numpy", "scipy", "emcee", "matplotlib", "zarr", "trimesh", "embreex")
-HEADLINES = (
-    "mtf50", "covariance_gain", "system_gain", "blur_factor", "excess_noise_factor", "ebi", "read_noise",
-    "halo_diameter",
-)  # fmt: skip
-
 # A method with more stacks than this has one table for all of them.
 SERIES = 4
 
@@ -114,11 +109,6 @@ def best(found: Iterable[Measurement]) -> Measurement | None:
     return min((m for m in found if m.value is not None), key=lambda m: m.status != "ok", default=None)
 
 
-def headlines(result: Result) -> list[dict[str, Any]]:
-    """Return the row of the best measurement of each headline quantity."""
-    return [quantity_row(m) for quantity in HEADLINES if (m := best(result.find(quantity))) is not None]
-
-
 def verdicts(result: Result) -> dict[str, int]:
     """Return the number of ok, suspect and refused measurements."""
     return {status: sum(m.status == status for m in result.measurements) for status in ("ok", "suspect", "refused")}
@@ -139,6 +129,8 @@ CONDITION_UNITS = {
     "metered_w": ("Light meter", "W"),
     "metered_lux": ("Illuminance by the light meter", "lux"),
     "temperature_c": ("Temperature", "°C"),
+    "blackbody_c": ("Black body", "°C"),
+    "background_c": ("Background", "°C"),
     "wavelength_nm": ("Wavelength", "nm"),
 }
 
@@ -249,44 +241,3 @@ def _installed(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return "not installed"
-
-
-# Quantity, unit, name and symbol of EMVA 1288, and the section of its Release 3.1 that defines it.
-NAMES = (
-    ("quantum_efficiency", "%", "Quantum efficiency η", "2.1"),
-    ("system_gain", "DN/e-", "Overall system gain K", "2.2"),
-    ("read_noise", "e-", "Temporal dark noise σ_d", "2.2"),
-    ("read_noise", "DN", "Temporal dark noise σ_y.dark", "2.2"),
-    ("snr_max", "1", "Largest signal-to-noise ratio SNR_max", "2.3"),
-    ("saturation_capacity", "e-", "Saturation capacity μ_e.sat", "2.4"),
-    ("dynamic_range", "1", "Dynamic range DR", "2.4"),
-    ("linearity_error", "%", "Linearity error LE", "6.7"),
-    ("dark_current", "e-/s", "Dark current μ_I.mean", "3.1"),
-    ("dark_doubling_temperature", "K", "Doubling temperature T_d", "3.2"),
-    ("dsnu", "e-", "Dark signal non-uniformity DSNU_1288", "4.1"),
-    ("prnu", "%", "Photoresponse non-uniformity PRNU_1288", "4.1"),
-    ("defect_pixels", "px", "Defect pixels, by the rule in the notes", "4.3"),
-)
-
-
-def emva_summary(result: Result) -> dict[str, Any] | None:
-    """Return the EMVA 1288 summary: rows (name, section, row) and names left out, or the reason why it does not apply.
-
-    None for a result without gain. The standard assumes white noise. With correlated noise, as of an intensifier, the
-    variance does not count electrons, and no quantity is given.
-    """
-    gains = (*result.find("system_gain"), *result.find("covariance_gain"))
-    if not any(m.value is not None for m in gains):
-        return None
-    if not any(m.value is not None and "correlated-noise" not in m.flags for m in result.find("system_gain")):
-        return {
-            "reason": "EMVA 1288 assumes white noise; the noise of this camera is correlated between pixels (as of an "
-            "intensifier). The photon transfer curve would give a gain too low by the blur factor, and wrong values in "
-            "electrons. Use the covariance gain above."
-        }
-    found = [(name, section, best(result.find(quantity, unit=unit))) for quantity, unit, name, section in NAMES]
-    return {
-        "reason": "",
-        "rows": [(name, section, quantity_row(m, m.stack or "")) for name, section, m in found if m is not None],
-        "left_out": [name for name, _, m in found if m is None],
-    }

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from charact.report.figure_registry import Figure
+from charact.report.figure_svg import as_svg
 from charact.report.number_format import short_text
 from charact.report.report_images import ReportImage, as_jpeg
-from charact.report.style import DATA, INK, MODEL, WARN, as_svg, has_all, panel, plot_band, report_style, subsample
+from charact.report.style import DATA, INK, MODEL, WARN, has_all, panel, plot_band, report_style, subsample
 from charact.validation import FramePair, Statistic, Validation, ValidationControl
-
-CONTROL_WORDS = {"null": "must pass", "negative": "must fail"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,25 +25,34 @@ class Section:
     figures: tuple[Figure, ...]
     columns: tuple[str, ...]
     rows: tuple[dict[str, Any], ...]
+    controls: tuple[dict[str, Any], ...]  # rows of the controls: cells and status
+    power: tuple[tuple[str, ...], ...]  # parameter, error that would have been found, statistic that finds it
     notes: tuple[str, ...]
 
 
 def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
     """Return the validation section; `aspect`: row pitch over column pitch of the images."""
     good = sum(one.passed for one in validation.statistics)
-    words = [
-        f"{control.name} control {'held' if control.passed else 'did not hold'}" for control in validation.controls
-    ]
+    nulls, negatives = ([one for one in validation.controls if one.name == name] for name in ("null", "negative"))
     verdict = "agrees" if validation.passed else "does not agree"
-    controls = (f"p in the {c.name} control ({CONTROL_WORDS[c.name]})" for c in validation.controls)
+    seen = sum(one.passed for one in negatives)
+    held = "hold" if all(one.passed for one in nulls) else "do not hold"
     return Section(
         status=_status(validation.passed),
-        headline=f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; {', '.join(words)}",
+        headline=f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; "
+        f"null controls {held}; {seen} of {len(negatives)} negative controls noticed",
         summary=_summary(validation),
         pairs=tuple(_pictures(pair, aspect) for pair in validation.pairs),
         figures=(*(_overlay(name, data) for name, data in validation.overlays.items()), *_pulls(validation)),
-        columns=("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", *controls, "Verdict"),
-        rows=tuple(_row(one, validation.controls) for one in validation.statistics),
+        columns=("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", "Deviates most", "Verdict"),
+        rows=tuple(_row(one) for one in validation.statistics),
+        controls=tuple(_control_row(one) for one in validation.controls),
+        power=tuple(
+            (one.title, f"{100.0 * one.relative_error:.2g} %", one.statistic)
+            if one.statistic
+            else (one.title, "none below 100 %", "—")
+            for one in validation.power
+        ),
         notes=(*(one.note for one in validation.statistics if one.note), *validation.notes),
     )
 
@@ -54,26 +62,26 @@ def _status(passed: bool) -> str:
 
 
 def _summary(validation: Validation) -> str:
-    controls = " ".join(
-        f"The {c.name} control ({CONTROL_WORDS[c.name]}) {'held' if c.passed else 'did not hold'}: "
-        f"{c.title.rstrip('.')}."
-        for c in validation.controls
-    )
     return (
-        f"The sensor {validation.sensor} was simulated under the conditions of the session "
+        f"The camera {validation.sensor} was simulated under the conditions of the session "
         f"{validation.session}: {validation.draws} posterior draws, seed {validation.seed}, "
-        f"{validation.seconds:.0f} s. A statistic fails where its p-value is below its level. {controls}"
+        f"{validation.seconds:.0f} s. A statistic fails where its p-value is below its level, which holds all of them "
+        "together to a false alarm in 100 sessions (Holm)."
     )
 
 
-def _row(one: Statistic, controls: tuple[ValidationControl, ...]) -> dict[str, Any]:
-    """Return the row of a statistic with its p-value in each control, a dash without one."""
-    p_values = []
-    for control in controls:
-        same = [other for other in control.statistics if other.name == one.name]
-        p_values.append(f"{short_text(same[0].p_value)} ({'passes' if same[0].passed else 'fails'})" if same else "—")
-    cells = (one.title, f"{one.distance:.3g}", short_text(one.p_value), short_text(one.level), *p_values)
+def _row(one: Statistic) -> dict[str, Any]:
+    where = one.worst if one.passed else f"{one.worst}; may come from {one.cause}"
+    cells = (one.title, f"{one.distance:.3g}", one.p_text, short_text(one.level), where)
     return {"cells": cells, "status": _status(one.passed)}
+
+
+def _control_row(one: ValidationControl) -> dict[str, Any]:
+    """Return the row of a control; a negative one that was not noticed is a limit of the validation, no failure."""
+    noticed = ", ".join(one.noticed_by) or "nothing"
+    must = "must pass" if one.name == "null" else "must be noticed"
+    status = "ok" if one.passed else "refused" if one.name == "null" else "suspect"
+    return {"cells": (one.title, must, noticed), "status": status}
 
 
 def _pictures(pair: FramePair, aspect: float) -> tuple[ReportImage, ...]:
@@ -115,25 +123,22 @@ def _with_unit(title: str) -> str:
 
 
 def _pulls(validation: Validation) -> tuple[Figure, ...]:
-    """Plot the deviation of each value from its prediction, in half-widths of the 95 % interval."""
+    """Plot the deviation of each number from its prediction, in half-widths of the 95 % interval, by statistic."""
     named = [one for one in validation.statistics if one.measured and len(one.measured) == len(one.low95)]
     if not named:
         return ()
-    count = sum(len(one.measured) for one in named)
     with report_style():
-        figure, axes = panel((5.6, 1.1 + 0.17 * count))
+        figure, axes = panel((5.6, 1.1 + 0.24 * len(named)))
         axes.axvspan(-1, 1, color=MODEL, alpha=0.18, linewidth=0, label="95 % of the simulation")
-        labels = []
-        for one in named:
+        for row, one in enumerate(named):
             low, high, measured = (np.asarray(v, float) for v in (one.low95, one.high95, one.measured))
             pull = (measured - (low + high) / 2) / np.maximum((high - low) / 2, 1e-300)
-            rows = len(labels) + np.arange(len(pull))
-            axes.plot(np.clip(pull, -4, 4), rows, "o", color=DATA if one.passed else WARN, markersize=4)
-            labels += [f"{one.name}: {label}" for label in (one.labels or range(1, len(pull) + 1))]
+            place = row + np.linspace(-0.25, 0.25, len(pull)) if len(pull) > 1 else np.array([row])
+            axes.plot(np.clip(pull, -4, 4), place, "o", color=DATA if one.passed else WARN, markersize=3)
         axes.axvline(0, color=INK, linewidth=0.8)
-        axes.set_yticks(range(len(labels)), labels, fontsize=6.5)
-        axes.set(xlim=(-4.2, 4.2), ylim=(len(labels) - 0.5, -0.5))
+        axes.set_yticks(range(len(named)), [one.name for one in named], fontsize=7.5)
+        axes.set(xlim=(-4.2, 4.2), ylim=(len(named) - 0.5, -0.5))
         axes.set_xlabel("measured minus predicted\n(half-widths of the 95 % interval)")
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        title = "Deviation of each value from its prediction"
+        figure.legend(loc="outside lower center")
+        title = "Deviation of each number from its prediction"
         return (Figure(section="validation", title=title, svg=as_svg(figure, title)),)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context, Method
 from labdata.errors import BadInput
-from labdata.measurement import Measurement
+from labdata.measurement import Measurement, Result
 
 Progress = Callable[[str, float], None]
 
@@ -42,6 +42,10 @@ class Case:
         Further arguments of the method, such as the region.
     context
         Fields of `charact.method.Context` that the case sets.
+    call
+        Calls a method with what was drawn; None: `method.function(drawn, **arguments, context=context)`.
+    score
+        Makes the result from what the call returned, outside of the time; None: that is the result.
     """
 
     kind: str
@@ -56,6 +60,8 @@ class Case:
     draw: Callable[[np.random.Generator], Any]
     arguments: Mapping[str, Any] = field(default_factory=dict)
     context: Mapping[str, Any] = field(default_factory=dict)
+    call: Callable[[Method, Any, Context], Any] | None = None
+    score: Callable[[Any], Result] | None = None
 
     def drawn(self) -> Any:
         """Draw the input from the seed."""
@@ -102,7 +108,8 @@ def judge_measurement(measurement: Measurement, truth: float | None) -> dict[str
     """Compare a measurement with the truth: error, cover and silent failure, as fields of a `CaseResult`.
 
     Silent: status ok and |value - truth| > 2 |end of the 95 % interval on the truth's side - value|. An honest Gaussian
-    interval does that once in ten thousand. An ok number without interval claims to be exact.
+    interval does that once in ten thousand. An ok number without interval claims to be exact. Where the truth
+    is 0, as of an error in percent, the error is the value itself.
     """
     if measurement.value is None:
         return {}
@@ -112,7 +119,7 @@ def judge_measurement(measurement: Measurement, truth: float | None) -> dict[str
     off = truth - measurement.value
     half = (high - measurement.value) if off > 0 else (measurement.value - low)
     return {
-        "error_percent": float(abs(off / truth) * 100),
+        "error_percent": float(abs(off / truth) * 100) if truth else float(abs(off)),
         "covers": bool(low <= truth <= high),
         "silent": bool(measurement.status == "ok" and abs(off) > 2 * max(half, 0.0)),
     }
@@ -141,13 +148,18 @@ def attempt(method: Method, case: Case, context: Context, *, material: Any = Non
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            result = method.function(material, **case.arguments, context=context)
+            if case.call is None:
+                result = method.function(material, **case.arguments, context=context)
+            else:
+                result = case.call(method, material, context)
         given: dict[str, Any] = {"status": "refused", "reason": f"the result holds no {case.quantity}"}
     except BadInput as error:
         given = {"status": "refused", "reason": str(error)}
     except Exception as error:  # the study must outlive the method it breaks
         given = {"status": "crashed", "reason": f"{type(error).__name__}: {error}"}
     given["seconds"] = clock.seconds()
+    if case.score is not None and result is not None:
+        result = case.score(result)
     for found in result.find(case.quantity)[:1] if result else ():
         low, high = found.interval95 or (None, None)
         given |= {"value": found.value, "low95": low, "high95": high, "status": found.status, "flags": found.flags,

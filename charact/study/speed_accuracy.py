@@ -1,7 +1,7 @@
 """Speed against accuracy: the methods of a quantity on the same cases, a figure and the table that `auto` reads."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +103,7 @@ def chart(
     data = {**result.table, "rows": [row.as_json() for row in rows]}
     written = write_json(Path(out) / f"chart-{quantity}.json", data)
     files = (written, plot_chart(quantity, rows, summaries, Path(out) / f"chart-{quantity}.svg"))
-    return Chart(**{**vars(result), "files": files})
+    return replace(result, files=files)
 
 
 def write_json(path: Path, data: dict[str, Any]) -> Path:

@@ -77,7 +77,10 @@ def _cycle_colours(count: int) -> list[str]:
 
 
 def plot_stability(quantity: str, rows: Sequence[CaseResult], kind: str, path: Path) -> Path:
-    """Draw value over truth along every axis of a kind with its 95 % interval, verdict as the mark, lies in red."""
+    """Draw value over truth along every axis of a kind with its 95 % interval, verdict as the mark, lies in red.
+
+    Of an error whose truth is 0, 1 plus the error is drawn.
+    """
     rows = [row for row in rows if row.kind == kind]
     names, methods = axes_of(rows), tuple(dict.fromkeys(row.method for row in rows))
     columns = 3
@@ -131,8 +134,8 @@ def _draw_row(panel: Any, place: float, row: CaseResult, colour: str) -> None:
         height = 0.5 if row.value is None else 1.55
         panel.plot(place, height, mark, color="red" if row.silent else colour, markersize=5, alpha=0.8)
         return
-    ratio = row.value / row.truth
-    if row.low95 is not None and row.high95 is not None:
+    ratio = row.value / row.truth if row.truth else 1.0 + row.value / 100.0
+    if row.low95 is not None and row.high95 is not None and row.truth:
         panel.plot([place] * 2, [row.low95 / row.truth, row.high95 / row.truth], color=colour, linewidth=1, alpha=0.7)
     panel.plot(place, float(np.clip(ratio, 0.47, 1.58)), mark, color=colour, markersize=4)
     if row.silent:

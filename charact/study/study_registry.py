@@ -11,6 +11,7 @@ from charact.study.bars import cases as bar_cases
 from charact.study.bloom import cases as bloom_cases
 from charact.study.edge import cases as edge_cases
 from charact.study.flats import flat_cases, noise_spectrum_cases, white_flats
+from charact.study.fusion import cases as fusion_cases
 from charact.study.harness import Case
 from charact.study.point import cases as point_cases
 from labdata.errors import BadInput
@@ -51,6 +52,7 @@ STUDIES: dict[str, tuple[Study, ...]] = {
     "covariance_gain": (_study("flats", "noise", flat_cases, 24, 2, 1),),
     "system_gain": (_study("flats", "noise", white_flats, 8, 2, 1),),
     "post_gain_mtf50": (_study("post-gain", "mtf", noise_spectrum_cases, 40, 4, 2),),
+    "fusion_error": (_study("fusion", "fusion", fusion_cases, 40, 4, 2),),
     "halo_diameter": (_study("bloom", "bloom", bloom_cases, 40, 3, 2),),
 }
 

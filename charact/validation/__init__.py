@@ -1,6 +1,6 @@
 """Validation of a fitted sensor by comparison of simulated with measured frames."""
 
-from charact.validation.side_by_side import validate
+from charact.validation.side_by_side import SAME_SESSION, validate
 from charact.validation.validation_result import (
     FramePair,
     Statistic,
@@ -11,4 +11,14 @@ from charact.validation.validation_result import (
     save,
 )
 
-__all__ = ["FramePair", "Statistic", "Validation", "ValidationControl", "as_json", "load", "save", "validate"]
+__all__ = [
+    "SAME_SESSION",
+    "FramePair",
+    "Statistic",
+    "Validation",
+    "ValidationControl",
+    "as_json",
+    "load",
+    "save",
+    "validate",
+]

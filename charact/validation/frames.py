@@ -1,21 +1,26 @@
 """Measured and simulated frames under the same conditions, cropped to the same size."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.validation.thresholds import VALIDATION
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.infrared_imager import InfraredImager
 from labdata.sensor import Sensor
 from labdata.session import Kind, Session, StackEntry
+from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
 
+VisibleCamera = Sensor | SolidStateCamera
+
 # Size of a centred crop: sufficient for every statistic, and fast to simulate.
-SHAPE = (192, 256)
+SHAPE = (240, 320)
 # Size of an edge crop: pixels far from the edge add noise and little signal.
 ALONG_EDGE, ACROSS_EDGE = 192, 72
-FEWEST_FRAMES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,20 +41,21 @@ class MatchedStacks:
     """Stacks of a validation.
 
     `others` are for display only; `measured` has the frames by label, shape (frame, row, col), DN; `notes` name
-    excluded stacks. Without an edge the MTF is not compared.
+    excluded stacks. Without an edge the MTF is not compared, without a point source no halo.
     """
 
     dark: MatchedFrames
     flats: tuple[MatchedFrames, ...]
     edge: MatchedFrames | None
+    point: MatchedFrames | None
     others: tuple[MatchedFrames, ...]
     measured: dict[str, NDArray]
     notes: tuple[str, ...]
 
     @property
     def compared(self) -> tuple[MatchedFrames, ...]:
-        """Dark, flats and edge."""
-        return (self.dark, *self.flats, *((self.edge,) if self.edge else ()))
+        """Dark, flats, edge and point source."""
+        return (self.dark, *self.flats, *(one for one in (self.edge, self.point) if one is not None))
 
 
 def choose(session: Session) -> MatchedStacks:
@@ -58,41 +64,62 @@ def choose(session: Session) -> MatchedStacks:
     Raises
     ------
     BadInput
-        If there is no dark or no usable flat of at least three frames.
+        If there is no dark or no usable flat of at least three frames, or the session names no camera of visible light.
     """
+    camera_of(session)
     darks = _shots(session, "dark")
     if not darks:
         raise BadInput(
-            f"a validation needs a dark stack of {FEWEST_FRAMES} frames or more, got none in {session.name!r}"
+            f"a validation needs a dark stack of {VALIDATION.fewest_frames} frames or more, got none in "
+            f"{session.name!r}"
         )
     dark = max(darks, key=lambda item: item[0].frames)
     flats, notes = _flats(session)
     edges, bars, points = (_shots(session, kind) for kind in ("edge", "bars", "point"))
     if not edges:
         notes.append("no edge: the MTF is not compared")
-    shown = bars[:1] + points[-1:]
+    if not points:
+        notes.append("no point source: halo and bloom are not compared")
+    brightest = points[-1:]
     return MatchedStacks(
         dark=dark[0],
         flats=tuple(shot for shot, _ in flats),
         edge=edges[0][0] if edges else None,
-        others=tuple(shot for shot, _ in shown),
-        measured={shot.label: _cut(shot, entry) for shot, entry in (dark, *flats, *edges[:1], *shown)},
+        point=brightest[0][0] if brightest else None,
+        others=tuple(shot for shot, _ in bars[:1]),
+        measured={shot.label: _cut(shot, entry) for shot, entry in (dark, *flats, *edges[:1], *brightest, *bars[:1])},
         notes=tuple(notes),
     )
 
 
-def simulate_frames(sensor: Sensor, shots: tuple[MatchedFrames, ...], *, seed: int) -> dict[str, NDArray]:
-    """Simulate frames of a sensor under the stacks' conditions by label, shape (frame, row, col), DN.
+def camera_of(session: Session) -> VisibleCamera:
+    """Return the session's camera; BadInput unless it is described and sees visible light."""
+    camera = session.camera
+    if camera is None or isinstance(camera, InfraredImager):
+        raise BadInput(
+            f"a validation needs a session of a described camera of visible light, got "
+            f"{'none' if camera is None else camera.name} in {session.name!r}"
+        )
+    return camera
 
-    The sensor is as small as the crop, and its fixed patterns follow from the sensor's name.
+
+def simulate_frames(
+    camera: VisibleCamera, shots: tuple[MatchedFrames, ...], *, seed: int, like: VisibleCamera | None = None
+) -> dict[str, NDArray]:
+    """Simulate frames of a camera under the stacks' conditions by label, shape (frame, row, col), DN.
+
+    The camera is as small as the crop, and its fixed patterns follow from its name. Targets lie as before `like`, if it
+    is given: cameras of many draws share their images.
     """
     from simulate.lab import LabBench
 
+    def bench_of(one: VisibleCamera, shape: tuple[int, int], **more: Any) -> LabBench:
+        return LabBench(replace(one, ccd=replace(one.ccd, rows=shape[0], columns=shape[1])), **more)
+
     out, benches = {}, {}
     for index, shot in enumerate(shots):
-        rows, columns = shot.shape
         if shot.shape not in benches:
-            benches[shot.shape] = LabBench(replace(sensor, ccd=replace(sensor.ccd, rows=rows, columns=columns)))
+            benches[shot.shape] = bench_of(camera, shot.shape, like=like and bench_of(like, shot.shape))
         bench, target = benches[shot.shape], replace(shot.target, region=None)
         own = seed + 1000 * index
         out[shot.label] = bench.expose(shot.kind, target, shot.conditions, frames=shot.frames, seed=own).data
@@ -104,16 +131,21 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
     out = []
     for entry in session.of_kind(kind):
         frames, rows, columns = entry.read().shape
-        if frames < FEWEST_FRAMES or (kind != "dark" and entry.conditions.illuminance_lux is None):
+        conditions = entry.conditions
+        lit = conditions.illuminance_lux is not None or (
+            conditions.photons_per_px is not None and conditions.wavelength_nm is not None
+        )
+        if frames < VALIDATION.fewest_frames or (kind != "dark" and not lit):
             continue
         height, width = SHAPE
         if kind == "edge":
             upright = abs(np.cos(np.deg2rad(entry.target.angle_deg or 0.0))) > np.sqrt(0.5)
             height, width = (ALONG_EDGE, ACROSS_EDGE) if upright else (ACROSS_EDGE, ALONG_EDGE)
         shape = (min(height, rows - rows % 2), min(width, columns))
+        most = VALIDATION.edge_frames if kind == "edge" else VALIDATION.frames
         shot = MatchedFrames(
             label=entry.label, kind=entry.kind, conditions=entry.conditions, target=entry.target,
-            frames=min(frames, 16 if kind == "edge" else 8), corner=_corner(entry.target, (rows, columns), shape),
+            frames=min(frames, most), corner=_corner(entry.target, (rows, columns), shape),
             shape=shape,
         )  # fmt: skip
         out.append((shot, entry))
@@ -134,20 +166,20 @@ def _cut(shot: MatchedFrames, entry: StackEntry) -> NDArray:
 
 def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], list[str]]:
     """Select flats of low, medium and high signal; return them and notes on excluded ones."""
-    sensor = session.sensor
-    if sensor is None:
-        raise BadInput(f"a validation needs a session of a described sensor, got none in {session.name!r}")
-    full = float(2 ** (session.bit_depth or sensor.video.bit_depth) - 1)
+    full = float(2 ** (session.bit_depth or camera_of(session).video.bit_depth) - 1)
     usable, notes = [], []
     for shot, entry in _shots(session, "flat"):
         frames = _cut(shot, entry)
         clipped = float(np.mean((frames >= full) | (frames <= 0)))
-        if frames.mean() > 0.8 * full or clipped > 1e-3:
+        if frames.mean() > VALIDATION.highest_share * full or clipped > VALIDATION.most_clipped:
             notes.append(f"{shot.label} is outside the linear range")
         else:
             usable.append((float(frames.mean()), (shot, entry)))
     if not usable:
-        raise BadInput(f"a validation needs a flat inside the range with {FEWEST_FRAMES} frames or more, got none")
+        raise BadInput(
+            f"a validation needs a flat inside the range with {VALIDATION.fewest_frames} frames or more and known "
+            "light (illuminance_lux, or photons_per_px with wavelength_nm), got none"
+        )
     usable.sort(key=lambda item: item[0])
     picked = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(3, len(usable)))})
     return [usable[place][1] for place in picked], notes

@@ -26,10 +26,14 @@ class Statistic:
     distance
         Distance of the measured value from the simulated ones, about 1 if they agree.
     p_value, level
-        Probability of a distance at least as large if the sensor is right, and that below which it fails, corrected
+        Probability of a distance at least as large if the camera is right, and that below which it fails, corrected
         for several comparisons; dimensionless.
+    least_p
+        Least p-value that the number of repetitions can give.
     labels, measured, low95, high95
         Names of the numbers, measured values, and predicted 95 % intervals.
+    worst, cause
+        Number that deviates most, and stages or faults that move the numbers of this statistic.
     """
 
     name: str
@@ -42,23 +46,37 @@ class Statistic:
     low95: tuple[float, ...] = ()
     high95: tuple[float, ...] = ()
     note: str = ""
+    least_p: float = 0.0
+    worst: str = ""
+    cause: str = ""
 
     @property
     def passed(self) -> bool:
         """Whether the measured frames look like the simulated ones in this respect."""
         return self.p_value >= self.level
 
+    @property
+    def p_text(self) -> str:
+        """The p-value, or "< least" where no repetition was as distant."""
+        return f"< {self.least_p:.2g}" if self.p_value <= self.least_p * 1.0001 else f"{self.p_value:.2g}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationControl:
     """The same statistics on frames with a known outcome.
 
-    "null": frames of the fitted sensor itself, which must pass; "negative": with one stage removed, which must fail.
+    "null": frames of the fitted camera itself, or one half of the measured frames against the other, which must pass;
+    "negative": with one parameter changed or a fault put in, which must fail.
     """
 
     name: Literal["null", "negative"]
     title: str
     statistics: tuple[Statistic, ...]
+
+    @property
+    def noticed_by(self) -> tuple[str, ...]:
+        """Names of the statistics that fail."""
+        return tuple(one.name for one in self.statistics if not one.passed)
 
     @property
     def passed(self) -> bool:
@@ -83,6 +101,20 @@ class FramePair:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DetectableError:
+    """Error of a parameter that the validation would have found.
+
+    `title`: the parameter; `relative_error`: size found with the stated probability, NaN where none below 100 % is;
+    `statistic`: the one that finds it.
+    """
+
+    title: str
+    relative_error: float
+    probability: float
+    statistic: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Validation:
     """Comparison of a session with its simulation.
 
@@ -94,6 +126,8 @@ class Validation:
         Seed, number of posterior draws simulated and time taken, s.
     statistics, controls
         Measured against simulated, and null and negative controls under the same statistics.
+    power
+        Errors of parameters that would have been found.
     overlays
         Figure data by name, JSON-ready mappings: "mtf", "photon-transfer", "autocorrelation", "histogram". Each has "x"
         with "x_title", "measured", "simulated", "low95", "high95" and "title".
@@ -108,14 +142,20 @@ class Validation:
     seconds: float
     statistics: tuple[Statistic, ...]
     controls: tuple[ValidationControl, ...]
+    power: tuple[DetectableError, ...] = ()
     overlays: dict[str, dict[str, Any]] = field(default_factory=dict)
     pairs: tuple[FramePair, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
-        """Whether every statistic passed and both controls came out as they must."""
-        return all(one.passed for one in (*self.statistics, *self.controls))
+        """Whether every statistic and every null control passed, and any negative control was noticed.
+
+        A negative control that was not noticed is no failure: it is what this validation cannot see.
+        """
+        nulls = [one for one in self.controls if one.name == "null"]
+        noticed = any(one.passed for one in self.controls if one.name == "negative")
+        return noticed and all(one.passed for one in (*self.statistics, *nulls))
 
 
 def as_json(validation: Validation) -> dict[str, Any]:
@@ -129,8 +169,18 @@ def as_json(validation: Validation) -> dict[str, Any]:
         "passed": validation.passed,
         "notes": list(validation.notes),
         "statistics": plain(validation.statistics),
+        "power": [
+            {**asdict(one), "relative_error": one.relative_error if np.isfinite(one.relative_error) else None}
+            for one in validation.power
+        ],
         "controls": [
-            {"name": c.name, "title": c.title, "held": c.passed, "statistics": plain(c.statistics)}
+            {
+                "name": c.name,
+                "title": c.title,
+                "held": c.passed,
+                "noticed_by": list(c.noticed_by),
+                "statistics": plain(c.statistics),
+            }
             for c in validation.controls
         ],
         "pairs": [
@@ -173,7 +223,12 @@ def load(folder: str | Path) -> Validation | None:
         )
         kept = {name: stored[name] for name in ("session", "sensor", "seed", "draws", "seconds", "overlays")}
         statistics, notes = _statistics(stored["statistics"]), tuple(stored["notes"])
-        return Validation(**kept, statistics=statistics, controls=controls, pairs=pairs, notes=notes)
+        power = tuple(
+            DetectableError(**{**one, "relative_error": float("nan") if one["relative_error"] is None
+                               else one["relative_error"]})
+            for one in stored["power"]
+        )  # fmt: skip
+        return Validation(**kept, statistics=statistics, controls=controls, power=power, pairs=pairs, notes=notes)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadInput(f"{folder / NUMBERS} must be a validation kept by charact, got {error}") from error
 

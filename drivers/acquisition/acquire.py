@@ -16,12 +16,12 @@ from labdata.event_log import EventLog
 from labdata.file_io import write_atomically
 from labdata.limits import limits_in_force
 from labdata.plan import Judge, Plan, gain_table_of, in_volts
+from labdata.plan_file import plan_toml, read_plan
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor, sensor_names
-from labdata.serialiser import from_toml, to_toml
 from labdata.session import MANIFEST, Session, open_session
-from labdata.store import SessionWriter
-from labdata.store.storage_thread import Storage
+from labdata.session_writer import SessionWriter
+from labdata.storage_thread import Storage
 
 PLAN = "plan.toml"
 LOG = "log.jsonl"
@@ -157,11 +157,11 @@ def _keep_plan(plan: Plan, folder: Path, *, resume: bool) -> None:
         if kept.exists() or (folder / MANIFEST).exists():
             raise BadInput(f"a run must begin in a folder without a session, or be resumed, got {folder}")
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(kept, to_toml(plan).encode())
+        write_atomically(kept, plan_toml(plan).encode())
         return
     if not kept.exists():
         raise BadInput(f"a resumed run must have been begun before, got no {PLAN} in {folder}")
-    if difference := same_but_wires(plan, from_toml(kept, Plan)):
+    if difference := same_but_wires(plan, read_plan(kept)):
         raise BadInput(f"a resumed run must keep its plan, got another {difference} than {kept} has")
 
 

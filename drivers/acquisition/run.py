@@ -20,8 +20,8 @@ from labdata.event_log import EventLog
 from labdata.plan import Judge, Plan, SaturationSearch, Step, Watcher, by_calibration, gain_table_of
 from labdata.sensor import Sensor
 from labdata.session import open_session
-from labdata.store import SessionWriter
-from labdata.store.storage_thread import Storage, StoredStack
+from labdata.session_writer import SessionWriter
+from labdata.storage_thread import Storage, StoredStack
 
 LOOK_S = 0.1
 # Longest time without progress of the disk while frames are queued, s, since the tube is at gain meanwhile

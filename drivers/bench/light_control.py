@@ -15,8 +15,7 @@ from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.instrument_config import Role
-from labdata.session import Kind
-from labdata.target import Target
+from labdata.target import Kind, Target
 
 if TYPE_CHECKING:
     from drivers.bench.client import BenchClient

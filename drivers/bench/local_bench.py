@@ -1,17 +1,21 @@
-"""Bench inside the client's own process, for instruments without serial ports."""
+"""Opening of a bench: behind a server, or inside the own process for instruments without serial ports."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Self
+from pathlib import Path
+from typing import Any, Self
 
+from drivers.bench.client import BenchClient
 from drivers.bench.light_control import GuardedLight
 from drivers.bench.setup import BenchSetup
 from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
 from drivers.errors import BenchError
 from drivers.interface import Operator
 from drivers.serial_lines.line import InstrumentLine
+from labdata.errors import BadInput
 from labdata.event_log import EventLog
-from labdata.instrument_config import Role
+from labdata.instrument_config import PORT_KEYS, InstrumentConfig, Role
+from labdata.limits import Limits, LimitsInForce, limits_in_force
 
 
 class LocalBench(TubeBench):
@@ -84,3 +88,34 @@ class LocalBench(TubeBench):
         report.require_whole()
         if unwritten:
             raise BenchError(unwritten)
+
+
+def open_bench(
+    wires: InstrumentConfig,
+    limits: Limits | LimitsInForce,
+    *,
+    log: str | Path,
+    lines: Mapping[Role, InstrumentLine] | None = None,
+    **details: Any,
+) -> BenchClient | LocalBench:
+    """Return a bench, to be used in a `with` block.
+
+    Entering shuts the gate and switches the high voltage off first; so does leaving, also by an exception.
+    A bench on serial ports lives in a server process, which makes the tube safe when this process
+    ends or hangs; this process does the same when the server ends or hangs.
+
+    Parameters
+    ----------
+    wires, log, details
+        See `BenchSetup`; details are its other fields.
+    limits
+        Limits in force, or those of a plan, which are completed by the defaults of an unknown tube.
+    lines
+        Existing lines to the instruments by role, where there are no serial ports; the bench then lives in this
+        process, and no other process makes the tube safe.
+    """
+    if lines is None and (without := [PORT_KEYS[one.role] for one in wires.instruments if not one.port]):
+        raise BadInput(f"every instrument must have its serial port, got none for {' and '.join(without)}")
+    in_force = limits if isinstance(limits, LimitsInForce) else limits_in_force(limits)
+    setup = BenchSetup(wires=wires, limits=in_force, log=Path(log).absolute(), **details)
+    return BenchClient(setup) if lines is None else LocalBench(setup, lines)

@@ -1,26 +1,18 @@
-"""Configuration of a bench, its opening, and the record of the last real one."""
+"""Configuration of a bench, and the record of the last real one."""
 
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from drivers.serial_lines.port import usb_ports
 from labdata.calibration import LampCalibration
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
 from labdata.gating import Gating
-from labdata.instrument_config import PORT_KEYS, InstrumentConfig, Meters, Role
-from labdata.limits import Limits, LimitsInForce, limits_in_force
+from labdata.instrument_config import InstrumentConfig, Meters, Role
+from labdata.limits import LimitsInForce
 from labdata.tube_dose import DoseLedger
-
-if TYPE_CHECKING:
-    from drivers.bench.client import BenchClient
-    from drivers.bench.local_bench import LocalBench
-    from drivers.serial_lines.line import InstrumentLine
-
 
 FIELD_RATE_HZ = 60.0 / 1.001  # Field rate of 525-line video, Hz
 
@@ -43,43 +35,6 @@ class BenchSetup:
     def __post_init__(self) -> None:
         if (self.lamp is None) != (self.wires.light is None):
             raise BadInput(f"a light source must have its calibration, got {self.lamp} for {self.wires.light}")
-
-
-def open_bench(
-    wires: InstrumentConfig,
-    limits: Limits | LimitsInForce,
-    *,
-    log: str | Path,
-    lines: "Mapping[Role, InstrumentLine] | None" = None,
-    **details: Any,
-) -> "BenchClient | LocalBench":
-    """Return a bench, to be used in a `with` block.
-
-    Entering shuts the gate and switches the high voltage off first; so does leaving, also by an exception.
-    A bench on serial ports lives in a server process, which makes the tube safe when this process
-    ends or hangs; this process does the same when the server ends or hangs.
-
-    Parameters
-    ----------
-    wires, log, details
-        See `BenchSetup`; details are its other fields.
-    limits
-        Limits in force, or those of a plan, which are completed by the defaults of an unknown tube.
-    lines
-        Existing lines to the instruments by role, where there are no serial ports; the bench then lives in this
-        process, and no other process makes the tube safe.
-    """
-    if lines is None and (without := [PORT_KEYS[one.role] for one in wires.instruments if not one.port]):
-        raise BadInput(f"every instrument must have its serial port, got none for {' and '.join(without)}")
-    in_force = limits if isinstance(limits, LimitsInForce) else limits_in_force(limits)
-    setup = BenchSetup(wires=wires, limits=in_force, log=Path(log).absolute(), **details)
-    if lines is None:
-        from drivers.bench.client import BenchClient
-
-        return BenchClient(setup)
-    from drivers.bench.local_bench import LocalBench
-
-    return LocalBench(setup, lines)
 
 
 def remember_bench(wires: InstrumentConfig) -> None:

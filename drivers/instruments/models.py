@@ -1,4 +1,4 @@
-"""Instrument models: those in the modules beside this one, and those of other packages.
+"""Instrument models: those in the modules of this package, and those of other packages.
 
 A package provides a model by an entry point of the group `charact.instruments` whose value is an `InstrumentModel`:
 

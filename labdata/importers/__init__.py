@@ -12,10 +12,10 @@ import numpy as np
 from labdata.errors import BadInput
 from labdata.file_io import require_regular
 from labdata.frames import FrameStack
-from labdata.importers.axes import Recorded, frames_of
+from labdata.importers.axes import Recorded, frames_of, names_of_shape
 from labdata.importers.full_scale import byte_order_note, with_full_scale
 
-__all__ = ["KINDS", "list_kinds", "module_of", "read_frames"]
+__all__ = ["KINDS", "list_kinds", "module_of", "read_array", "read_frames"]
 
 # Endings of files by module and function of this package that reads them
 KINDS: dict[str, tuple[str, ...]] = {
@@ -64,7 +64,7 @@ def read_frames(
     """
     path = Path(path)
     try:
-        stack = _stack(_recorded(path), plane, axis, path.name)
+        stack = _stack(_read_recorded(path), plane, axis, path.name)
         return with_full_scale(stack) if find_full_scale else stack
     except BadInput as error:
         if path.name in str(error):
@@ -72,7 +72,34 @@ def read_frames(
         raise BadInput(f"{error}, in {path}") from None
 
 
-def _recorded(path: Path) -> Recorded | FrameStack:
+def read_array(array: object, plane: str | None = None, *, axis: str | None = None) -> FrameStack:
+    """Return the frames of an array in memory, by the rules of a .npy file; see `read_frames`.
+
+    What is no array of real numbers with two to four axes is BadInput.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> read_array(np.zeros((4, 60, 80), np.uint16)).shape
+    (4, 60, 80)
+    """
+    try:
+        data = np.asarray(array)
+    except (ValueError, TypeError):  # rows of unequal length, or an object that refuses
+        data = np.empty(0, object)
+    if isinstance(array, np.ma.MaskedArray) and np.ma.is_masked(array):
+        raise BadInput("an image must have every pixel, got an array with masked pixels: fill them or cut them off")
+    if data.dtype.kind not in "uifb" or data.ndim < 2:
+        raise BadInput(
+            f"an image must be an array of numbers with at least rows and columns, got {type(array).__name__} of type "
+            f"{data.dtype} and shape {data.shape}"
+        )
+    data = data.astype(np.uint8) if data.dtype.kind == "b" else data
+    found = Recorded(data=data, names=names_of_shape(data.shape))
+    return with_full_scale(_stack(found, plane, axis, "the array"))
+
+
+def _read_recorded(path: Path) -> Recorded | FrameStack:
     """Read a file; whatever the library of its kind raises on a damaged one is BadInput."""
     reader = reader_of(path)
     try:

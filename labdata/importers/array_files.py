@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.file_io import require_regular, require_regular_parts
+from labdata.file_io import require_regular, require_regular_parts, require_room
 from labdata.frames import FrameStack
 from labdata.importers.axes import Recorded, axes_of_labels, names_of_shape, optional_module
-from labdata.importers.decompression_limit import require_room
 
 
 def read_npy(path: Path) -> Recorded:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.file_io import require_picture
 from labdata.frames import FrameStack, blocks
 from labdata.importers import colour_planes
-from labdata.importers.decompression_limit import require_picture
 from labdata.importers.thresholds import LEAST_COLOUR_SIDE_PX, MOST_MASKED, MOST_OBLONG
 
 
@@ -41,8 +41,10 @@ def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tu
             f"{right - 1} of {cols} are measured; regions count from the file's first row and column"
         )
     data, gaps = data[:, top:bottom, left:right], gaps[top:bottom, left:right]
+    if not gaps.size:
+        raise BadInput("every pixel must be finite, but for a border, got none that is")
     count = int(np.count_nonzero(gaps))
-    if count > MOST_MASKED * gaps.size or not gaps.size:
+    if count > MOST_MASKED * gaps.size:
         bad = sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(data))
         raise BadInput(
             f"every pixel must be finite, but for a border and {100 * MOST_MASKED:g} % inside it, got {bad} that are "

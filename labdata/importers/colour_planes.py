@@ -72,20 +72,25 @@ def green_diagonal(data: NDArray) -> int | None:
     """
     if min(data.shape[1:]) < 16:
         return None
-    picture = data[:: max(1, len(data) // 4)][:4].mean(axis=0, dtype=np.float64)
+    some = data[:: max(1, len(data) // 4)][:4]
+    picture = some.mean(axis=0, dtype=np.float64) if len(some) > 1 else some[0].astype(np.float64)
     rows, cols = (size // 2 * 2 for size in picture.shape)
-    cells = picture[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2).swapaxes(1, 2).reshape(-1, 4)
-    level = cells.mean(axis=1)
-    bright = cells[level >= np.median(level)]
-    board = bright @ (0.25, -0.25, -0.25, 0.25)
+    planes = [picture[row:rows:2, col:cols:2] for row in (0, 1) for col in (0, 1)]
+    main, other = planes[0] + planes[3], planes[1] + planes[2]
+    level = main + other
+    half = level.size // 2
+    chosen = level >= np.partition(level, half, axis=None)[half]
+    board = 0.25 * (main - other)[chosen]
     if board.size < 64:
         return None
-    amplitude = abs(float(np.median(board)))
-    spread = 1.4826 * float(np.median(np.abs(board - np.median(board))))
-    significant = amplitude > MOSAIC_SIGNIFICANCE * 1.2533 * spread / np.sqrt(board.size)
-    if not significant or amplitude <= MOSAIC_LEVEL * abs(float(np.median(bright))):
+    middle = float(np.median(board))
+    spread = 1.4826 * float(np.median(np.abs(board - middle)))
+    if abs(middle) <= MOSAIC_SIGNIFICANCE * 1.2533 * spread / np.sqrt(board.size):
         return None
-    sites = np.median(bright, axis=0)
+    bright = np.array([plane[chosen] for plane in planes])
+    if abs(middle) <= MOSAIC_LEVEL * abs(float(np.median(bright))):
+        return None
+    sites = np.median(bright, axis=1)
     return 0 if abs(sites[0] - sites[3]) < abs(sites[1] - sites[2]) else 1
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
+from labdata.file_io import require_picture, require_room
 from labdata.importers.axes import COL, FRAME, ROW, UNNAMED, Recorded, lossy_note, meaning
-from labdata.importers.decompression_limit import require_picture, require_room
 
 GZIP_MAGIC = b"\x1f\x8b"
 BLOCK_BYTES = 2880

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.file_io import require_memory, require_picture, require_room
 from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded, lossy_note
-from labdata.importers.decompression_limit import require_memory, require_picture, require_room
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # First bytes by Pillow's name of the kind; bilevel images (P1, P4) are refused

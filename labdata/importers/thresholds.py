@@ -1,11 +1,5 @@
 """Thresholds of the importers, with their sources."""
 
-MOST_EXPANSION = 5000  # Largest compression ratio: deflate reaches 1032, LZW about 2700
-MOST_PICTURE_PX = 2**28  # Largest image, px: the largest camera sensors have 247 million pixels (Sony IMX811)
-
-# Largest fraction of the memory for the frames of a file; a measurement makes a copy as real numbers
-MOST_OF_MEMORY = 0.5
-
 # Shortest side, px, of an image whose last axis of 3 or 4 is colours; targets need more pixels
 LEAST_COLOUR_SIDE_PX = 8
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
+from labdata.file_io import require_picture, require_room
 from labdata.importers.axes import COL, COLOUR, FRAME, ROW, UNNAMED, Recorded, lossy_note, meaning, names_of_shape
-from labdata.importers.decompression_limit import require_picture, require_room
 from labdata.importers.thresholds import THUMBNAIL
 
 LOSSY = ("JPEG", "WEBP", "JETRAW")

@@ -2,17 +2,17 @@
 
 from pathlib import Path
 
-from labdata.file_io import shipped_file, shipped_names
+from labdata.file_io import names_of_shipped, path_of_shipped
 from labdata.sensor import Phosphor
 from labdata.serialiser import from_toml
 
 
 def phosphor_names() -> tuple[str, ...]:
     """Names of the phosphors that come with the package."""
-    return shipped_names("phosphors")
+    return names_of_shipped("phosphors")
 
 
 def load_phosphor(name_or_path: str | Path) -> Phosphor:
     """Read a shipped phosphor by name, "p20", "P43", or the TOML file of another with the keys of `Phosphor`."""
     name = str(name_or_path).lower()
-    return from_toml(shipped_file("phosphors", name if name in phosphor_names() else name_or_path), Phosphor)
+    return from_toml(path_of_shipped("phosphors", name if name in phosphor_names() else name_or_path), Phosphor)

@@ -7,14 +7,11 @@ and named, and never changed.
 
 from labdata.store.array_reader import ArrayFollower, read
 from labdata.store.journal import Acknowledged, Journal, is_ours, read_journal, sha256
-from labdata.store.session_writer import SessionWriter, StackWriter
 
 __all__ = [
     "Acknowledged",
     "ArrayFollower",
     "Journal",
-    "SessionWriter",
-    "StackWriter",
     "is_ours",
     "read",
     "read_journal",

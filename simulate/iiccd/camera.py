@@ -208,8 +208,8 @@ class IntensifiedCamera(Camera):
     def to_mcp_input(self, photoelectrons: StageImage, conditions: Conditions) -> StageImage:
         cathode = self.stage(Slot.PHOTOCATHODE, conditions)
         dark = np.float32(cathode.ebi_per_s_cm2 * cathode.open_s * self.scene_cells.cell_area_cm2)
-        freed = photoelectrons.with_values(photoelectrons.values + dark)
-        return self.to_plate(conditions, self.cathode_lux(photoelectrons)).mean(freed)
+        released = photoelectrons.with_values(photoelectrons.values + dark)
+        return self.to_plate(conditions, self.cathode_lux(photoelectrons)).mean(released)
 
     def to_plate(self, conditions: Conditions, cathode_lux: float) -> Chain:
         """Return the chain from the gap to the MCP input under a mean illuminance of the cathode, lux."""
@@ -364,7 +364,7 @@ class SiliconCamera(Camera):
         return super().chain(conditions)
 
     def photoelectrons(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
-        return self.stage(Slot.SILICON, conditions).detected(photons_per_s)
+        return self.stage(Slot.SILICON, conditions).detect(photons_per_s)
 
     def to_mcp_input(self, photoelectrons: StageImage, conditions: Conditions) -> StageImage:
         return photoelectrons.resample_to(self.cells)

@@ -45,13 +45,13 @@ class Silicon(Stage, slot=Slot.SILICON, takes="photons", emits="photoelectrons i
         if not self.exposure_s > 0.0:
             raise BadInput(f"exposure_s must be positive, got {self.exposure_s:g}")
 
-    def detected(self, light: StageImage) -> StageImage:
+    def detect(self, light: StageImage) -> StageImage:
         """Return photoelectrons per exposure on the cells of the light."""
         return light.with_values(light.values * np.asarray(self.quantum_efficiency * self.exposure_s, np.float32))
 
     def mean(self, light: StageImage) -> StageImage:
         """Return photoelectrons per exposure and cell, pending blurs applied."""
-        return self.detected(light).resample_to(self.grid)
+        return self.detect(light).resample_to(self.grid)
 
 
 def dark_charge(camera: CameraFrame, conditions: Conditions) -> tuple[float, float]:

@@ -41,12 +41,12 @@ class Stage:
     parameters without it; `bounds` bounds their influence on a frame.
     """
 
-    slot: ClassVar[Slot]
+    slot: ClassVar[Enum]
     effects: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     takes: str
     emits: str
 
-    def __init_subclass__(cls, *, slot: Slot, takes: str = "", emits: str = "") -> None:
+    def __init_subclass__(cls, *, slot: Enum, takes: str = "", emits: str = "") -> None:
         cls.slot = slot
         if takes:
             cls.takes, cls.emits = takes, emits
@@ -109,21 +109,21 @@ class Chain:
         if repeated := {name for name in names if names.count(name) > 1}:
             raise BadInput(f"the stages of a chain must have names of their own, got {sorted(repeated)} twice")
 
-    def __getitem__(self, slot: Slot) -> Any:
+    def __getitem__(self, slot: Enum) -> Any:
         """Return the stage in a slot."""
         return self.stages[self._place(slot)]
 
-    def _place(self, slot: Slot) -> int:
+    def _place(self, slot: Enum) -> int:
         slots = [stage.slot for stage in self.stages]
         if slot not in slots:
             raise BadInput(f"a stage must be one of {[each.value for each in slots]}, got {slot.value!r}")
         return slots.index(slot)
 
-    def between(self, first: Slot, last: Slot) -> "Chain":
+    def between(self, first: Enum, last: Enum) -> "Chain":
         """Return the chain from one slot to another, both included."""
         return Chain(self.stages[self._place(first) : self._place(last) + 1])
 
-    def without(self, slot: Slot) -> "Chain":
+    def without(self, slot: Enum) -> "Chain":
         """Return the chain with one stage left out; refused where its neighbours then do not fit."""
         return Chain(tuple(stage for stage in self.stages if stage.slot != slot))
 

@@ -99,7 +99,7 @@ class PhosphorDecay(Stage, slot=Slot.DECAY, takes="screen photons on pixels", em
         """Evenly spaced arrival times over which decay is averaged, as fractions of the gate."""
         return (np.arange(ACCURACY.n_arrival_times) + 0.5) / ACCURACY.n_arrival_times
 
-    def left(self, arrival: NDArray[np.floating]) -> NDArray[np.float64]:
+    def remainder(self, arrival: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the fraction that each component leaves of pulses to later fields, shape (component, pulse)."""
         weight, tau = self._weight, self._tau
         share = weight * tau
@@ -116,18 +116,18 @@ class PhosphorDecay(Stage, slot=Slot.DECAY, takes="screen photons on pixels", em
         return np.maximum(np.array([tau for _, tau in self.components]), 1e-12)
 
     @property
-    def kept(self) -> NDArray[np.float64]:
+    def retention(self) -> NDArray[np.float64]:
         """Fraction of what each component stores that stays stored for one field more, shape (component,)."""
         return np.exp(-self.field_s / self._tau)
 
     @cached_property
     def lasting(self) -> NDArray[np.bool_]:
         """Which components leave any light to later fields, shape (component,)."""
-        return self.left(self.arrivals).mean(axis=1) > ACCURACY.min_stored_fraction
+        return self.remainder(self.arrivals).mean(axis=1) > ACCURACY.min_stored_fraction
 
-    def left_by_lasting(self, arrival: NDArray[np.floating]) -> NDArray[np.float32]:
+    def remainder_of_lasting(self, arrival: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return what lasting components leave of pulses by their arrival, a fraction of the gate."""
-        return self.left(arrival)[self.lasting].astype(np.float32)
+        return self.remainder(arrival)[self.lasting].astype(np.float32)
 
     @cached_property
     def recursion(self) -> NDArray[np.float32]:
@@ -138,15 +138,15 @@ class PhosphorDecay(Stage, slot=Slot.DECAY, takes="screen photons on pixels", em
         The spread of each component over arrival times is its regression on what all leave together, so that the
         variance of the field and its covariance with later ones are exact.
         """
-        left = self.left(self.arrivals)
+        left = self.remainder(self.arrivals)
         later, together = left.mean(axis=1), left.sum(axis=0)
         spread = (left - later[:, None]) @ together / together.size / (float(together.std()) or 1.0)
-        return np.stack([later, spread, self.kept]).astype(np.float32)[:, self.lasting]
+        return np.stack([later, spread, self.retention]).astype(np.float32)[:, self.lasting]
 
     @cached_property
     def lateness(self) -> float:
         """Skewness over arrival times of what all components leave together, dimensionless."""
-        together = self.left(self.arrivals).sum(axis=0)
+        together = self.remainder(self.arrivals).sum(axis=0)
         scatter = float(together.std())
         return float(np.mean(((together - together.mean()) / scatter) ** 3)) if scatter > 1e-30 else 0.0
 
@@ -159,7 +159,7 @@ class PhosphorDecay(Stage, slot=Slot.DECAY, takes="screen photons on pixels", em
         # The slowest component alone has faded below what is forgotten after so many fields.
         forgotten = np.log(1.0 / ACCURACY.max_lag_fraction)
         longest = int(np.ceil(self._tau.max() / self.field_s * forgotten)) + 2
-        late = self.left(self.arrivals).T @ self.kept[:, None] ** np.arange(longest)
+        late = self.remainder(self.arrivals).T @ self.retention[:, None] ** np.arange(longest)
         last = int(np.argmax(late.mean(axis=0) < ACCURACY.max_lag_fraction))
         late[:, last:] = 0.0
         return -np.diff(late[:, : last + 1], axis=1, prepend=1.0)

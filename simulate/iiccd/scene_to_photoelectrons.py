@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
+from labdata.sensors import Camera as Described
 from labdata.solid_state import SolidStateCamera
 from simulate.iiccd import image_placement
 from simulate.iiccd.camera import Camera, IntensifiedCamera, SiliconCamera
@@ -13,13 +14,16 @@ from simulate.iiccd.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
 
 
-def camera_from_description(description: Sensor | SolidStateCamera) -> IntensifiedCamera | SiliconCamera:
+def camera_from_description(description: Described) -> IntensifiedCamera | SiliconCamera:
     """Return the camera with all effects: fibre geometry and local gain depletion included.
 
-    The lab bench builds its own, without geometry: there a target's place on the frame is known.
+    The lab bench builds its own, without geometry: there a target's place on the frame is known. A thermal imager is
+    BadInput: it sees no visible light.
     """
     if isinstance(description, SolidStateCamera):
         return SiliconCamera(description)
+    if not isinstance(description, Sensor):
+        raise BadInput(f"light at a photocathode or chip needs a camera of visible light, got {description.name!r}")
     return IntensifiedCamera(description, geometry=True, local_depletion=True)
 
 
@@ -27,8 +31,8 @@ def mcp_input_from_radiance(
     camera: Camera, cube: RadianceCube, conditions: Conditions, *, distance_m: float | None = None
 ) -> StageImage:
     """Return the expected photoelectrons at the MCP input; arguments as for `photoelectrons_from_radiance`."""
-    freed = photoelectrons_from_radiance(camera, cube, conditions, distance_m=distance_m)
-    return camera.to_mcp_input(freed, conditions)
+    released = photoelectrons_from_radiance(camera, cube, conditions, distance_m=distance_m)
+    return camera.to_mcp_input(released, conditions)
 
 
 def mcp_input_from_photoelectrons(camera: Camera, image_pe: NDArray[np.floating], conditions: Conditions) -> StageImage:

@@ -94,7 +94,7 @@ def _draw_images(chain: Chain, light: StageImage, rng: np.random.Generator) -> I
     for stage, after in zip(chain.stages, chain.steps(light, rng), strict=True):
         # Without a tube the pixels collect what the chip has already detected.
         of_chip = stage.takes == "photoelectrons in the chip"
-        name, quantity, image = _image_of(stage.slot, after)
+        name, quantity, image = _image_of(Slot(stage.slot), after)
         yield name, "photoelectrons per exposure and pixel, expected" if of_chip else quantity, image
 
 

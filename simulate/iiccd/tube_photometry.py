@@ -1,4 +1,4 @@
-"""Tube photometry: illuminance to photoelectrons, luminous gain to photons."""
+"""Photometry: illuminance to photoelectrons of a tube or chip, luminous gain to photons."""
 
 import math
 
@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
+from labdata.solid_state import SolidStateCamera
 from simulate.radiance.cube import band_widths
 from simulate.radiance.spectrum import LUMENS_PER_WATT, hat_integrals, luminous_efficiency, planck
 
@@ -112,31 +113,38 @@ def gain_factor(sensor: Sensor, mcp_v: float | None, gain_control: float | None)
 
 
 def photons_per_lux(
-    sensor: Sensor, wavelength_nm: NDArray[np.float64], radiance: NDArray[np.float64]
+    sensor: Sensor | SolidStateCamera, wavelength_nm: NDArray[np.float64], radiance: NDArray[np.float64]
 ) -> tuple[float, NDArray[np.float64]]:
     """Return the photons of light of a given spectrum, in bands, and what turns radiance in these into photons.
 
     Returns
     -------
     photon_ratio
-        Photons per s and cm2 on the photocathode at 1 lux of this light, referred to the wavelength of peak quantum
-        efficiency: one that is detected half as well counts half.
+        Photons per s and cm2 on photocathode or chip at 1 lux of this light, referred to the wavelength of peak
+        quantum efficiency: one that is detected half as well counts half.
     weight
         Photons per radiance of each band, relative to the light's own, shape (band,).
 
     Notes
     -----
     Sums over bands replace integrals in the photometric and in the photoelectric sum alike, scaled so that light of
-    2856 K has exactly the tube's luminous sensitivity.
+    2856 K has exactly the tube's luminous sensitivity, or that of the chip's table of quantum efficiency.
     """
     width = band_widths(wavelength_nm)
     lumens = width * LUMENS_PER_WATT * luminous_efficiency(wavelength_nm)
-    efficiency = quantum_efficiency(sensor, wavelength_nm)
+    if isinstance(sensor, Sensor):
+        efficiency = quantum_efficiency(sensor, wavelength_nm)
+        peak = quantum_efficiency(sensor, sensor.photocathode.wavelength_nm).max()
+        per_lumen_s = photoelectrons_per_lumen_s(sensor)
+    else:
+        table = sensor.silicon.wavelength_nm, sensor.silicon.quantum_efficiency
+        efficiency = np.interp(wavelength_nm, *table, left=0.0, right=0.0)
+        peak = max(sensor.silicon.quantum_efficiency)
+        per_lumen_s = luminous_sensitivity(*table) * 1e-6 / ELEMENTARY_CHARGE_C
     electrons = width * efficiency * wavelength_nm
     lamp = planck(wavelength_nm, LAMP_K)
     per_lumen_of_lamp = np.sum(electrons * lamp) / np.sum(lumens * lamp)
     per_lumen = np.sum(electrons * radiance) / np.sum(lumens * radiance)
-    peak = quantum_efficiency(sensor, sensor.photocathode.wavelength_nm).max()
     # 1 lux is 1e-4 lm/cm2.
-    photons = 1e-4 * photoelectrons_per_lumen_s(sensor) * per_lumen / per_lumen_of_lamp / peak
+    photons = 1e-4 * per_lumen_s * per_lumen / per_lumen_of_lamp / peak
     return float(photons), electrons / np.sum(electrons * radiance)

@@ -138,8 +138,10 @@ def _read(path: Path) -> "LabScene | OutdoorScene":
     mapping = read_toml(path)
     if "camera" not in mapping:
         return from_mapping(mapping, LabScene, where=path.name)
+    from simulate.radiance.outdoor.mesh_materials import with_materials_of_files
     from simulate.radiance.outdoor.scene import OutdoorScene
 
+    mapping = with_materials_of_files(mapping, path.parent)
     place = mapping.get("place")
     if isinstance(place, dict) and isinstance(place.get("time"), datetime):
         place["time"] = place["time"].isoformat()

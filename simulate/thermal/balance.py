@@ -1,6 +1,6 @@
 """Heat balance of the facets of a scene, with the influence of retained and neglected terms."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.clear_day import sky_radiance
 from simulate.thermal.exposure import RING_SINE, Exposure, Facets
 from simulate.thermal.slab import ZERO_C, Columns, Exchange, Forcing, kernels, march, periodic_start, vapour_pressure_pa
-from simulate.thermal.thresholds import LIMITS
+from simulate.thermal.thresholds import LIMITS, UNCERTAINTY
 from simulate.thermal.weather import DAY_STEPS, Weather
 
 Array = NDArray[np.floating]
@@ -40,6 +40,8 @@ class Solution:
         Last temperature (facet,), K, and kernel of the same facets without direct sun.
     effects, left_out
         What terms change at the last time, and what those left out could have changed: mK, at the facet where most.
+    errors_k
+        Change of the last temperature by one standard deviation of each input (`UNCERTAINTY`), shape (facet,), K.
     """
 
     faces_k: Array
@@ -48,6 +50,7 @@ class Solution:
     shaded_kernel: Array
     effects: tuple[OptionalEffect, ...] = ()
     left_out: tuple[OptionalEffect, ...] = ()
+    errors_k: dict[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,12 @@ class Balance:
     def absorptivity(self) -> Array:
         """Shape (facet,)."""
         return np.array([float(slab.absorptivity or 0.0) for slab in self.slabs])
+
+    @cached_property
+    def reflectivity(self) -> Array:
+        """Fraction of sunlight that is reflected, shape (facet,)."""
+        through = np.array([float(slab.transmittance) for slab in self.slabs])
+        return np.maximum(1.0 - self.absorptivity - through, 0.0)
 
     @cached_property
     def heating(self) -> Array:
@@ -145,7 +154,8 @@ class Balance:
         free = np.flatnonzero([rule is None for rule in rules])
         kernel = np.zeros((DAY_STEPS, len(rules)))
         if not len(free):
-            return Solution(faces_k=at_air, kernel=kernel, shaded_k=at_air[-1], shaded_kernel=kernel)
+            errors = {"prescribed temperature": self._sd_of_prescribed_k()}
+            return Solution(faces_k=at_air, kernel=kernel, shaded_k=at_air[-1], shaded_kernel=kernel, errors_k=errors)
         columns = Columns.of([self.slabs[facet] for facet in free])
         second, more = self._reflect(self.sunlight_by_reflection), 0.0
         faces, flux, passes = at_air, self._flux(at_air), 1
@@ -175,6 +185,7 @@ class Balance:
             tuple(OptionalEffect(name=name, influence=1e3 * size) for name, size in table.items())
             for table in (terms, left)
         )
+        errors = self._errors_k(free, columns, forcing, faces, kernel)
         forcing = self._forcing(free, flux - self.heating * self.direct_sunlight)
         shaded, shaded_kernel = np.array(at_air), np.zeros_like(kernel)
         shaded[:, free] = _face_temperatures(columns, forcing)
@@ -186,7 +197,48 @@ class Balance:
             shaded_kernel=shaded_kernel,
             effects=effects,
             left_out=left_out,
+            errors_k=errors,
         )
+
+    def _errors_k(
+        self, free: NDArray[np.int64], columns: Columns, forcing: Forcing, faces: Array, kernel: Array
+    ) -> dict[str, Array]:
+        """Change of the last temperatures by one standard deviation of each input: linear by kernels, K.
+
+        Neighbours change too, by as much over the whole day as at its end.
+        """
+        sky, neighbours = self.longwave(faces[LAST])
+        sun = (self.sunlight + self.sunlight_by_reflection)[LAST]
+        convected = np.zeros((DAY_STEPS, len(self.slabs)))
+        convected[:, free] = forcing.convection(faces[LAST][:, free], LAST)
+        evaporated = np.array([float(slab.latent_fraction) for slab in self.slabs])
+        gained = sky + neighbours - STEFAN_BOLTZMANN * faces[LAST] ** 4
+        fluxes = {
+            "longwave of the sky": self.emissivity * self.exposure.sky * self.weather.longwave_sd_w_m2,
+            "convection": -UNCERTAINTY.convection * convected,
+            "absorptivity": UNCERTAINTY.absorptivity * (1.0 - evaporated) * sun,
+            "emissivity": UNCERTAINTY.emissivity * gained,
+        }
+        found = {name: (kernel * flux).sum(axis=0) for name, flux in fluxes.items()}
+        factor = 1.0 + UNCERTAINTY.inertia
+        heavier = replace(columns, capacity=factor * columns.capacity, conductance=factor * columns.conductance)
+        found["thermal inertia"] = np.zeros(len(self.slabs))
+        found["thermal inertia"][free] = _face_temperatures(heavier, forcing)[-1] - faces[-1, free]
+        found["prescribed temperature"] = self._sd_of_prescribed_k()
+        slope = 4.0 * STEFAN_BOLTZMANN * self.emissivity * np.mean(faces[LAST] ** 3, axis=0)
+        of_neighbours = (self.emissivity * kernel.sum(axis=0))[:, None] * self.exposure.sees * slope
+        through = np.linalg.inv(np.eye(len(slope)) - of_neighbours)
+        return {name: through @ error for name, error in found.items()}
+
+    def _sd_of_prescribed_k(self) -> Array:
+        """Standard deviation of temperatures that slabs prescribe with 95 % bounds, else 0, shape (facet,), K."""
+        found = np.zeros(len(self.slabs))
+        for facet, (slab, thing) in enumerate(zip(self.slabs, self.things, strict=True)):
+            given = slab.temperature_c or slab.above_air_k or slab.above_mean_air_k
+            stated = thing.temperature_c is not None or thing.above_air_k is not None
+            if given is not None and not stated and given.low is not None and given.high is not None:
+                found[facet] = (given.high - given.low) / (2.0 * 1.96)
+        return found
 
     def _rule_temperature_k(self, facet: int) -> Array | None:
         """The temperature that an object or else its slab prescribes, shape (step,), K; None where it is free."""
@@ -210,7 +262,7 @@ class Balance:
 
     def _reflect(self, light: Array) -> Array:
         """Light that facets get of each other of what falls on them."""
-        return ((1.0 - self.absorptivity) * light) @ self.exposure.sees.T
+        return (self.reflectivity * light) @ self.exposure.sees.T
 
     def _flux(self, faces_k: Array) -> Array:
         sky, neighbours = self.longwave(faces_k)

@@ -5,13 +5,13 @@ the heat balance; pixels of an image differ from it by their exposure to sun and
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.geometry.embree import ROW
-from simulate.radiance.geometry.ray_tracer import NOTHING
+from simulate.radiance.geometry.ray_tracer import NOTHING, RayTracer
 from simulate.radiance.geometry.surfaces import Surfaces
 from simulate.radiance.integrator.sampling import SequenceSlice, cosine_lobe, shading_frames
 from simulate.thermal.thresholds import LIMITS
@@ -21,6 +21,8 @@ Index = NDArray[np.int64]
 # Rings of the sky, equal in what level ground receives of a uniform sky, and the sine of the elevation of each.
 RINGS = 12
 RING_SINE = np.sqrt((np.arange(RINGS) + 0.5) / RINGS)
+# Steps by which the rings that a plane sees are integrated, of each ring, around, and of the plane's normal.
+OPEN_HEIGHTS, OPEN_TURNS, OPEN_TILTS = 16, 180, 181
 # Components of a normal count as zero within 22.5 degrees: there are 26 directions, in a table of 27.
 SLANT, DIRECTIONS = 0.3827, 27
 
@@ -38,7 +40,9 @@ class Facets:
     Parameters
     ----------
     surfaces
-        The surfaces.
+        The surfaces, panes of glass among them.
+    shades
+        Ray tracer of those that hide the sun: all but panes.
     key
         Ascending numbers of object, material and direction, shape (facet,).
     area_m2
@@ -50,6 +54,7 @@ class Facets:
     """
 
     surfaces: Surfaces
+    shades: RayTracer
     key: Index
     area_m2: Array
     normal: Array
@@ -101,8 +106,8 @@ def _keys(surfaces: Surfaces, row: Index, normal: Array) -> Index:
     return body * DIRECTIONS + direction_of(normal)
 
 
-def facets_of(surfaces: Surfaces) -> Facets:
-    """Return the facets of surfaces."""
+def facets_of(surfaces: Surfaces, shades: RayTracer | None = None) -> Facets:
+    """Return the facets of surfaces; all of them hide the sun unless others are given."""
     area = surfaces.area_m2
     row = np.flatnonzero(area > 0.0)
     normal = surfaces.tracer.normals(row)
@@ -112,6 +117,7 @@ def facets_of(surfaces: Surfaces) -> Facets:
     mean = np.stack([np.bincount(which, area[row] * normal[:, axis]) for axis in range(3)], axis=1)
     return Facets(
         surfaces=surfaces,
+        shades=shades or surfaces.tracer,
         key=key,
         area_m2=np.bincount(which, area[row]).astype(float),
         normal=mean / np.linalg.norm(mean, axis=1, keepdims=True),
@@ -154,12 +160,12 @@ def spots_of(facets: Facets, rng: np.random.Generator) -> Spots:
     return Spots.on(facets.surfaces, face, np.einsum("sc,sck->sk", weight, corners[face]))
 
 
-def sun_cosines(surfaces: Surfaces, spots: Spots, sun: Array) -> Array:
+def sun_cosines(shades: RayTracer, spots: Spots, sun: Array) -> Array:
     """Return the cosine of the sun's angle where it shines on spots, else 0, shape (time, spot).
 
     Parameters
     ----------
-    surfaces, spots
+    shades, spots
         What hides the sun, and where.
     sun
         Directions of the sun, shape (time, 3).
@@ -168,7 +174,7 @@ def sun_cosines(surfaces: Surfaces, spots: Spots, sun: Array) -> Array:
     for time, way in enumerate(sun):
         lit = np.flatnonzero(found[time])
         if len(lit):
-            hidden = surfaces.tracer.is_occluded(spots.start_m[lit], np.broadcast_to(way, (len(lit), 3)))
+            hidden = shades.is_occluded(spots.start_m[lit], np.broadcast_to(way, (len(lit), 3)))
             found[time, lit[hidden]] = 0.0
     return found
 
@@ -191,6 +197,93 @@ def view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> tuple[Array, 
     ring = np.minimum((ways[sky, 2] ** 2 * RINGS).astype(np.int64), RINGS - 1)
     count = np.bincount(sky // even.rays * RINGS + ring, minlength=len(pairs) * RINGS)
     return count.reshape(-1, RINGS) / even.rays, face.reshape(-1, even.rays)
+
+
+@cache
+def _open_rings() -> Array:
+    """Return what planes see of each ring without obstacles, by the angle of their normal from the zenith.
+
+    Shape (angle, ring), from 0 to 180 degrees.
+    """
+    edge = np.sqrt(np.arange(RINGS + 1) / RINGS)
+    step = np.diff(edge)[:, None] / OPEN_HEIGHTS
+    sine = edge[:-1, None] + step * (np.arange(OPEN_HEIGHTS) + 0.5)
+    turn = 2.0 * np.pi * (np.arange(OPEN_TURNS) + 0.5) / OPEN_TURNS
+    tilt = np.linspace(0.0, np.pi, OPEN_TILTS)[:, None, None, None]
+    cosine = np.cos(tilt) * sine[..., None] + np.sin(tilt) * np.sqrt(1.0 - sine[..., None] ** 2) * np.cos(turn)
+    return (2.0 * step * np.maximum(cosine, 0.0).mean(axis=3)).sum(axis=2)
+
+
+def open_rings(normal: Array) -> Array:
+    """Return what planes of unit normals (point, 3) see of each ring without obstacles, shape (point, ring)."""
+    place = np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi * (OPEN_TILTS - 1)
+    below = np.minimum(place.astype(np.int64), OPEN_TILTS - 2)
+    along, table = (place - below)[:, None], _open_rings()
+    return table[below] * (1.0 - along) + table[below + 1] * along
+
+
+@dataclass(frozen=True, kw_only=True)
+class Views:
+    """What spots see, as weights that sum to 1.
+
+    Parameters
+    ----------
+    rings
+        Of each ring of the sky, shape (spot, ring).
+    face, weight, range_m
+        What each ray hits, `NOTHING` for sky or the ground's end, its weight where it hits, and how far away, m, shape
+        (spot, ray).
+    beyond
+        Below the horizon where the scene ends, shape (spot,).
+    """
+
+    rings: Array
+    face: Index
+    weight: Array
+    range_m: Array
+    beyond: Array
+
+    def surfaces(self) -> tuple[Index, Index, Array, Array]:
+        """Return the spot, the face, the weight and the length of each ray that hits a surface."""
+        spot, ray = np.nonzero(self.face != NOTHING)
+        return spot, self.face[spot, ray], self.weight[spot, ray], self.range_m[spot, ray]
+
+
+def precise_view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> Views:
+    """Return what spots see, as `view`, with less noise where little hides the sky.
+
+    Notes
+    -----
+    The sky that a plane sees without obstacles, and what it sees below the horizon, are known. Rays find what hides the
+    sky, and which surfaces lie below; where more than half of the sky is hidden, they find the open rest instead.
+    """
+    pairs, spot = even.pairs(), np.arange(len(spots.normal))[:, None]
+    along = cosine_lobe(pairs.reshape(-1, 2)).reshape(*pairs.shape[:2], 3)
+    ways = (along @ shading_frames(spots.normal)).reshape(-1, 3)
+    hit = surfaces.tracer.hits(np.repeat(spots.start_m, even.rays, axis=0), ways)
+    face = hit.face.reshape(-1, even.rays)
+    height = ways[:, 2].reshape(face.shape)
+    up, hits = height > 0.0, face != NOTHING
+    known = open_rings(spots.normal)
+    above = known.sum(axis=1)
+    count = up.sum(axis=1)
+    weight = np.where(
+        up, (above / np.maximum(count, 1))[:, None], ((1.0 - above) / np.maximum(even.rays - count, 1))[:, None]
+    )
+    ring = np.minimum((height**2 * RINGS).astype(np.int64), RINGS - 1)
+    hidden = (up & hits).sum(axis=1)
+    by_rest = 2 * hidden > count
+    counted = up & (hits ^ by_rest[:, None])
+    found = np.bincount((spot * RINGS + ring)[counted], weight[counted], len(face) * RINGS).reshape(-1, RINGS)
+    rings = np.where(by_rest[:, None], found, known - found)
+    # Without a ray above or below the horizon, that part counts as open.
+    return Views(
+        rings=rings,
+        face=face,
+        weight=weight,
+        range_m=hit.range_m.reshape(face.shape),
+        beyond=1.0 - rings.sum(axis=1) - np.where(hits, weight, 0.0).sum(axis=1),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,5 +326,5 @@ def exposure_of(facets: Facets, sun: Array, rng: np.random.Generator) -> Exposur
         rings=rings,
         sees=sees,
         beyond=np.maximum(1.0 - rings.sum(axis=1) - sees.sum(axis=1), 0.0),
-        lit=sun_cosines(facets.surfaces, spots, sun).reshape(len(sun), count, LIMITS.points).mean(axis=2),
+        lit=sun_cosines(facets.shades, spots, sun).reshape(len(sun), count, LIMITS.points).mean(axis=2),
     )

@@ -184,6 +184,13 @@ class Forcing:
         emitted = self.emissivity * STEFAN_BOLTZMANN * surface_k**3
         return flux + emitted * surface_k, slope + 4.0 * emitted
 
+    def convection(self, surface_k: Array, steps: int | slice) -> Array:
+        """Return the heat flux of convection, without condensation, from faces at some steps, W m-2."""
+        dry = replace(self.exchange, condensation=False)
+        return dry.loss(
+            surface_k, self.air_k[steps], self.wind_m_s[steps], self.vapour_pa[steps], self.pressure_hpa[steps]
+        )[0]
+
     def behind_k(self, columns: Columns, steps: int | slice) -> Array:
         """Return the temperature behind slabs."""
         return np.where(np.isnan(columns.back_k), self.air_k[steps], columns.back_k)

@@ -1,5 +1,6 @@
 """Surface temperatures of a scene: of its objects over a day, and of the pixels of a view at the scene's time."""
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,20 +13,24 @@ from numpy.typing import NDArray
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping, read_toml
-from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import workers
 from simulate.radiance.integrator.sampling import SequenceSlice, low_discrepancy_points
+from simulate.radiance.outdoor.build import build_surfaces
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.outdoor.materials import MaterialSpec, Slab
+from simulate.radiance.outdoor.poses import rotation_of
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.sky.moon import sun_spectrum
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.balance import GROUND_REFLECTANCE, LAST, Balance, Solution
-from simulate.thermal.exposure import Spots, exposure_of, facets_of, sun_cosines, view
+from simulate.thermal.exposure import Spots, Views, exposure_of, facets_of, precise_view, sun_cosines
 from simulate.thermal.slab import ZERO_C
 from simulate.thermal.thresholds import LIMITS
 from simulate.thermal.weather import DAY_STEPS, weather_of
+
+# Slab of panes that name none.
+GLASS = "window-glass"
 
 
 @cache
@@ -50,7 +55,7 @@ def slab_of(scene: OutdoorScene, surface: MaterialSpec) -> Slab:
     sun's spectrum, unless the scene's slab states it; elsewhere that of the slab.
     """
     described = {slab.label: slab for slab in scene.slab}
-    name = surface.slab or surface.material.slab
+    name = surface.slab or surface.material.slab or (None if surface.pane_transmittance is None else GLASS)
     if name is None:
         raise BadInput(
             f"a material must have a slab for its temperature, got {surface.label!r} without one; give slab = one of "
@@ -90,10 +95,34 @@ class Temperatures:
     ----------
     balance, solution
         What acts on its facets, and their temperatures.
+    at_rest, returns
+        Of a scene whose objects have moved since its time: the temperatures of that time, and rotation (facet, 3, 3)
+        and shift (facet, 3), m, by which points on each facet return to where they were.
     """
 
     balance: Balance
     solution: Solution
+    at_rest: "Temperatures | None" = None
+    returns: tuple[Array, Array] | None = None
+
+    def moved(self, scene: OutdoorScene) -> "Temperatures":
+        """Return the temperatures of the scene with its objects in other poses for some seconds.
+
+        Surfaces keep their temperatures, those that an object had heated or shaded among them. The light that facets
+        reflect onto each other stays as before.
+        """
+        poses = {thing.label: thing for thing in scene.object}
+        pairs = [(thing, poses[thing.label]) for thing in self.balance.things]
+        if all(replace(rest, keyframe=()) == replace(now, keyframe=()) for rest, now in pairs):
+            return self
+        turn = np.array([rotation_of(rest) @ rotation_of(now).T for rest, now in pairs])
+        rest_m, now_m = (np.array([pose.position_m for pose in poses]) for poses in zip(*pairs, strict=True))
+        shift_m = rest_m - np.einsum("fij,fj->fi", turn, now_m)
+        clear = build_surfaces(scene)
+        surfaces = clear if clear.panes is None else build_surfaces(scene, opaque=True)
+        facets = replace(self.balance.facets, surfaces=surfaces, shades=clear.tracer)
+        balance = replace(self.balance, facets=facets)
+        return Temperatures(balance, self.solution, at_rest=self, returns=(turn, shift_m))
 
     def means_c(self) -> tuple[list[float], Array, dict[str, Array]]:
         """Return the temperatures of the day before the scene's time, by hours.
@@ -114,6 +143,25 @@ class Temperatures:
             means[name] = np.average(faces, axis=1, weights=facets.area_m2[of]) - ZERO_C
         return hours, weather.air_k[steps] - ZERO_C, means
 
+    def last_sd_k(self) -> dict[str, float]:
+        """Return the standard deviation of the last mean of each OBJECT:MATERIAL, K.
+
+        Notes
+        -----
+        Each input of `UNCERTAINTY` is off alike everywhere, so that its effect is averaged with its sign; different
+        inputs are independent. What was left out counts in full.
+        """
+        facets = self.balance.facets
+        left_out_k = 1e-3 * sum(effect.influence for effect in self.solution.left_out)
+        found = {}
+        for name in dict.fromkeys(facets.names):
+            of = np.array([other == name for other in facets.names])
+            errors, area = self.solution.errors_k.values(), facets.area_m2[of]
+            parts = [float(np.average(error[of], weights=area)) for error in errors]
+            free = self.solution.kernel[:, of].any()
+            found[name] = math.hypot(*parts, left_out_k if free else 0.0)
+        return found
+
     def map_k(
         self, viewpoint: Viewpoint, progress: Callable[[float], None] = lambda fraction: None
     ) -> NDArray[np.float32]:
@@ -124,7 +172,7 @@ class Temperatures:
         A pixel's point differs from its facet by what it sees of sun, sky and surfaces. Kernels make these fluxes a
         temperature, from the facet as it is and from the same in the shade, weighted by how near each one is.
         """
-        _ = self._references
+        _ = (self.at_rest or self)._references
         parts, starts = [], list(range(0, viewpoint.shape[0], LIMITS.rows))
         with workers(min(2, os.cpu_count() or 1)) as run:
             for part in run(lambda row: self._rows(viewpoint, row), starts):
@@ -142,23 +190,32 @@ class Temperatures:
         spots = Spots.on(surfaces, hit.face[met], origin[met] + hit.range_m[met, None] * towards[met])
         kelvin = np.full(len(row), np.nan, np.float32)
         even = low_discrepancy_points(row[met], col[met], LIMITS.pixel_rays, [start])
-        kelvin[met] = self._spots_k(self.balance.facets.of_faces(hit.face[met]), spots, even)
+        kelvin[met] = self.spots_k(
+            self.balance.facets.of_faces(hit.face[met]), spots, precise_view(surfaces, spots, even)
+        )
         return kelvin.reshape(stop - start, -1)
 
-    def _spots_k(self, facet: NDArray[np.int64], spots: Spots, even: SequenceSlice) -> Array:
-        """Temperatures of spots by what they see of sun, sky and surfaces, from the references of their facets, K."""
+    def spots_k(self, facet: NDArray[np.int64], spots: Spots, seen: Views) -> Array:
+        """Return the temperatures of spots on facets (spot,) at the scene's time by what they see, shape (spot,), K."""
+        if self.at_rest is not None and self.returns is not None:
+            turn, shift = (each[facet] for each in self.returns)
+            before = Spots(
+                start_m=np.einsum("sij,sj->si", turn, spots.start_m) + shift,
+                normal=np.einsum("sij,sj->si", turn, spots.normal),
+            )
+            even = SequenceSlice.random(len(facet), LIMITS.pixel_rays, np.random.default_rng(len(facet)))
+            seen = precise_view(self.at_rest.balance.facets.surfaces, before, even)
+            return self.at_rest.spots_k(facet, before, seen)
         facets, slots = self.balance.facets, np.arange(LIMITS.slot_steps // 2, DAY_STEPS, LIMITS.slot_steps)
-        rings, face = view(facets.surfaces, spots, even)
-        spot, ray = np.nonzero(face != NOTHING)
-        other = facets.of_faces(face[spot, ray])
-        beyond = 1.0 - rings.sum(axis=1) - np.bincount(spot, minlength=len(facet)) / even.rays
+        spot, face, part, _ = seen.surfaces()
+        other = facets.of_faces(face)
         sun = self.balance.weather.sun[LAST][slots]
         up = np.flatnonzero(sun[:, 2] > 0.0)
-        lit = sun_cosines(facets.surfaces, spots, sun[up])
+        lit = sun_cosines(facets.shades, spots, sun[up])
         found, weight = [], []
         for by in self._references:
-            change = np.einsum("sr,sr->s", by.rings[facet], rings) + by.beyond[facet] * beyond - by.due_k[facet]
-            change += np.bincount(spot, by.surfaces[facet[spot], other], len(facet)) / even.rays
+            change = np.einsum("sr,sr->s", by.rings[facet], seen.rings) + by.beyond[facet] * seen.beyond
+            change += np.bincount(spot, part * by.surfaces[facet[spot], other], len(facet)) - by.due_k[facet]
             change += np.einsum("ts,ts->s", by.sun[np.ix_(up, facet)], lit)
             found.append(by.last_k[facet] + change)
             weight.append(1.0 / (change**2 + LIMITS.near_k**2))
@@ -174,7 +231,7 @@ class Temperatures:
         balance, weather, exposure = self.balance, self.balance.weather, self.balance.exposure
         heating, emissivity = balance.heating, balance.emissivity
         direct = (kernel * weather.direct_w_m2[LAST, None]).reshape(-1, LIMITS.slot_steps, kernel.shape[1]).sum(axis=1)
-        sunlight = (1.0 - balance.absorptivity) * (balance.sunlight + balance.sunlight_by_reflection)[LAST]
+        sunlight = balance.reflectivity * (balance.sunlight + balance.sunlight_by_reflection)[LAST]
         longwave = balance.radiosity(self.solution.faces_k[LAST])
         ground = GROUND_REFLECTANCE * weather.global_w_m2[LAST], STEFAN_BOLTZMANN * weather.air_k[LAST] ** 4
         sun = heating * direct
@@ -229,12 +286,13 @@ def temperatures_of(scene: OutdoorScene, *, tolerance_mk: float = LIMITS.toleran
     BadInput
         If the scene lacks a place, weather with wind, or the slab of a material; if its weather file does not suit.
     """
-    weather, surfaces = weather_of(scene), BuiltScene(scene).surfaces
+    weather, clear = weather_of(scene), BuiltScene(scene).surfaces
+    surfaces = clear if clear.panes is None else build_surfaces(scene, opaque=True)
     if not len(surfaces.mesh.faces):
         raise BadInput(f"a scene must have an object with a surface for temperatures, got none in {scene.name!r}")
     by_label = {surface.label: surface for surface in scene.material}
     slabs = {name: slab_of(scene, by_label[name]) for name in surfaces.materials}
-    things, facets = {thing.label: thing for thing in scene.object}, facets_of(surfaces)
+    things, facets = {thing.label: thing for thing in scene.object}, facets_of(surfaces, clear.tracer)
     assert scene.weather is not None
     balance = Balance(
         facets=facets,

@@ -1,12 +1,9 @@
 """The weather up to a scene's time, in steps: of files, or of a synthetic day through the scene's numbers."""
 
-import csv
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,181 +15,10 @@ from simulate.radiance.sky.moon import EARTH_RADIUS_KM, ObserverLocation
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.clear_day import clear_sun, course, sky_emissivity, solar_hour, sun_directions, sun_under_cloud
 from simulate.thermal.slab import ZERO_C, dew_point_k
-from simulate.thermal.thresholds import LIMITS
+from simulate.thermal.thresholds import LIMITS, UNCERTAINTY, WEATHER_BOUNDS
+from simulate.thermal.weather_files import Record, read_weather, utc_text
 
 Array = NDArray[np.floating]
-# Of each quantity its column in a kind of file, our unit over that of the file, and from where on it is missing.
-Columns = Mapping[str, tuple[int | str, float, float]]
-# fmt: off
-EPW: Columns = {
-    "air_c": (6, 1.0, 99.9), "dew_point_c": (7, 1.0, 99.9), "pressure_hpa": (9, 0.01, 999999.0),
-    "longwave_w_m2": (12, 1.0, 9999.0), "direct_w_m2": (14, 1.0, 9999.0), "diffuse_w_m2": (15, 1.0, 9999.0),
-    "wind_m_s": (21, 1.0, 999.0),
-}
-TMY3: Columns = {
-    "air_c": ("Dry-bulb (C)", 1.0, -9900.0), "dew_point_c": ("Dew-point (C)", 1.0, -9900.0),
-    "pressure_hpa": ("Pressure (mbar)", 1.0, -9900.0), "direct_w_m2": ("DNI (W/m^2)", 1.0, -9900.0),
-    "diffuse_w_m2": ("DHI (W/m^2)", 1.0, -9900.0), "wind_m_s": ("Wspd (m/s)", 1.0, -9900.0),
-    "cloud": ("TotCld (tenths)", 0.1, -9900.0),
-}
-SURFRAD: Columns = {
-    "direct_w_m2": (12, 1.0, -9999.0), "diffuse_w_m2": (14, 1.0, -9999.0), "longwave_w_m2": (16, 1.0, -9999.0),
-    "air_c": (38, 1.0, -9999.0), "humidity": (40, 0.01, -9999.0), "wind_m_s": (42, 1.0, -9999.0),
-    "pressure_hpa": (46, 1.0, -9999.0),
-}
-# fmt: on
-DATE, HOUR = "Date (MM/DD/YYYY)", "Time (HH:MM)"
-OWN = ("air_c", "dew_point_c", "wind_m_s", "direct_w_m2", "diffuse_w_m2")
-OWN_OPTIONAL = ("longwave_w_m2", "pressure_hpa", "cloud")
-OWN_PLACE = ("latitude_deg", "longitude_deg", "altitude_m")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Record:
-    """Rows of a weather file.
-
-    Parameters
-    ----------
-    name, place
-        Its name, and where it was recorded.
-    time_s
-        Seconds since 1970 UTC, ascending, shape (row,).
-    columns
-        By names as in `EPW`, shape (row,); NaN where a value is missing. Sunlight is the mean of the time before.
-    interval_s
-        Time between rows, s.
-    notes
-        Where values come from, in sentences.
-    """
-
-    name: str
-    place: ObserverLocation
-    time_s: Array
-    columns: dict[str, Array]
-    interval_s: float
-    notes: tuple[str, ...]
-
-
-def read_weather(path: Path, moment: datetime) -> Record:
-    """Return the rows of a weather file; those of a typical year as of the years up to a moment.
-
-    Raises
-    ------
-    BadInput
-        If the file is of no known kind, or is not a complete one of its kind.
-    """
-    readers = {".epw": _epw, ".dat": _surfrad, ".csv": _csv}
-    if path.suffix.lower() not in readers:
-        raise BadInput(f"a weather file must be one of {', '.join(readers)}, got {path.name}")
-    try:
-        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
-        return readers[path.suffix.lower()](path.name, lines, moment)
-    except BadInput:
-        raise
-    except FileNotFoundError:
-        raise BadInput(f"a weather file must exist to be read, got {path}") from None
-    except (OSError, ValueError, IndexError, KeyError, AttributeError) as error:
-        kind = path.suffix.lower()
-        raise BadInput(f"{path.name} must be a complete weather file of its kind ({kind}): {error}") from None
-
-
-def _epw(name: str, lines: list[str], moment: datetime) -> Record:
-    head, rows = lines[0].split(","), [line.split(",") for line in lines[8:]]
-    dates = [(int(row[1]), int(row[2]), int(row[3])) for row in rows]
-    note = f"longwave of {name} is as the file gives it; most EPW files hold that of a model, not a measurement"
-    return _typical_year(name, head[6:10], dates, float(head[8]), _read(rows, EPW), moment, note)
-
-
-def _tmy3(name: str, lines: list[str], moment: datetime) -> Record:
-    head, rows = lines[0].split(","), list(csv.DictReader(lines[1:]))
-    dates = [(*map(int, row[DATE].split("/")[:2]), int(row[HOUR].split(":")[0])) for row in rows]
-    place = [head[4], head[5], head[3], head[6]]
-    return _typical_year(name, place, dates, float(head[3]), _read(rows, TMY3), moment, f"{name} has no longwave")
-
-
-def _typical_year(
-    name: str, place: list[str], dates: list, zone_h: float, columns: dict[str, Array], moment: datetime, note: str
-) -> Record:
-    """Rows of a typical year, whose hours stamp their end, as of the year of a moment and the one before."""
-    zone, found = timezone(timedelta(hours=zone_h)), []
-    for year in (moment.year - 1, moment.year):
-        for row, (month, day, hour) in enumerate(dates):
-            if (month, day) != (2, 29):
-                found.append(((datetime(year, month, day, tzinfo=zone) + timedelta(hours=hour)).timestamp(), row))
-    found.sort()
-    time_s, picked = np.array([time for time, _ in found]), np.array([row for _, row in found])
-    return Record(
-        name=name,
-        place=_place(place[0], place[1], place[3]),
-        time_s=time_s,
-        columns={column: values[picked] for column, values in columns.items()},
-        interval_s=3600.0,
-        notes=(f"{name} is of a typical year, whose months are of different years", note),
-    )
-
-
-def _surfrad(name: str, lines: list[str], moment: datetime) -> Record:
-    latitude, longitude, altitude = lines[1].split()[:3]
-    rows = [line.split() for line in lines[2:]]
-    columns = _read(rows, SURFRAD)
-    humidity = np.clip(columns.pop("humidity"), 0.01, 1.0)
-    # Sensors read a few W/m2 below zero at night.
-    sunlight = {column: np.maximum(columns[column], 0.0) for column in ("direct_w_m2", "diffuse_w_m2")}
-    time_s = [datetime(*(int(row[n]) for n in (0, 2, 3, 4, 5)), tzinfo=UTC).timestamp() for row in rows]
-    return Record(
-        name=name,
-        # Stations are in the United States: longitudes are west, whether signed or not.
-        place=_place(latitude, -abs(float(longitude)), altitude),
-        time_s=np.array(time_s),
-        columns=columns | sunlight | {"dew_point_c": dew_point_k(columns["air_c"] + ZERO_C, humidity) - ZERO_C},
-        interval_s=60.0,
-        notes=(f"longwave of {name} was measured; its sunlight below zero counts as zero",),
-    )
-
-
-def _csv(name: str, lines: list[str], moment: datetime) -> Record:
-    if any(DATE in line for line in lines[:2]):
-        return _tmy3(name, lines, moment)
-    comments = ",".join(line.lstrip("# ") for line in lines if line.startswith("#"))
-    place = {key.strip(): value for key, _, value in (part.partition("=") for part in comments.split(","))}
-    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-    headings = {*place, *(rows[0] if rows else ())}
-    for lacking in (needed for needed in (*OWN_PLACE, "time", *OWN) if needed not in headings):
-        raise BadInput(
-            f"a weather .csv must have a line '# {' = ..., '.join(OWN_PLACE)} = ...' and the headings time, "
-            f"{', '.join(OWN)} and perhaps {', '.join(OWN_OPTIONAL)}, got {name} without {lacking}"
-        )
-    if len(rows) < 2:
-        raise BadInput(f"a weather file must cover a day, got {name} with {len(rows)} row")
-    times = [datetime.fromisoformat(row["time"]) for row in rows]
-    if any(time.tzinfo is None for time in times):
-        raise BadInput(f"times of a weather file must state their offset from UTC, got others in {name}")
-    time_s = np.array([time.timestamp() for time in times])
-    present = {column: (column, 1.0, np.inf) for column in (*OWN, *OWN_OPTIONAL) if column in headings}
-    return Record(
-        name=name,
-        place=_place(*(place[key] for key in OWN_PLACE)),
-        time_s=time_s,
-        columns=_read(rows, present),
-        interval_s=float(np.median(np.diff(time_s))),
-        notes=(f"longwave of {name} is as the file gives it",) if "longwave_w_m2" in present else (),
-    )
-
-
-def _read(rows: Sequence[Any], columns: Columns) -> dict[str, Array]:
-    """Return columns of rows in our units, NaN where a value is missing."""
-    found = {}
-    for name, (column, unit, missing) in columns.items():
-        values = np.array([float(row[column] or np.nan) for row in rows])
-        gone = values <= missing if missing < 0.0 else values >= missing
-        found[name] = np.where(gone, np.nan, unit * values)
-    return found
-
-
-def _place(latitude: str, longitude: str | float, altitude: str) -> ObserverLocation:
-    return ObserverLocation(latitude_deg=float(latitude), longitude_deg=float(longitude), altitude_m=float(altitude))
-
-
 DAY_STEPS = round(86400.0 / LIMITS.step_s)
 # Sunlight of hours is interpolated as a fraction of the clear sky's where that is more, W m-2.
 SHINES_W_M2 = 10.0
@@ -218,6 +44,8 @@ class Weather:
         Longwave irradiance of level ground by the sky, W m-2.
     notes
         Where it comes from and what of it was modelled, in sentences.
+    longwave_sd_w_m2
+        Standard deviation of the longwave, W m-2.
     """
 
     place: ObserverLocation
@@ -230,6 +58,7 @@ class Weather:
     diffuse_w_m2: Array
     longwave_w_m2: Array
     notes: tuple[str, ...] = ()
+    longwave_sd_w_m2: float = UNCERTAINTY.modelled_longwave_w_m2
 
     def __len__(self) -> int:
         return len(self.air_k)
@@ -328,6 +157,7 @@ def weather_from_files(paths: list[Path], place: ObserverLocation, moment: datet
     begin = begins[begins <= moment.timestamp()].max(initial=record.time_s[0])
     covered = (moment.timestamp() - begin + record.interval_s) / 86400.0
     times = _times(moment, DAY_STEPS * int(np.clip(covered, 1, LIMITS.max_weather_days)))
+    _refuse_sun_at_night(record, place, times)
     found = {name: _column_at(record, name, times) for name in record.columns}
     sun, distance = sun_directions(place, times)
     clear = clear_sun(sun[:, 2], distance, place.altitude_m, turbidity)
@@ -337,7 +167,13 @@ def weather_from_files(paths: list[Path], place: ObserverLocation, moment: datet
     air_k, dew_k = (found[name] + ZERO_C for name in ("air_c", "dew_point_c"))
     pressure = found.get("pressure_hpa", np.full(len(times), _pressure(place)))
     notes = tuple(note for record in records for note in record.notes)
+    if record.interval_s > LIMITS.step_s:
+        notes += (f"weather in steps of {record.interval_s / 60.0:g} minutes: clouds and gusts that pass are averaged",)
+    if len(times) == DAY_STEPS:
+        notes += ("one day of weather: slabs start as if the days before it had been alike",)
+    longwave_sd = max(record.longwave_sd_w_m2 for record in records)
     if "longwave_w_m2" not in found:
+        longwave_sd = UNCERTAINTY.modelled_longwave_w_m2
         cloud = found.get("cloud", np.zeros(len(times)))
         emissivity = sky_emissivity(dew_k, solar_hour(place, times), pressure, cloud)
         found["longwave_w_m2"] = emissivity * STEFAN_BOLTZMANN * air_k**4
@@ -349,6 +185,7 @@ def weather_from_files(paths: list[Path], place: ObserverLocation, moment: datet
         dew_point_k=np.minimum(dew_k, air_k),
         pressure_hpa=pressure,
         notes=(f"weather of {names}, {away:.0f} km away", *notes),
+        longwave_sd_w_m2=longwave_sd,
         **{name: found[name] for name in ("wind_m_s", "direct_w_m2", "diffuse_w_m2", "longwave_w_m2")},
     )
 
@@ -372,12 +209,38 @@ def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
     inside = np.concatenate([ends[:1], known[(known > ends[0]) & (known < ends[1])], ends[1:]])
     gap = int(np.argmax(np.diff(inside)))
     if inside[gap + 1] - inside[gap] > max(LIMITS.step_s, 1.01 * record.interval_s):
-        start, end = (datetime.fromtimestamp(inside[index], UTC).isoformat() for index in (gap, gap + 1))
+        start, end = (utc_text(float(inside[index])) for index in (gap, gap + 1))
         raise BadInput(
             f"a weather file must cover the day before the scene's time without gaps, got {record.name} without {name} "
             f"between {start} and {end}"
         )
-    return np.interp(seconds, known, record.columns[name][fine])
+    values, (low, high) = record.columns[name][fine], WEATHER_BOUNDS[name]
+    wrong = np.flatnonzero(((values < low) | (values > high)) & (known > ends[0]) & (known < ends[1]))
+    if len(wrong):
+        raise BadInput(
+            f"{name} of a weather file must lie from {low:g} to {high:g}, got {values[wrong[0]]:g} at "
+            f"{utc_text(float(known[wrong[0]]))} in {record.name}"
+        )
+    return np.interp(seconds, known, values)
+
+
+def _refuse_sun_at_night(record: Record, place: ObserverLocation, times: list[datetime]) -> None:
+    """Refuse a file in which the sun shines at night at a place, for its hours are those of another time zone."""
+    ends = times[0].timestamp(), times[-1].timestamp()
+    light = np.nan_to_num(record.columns["direct_w_m2"])
+    rows = np.flatnonzero((light > LIMITS.night_w_m2) & (record.time_s >= ends[0]) & (record.time_s <= ends[1]))
+    rows = rows[:: max(1, round(LIMITS.step_s / record.interval_s))]
+    for row in rows:
+        # The row is the mean of the interval before it.
+        end = float(record.time_s[row])
+        whole = [datetime.fromtimestamp(end - part * record.interval_s, UTC) for part in (0.0, 0.5, 1.0)]
+        sine = sun_directions(place, whole)[0][:, 2].max()
+        if sine < LIMITS.night_sine:
+            raise BadInput(
+                f"sunlight of a weather file must fall by day, got {light[row]:.0f} W/m2 at {whole[0].isoformat()} in "
+                f"{record.name} with the sun {np.rad2deg(np.arcsin(-sine)):.0f} degrees below the horizon: its time "
+                "zone or its place is wrong"
+            )
 
 
 def _sunlight(record: Record, name: str, times: list[datetime], clear: Array) -> Array:

@@ -53,6 +53,7 @@ def main(arguments: list[str]) -> int:
             lost_packet_share=options.lost_packet_share,
             faults=FaultFile(options.wires, "camera"),
         )
+        tube.warm_up()
     except BadInput as refusal:
         tell({"error": str(refusal)})
         return 1
@@ -219,7 +220,7 @@ def tell(message: dict[str, str]) -> None:
     print(json.dumps(message), flush=True)
 
 
-READY_S = 60.0
+READY_S = 300.0  # A cold start compiles the loops of the frames, a minute of processor time
 STOP_S = 3.0
 
 

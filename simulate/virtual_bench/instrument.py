@@ -222,7 +222,7 @@ class EdgeDelays:
         self.reference, self.start = dict(reference), start
         self.steps = dict.fromkeys(reference, 0)
 
-    def moved(self, edge: int, reference: int, steps: int) -> "EdgeDelays":
+    def with_edge(self, edge: int, reference: int, steps: int) -> "EdgeDelays":
         """Return other delays, with one edge moved."""
         moved = EdgeDelays({**self.reference, edge: reference}, self.start)
         moved.steps = {**self.steps, edge: steps}

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from labdata.conditions import Conditions
-from labdata.session import Kind
-from labdata.target import Target
+from labdata.target import Kind, Target
 
 GATE_FILE, VOLTAGE_FILE, LAMP_FILE, WHEEL_FILE, THERMOMETER_FILE = (
     f"{name}.output.json" for name in ("gate", "high_voltage", "light_source", "filter_wheel", "thermometer")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from labdata.conditions import Conditions
 from labdata.gating import IN_STEP, fields_open_ns, whole_field_s
 from labdata.sensor import Sensor
-from labdata.target import Target
+from labdata.target import Kind, Target
 from simulate.iiccd.fast_sampler.frame_generator import SEGMENT_FRAMES
 from simulate.lab import LabBench
 from simulate.virtual_bench.outputs import Outputs, TargetPlacement, read_placement
@@ -111,6 +111,17 @@ class VirtualTube:
     def prepare(self, scene: Scene) -> None:
         """Render the target ahead of its first frame."""
         self._bench.mcp_input(scene.placement.kind, scene.placement.target, scene.conditions)
+
+    def warm_up(self) -> None:
+        """Draw a dark and a lit frame that nobody sees, so that compiling, once on a machine, delays no frame."""
+        exposure_s = 1.0 / float(self.sensor.video.field_rate_hz)
+        shown: tuple[tuple[Kind, float], ...] = (("dark", 0.0), ("flat", 1e-4))
+        for kind, lux in shown:
+            conditions = Conditions(
+                exposure_s=exposure_s, gate_ns=exposure_s * 1e9, illuminance_lux=lux,
+                mcp_v=float(self.sensor.microchannel_plate.reference_v),
+            )  # fmt: skip
+            next(iter(self._bench.stream(kind, Target(), conditions, seed=0, first_frame=0)))
 
     def expose(self, scene: Scene) -> NDArray:
         """Expose one frame of a scene, shape (row, col), DN."""

@@ -10,6 +10,7 @@ from charact import noise
 from charact.session_measurement import method_context
 from labdata.session import open_session
 from labdata.solid_state import excess_noise_factor
+from tests.charact.noise.scenes import one
 
 ROOT = Path(__file__).parents[2]
 CASES = ROOT.parent / "shared" / "cases"
@@ -20,24 +21,19 @@ TUBES = ("tube", "pulse", "photocathode", "photoelectron", "plate", "intensif")
 def case(tmp_path):
     """Measure a shared case by its name."""
 
-    def of(name, quick=True):
+    def of(name):
         if not (CASES / name).is_dir():
             pytest.skip(f"the shared case {name} is not on this machine")
         folder = tmp_path / name
         shutil.copytree(CASES / name, folder)
-        return measured(folder, quick)
+        return measured(folder)
 
     return of
 
 
-def measured(folder, quick=True):
+def measured(folder):
     session = open_session(folder)
-    return noise.measure(session, context=method_context(session, quick=quick, seed=0))
-
-
-def one(result, quantity, unit=None):
-    (found,) = result.find(quantity, **({} if unit is None else {"unit": unit}))
-    return found
+    return noise.measure(session, context=method_context(session, quick=True, seed=0))
 
 
 def holds(measurement, truth, within):
@@ -84,16 +80,13 @@ def test_frames_from_0_to_1_have_a_gain(case):
     assert one(result, "read_noise", "DN").status == "ok"
 
 
-def test_line_noise_of_the_darks_cancels_in_the_slope(case):
-    holds(one(case("i1-column-noise"), "system_gain"), 0.40, 0.02)
-
-
-def test_biases_under_timed_flats_are_ordinary(case):
-    holds(one(case("m1-bias-and-timed-flats"), "system_gain"), 0.40, 0.02)
+@pytest.mark.parametrize("name", ["i1-column-noise", "m1-bias-and-timed-flats"])
+def test_line_noise_and_biases_under_timed_flats_cancel_in_the_slope(case, name):
+    holds(one(case(name), "system_gain"), 0.40, 0.02)
 
 
 def test_neighbours_that_share_two_percent_give_both_gains_and_no_word_of_tubes(case):
-    result = case("q1-8-bit-cmos-crosstalk", quick=False)
+    result = case("q1-8-bit-cmos-crosstalk")
     plain, right = one(result, "system_gain"), one(result, "covariance_gain")
     assert plain.flags == ("correlated-noise",)
     assert plain.value == pytest.approx(0.0178, rel=0.02)
@@ -124,7 +117,7 @@ def written(folder, rng, *, gain=0.4, read_e=5.0, black=100.0, scale=1.0, dtype=
 
 
 @pytest.mark.parametrize("frames", [2, 5])
-@pytest.mark.parametrize("top", [255.0, 4095.0, 60000.0])
+@pytest.mark.parametrize("top", [255.0, 60000.0])
 def test_half_a_percent_of_stuck_and_blinking_pixels_moves_nothing(tmp_path, seed, frames, top):
     rng = np.random.default_rng(seed)
     places = rng.choice(128 * 160, 100, replace=False)
@@ -144,7 +137,7 @@ def test_half_a_percent_of_stuck_and_blinking_pixels_moves_nothing(tmp_path, see
     holds(one(result, "read_noise", "DN"), np.hypot(read_e * gain, 12.0**-0.5), 0.03)
 
 
-@pytest.mark.parametrize("frames", [2, 4, 12])
+@pytest.mark.parametrize("frames", [2, 4])
 def test_hits_in_single_frames_move_nothing(tmp_path, seed, frames):
     rng = np.random.default_rng(seed)
 

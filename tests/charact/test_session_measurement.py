@@ -10,6 +10,7 @@ from charact.method import Context
 from charact.session_measurement import _best_point, _with_measured_gap, measure, with_inputs
 from charact.study.edge.scene import EdgeScene
 from charact.study.flats.flat_cases import InMemoryStack
+from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Provenance, Result, make_refusal, measurement_from_sd
 from labdata.sensors import load_sensor
@@ -119,3 +120,52 @@ def test_a_folder_of_frames_has_one_digest_that_every_file_in_it_changes(tmp_pat
     assert before == sha256(f"{sha256(b'frame').hexdigest()}  c/0\n".encode()).hexdigest()
     (tmp_path / "c" / "1").write_bytes(b"another")
     assert sha256_of(tmp_path) != before
+
+
+def tiny_session(folder: Path, seed: int, size: int = 3) -> None:
+    """Keep a session of darks, flats and targets of a few pixels in a folder."""
+    rng = np.random.default_rng(seed)
+    stacks = [("dark", "dark", 0), *((f"flat {level}", "flat", level) for level in (50, 100, 200, 400))]
+    stacks += [(kind, kind, 90) for kind in ("edge", "bars", "point")]
+    lines = ['name = "tiny"', "bit_depth = 12"]
+    for label, kind, level in stacks:
+        np.save(folder / f"{label}.npy", rng.poisson(10.0 + level, (8, size, size)).astype(np.uint16))
+        lines += ["[[stack]]", f'label = "{label}"', f'kind = "{kind}"', f'frames = "{label}.npy"', "exposure_s = 0.01"]
+        lines += [f"illuminance_lux = {level}.0"] * (level > 0)
+        lines += ["target = { bars = 4, frequency_cy_per_px = 0.1 }"] * (kind == "bars")
+    (folder / "session.toml").write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("size", [1, 3])
+def test_frames_of_a_few_pixels_lose_their_targets_alone(tmp_path: Path, seed: int, size: int) -> None:
+    tiny_session(tmp_path, seed, size)
+    result = measure(tmp_path, quick=True)
+    assert result.find("dark_signal")[0].value is not None
+    for stack, quantity in (("edge", "mtf50"), (None, "bloom_diameter"), (None, "post_gain_mtf50")):
+        refused = [m for m in result.find(quantity) if m.stack == stack]
+        assert refused and all(m.status == "refused" and m.reason for m in refused)
+
+
+@pytest.mark.parametrize(
+    "failure", [np.linalg.LinAlgError("singular matrix"), ZeroDivisionError("division by zero"), FloatingPointError()]
+)
+def test_a_numerical_failure_of_one_method_is_a_refusal_and_the_others_go_on(
+    tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch, failure: ArithmeticError | ValueError
+) -> None:
+    def fail(*_: object, **__: object) -> Result:
+        raise failure
+
+    edge_and_dark(tmp_path, 700, seed)
+    monkeypatch.setattr("charact.mtf.measure", fail)
+    result = measure(tmp_path, quick=True)
+    (refused,) = (m for m in result.find("mtf50") if m.stack == "edge")
+    assert refused.status == "refused" and "failed numerically" in (refused.reason or "")
+    assert result.find("dark_signal")[0].value is not None
+
+
+def test_a_session_that_no_analysis_can_use_is_bad_input(tmp_path: Path, seed: int) -> None:
+    edge_and_dark(tmp_path, 700, seed)
+    (tmp_path / "dark.npy").write_bytes(b"no array")
+    (tmp_path / "edge.npy").write_bytes(b"no array")
+    with pytest.raises(BadInput):
+        measure(tmp_path, quick=True)

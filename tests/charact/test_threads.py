@@ -4,7 +4,7 @@ import pytest
 import scipy.linalg  # noqa: F401  # its library must be there to be counted
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from charact.method.registry import METHODS, register, with_single_blas_thread
+from charact.method.registry import METHODS, register, single_blas_thread
 from labdata.measurement import Result
 
 
@@ -18,13 +18,8 @@ def two_threads():
         yield
 
 
-def test_one_thread_while_it_works_and_two_after(two_threads):
-    assert with_single_blas_thread(threads)() == {1}
-    assert threads() == {2}
-
-
 def test_a_method_that_fails_gives_the_threads_back(two_threads):
-    @with_single_blas_thread
+    @single_blas_thread()
     def failing() -> None:
         raise ValueError("on purpose")
 

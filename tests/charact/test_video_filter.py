@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.video_filter import VideoFilter, powers, transfer
+from charact.video_filter import VideoFilter, powers
 from labdata.sensors import load_sensor
 
 CLOCK_MHZ, ORDER = 14.318, 3
@@ -45,10 +45,3 @@ def test_a_described_range_is_a_prior_and_an_exact_or_digital_video_leaves_nothi
     assert VideoFilter.of(exact).parameters == {}
     assert VideoFilter.of(None) is None
     assert VideoFilter.of(load_sensor("gen3-digital-iccd")) is None
-
-
-def test_all_light_passes_and_low_frequencies_are_only_delayed():
-    response = transfer(np.array([1e-6, 0.05, 0.4]), 6.5, 14.318, 3)
-    assert abs(response[0]) == pytest.approx(1.0)
-    assert abs(np.angle(response[1])) < 2e-3
-    assert abs(response[2]) < abs(response[1])

@@ -16,10 +16,10 @@ from labdata.errors import BadInput
 from labdata.event_log import read_events
 from labdata.instrument_config import InstrumentConfig
 from labdata.plan import FrameFormat, Plan, SaturationSearch, Step, StopCriterion
+from labdata.plan_file import read_plan
 from labdata.sensors import load_sensor
-from labdata.serialiser import from_toml
 from labdata.session import open_session
-from labdata.store import StackWriter
+from labdata.session_writer import StackWriter
 
 _spec = importlib.util.spec_from_file_location("fake_rig", Path(__file__).with_name("fake_rig.py"))
 fake_rig = importlib.util.module_from_spec(_spec)
@@ -388,7 +388,7 @@ def test_the_camera_is_asked_for_the_picture_of_the_plan_and_for_the_whole_senso
     rig = FakeRig()
     take(rig, tmp_path / "s", replace(plan, picture=FrameFormat(trigger="Line1")))
     assert rig.camera.settings.trigger == "Line1"
-    assert from_toml(tmp_path / "s" / "plan.toml", Plan).picture.trigger == "Line1"
+    assert read_plan(tmp_path / "s" / "plan.toml").picture.trigger == "Line1"
 
 
 def test_codes_of_the_sensor_are_not_cut_to_a_narrower_format(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.acquisition.acquire import acquire
-from drivers.bench.setup import open_bench
+from drivers.bench.local_bench import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.instruments.models import lines_on
 from labdata.calibration import LampCalibration

@@ -1,5 +1,6 @@
 """What is asked in luminous gain is set in volts, and what the supply reads back is recorded in both."""
 
+import tomllib
 from dataclasses import replace
 
 import pytest
@@ -8,10 +9,9 @@ from drivers.acquisition.acquire import acquire
 from labdata.calibration import GainTable
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.file_records import SweepRecord
 from labdata.plan import Plan, Step, by_calibration, in_volts
+from labdata.plan_file import SweepRecord, plan_of, plan_toml
 from labdata.sensors import load_sensor
-from labdata.serialiser import from_mapping, to_mapping
 from tests.drivers.fake_rig import FakeRig
 
 # A tube whose gain goes as the tenth power of its voltage, so that the volts of a gain are known without the table.
@@ -82,4 +82,4 @@ def test_a_plan_in_volts_is_kept_and_read_as_the_same_plan():
     sweep = SweepRecord(kind="flat", frames=3, luminous_gain=(1e3, 1e4), illuminance_lux=1e-5)
     plan = in_volts(Plan(name="p", gain_table=TABLE, steps=sweep.steps()), None)
     assert [step.label for step in plan.steps] == ["flat-gain1000", "flat-gain10000"]
-    assert from_mapping(to_mapping(plan), Plan) == plan == in_volts(plan, None)
+    assert plan_of(tomllib.loads(plan_toml(plan))) == plan == in_volts(plan, None)

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,40 +15,20 @@ from labdata.errors import BadInput
 from labdata.sensors import load_sensor
 from labdata.target import Target
 from simulate.lab import LabBench
-from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.in_process import InProcessCamera
 from simulate.virtual_bench.outputs import (
     GATE_FILE,
-    VOLTAGE_FILE,
     GateOutput,
     VirtualOperator,
     publish,
     read_outputs,
     read_placement,
 )
-from simulate.virtual_bench.true_sensor import TRUTH, load_or_draw_truth
 from simulate.virtual_bench.tube import VirtualTube, frame_seed
+from tests.drivers.wired_bench import MARKS, OPEN, PATIENCE_S, opened, taken, wired_bench
 
-pytestmark = [
-    pytest.mark.wires,
-    pytest.mark.aravis,
-    pytest.mark.skipif(not aravis_library.is_available(), reason="the Aravis library is not on this machine"),
-]
-OPEN = GateOutput(gate_open=True, gate_ns=1.6e7, gate_hz=60 / 1.001)
-PATIENCE_S = 20.0  # drawing shares the machine with other tests
-
-
-def wired_bench(folder, *, rows, columns, seed=3):
-    """A bench whose gate is open and whose plate has its voltage, without instruments that could move them."""
-    sensor = load_sensor("pulnix-ag5745ef3")
-    small = replace(sensor, ccd=replace(sensor.ccd, rows=rows, columns=columns))
-    wires = folder / "wires"
-    wires.mkdir(parents=True)
-    load_or_draw_truth(folder / TRUTH, small, seed)
-    publish(wires, GATE_FILE, vars(OPEN))
-    publish(wires, VOLTAGE_FILE, {"mcp_v": 750.0})
-    return folder, wires
+pytestmark = MARKS
 
 
 @pytest.fixture(scope="module")
@@ -57,16 +36,6 @@ def small(tmp_path_factory):
     folder, wires = wired_bench(tmp_path_factory.mktemp("bench"), rows=61, columns=84)
     with CameraProcess(folder, wires) as process:
         yield folder, wires, process
-
-
-def opened(process, **options):
-    return AravisCamera(process.identifier, **{"silence_s": PATIENCE_S, **options})
-
-
-def taken(camera, frames, discard=0):
-    with camera.capture(frames=frames, discard=discard) as capture:
-        stack = list(capture)
-    return stack, capture.lost_frames
 
 
 def test_frames_are_those_that_the_bench_would_draw(small):

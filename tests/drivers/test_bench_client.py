@@ -18,7 +18,7 @@ pytestmark = pytest.mark.wires
 WITHIN_S = 1.0
 CLIENT = """
     import sys, time
-    from drivers.bench.setup import open_bench
+    from drivers.bench.local_bench import open_bench
     from labdata import Conditions
     from labdata.limits import Limits
     from labdata.instrument_config import InstrumentConfig

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from drivers.bench import safe_state
-from drivers.bench.setup import open_bench
+from drivers.bench.local_bench import open_bench
 from drivers.errors import BenchError, InstrumentTimeout
-from drivers.instruments import high_voltage
 from drivers.instruments.models import lines_on
 from drivers.interface import Bench, FrameLevels
 from labdata.conditions import Conditions
@@ -19,14 +17,9 @@ from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.in_process import InProcessInstruments
 from simulate.virtual_bench.instruments.meters import LUX_PER_W, NOISE_W, TEMPERATURE_C
 
+pytestmark = pytest.mark.usefixtures("short_waits")
 WIRES = InstrumentConfig(bench="in-process", light_meter="pm101", thermometer="ctc100")
 TRUE_LUX = 2e-4
-
-
-@pytest.fixture(autouse=True)
-def short_waits(monkeypatch):
-    monkeypatch.setattr(safe_state, "FOLLOW_S", 0.03)
-    monkeypatch.setattr(high_voltage, "SETTLE_S", 0.03)
 
 
 @pytest.fixture

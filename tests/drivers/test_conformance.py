@@ -6,7 +6,7 @@ from functools import cache
 import pytest
 
 from charact.cli.reference import VirtualPair
-from drivers.instruments.conformance import rules_for
+from drivers.conformance import rules_for
 from drivers.instruments.models import models
 from simulate.virtual_bench.instrument import virtual_models
 

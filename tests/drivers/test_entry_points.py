@@ -6,7 +6,7 @@ import textwrap
 import pytest
 
 from charact.cli.reference import VirtualPair
-from drivers.instruments.conformance import rules_for
+from drivers.conformance import rules_for
 from drivers.instruments.models import models
 from labdata.errors import BadInput
 from simulate.virtual_bench.instrument import virtual_models

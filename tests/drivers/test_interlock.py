@@ -13,10 +13,10 @@ import pytest
 
 from drivers.acquisition.run_control import RunControl
 from drivers.bench import safe_state
-from drivers.bench.setup import FIELD_RATE_HZ, open_bench
+from drivers.bench.local_bench import open_bench
+from drivers.bench.setup import FIELD_RATE_HZ
 from drivers.bench.state import InterlockRefused, OpenGate
 from drivers.errors import BenchError, InstrumentTimeout, InstrumentTripped
-from drivers.instruments import high_voltage
 from drivers.instruments.models import lines_on
 from drivers.interface import FrameLevels
 from labdata.conditions import Conditions
@@ -27,6 +27,7 @@ from labdata.target import Target
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.in_process import InProcessInstruments
 
+pytestmark = pytest.mark.usefixtures("short_waits")
 LIMITS = Limits(mcp_v=900.0, gate_ns=1.65e7, illuminance_lux=1e-2, ramp_v_per_s=10000.0)
 
 
@@ -46,13 +47,6 @@ class Witness:
 
         line.write = watched
         return line
-
-
-@pytest.fixture(autouse=True)
-def short_waits(monkeypatch):
-    """The virtual output moves much faster than life; so may the waits for it."""
-    monkeypatch.setattr(safe_state, "FOLLOW_S", 0.03)
-    monkeypatch.setattr(high_voltage, "SETTLE_S", 0.03)
 
 
 @pytest.fixture

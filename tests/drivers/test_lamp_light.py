@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from drivers.bench import safe_state
-from drivers.bench.setup import open_bench
+from drivers.bench.local_bench import open_bench
 from drivers.bench.state import InterlockRefused, TurnFilter
 from drivers.errors import BenchError, InstrumentRejected
-from drivers.instruments import high_voltage
 from drivers.instruments.filter_wheel import FilterWheel, PromptLine
 from drivers.instruments.models import lines_on
 from drivers.interface import FrameLevels
@@ -20,6 +18,7 @@ from labdata.target import Target
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.in_process import InProcessInstruments
 
+pytestmark = pytest.mark.usefixtures("short_waits")
 WIRES = InstrumentConfig(bench="in-process", light="dc2100", wheel="fw102c")
 LAMP = LampCalibration(
     source="photometer",
@@ -46,12 +45,6 @@ class Hands:
     def place(self, *, kind, target, illuminance_lux, filter_density=None) -> Conditions:
         self.placed.append(illuminance_lux)
         return Conditions(illuminance_lux=0.0)
-
-
-@pytest.fixture(autouse=True)
-def short_waits(monkeypatch):
-    monkeypatch.setattr(safe_state, "FOLLOW_S", 0.03)
-    monkeypatch.setattr(high_voltage, "SETTLE_S", 0.03)
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.bench.setup import open_bench
+from drivers.bench.local_bench import open_bench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig

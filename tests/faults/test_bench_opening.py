@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from drivers.bench.setup import open_bench
+from drivers.bench.local_bench import open_bench
 from drivers.errors import BenchError, BenchServerLost, InstrumentDisconnected
 from labdata.conditions import Conditions
 from labdata.errors import BadInput

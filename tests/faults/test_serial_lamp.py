@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.bench.client import BenchClient
-from drivers.bench.setup import open_bench
+from drivers.bench.local_bench import open_bench
 from drivers.bench.tube_bench import TubeBench
 from drivers.errors import BenchError
 from drivers.interface import Bench, FrameLevels

@@ -15,12 +15,11 @@ import numpy as np
 
 from drivers.acquisition.plan_check import check_plan, forecast
 from labdata.errors import BadInput
-from labdata.importers.sessions import import_emva1288
 from labdata.phosphors import load_phosphor
-from labdata.plan import Plan
+from labdata.plan_file import plan_toml, read_plan
 from labdata.sensors import load_camera, load_sensor
-from labdata.serialiser import from_toml, to_toml
 from labdata.session import MANIFEST, open_session
+from labdata.session_import import import_emva1288
 from labdata.tube_dose import Dose, DoseLedger
 from simulate.radiance.outdoor.built_scene import build_surfaces
 from simulate.radiance.outdoor.scene import OutdoorScene
@@ -132,14 +131,14 @@ i a.npy
 
 
 def _read_plan(path: Path) -> None:
-    plan = from_toml(path, Plan)
+    plan = read_plan(path)
     sensor = None if plan.sensor is None else load_sensor(plan.sensor)
     check_plan(plan, path.parent, sensor)
     foreseen = forecast(plan, sensor)
     assert foreseen.seconds >= 0.0 and foreseen.dose.factor95 >= 1.0 and foreseen.hottest
     if len(plan.steps) < 200:  # what was read is written so that it reads the same
-        path.write_text(to_toml(plan), encoding="utf-8")
-        assert from_toml(path, Plan) == plan
+        path.write_text(plan_toml(plan), encoding="utf-8")
+        assert read_plan(path) == plan
 
 
 def _read_session(path: Path) -> None:
@@ -160,6 +159,9 @@ def _read_phosphor(path: Path) -> None:
 
 
 def _read_scene(path: Path) -> None:
+    for mesh in (resources.files("simulate") / "scenes").iterdir():
+        if mesh.name.endswith((".obj", ".mtl")) and not (path.parent / mesh.name).exists():
+            (path.parent / mesh.name).write_bytes(mesh.read_bytes())
     if isinstance(scene := load_scene(path), OutdoorScene):
         build_surfaces(scene)
 

@@ -17,8 +17,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import tifffile
-import trimesh
-from astropy.io import fits
 
 from labdata.errors import BadInput
 from labdata.importers import read_frames
@@ -48,7 +46,25 @@ def _picture(kind: type, *shape: int) -> Callable[[Path], object]:
     return lambda path: path.write_bytes(cv2.imencode(path.suffix, _frames(kind, *shape))[1].tobytes())
 
 
+# Astropy and trimesh take seconds to import: they are imported where they write.
+def _fits(kind: type) -> Callable[[Path], object]:
+    def write(path: Path) -> None:
+        from astropy.io import fits
+
+        fits.writeto(path, _frames(kind))
+
+    return write
+
+
+def _mesh(path: Path) -> None:
+    import trimesh
+
+    trimesh.creation.box().export(path)
+
+
 def _fpack(path: Path) -> None:
+    from astropy.io import fits
+
     fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(_frames(np.int16, ROWS, COLUMNS))]).writeto(path)
 
 
@@ -107,14 +123,14 @@ FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
     "avi": ("a.avi", _avi),
     "npy": ("a.npy", lambda path: np.save(path, _frames())),
     "npy of reals": ("a.npy", lambda path: np.save(path, _frames(np.float64))),
-    "fits": ("a.fits", lambda path: fits.writeto(path, _frames(np.int16))),
-    "fits, scaled": ("a.fits", lambda path: fits.writeto(path, _frames(np.uint16))),
-    "fits, gzip": ("a.fits.gz", lambda path: fits.writeto(path, _frames(np.int16))),
+    "fits": ("a.fits", _fits(np.int16)),
+    "fits, scaled": ("a.fits", _fits(np.uint16)),
+    "fits, gzip": ("a.fits.gz", _fits(np.int16)),
     "fits, fpack": ("a.fits.fz", _fpack),
     "dng": ("a.dng", lambda path: dng.write(path, _frames(np.uint16, 40, 60))),
     "store": ("a.zarr", _store),
     "zarr": ("b.zarr", _zarr),
-    **{f"mesh {kind}": (f"a{kind}", lambda path: trimesh.creation.box().export(path)) for kind in MESHES},
+    **{f"mesh {kind}": (f"a{kind}", _mesh) for kind in MESHES},
 }
 """What is read: the name of each file, and who writes a sound one."""
 

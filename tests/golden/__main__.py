@@ -40,11 +40,11 @@ def methods(word: str = "") -> list[Row]:
     """Every registered method, with a word in its name, of every quantity that has a study."""
     from charact.method import Context
     from charact.study.harness import attempt
-    from charact.study.study_registry import STUDIES, methods_of, studies_of
+    from charact.study.study_registry import methods_of, studies_of
 
     rows = []
-    for quantity in STUDIES:
-        for case in [case for study in studies_of(quantity) for case in _cases_of(study, CASES[quantity])]:
+    for quantity, count in CASES.items():
+        for case in [case for study in studies_of(quantity) for case in _cases_of(study, count)]:
             for method in methods_of(quantity):
                 if method.kind == case.kind and word in method.name:
                     row = attempt(method, case, Context(quick=True))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from labdata import BadInput, Conditions, FrameStack, Measurement, Posterior, Result, Target
 from labdata.camera_description import Parameter
-from labdata.flags import FLAGS, Finding, ordered_flags
+from labdata.flags import FLAGS, Finding, order_flags
 from labdata.limits import Limits
 from labdata.measurement import make_measurement, make_refusal, measurement_from_draws, measurement_from_sd
 from labdata.plan import Plan, Step
@@ -142,7 +142,7 @@ def test_a_quantity_outside_the_contract_cannot_be_measured():
     with pytest.raises(ValueError, match="with the unit 'lp/mm'"):
         make_measurement("mtf50", "lp/mm", 0.2, None, None, method="m")
     with pytest.raises(ValueError, match="'halo'"):
-        ordered_flags(("halo",))
+        order_flags(("halo",))
     assert all(sentence.endswith(".") for sentence in FLAGS.values())
     assert all(quantity.units for quantity in QUANTITIES.values())
 

@@ -13,7 +13,8 @@ import pytest
 
 from labdata import BadInput, Conditions, open_session
 from labdata.lazy_stack import open_lazy_stack
-from labdata.store import ArrayFollower, SessionWriter, read_journal
+from labdata.session_writer import SessionWriter
+from labdata.store import ArrayFollower, read_journal
 from labdata.store.journal import JOURNAL, _restore_frames
 
 SHAPE = (6, 5)
@@ -156,9 +157,9 @@ def damages(line: bytes, rng: random.Random) -> Iterator[tuple[str, str, bytes]]
 
 
 @pytest.mark.parametrize("finished", [True, False])
-@pytest.mark.parametrize("place", range(FRAMES))
+@pytest.mark.parametrize("place", [0, 1, 6, FRAMES - 1])
 def test_one_damaged_byte_costs_no_frame(tmp_path, sound, finished, place, seed):
-    """21 damages of each line of a finished stack and of one that is gone on with: 504."""
+    """21 damages of four lines of a finished stack and of one that is gone on with: 168."""
     lines = lines_of(sound)
     for where, how, damaged in damages(lines[place], random.Random(100 * seed + place + 1000 * finished)):
         journal = b"".join((*lines[:place], damaged, *lines[place + 1 :]))

@@ -17,9 +17,10 @@ import zarr
 from typer.testing import CliRunner
 
 from charact.cli.application import app
+from labdata import file_io
 from labdata.errors import BadInput
-from labdata.importers import decompression_limit, read_frames
-from labdata.importers.thresholds import MOST_PICTURE_PX
+from labdata.file_io import MOST_PICTURE_PX
+from labdata.importers import read_frames
 from labdata.lazy_stack import open_lazy_stack
 from labdata.session import open_session
 from tests.fuzz.bounds import most_resident_mb
@@ -186,7 +187,7 @@ def test_what_is_read_whole_must_fit_into_half_of_the_memory_and_what_is_mapped_
     frames = np.random.default_rng(1).integers(0, 255, (5, 200, 300), dtype=np.uint8)
     WRITERS[name](tmp_path / name, frames)
     assert read_frames(tmp_path / name, axis="frame").shape[1:] == (200, 300)
-    monkeypatch.setattr(decompression_limit, "memory_bytes", lambda: 200_000)
+    monkeypatch.setattr(file_io, "memory_bytes", lambda: 200_000)
     if name == "a.npy":
         assert read_frames(tmp_path / name).shape == (5, 200, 300)
     else:

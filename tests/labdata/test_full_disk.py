@@ -21,8 +21,8 @@ CHILD = """
     from labdata.conditions import Conditions
     from labdata.errors import BadInput
     from labdata.session import open_session
-    from labdata.store import SessionWriter
-    from labdata.store.storage_thread import Storage
+    from labdata.session_writer import SessionWriter
+    from labdata.storage_thread import Storage
 
     folder, said = Path(sys.argv[1]) / "s", None
     pixels = np.random.default_rng(1).integers(0, 4096, (200, 300), dtype=np.uint16)

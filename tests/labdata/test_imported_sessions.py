@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, open_session
-from labdata.importers.sessions import import_emva1288, import_frames
+from labdata.session_import import import_emva1288, import_frames
 
 DESCRIPTOR = """# a comment
 v 3.0

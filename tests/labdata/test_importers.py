@@ -11,7 +11,7 @@ import tifffile
 
 from labdata import BadInput
 from labdata.importers import read_frames
-from labdata.importers.sessions import import_frames
+from labdata.session_import import import_frames
 
 TYPES = ["u1", "u2", "u4", "i2", "i4", "f4", "f8"]
 

@@ -126,8 +126,8 @@ def test_pixels_beyond_the_digitiser_are_refused(tmp_path):
         ),
         (
             'name = "s"\nsensor = "none"\n' + FLAT,
-            "a sensor must be one of emccd-512, gen3-digital-iccd, pulnix-ag5745ef3 "
-            "or the path of a TOML file, got 'none'",
+            "a sensor must be one of emccd-512, gen3-digital-iccd, insb-mwir-640, machine-vision, pulnix-ag5745ef3, "
+            "scanning-lwir, vox-lwir-640 or the path of a TOML file, got 'none'",
         ),
     ],
 )

@@ -14,8 +14,8 @@ from labdata.capture import Frame, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import open_session
-from labdata.store import SessionWriter
-from labdata.store.storage_thread import Storage
+from labdata.session_writer import SessionWriter
+from labdata.storage_thread import Storage
 
 SHAPE = (49, 77)
 
@@ -165,7 +165,7 @@ def test_a_disk_is_stalled_while_work_waits_and_nothing_moves(writer, monkeypatc
 
 
 def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_counted(writer, monkeypatch):
-    monkeypatch.setattr("labdata.store.storage_thread.STALLED_S", 0.3)
+    monkeypatch.setattr("labdata.storage_thread.STALLED_S", 0.3)
     disk = Disk(monkeypatch)
     sentence = r"got no progress for 0\.3 s: 5 frames of .* are not acknowledged"
     began_s = 0.0
@@ -187,7 +187,7 @@ def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_count
 
 
 def test_an_error_in_the_block_keeps_its_name_and_tells_of_the_frozen_disk_as_well(writer, monkeypatch):
-    monkeypatch.setattr("labdata.store.storage_thread.STALLED_S", 0.2)
+    monkeypatch.setattr("labdata.storage_thread.STALLED_S", 0.2)
     disk = Disk(monkeypatch)
     with pytest.raises(KeyboardInterrupt) as interrupted, Storage(writer) as storage:
         stack = begun(storage)
@@ -202,8 +202,8 @@ def test_an_error_in_the_block_keeps_its_name_and_tells_of_the_frozen_disk_as_we
 
 def test_a_disk_that_is_slow_but_moves_is_waited_for(writer, monkeypatch):
     """Each group of frames takes less than the bound, all of them together far more."""
-    monkeypatch.setattr("labdata.store.storage_thread.STALLED_S", 0.4)
-    monkeypatch.setattr("labdata.store.storage_thread.TOGETHER_BYTES", SHAPE[0] * SHAPE[1])
+    monkeypatch.setattr("labdata.storage_thread.STALLED_S", 0.4)
+    monkeypatch.setattr("labdata.storage_thread.TOGETHER_BYTES", SHAPE[0] * SHAPE[1])
     forced = os.fsync
     monkeypatch.setattr(os, "fsync", lambda file: (time.sleep(0.03), forced(file))[1])
     with Storage(writer) as storage:
@@ -219,7 +219,8 @@ import numpy as np
 from labdata.capture import Frame
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.store import SessionWriter, storage_thread
+from labdata import storage_thread
+from labdata.session_writer import SessionWriter
 
 storage_thread.STALLED_S = 0.3
 writer = SessionWriter.create(sys.argv[1], name="stuck")

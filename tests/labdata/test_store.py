@@ -14,7 +14,7 @@ import pytest
 
 from labdata import BadInput, Conditions, Target, open_session, store
 from labdata.capture import Frame, LostFrames
-from labdata.store import SessionWriter
+from labdata.session_writer import SessionWriter, StackWriter
 from labdata.store.array_writer import ArrayWriter
 
 SHAPE = (49, 77)
@@ -25,7 +25,7 @@ import sys
 import numpy as np
 from pathlib import Path
 from labdata import Conditions
-from labdata.store import SessionWriter
+from labdata.session_writer import SessionWriter
 
 folder = Path(sys.argv[1])
 if (folder / "session.toml").exists():
@@ -94,7 +94,7 @@ def writer_of(folder: Path, **keys) -> SessionWriter:
     return SessionWriter.create(folder, name="test", **keys)
 
 
-def begun(writer: SessionWriter, label: str = "flat", **changes) -> store.StackWriter:
+def begun(writer: SessionWriter, label: str = "flat", **changes) -> StackWriter:
     keys = {"kind": "flat", "shape": SHAPE, "dtype": np.uint8, "conditions": Conditions(mcp_v=700.0), **changes}
     return writer.begin_stack(label, **keys)
 
@@ -347,7 +347,7 @@ def test_a_stack_without_frames_is_no_part_of_the_session(tmp_path):
 
 
 def test_two_writers_do_not_share_a_session(tmp_path):
-    code = "import sys; from labdata.store import SessionWriter; SessionWriter.resume(sys.argv[1])"
+    code = "import sys; from labdata.session_writer import SessionWriter; SessionWriter.resume(sys.argv[1])"
     with writer_of(tmp_path / "s"):
         other = subprocess.run([sys.executable, "-c", code, str(tmp_path / "s")], capture_output=True, text=True)
     assert other.returncode == 1

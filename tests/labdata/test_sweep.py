@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdata.errors import BadInput
-from labdata.file_records import SweepRecord
-from labdata.plan import Plan, StopCriterion
-from labdata.serialiser import from_mapping, to_toml
+from labdata.plan import StopCriterion
+from labdata.plan_file import SweepRecord, plan_of, plan_toml
 from labdata.target import Target
 
 VOLTS, LUX = (600.0, 700.0, 800.0), (1e-5, 1e-4, 1e-3)
@@ -97,19 +96,18 @@ def test_labels_name_what_varies():
 
 
 def test_a_plan_holds_single_steps_and_then_its_sweeps_and_is_kept_as_steps():
-    plan = from_mapping(
+    plan = plan_of(
         {
             "name": "p",
             "step": [{"label": "first", "kind": "dark", "frames": 2}],
             "sweep": [{"kind": "flat", "frames": 3, "mcp_v": [600.0, 700.0], "illuminance_lux": 1e-4}],
             "settle": {"after_gain_s": 2.0},
         },
-        Plan,
     )
     assert [step.label for step in plan.steps] == ["first", "flat-600V", "flat-700V"]
     assert [plan.settle.wait_s(a.conditions, b.conditions) for a, b in itertools.pairwise(plan.steps)] == [2.0, 2.0]
     assert plan.settle.wait_s(plan.steps[1].conditions, plan.steps[1].conditions) == 0.0
-    assert "step = [" in to_toml(plan) and "sweep" not in to_toml(plan)
+    assert "step = [" in plan_toml(plan) and "sweep" not in plan_toml(plan)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +128,7 @@ def test_a_plan_holds_single_steps_and_then_its_sweeps_and_is_kept_as_steps():
 )
 def test_a_sweep_that_cannot_be_meant_is_refused(wrong, rule):
     with pytest.raises(BadInput, match=rule):
-        from_mapping({"name": "p", "sweep": [{"kind": "flat", "frames": 3, **wrong}]}, Plan)
+        plan_of({"name": "p", "sweep": [{"kind": "flat", "frames": 3, **wrong}]})
 
 
 def test_levels_of_a_sweep_may_stop_early_and_their_darks_may_not():

@@ -31,13 +31,13 @@ def test_the_product_of_the_stages_is_the_simulated_camera(name: str, direction:
 
 
 def test_stages_of_specimens_lie_in_their_intervals(seed: int) -> None:
-    """Of 20 specimens' stages at 0.2 cycles per column pitch 95 % intervals hold as many, within 4 standard errors.
+    """Of 12 specimens' stages at 0.2 cycles per column pitch 95 % intervals hold as many, within 4 standard errors.
 
     Curves exact to 0.004, each with a description whose ranges the specimen was drawn from.
     """
     described, rng = load_sensor("pulnix-ag5745ef3"), np.random.default_rng(seed)
     held = []
-    for number in range(20):
+    for number in range(12):
         specimen = draw_true_sensor(described, seed + number)
         curves = [
             MeasuredCurves(
@@ -63,4 +63,4 @@ def test_stages_of_specimens_lie_in_their_intervals(seed: int) -> None:
             low, high = np.quantile(found.product((stage,), np.array([0.2]), "horizontal"), [0.025, 0.975])
             if stage not in found.known:
                 held.append(low <= value <= high)
-    assert abs(np.mean(held) - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / 20), np.mean(held)
+    assert abs(np.mean(held) - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / 12), np.mean(held)

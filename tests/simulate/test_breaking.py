@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from itertools import islice, pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -201,9 +202,11 @@ def test_every_shipped_camera_of_one_pixel_sees(name, seed):
     assert lit.mean() > dark.mean()
 
 
-def test_the_smallest_frames_are_made_in_memory_of_their_own(tmp_path):
-    # Compiled loops read and write what lies beside an array without a word, unless every index is checked.
-    watched = {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+def test_the_smallest_frames_are_made_in_memory_of_their_own():
+    # Compiled loops read and write what lies beside an array without a word, unless every index is checked. Loops with
+    # checks are kept where `make test-all` keeps them.
+    kept = Path(__file__).resolve().parents[2] / "build" / "bounds"
+    watched = {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(kept)}
     tests = ["-q", "-n", "0", "-p", "no:cacheprovider", "-k", "one_pixel_one_row", __file__]
     made = subprocess.run([sys.executable, "-m", "pytest", *tests], env=watched, capture_output=True, text=True)
     assert made.returncode == 0, made.stdout
@@ -346,8 +349,11 @@ def test_a_description_with_a_number_that_is_none_is_refused(name, value):
     assert not accepted
 
 
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("factor", [-1.0, 0.0, 0.1, 10.0, 100.0])
+# Both cameras with a tube have the same stages: that numbers may be too small is tried on one of them.
+@pytest.mark.parametrize(
+    ("name", "factor"),
+    [(name, factor) for name in NAMES for factor in (-1.0, 0.0, 0.1, 100.0) if (name, factor) != (NAMES[1], 0.1)],
+)
 def test_any_number_of_a_description_may_be_absurd_and_is_refused_or_gives_codes(name, factor, seed):
     """With the sign turned, at zero, and far from the shipped value either way: no number of either kind of camera."""
     description, broken = _of_few_pixels(name), []

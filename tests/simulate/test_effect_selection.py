@@ -33,7 +33,7 @@ from tests.simulate.samplers import drawn_by
 
 Map = NDArray[np.float64]
 SHAPE = (72, 96)
-SCENES = 90
+SCENES = 45
 DRAWN = range(15, SCENES, 15)
 # By how much of itself the tolerance may be broken.
 BROKEN = 1.1

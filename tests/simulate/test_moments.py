@@ -160,28 +160,35 @@ def test_single_events_have_the_moments_of_campbells_theorem(shape, level, plain
 STRIPES: dict[Sampler, float] = {"fast": 0.015, "chain": 5e-3}
 
 
+PERIOD_PX, STRIPES_PE = 8, 6.0
+
+
+def stripes(x_px: NDArray[Any]) -> NDArray[Any]:
+    return STRIPES_PE * (1.0 + 0.9 * np.sin(2.0 * np.pi * x_px / PERIOD_PX))
+
+
+@pytest.fixture(scope="module")
+def striped_events(plain, seed) -> NDArray[Any]:
+    """Frames of stripes, photoelectron by photoelectron."""
+    side, sensor = 96, in_fine_steps(plain(240, 320), 2.0 * STRIPES_PE)
+    expected = np.repeat(stripes((np.arange(side * slow.PHASES) + 0.5) / slow.PHASES)[None] / 2.0, side, axis=0)
+    stream = slow.frames(slow.of_sensor(sensor), expected, shape=(side, side), seed=seed)
+    return np.stack(list(islice(stream, 120)))
+
+
 @pytest.mark.parametrize("tier", AFFORDED)
-def test_stripes_have_the_mean_and_variance_of_single_events(tier, plain, seed):
+def test_stripes_have_the_mean_and_variance_of_single_events(tier, plain, striped_events, seed):
     """Light that changes from column to column: blur of means and blur of pulses act on it each in its own way."""
-    period, level = 8, 6.0
-
-    def stripes(x_px: NDArray[Any]) -> NDArray[Any]:
-        return level * (1.0 + 0.9 * np.sin(2.0 * np.pi * x_px / period))
-
-    sensor = in_fine_steps(plain(240, 320), 2.0 * level)
+    sensor = in_fine_steps(plain(240, 320), 2.0 * STRIPES_PE)
     cells = IntensifiedCamera(sensor).cells
     x_px = (np.arange(cells.shape[1]) + 0.5) / cells.per_column - cells.margin_columns
     per_cell = stripes(x_px) / (2 * cells.per_row * cells.per_column)
     light = np.repeat(per_cell[None].astype(np.float32), cells.shape[0], axis=0)
     codes = next(drawn(sensor, StageImage(values=light, grid=cells), 60, seed, tier))[:, :, LINE_START_PX:]
     charge = (codes - BLACK_DN) / float(sensor.video.conversion_gain_dn_per_e)
-    side = 96
-    expected = np.repeat(stripes((np.arange(side * slow.PHASES) + 0.5) / slow.PHASES)[None] / 2.0, side, axis=0)
-    stream = slow.frames(slow.of_sensor(sensor), expected, shape=(side, side), seed=seed)
-    events = np.stack(list(islice(stream, 120)))
     for power, tolerance in ((1, 1e-3), (2, STRIPES[tier])):
-        ours, our_error = _by_phase(charge, period, power)
-        theirs, their_error = _by_phase(events, period, power)
+        ours, our_error = _by_phase(charge, PERIOD_PX, power)
+        theirs, their_error = _by_phase(striped_events, PERIOD_PX, power)
         off = (ours - theirs) / theirs
         error = np.hypot(our_error, their_error) / theirs
         assert np.all(np.abs(off) < tolerance + ERRORS * error), f"off by {off.round(4)}, errors {error.round(4)}"

@@ -65,7 +65,7 @@ def drawn_pulses(plate: MicrochannelPlate, level: float, count: int, rng: np.ran
     ("probability", "shape", "factor"),
     [(1.0, 2.0, 1.50), (1.0, 1.0, 2.00), (0.75, 2.0, 2.00), (0.63, 2.0, 2.38), (0.63, 1.0, 3.17), (0.5, 1.0, 4.00)],
 )
-@pytest.mark.parametrize("level", [0.05, 2.0, 30.0, 500.0])
+@pytest.mark.parametrize("level", [0.05, 30.0])
 def test_excess_noise_factor_of_drawn_pulses(probability, shape, factor, level, seed):
     plate = MicrochannelPlate(
         detection_probability=probability,

@@ -8,7 +8,7 @@ import pytest
 from labdata.errors import BadInput
 from labdata.target import Target
 from simulate.radiance.cube import RadianceCube
-from simulate.radiance.lab_target import TargetView, outline_cells, render_bench, set_up, target_mesh
+from simulate.radiance.lab_target import TargetView, outline_cells, render_bench, target_outlines
 from simulate.radiance.scene import load_scene
 from simulate.radiance.spectrum import luminous_efficiency, planck
 
@@ -39,8 +39,7 @@ def _clipped_area(polygon: np.ndarray, low: tuple[float, float], size: tuple[flo
 
 
 def _coverage(kind, target, scene) -> np.ndarray:
-    bench = set_up(scene, target_mesh(kind, target, scene.holder, 1.0 / VIEW.metre_per_px), VIEW.metre_per_px)
-    image = render_bench(bench, VIEW, NM).radiance[1].astype(float)
+    image = render_bench(scene, kind, target, VIEW, NM).radiance[1].astype(float)
     return image / (0.92 * planck(600.0, 2856.0))
 
 
@@ -63,10 +62,10 @@ def test_bars_cover_their_cells_to_1_256_of_a_cell(scene):
     ]
     target = Target(bars=4, frequency_cy_per_px=frequency, angle_deg=angle)
     found = _coverage("bars", target, scene)
-    checked = np.argwhere(outline_cells(target_mesh("bars", target, scene.holder), VIEW))[::7]
+    checked = np.argwhere(outline_cells(target_outlines("bars", target, scene.holder), VIEW))[::7]
     exact = np.array(
         [
-            sum(_clipped_area(bar, tuple(VIEW.places_px(row, col)), VIEW.cell_px) for bar in bars)
+            sum(_clipped_area(bar, tuple(VIEW.places_px(np.array([[row, col]]))[0]), VIEW.cell_px) for bar in bars)
             / (VIEW.cell_px[0] * VIEW.cell_px[1])
             for row, col in checked
         ]
@@ -92,9 +91,9 @@ def test_light_of_bars_edge_and_pinhole_is_that_of_their_areas(scene):
 
 
 def test_tiles_are_the_whole_picture(scene):
-    bench = set_up(scene, target_mesh("edge", Target(), scene.holder), VIEW.metre_per_px)
-    whole = render_bench(bench, VIEW, NM).radiance
-    tiled = np.concatenate([render_bench(bench, tile, NM).radiance for _, tile in VIEW.tiles(32)], axis=1)
+    whole = render_bench(scene, "edge", Target(), VIEW, NM).radiance
+    tiles = [render_bench(scene, "edge", Target(), tile, NM).radiance for _, tile in VIEW.tiles(32)]
+    tiled = np.concatenate(tiles, axis=1)
     # Only places of rays move, by rounding.
     assert np.abs(tiled - whole).max() < 0.02 * whole.max()
     assert np.abs(tiled - whole).mean() < 1e-5 * whole.max()
@@ -104,8 +103,7 @@ def test_ring_of_a_pinhole_reflects_the_room_faintly(scene):
     view = TargetView(
         shape=(400, 400), cell_px=(0.6, 0.6), corner_px=(-120.0, -120.0), metre_per_px=7e-4, distance_m=1.0
     )
-    bench = set_up(scene, target_mesh("point", Target(pinhole_px=8.0), scene.holder, 1.0 / 7e-4), 7e-4)
-    image = render_bench(bench, view, NM).radiance[1]
+    image = render_bench(scene, "point", Target(pinhole_px=8.0), view, NM).radiance[1]
     row, col = np.indices(image.shape)
     distance = np.hypot(row + 0.5 - 200, col + 0.5 - 200) * 0.6
     ring = image[np.abs(distance - 100.0) < 8.0].mean() / image.max()
@@ -131,7 +129,7 @@ def test_lamp_of_2856_kelvin_has_its_published_photometry():
 )
 def test_target_without_what_its_kind_needs_is_refused(scene, kind, target):
     with pytest.raises(BadInput):
-        target_mesh(kind, target, scene.holder)
+        render_bench(scene, kind, target, VIEW, NM)
 
 
 def test_unknown_scene_is_refused(tmp_path):

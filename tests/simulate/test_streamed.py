@@ -358,13 +358,13 @@ def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
     light = StageImage(values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells)
     mean = camera.mean_frame(light, Conditions())[0::2, 20:]
     found = []
-    for frame in islice(camera.frames(light, Conditions(), seed=seed), 1600):
+    for frame in islice(camera.frames(light, Conditions(), seed=seed), 800):
         field = frame[0::2, 20:] - mean
         found.append([_block_variance(field[None], rows, columns)[0] for rows, columns in blocks])
-    batches = np.array(found).reshape(40, 40, len(blocks)).mean(axis=1)
+    batches = np.array(found).reshape(20, 40, len(blocks)).mean(axis=1)
     error = batches.std(axis=0, ddof=1) / np.sqrt(len(batches))
     q = true_quantities.true_quantities(sensor)
     shot = q["field_covariance_gain"] * level * q["photoelectron_gain"]
     expected = np.array([_captured(sensor, *block) * shot + q["read_noise"] ** 2 for block in blocks])
-    assert np.all(error < 0.01 * expected)
+    assert np.all(error < 0.014 * expected)
     assert np.all(np.abs(batches.mean(axis=0) - expected) < 0.004 * expected + 4.0 * error)

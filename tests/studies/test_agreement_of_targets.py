@@ -30,8 +30,12 @@ def test_a_target_out_of_focus_by_15_percent_is_found_and_named() -> None:
     assert one.differs_most == "edge"
 
 
-def test_sessions_are_summed_up() -> None:
-    whole = judge_session(2, made="closed form", seed=0)
+@pytest.fixture(scope="module")
+def whole():
+    return judge_session(2, made="closed form", seed=0)
+
+
+def test_sessions_are_summed_up(whole) -> None:
     assert whole.targets >= 6
     assert whole.inside
     summed = row([whole, whole], made="closed form", defocus=0.0, of="edge")
@@ -44,8 +48,7 @@ def test_sessions_are_summed_up() -> None:
     assert edge["rms_standard_errors"] == pytest.approx(1.96 * abs(off))
 
 
-def test_a_number_far_off_its_truth_is_silent_only_without_a_flag() -> None:
-    whole = judge_session(2, made="closed form", seed=0)
+def test_a_number_far_off_its_truth_is_silent_only_without_a_flag(whole) -> None:
     away = tuple(
         CrossingComparison(name="edge mtf10 along rows", ok=ok, off=off)
         for ok, off in [(True, -2.5), (False, 9.0), (True, 1.5)]

@@ -25,7 +25,7 @@ def test_every_cell_stands_in_the_table_with_enough_drawings():
         assert (one.blur, one.tilt_deg, one.phase_px) == (cell.blur, cell.scene.angle_deg, cell.phase_px)
 
 
-@pytest.mark.parametrize("number", [0, 31, 47, 85, 104])
+@pytest.mark.parametrize("number", [0, 85])
 def test_the_table_is_what_the_method_still_does(number: int):
     again = measure_scenario(number, least=FIRST // 2, most=FIRST // 2)
     assert again.first == pytest.approx(TABLE[number].first, rel=0.02)

@@ -23,10 +23,10 @@ def test_the_map_goes_through_all_that_breaks_the_method():
     assert len(table()["chains"]["rows"]) >= 0.02 * len(kept)
 
 
-def test_three_cells_are_what_the_method_still_does(seed):
+def test_a_cell_is_what_the_method_still_does(seed):
     """Every drawing has its own seed: the verdicts are the same, and the widths within a tenth."""
     kept = cells(table()["quick"])
-    for number in np.random.default_rng(seed).choice(len(kept), 3, replace=False):
+    for number in np.random.default_rng(seed).choice(len(kept), 1):
         before, again = kept[number], spectra.measure_scenario(kept[number]["number"])
         assert (again.ok, again.refused) == (before["ok"], before["refused"]), (before, again)
         if again.ok:
@@ -58,18 +58,16 @@ def test_a_halo_drawn_spreads_as_much_light_as_is_said(seed):
     assert abs(found - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / count) + 0.002
 
 
-@pytest.mark.parametrize("number", [171, 306, 612])
-def test_spectra_that_one_form_alone_told_wrongly_are_not_silent(number):
-    """Cameras inside the scope whose likeliest form was 3 to 6 % off at a told 1 %."""
-    again = spectra.measure_scenario(number)
+def test_spectra_that_one_form_alone_told_wrongly_are_not_silent():
+    """A camera inside the scope whose most probable blur model alone is several percent off."""
+    again = spectra.measure_scenario(306)
     assert again.ok == 1
     assert again.silent == 0
 
 
-@pytest.mark.parametrize("number", [1551, 1788])
-def test_a_curved_response_is_told_by_levels_of_few_dn(number):
-    """Exponents of 1.8 and 1.6 over signals of 0.4 to 7 DN: 7 and 4 % off, and ok, before pulses were counted."""
-    assert spectra.measure_scenario(number).suspect == 1
+def test_a_curved_response_is_told_by_levels_of_few_dn():
+    """An exponent of 1.8 over signals of 0.4 to 7 DN moves the MTF50 by 7 %."""
+    assert spectra.measure_scenario(1551).suspect == 1
 
 
 def test_a_map_of_no_cells_is_refused_in_one_sentence(monkeypatch, capsys):

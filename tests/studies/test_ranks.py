@@ -18,7 +18,7 @@ from benchmarks.studies.edge_ranks import (
 )
 from charact.mtf.edge.fit.model_fit import EdgeFitter
 
-TRIALS = 40
+TRIALS = 30
 
 
 def test_truths_come_from_the_prior_that_the_posterior_is_told(seed):
@@ -38,8 +38,12 @@ def test_a_blur_falls_to_one_half_at_its_half_frequency():
         assert np.exp(-((np.exp(half) / blur.frequency_cy_per_px) ** blur.exponent)) == pytest.approx(0.5)
 
 
-def test_ranks_of_edges_are_even_and_those_of_a_posterior_too_narrow_are_not(seed, monkeypatch):
-    right = edge_ranks.ranks("importance", TRIALS, seed)
+@pytest.fixture(scope="module")
+def right(seed):
+    return edge_ranks.ranks("importance", TRIALS, seed)
+
+
+def test_ranks_of_edges_are_even_and_those_of_a_posterior_too_narrow_are_not(right, seed, monkeypatch):
     assert right.probability > 1e-4
     cover = right.coverage(0.68)
     assert np.all(np.abs(cover - 0.68) < 4.5 * np.sqrt(0.68 * 0.32 / TRIALS))
@@ -67,8 +71,7 @@ def test_the_committed_ranks_are_even_for_both_samplers():
             assert abs(row["cover95"][name] - 0.95) < 3.5 * np.sqrt(0.95 * 0.05 / kept)
 
 
-def test_what_is_told_counts_the_truths(seed):
-    found = edge_ranks.ranks("importance", 12, seed)
-    row = summarise_ranks("importance", found)
-    assert row.trials == 12
-    assert all(sum(counts) == 12 - row.flagged for counts in row.histograms.values())
+def test_what_is_told_counts_the_truths(right):
+    row = summarise_ranks("importance", right)
+    assert row.trials == TRIALS
+    assert all(sum(counts) == TRIALS - row.flagged for counts in row.histograms.values())

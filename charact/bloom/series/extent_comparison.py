@@ -43,7 +43,7 @@ def compare_extents(
     flagged where the streak may have joined it to a separate rim. Extents that the model contradicts are flagged, and
     all extents where the differences over the stacks exceed noise.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     series, light = best.problem.series, best.problem.light_at(best.peak.point[None])[..., 0]
     streaked = {one.stack for one in extents if one.quantity == "streak_level" and one.status != "refused"}
@@ -64,7 +64,7 @@ def compare_extents(
             one = one.with_(flags=MISFIT) if off and one.quantity in CONTRADICTED else one
         out.append(one)
     # Normalised differences between contours and model over the stacks exceed noise.
-    differ = chi2.sf(np.sum(np.square(apart)), max(len(apart), 1)) < 1e-4
+    differ = chdtrc(max(len(apart), 1), np.sum(np.square(apart))) < 1e-4
     return tuple(
         one.with_(flags=MISFIT) if differ and one.quantity == JUDGED and one.status != "refused" else one for one in out
     )

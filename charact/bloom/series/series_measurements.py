@@ -324,7 +324,7 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
     best, posterior, flags = fit.best, fit.posterior, fit.light_flags
     if not isinstance(best.problem, SaturatingSeriesLikelihood):
         reason = "the cores are linear in all stacks: no MCP saturation is visible"
-        return [make_refusal("mcp_saturation_density", "DN", reason, **fit.fields)]
+        return [make_refusal("mcp_saturation_density", "DN", reason, refusal="not-applicable", **fit.fields)]
     # Distance, in ln, of the densities of other cores' models from the best one's.
     saturating = [one for one in fit.forms if isinstance(one.problem, SaturatingSeriesLikelihood)]
     ln = np.log([max(float(one.peak.point[one.form.names.index("plate_load")]), 1e-9) for one in saturating])

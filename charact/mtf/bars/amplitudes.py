@@ -63,7 +63,7 @@ def amplitudes_of(
     phase = float(np.angle(fundamental.mean()))
     turned = np.real(fundamental * np.exp(-1j * phase))
     lag = _image_lag_factor(data, window, memory)
-    if len(data) >= ACCURACY.min_covariance_frames:
+    if len(data) >= 4:
         covariance, freedom = _frame_covariance(light, turned, lag)
     else:
         covariance, freedom = _slab_covariance(data.mean(axis=0), target, window, beyond, phase)
@@ -165,7 +165,7 @@ def _slab_covariance(
     across, along = target.coordinates(mean.shape)
     values = mean - mean[beyond].mean()
     half = target.length_px / 2
-    edges = np.linspace(-half, half, max(int(target.length_px / ACCURACY.slab_px), 2) + 1)
+    edges = np.linspace(-half, half, max(int(target.length_px / 4.0), 2) + 1)
     terms = np.real(values * np.exp(-2j * np.pi * target.frequency * across - 1j * phase))
     slabs = [window & (along >= low) & (along < high) for low, high in pairwise(edges)]
     sums = np.array([[values[slab].sum(), terms[slab].sum()] for slab in slabs])
@@ -175,21 +175,16 @@ def _slab_covariance(
     return covariance, float(max(len(jumps), 2))
 
 
-@dataclass(frozen=True, kw_only=True)
-class TargetBackground:
-    """Pixels that show a target's pedestal."""
+def target_background(mean: Array, target: BarTarget, margin_px: float) -> tuple[Mask, bool]:
+    """Return the pixels that show a target's pedestal, and whether the blur of other light reaches into the window.
 
-    beyond: Mask  # Pixels beyond the window without other light, shape (row, col)
-    crowded: bool  # Whether the blur of other light reaches into the window
-
-
-def target_background(mean: Array, target: BarTarget, margin_px: float) -> TargetBackground:
-    """Return the background of a target in a mean frame (row, col), other objects excluded."""
+    `mean`: mean frame, shape (row, col). The pixels lie beyond the window, without other objects.
+    """
     from scipy.ndimage import binary_dilation, gaussian_filter
 
     shape = mean.shape
     outside = ~target.box(shape, margin_px)
-    smooth = np.asarray(gaussian_filter(mean, ACCURACY.other_smoothing_px))
+    smooth = np.asarray(gaussian_filter(mean, 2.0))
     level = float(np.median(smooth[outside]))
     spread = 1.4826 * float(np.median(np.abs(smooth[outside] - level)))
     height = float(np.abs(smooth[target.box(shape, 0.0)] - level).max())
@@ -198,7 +193,7 @@ def target_background(mean: Array, target: BarTarget, margin_px: float) -> Targe
     crowded = bool((other & target.box(shape, margin_px + ACCURACY.other_margin_px)).any())
     beyond = outside & ~other
     # If hardly any background remains, the objects are the background.
-    return TargetBackground(beyond=beyond if beyond.sum() > 0.25 * outside.sum() else outside, crowded=crowded)
+    return beyond if beyond.sum() > 0.25 * outside.sum() else outside, crowded
 
 
 def second_harmonic(mean: Array, target: BarTarget, window: Mask, pedestal: float, found: Amplitudes) -> float:

@@ -109,8 +109,8 @@ def table_of(shape: BarShape, half_across_px: float, half_along_px: float) -> Ta
     from scipy.fft import irfft, next_fast_len
 
     period = float(next_fast_len(int(2.2 * half_across_px) + 16, True) or 0)
-    step = 2.0 ** -max(3.0, np.ceil(np.log2(ACCURACY.points_per_period * shape.frequency)))
-    u = np.arange(int(ACCURACY.max_frequency_across * period)) / period
+    step = 2.0 ** -max(3.0, np.ceil(np.log2(100 * shape.frequency)))
+    u = np.arange(int(1.5 * period)) / period
     comb, comb_slope = _comb(shape, u)
     if np.isinf(shape.length_px):
         nodes = np.zeros(1)
@@ -143,7 +143,7 @@ def _rows(length_px: float, half_px: float) -> Array:
 def _along(length_px: float, nodes: Array) -> tuple[Array, Array, Array]:
     """Return frequencies along the bars, and their weights in every row and in its derivative by ln(length)."""
     tall = float(int(2.2 * nodes[-1]) + 16)
-    v = np.arange(int(ACCURACY.max_frequency_along * tall)) / tall
+    v = np.arange(int(1.0 * tall)) / tall
     wave = np.cos(2.0 * np.pi * v[:, None] * nodes) * (2.0 - (v == 0))[:, None] * length_px / tall
     return v, np.sinc(length_px * v)[:, None] * wave, np.cos(np.pi * length_px * v)[:, None] * wave
 
@@ -227,7 +227,7 @@ def initial_parameters(problem: BarLikelihood, target: BarTarget) -> dict[str, f
     pixels = problem.image[problem.window]
     background, far = np.quantile(pixels, [0.1, 0.95] if target.sign > 0 else [0.9, 0.05])
     return {
-        "log_attenuation": float(np.log(-np.log(ACCURACY.start_transfer))),
+        "log_attenuation": float(np.log(-np.log(0.4))),
         "form_one": problem.form.start[0],
         "form_two": problem.form.start[1],
         "departure": 0.0,

@@ -12,14 +12,13 @@ from charact.mtf.bars.bar_image_model import BarLikelihood
 from charact.mtf.bars.blur_models import TUBE
 from charact.mtf.bars.checks import (
     clipping_findings,
-    crowding_findings,
     findings_of_fit,
     findings_of_sums,
     fundamental_in_standard_errors,
     light_in_standard_errors,
-    margin_findings,
     not_identifiable,
     sum_notes,
+    window_findings,
 )
 from charact.mtf.bars.detection import target_in
 from charact.mtf.bars.fit import BarFit, fit_all_models, fit_frames, mtf_bias
@@ -33,7 +32,7 @@ from charact.mtf.bars.target import (
     margin_px,
     measure_frequency,
 )
-from charact.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.mtf.bars.thresholds import LIMITS
 from charact.mtf.image_lag import image_lag_model
 from labdata.flags import Finding
 from labdata.frames import FrameStack
@@ -113,7 +112,7 @@ def _measure_strip(
     # Of the region around the bars, on the nearer side.
     margin = float(min(-across.min(), across.max()) - fit.target.width_px / 2.0)
     return _sample_measurement(
-        used, fit, problem, context, asked, margin, margin_findings(margin, LIMITS.min_margin_px)
+        used, fit, problem, context, asked, margin, window_findings(margin, LIMITS.min_margin_px)
     )
 
 
@@ -133,10 +132,10 @@ def _is_in_region(fit: BarFit) -> bool:
     """Return whether the fitted bars have the detected sign and lie in the region."""
     (rows, cols), here = fit.window.shape, fit.target
     placed = 0 <= here.row < rows and 0 <= here.col < cols
-    return placed and fit["level_dn"] * here.sign > 0 and bool(_illuminated_pixels(fit).any())
+    return placed and fit["level_dn"] * here.sign > 0 and bool(_count_lit_pixels(fit).any())
 
 
-def _illuminated_pixels(fit: BarFit) -> Mask:
+def _count_lit_pixels(fit: BarFit) -> Mask:
     """Return the fitted pixels that the bars illuminate, shape (pixel,)."""
     return (fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"] > 0.02
 
@@ -175,7 +174,7 @@ def _sample_measurement(
     if context.sensor is None:
         notes.append("Pixels taken as square.")
     near = np.zeros(problem.window.shape, bool)
-    near[problem.window] = _illuminated_pixels(fit)
+    near[problem.window] = _count_lit_pixels(fit)
     return BarMeasurement(
         target=replace(fit.target, frequency=problem.asked),
         posterior=posterior,
@@ -223,19 +222,19 @@ def _measure_complete_target(
             reason="no target: the region must include background beyond the bars (pedestal not measurable); "
             "enlarge --roi"
         )
-    background = target_background(mean, target, margin)
+    beyond, crowded = target_background(mean, target, margin)
     image_lag = None if context.sensor is None else image_lag_model(context, len(used.data))
-    amplitudes = amplitudes_of(used.data, target, window, background.beyond, image_lag)
+    amplitudes = amplitudes_of(used.data, target, window, beyond, image_lag)
     reported = target.frequency
     if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
         target = replace(target, frequency=measure_frequency(mean, target, margin))
         # The measured frequency is uncertain too: if it equals the stated one, the MTF is reported at that.
         near = asked.frequency is not None and abs(target.frequency / reported - 1.0) < LIMITS.frequency_tolerance
         reported = reported if near else target.frequency
-        amplitudes = amplitudes_of(used.data, target, window, background.beyond, image_lag)
+        amplitudes = amplitudes_of(used.data, target, window, beyond, image_lag)
     if context.sensor is not None:
         box = target.box(mean.shape, core_margin_px(wanted.frequency))
-        core = amplitudes_of(used.data, target, box, background.beyond, image_lag)
+        core = amplitudes_of(used.data, target, box, beyond, image_lag)
         if core.signal_to_noise < LIMITS.min_signal_sd:
             return _refuse_faint(core.signal_to_noise)
     if (
@@ -247,10 +246,9 @@ def _measure_complete_target(
     why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
     if why is not None:
         return BarRefusal(why, "aliased")
-    second = second_harmonic(mean, target, window, float(mean[background.beyond].mean()), amplitudes)
+    second = second_harmonic(mean, target, window, float(mean[beyond].mean()), amplitudes)
     given = findings_of_sums(target, amplitudes, second)
-    given += crowding_findings(background.crowded)
-    given += margin_findings(margin, LIMITS.min_margin_px if cut else 0.0)
+    given += window_findings(margin, LIMITS.min_margin_px if cut else 0.0, crowded=crowded)
     if context.sensor is not None:
         box = target.box(used.shape[1:], 1.0)
         posterior = sample_sums(amplitudes, lost_fraction(context, margin), context)
@@ -263,9 +261,9 @@ def _measure_complete_target(
             notes=(*sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None), *notes),
             margin_px=margin,
         )
-    wide = max(ACCURACY.fit_margin_px, ACCURACY.fit_margin_periods / target.frequency)
+    wide = max(20.0, 1.5 / target.frequency)
     # Only the pixels that have no other light.
-    problem = BarLikelihood.of(mean, target.box(mean.shape, wide) & (background.beyond | window), target, reported)
+    problem = BarLikelihood.of(mean, target.box(mean.shape, wide) & (beyond | window), target, reported)
     fit, problem = fit_frames(used.data, problem, target, inflation=amplitudes.frame_correlation)
     standing = fundamental_in_standard_errors(fit)
     if standing < LIMITS.min_signal_sd:

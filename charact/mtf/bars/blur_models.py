@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.thresholds import ACCURACY
 from charact.posterior.least_squares import Linearisation, least_squares, linearise_residual
 
 Array = NDArray[np.float64]
@@ -83,7 +82,7 @@ class BarBlurModel:
             return linearise_residual(1e3 * (transfer - scale * own), 1e3 * jacobian, off, sd**-2.0, scale)
 
         start, bounds = [np.log(attenuation), *self.start], [(-9.0, 2.3), *self.bounds]
-        found = least_squares(linearise, start, bounds, iterations=ACCURACY.matching_steps)
+        found = least_squares(linearise, start, bounds, iterations=12)
         return found.at.model, found.point
 
 

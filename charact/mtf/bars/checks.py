@@ -54,7 +54,7 @@ def sharpening(fit: BarFit) -> float:
     """Return the fraction of a blurred copy of the bars that is missing, 0 where not significant."""
     weight = 1.0 / np.maximum(fit.noise.variance, ACCURACY.min_variance * fit["level_dn"] ** 2)
     basis = np.linalg.qr((fit.slope * np.sqrt(weight)).T)[0]
-    spread = np.array([_blur_bars(fit, width) for width in ACCURACY.sharpening_widths_px]) * np.sqrt(weight)
+    spread = np.array([_blur_bars(fit, width) for width in (2.0, 4.0, 8.0)]) * np.sqrt(weight)
     apart = (spread - (spread @ basis) @ basis.T) * np.sqrt(weight)
     missing = -(apart @ fit.residual_dn)
     sd = np.sqrt(np.maximum(np.diag(fit.noise.spread(apart, fit.window)), 0.0))
@@ -77,16 +77,16 @@ def _blur_bars(fit: BarFit, width_px: float) -> Array:
     return gaussian_filter(light, width_px, mode="nearest")[fit.window]
 
 
-def margin_findings(margin_px: float, least_px: float) -> list[Finding]:
-    """Return a finding where the region cuts off part of the core's blur."""
-    effect = f"light further than {margin_px:.0f} px from the bars is not included: the MTF is too high by its fraction"
-    return [finding("window-too-small", effect)] if margin_px < least_px else []
-
-
-def crowding_findings(crowded: bool) -> list[Finding]:
-    """Return a finding where other light reaches into the window."""
-    height = f"{100 * LIMITS.max_other_light:.0f} % of the bars' height"
-    return [finding("several-targets", f"other light nearby exceeds {height}: MTF error up to that")] if crowded else []
+def window_findings(margin_px: float, least_px: float, *, crowded: bool = False) -> list[Finding]:
+    """Return findings where other light reaches into the window, and where it cuts off part of the core's blur."""
+    found = []
+    if crowded:
+        height = f"{100 * LIMITS.max_other_light:.0f} % of the bars' height"
+        found.append(finding("several-targets", f"other light nearby exceeds {height}: MTF error up to that"))
+    if margin_px < least_px:
+        effect = f"light further than {margin_px:.0f} px from the bars is not included"
+        found.append(finding("window-too-small", f"{effect}: the MTF is too high by its fraction"))
+    return found
 
 
 def clipping_findings(

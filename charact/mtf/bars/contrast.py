@@ -35,24 +35,11 @@ def measure_contrast(
     frequency_cy_per_px: float | None = None,
     context: Context,
 ) -> Result:
-    """Measure pi/4 of the contrast of one group of bars, by the difference of bars and gaps in the mean frame.
+    """Measure pi/4 of the contrast of one group of bars: `mtf` at the bar frequency, always suspect.
 
-    Parameters
-    ----------
-    stack, region, bars, frequency_cy_per_px, context
-        As for "bars-forward".
-    method, read, min_sd, reason, note
-        Name, value and standard uncertainty of a mean frame with bright bars, required significance, and words.
-
-    Returns
-    -------
-    Result
-        `mtf` at the bar frequency, always suspect.
-
-    Notes
-    -----
-    First term of Coltman's series (J. Opt. Soc. Am. 44, 468, 1954): valid for infinite square waves above a third of
-    the cut-off.
+    `read` gives value and standard uncertainty of a mean frame with bright bars; the other options are those of
+    "bars-forward". First term of Coltman's series (J. Opt. Soc. Am. 44, 468, 1954): valid for infinite square waves
+    above a third of the cut-off.
     """
     used = stack if region is None else stack.region(*region)
     common: dict[str, Any] = {
@@ -130,31 +117,13 @@ def _modulation(mean: Array, seen: LocatedBars) -> tuple[float, float] | None:
     return float(value), float(error)
 
 
-bars_contrast = register(
-    "bars",
-    CONTRAST,
-    quantities=("mtf",),
-    scope=(
-        "For comparison with visual readings, always suspect: up to a fifth low below a third of the cut-off by "
-        "harmonics, low near it by the outer bars; normalised to the light of the bars, not to all light."
-    ),
-)(partial(
+bars_contrast = register("bars", CONTRAST)(partial(
     measure_contrast, method=CONTRAST, read=_profile_contrast, min_sd=LIMITS.min_contrast_sd,
     reason="no target: no significant bar contrast; state --bars and --frequency",
     note="Contrast reading, for comparison only.",
 ))  # fmt: skip
 
-bars_coltman = register(
-    "bars",
-    COLTMAN,
-    quantities=("mtf",),
-    scope=(
-        "For comparison, always suspect: first term of Coltman's series, (pi/4)(max - min)/step of the inner bars. Up "
-        "to a fifth low below a third of the cut-off by harmonics; the step of a single patch is low by its tails, by "
-        "several percent for tubes (n near 1.1); high where the noise approaches the modulation; phase-dependent "
-        "for untilted bars above half the sampling limit."
-    ),
-)(partial(
+bars_coltman = register("bars", COLTMAN)(partial(
     measure_contrast, method=COLTMAN, read=_modulation, min_sd=LIMITS.min_modulation_sd,
     reason="no target: no significant bar modulation; state --bars and --frequency",
     note="First term of Coltman's series, for comparison only.",

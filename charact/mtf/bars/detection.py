@@ -28,7 +28,7 @@ def spans_region(image: Array, *, bars: int, frequency: float) -> bool:
     from scipy.ndimage import uniform_filter1d
 
     for picture in (image, image.T):
-        depth = max(picture.shape[0] // ACCURACY.end_divisor, 2)
+        depth = max(picture.shape[0] // 8, 2)
         width = int(min(bars / frequency, 0.6 * picture.shape[1])) or 1
         centre = (picture.shape[0] - depth) // 2
         bands = [picture[top : top + depth].mean(axis=0) for top in (0, centre, picture.shape[0] - depth)]
@@ -165,7 +165,7 @@ def _waves(image: Array, frequency: float | None, pitch_ratio: float) -> Iterato
     height[size[0] // 2 + 1 :, 0] = 0.0
     top = (height == maximum_filter(height, 5)) & (height > 0.0)
     rows, cols = np.nonzero(top)
-    for position in np.argsort(-height[rows, cols])[: ACCURACY.spectral_peaks]:
+    for position in np.argsort(-height[rows, cols])[:8]:
         row, col = int(rows[position]), int(cols[position])
         down = (row + _vertex(height[:, col], row) + size[0] / 2) % size[0] - size[0] / 2
         right = col + _vertex(height[row], col)
@@ -209,10 +209,10 @@ def _count_bars(image: Array, patch: Mask, wave: BarTarget, bars: int | None) ->
     across, along = wave.coordinates(image.shape)
     centre = 0.5 * (across[patch].min() + across[patch].max()), 0.5 * (along[patch].min() + along[patch].max())
     width, length = np.ptp(across[patch]), np.ptp(along[patch])
-    near = (np.abs(across - centre[0]) < 0.5 * width + ACCURACY.profile_margin_periods / wave.frequency) & (
-        np.abs(along - centre[1]) < max(ACCURACY.profile_inner_length * length, 1.0)
+    near = (np.abs(across - centre[0]) < 0.5 * width + 1.2 / wave.frequency) & (
+        np.abs(along - centre[1]) < max(0.4 * length, 1.0)
     )
-    step = max(1.0 / (ACCURACY.profile_points_per_period * wave.frequency), 0.5)
+    step = max(1.0 / (12.0 * wave.frequency), 0.5)
     index = np.floor((across[near] - across[near].min()) / step).astype(np.intp)
     count = np.bincount(index)
     filled = count > 0

@@ -12,7 +12,7 @@ from charact.mtf.bars.target import BarTarget
 from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.quantisation_checks import rounding_shifts
 from charact.posterior.laplace import covariance_root
-from charact.posterior.least_squares import Linearisation, Optimum, least_squares, linearise_residual, weigh_by_evidence
+from charact.posterior.least_squares import Linearisation, least_squares, linearise_residual, weigh_by_evidence
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -71,7 +71,7 @@ def fit_bars(
     start: dict[str, float],
     noise: BarWindowNoise | None = None,
     *,
-    tolerance: float = ACCURACY.fit_tolerance,
+    tolerance: float = 3e-3,
     hopeless: float = np.inf,
 ) -> BarFit:
     """Fit the image by least squares; stop early if the cost cannot fall below `hopeless`.
@@ -96,15 +96,8 @@ def fit_bars(
 
     bounds = [problem.bounds.get(name, (-np.inf, np.inf)) for name in problem.names]
     begin = [start[name] for name in problem.names]
-    found = least_squares(linearise, begin, bounds, iterations=ACCURACY.fit_iterations, tolerance=tolerance,
+    found = least_squares(linearise, begin, bounds, iterations=24, tolerance=tolerance,
                           damping=1e-6, grow=1e3, hopeless=hopeless)  # fmt: skip
-    return _fit_at(problem, target, image, found, noise)
-
-
-def _fit_at(
-    problem: BarLikelihood, target: BarTarget, image: BarImageModel, found: Optimum, noise: BarWindowNoise | None
-) -> BarFit:
-    """Return the fit at an optimum with its covariance."""
     model, slope, mean, precision = found.at.model
     weighted = slope / problem.variance
     inverse = np.asarray(np.linalg.pinv(found.at.normal, rcond=1e-14, hermitian=True), dtype=np.float64)
@@ -112,8 +105,17 @@ def _fit_at(
     noise = noise or BarWindowNoise(variance=problem.variance, correlation=np.ones((1, 1)))
     spread = noise.spread(estimator, problem.window)
     point = dict(zip(problem.names, found.point.tolist(), strict=True))
+    cosine, sine = np.cos(point["angle_rad"]), np.sin(point["angle_rad"])
+    across, along = point["across_px"], point.get("along_px", 0.0)
+    placed = replace(
+        target,
+        frequency=float(np.exp(point["log_frequency"])),
+        angle_rad=point["angle_rad"],
+        col=target.col + across * cosine - along * sine,
+        row=target.row + (across * sine + along * cosine) / target.pitch_ratio,
+    )
     return BarFit(
-        target=_target_at(target, point),
+        target=placed,
         shape=image.shape(point),
         names=problem.names,
         value=found.point,
@@ -130,19 +132,6 @@ def _fit_at(
         noise=noise,
         strip=problem.strip,
         cost=found.at.cost,
-    )
-
-
-def _target_at(target: BarTarget, point: dict[str, float]) -> BarTarget:
-    """Return the target at the fitted position, direction and frequency."""
-    cosine, sine = np.cos(point["angle_rad"]), np.sin(point["angle_rad"])
-    across, along = point["across_px"], point.get("along_px", 0.0)
-    return replace(
-        target,
-        frequency=float(np.exp(point["log_frequency"])),
-        angle_rad=point["angle_rad"],
-        col=target.col + across * cosine - along * sine,
-        row=target.row + (across * sine + along * cosine) / target.pitch_ratio,
     )
 
 
@@ -186,9 +175,7 @@ def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, Bar
     order, stays first unless the data clearly prefer another.
     """
     shape, ratio = fit.shape, problem.asked / fit.shape.reference
-    positions = np.log(
-        np.geomspace(ACCURACY.matched_range[0], ACCURACY.matched_range[1], ACCURACY.matched_points) * ratio
-    )
+    positions = np.log(np.geomspace(ACCURACY.matched_range[0], ACCURACY.matched_range[1], 40) * ratio)
     now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
     core = np.exp(shape.form.ln(positions, *now))
     attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
@@ -238,7 +225,7 @@ def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:
     own = [fit.names.index("log_attenuation"), fit.names.index("departure")]
     first, second = _mtf_slopes(fit)
     covariance = fit.noise_covariance
-    if first @ covariance[np.ix_(own, own)] @ first < (ACCURACY.negligible_bias_sd * fit.shape.mtf) ** 2:
+    if first @ covariance[np.ix_(own, own)] @ first < (0.015 * fit.shape.mtf) ** 2:
         return 0.0
     shared = fit.noise.covariance_with(fit.estimator, fit.window)
     unlike = shared - covariance @ fit.slope
@@ -297,7 +284,7 @@ def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
 def _steps(fit: BarFit, picture: BarImageModel) -> dict[str, float]:
     """Return the finite-difference step of each nonlinear parameter, for positions part of a period."""
     reach = picture.reach
-    move = min(ACCURACY.position_step_periods / fit.target.frequency, ACCURACY.max_position_step_px)
+    move = min(0.06 / fit.target.frequency, 0.25)
     steps = {
         "log_attenuation": ACCURACY.shape_step,
         "form_one": ACCURACY.shape_step,

@@ -10,7 +10,6 @@ from charact.mtf.bars.bar_measurement import BarRefusal, StatedBars, measure_bar
 from charact.mtf.bars.blur_models import TUBE
 from charact.mtf.bars.checks import findings_of_draws
 from charact.mtf.bars.target import BarTarget
-from charact.mtf.bars.thresholds import ACCURACY
 from charact.mtf.blur_models import transfer as forms
 from charact.mtf.mean_frame import Region
 from charact.mtf.target_motion import TargetMotion, measure_line_motion
@@ -25,7 +24,7 @@ METHOD = "bars-forward"
 def measure_bar_motion(used: FrameStack, target: BarTarget) -> TargetMotion:
     """Return the motion of a target across its bars through a stack."""
     across, along = target.coordinates(used.data.shape[1:])
-    inside = (np.abs(across) < target.width_px / 2.0 + ACCURACY.motion_margin_periods / target.frequency) & (
+    inside = (np.abs(across) < target.width_px / 2.0 + 0.5 / target.frequency) & (
         np.abs(along) < target.length_px / 2.0
     )
     if not inside.any():
@@ -69,28 +68,13 @@ def _model_profile(distance: Array, target: BarTarget, mtf: float) -> Array:
     core = float(np.clip(mtf / pixel, 1e-3, 0.999))
     shape = BarShape(
         bars=target.bars, frequency=frequency, length_px=np.inf, reference=frequency, form=TUBE,
-        log_attenuation=float(np.log(-np.log(core))), form_one=float(np.log(ACCURACY.figure_exponent)), form_two=0.0,
+        log_attenuation=float(np.log(-np.log(core))), form_one=float(np.log(1.2)), form_two=0.0,
         departure=0.0, angle_rad=target.angle_rad,
     )  # fmt: skip
     return table_of(shape, float(np.abs(distance).max()), 1.0).at(distance, distance)[0]
 
 
-@register(
-    "bars",
-    METHOD,
-    quantities=("mtf",),
-    scope=(
-        "Two to sixty bars as wide as their gaps, brighter or darker than a uniform background, in any direction, "
-        "completely inside the region with their blur, or crossing it within 12 degrees of an axis; fundamental over "
-        "5 standard uncertainties. Number and frequency are measured from three bars on if not stated. Without a "
-        "sensor description the blur is modelled as a tube, a lens, a Moffat or two Gaussians. Invalid with clipping "
-        "and motion between fields (undetectable for bars along rows). A nonlinear response is detected in the image "
-        "and in noise that does not grow as the light; the interval includes undetected nonlinearity. Sharpening is "
-        "flagged above 3.5 standard uncertainties. "
-        "Untilted bars near the sampling limit are refused; one bar more or fewer than stated is flagged where "
-        "detectable."
-    ),
-)
+@register("bars", METHOD)
 def bars_forward(
     stack: FrameStack,
     *,

@@ -16,7 +16,7 @@ from charact.mtf.curve import REPORTED, crossing_frequency, curve_of
 from charact.mtf.known_transfer import halo_diameters_px
 from charact.mtf.session.joint_model import JointBlurModel, KnownCameraTransfer
 from charact.mtf.session.stage_transfers import prior_sd_of
-from charact.posterior import find_maximum, importance_sample, sample
+from charact.posterior import find_maximum, importance_sample, sample_posterior
 from labdata.errors import BadInput
 from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
 
@@ -38,49 +38,19 @@ class Group(NamedTuple):
     angle_rad: float
 
 
-def group_of(measurement: Measurement) -> Group:
-    """Return the group of a measurement of "mtf" at a bar frequency; BadInput without value, interval or frequency."""
-    value, interval, frequency = measurement.value, measurement.interval68, measurement.frequency_cy_per_px
-    if value is None or interval is None or frequency is None:
-        raise BadInput(f"a group of bars must have an MTF with an interval at a frequency, got {measurement.status}")
-    # Half of a 68 % interval is 0.994458 standard deviations.
-    sd = (interval[1] - interval[0]) / (2.0 * 0.994458)
-    return Group(frequency, value, sd, float(np.deg2rad(measurement.orientation_deg or 0.0)))
-
-
 def frame_curves(result: Result, *, context: Context) -> Result:
-    """Return MTF50 and curves through the bar groups of one frame; empty if there are too few.
+    """Return MTF50, curve and figure data through the bar groups of one frame, along rows and along columns.
 
-    Parameters
-    ----------
-    result
-        Measurements of "mtf" by "bars-forward".
-    context
-        Seed, speed and camera.
-
-    Returns
-    -------
-    Result
-        For rows and for columns, if groups of at least two frequencies exist: `mtf50`, the curve "mtf" (rows) or
-        "mtf_vertical" (columns), in cycles per column pitch, and their figure data.
+    `result`: measurements of "mtf" by "bars-forward". The curves are "mtf" (rows) and "mtf_vertical" (columns), in
+    cycles per column pitch; a direction without valid groups of two frequencies has none.
     """
     return _by_direction(result.measurements, ("mtf", "mtf_vertical"), context)
 
 
 def session_curves(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
-    """Return MTF50 and curves through the bar targets of a session; empty if there are too few.
+    """Return the same through the bar targets of a session, as curves "mtf_bars" and "mtf_bars_vertical".
 
-    Parameters
-    ----------
-    result, context
-        Measurements of one session; seed, speed and camera.
-    kinds
-        Kind of each stack ("edge", "bars", "point") by its label.
-
-    Returns
-    -------
-    Result
-        As for one frame; the curves are named "mtf_bars" and "mtf_bars_vertical", unlike those of single targets.
+    `kinds`: kind of each stack ("edge", "bars", "point") by its label.
     """
     own = [m for m in result.measurements if kinds.get(m.stack or "") == "bars"]
     return _by_direction(own, ("mtf_bars", "mtf_bars_vertical"), context)
@@ -129,7 +99,7 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
     Parameters
     ----------
     measurements
-        Of "mtf" by "bars-forward"; those without a value or not ok are excluded.
+        Of "mtf" by "bars-forward"; those without an interval or not ok are excluded.
     context
         Seed, speed and camera.
 
@@ -149,7 +119,12 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
     The likelihood is normal in each group's MTF. With more groups than parameters, `model-misfit` is set where chi
     squared has a p-value under 0.001.
     """
-    groups = [group_of(one) for one in measurements if one.status == "ok" and one.value is not None]
+    # Half of a 68 % interval is 0.994458 standard deviations.
+    groups = [
+        Group(m.frequency_cy_per_px or 0.0, m.value, float(np.ptp(m.interval68)) / (2.0 * 0.994458),
+              float(np.deg2rad(m.orientation_deg or 0.0)))
+        for m in measurements if m.status == "ok" and m.value is not None and m.interval68
+    ]  # fmt: skip
     provenance = Provenance(
         version=charact.__version__, seed=context.seed, settings={"quick": context.quick, "groups": len(groups)}
     )
@@ -217,9 +192,11 @@ def _posterior(
 ) -> tuple[Posterior, float]:
     """Return draws of the parameters, and chi squared at the optimum."""
     frequency, mtf, sd, _ = np.array(groups).T
+    fx, fy = along[0] * frequency, along[1] * frequency
+    known, bend = model.known(fx, fy), model.known.bend(fx)
 
     def squares(theta: Array) -> Array:
-        return np.sum(((mtf - model.transfer(theta, along[0] * frequency, along[1] * frequency)) / sd) ** 2, axis=1)
+        return np.sum(((mtf - known * model.unknown(theta, fx, fy, bend=bend)) / sd) ** 2, axis=1)
 
     def log_probability(theta: Array) -> Array:
         density = model.log_prior(theta) - 0.5 * squares(np.clip(theta, model.bounds[:, 0], model.bounds[:, 1]))
@@ -234,7 +211,7 @@ def _posterior(
     start = starts[int(np.argmax(log_probability(starts)))]
     best, covariance = find_maximum(log_probability, start, model.bounds)
     # Half frequency and exponent have a curved ridge, which a Gaussian approximation misses.
-    drawn = (importance_sample if context.quick else sample)(
+    drawn = (importance_sample if context.quick else sample_posterior)(
         log_probability, names=tuple(model.parameters), units=tuple(unit for unit, _ in model.parameters.values()),
         start=best, covariance=covariance, seed=context.seed, bounds=model.bounds,
     )  # fmt: skip

@@ -70,7 +70,7 @@ def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inf
     left = frames - frames.mean(axis=0)
     fraction = len(frames) / (len(frames) - 1.0)
     variance = variance_of(model, fraction * np.mean(left[:, window] ** 2, axis=0))
-    field = np.zeros((min(len(frames), ACCURACY.max_correlation_frames), *window.shape))
+    field = np.zeros((min(len(frames), 6), *window.shape))
     field[:, window] = left[: len(field), window] / np.sqrt(variance)
     return BarWindowNoise(
         variance=variance / len(frames),
@@ -114,7 +114,7 @@ def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
         return 0.0
     left = np.where(background, left - left[:, background].mean(axis=1)[:, None, None], 0.0)
     products = []
-    for lag in ACCURACY.row_lags_px:
+    for lag in (8, 12, 16):
         last = window.shape[1] - lag
         pairs = background[:, :last] & background[:, lag:]
         products.append(np.mean(left[:, :, :last] * left[:, :, lag:], axis=0)[pairs])
@@ -142,7 +142,7 @@ def correlation_of(fields: Array, window: Mask) -> Array:
     centre = ACCURACY.correlation_px
     if max(near[centre + 1, centre], near[centre, centre + 1]) < LIMITS.long_correlation:
         return near
-    return _correlation(fields, window, ACCURACY.long_correlation_px)
+    return _correlation(fields, window, 4)
 
 
 def _correlation(fields: Array, window: Mask, reach: int) -> Array:

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from charact.mtf.bars.fit import BarFit
 from charact.mtf.bars.thresholds import ACCURACY, LIMITS
-from charact.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR, contrast_of, curvatures, usable_black_level
+from charact.mtf.mean_frame import usable_black_level
+from charact.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR, contrast_of, curvatures
 from charact.posterior.least_squares import Linearisation, least_squares, linearise_residual
 from labdata.flags import Finding
 from labdata.frames import FrameStack
@@ -134,7 +135,8 @@ def _curvature(fit: BarFit) -> tuple[float, float, float]:
     apart = (wanted - basis @ (wanted @ basis))[: bent.size] * np.sqrt(weight)
     size = max(float(apart @ bent), 1e-300)
     noise = float(np.sqrt(max(float(fit.noise.spread(apart[None], fit.window)[0, 0]), 0.0))) / size
-    sd = float(np.hypot(noise, ACCURACY.curvature_floor))
+    # The blur of several stages mimics a curvature of 0.01.
+    sd = float(np.hypot(noise, 0.01))
     return float(apart @ fit.residual_dn) / size, sd, float(fit.ln_mtf_slope @ (fit.estimator @ bent))
 
 
@@ -156,7 +158,7 @@ def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | N
     noise = _noise(data.astype(np.float64), light)
     background, height = fit["pedestal_dn"] - black_dn, float(np.abs(fit.model_dn - fit["pedestal_dn"]).max())
     level, product = _products(noise, light, ACCURACY.neighbour_lag_px)
-    far = [_products(noise, light, lag) for lag in ACCURACY.distant_lags_px]
+    far = [_products(noise, light, lag) for lag in (8, 9, 10)]
     common = np.concatenate(
         [apart[np.abs(between - background) < LIMITS.max_flat_height * height] for between, apart in far]
     )
@@ -220,7 +222,8 @@ def _power(share: Array, product: Array, variance: Array, tied: float) -> Power 
     -----
     Minimises the sum of ((p - c L^b) / v)^2 over c and b; uncertainties follow from the residuals.
     """
-    ln_light = np.log(np.maximum(share, ACCURACY.min_light))
+    # Below a hundredth of the brightest the black level is too uncertain.
+    ln_light = np.log(np.maximum(share, 0.01))
     found, weight = product / variance, 1.0 / variance
     start = _start(found, weight, ln_light)
     if not np.isfinite(start).all():
@@ -232,7 +235,7 @@ def _power(share: Array, product: Array, variance: Array, tied: float) -> Power 
         return linearise_residual(found - expected, slopes, model=(slopes, found - expected))
 
     bounds = start[:, None] + ACCURACY.power_range * np.array([-1.0, 1.0])
-    at = least_squares(linearise, start, bounds, iterations=ACCURACY.power_iterations, tolerance=0.0,
+    at = least_squares(linearise, start, bounds, iterations=60, tolerance=0.0,
                        relative_tolerance=1e-12, max_step=0.5 / ACCURACY.power_range)  # fmt: skip
     (slopes, left), inverse = at.at.model, np.linalg.pinv(at.at.normal)
     covariance = inverse @ ((slopes * left**2) @ slopes.T) @ inverse * tied

@@ -33,7 +33,10 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
     """
     image = BarImageModel(problem, fit.target)
     centre = {**fit.values, **{name: 0.0 for name in PLACE if name in fit.names}}
-    low, high = _tabulated_range(fit, problem)
+    value, sd = np.array([fit[name] for name in TABULATED]), np.array([fit.sd(name) for name in TABULATED])
+    low, high = np.array([problem.bounds[name] for name in TABULATED]).T
+    low = np.maximum(low, value - ACCURACY.table_range_sd * sd)
+    high = np.minimum(high, value + ACCURACY.table_range_sd * sd)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     axis = np.cos(np.pi * (np.arange(ACCURACY.table_points) + 0.5) / ACCURACY.table_points)
     positions = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -59,13 +62,6 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
     return log_probability
 
 
-def _tabulated_range(fit: BarFit, problem: BarLikelihood) -> tuple[Array, Array]:
-    """Return the lowest and highest attenuation and exponent to tabulate."""
-    value, sd = np.array([fit[name] for name in TABULATED]), np.array([fit.sd(name) for name in TABULATED])
-    low, high = np.array([problem.bounds[name] for name in TABULATED]).T
-    return np.maximum(low, value - ACCURACY.table_range_sd * sd), np.minimum(high, value + ACCURACY.table_range_sd * sd)
-
-
 def _powers(places: Array) -> Array:
     """Return all products of powers of two coordinates up to the degree, shape (point, power)."""
     terms = [
@@ -85,9 +81,7 @@ def _marginal(fit: BarFit) -> tuple[Array, Array, Array]:
     answer = fit.estimator @ fit.slope.T
     sd = np.sqrt(np.diag(fit.covariance))
     known = fit.precision[linear] > 0
-    wide = np.where(
-        known, 1.0 / np.sqrt(np.where(known, fit.precision[linear], 1.0)), ACCURACY.flat_prior_sd * sd[linear]
-    )
+    wide = np.where(known, 1.0 / np.sqrt(np.where(known, fit.precision[linear], 1.0)), 100.0 * sd[linear])
     covariance = fit.noise_covariance + (answer[:, linear] * wide**2) @ answer[:, linear].T
     inverse = np.linalg.inv(covariance / np.outer(sd, sd)) / np.outer(sd, sd)
     drawn = np.where(known, fit.prior_mean[linear] - fit.value[linear], 0.0)
@@ -116,21 +110,14 @@ def sample_fit(fit: BarFit, problem: BarLikelihood, context: Context, bias: floa
         return laplace(lambda theta: np.zeros(len(theta)), **arguments)
     density = shape_log_density(fit, problem)
     posterior = sample(lambda theta: density(theta - shift), **arguments)
-    if not _differs_from_fit(posterior, fit, shift):
-        return posterior
-    return replace(posterior, flags=(*posterior.flags, "model-misfit"))
-
-
-def _differs_from_fit(posterior: Posterior, fit: BarFit, shift: Array) -> bool:
-    """Return whether the draws contradict the fit.
-
-    Both are efficient under the model and agree within part of their uncertainty; priors that the pixels contradict,
-    such as with an unmodelled halo, separate them.
-    """
-    start = np.array([fit[name] for name in SHAPE]) + shift
+    # Draws and fit are efficient under the model and agree within part of their uncertainty; priors that the pixels
+    # contradict, such as with an unmodelled halo, separate them.
+    start = fit.value[own] + shift
     fitted = np.log1p(start[2]) - np.exp(start[0])
     drawn = np.log1p(posterior["departure"]) - np.exp(posterior["log_attenuation"])
-    return bool(abs(drawn.mean() - fitted) > LIMITS.max_posterior_offset_sd * drawn.std())
+    if abs(drawn.mean() - fitted) <= LIMITS.max_posterior_offset_sd * drawn.std():
+        return posterior
+    return replace(posterior, flags=(*posterior.flags, "model-misfit"))
 
 
 def mtf_of(posterior: Posterior, fit: BarFit, context: Context) -> Array:
@@ -176,6 +163,6 @@ def sample_sums(found: Amplitudes, lost: tuple[float, float], context: Context) 
     }
     if context.quick:
         return importance_sample(
-            log_probability, **arguments, seed=context.seed, bounds=bounds, enough=ACCURACY.quick_ess, first_draws=1000
+            log_probability, **arguments, seed=context.seed, bounds=bounds, enough=500.0, first_draws=1000
         )
     return sample_posterior(log_probability, **arguments, seed=context.seed, bounds=bounds)

@@ -38,8 +38,11 @@ class BarTarget:
 
     def coordinates(self, shape: tuple[int, ...]) -> tuple[Array, Array]:
         """Return the distance of every pixel from the centre, across and along the bars, column pitches."""
-        x = np.arange(shape[1])[None, :] - self.col
-        y = (np.arange(shape[0])[:, None] - self.row) * self.pitch_ratio
+        return self.coordinates_of(np.arange(shape[0])[:, None], np.arange(shape[1])[None, :])
+
+    def coordinates_of(self, row: NDArray, col: NDArray) -> tuple[Array, Array]:
+        """Return the same of pixels at rows and columns."""
+        x, y = col - self.col, (row - self.row) * self.pitch_ratio
         cosine, sine = np.cos(self.angle_rad), np.sin(self.angle_rad)
         return x * cosine + y * sine, y * cosine - x * sine
 
@@ -71,8 +74,8 @@ def core_margin_px(frequency: float) -> float:
 
 def amplitude(image: Array, target: BarTarget, frequency: float, window: NDArray[np.bool_]) -> complex:
     """Return the Fourier sum of the window's pixels at a frequency across the bars."""
-    across, _ = target.coordinates(image.shape)
-    return complex(np.sum(image[window] * np.exp(-2j * np.pi * frequency * across[window])))
+    across, _ = target.coordinates_of(*np.nonzero(window))
+    return complex(np.sum(image[window] * np.exp(-2j * np.pi * frequency * across)))
 
 
 def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> BarTarget | None:
@@ -114,7 +117,7 @@ def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach
     wave[box] -= wave[box].mean()
     parts = (np.asarray(irfft2(spectrum * rfft2(part, s=size), s=size)) for part in (np.real(wave), np.imag(wave)))
     real, imaginary = (part[reach : reach + shape[0], reach : reach + shape[1]] for part in parts)
-    return np.hypot(real, imaginary)
+    return np.sqrt(real**2 + imaginary**2)
 
 
 def refine_target(image: Array, target: BarTarget) -> BarTarget:
@@ -203,10 +206,10 @@ def measure_frequency(image: Array, target: BarTarget, margin_px: float) -> floa
 
 def margin_px(context: Context, frequency: float) -> float:
     """Return the margin around the bars: it includes the halo of a described camera."""
-    own = max(ACCURACY.window_margin_px, 1.5 / frequency)
+    own = max(12.0, 1.5 / frequency)
     if context.sensor is None:
         return own
-    return max(own, 0.5 * halo_diameters_px(context, transposed=False)[1] + ACCURACY.halo_margin_px)
+    return max(own, 0.5 * halo_diameters_px(context, transposed=False)[1] + 12.0)
 
 
 def fitting_margin(target: BarTarget, shape: tuple[int, ...], wanted: float) -> tuple[float, bool]:

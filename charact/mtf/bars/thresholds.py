@@ -84,74 +84,38 @@ class BarLimits:
 class BarAccuracy:
     """Sampling, iteration limits, tolerances and resolution of bar targets."""
 
-    spectral_peaks: int = 8  # Spectral peaks tried: bars, harmonics, and the patch along and across them
     # Standard deviation of the demodulation filter, periods; it leaves 1e-3 of the patch's own light.
     smoothing_periods: float = 0.6
     count_range: int = 2  # The extent of a patch gives the number of bars within this
-    fit_margin_px: float = 20.0  # Margin of the fitted window, px
-    fit_margin_periods: float = 1.5  # The same, periods
-    min_covariance_frames: int = 4  # Frames whose scatter gives the noise
     min_lag_frames: int = 7  # Frames from which image lag is estimated
-    slab_px: float = 4.0  # Length of the slabs along the bars, px
-    other_smoothing_px: float = 2.0  # Smoothing of that background, px
     other_margin_px: int = 8  # Margin excluded around other light, px
     shape_step: float = 0.1  # Finite difference of the shape parameters
-    position_step_periods: float = 0.06  # Finite difference of the position, periods
-    max_position_step_px: float = 0.25  # The same, at most, px
-    # Relative uncertainty below which the bias, of the order of its square, is under a thousandth.
-    negligible_bias_sd: float = 0.015
-    fit_iterations: int = 24  # Steps tried by a fit
-    fit_tolerance: float = 3e-3  # Gain in chi squared at which a fit has converged
     rough_tolerance: float = 0.1  # The same for a rough fit
     min_model_weight: float = 0.01  # A model of less weight changes no interval
     matched_range: tuple[float, float] = (0.02, 3.0)  # Frequencies over the bar frequency at which models are matched
-    matched_points: int = 40  # Number of them
     # Variance over the squared bar height that corresponds to the error of the image's table.
     min_variance: float = 1e-8
     table_range_sd: float = 4.0  # Tabulated range of attenuation and exponent, standard deviations
     table_points: int = 7  # Points of the table along either
     table_degree: int = 4  # Degree of the interpolating polynomial
-    flat_prior_sd: float = 100.0  # Width of a flat prior, standard deviations of the estimate
     image_table_sd: float = 3e-4  # Relative error of the MTF by interpolation in the image's table
-    quick_ess: float = 500.0  # Effective sample size of a quick answer
     extremum_periods: float = 0.06  # Pixels this close to the centre of a bar or gap are averaged, periods
     inner_length: float = 0.3  # Fraction of the bars' length that is used
-    matching_steps: int = 12  # Steps of matching one blur model to another
-    max_frequency_across: float = 1.5  # Highest frequency of the image's spectrum across the bars, cy/px
-    max_frequency_along: float = 1.0  # The same along the bars, cy/px
     row_step_px: float = 0.18  # Distance of the table's rows at the bars' ends, px
     row_step_growth: float = 0.08  # Growth of that distance per px from the ends
-    points_per_period: int = 100  # Points of the table per period; linear interpolation errs by a few ten-thousandths
-    start_transfer: float = 0.4  # Transfer at the bar frequency from which a fit starts
-    motion_margin_periods: float = 0.5  # Pixels used for motion beyond the outer bars, periods
-    figure_exponent: float = 1.2  # Exponent of the tube in the figure
     correlation_px: int = 2  # Range of the noise correlation, px
-    long_correlation_px: int = 4  # Its range where neighbours are strongly correlated, px
-    row_lags_px: tuple[int, ...] = (8, 12, 16)  # Lags along a row at which only row noise is common, px
     min_background_pixels: int = 300  # Background pixels that row noise needs
-    max_correlation_frames: int = 6  # Frames from which the correlation is taken
     # Shifts at which another number of bars is tried, periods.
     count_shifts_periods: tuple[float, ...] = (-0.5, 0.0, 0.5)
-    sharpening_widths_px: tuple[float, ...] = (2.0, 4.0, 8.0)  # Standard deviations of the blurred copies, px
     profile_bin_px: float = 0.5  # Bins of a strip's profile, px
-    end_divisor: int = 8  # An end is this part of the region
     # Trial blurs, standard deviations in periods: MTF of 0.88 to 0.02.
     trial_blurs: tuple[float, ...] = (0.08, 0.16, 0.24, 0.34, 0.44)
-    profile_points_per_period: float = 12.0  # Points of the profile per period
-    profile_margin_periods: float = 1.2  # Background in the profile, periods
-    profile_inner_length: float = 0.4  # Fraction of the patch's length that is used
     neighbour_lag_px: int = 1  # Lag of neighbours along a row, px
-    distant_lags_px: tuple[int, ...] = (8, 9, 10)  # Lags at which only row noise is common, px
-    min_light: float = 0.01  # Light over the brightest below which the black level is too uncertain
-    curvature_floor: float = 0.01  # Curvature that the blur of several stages mimics
     # Prior probability of a nonlinear response; one in four, as for edges, gave 73 % coverage of 68 % intervals of
     # strips.
     nonlinear_prior: float = 0.1
     power_starts: tuple[float, ...] = (0.0, 1.0, 2.0)  # Starting exponents
-    power_iterations: int = 60  # Iterations of the exponent
     power_range: float = 20.0  # Range of exponent and ln scale about the start
-    halo_margin_px: float = 12.0  # Margin beyond a halo, px
-    window_margin_px: float = 12.0  # Smallest margin, px
     description_draws: int = 200  # Draws over the ranges of a sensor description
 
 

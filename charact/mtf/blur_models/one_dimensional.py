@@ -5,14 +5,14 @@ parameter.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.blur_models import transfer as forms
-from charact.mtf.blur_models.pupil_table import AREA, SQUARED_WAVES, pupil_from_table
+from charact.mtf.blur_models.pupil_table import AREA, SQUARED_WAVES, pupil_table, pupils_from_table
 from charact.mtf.blur_models.transfer import MOFFAT_EXPONENT, moffat
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ class HaloComponent(ExtendedComponent):
         return {**super().parameters, "halo_elastic_share": ("1", (0.0, 1.0))}
 
     def transfer(self, frequency: Array, shape: Array) -> Array:
-        """Return the halo's own transfer for parameters after the share, shape (n, 2)."""
+        """As of `ExtendedComponent`, shape (n, 2)."""
         return forms.halo(frequency, shape[:, 0], shape[:, 1])
 
 
@@ -109,7 +109,7 @@ class DiscComponent(ExtendedComponent):
     name, size_name = "disc", "diameter_px"
 
     def transfer(self, frequency: Array, shape: Array) -> Array:
-        """Return the disc's own transfer for parameters after the share, shape (n, 1)."""
+        """As of `ExtendedComponent`, shape (n, 1)."""
         return forms.disc(frequency, shape[:, 0])
 
 
@@ -119,7 +119,7 @@ class ScatterComponent(ExtendedComponent):
     name, size_name = "glare", "length_px"
 
     def transfer(self, frequency: Array, shape: Array) -> Array:
-        """Return the scattered light's own transfer for parameters after the share, shape (n, 1)."""
+        """As of `ExtendedComponent`, shape (n, 1)."""
         return forms.glare(frequency, shape[:, 0])
 
 
@@ -134,7 +134,7 @@ class UnresolvedGlareComponent(ExtendedComponent):
     name, share_name, size_name = "veil", "fraction_if_widest", "sigma_px"
 
     def transfer(self, frequency: Array, shape: Array) -> Array:
-        """Return the veil's own transfer for parameters after the share, shape (n, 1)."""
+        """As of `ExtendedComponent`, shape (n, 1)."""
         return np.exp(-2.0 * (np.pi * frequency * shape[:, :1]) ** 2)
 
     def share_unit(self, shape: Array) -> Array:
@@ -172,10 +172,10 @@ class BlurModel:
         shape = SHAPES[self.core]
         return {**half, **shape, **(self.wide.parameters if self.wide else {})}
 
-    @property
+    @cached_property
     def bounds(self) -> Array:
         """Bounds of the parameters, shape (parameter, 2)."""
-        return _bounds(self)
+        return np.array([bound for _, bound in self.parameters.values()])
 
     @property
     def core_parameters(self) -> int:
@@ -197,46 +197,32 @@ class BlurModel:
         return core * (1.0 - share + share * self.wide.transfer(frequency, tail[:, 1:]))
 
     def _core_at(self, theta: Array, frequency: Array) -> Array:
-        half, none = np.exp(theta[:, 0]), np.zeros(len(theta))
+        half = np.exp(theta[:, 0])
         if self.core == "airy":
             v = np.minimum(AIRY_HALF * frequency / half[:, None], 1.0)
             return (np.arccos(v) - v * np.sqrt(1.0 - v**2)) * 2.0 / np.pi
         if self.core == "pupil":
-            return pupil_from_table(
-                np.ascontiguousarray(frequency, float), half, theta[:, 1].copy(), theta[:, 2].copy()
-            )
+            at, area, squared = np.ascontiguousarray(frequency, float), theta[:, 1].copy(), theta[:, 2].copy()
+            return pupils_from_table(at, half, area, squared, pupil_table())
         if self.core == "moffat":
             ln = moffat(frequency, half, theta[:, 1])
         else:
-            ln = forms.exponential(frequency, half, none + 2.0 if self.core == "gaussian" else theta[:, 1])
+            ln = forms.exponential(frequency, half, np.full_like(half, 2.0) if self.core == "gaussian" else theta[:, 1])
         return np.exp(np.maximum(ln, MIN_LN))
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds: flat but for half frequency and exponent."""
-        bounds, (mean, precision) = self.bounds, self.prior_precision()
+        bounds, (mean, precision) = self.bounds, self.prior_precision
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         normal = precision > 0
         flat = 0.5 * np.sum(np.log(precision[normal] / (2.0 * np.pi))) - np.sum(np.log(np.ptp(bounds[~normal], axis=1)))
         return np.where(inside, flat - 0.5 * np.sum(precision * (theta - mean) ** 2, axis=1), -np.inf)
 
+    @cached_property
     def prior_precision(self) -> tuple[Array, Array]:
-        """Return mean and precision of the Gaussian part of the prior of each parameter; 0: flat."""
-        return _prior_precision(self)
-
-
-@lru_cache(maxsize=256)
-def _bounds(family: BlurModel) -> Array:
-    bounds = np.array([bound for _, bound in family.parameters.values()])
-    bounds.flags.writeable = False
-    return bounds
-
-
-@lru_cache(maxsize=256)
-def _prior_precision(family: BlurModel) -> tuple[Array, Array]:
-    mean, precision = np.zeros((2, len(family.bounds)))
-    median, sd = HALF_FREQUENCY_PRIOR
-    mean[0], precision[0] = np.log(median), sd**-2
-    if family.core == "exponential":
-        mean[1], precision[1] = EXPONENT_PRIOR[0], EXPONENT_PRIOR[1] ** -2
-    mean.flags.writeable = precision.flags.writeable = False
-    return mean, precision
+        """Mean and precision of the Gaussian part of the prior of each parameter; 0: flat."""
+        mean, precision = np.zeros((2, len(self.bounds)))
+        mean[0], precision[0] = np.log(HALF_FREQUENCY_PRIOR[0]), HALF_FREQUENCY_PRIOR[1] ** -2
+        if self.core == "exponential":
+            mean[1], precision[1] = EXPONENT_PRIOR[0], EXPONENT_PRIOR[1] ** -2
+        return mean, precision

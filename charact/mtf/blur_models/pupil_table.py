@@ -24,19 +24,12 @@ def pupil(frequency: Array, cut_off: ArrayLike, obscuration: ArrayLike = 0.0, de
 
     Parameters
     ----------
-    frequency
-        Shape (f,), cycles per pixel.
-    cut_off
-        Frequency from which on nothing passes, 1 / (wavelength x f-number), shape (n,) or one number, cycles per pixel.
+    frequency, cut_off
+        Cycles per pixel; nothing passes from the cut-off 1 / (wavelength x f-number) on.
     obscuration
         Diameter of the obscuration over that of the pupil, 0: none.
     defocus
-        Optical path by which the pupil's border is off, W020, waves; its sign does not matter.
-
-    Returns
-    -------
-    array
-        1 at frequency 0; negative where defocus turns bright and dark around.
+        Optical path by which the pupil's border is off, W020, waves; negative transfers exchange bright and dark.
 
     Notes
     -----
@@ -126,23 +119,12 @@ def pupil_table() -> PupilTable:
     return areas, squares, table.reshape(AREAS, SQUARES, FREQUENCIES), half.reshape(AREAS, SQUARES)
 
 
-def pupil_from_table(frequency: Array, half_frequency: Array, area: Array, squared: Array) -> Array:
-    """Return the transfer of pupils, shape (f,), (n,), (n,), (n,) -> (n, f).
-
-    Parameters
-    ----------
-    frequency, half_frequency
-        Cycles per pixel.
-    area
-        Share of the pupil's area that is obscured: the obscuration squared.
-    squared
-        Defocus squared, waves^2.
-    """
-    return _pupils_from_table(frequency, half_frequency, area, squared, pupil_table())
-
-
 @njit(cache=True)
-def _pupils_from_table(frequency: Array, half: Array, area: Array, squared: Array, table: PupilTable) -> Array:
+def pupils_from_table(frequency: Array, half: Array, area: Array, squared: Array, table: PupilTable) -> Array:
+    """Return the transfer of pupils of a half frequency, shape (f,), (n,), (n,), (n,) -> (n, f), cycles per pixel.
+
+    `area`: share of the pupil's area that is obscured, the obscuration squared; `squared`: defocus squared, waves^2.
+    """
     out = np.empty((half.size, frequency.size))
     for i in range(half.size):
         curves, halves = pupil_curves(area[i], squared[i], table)

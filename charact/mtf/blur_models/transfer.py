@@ -10,8 +10,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from charact.mtf.blur_models import transfer
-
 Array = NDArray[np.float64]
 
 
@@ -66,25 +64,19 @@ def halo(frequency: Array, diameter_px: ArrayLike, elastic_share: ArrayLike) -> 
     """
     x = np.pi * np.asarray(diameter_px, float)[..., None] * frequency
     share = np.broadcast_to(np.asarray(elastic_share, float), x.shape[:-1])
-    flat = transfer.halo_from_table(x.reshape(-1, x.shape[-1]), np.ascontiguousarray(share.ravel()))
+    flat = _halos_from_table(x.reshape(-1, x.shape[-1]), np.ascontiguousarray(share.ravel()), sine_table())
     return flat.reshape(x.shape)
 
 
 def disc(frequency: Array, diameter_px: ArrayLike) -> Array:
     """Return the transfer 2 J1(x)/x, x = pi D f, of light spread evenly over a disc."""
-    return transfer.disc_from_table(np.pi * np.asarray(diameter_px, float)[..., None] * frequency)
+    x = np.pi * np.asarray(diameter_px, float)[..., None] * frequency
+    return _discs_from_table(np.ravel(x), disc_table()).reshape(x.shape)
 
 
 def glare(frequency: Array, length_px: ArrayLike) -> Array:
     """Return the transfer 1/(1 + (2 pi f l)^2) of light scattered with the line spread exp(-|d|/l) / (2 l)."""
     return 1.0 / (1.0 + (2.0 * np.pi * np.asarray(length_px, float)[..., None] * frequency) ** 2)
-
-
-def halo_edge(distance: Array, diameter_px: float, elastic_share: float) -> Array:
-    """Return the edge spread of the halo alone: a ramp, and for uniform energies 1/2 + x (1 - ln|x|)/2, x = d/R."""
-    x = np.clip(2.0 * np.asarray(distance, float) / diameter_px, -1.0, 1.0)
-    magnitude = np.maximum(np.abs(x), 1e-12)
-    return 0.5 + 0.5 * x * (elastic_share + (1.0 - elastic_share) * (1.0 - np.log(magnitude)))
 
 
 MoffatTable = tuple[Array, Array, Array]
@@ -175,21 +167,6 @@ def disc_table() -> Array:
     return np.stack([2.0 * j1(x) / x, -2.0 * jn(2, x) / x], axis=1)
 
 
-def sine_integral(x: Array) -> Array:
-    """Return Si(x) for x >= 0, beyond 400 by pi/2 - cos(x)/x (error below 1e-5)."""
-    return _sines_from_table(np.ravel(x).astype(float), sine_table()).reshape(np.shape(x))
-
-
-def disc_from_table(x: Array) -> Array:
-    """Return 2 J1(x)/x for x >= 0 (error below 1e-8)."""
-    return _discs_from_table(np.ravel(x).astype(float), disc_table()).reshape(np.shape(x))
-
-
-def halo_from_table(x: Array, elastic_share: Array) -> Array:
-    """Return share sin(x)/x + (1 - share) Si(x)/x for x > 0, shape (n, f) and (n,) -> (n, f)."""
-    return _halos_from_table(x, elastic_share, sine_table())
-
-
 @njit(cache=True)
 def _halos_from_table(x: Array, share: Array, table: Array) -> Array:
     out = np.empty(x.shape)
@@ -197,14 +174,6 @@ def _halos_from_table(x: Array, share: Array, table: Array) -> Array:
         for j in range(x.shape[1]):
             here = x[i, j]
             out[i, j] = (share[i] * np.sin(here) + (1.0 - share[i]) * sine_integral_at(here, table)) / here
-    return out
-
-
-@njit(cache=True)
-def _sines_from_table(x: Array, table: Array) -> Array:
-    out = np.empty(x.size)
-    for i in range(x.size):
-        out[i] = sine_integral_at(x[i], table)
     return out
 
 

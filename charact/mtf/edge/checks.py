@@ -1,26 +1,20 @@
 """Checks of edges: flags, the size of their effect on MTF50, and their remedies."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.edge.nonlinearity import CurvatureEstimate, contrast, growth_of, max_bias_of
-from charact.mtf.edge.pixels.line import (
-    field_displacement_of_pixels,
-    field_displacement_of_rows,
-    is_significant,
-    steepness,
-)
+from charact.mtf.edge.nonlinearity import NO_CURVATURE_ESTIMATE, CurvatureEstimate, max_bias_of
+from charact.mtf.edge.pixels.line import field_displacement, is_significant
+from charact.mtf.edge.pixels.plateau_noise import noise_flags
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.mtf.edge.pixels.profile import EdgeProfile
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.nonlinearity import noise_flags
 from charact.mtf.quantisation_checks import clipping_flags
-from charact.mtf.target_motion import TargetMotion
 from charact.robust import median
 from labdata.flags import FLAGS, Finding
 
@@ -47,52 +41,50 @@ class FittedProfile:
     free: int
 
 
-def edge_flags(
-    edge: PreparedEdge, half: float, context: Context, motion_matters: Callable[[TargetMotion], bool]
-) -> Iterator[str]:
+def edge_flags(edge: PreparedEdge, half: float, context: Context, least_loss: float) -> Iterator[str]:
     """Yield the flags that every method gives an edge.
 
     Parameters
     ----------
     half
         MTF50, cy/px; NaN: unknown.
-    motion_matters
-        Whether motion or roughness is large enough to be flagged.
+    least_loss
+        Relative loss of MTF50 by motion or roughness from which on it is flagged; infinite: none is.
     """
+    picture, profile = edge.picture, edge.profile
     yield from clipping_flags(edge.used.data, context.full_scale_dn or edge.used.full_scale_dn)
-    if abs(edge.rows.line.slope) * edge.picture.value.shape[0] < THRESHOLDS.min_travel_px:
+    if abs(edge.rows.line.slope) * picture.value.shape[0] < THRESHOLDS.min_travel_px:
         yield "tilt-too-small"
     if _has_bow(edge.rows.offset):
         yield "curved-edge"
-    if is_significant(_field_displacement(edge)):
+    if is_significant(displacement_of_fields(edge)):
         yield "interlace-motion"
-    if edge.profile.defects:
+    if profile.defects:
         yield "defects"
-    yield from noise_flags(growth_of(edge))
+    yield from noise_flags(edge.noise_growth)
     yield from edge.flags
-    gain, overshoot = noise_gain_of(edge.picture, edge.profile), overshoot_of(edge.profile, half) if half > 0 else 0.0
+    gain, overshoot = noise_gain_of(picture, profile), overshoot_of(profile, half) if half > 0 else 0.0
     if gain > 1.0 or overshoot > 0.0:
         yield "processed"
-    yield from edge.blur_flags(motion_matters)
+    moves, rough = (
+        one.moves and np.isfinite(least_loss) and not one.mtf_loss(half) < least_loss
+        for one in (edge.target_motion, edge.roughness)
+    )
+    if moves:
+        yield "drift"
+    if rough:
+        yield "curved-edge"
+    # An edge that moves far leaves more on its slopes than rows that move in one piece.
+    if edge.temporal_noise[1].is_smoothed and not moves:
+        yield "processed"
 
 
-def course_notes(edge: PreparedEdge) -> tuple[str, ...]:
-    """Return the note on edge roughness."""
-    rough = edge.roughness
-    return (f"Edge roughness {rough.rms_px:.2g} px rms along the edge, beyond the noise.",) if rough.moves else ()
-
-
-def _field_displacement(edge: PreparedEdge) -> tuple[float, float]:
+def displacement_of_fields(edge: PreparedEdge) -> tuple[float, float]:
     """Return the displacement of the two fields, px, with its standard uncertainty."""
-    picture, profile = edge.picture, edge.profile
-    if not picture.transposed:
-        return field_displacement_of_rows(picture, edge.rows)
-    used = profile.gathered.used & (np.abs(profile.gathered.distance) < ACCURACY.field_distance_px)
-    distance = profile.gathered.distance[used]
-    residual = picture.value[used] - np.interp(distance, profile.distance, profile.value)
-    noise = float(np.sqrt(max(profile.grain.dark_variance, profile.grain.bright_variance)))
-    slopes = steepness(profile.distance, profile.value, distance)
-    return field_displacement_of_pixels(picture.row_index[used] % 2, residual, slopes, noise)
+    profile, gathered = edge.profile, edge.profile.gathered
+    near = gathered.used & (np.abs(gathered.distance) < ACCURACY.field_distance_px)
+    means = profile.distance, profile.value
+    return field_displacement(edge.picture, edge.rows, near, gathered.distance, means, profile.grain.max_sd)
 
 
 def _has_bow(offset: Array) -> bool:
@@ -126,12 +118,12 @@ def fit_flags(
     picture: OrientedFrame, profile: EdgeProfile, fitted: FittedProfile, half_frequency: float
 ) -> Iterator[str]:
     """Yield the flags of a fitted profile."""
-    step, slopes = abs(fitted.amplitude[0]), profile.light.by_side(fitted.amplitude)[-2:]
+    step, slopes = abs(fitted.amplitude[0]), fitted.amplitude[-2:] @ profile.gradient_ways
     if fitted.chi2 / fitted.free > THRESHOLDS.max_reduced_chi2 + THRESHOLDS.misfit_sd * np.sqrt(2.0 / fitted.free):
         yield "model-misfit"
     if np.abs(slopes).max() * 2.0 * profile.gathered.half_width_px > THRESHOLDS.max_gradient * step:
         yield "gradient"
-    if step < THRESHOLDS.min_step_sd * noise_of(profile):
+    if step < THRESHOLDS.min_step_sd * profile.grain.mean_sd:
         yield "low-signal"
     if noise_below_quantisation(picture, profile):
         yield "quantised"
@@ -150,12 +142,7 @@ def fit_flags(
 
 def noise_below_quantisation(picture: OrientedFrame, profile: EdgeProfile) -> bool:
     """Return whether the noise of one frame is too small to dither the quantisation."""
-    return picture.whole_codes and noise_of(profile) * np.sqrt(picture.frames) < THRESHOLDS.quantisation_noise_dn
-
-
-def noise_of(profile: EdgeProfile) -> float:
-    """Return the noise of a pixel, the mean of both sides, DN."""
-    return float(np.sqrt(0.5 * (profile.grain.dark_variance + profile.grain.bright_variance)))
+    return picture.whole_codes and profile.grain.mean_sd * np.sqrt(picture.frames) < THRESHOLDS.quantisation_noise_dn
 
 
 # Lags over which sharpening makes neighbours anticorrelated, px: half of them, as opposite ones are equal.
@@ -229,38 +216,34 @@ def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
     return 1.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Facts:
-    """Quantities from which the effects of flags are computed.
+def findings_of(
+    flags: tuple[str, ...],
+    edge: PreparedEdge,
+    half: float,
+    response: CurvatureEstimate = NO_CURVATURE_ESTIMATE,
+    misfit: float = 0.0,
+) -> list[Finding]:
+    """Return the effect and the remedy of each flag that has one.
 
     Parameters
     ----------
-    edge
-        The edge.
     half
         MTF50, cy/px; NaN: not known.
     response
-        Curvature of the camera response with its standard uncertainty; None: not estimated.
+        Curvature of the camera response with its standard uncertainty.
     misfit
-        Largest residual of the profile, fraction of the step; 0: no model.
+        Largest residual of the profile, fraction of the step.
     """
-
-    edge: PreparedEdge
-    half: float
-    response: CurvatureEstimate | None = None
-    misfit: float = 0.0
-
-
-def findings_of(flags: tuple[str, ...], facts: Facts) -> list[Finding]:
-    """Return the effect and the remedy of each flag that has one."""
     return [
-        Finding(flag=flag, effect=_effect(flag, facts), remedy=REMEDIES[flag]) for flag in flags if flag in REMEDIES
+        Finding(flag=flag, effect=_effect(flag, edge, half, response, misfit), remedy=REMEDIES[flag])
+        for flag in flags
+        if flag in REMEDIES
     ]
 
 
-def _effect(flag: str, facts: Facts) -> str:
+def _effect(flag: str, edge: PreparedEdge, half: float, response: CurvatureEstimate, misfit: float) -> str:
     """Return what a flag means for this edge."""
-    edge, profile, half = facts.edge, facts.edge.profile, facts.half
+    profile = edge.profile
     step = max(abs(profile.step), 1e-300)
     match flag:
         case "clipped":
@@ -271,10 +254,10 @@ def _effect(flag: str, facts: Facts) -> str:
                 "plateaus are lost, and MTF50 may be high by tens of percent"
             )
         case "gamma":
-            most = 100.0 * max_bias_of(facts.response, contrast(profile))
+            most = 100.0 * max_bias_of(response, profile.contrast)
             return f"a nonlinear camera response may bias MTF50 by up to {most:.1f} %"
         case "model-misfit":
-            return f"the blur model deviates from the profile by up to {100.0 * facts.misfit:.1f} % of the step"
+            return f"the blur model deviates from the profile by up to {100.0 * misfit:.1f} % of the step"
         case "defects":
             used = int(np.count_nonzero(profile.gathered.used))
             return (
@@ -286,7 +269,7 @@ def _effect(flag: str, facts: Facts) -> str:
             changes = max(float(np.ptp(one[np.abs(one - np.median(one)) < 0.3 * step])) for one in sides if one.size)
             return f"the illumination changes by {100.0 * changes / step:.0f} % of the step over a side, as with glare"
         case "low-signal":
-            ratio = step / max(noise_of(profile), 1e-300)
+            ratio = step / max(profile.grain.mean_sd, 1e-300)
             return f"the step is {ratio:.1f} times the noise of a pixel: the limits of the interval are uncertain"
         case "quantised":
             return f"either plateau may be off by 0.5 DN, {50.0 / step:.2g} % of the step, and MTF50 by about as much"
@@ -309,8 +292,8 @@ def _effect(flag: str, facts: Facts) -> str:
                     " % larger; MTF50 is that of the processed image and may exceed the camera's by as many percent"
                 )
             return (
-                f"noise on the edge is {edge.slope_noise.ratio:.1f} times that of its plateaus: noise reduction sparing"
-                " edges may have sharpened or blurred this one"
+                f"noise on the edge is {edge.temporal_noise[1].ratio:.1f} times that of its plateaus: noise reduction "
+                "sparing edges may have sharpened or blurred this one"
             )
         case "tilt-too-small":
             travel = abs(edge.rows.line.slope) * edge.picture.value.shape[0]

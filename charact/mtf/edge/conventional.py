@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.curve import FINE, LEVELS, PINNED, REPORTED, crossing_frequency
-from charact.mtf.edge.checks import Facts, course_notes, edge_flags, findings_of, noise_below_quantisation
-from charact.mtf.edge.pixels.line import EdgeLine, orientation_deg
+from charact.mtf.edge.checks import edge_flags, noise_below_quantisation
+from charact.mtf.edge.pixels.line import EdgeLine
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge
-from charact.mtf.edge.result import edge_angle, figure_data, refuse_edge
+from charact.mtf.edge.result import edge_result, refuse_edge, shared_fields
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.mean_frame import OrientedFrame, Region
 from labdata.frames import FrameStack
@@ -24,7 +24,6 @@ from labdata.measurement import Curve, Measurement, Provenance, Result, make_ref
 
 Array = NDArray[np.float64]
 
-QUANTITIES = ("mtf50", "mtf10", "mtf", "edge_angle")
 # Half width of the window, px: a wider one brings only noise.
 WIDEST_PX = 64.0
 
@@ -46,11 +45,6 @@ class MtfEstimate:
     frequency: Array
     values: Array
     notes: tuple[str, ...] = ()
-
-    def at(self, frequency: Array) -> tuple[Array, Array]:
-        """Return the MTF at frequencies and its jackknife standard uncertainty."""
-        each = np.array([np.interp(frequency, self.frequency, one) for one in self.values])
-        return each[0], jackknife_sd(each[1:])
 
 
 def measure_conventionally(
@@ -76,63 +70,46 @@ def measure_conventionally(
         As every method gets them.
     """
     edge = prepare_edge(stack, region, context)
-    provenance = Provenance(version=charact.__version__, settings=settings)
-    refused = edge if isinstance(edge, EdgeRefusal) else _refusal(edge)
-    if refused or isinstance(edge, EdgeRefusal):
-        assert refused is not None
-        return refuse_edge(method, refused, provenance)
+    if isinstance(edge, EdgeRefusal):
+        return refuse_edge(method, edge, None, settings)
+    (rows, cols), profile = edge.picture.value.shape, edge.profile
+    noise, step = profile.grain.max_sd, profile.step
+    least_rows, least_cols, least_step = (
+        THRESHOLDS.conventional_rows, THRESHOLDS.conventional_cols, THRESHOLDS.conventional_step_sd
+    )  # fmt: skip
+    reason, flag = "", "low-signal"
+    if rows < least_rows or cols < least_cols:
+        reason = f"a conventional edge method needs {least_rows} rows across {least_cols} px, got {rows} across {cols}"
+    elif step < 3.0 * noise / np.sqrt(len(profile.distance)) or edge.rows.line.strength < 60.0:
+        reason, flag = "no target: no edge stands clear of the noise", "no-target"
+    elif step < least_step * noise:
+        least = f"{least_step:g} times the pixel noise"
+        reason = f"a conventional edge method needs a step of {least}, got {step / noise:.1f}"
+    if reason:
+        return refuse_edge(method, EdgeRefusal(reason=reason, where=edge.where, flag=flag), None, settings)
     found = estimate(edge.picture, edge.rows.line)
     half = float(crossing_frequency(found.frequency, found.values[:1], 0.5)[0])
-    common = {
-        "method": method,
-        "region": edge.where,
-        "provenance": provenance,
-        "orientation_deg": orientation_deg(edge.picture, edge.profile.angle_rad),
-        "flags": tuple(_flags(edge, half, context)),
-        "notes": (*edge.notes, *course_notes(edge), *found.notes, "Normalised to the light inside the region."),
-    }
-    numbers = [_crossing(found, quantity, level, bias_sd, common) for quantity, level in LEVELS.items()]
-    pinned = zip(PINNED, *found.at(np.array(PINNED)), strict=True)
-    numbers += [measurement_from_sd("mtf", "1", *own, frequency_cy_per_px=f, **common) for f, *own in pinned]
-    numbers.append(edge_angle(edge, 1.0, common))
-    value, sd = found.at(REPORTED)
-    intervals = [np.stack([value - k * sd, value + k * sd]) for k in (0.994458, 1.959964)]
-    facts = Facts(edge=edge, half=half)
-    return Result(
-        measurements=tuple(one.with_(findings=findings_of(one.flags, facts)) for one in numbers),
-        curves={
-            "mtf": Curve(frequency_cy_per_px=REPORTED, value=value, interval68=intervals[0], interval95=intervals[1])
-        },
-        evidence={"edge-spread": figure_data(edge)},
-    )
-
-
-def _noise(edge: PreparedEdge) -> float:
-    grain = edge.profile.grain
-    return float(np.sqrt(max(grain.dark_variance, grain.bright_variance)))
-
-
-def _refusal(edge: PreparedEdge) -> EdgeRefusal | None:
-    """Return why no conventional estimate can be made of an edge, if so."""
-    rows, cols = edge.picture.value.shape
-    noise, step, where = _noise(edge), edge.profile.step, edge.where
-    if rows < THRESHOLDS.conventional_rows or cols < THRESHOLDS.conventional_cols:
-        least = f"{THRESHOLDS.conventional_rows} rows across {THRESHOLDS.conventional_cols} px"
-        reason = f"a conventional edge method needs {least}, got {rows} across {cols}"
-        return EdgeRefusal(reason=reason, where=where, flag="low-signal")
-    if step < 3.0 * noise / np.sqrt(len(edge.profile.distance)) or edge.rows.line.strength < 60.0:
-        return EdgeRefusal(reason="no target: no edge stands clear of the noise", where=where)
-    if step < THRESHOLDS.conventional_step_sd * noise:
-        least = f"{THRESHOLDS.conventional_step_sd:g} times the pixel noise"
-        reason = f"a conventional edge method needs a step of {least}, got {step / noise:.1f}"
-        return EdgeRefusal(reason=reason, where=where, flag="low-signal")
-    return None
+    notes = (*found.notes, "Normalised to the light inside the region.")
+    provenance = Provenance(version=charact.__version__, settings=settings)
+    shared = shared_fields(method, edge, _flags(edge, half, context), notes, provenance)
+    numbers = [_crossing(found, quantity, level, bias_sd, shared) for quantity, level in LEVELS.items()]
+    at = np.concatenate([PINNED, REPORTED])
+    every = np.array([np.interp(at, found.frequency, one) for one in found.values])
+    value, sd = every[0], jackknife_sd(every[1:])
+    numbers += [
+        measurement_from_sd("mtf", "1", float(value[k]), float(sd[k]), frequency_cy_per_px=f, **shared)
+        for k, f in enumerate(PINNED)
+    ]
+    value, sd = value[len(PINNED) :], sd[len(PINNED) :]
+    low, wide = (np.stack([value - k * sd, value + k * sd]) for k in (0.994458, 1.959964))
+    curve = Curve(frequency_cy_per_px=REPORTED, value=value, interval68=low, interval95=wide)
+    return edge_result(edge, numbers, curve, shared, half)
 
 
 def _flags(edge: PreparedEdge, half: float, context: Context) -> Iterator[str]:
     profile, step = edge.profile, edge.profile.step
-    yield from edge_flags(edge, half, context, lambda moved: not moved.mtf_loss(half) < THRESHOLDS.conventional_motion)
-    if step < THRESHOLDS.conventional_min_snr * _noise(edge):
+    yield from edge_flags(edge, half, context, THRESHOLDS.conventional_motion)
+    if step < THRESHOLDS.conventional_min_snr * profile.grain.max_sd:
         yield "low-signal"
     if step < THRESHOLDS.coarse_step_dn and noise_below_quantisation(edge.picture, profile):
         yield "quantised"
@@ -212,16 +189,7 @@ def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
     return means
 
 
-@register(
-    "edge",
-    "edge-slanted",
-    quantities=QUANTITIES,
-    scope=(
-        "Straight edges tilted 3 to 15 degrees, 60 rows and more, step over 20 standard deviations of the noise, even "
-        "light. Normalises to the light inside the window; uneven light, noise, halo and short edges bias it, and a "
-        "curved response mostly unseen (a gamma of 0.45 to 2.2: -7 to +17 %)."
-    ),
-)
+@register("edge", "edge-slanted")
 def edge_slanted(stack: FrameStack, *, region: Region | None = None, context: Context) -> Result:
     """Measure the MTF across an edge by the fourfold oversampled estimator of ISO 12233.
 
@@ -241,13 +209,13 @@ def edge_slanted(stack: FrameStack, *, region: Region | None = None, context: Co
     annex on e-SFR; P. D. Burns, PICS 2000, 135; conventions as his sfrmat3 and its published table have them.
     """
     settings = {"oversampling": QUARTERS, "widest_px": WIDEST_PX}
-    return measure_conventionally("edge-slanted", _slanted_estimate, 0.012, settings, stack, region, context)
+    return measure_conventionally("edge-slanted", _estimate_slanted, 0.012, settings, stack, region, context)
 
 
 QUARTERS = 4
 
 
-def _slanted_estimate(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
+def _estimate_slanted(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
     # Turned so that the edge moves to the right: bins lie as the first row has them, and a rotated frame gives the
     # same numbers.
     value, slope = (picture.value, line.slope) if line.slope >= 0 else (picture.value[::-1], -line.slope)
@@ -308,16 +276,7 @@ def _hamming(distance: NDArray, half_width: NDArray | float) -> Array:
     return np.where(np.abs(distance) <= half_width, 0.54 + 0.46 * np.cos(np.pi * distance / half_width), 0.0)
 
 
-@register(
-    "edge",
-    "edge-gradient",
-    quantities=QUANTITIES,
-    scope=(
-        "Straight edges tilted 3 to 15 degrees, 60 rows and more, step over 20 standard deviations of the noise, even "
-        "light. Normalises to the light inside the region; uneven light and noise bias it, and a curved response "
-        "mostly unseen (a gamma of 0.45 to 2.2: up to 16 %)."
-    ),
-)
+@register("edge", "edge-gradient")
 def edge_gradient(stack: FrameStack, *, region: Region | None = None, context: Context) -> Result:
     """Measure the MTF across an edge from the gradients of the pixels around it.
 

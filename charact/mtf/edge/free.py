@@ -4,9 +4,10 @@ The line spread in front of the pixel is a Gaussian process: smooth over a lengt
 symmetric, all chosen by evidence. The profile is linear in it, so everything is in closed form.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import product
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +18,13 @@ from charact.mtf.edge.checks import FittedProfile
 from charact.mtf.edge.fit.model_fit import EdgeFitter
 from charact.mtf.edge.nonlinearity import (
     NO_CURVATURE_ESTIMATE,
-    contrast,
-    edge_ln_bayes_factor_nonlinear,
+    ln_bayes_factor_of,
     nonlinearity_bias,
     remove_nonlinearity,
 )
-from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, fit_refusal
+from charact.mtf.edge.pixels.prepare_edge import PreparedEdge, fit_refusal
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX, EdgeProfile, with_shading
-from charact.mtf.edge.result import EdgeFitOutput, measure_by_fit, window_normalisation_note
+from charact.mtf.edge.result import edge_result_of_fit, measure_by_fit, refuse_edge, window_normalisation_note
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import KnownTransfer
 from charact.mtf.mean_frame import Region
@@ -35,6 +35,7 @@ from labdata.measurement import Posterior, Result
 Array = NDArray[np.float64]
 
 METHOD = "edge-free"
+_evidence = attrgetter("log_evidence")
 # Priors of the illumination's slopes: a gradient looks like a long tail, and both are weighted by evidence.
 SLOPES_PER_PX = (EVEN_PER_PX, UNEVEN_PER_PX)
 # Widths over which the line spread is confined, px, and lengths over which it is smooth, fractions of the width.
@@ -46,33 +47,11 @@ TAILS = ("short", "long")
 ASYMMETRY = (0.03, 0.3)
 
 
-@register(
-    "edge",
-    METHOD,
-    quantities=("mtf50", "mtf10", "mtf", "edge_angle"),
-    scope=(
-        "Straight edges tilted 1 to 45 degrees in any direction, step over 5 standard deviations of the pixel noise, "
-        "60 rows and more, a line spread of any smooth shape that ends inside the region. Normalises to the light "
-        "inside the region: what tails and halo carry beyond it is not seen. Noise costs it up to half as much again "
-        "as a method that knows the form."
-    ),
-)
+@register("edge", METHOD)
 def edge_free(stack: FrameStack, *, region: Region | None = None, context: Context) -> Result:
     """Measure the MTF across an edge without a model of the point spread.
 
-    Parameters
-    ----------
-    stack
-        Frames of one edge; they are averaged.
-    region
-        ROW, COL, HEIGHT, WIDTH that holds the edge and its plateaus; None: the whole frame.
-    context
-        Seed and camera.
-
-    Returns
-    -------
-    Result
-        `mtf50`, `mtf10`, `mtf` at pinned frequencies and `edge_angle`, the curve "mtf", and the profile as evidence.
+    Parameters and results are those of `charact.mtf.edge.parametric.edge_parametric`.
 
     Notes
     -----
@@ -85,38 +64,41 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     return measure_by_fit(METHOD, _fit, stack, region, context)
 
 
-def _fit(edge: PreparedEdge, known: KnownTransfer, context: Context) -> EdgeFitOutput | EdgeRefusal:
+def _fit(edge: PreparedEdge, known: KnownTransfer, context: Context) -> Result:
     """Fit an edge, first as if its plateaus were even, then with the shading that is left over, if any."""
-    profile = edge.profile
-    fitter = EdgeFitter(profile, known)
+    fitter = EdgeFitter(edge.profile, known)
     start = np.array([0.0, np.log(fitter.guess())])
     shift_px = float(fitter.fit(BlurModel(core="gaussian"), start, EVEN_PER_PX).point[0])
-    spreads = LineSpreads(profile, known, SLOPES_PER_PX, shift_px)
-    profile = with_shading(profile, profile.value - spreads.settings[0].model)
+    spreads = LineSpreads(edge.profile, known, shift_px)
+    profile = with_shading(edge.profile, edge.profile.value - spreads.best_profile()[0])
     if profile.shading_sd > 0:
-        spreads = LineSpreads(profile, known, SLOPES_PER_PX, shift_px)
-    edge, best = replace(edge, profile=profile), spreads.settings[0]
+        spreads = LineSpreads(profile, known, shift_px)
+    edge, best, (model, amplitude, chi2) = replace(edge, profile=profile), spreads.settings[0], spreads.best_profile()
     posterior = spreads.posterior(context.seed)
-    transfers = Transfers(places=spreads.places, draws=posterior.draws, known=known, seed=context.seed)
-    half = np.argmax(transfers.mtf(np.linspace(0.005, 1.5, 300)).mean(axis=0) < 0.5) * 0.005 + 0.005
-    refused = fit_refusal(edge, best.chi2, spreads.power, spreads.free, float(half))
+    mtf = partial(_mtf, places=spreads.places, draws=posterior.draws, known=known, seed=context.seed)
+    half = np.argmax(mtf(np.linspace(0.005, 1.5, 300)).mean(axis=0) < 0.5) * 0.005 + 0.005
+    refused = fit_refusal(edge, chi2, spreads.power, spreads.free, float(half))
     if refused:
-        return refused
-    odds = edge_ln_bayes_factor_nonlinear(edge, context)
-    bias = nonlinearity_bias(NO_CURVATURE_ESTIMATE, contrast(profile), odds, context.seed, len(posterior.draws))
-    return EdgeFitOutput(
-        method=METHOD,
-        edge=edge,
-        fitted=FittedProfile(
-            model=best.model, amplitude=best.amplitude, chi2=best.chi2, free=spreads.free - best.used_freedom
-        ),
-        response=spreads.response_curvature(posterior.draws),
-        posterior=posterior,
-        mtf=remove_nonlinearity(transfers.mtf, bias),
+        return refuse_edge(METHOD, refused, context.seed)
+    odds = ln_bayes_factor_of(edge, context)
+    bias = nonlinearity_bias(NO_CURVATURE_ESTIMATE, profile.contrast, odds, context.seed, len(posterior.draws))
+    return edge_result_of_fit(
+        METHOD,
+        edge,
+        FittedProfile(model=model, amplitude=amplitude, chi2=chi2, free=spreads.free - best.used_freedom),
+        spreads.response_curvature(posterior.draws),
+        posterior,
+        remove_nonlinearity(mtf, bias),
+        context,
         settings={"width_px": round(best.width_px, 3), "tail": best.tail, "smooth_over_px": round(best.smooth_px, 3)},
         notes=(window_normalisation_note(profile),),
         doubt=known.doubt,
     )
+
+
+# Lines and data with levels and slopes projected out under one prior of the slopes: matrix, right side and power of
+# the normal equations, what lines and data put into levels, and ln of what marginalising these adds to the evidence.
+_NormalEquations = tuple[Array, Array, float, Array, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,53 +107,28 @@ class LineSpreadSetting:
 
     Parameters
     ----------
+    log_evidence
+        ln of its evidence.
     width_px, tail, smooth_px
         The envelope's width and kind, and the length over which the line spread is smooth.
     mean, root
         Line spread at the places and a root of its covariance, DN per px.
-    model, amplitude
-        Profile at the bins, DN; step, level and slopes, DN and DN per px.
-    chi2, used_freedom
-        Chi squared of the mean, and the number of parameters that the data determine.
+    levels
+        Level and slopes of the light, DN and DN per px.
+    used_freedom
+        Number of parameters that the data determine.
+    equations
+        Where it comes from.
     """
 
+    log_evidence: float
     width_px: float
     tail: str
     smooth_px: float
     mean: Array
     root: Array
-    model: Array
-    amplitude: Array
-    chi2: float
+    levels: Array
     used_freedom: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class _NormalEquations:
-    """Normal equations of the line spread with levels and slopes projected out, under one prior of the slopes.
-
-    Besides what line spreads and data put into levels and slopes, shape (level, place + 1), and ln of what
-    marginalising these adds to the evidence.
-    """
-
-    left: Array
-    right: Array
-    power: float
-    onto: Array
-    log_evidence: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Evaluation:
-    """A setting with the factors of its posterior."""
-
-    log_evidence: float
-    width_px: float
-    tail: str
-    smooth_px: float
-    basis: Array
-    values: Array
-    along: Array
     equations: _NormalEquations
 
 
@@ -184,109 +141,95 @@ class LineSpreads:
         The measured profile.
     known
         Aperture and video filter behind the line spread.
-    slopes_sd_per_px
-        Priors of the illumination's slopes, fraction of the step per px, equally probable.
     shift_px
         Position of the edge.
 
     Attributes
     ----------
-    settings
-        Settings that count, the most probable first.
+    settings, shares
+        Settings that count, the most probable first, and their weights.
     free, power
         Degrees of freedom, and chi squared of a level alone.
     """
 
-    def __init__(
-        self, profile: EdgeProfile, known: KnownTransfer, slopes_sd_per_px: Sequence[float], shift_px: float
-    ) -> None:
+    def __init__(self, profile: EdgeProfile, known: KnownTransfer, shift_px: float) -> None:
         self._profile = profile
         self.places = _places(float(profile.gathered.half_width_px))
-        root = np.linalg.inv(np.linalg.cholesky(profile.covariance))
-        weights = _edge_of_line(self.places, profile.distance - shift_px, profile.spread_px, known)
-        data, design = root @ profile.value, root @ np.concatenate([weights, profile.levels], axis=1)
-        self._weights, self._root, self._data = weights, root, data
-        self._lines, self._white_levels = np.split(design, [self.places.size], axis=1)
+        self._root = np.linalg.inv(np.linalg.cholesky(profile.covariance))
+        self._weights = _edge_of_line(self.places, profile.distance - shift_px, profile.spread_px, known)
+        self._data = data = self._root @ profile.value
+        design = self._root @ np.concatenate([self._weights, profile.levels], axis=1)
+        lines, levels = np.split(design, [self.places.size], axis=1)
         self.free = len(data) - 1
-        flat = self._white_levels[:, 0] / np.linalg.norm(self._white_levels[:, 0])
+        flat = levels[:, 0] / np.linalg.norm(levels[:, 0])
         self.power = float(data @ data - (flat @ data) ** 2)
         # The width first, for either kind of tail; then all that goes with widths around the best.
-        tops = [
-            [
-                max(
-                    (self._evaluate(own, float(w), tail, SMOOTHNESS[1], ASYMMETRY[0]) for w in WIDTHS_PX), key=_evidence
-                )
-                for tail in TAILS
+        tops = []
+        for slope_sd_per_px in SLOPES_PER_PX:
+            own = self._project_levels(lines, levels, slope_sd_per_px)
+            of_tails = [
+                [self._evaluate(own, w, tail, SMOOTHNESS[1], ASYMMETRY[0]) for w in WIDTHS_PX] for tail in TAILS
             ]
-            for own in map(self._project_levels, slopes_sd_per_px)
-        ]
-        best = max(one.log_evidence for of_slope in tops for one in of_slope)
-        tried = [
-            self._evaluate(top.equations, float(width), top.tail, smoothness, asymmetry)
-            for of_slope in tops
-            for top in of_slope
-            if top.log_evidence > best - THRESHOLDS.competitive_setting
-            for width in _widths_around(max(of_slope, key=_evidence).width_px)
-            for smoothness in SMOOTHNESS
-            for asymmetry in ASYMMETRY
-        ]
+            tops.append([max(of_widths, key=_evidence) for of_widths in of_tails])
+        least = max(one.log_evidence for of_slope in tops for one in of_slope) - THRESHOLDS.competitive_setting
+        tried = []
+        for of_slope in tops:
+            near = int(np.argmin(np.abs(WIDTHS_PX - max(of_slope, key=_evidence).width_px)))
+            widths = WIDTHS_PX[max(near - 1, 0) : near + 2]
+            for top in of_slope:
+                if top.log_evidence > least:
+                    tried += [
+                        self._evaluate(top.equations, *point)
+                        for point in product(widths, [top.tail], SMOOTHNESS, ASYMMETRY)
+                    ]
         weights = weigh_by_evidence([one.log_evidence for one in tried], least=THRESHOLDS.min_setting_weight)
         self.shares = np.array([weight for _, weight in weights])
-        self.settings = [self._setting(tried[index]) for index, _ in weights]
+        self.settings = [tried[index] for index, _ in weights]
 
-    def _project_levels(self, slope_sd_per_px: float) -> _NormalEquations:
+    def _project_levels(self, lines: Array, levels: Array, slope_sd_per_px: float) -> _NormalEquations:
         """Return lines and data with levels and slopes projected out, once for all settings."""
-        lines, data, levels = self._lines, self._data, self._white_levels
-        prior = self._profile.slopes_sd(slope_sd_per_px) ** -2.0
+        data, prior = self._data, self._profile.slopes_sd(slope_sd_per_px) ** -2.0
         outer = levels.T @ levels + np.diag([0.0, *prior])
         onto = np.asarray(np.linalg.solve(outer, levels.T @ np.concatenate([lines, data[:, None]], axis=1)), float)
-        return _NormalEquations(
-            left=lines.T @ lines - (lines.T @ levels) @ onto[:, :-1],
-            right=lines.T @ data - (lines.T @ levels) @ onto[:, -1],
-            power=float(data @ data - (data @ levels) @ onto[:, -1]),
-            onto=onto,
-            log_evidence=0.5 * float(np.sum(np.log(prior)) - np.linalg.slogdet(outer)[1]),
+        return (
+            lines.T @ lines - (lines.T @ levels) @ onto[:, :-1],
+            lines.T @ data - (lines.T @ levels) @ onto[:, -1],
+            float(data @ data - (data @ levels) @ onto[:, -1]),
+            onto,
+            0.5 * float(np.sum(np.log(prior)) - np.linalg.slogdet(outer)[1]),
         )
 
     def _evaluate(
         self, equations: _NormalEquations, width: float, tail: str, smoothness: float, asymmetry: float
-    ) -> _Evaluation:
-        """Return evidence and posterior factors of one width, tail, smoothness and symmetry."""
-        even, odd = _prior_root(self.places.tobytes(), width, tail, width * smoothness)
+    ) -> LineSpreadSetting:
+        """Return the line spread of one width, tail, smoothness and symmetry with its evidence."""
+        left, right, power, onto, log_evidence = equations
+        even, odd = _prior_root(self.places.tobytes(), float(width), tail, float(width) * smoothness)
         prior = np.concatenate([even, asymmetry * odd], axis=1) * max(abs(self._profile.step), 1e-300)
-        values, vectors = np.linalg.eigh(prior.T @ equations.left @ prior)
+        values, vectors = np.linalg.eigh(prior.T @ left @ prior)
         values = np.maximum(values, 0.0)
-        along = vectors.T @ (prior.T @ equations.right)
-        chi2 = equations.power - float(np.sum(along**2 / (1.0 + values)))
-        return _Evaluation(
-            log_evidence=equations.log_evidence - 0.5 * chi2 - 0.5 * float(np.sum(np.log1p(values))),
-            width_px=width,
+        along, basis = vectors.T @ (prior.T @ right), prior @ vectors
+        chi2 = power - float(np.sum(along**2 / (1.0 + values)))
+        mean = np.asarray(basis @ (along / (1.0 + values)), float)
+        return LineSpreadSetting(
+            log_evidence=log_evidence - 0.5 * chi2 - 0.5 * float(np.sum(np.log1p(values))),
+            width_px=float(width),
             tail=tail,
-            smooth_px=width * smoothness,
-            basis=prior @ vectors,
-            values=values,
-            along=along,
+            smooth_px=float(width) * smoothness,
+            mean=mean,
+            root=basis / np.sqrt(1.0 + values),
+            levels=onto[:, -1] - onto[:, :-1] @ mean,
+            used_freedom=round(float(np.sum(values / (1.0 + values)))),
             equations=equations,
         )
 
-    def _setting(self, tried: _Evaluation) -> LineSpreadSetting:
-        """Return the line spread of a setting."""
-        onto = tried.equations.onto
-        mean = np.asarray(tried.basis @ (tried.along / (1.0 + tried.values)), float)
-        levels = onto[:, -1] - onto[:, :-1] @ mean
-        model = self._weights @ mean + self._profile.levels @ levels
+    def best_profile(self) -> tuple[Array, Array, float]:
+        """Return profile, DN, step, level and slopes, and chi squared of the most probable setting."""
+        best = self.settings[0]
+        model = self._weights @ best.mean + self._profile.levels @ best.levels
         residual = self._data - self._root @ model
-        return LineSpreadSetting(
-            width_px=tried.width_px,
-            tail=tried.tail,
-            smooth_px=tried.smooth_px,
-            mean=mean,
-            root=tried.basis / np.sqrt(1.0 + tried.values),
-            model=model,
-            amplitude=np.concatenate([[float(np.sum(mean * _cells(self.places)))], levels]),
-            chi2=float(residual @ residual),
-            used_freedom=round(float(np.sum(tried.values / (1.0 + tried.values)))),
-        )
+        amplitude = np.concatenate([[float(np.sum(best.mean * _cells(self.places)))], best.levels])
+        return model, amplitude, float(residual @ residual)
 
     def posterior(self, seed: int) -> Posterior:
         """Return draws of the line spread, each setting in proportion to its evidence."""
@@ -319,38 +262,19 @@ class LineSpreads:
         return float(curvature.mean()), float(max(curvature.std(), 1e-9))
 
 
-def _evidence(tried: _Evaluation) -> float:
-    return tried.log_evidence
-
-
-def _widths_around(width_px: float) -> Array:
-    """Return the widths around one of those tried, px."""
-    near = int(np.argmin(np.abs(WIDTHS_PX - width_px)))
-    return np.asarray(WIDTHS_PX[max(near - 1, 0) : near + 2], float)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Transfers:
-    """MTFs of drawn line spreads, shape (draw, place), at places, px, seen through the known part of the transfer."""
-
-    places: Array
-    draws: Array
-    known: KnownTransfer
-    seed: int
-
-    def mtf(self, frequency: Array) -> Array:
-        """Return the MTF at frequencies, shape (f,) -> (draw, f), normalised to all the light."""
-        cells = _cells(self.places)
-        weighted = self.draws * cells
-        # Between places the line spread runs straight, which is a factor sinc^2 where they are evenly spaced.
-        phase = 2.0 * np.pi * np.outer(self.places, frequency)
-        smooth = np.sinc(np.outer(cells, frequency)) ** 2
-        real, imaginary = weighted @ (np.cos(phase) * smooth), weighted @ (np.sin(phase) * smooth)
-        total = weighted.sum(axis=1)
-        outer = weighted[:, np.abs(self.places) > 0.5 * self.places[-1]].sum(axis=1) / total
-        most = np.random.default_rng(self.seed).uniform(0.0, ACCURACY.max_light_beyond, len(total))
-        light = np.abs(total) * (1.0 + most * np.maximum(outer, 0.0))
-        return np.hypot(real, imaginary) / light[:, None] * np.abs(self.known(frequency))
+def _mtf(frequency: Array, *, places: Array, draws: Array, known: KnownTransfer, seed: int) -> Array:
+    """Return the MTF of line spreads (draw, place) behind the known transfer, normalised to all light, (draw, f)."""
+    cells = _cells(places)
+    weighted = draws * cells
+    # Between places the line spread is linear, which is a factor sinc^2 where they are evenly spaced.
+    phase = 2.0 * np.pi * np.outer(places, frequency)
+    smooth = np.sinc(np.outer(cells, frequency)) ** 2
+    real, imaginary = weighted @ (np.cos(phase) * smooth), weighted @ (np.sin(phase) * smooth)
+    total = weighted.sum(axis=1)
+    outer = weighted[:, np.abs(places) > 0.5 * places[-1]].sum(axis=1) / total
+    most = np.random.default_rng(seed).uniform(0.0, ACCURACY.max_light_beyond, len(total))
+    light = np.abs(total) * (1.0 + most * np.maximum(outer, 0.0))
+    return np.hypot(real, imaginary) / light[:, None] * np.abs(known(frequency))
 
 
 def _places(limit: float) -> Array:

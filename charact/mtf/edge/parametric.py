@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,10 @@ from charact.mtf.edge.fit.model_selection import (
     exceeds_model,
     fit_blur_models,
 )
-from charact.mtf.edge.nonlinearity import edge_ln_bayes_factor_nonlinear, marginalise_nonlinearity
-from charact.mtf.edge.pixels.prepare_edge import WIDEST_PX, EdgeRefusal, PreparedEdge, fit_refusal
+from charact.mtf.edge.nonlinearity import ln_bayes_factor_of, nonlinearity_bias
+from charact.mtf.edge.pixels.prepare_edge import WIDEST_PX, PreparedEdge, fit_refusal
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX, EdgeProfile, refine_noise, with_shading
-from charact.mtf.edge.result import EdgeFitOutput, measure_by_fit, window_normalisation_note
+from charact.mtf.edge.result import edge_result_of_fit, measure_by_fit, refuse_edge, window_normalisation_note
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import KnownTransfer, halo_of
 from charact.mtf.mean_frame import Region
@@ -32,7 +33,6 @@ from labdata.measurement import Posterior, Result
 Array = NDArray[np.float64]
 
 PARAMETRIC, FORWARD = "edge-parametric", "edge-forward"
-QUANTITIES = ("mtf50", "mtf10", "mtf", "edge_angle")
 # Parameters whose bounds were merely chosen; beyond those of the others lies what physics forbids or another form.
 CHOSEN_BOUNDS = ("ln_half_frequency", "exponent")
 DRAWS = 1000
@@ -40,17 +40,7 @@ DRAWS = 1000
 DEPARTURES = (0.03, 0.08, 0.2, 0.5)
 
 
-@register(
-    "edge",
-    PARAMETRIC,
-    quantities=QUANTITIES,
-    scope=(
-        "Straight edges tilted 1 to 45 degrees in any direction, step over 1 standard deviation of the pixel noise, "
-        "30 rows and more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) or Moffat, with halo or glare; "
-        "noise may depend on the signal and be correlated. Any other blur is flagged where the data show it; a curved "
-        "response, motion between fields, clipping and windows narrower than the blur break it."
-    ),
-)
+@register("edge", PARAMETRIC)
 def edge_parametric(stack: FrameStack, *, region: Region | None = None, context: Context) -> Result:
     """Measure the MTF across an edge by blur models averaged by their evidence.
 
@@ -76,18 +66,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     return measure_by_fit(PARAMETRIC, _average_models, stack, region, context, quickly=True)
 
 
-@register(
-    "edge",
-    FORWARD,
-    quantities=QUANTITIES,
-    scope=(
-        "Straight edges tilted 1 to 45 degrees in any direction, step over 1 standard deviation of the pixel noise, "
-        "30 rows and more; noise may depend on the signal and be correlated. Broken by motion between fields, "
-        "clipping, windows narrower than the blur, and a curved response: on a Gaussian edge of high contrast a gamma "
-        "of 0.45 to 2.2 moves MTF50 by -3 to +15 % and is detected only from tails or the plateaus' noise; at "
-        "low contrast it does no harm."
-    ),
-)
+@register("edge", FORWARD)
 def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Context) -> Result:
     """Measure the MTF across an edge by one blur model with smooth departures.
 
@@ -106,7 +85,7 @@ class _Draws:
     count: int
 
 
-def _output(
+def _result(
     method: str,
     fitter: EdgeFitter,
     edge: PreparedEdge,
@@ -114,54 +93,47 @@ def _output(
     drawn: Sequence[_Draws],
     known: KnownTransfer,
     context: Context,
-) -> EdgeFitOutput:
+    **own: Any,
+) -> Result:
     """Return what both methods make of draws, a nonlinear response marginalised."""
     edge = replace(edge, profile=fitter.profile)
-    response = fitter.response_curvature(best)
-    odds = edge_ln_bayes_factor_nonlinear(edge, context)
-    drawn = [
-        replace(one, posterior=marginalise_nonlinearity(one.posterior, response, edge.profile, odds, context.seed))
-        for one in drawn
-    ]
+    response, odds = fitter.response_curvature(best), ln_bayes_factor_of(edge, context)
+    parts = []
+    for one in drawn:
+        draws = one.posterior.draws.copy()
+        draws[:, 1] -= nonlinearity_bias(response, edge.profile.contrast, odds, context.seed, len(draws))
+        parts.append((one.form, one.count, replace(one.posterior, draws=draws)))
 
     def mtf(frequency: Array) -> Array:
-        each = [one.form.modulus(one.posterior.draws[: one.count], frequency) for one in drawn]
+        each = [form.modulus(posterior.draws[:count], frequency) for form, count, posterior in parts]
         return np.abs(known(frequency)) * np.abs(np.concatenate(each))
 
-    return EdgeFitOutput(
-        method=method,
-        edge=edge,
-        fitted=fitter.fitted(best),
-        response=response,
-        posterior=drawn[0].posterior,
-        mtf=mtf,
-        settings={},
-    )
+    return edge_result_of_fit(method, edge, fitter.fitted(best), response, parts[0][2], mtf, context, **own)
 
 
-def _average_models(edge: PreparedEdge, known: KnownTransfer, context: Context) -> EdgeFitOutput | EdgeRefusal:
+def _average_models(edge: PreparedEdge, known: KnownTransfer, context: Context) -> Result:
     """Fit blur models and average them by their evidence."""
     fitter, fits = fit_edge_models(edge, known, context)
     best = fits[0].fit
     half = float(np.exp(best.point[1]))
     refused = fit_refusal(edge, best.chi2, fitter.maps.level_power(), best.free, half)
     if refused:
-        return refused
+        return refuse_edge(PARAMETRIC, refused, context.seed)
     drawn = _draw_models(fitter, fits, context, parabolic=context.quick)
     if context.quick and _is_uncertain(drawn[0], known):
         drawn = _draw_models(fitter, fits, context, parabolic=False)
     names = dict.fromkeys(one.fit.family.name for one in fits)
     weights = {name: round(sum(one.share for one in fits if one.fit.family.name == name), 4) for name in names}
     parts = ", ".join(f"{name} {100 * weight:.0f} %" for name, weight in weights.items())
-    misfit = ("model-misfit",) if exceeds_model(fitter, best) else ()
     beyond = sum(one.share for one in fits if _exceeds_window(one.fit)) > THRESHOLDS.unresolved_glare_weight
-    return replace(
-        _output(PARAMETRIC, fitter, edge, best, drawn, known, context),
+    misfit = ("model-misfit",) if exceeds_model(fitter, best) else ()
+    return _result(
+        PARAMETRIC, fitter, edge, best, drawn, known, context,
         settings={"forms": weights},
         notes=(f"Form of the point spread by evidence: {parts}.", window_normalisation_note(fitter.profile)),
         flags=(*misfit, *(("window-too-small",) if beyond else ())),
         doubt=known.doubt,
-    )
+    )  # fmt: skip
 
 
 def fit_edge_models(
@@ -260,7 +232,7 @@ def _exceeds_window(fit: EdgeFit) -> bool:
     return bool(fit.point[-wide.after_size] > high - THRESHOLDS.widest_sizes * (high - low))
 
 
-def _fit_departures(edge: PreparedEdge, known: KnownTransfer, context: Context) -> EdgeFitOutput | EdgeRefusal:
+def _fit_departures(edge: PreparedEdge, known: KnownTransfer, context: Context) -> Result:
     """Fit one blur model with departures; its noise is estimated anew after a first fit."""
     profile = with_shading(edge.profile, edge.profile.value)
     halo, certain = halo_of(edge.picture, profile.gathered.half_width_px, context)
@@ -272,15 +244,13 @@ def _fit_departures(edge: PreparedEdge, known: KnownTransfer, context: Context) 
     without, half = fitter.chi2_without_edge(found.slope_sd_per_px), float(np.exp(found.point[1]))
     refused = fit_refusal(replace(edge, profile=profile), found.chi2, without, found.free, half)
     if refused:
-        return refused
+        return refuse_edge(FORWARD, refused, context.seed)
     quick = {"enough": ACCURACY.forward_ess, "first_draws": ACCURACY.forward_first_draws}
     posterior = _sample(fitter, found, 1.0, context, {"seed": context.seed}, quick, ACCURACY.forward_steps)
     drawn = [_Draws(form=found.form, posterior=posterior, count=len(posterior.draws))]
-    return replace(
-        _output(FORWARD, fitter, edge, found, drawn, known, context),
-        settings={"widest_px": WIDEST_PX},
-        notes=(window_normalisation_note(profile),) if found.family.wide is None else (),
-    )
+    notes = (window_normalisation_note(profile),) if found.family.wide is None else ()
+    settings = {"widest_px": WIDEST_PX}
+    return _result(FORWARD, fitter, edge, found, drawn, known, context, settings=settings, notes=notes)
 
 
 def _best_departures(

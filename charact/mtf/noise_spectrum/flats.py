@@ -6,22 +6,24 @@ show.
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context, register
+from charact.mtf.blur_models.one_dimensional import BlurModel, ScatterComponent
 from charact.mtf.noise_spectrum.model import (
-    COMMON,
     FAMILIES,
+    SCATTER_FRACTION,
+    SCATTER_PX,
+    SCATTER_SHARE,
     NonparametricBlur,
     PostGainBlur,
-    SpectrumLikelihood,
     SpectrumOptimum,
     optimum_under_model,
     readout_of,
-    scatter_model,
     white_log_probability,
 )
 from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum, SelectedFlats, select_flats, spectrum_of
@@ -31,6 +33,7 @@ from charact.mtf.noise_spectrum.thresholds import THRESHOLDS
 from charact.noise.findings import Finding, fields_of, flags_of, notes_of
 from charact.noise.rounding import QUANTISED_DN2
 from charact.posterior import laplace, predictive_check, sample_posterior
+from charact.posterior.diagnostics import crowds_at_bound
 from charact.posterior.least_squares import weigh_by_evidence
 from labdata.measurement import Posterior, Result, make_refusal
 from labdata.session import Session
@@ -93,10 +96,10 @@ def _is_nonlinear(spectrum: PooledSpectrum, peak: SpectrumOptimum, straight: flo
 
 
 def _pulse_height_error(spectrum: PooledSpectrum, peak: SpectrumOptimum, signal_dn: Array, power: Array) -> Array:
-    """Relative error of each level's power by the heights of its pulses, which all of its cells share, shape (level,).
+    """Relative error of each level's power by the heights of its pulses, shape (level,).
 
-    Of N pulses with heights h the power scatters by E h^4 / (E h^2)^2 / N; N from the signal and the power at
-    frequency 0, k E h^2 / (E h)^2 per signal.
+    All cells of a level share it. Of N pulses with heights h the power scatters by E h^4 / (E h^2)^2 / N; N from the
+    signal and the power at frequency 0, k E h^2 / (E h)^2 per signal.
     """
     looks = np.array([
         float(np.sum((level.power_dn2 / level.power_sd_dn2) ** 2)) for level in spectrum.levels if level.signal_dn
@@ -111,59 +114,42 @@ def _is_too_steep(peak: SpectrumOptimum) -> bool:
     if "exponent" not in peak.problem.shape.parameters or peak.problem.shape.name == "free":
         return False
     place = peak.problem.names.index("exponent")
-    return float(peak.point[place]) > THRESHOLDS.max_exponent + THRESHOLDS.exponent_sd * float(
-        np.sqrt(peak.covariance[place, place])
-    )
+    sd = float(np.sqrt(peak.covariance[place, place]))
+    return float(peak.point[place]) > THRESHOLDS.max_exponent + THRESHOLDS.exponent_sd * sd
 
 
 def _has_scatter(spectrum: PooledSpectrum, peak: SpectrumOptimum) -> bool:
-    """Whether a veil of scattered light makes the data much likelier."""
-    form = scatter_model(spectrum.shorter_px)
-    if form is None:
+    """Whether scattered light makes the data much likelier, where the image is large enough to show it."""
+    longest = SCATTER_SHARE * spectrum.shorter_px
+    if longest < 2.0 * SCATTER_PX:
         return False
-
-    def start(problem: SpectrumLikelihood) -> Array:
-        return problem.start_at(peak.point[: len(COMMON)], float(np.exp(peak.point[len(COMMON)])))
-
-    veiled = optimum_under_model(spectrum, peak.problem.known, form, start=start)
-    return _log_likelihood(veiled) - _log_likelihood(peak) > THRESHOLDS.scatter_ln_likelihood
-
-
-def _log_likelihood(peak: SpectrumOptimum) -> float:
-    problem = peak.problem
-    return float(problem.log_likelihood(problem.model(peak.point[None]))[0])
+    veil = ScatterComponent(size_px=(SCATTER_PX, longest), fraction=SCATTER_FRACTION)
+    veiled = optimum_under_model(spectrum, peak.problem.known, BlurModel(core="exponential", wide=veil), near=peak)
+    gain = veiled.problem.log_likelihood_at(veiled.point) - peak.problem.log_likelihood_at(peak.point)
+    return gain > THRESHOLDS.scatter_ln_likelihood
 
 
 def misfit(peak: SpectrumOptimum, posterior: Posterior, rng: np.random.Generator) -> tuple[str, ...]:
     """Return `model-misfit` where the spectrum, in the order of radius, departs from its model by more than noise."""
     problem = peak.problem
-    spectrum = problem.spectrum
+    spectrum, looks = problem.spectrum, problem.looks
     order = np.argsort(np.hypot(spectrum.column_cy_per_px, spectrum.row_cy_per_px))
     best = problem.model(peak.point[None])[0]
     # The cube root of a gamma variable is nearly normal (Wilson & Hilferty 1931), its mean lower by 1/(9 n).
-    looks = problem.looks
     data = np.cbrt(spectrum.power_dn2 / best)
     # Where the posterior bends, its mean is no fit: what matters is how far draws may lie from the best one.
     drawn = np.cbrt(problem.model(posterior.draws[:300]) / best)
     drawn = (1.0 + drawn - drawn.mean(axis=0)) * (1.0 - 1.0 / (9.0 * looks))
     noise = 1.0 / (3.0 * np.sqrt(looks))
-    check = predictive_check(data[order], drawn[:, order], noise[order], rng=rng, level=THRESHOLDS.misfit_p_value)
-    return check.flags
+    level = THRESHOLDS.misfit_p_value
+    return predictive_check(data[order], drawn[:, order], noise[order], rng=rng, level=level).flags
 
 
 KIND = "post-gain"
 NOTE = "MTF of what comes after the gain (screen, taper, chip, video): lens and cathode gap are not in it"
-QUANTITIES = ("post_gain_mtf50", "post_gain_mtf", "white_noise_fraction")
 
 
-@register(
-    KIND,
-    "noise-spectrum",
-    quantities=QUANTITIES,
-    scope="Darks and flats of two levels and more, 4 frames each, some 100 x 100 px, of a camera that blurs after its "
-    "gain to f2 = 0.08 to 0.4 cy/px; light scattered after the gain beyond that blur is not counted: a note says how "
-    "much of it would not show. A curved response shows where levels of more than a photoelectron a pixel differ.",
-)
+@register(KIND, "noise-spectrum")
 def noise_spectrum(session: Session, *, context: Context) -> Result:
     """Measure the MTF after the gain with forms of the transfer, averaged by their evidence.
 
@@ -181,12 +167,7 @@ def noise_spectrum(session: Session, *, context: Context) -> Result:
     return _measure(session, FAMILIES, "noise-spectrum", context, with_free_curves=True)
 
 
-@register(
-    KIND,
-    "noise-spectrum-free",
-    quantities=QUANTITIES,
-    scope="As noise-spectrum, for blur of any smooth falling form; intervals are wider.",
-)
+@register(KIND, "noise-spectrum-free")
 def noise_spectrum_free(session: Session, *, context: Context) -> Result:
     """Measure the MTF after the gain as a free smooth function; returns as `noise_spectrum`."""
     return _measure(session, (NonparametricBlur(),), "noise-spectrum-free", context, with_free_curves=False)
@@ -247,26 +228,23 @@ def _refusal(reason: str, fields: dict[str, Any]) -> Result:
 def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraws:
     """Draw from the posteriors of the forms that have a say."""
     weights = weigh_by_evidence([peak.log_weight for peak in peaks], least=THRESHOLDS.min_model_weight)
-    own = [peaks[i] for i, _ in weights]
+    own = tuple(peaks[i] for i, _ in weights)
     share = np.array([weight for _, weight in weights])
     posteriors = tuple(
-        (laplace if context.quick else sample_posterior)(
+        (laplace if context.quick else partial(sample_posterior, effort=max(weight, THRESHOLDS.min_effort)))(
             peak.problem.log_probability, names=peak.problem.names, units=peak.problem.units, start=peak.point,
             covariance=peak.covariance, seed=context.seed, bounds=peak.problem.bounds, draws=DRAWS,
         )
-        for peak in own
+        for peak, weight in zip(own, share / share.sum(), strict=True)
     )  # fmt: skip
-    return SpectrumDraws(peaks=tuple(own), posteriors=posteriors, shares=share / share.sum())
+    return SpectrumDraws(peaks=own, posteriors=posteriors, shares=share / share.sum())
 
 
-def _chain_flags(found: SpectrumDraws) -> tuple[str, ...]:
-    """Flags of the chains; a wall that only the white floor or a form's exponent leans on is physics, no lack."""
-    from charact.posterior.diagnostics import crowds_at_bound
-
+def _chain_flags(found: SpectrumDraws) -> set[str]:
+    """Flags of the chains; a bound that only the white floor or a form's exponent reaches is physical."""
     flags: set[str] = set()
     for peak, posterior in zip(found.peaks, found.posteriors, strict=True):
-        flags |= set(posterior.flags) - {"prior-bound"}
         leaning = crowds_at_bound(posterior.draws, peak.problem.bounds)
-        if leaning[peak.problem.names.index("ln_half_frequency")] or leaning[peak.problem.names.index("ln_anisotropy")]:
-            flags.add("prior-bound")
-    return tuple(flags)
+        own = [peak.problem.names.index(name) for name in ("ln_half_frequency", "ln_anisotropy")]
+        flags |= {*posterior.flags} - {"prior-bound"} | ({"prior-bound"} if leaning[own].any() else set())
+    return flags

@@ -8,7 +8,6 @@ grid folds |H|^2 back into its band, whereas white noise stays white; a video fi
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,6 @@ from charact.mtf.blur_models.one_dimensional import (
     EXPONENT_PRIOR,
     HALF_FREQUENCY,
     BlurModel,
-    ScatterComponent,
 )
 from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
 from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
@@ -29,20 +27,6 @@ from charact.posterior.least_squares import ln_evidence
 from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
-
-
-class PostGainBlur(Protocol):
-    """A transfer function without aperture and video, as `charact.mtf.blur_models.one_dimensional.BlurModel`."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def bounds(self) -> Array: ...
-    @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]: ...
-    def start(self, half_frequency_cy_per_px: float) -> Array: ...
-    def modulus(self, theta: Array, frequency: Array) -> Array: ...
-    def log_prior(self, theta: Array) -> Array: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,11 +74,20 @@ class SpectralReplicas:
     first: NDArray[np.int64]  # index of the first replica of each cell, shape (cell,)
     within: Array  # mean over the modes of a cell of the folded power, over that at its mean frequency, shape (cell,)
 
-    def power(self, shape: PostGainBlur, theta: Array) -> Array:
+    def power(self, shape: "PostGainBlur", theta: Array) -> Array:
         """Return the folded |H|^2 of each cell for (ln anisotropy, *shape), shape (n, parameter) -> (n, cell)."""
-        frequency = np.hypot(self.column, self.row * np.exp(-theta[:, :1]))
-        core = shape.modulus(theta[:, 1:], frequency) ** 2 * self.known
-        return np.add.reduceat(core, self.first, axis=1) * self.within
+        stretch, group = np.unique(np.exp(-theta[:, 0]), return_inverse=True)
+        # Points of equal anisotropy, most of a stencil of derivatives, have their frequencies in common.
+        shared = 2 * len(stretch) <= len(theta)
+        groups = [np.flatnonzero(group == i) for i in range(len(stretch))] if shared else [np.arange(len(theta))]
+        out = np.empty((len(theta), len(self.first)))
+        for rows in groups:
+            # In parts that fit the processor's cache.
+            for part in np.array_split(rows, len(rows) * len(self.column) // ACCURACY.n_at_once + 1):
+                frequency = np.hypot(self.column, self.row * stretch[group[part[:1] if shared else part], None])
+                core = shape.modulus(theta[part, 1:], frequency) ** 2 * self.known
+                out[part] = np.add.reduceat(core, self.first, axis=1) * self.within
+        return out
 
 
 def spectral_replicas(
@@ -112,7 +105,7 @@ def spectral_replicas(
     )  # fmt: skip
 
 
-def without_weak_replicas(whole: SpectralReplicas, shape: PostGainBlur, theta: Array) -> SpectralReplicas:
+def without_weak_replicas(whole: SpectralReplicas, shape: "PostGainBlur", theta: Array) -> SpectralReplicas:
     """Return the folding without the replicas that carry next to nothing at one point (parameter,)."""
     one = replace(whole, within=np.ones(len(whole.first)))
     core = shape.modulus(theta[None, 1:], np.hypot(whole.column, whole.row * np.exp(-theta[0]))[None])[0] ** 2
@@ -147,7 +140,7 @@ class NonparametricBlur:
         waves = {f"wave_{k}": ("1", (-THRESHOLDS.cosine_bound, THRESHOLDS.cosine_bound)) for k in WAVES}
         return {"ln_half_frequency": ("ln(cy/px)", (float(low), float(high))), "exponent": ("1", EXPONENT), **waves}
 
-    @property
+    @cached_property
     def bounds(self) -> Array:
         """Bounds of the parameters, shape (parameter, 2)."""
         return np.array([bound for _, bound in self.parameters.values()])
@@ -157,33 +150,30 @@ class NonparametricBlur:
         return np.array([np.log(half_frequency_cy_per_px), 1.5, *np.zeros(len(WAVES))])
 
     def modulus(self, theta: Array, frequency: Array) -> Array:
-        """Return the transfer, shape (n, parameter) and (f,) or (n, f) -> (n, f)."""
+        """Return the transfer, shape (n, parameter) and (f,), (1, f) or (n, f) -> (n, f)."""
         place = np.log(np.maximum(frequency, 1e-9))
         low, high = np.log(ACCURACY.cosine_range_cy_per_px)
-        bend = _waves(np.pi * np.clip((place - low) / (high - low), 0.0, 1.0), theta[:, 2:])
-        line = theta[:, 1:2] * (place - theta[:, :1])
+        one = np.cos(np.pi * np.clip((place - low) / (high - low), 0.0, 1.0))
+        line, bend = theta[:, 1:2] * (place - theta[:, :1]), np.zeros(())
+        # Each cosine from the two before it.
+        before, now = np.ones_like(one), one
+        for k in range(2, WAVES[-1] + 1):
+            before, now = now, 2.0 * one * now - before
+            bend = bend + theta[:, 2 + k - WAVES[0], None] * now / k**2
         return np.exp(-np.log(2.0) * np.exp(np.minimum(line + bend, 7.0)))
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds."""
-        bounds = self.bounds
+        bounds, (mean, sd) = self.bounds, EXPONENT_PRIOR
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
-        mean, sd = EXPONENT_PRIOR
         normal = -0.5 * ((theta[:, 1] - mean) / sd) ** 2 - np.log(sd)
-        waves = -0.5 * np.sum((theta[:, 2:] / THRESHOLDS.cosine_prior_sd) ** 2, axis=1) - len(WAVES) * np.log(
-            THRESHOLDS.cosine_prior_sd
-        )
+        waves = -0.5 * np.sum((theta[:, 2:] / THRESHOLDS.cosine_prior_sd) ** 2, axis=1)
+        waves = waves - len(WAVES) * np.log(THRESHOLDS.cosine_prior_sd)
         return np.where(inside, normal + waves - 0.5 * (1 + len(WAVES)) * np.log(2.0 * np.pi), -np.inf)
 
 
-def _waves(angle: Array, amplitude: Array) -> Array:
-    """Return the sum of a_k cos(k angle)/k^2, each cosine from the two before it."""
-    one = np.cos(angle)
-    before, now, total = np.ones_like(one), one, np.zeros(np.broadcast_shapes(one.shape, (len(amplitude), 1)))
-    for k in range(2, WAVES[-1] + 1):
-        before, now = now, 2.0 * one * now - before
-        total = total + amplitude[:, k - WAVES[0], None] * now / k**2
-    return total
+# A transfer without aperture and video.
+PostGainBlur = BlurModel | NonparametricBlur
 
 
 FAMILIES: tuple[BlurModel, ...] = (BlurModel(core="gaussian"), BlurModel(core="exponential"), BlurModel(core="moffat"))
@@ -201,16 +191,6 @@ WHITE = (-0.05, 1.0)
 # Position of the quantisation noise within its range; the Gaussian prior keeps the optimisation regular where the
 # range is narrow.
 QUANTISATION, QUANTISATION_PRIOR = (0.0, 1.0), (0.5, 0.5)
-
-
-def scatter_model(shorter_px: float) -> BlurModel | None:
-    """Return the form with scattered light that an image of this shorter side can tell, or None."""
-    longest = SCATTER_SHARE * shorter_px
-    if longest < 2.0 * SCATTER_PX:
-        return None
-    return BlurModel(
-        core="exponential", wide=ScatterComponent(size_px=(SCATTER_PX, longest), fraction=SCATTER_FRACTION)
-    )
 
 
 def readout_of(context: Context) -> KnownReadout:
@@ -239,7 +219,7 @@ class SpectrumLikelihood:
     replicas: SpectralReplicas
     looks: Array
 
-    @property
+    @cached_property
     def bounds(self) -> Array:
         """Bounds of all parameters, shape (parameter, 2)."""
         level = np.log(float(np.mean(self.spectrum.power_dn2)))
@@ -298,11 +278,15 @@ class SpectrumLikelihood:
         ratio = self.spectrum.power_dn2 / np.where(possible[:, None], model, 1.0)
         return np.where(possible, np.sum(self.looks * (1.0 + np.log(ratio) - ratio), axis=1), -np.inf)
 
+    def log_likelihood_at(self, point: Array) -> float:
+        """Return ln L at one point (parameter,)."""
+        return float(self.log_likelihood(self.model(point[None]))[0])
+
     def log_probability(self, theta: Array) -> Array:
         """Return ln of the posterior density up to a constant that all forms share."""
         bounds = self.bounds
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
-        safe = np.where(inside[:, None], theta, self.centre())
+        safe = np.clip(theta, *bounds.T)
         likelihood = self.log_likelihood(self.model(safe))
         # Anisotropies of an unknown camera and of a known one differ in width: normalised, should they be compared.
         anisotropy = safe[:, len(COMMON) - 1]
@@ -312,11 +296,6 @@ class SpectrumLikelihood:
         if self.known.video and self.known.parameters:
             total = total + self.known.video.log_prior(safe[:, -1])
         return np.where(inside & np.isfinite(total), total, -np.inf)
-
-    def centre(self) -> Array:
-        """A point inside all bounds."""
-        level = np.log(float(np.mean(self.spectrum.power_dn2)))
-        return self.start_at(np.array([level, 0.1, QUANTISATION_PRIOR[0], 0.0]), 0.2)
 
     def start_at(self, common: Array, half_frequency_cy_per_px: float) -> Array:
         """Return a point of given common parameters, the form's where it begins, and the video as described."""
@@ -344,42 +323,46 @@ class SpectrumOptimum:
 
 
 def optimum_under_model(
-    spectrum: PooledSpectrum, known: KnownReadout, shape: PostGainBlur, *,
-    start: Callable[[SpectrumLikelihood], Array] | None = None,
-) -> SpectrumOptimum:  # fmt: skip
-    """Find the optimum under a blur model, first roughly, then with the replicas, cells and looks of that fit."""
+    spectrum: PooledSpectrum, known: KnownReadout, shape: PostGainBlur, near: SpectrumOptimum | None = None
+) -> SpectrumOptimum:
+    """Find the optimum under a blur model, first roughly, then with the replicas, cells and looks of that fit.
+
+    `near`: the fit of another form from which the search begins.
+    """
     whole = spectral_replicas(spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.bins.row_pitch, known)
+    cell_means = _cell_means_of(spectrum, known)
     problem = SpectrumLikelihood(
         spectrum=spectrum, known=known, shape=shape, replicas=whole, looks=spectrum.looks_lagged
     )
-    begin = start(problem) if start is not None else _start(problem)
+    half = len(COMMON)  # The first of a form's parameters is ln of its half frequency.
+    point = problem.start_at(near.point[:half], float(np.exp(near.point[half]))) if near else _start(problem)
     # Heavy tails fold from afar: what a broad form leaves out, no likely form needs.
-    problem = replace(
-        problem,
-        replicas=without_weak_replicas(whole, shape, problem.replica_parameters(_broaden(begin, shape)[None])[0]),
-    )
-    point, covariance = find_maximum(problem.log_probability, begin, problem.bounds, iterations=25)
+    broad = point.copy()
+    broad[half] = min(broad[half] + np.log(1.5), shape.bounds[0, 1])
+    sparse = without_weak_replicas(whole, shape, problem.replica_parameters(broad[None])[0])
+    problem = replace(problem, replicas=sparse)
+    point, covariance = find_maximum(problem.log_probability, point, problem.bounds, iterations=25)
     for _ in range(2):
-        problem = _refine(problem, whole, point)
+        sparse = without_weak_replicas(whole, shape, problem.replica_parameters(point[None])[0])
+        white, pulses = problem.parts(point[None])
+        share = (pulses / (spectrum.dark_dn2 + white + pulses))[0]
+        # Only the pulses are shared by exposures; products of two exposures feel it in the square.
+        fewer = 1.0 / spectrum.looks_lagged - 1.0 / spectrum.looks
+        looks = 1.0 / (1.0 / spectrum.looks + share**2 * fewer)
+        within = cell_means(shape, problem.replica_parameters(point[None]))
+        problem = replace(problem, replicas=replace(sparse, within=within), looks=looks)
         point, covariance = find_maximum(problem.log_probability, point, problem.bounds, iterations=25)
     evidence = ln_evidence(float(problem.log_probability(point[None])[0]), covariance)
     return SpectrumOptimum(problem=problem, point=point, covariance=covariance, log_evidence=evidence)
 
 
-def _broaden(point: Array, shape: PostGainBlur) -> Array:
-    """The point with the half frequency raised by half: the first of a form's parameters is its logarithm."""
-    out = point.copy()
-    out[len(COMMON)] = min(out[len(COMMON)] + np.log(1.5), shape.bounds[0, 1])
-    return out
-
-
 def _start(problem: SpectrumLikelihood) -> Array:
     """The best of a few half frequencies, with a fifth of white noise."""
     spectrum, candidates = problem.spectrum, []
+    above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2, 0.0)
     for half in (0.05, 0.1, 0.17, 0.3, 0.5):
         begin = problem.start_at(np.array([0.0, 0.1, QUANTISATION_PRIOR[0], 0.0]), half)
         folded = problem.replicas.power(problem.shape, problem.replica_parameters(begin[None]))[0]
-        above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2, 0.0)
         level = max(float(np.sum(problem.looks * 0.9 * above) / np.sum(problem.looks * folded)), 1e-9)
         begin[0] = np.log(level)
         candidates.append(begin)
@@ -387,36 +370,29 @@ def _start(problem: SpectrumLikelihood) -> Array:
     return points[int(np.argmax(problem.log_probability(points)))]
 
 
-def _refine(problem: SpectrumLikelihood, whole: SpectralReplicas, point: Array) -> SpectrumLikelihood:
-    """Return the problem with the replicas, the means within cells and the looks of a fit."""
-    spectrum = problem.spectrum
-    sparse = without_weak_replicas(whole, problem.shape, problem.replica_parameters(point[None])[0])
-    within = _cell_means(problem, point)
-    white, pulses = problem.parts(point[None])
-    share = (pulses / (spectrum.dark_dn2 + white + pulses))[0]
-    # Only the pulses are shared by exposures; products of two exposures feel it in the square.
-    fewer = 1.0 / spectrum.looks_lagged - 1.0 / spectrum.looks
-    looks = 1.0 / (1.0 / spectrum.looks + share**2 * fewer)
-    return replace(problem, replicas=replace(sparse, within=within), looks=looks)
+def _cell_means_of(spectrum: PooledSpectrum, known: KnownReadout) -> Callable[[PostGainBlur, Array], Array]:
+    """Return a function of a form and its parameters (1, parameter) that returns a mean for each cell, shape (cell,).
 
-
-def _cell_means(problem: SpectrumLikelihood, point: Array) -> Array:
-    """Mean power over the modes of each cell, smeared as fading out the sides smears it, over that at its middle."""
-    spectrum = problem.spectrum
-
-    def power_at(column: Array, row: Array) -> Array:
-        near = spectral_replicas(column, row, spectrum.bins.row_pitch, problem.known, replicas=1)
-        return near.power(problem.shape, problem.replica_parameters(point[None]))[0]
-
+    Mean power over the modes of a cell, smeared as fading out the sides smears it, over that at its middle.
+    """
     column, row, cell = spectrum.modes
-    smear_column, smear_row = np.sqrt(spectrum.bins.leak_cy2_per_px2)
-    modes = np.mean(
-        [power_at(column + x * smear_column, row + y * smear_row) for x in (-1, 1) for y in (-1, 1)], axis=0
-    )
-    mean = np.bincount(cell, modes) / np.bincount(cell)
-    middle = power_at(spectrum.column_cy_per_px, spectrum.row_cy_per_px)
-    # Where next to nothing of the pulses is left, how it is spread over the cell does not matter.
-    return np.clip(mean / np.maximum(middle, 1e-30), 0.2, 5.0)
+    # Each frequency occurs twice, at rows on either side.
+    _, first, place = np.unique(column + 1j * row, return_index=True, return_inverse=True)
+    across, down = np.sqrt(spectrum.bins.leak_cy2_per_px2)
+
+    def near(column: Array, row: Array) -> SpectralReplicas:
+        return spectral_replicas(column, row, spectrum.bins.row_pitch, known, replicas=1)
+
+    around = [near(column[first] + x * across, row[first] + y * down) for x in (-1, 1) for y in (-1, 1)]
+    middle = near(spectrum.column_cy_per_px, spectrum.row_cy_per_px)
+
+    def cell_means(shape: PostGainBlur, theta: Array) -> Array:
+        modes = np.mean([one.power(shape, theta)[0] for one in around], axis=0)[place]
+        mean = np.bincount(cell, modes) / np.bincount(cell)
+        # Where next to nothing of the pulses is left, how it is spread over the cell does not matter.
+        return np.clip(mean / np.maximum(middle.power(shape, theta)[0], 1e-30), 0.2, 5.0)
+
+    return cell_means
 
 
 def white_log_probability(peak: SpectrumOptimum) -> float:

@@ -36,11 +36,8 @@ class SpectrumDraws:
     def mixture_of(self, of: Callable[[SpectrumOptimum, Array], Array]) -> Array:
         """Return draws of a function of (peak, draws), each form giving its share of them."""
         counts = np.maximum(np.round(self.shares * DRAWS).astype(int), 1)
-        parts = [
-            of(peak, posterior.draws[:count])
-            for peak, posterior, count in zip(self.peaks, self.posteriors, counts, strict=True)
-        ]
-        return np.concatenate(parts)
+        each = zip(self.peaks, self.posteriors, counts, strict=True)
+        return np.concatenate([of(peak, posterior.draws[:count]) for peak, posterior, count in each])
 
     def transfer(self, spectrum: PooledSpectrum, frequency: Array, *, vertical: bool) -> Array:
         """Return draws of |H| after the gain, shape (draw, frequency)."""
@@ -51,11 +48,9 @@ class SpectrumDraws:
 
 
 def transfer_of(peak: SpectrumOptimum, draws: Array, frequency: Array, *, vertical: bool, pitch_ratio: float) -> Array:
-    """Return |H| after the gain along one direction, pixel and video included, shape (draw, frequency).
+    """Return |H| after the gain along rows or columns, pixel and video included, shape (draw, frequency).
 
-    `peak`, `draws`: a form, and draws of its parameters, shape (draw, parameter); `frequency`: cycles per pixel: per
-    column pitch along rows, per row pitch along columns; `vertical`: along columns; `pitch_ratio`: row pitch over
-    column pitch.
+    `frequency`: cycles per column pitch along rows, per row pitch along columns.
     """
     problem, none = peak.problem, np.zeros_like(frequency)
     shape = problem.blur_parameters(draws)
@@ -74,7 +69,19 @@ def quantities(spectrum: PooledSpectrum, found: SpectrumDraws, own: dict[str, An
     for _, vertical in DIRECTIONS:
         along = {**own, "orientation_deg": 90.0 if vertical else 0.0}
         half = crossing_frequency(FINE, found.transfer(spectrum, FINE, vertical=vertical), 0.5)
-        measurements.append(_mtf50_measurement(half, along))
+        known, flags = half[np.isfinite(half)], set(own["flags"])
+        if len(known) < 0.975 * len(half):
+            reason = "the transfer after the gain may not fall to one half at any frequency seen"
+            fields = {key: value for key, value in along.items() if key not in ("flags", "posterior")}
+            measurements.append(make_refusal("post_gain_mtf50", "cy/px", reason, **fields))
+        else:
+            low, middle, high = np.quantile(known, [0.16, 0.5, 0.84])
+            if 0.5 * (high - low) > THRESHOLDS.max_relative_sd * middle:
+                flags.add("too-few-frames")
+            if middle > THRESHOLDS.nyquist_cy_per_px:
+                flags.add("aliased")
+            fields = {**along, "flags": tuple(flags)}
+            measurements.append(measurement_from_draws("post_gain_mtf50", "cy/px", known, **fields))
         pinned = found.transfer(spectrum, np.array(PINNED), vertical=vertical)
         measurements += [
             measurement_from_draws("post_gain_mtf", "1", values, frequency_cy_per_px=frequency, **along)
@@ -85,23 +92,6 @@ def quantities(spectrum: PooledSpectrum, found: SpectrumDraws, own: dict[str, An
     white = found.mixture_of(lambda peak, draws: draws[:, 1] * mean / (draws[:, 1] * mean + np.exp(draws[:, 0])))
     measurements.append(measurement_from_draws("white_noise_fraction", "1", white, **own))
     return Result(measurements=tuple(measurements), curves=curves(spectrum, found))
-
-
-def _mtf50_measurement(half: Array, own: dict[str, Any]) -> Measurement:
-    """`post_gain_mtf50`, or why there is none."""
-    known = half[np.isfinite(half)]
-    if len(known) < 0.975 * len(half):
-        return make_refusal(
-            "post_gain_mtf50", "cy/px", "the transfer after the gain may not fall to one half at any frequency seen",
-            **{key: value for key, value in own.items() if key not in ("flags", "posterior")},
-        )  # fmt: skip
-    flags = set(own["flags"])
-    low, middle, high = np.quantile(known, [0.16, 0.5, 0.84])
-    if 0.5 * (high - low) > THRESHOLDS.max_relative_sd * middle:
-        flags.add("too-few-frames")
-    if middle > THRESHOLDS.nyquist_cy_per_px:
-        flags.add("aliased")
-    return measurement_from_draws("post_gain_mtf50", "cy/px", known, **{**own, "flags": tuple(flags)})
 
 
 def curves(spectrum: PooledSpectrum, found: SpectrumDraws) -> dict[str, Curve]:

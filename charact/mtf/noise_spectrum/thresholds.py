@@ -22,6 +22,7 @@ class SpectrumThresholds:
     misfit_p_value: float = 0.002  # p-value of a misfit
     min_blur_ln_evidence: float = 8.0  # ln evidence of a blurred spectrum over a white one
     min_model_weight: float = 0.02  # weight of a blur model below which it is left out
+    min_effort: float = 0.25  # least fraction of the effective draws of a model, else its weight
     tube_ln_prior: float = 3.0  # ln prior ratio of the tube form for a described tube
     # Power of the evidence: no form is exact, and forms differ at frequency 0 (494 random cameras).
     evidence_power: float = 0.5
@@ -38,6 +39,7 @@ class SpectrumAccuracy:
     """Bounds draws, iterations, windows and tolerances."""
 
     n_replicas: int = 2  # replicas of the spectrum on each axis that may alias into the band
+    n_at_once: int = 20_000  # powers of replicas computed at once, of a processor's cache
     min_replica: float = 3e-4  # fraction of the power below which a replica is left out
     # Frequencies over which the non-parametric blur varies freely, cy/px.
     cosine_range_cy_per_px: tuple[float, ...] = (0.02, 1.0)

@@ -5,7 +5,7 @@ twice the angle.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from charact.mtf.blur_models.one_dimensional import BlurModel, ExtendedComponent
 from charact.mtf.blur_models.pupil_table import OBSCURATION, pupil
+from charact.mtf.point.spot_image_matrix import COSINES, FREQUENCIES
 from charact.mtf.point.thresholds import PRIORS
 
 Array = NDArray[np.float64]
@@ -75,7 +76,7 @@ class BlurModel2D:
         """Number of parameters before those of the extended component."""
         return self.core_parameters + int(self.lens) + int(not self.round)
 
-    @property
+    @cached_property
     def family(self) -> BlurModel:
         """One-dimensional model of the core, for cores that have one."""
         names = {"exponential": "exponential", "kolmogorov": "exponential", "moffat": "moffat"}
@@ -88,29 +89,61 @@ class BlurModel2D:
             return 1 + len(PUPILS[self.core])
         return 1 if self.core == "kolmogorov" else self.family.core_parameters
 
-    @property
+    @cached_property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
         """Unit and bounds of each parameter by name."""
-        return _parameters(self)
+        core = dict(list(self.family.parameters.items())[: 1 if self.core in PUPILS else self.core_parameters])
+        core.update({name: PUPIL_PARAMETERS[name] for name in PUPILS.get(self.core, ())})
+        if self.lens:
+            if "exponent" in core:
+                core["ln_half_frequency"], core["exponent"] = ("ln(cy/px)", TUBE), ("1", PRIORS.tail)
+            core["blur_px"] = ("px", PRIORS.blur_px)
+        wide = self.wide.parameters if self.wide else {}
+        stretch = {} if self.round else {"stretch": ("1", PRIORS.stretch)}
+        out: dict[str, tuple[str, tuple[float, float]]] = {**core, **stretch, **wide}
+        if self.departures:
+            most = 4.0 * self.departures
+            out.update({f"departure_{number}": ("1", (-most, most)) for number in range(len(BUMPS))})
+        out.update({name: ("1", (-6.0 * sd, 6.0 * sd)) for name, _, sd in self.known if name == BANDWIDTH})
+        if isinstance(self.pinhole_px, tuple):
+            out["pinhole_px"] = ("px", self.pinhole_px)
+        return out
 
-    @property
+    @cached_property
     def bounds(self) -> Array:
         """Bounds of the parameters, shape (parameter, 2)."""
         return np.array([bound for _, bound in self.parameters.values()])
 
+    @cached_property
     def prior(self) -> tuple[Array, Array]:
-        """Return mean and precision of the Gaussian part of each parameter's prior; precision 0: uniform."""
-        return _prior(self)
+        """Mean and precision of the Gaussian part of each parameter's prior; precision 0: uniform."""
+        names = list(self.parameters)
+        mean, precision = np.zeros((2, len(names)))
+        for name, own, inverse in zip(self.family.parameters, *self.family.prior_precision, strict=True):
+            if name in names:
+                mean[names.index(name)], precision[names.index(name)] = own, inverse
+        if self.lens and "exponent" in names:
+            mean[1], precision[1] = PRIORS.tail_prior[0], PRIORS.tail_prior[1] ** -2
+        known = {"stretch": PRIORS.stretch_sd, "defocus_square": PRIORS.defocus_square_sd}
+        known.update({f"departure_{number}": self.departures for number in range(len(BUMPS))})
+        for index, name in enumerate(names):
+            if name in known:
+                precision[index] = known[name] ** -2
+        if self.wide is not None:
+            precision[self.blur_parameters] = PRIORS.wide_share_sd**-2
+        for name, own, sd in self.known:
+            mean[names.index(name)], precision[names.index(name)] = own, sd**-2
+        return mean, precision
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds, shape (n, parameter) -> (n,)."""
-        bounds, (mean, precision) = self.bounds, self.prior()
+        bounds, (mean, precision) = self.bounds, self.prior
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         return np.where(inside, self.log_volume() - 0.5 * (theta - mean) ** 2 @ precision, -np.inf)
 
     def log_volume(self) -> float:
         """Return ln prior density at the mean of its Gaussian part."""
-        bounds, (_, precision) = self.bounds, self.prior()
+        bounds, (_, precision) = self.bounds, self.prior
         known = precision > 0
         flat = -np.sum(np.log(bounds[~known, 1] - bounds[~known, 0]))
         half = np.log(2.0) * (int(self.wide is not None) + int("defocus_square" in self.parameters))
@@ -178,15 +211,10 @@ class BlurModel2D:
             shape = np.concatenate([shape, np.full((len(shape), 1), TURBULENT)], axis=1)
         return self.family.modulus(shape, frequency)
 
-    def source(self, theta: Array, frequency: Array) -> Array:
-        """Return the transfer of the pinhole, shape (n, frequency)."""
-        if isinstance(self.pinhole_px, float):
-            return np.tile(pinhole(frequency, self.pinhole_px), (len(theta), 1))
-        return pinhole(frequency, theta[:, -1:])
-
-    def transfer(self, theta: Array, frequency: Array, cosine: Array) -> Array:
-        """Return the transfer of blur and source, shape (n, direction, frequency)."""
-        return self.camera(theta, frequency, cosine) * self.source(theta, frequency)[:, None]
+    def transfer(self, theta: Array) -> Array:
+        """Return the transfer of blur and source at the nodes of an image, shape (n, direction, frequency)."""
+        size = self.pinhole_px if isinstance(self.pinhole_px, float) else theta[:, -1:, None]
+        return self.camera(theta, FREQUENCIES, COSINES) * pinhole(FREQUENCIES, size)
 
     def ln_bandwidth(self, theta: Array) -> Array | None:
         """Return ln of the video bandwidth over the described one, shape (n,); None: no parameter."""
@@ -198,9 +226,9 @@ class BlurModel2D:
         """Number of powers of ln bandwidth in the image: 1 without the parameter."""
         return BANDWIDTH_ORDERS if BANDWIDTH in self.parameters else 1
 
-    def nodes(self, theta: Array, frequency: Array, cosine: Array) -> Array:
+    def nodes(self, theta: Array) -> Array:
         """Return the transfer of blur and source times powers of ln bandwidth, for `pixel_matrix`, shape (n, node)."""
-        transfer, bandwidth = self.transfer(theta, frequency, cosine).reshape(len(theta), -1), self.ln_bandwidth(theta)
+        transfer, bandwidth = self.transfer(theta).reshape(len(theta), -1), self.ln_bandwidth(theta)
         if bandwidth is None:
             return transfer
         return np.concatenate([bandwidth[:, None] ** order * transfer for order in range(BANDWIDTH_ORDERS)], axis=1)
@@ -212,44 +240,3 @@ def pinhole(frequency: Array, diameter_px: float | Array) -> Array:
 
     u = np.maximum(np.pi * diameter_px * frequency, 1e-9)
     return np.asarray(2.0 * j1(u) / u, np.float64)
-
-
-@lru_cache(maxsize=512)
-def _parameters(form: BlurModel2D) -> dict[str, tuple[str, tuple[float, float]]]:
-    core = dict(list(form.family.parameters.items())[: 1 if form.core in PUPILS else form.core_parameters])
-    core.update({name: PUPIL_PARAMETERS[name] for name in PUPILS.get(form.core, ())})
-    if form.lens:
-        if "exponent" in core:
-            core["ln_half_frequency"], core["exponent"] = ("ln(cy/px)", TUBE), ("1", PRIORS.tail)
-        core["blur_px"] = ("px", PRIORS.blur_px)
-    wide = form.wide.parameters if form.wide else {}
-    stretch = {} if form.round else {"stretch": ("1", PRIORS.stretch)}
-    out: dict[str, tuple[str, tuple[float, float]]] = {**core, **stretch, **wide}
-    if form.departures:
-        most = 4.0 * form.departures
-        out.update({f"departure_{number}": ("1", (-most, most)) for number in range(len(BUMPS))})
-    out.update({name: ("1", (-6.0 * sd, 6.0 * sd)) for name, _, sd in form.known if name == BANDWIDTH})
-    if isinstance(form.pinhole_px, tuple):
-        out["pinhole_px"] = ("px", form.pinhole_px)
-    return out
-
-
-@lru_cache(maxsize=512)
-def _prior(form: BlurModel2D) -> tuple[Array, Array]:
-    names = list(form.parameters)
-    mean, precision = np.zeros((2, len(names)))
-    for name, own, inverse in zip(form.family.parameters, *form.family.prior_precision(), strict=True):
-        if name in names:
-            mean[names.index(name)], precision[names.index(name)] = own, inverse
-    if form.lens and "exponent" in names:
-        mean[1], precision[1] = PRIORS.tail_prior[0], PRIORS.tail_prior[1] ** -2
-    known = {"stretch": PRIORS.stretch_sd, "defocus_square": PRIORS.defocus_square_sd}
-    known.update({f"departure_{number}": form.departures for number in range(len(BUMPS))})
-    for index, name in enumerate(names):
-        if name in known:
-            precision[index] = known[name] ** -2
-    if form.wide is not None:
-        precision[form.blur_parameters] = PRIORS.wide_share_sd**-2
-    for name, own, sd in form.known:
-        mean[names.index(name)], precision[names.index(name)] = own, sd**-2
-    return mean, precision

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from charact.mtf.curve import FINE, crossing_frequency
 from charact.mtf.point.blur_models_2d import BUMP_WIDTH, BUMPS
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter, WhitenedPixels
-from charact.mtf.point.model_selection import DEPARTURES, EvidenceWeightedModels2D
+from charact.mtf.point.model_selection import DEPARTURES, EvidenceWeightedModels2D, start_from
 from charact.mtf.point.nonlinearity import SpotNonlinearity, fit_nonlinearity, power_log_likelihoods
 from charact.mtf.point.source_pixels import SourcePixels, dark_noise
 from charact.mtf.point.source_window import Window
-from charact.mtf.point.spot_image_matrix import cosines, pictures, radial
+from charact.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, pictures
 from charact.mtf.point.thresholds import ACCURACY, LIMITS
 from labdata.flags import Finding
 from labdata.measurement import Measurement
@@ -79,7 +79,7 @@ def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -
     `frames`: light around the source above its background, shape (frame, row, col), DN; `x`, `y`: positions of columns
     and rows from the source, column pitches; `parity`: field of every row, shape (row,).
     """
-    if len(frames) < ACCURACY.min_motion_frames:
+    if len(frames) < 4:
         return ()
     moves = _drifts(frames, x, y) or _shakes(frames, x, y)
     found = (("interlace-motion", _has_field_offset(frames, x, y, parity)), ("drift", moves))
@@ -127,7 +127,7 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
     from scipy.special import fdtrc
 
     mean = frames.mean(axis=0)
-    near = np.hypot(x[None, :], y[:, None]) < ACCURACY.total_light_radius_px
+    near = np.hypot(x[None, :], y[:, None]) < 10.0
     light, freedom = frames[:, near].sum(axis=1), len(frames) - 1
     if not light.mean() > 0:
         return False
@@ -154,9 +154,7 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
 def _places(frames: Array, x: Array, y: Array) -> list[tuple[Array, Array]]:
     """Return displacements of each frame along rows and columns, and the slopes used."""
     mean = frames.mean(axis=0)
-    used = (np.hypot(x[None, :], y[:, None]) < ACCURACY.motion_radius_px) & (
-        mean > ACCURACY.motion_min_height * mean.max()
-    )
+    used = (np.hypot(x[None, :], y[:, None]) < ACCURACY.motion_radius_px) & (mean > 0.1 * mean.max())
     found = []
     for slope in (np.gradient(mean, x, axis=1), np.gradient(mean, y, axis=0)):
         rise = np.where(used, slope, 0.0)
@@ -198,8 +196,9 @@ def source_findings(
             effect = f"the core is more than {LIMITS.max_prior_sd:g} standard deviations from the description"
             out.append(finding("prior-bound", effect))
     for window in (site.window for site in sites if site.window.sound):
-        frames = window.frames_above(float(np.median(window.core)))
-        out += motion_findings(motion_flags(frames, *window.offsets_from_centre, window.row_parity))
+        frames = window.deviations.reshape(-1, *window.core.shape) + (window.core - float(np.median(window.core)))
+        x, y = window.centre
+        out += motion_findings(motion_flags(frames, window.x - x, window.y - y, window.parity[:: window.x.size]))
     return out
 
 
@@ -212,9 +211,7 @@ def _half_frequencies(fit: BlurModelFit2D) -> tuple[float, float]:
 def _misfit_effect(fitter: PointFitter, fit: BlurModelFit2D) -> str:
     """Return the effect of a misfit: the change of MTF50 by fitted model departures."""
     form = replace(fit.form, departures=max(DEPARTURES))
-    start = form.start(float(fit.point[0]))
-    known = dict(zip(fit.form.parameters, fit.point, strict=True))
-    free = fitter.fit(form, np.array([known.get(name, own) for name, own in zip(form.parameters, start, strict=True)]))
+    free = fitter.fit(form, start_from(fit, form))
     moves = [abs(b / a - 1.0) for a, b in zip(_half_frequencies(fit), _half_frequencies(free), strict=True)]
     left = np.sqrt(fit.chi2 / fit.free)
     return f"residuals are {left:.2g} times the noise; model departures change MTF50 by {100 * max(moves):.2g} %"
@@ -222,7 +219,7 @@ def _misfit_effect(fitter: PointFitter, fit: BlurModelFit2D) -> str:
 
 def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> Array:
     """Return the standard uncertainty of each light for a fixed model, DN px^2."""
-    nodes = fitter.nodes(fit.form, fit.point[None])
+    nodes = fit.form.nodes(fit.point[None])
     return np.array([np.sum((one.matrix[:, : nodes.size] @ nodes[0]) ** 2) ** -0.5 for one in fitter.pixels])
 
 
@@ -234,12 +231,11 @@ def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurMode
     """
     bounds = fit.form.bounds
     moves = np.where(fit.point > bounds.mean(axis=1), -1e-5, 1e-5) * (bounds[:, 1] - bounds[:, 0])
-    nodes = fitter.nodes(fit.form, np.concatenate([fit.point[None], fit.point + np.diag(moves)]))
-    frequency = radial(sites[0].aperture.top)[1]
-    ratio = np.log(frequency) - fit.point[0]
+    nodes = fit.form.nodes(np.concatenate([fit.point[None], fit.point + np.diag(moves)]))
+    ratio = np.log(FREQUENCIES) - fit.point[0]
     bumps = np.exp(-0.5 * ((ratio - np.array(BUMPS)[:, None]) / BUMP_WIDTH) ** 2)
-    described = nodes[0, : cosines().size * frequency.size]
-    bumped = (described.reshape(1, -1, frequency.size) * bumps[:, None]).reshape(len(bumps), -1)
+    described = nodes[0, : COSINES.size * FREQUENCIES.size]
+    bumped = (described.reshape(1, -1, FREQUENCIES.size) * bumps[:, None]).reshape(len(bumps), -1)
     own, more, residual = [], [], []
     for site, one, light in zip(sites, fitter.pixels, fit.light, strict=True):
         matrix = one.matrix[:, : nodes.shape[1]]
@@ -255,10 +251,9 @@ def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurMode
 
 def _asymmetry_columns(site: SourcePixels, one: WhitenedPixels, nodes: Array) -> Array:
     """Return the effect of rotation and asymmetry on the whitened pixels at unit light, shape (value, 3)."""
-    frequency = radial(site.aperture.top)[1]
-    transfer = nodes.reshape(cosines().size, -1)
-    half = float(np.interp(-0.5, -transfer[0], frequency))
-    sharp = pictures(site.aperture, transfer * (frequency / half) ** 2, *site.axes)
+    transfer = nodes.reshape(COSINES.size, -1)
+    half = float(np.interp(-0.5, -transfer[0], FREQUENCIES))
+    sharp = pictures(site.aperture, transfer * (FREQUENCIES / half) ** 2, *site.axes)
     tilted = pictures(site.aperture, transfer, *site.axes)[3]
     columns = np.stack([tilted, sharp[1], sharp[2]], axis=1)
     columns = np.concatenate([columns, np.zeros((site.window.ring_dn.size, 3))])
@@ -284,14 +279,16 @@ def _chi2_explained(columns: Array, residual: Array) -> float:
 
 def camera_nonlinearity(sites: list[SourcePixels], fit: BlurModelFit2D) -> SpotNonlinearity:
     """Return the nonlinearity from the frames' noise of sources."""
-    transfer = fit.form.transfer(fit.point[None], radial(sites[0].aperture.top)[1], cosines())[0]
+    transfer = fit.form.transfer(fit.point[None])[0]
     found = []
     for site, light in zip(sites, fit.light, strict=True):
         if site.window.frames < 2 or site.pulses is None or not site.window.sound:
             continue
         mean = light * pictures(site.aperture, transfer, *site.axes)[0]
         pulses, dark = site.pulses.covariance * site.memory.between_rows(site.window.parity), dark_noise(site)
-        near = site.near[site.window.exceeds_rounding(np.diag(pulses + dark)[site.near])]
+        # Larger noise than that makes quantisation add its own only.
+        plain = (np.diag(pulses + dark) > LIMITS.min_variance_dn2) | np.isinf(site.window.quiet_sd)
+        near = site.near[plain[site.near]]
         both = np.ix_(near, near)
         found.append(power_log_likelihoods(site.window.contrasts[:, near], mean[near], pulses[both], dark[both]))
     return fit_nonlinearity(found)

@@ -20,20 +20,7 @@ from labdata.measurement import Result
 METHOD = "point-forward"
 
 
-@register(
-    "point",
-    METHOD,
-    quantities=tuple(LEVELS),
-    scope=(
-        "Single point sources of an intensifier or of an ordinary camera, light over 6 standard uncertainties; "
-        "neighbours at least 5 px away; MTF50 below 0.42 cycles per pixel. With a sensor description the blur is that "
-        "of the described tube, halo and video filter within their ranges; without one it is a Gaussian or "
-        "exp(-(f/fc)^n) with or without a Gaussian, and a halo is not assumed: one that the pixels show is flagged. "
-        "Pixels at full scale are treated as lower limits; with a sensor description the result is then suspect. Not "
-        "detected: a second source within the blur, and a nonlinear response that the noise does not show (a gamma of "
-        "g changes MTF50 by about the root of g)."
-    ),
-)
+@register("point", METHOD)
 def point_forward(
     stack: FrameStack,
     *,
@@ -62,7 +49,7 @@ def point_forward(
 
     def forms(pinhole: float | tuple[float, float], holds_halo: bool, _reach_px: float):
         if context.sensor is not None:
-            return [described_tube(context, pinhole, halo=holds_halo)], None
+            return [tube_of_description(context, pinhole, halo=holds_halo)], None
         tube = BlurModel2D(core="exponential", pinhole_px=pinhole)
         return [replace(tube, core="gaussian"), tube, replace(tube, lens=True)], None
 
@@ -70,7 +57,7 @@ def point_forward(
     return measure_points(method, stack, region, regions, pinhole_px, context)
 
 
-def described_tube(context: Context, pinhole: float | tuple[float, float], *, halo: bool) -> BlurModel2D:
+def tube_of_description(context: Context, pinhole: float | tuple[float, float], *, halo: bool) -> BlurModel2D:
     """Return the blur model of the described intensifier: exponential tube, Gaussian lens and fibres, halo, video."""
     sensor = context.sensor
     assert sensor is not None

@@ -5,11 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
+from scipy.special import erfcx, log_ndtr
 
 from charact.mtf.point.blur_models_2d import BlurModel2D
-from charact.mtf.point.spot_image_matrix import cosines, radial
-from charact.mtf.point.thresholds import ACCURACY
 from charact.posterior.least_squares import Linearisation, covariance_at, least_squares, ln_evidence
 
 Array = NDArray[np.float64]
@@ -29,39 +27,34 @@ class Censored:
     left: Array
     mean: Array  # Mean of the latter above the background, shape (pixel,), DN
 
-    def terms(self, height: Array) -> tuple[Array, Array, float]:
-        """Return slope and minus curvature of ln likelihood, each pixel's, and its sum, for heights (pixel,).
+    def terms(self, height: Array) -> tuple[Array, Array, Array]:
+        """Return slope and minus curvature of ln likelihood, each pixel's, and its sum, for heights (n, pixel).
 
         Notes
         -----
         ln L = k ln Phi((h - c)/s) - (n - k) (v - h)^2 / (2 s^2): k of n frames are clipped at c, the mean of the others
         is v.
         """
-        slope, curvature, value = self._terms(height[None])
-        return slope[0], np.maximum(curvature[0], 1e-12 / self.sd**2), float(value[0])
-
-    def _terms(self, height: Array) -> tuple[Array, Array, Array]:
         z = (height - self.limit) / self.sd
         log_tail = log_ndtr(z)
-        # Inverse Mills ratio phi/Phi, from logarithms to remain finite far below the limit.
-        mills = np.exp(-0.5 * z**2 - 0.5 * np.log(2.0 * np.pi) - log_tail)
+        # Inverse Mills ratio phi/Phi, about -z far below the limit, where its curvature is 1 to rounding.
+        mills = np.sqrt(2.0 / np.pi) / erfcx(-z / np.sqrt(2.0))
+        bend = np.where(z < -1e4, 1.0, mills * (mills + z))
         off = (self.mean - height) / self.sd
         slope = (self.cut * mills + self.left * off) / self.sd
-        curvature = (self.cut * mills * (mills + z) + self.left) / self.sd**2
-        value = np.sum(self.cut * log_tail - 0.5 * self.left * off**2, axis=-1)
-        return slope, curvature, value
+        curvature = (self.cut * bend + self.left) / self.sd**2
+        return slope, curvature, np.sum(self.cut * log_tail - 0.5 * self.left * off**2, axis=-1)
 
-    def light(self, data: Array, unit: Array, hidden: Array, start: float) -> float:
-        """Return the most probable light of whitened pixels and clipped ones of unit heights."""
-        best, _ = self._lights(np.array([unit @ data]), np.array([unit @ unit]), hidden[None], np.array([start]))
-        return float(best[0])
+    def lights(self, overlap: Array, curvature: Array, hidden: Array, start: Array) -> tuple[Array, Array]:
+        """Return the most probable lights by Newton's method, and the curvature there, shape (n,).
 
-    def _lights(self, overlap: Array, curvature: Array, hidden: Array, start: Array) -> tuple[Array, Array]:
-        """Return the most probable lights by Newton's method, and the curvature there, shape (n,)."""
+        `overlap`, `curvature`: of the other pixels' images with their values and with themselves; `hidden`: image of
+        the clipped ones, shape (n, pixel).
+        """
         light = np.maximum(start, 1e-12)
         bend = curvature
-        for _ in range(ACCURACY.light_iterations):
-            slope, weight, _ = self._terms(light[:, None] * hidden)
+        for _ in range(25):
+            slope, weight, _ = self.terms(light[:, None] * hidden)
             bend = curvature + np.sum(weight * hidden**2, axis=1)
             step = (overlap - light * curvature + np.sum(slope * hidden, axis=1)) / np.maximum(bend, 1e-300)
             # The logarithm is concave: long steps are only shortened.
@@ -69,12 +62,6 @@ class Censored:
             if np.all(np.abs(step) < 1e-9 * light):
                 break
         return light, bend
-
-    def log_likelihood(self, overlap: Array, curvature: Array, hidden: Array) -> Array:
-        """Return ln likelihood of shapes, the light marginalised by Laplace's approximation, shape (n,)."""
-        light, bend = self._lights(overlap, curvature, hidden, np.maximum(overlap / curvature, 1e-12))
-        value = self._terms(light[:, None] * hidden)[2]
-        return overlap * light - 0.5 * curvature * light**2 + value - 0.5 * np.log(np.maximum(bend, 1e-300))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,15 +118,10 @@ class _Source(NamedTuple):
 class PointFitter:
     """Fits blur models to the pixels of one or several points of one camera."""
 
-    def __init__(self, pixels: list[WhitenedPixels], top: float) -> None:
+    def __init__(self, pixels: list[WhitenedPixels]) -> None:
         self.pixels = pixels
-        self._frequency, self._cosine = radial(top)[1], cosines()
 
-    def nodes(self, form: BlurModel2D, theta: Array) -> Array:
-        """Return transfers at the nodes, shape (n, node)."""
-        return form.nodes(theta, self._frequency, self._cosine)
-
-    def fit(self, form: BlurModel2D, start: Array, *, iterations: int = ACCURACY.model_iterations) -> BlurModelFit2D:
+    def fit(self, form: BlurModel2D, start: Array, *, iterations: int = 40) -> BlurModelFit2D:
         """Fit a model from starting values."""
         bounds = form.bounds
         point, here = least_squares(
@@ -163,10 +145,10 @@ class PointFitter:
         """Return cost, gradient and curvature at a point, lights at their optimum."""
         bounds = form.bounds
         # Differences point inwards, to stay within the bounds.
-        moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * ACCURACY.difference * np.ptp(bounds, axis=1)
-        nodes = self.nodes(form, np.concatenate([point[None], point + np.diag(moves)]))
+        moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * 1e-5 * np.ptp(bounds, axis=1)
+        nodes = form.nodes(np.concatenate([point[None], point + np.diag(moves)]))
         sources = [_source(one, nodes, moves) for one in self.pixels]
-        mean, precision = form.prior()
+        mean, precision = form.prior
         off = point - mean
         gradient, normal = -off * precision, np.diag(precision)
         for one in sources:
@@ -180,17 +162,22 @@ class PointFitter:
         value = form.log_prior(theta)
         inside = np.isfinite(value)
         if inside.any():
-            nodes = self.nodes(form, theta[inside])
+            nodes = form.nodes(theta[inside])
             value[inside] += sum(_log_likelihood(one, nodes) for one in self.pixels)
         return value
 
 
 def _log_likelihood(one: WhitenedPixels, nodes: Array) -> Array:
+    """Return ln likelihood of one source for transfers (n, node), its light marginalised, shape (n,)."""
     unit = nodes @ one.matrix[:, : nodes.shape[1]].T
     overlap, curvature = unit @ one.data, np.maximum(np.einsum("nv,nv->n", unit, unit), 1e-300)
     if one.censored is None:
         return 0.5 * overlap**2 / curvature - 0.5 * np.log(curvature)
-    return one.censored.log_likelihood(overlap, curvature, nodes @ one.censored.matrix[:, : nodes.shape[1]].T)
+    hidden = nodes @ one.censored.matrix[:, : nodes.shape[1]].T
+    light, bend = one.censored.lights(overlap, curvature, hidden, overlap / curvature)
+    # The light is marginalised by Laplace's approximation.
+    value = one.censored.terms(light[:, None] * hidden)[2] - 0.5 * np.log(np.maximum(bend, 1e-300))
+    return overlap * light - 0.5 * curvature * light**2 + value
 
 
 def _source(pixels: WhitenedPixels, nodes: Array, moves: Array) -> _Source:
@@ -202,9 +189,11 @@ def _source(pixels: WhitenedPixels, nodes: Array, moves: Array) -> _Source:
         chi2 = float((data - light * unit) @ (data - light * unit))
         return _Source(light, unit, slopes, data - light * unit, chi2, chi2)
     hidden, hidden_slopes = _unit_and_slopes(censored.matrix, nodes, moves)
-    light = censored.light(data, unit, hidden, light)
+    start, overlap, curvature = np.array([[light], [unit @ data], [unit @ unit]])
+    light = float(censored.lights(overlap, curvature, hidden[None], start)[0][0])
     residual = data - light * unit
-    pull, weight, height = censored.terms(light * hidden)
+    pull, weight, height = (part[0] for part in censored.terms(light * hidden[None]))
+    weight = np.maximum(weight, 1e-12 / censored.sd**2)
     root, chi2 = np.sqrt(weight), float(residual @ residual)
     return _Source(
         light=light,
@@ -212,7 +201,7 @@ def _source(pixels: WhitenedPixels, nodes: Array, moves: Array) -> _Source:
         slopes=np.concatenate([slopes, root[:, None] * hidden_slopes]),
         residual=np.append(residual, pull / root),
         chi2=chi2,
-        cost=chi2 - 2.0 * height,
+        cost=chi2 - 2.0 * float(height),
     )
 
 

@@ -1,6 +1,7 @@
 """Selection and averaging of blur models of points by evidence."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,6 @@ from charact.mtf.blur_models.one_dimensional import ExtendedComponent, HaloCompo
 from charact.mtf.point.blur_models_2d import BlurModel2D, Core
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.mtf.point.source_pixels import SourcePixels, add_noise, noise_likelihood, position_source, whiten_source
-from charact.mtf.point.spot_image_matrix import cosines, radial
 from charact.mtf.point.thresholds import ACCURACY
 from charact.posterior.least_squares import weigh_by_evidence
 
@@ -29,8 +29,7 @@ TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
 DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
 
 
-@dataclass(frozen=True, kw_only=True)
-class EvidenceWeightedModels2D:
+class EvidenceWeightedModels2D(NamedTuple):
     """A fitted blur model with its weight by evidence."""
 
     fit: BlurModelFit2D
@@ -47,6 +46,8 @@ def fit_sources(
 ) -> tuple[list[SourcePixels], PointFitter, list[EvidenceWeightedModels2D]]:
     """Fit sources of one camera: positions, noise and blur models in turn; the most probable model comes first.
 
+    There are no models where none has a finite evidence.
+
     `wide` are the extended components to be tried with refined cores; None: the cores are the only models.
     """
     begun = [position_source(site) for site in sites]
@@ -61,7 +62,7 @@ def fit_sources(
         best = max(fits, key=lambda fit: _likelihood(sites, fit))
         sites, fitter = _update_sources(sites, best, lower)
     found = fit_models(fitter, starts, wide)
-    if found[0].fit.form != best.form:
+    if found and found[0].fit.form != best.form:
         # Positions and noise were those of a simpler model.
         sites, fitter = _update_sources(sites, found[0].fit)
         found = fit_models(fitter, starts, wide)
@@ -99,20 +100,21 @@ def _update_sources(
 
 def _fitter_for(sites: list[SourcePixels], form: BlurModel2D, point: Array, light: Array | None) -> PointFitter:
     """Return a fitter whose weights and slopes are those of a model."""
-    top = sites[0].aperture.top
-    transfer = form.transfer(point[None], radial(top)[1], cosines())[0]
+    transfer = form.transfer(point[None])[0]
     if light is None:
         light = np.array([_light_of_core(site) for site in sites])
-    return PointFitter([whiten_source(site, transfer, float(one)) for site, one in zip(sites, light, strict=True)], top)
+    return PointFitter([whiten_source(site, transfer, float(one)) for site, one in zip(sites, light, strict=True)])
 
 
 def _light_of_core(site: SourcePixels) -> float:
     """Return the approximate light of a source: the sum of its core above its border."""
     area = float(np.diff(site.window.x[:2])[0] * np.diff(site.window.y[:2])[0])
-    return max(float((site.window.core - site.window.border_dn).sum()) * area, 1e-9)
+    core = site.window.core
+    border_dn = np.median(np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]]))
+    return max(float((core - border_dn).sum()) * area, 1e-9)
 
 
-def _start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
+def start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
     """Return starting values of another model from the parameters in common."""
     start = form.start(float(fit.point[0]))
     known = dict(zip(fit.form.parameters, fit.point, strict=True))
@@ -127,7 +129,7 @@ def fit_models(
     if wide is None:
         return _rank_by_evidence(found)
     found += [
-        fitter.fit(form, _start_from(one, form))
+        fitter.fit(form, start_from(one, form))
         for one in _cores_within(found, ACCURACY.candidate_ln_evidence)
         if one.form.round and (form := replace(one.form, round=False))
     ]
@@ -137,20 +139,18 @@ def fit_models(
         found.append(_fit_two_blurs(fitter, likeliest))
         if not likeliest.form.round and abs(likeliest.point[1] - 2.0) > 2.0 * np.sqrt(likeliest.covariance[1, 1]):
             found.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
-    near = _cores_within(found, ACCURACY.extended_ln_evidence)
+    near = _cores_within(found, 3.0)
     for light in wide:
-        for core in _cores_within(found, ACCURACY.candidate_ln_evidence)[: ACCURACY.max_cores]:
+        for core in _cores_within(found, ACCURACY.candidate_ln_evidence)[:4]:
             always = core in near or isinstance(light, HaloComponent)
-            more = _fit_extended(fitter, core, light, -np.inf if always else ACCURACY.min_extended_chi2_gain)
+            more = _fit_extended(fitter, core, light, -np.inf if always else 4.0)
             found += [] if more is None else [more]
     if any(isinstance(light, HaloComponent) for light in wide):
         # A described intensifier has a halo.
         found = [one for one in found if one.form.wide is not None] or found
     best = max(found, key=_weight)
     found += [
-        fitter.fit(form, _start_from(best, form))
-        for size in DEPARTURES
-        if (form := replace(best.form, departures=size))
+        fitter.fit(form, start_from(best, form)) for size in DEPARTURES if (form := replace(best.form, departures=size))
     ]
     return _rank_by_evidence(found)
 
@@ -166,7 +166,7 @@ def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
     form = replace(tube.form, lens=True)
     begun = []
     for blur in (0.3, 0.7):
-        start = _start_from(tube, form)
+        start = start_from(tube, form)
         start[0] += np.log(1.3)
         start[list(form.parameters).index("blur_px")] = blur
         begun.append(fitter.fit(form, start))
@@ -188,7 +188,7 @@ def _fit_extended(
     form = replace(core.form, wide=wide)
     first = form.blur_parameters
     bounds = form.bounds[first : first + len(wide.parameters)]
-    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.1, 0.9, ACCURACY.extended_sizes)
+    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.1, 0.9, 6)
     begun = []
     for size in sizes:
         beyond = [0.05, size, *([0.5] if len(bounds) > 2 else [])]

@@ -74,7 +74,7 @@ def power_log_likelihoods(samples: Array, mean: Array, pulses: Array, dark: Arra
     are equally likely.
     """
     lit = np.flatnonzero(mean > ACCURACY.min_light_fraction * np.max(mean, initial=0.0))
-    if lit.size < ACCURACY.min_lit_pixels:
+    if lit.size < 6:
         return np.zeros(POWERS.size)
     light = mean[lit] / mean.max()
     aside = np.linalg.svd(light[None])[2][1:]
@@ -89,7 +89,7 @@ def _likeliest(white: Array, root: Array, pulses: Array) -> float:
     values = np.maximum(values, 0.0)
     square, count = np.sum((white @ vectors) ** 2, axis=0), len(white)
     size = 1.0
-    for _ in range(ACCURACY.noise_iterations):
+    for _ in range(8):
         variance = 1.0 + size * values
         part = size * values / variance
         slope = 0.5 * np.sum((square / variance - count) * part)

@@ -31,7 +31,7 @@ from charact.mtf.point.model_selection import EvidenceWeightedModels2D, candidat
 from charact.mtf.point.parametric_noise import measure_surroundings_noise
 from charact.mtf.point.source import PointRefusal, detect_source, refuse_all
 from charact.mtf.point.source_pixels import SourcePixels
-from charact.mtf.point.source_window import neighbour_mask, rounding_note, source_figure_data, source_window
+from charact.mtf.point.source_window import neighbour_mask, source_window
 from charact.mtf.point.spot_image_matrix import Aperture
 from charact.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.posterior import has_several_peaks, importance_sample, sample_posterior
@@ -45,22 +45,7 @@ Array = NDArray[np.float64]
 METHOD = "point-parametric"
 
 
-@register(
-    "point",
-    METHOD,
-    quantities=("mtf50", "mtf10", "mtf"),
-    scope=(
-        "Single point sources or pinholes of known, bounded or zero size, light over 6 standard uncertainties, one "
-        "frame or more, blur of lenses and tubes: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, "
-        "diffraction with or without central obscuration and defocus, round, elliptical or separable with an aspect "
-        "up to 1.5, with halo, disc or scatter inside the region, neighbours at least 5 px away; "
-        "MTF50 below 0.42 cycles per pixel. "
-        "Pixels at full scale are treated as lower limits; with a sensor description, whose wells may fill first and "
-        "whose video filter spreads clipped light, the result is suspect. Not detected: a second source within the "
-        "blur, a pinhole of unstated size, and a nonlinear response that the noise does not show: a gamma of g changes "
-        "MTF50 by about the root of g, and more with a halo."
-    ),
-)
+@register("point", METHOD)
 def point_parametric(
     stack: FrameStack,
     *,
@@ -105,13 +90,13 @@ def point_parametric(
     cores = partial(candidate_cores, described=context.sensor is not None)
 
     def forms(pinhole: float | tuple[float, float], holds_halo: bool, reach_px: float):
-        return cores(pinhole), _extended_components(context, holds_halo, reach_px)
+        return cores(pinhole), _widen_components(context, holds_halo, reach_px)
 
     method = PointMethod(name=METHOD, quantities=("mtf50", "mtf10", "mtf"), forms=forms)
     return measure_points(method, stack, region, regions, pinhole_px, context)
 
 
-def _extended_components(context: Context, holds_halo: bool, reach_px: float) -> tuple[ExtendedComponent, ...]:
+def _widen_components(context: Context, holds_halo: bool, reach_px: float) -> tuple[ExtendedComponent, ...]:
     """Return the extended components that regions can show."""
     if context.sensor is not None:
         return (HaloComponent(size_px=halo_diameters_px(context, transposed=False)),) if holds_halo else ()
@@ -164,6 +149,9 @@ def measure_points(
     if any(form.bandwidth_order > 1 for form in cores):
         sites = [replace(site, aperture=replace(site.aperture, orders=BANDWIDTH_ORDERS)) for site in sites]
     sites, fitter, found = fit_sources(sites, cores, wide)
+    if not found or not found[0].fit.cost < LIMITS.max_cost * found[0].fit.free:
+        reason = "no blur model describes the source: it may be light of another shape, or far beyond full scale"
+        return refuse_all(common, reason, "model-misfit")
     best = found[0].fit
     # The noise of a single frame's light is poorly known; there the detection decides.
     weak = best.light < LIMITS.min_light_sd * light_sd(fitter, best)
@@ -294,35 +282,49 @@ def _posterior(fitter: PointFitter, one: EvidenceWeightedModels2D, number: int, 
         "draws": ACCURACY.quick_draws if context.quick else ACCURACY.draws,
     }
     log_probability = partial(fitter.log_probability, fit.form)
-    effort = max(one.share, ACCURACY.min_effort)
+    effort = max(one.share, 0.25)
     if context.quick:
-        enough, first = ACCURACY.quick_ess * effort, round(ACCURACY.quick_first_draws * effort)
+        enough, first = 500.0 * effort, round(1000 * effort)
         return importance_sample(log_probability, **arguments, enough=enough, first_draws=first)
-    return sample_posterior(log_probability, **arguments, max_steps=ACCURACY.chain_steps, effort=effort)
+    return sample_posterior(log_probability, **arguments, max_steps=1500, effort=effort)
 
 
 def _model_figure_data(site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D) -> dict[str, Any]:
     """Return the figure data of the most probable model for the first source, with the estimated quantisation shift."""
     pixels, light, background = fitter.pixels[0], float(fit.light[0]), site.background()
-    nodes = fitter.nodes(fit.form, fit.point[None])[0]
+    nodes = fit.form.nodes(fit.point[None])[0]
     lit = light * (site.matrix()[:, : nodes.size] @ nodes)
     white = pixels.root @ background[site.value_mask]
     level = np.linalg.lstsq(white, pixels.root @ (site.values - lit)[site.value_mask], rcond=None)[0]
     mean, used = lit + background @ level, site.value_mask
     left = pixels.root.T @ (pixels.root @ (site.values - mean)[used])
     mean[used] += pixels.rounding @ left
-    core, rings = np.split(mean, [site.window.core.size])
-    return source_figure_data(
-        site.window,
-        site.place,
-        core.reshape(site.window.core.shape),
-        rings,
-        light_dn_px2=light,
-        light_sd_dn_px2=float(light_sd(fitter, fit)[0]),
-        pedestal_dn=float(level[0]),
-        chi_squared=fit.chi2,
-        degrees_of_freedom=fit.free,
-    )
+    window, (x_px, y_px) = site.window, site.place
+    core, rings = np.split(mean, [window.core.size])
+    core = core.reshape(window.core.shape)
+    # The lines through the source's centre.
+    row, col = int(np.argmin(np.abs(window.y - y_px))), int(np.argmin(np.abs(window.x - x_px)))
+    return {
+        "figure": "point-profile",
+        "column_px": (window.x - x_px).tolist(),
+        "row_px": (window.y - y_px).tolist(),
+        "value_dn": window.core.tolist(),
+        "model_dn": core.tolist(),
+        "used": window.keep.tolist(),
+        "along_row_dn": window.core[row].tolist(),
+        "along_row_model_dn": core[row].tolist(),
+        "along_column_dn": window.core[:, col].tolist(),
+        "along_column_model_dn": core[:, col].tolist(),
+        "ring_px": window.ring_px.mean(axis=1).tolist(),
+        "ring_dn": window.ring_dn.tolist(),
+        "ring_sd_dn": np.sqrt(window.ring_variance).tolist(),
+        "ring_model_dn": rings.tolist(),
+        "light_dn_px2": light,
+        "light_sd_dn_px2": float(light_sd(fitter, fit)[0]),
+        "pedestal_dn": float(level[0]),
+        "chi_squared": fit.chi2,
+        "degrees_of_freedom": fit.free,
+    }
 
 
 def _crossing(fine: Array, level: float) -> float:
@@ -362,7 +364,12 @@ def _notes(
         out.append("MTF normalised to the core; any halo is not included.")
     if any(site.dark.common > 0 for site in sites):
         out.append("Noise is correlated between pixels; accounted for.")
-    out += rounding_note(min((site.window for site in sites), key=lambda window: window.quiet_sd))
+    most = float(np.exp(-2.0 * np.pi**2 * min(site.window.quiet_sd for site in sites) ** 2) / np.pi)
+    if most >= LIMITS.min_rounding_shift_dn:
+        out.append(
+            f"Quantisation may shift faint light and its level by up to {most:.2f} DN; the fit includes this, and the "
+            "plotted model the estimated shift."
+        )
     if context.sensor is None:
         out.append("Pixels taken as square.")
     return tuple(out)

@@ -56,11 +56,11 @@ def measure_surroundings_noise(
     rows, cols = data.shape[1:]
     distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
     far = (
-        (distance > min(ACCURACY.noise_distance_px, ACCURACY.noise_distance_fraction * float(distance.max())))
+        (distance > min(ACCURACY.noise_distance_px, 0.6 * float(distance.max())))
         & (distance < 4.0 * ACCURACY.noise_distance_px)
         & ~np.asarray(neighbours)
     )
-    frames = data[: ACCURACY.max_noise_frames].astype(float)
+    frames = data[:16].astype(float)
     if len(frames) > 1:
         off, freedom = frames - frames.mean(axis=0), 1.0 - 1.0 / len(frames)
     else:
@@ -133,9 +133,7 @@ def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Arr
     log = np.log(np.clip(transfer, 1e-12, 1.0))
     whole = _width(frequency, log)
     laws = [
-        ((1.0 - fraction) * log, _width(frequency, fraction * log))
-        for fraction in ACCURACY.pulse_fractions
-        if fraction > 0.0
+        ((1.0 - fraction) * log, _width(frequency, fraction * log)) for fraction in (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
     ]
     laws += [
         (np.minimum.accumulate(np.minimum(log + 2.0 * (np.pi * frequency * width) ** 2, 0.0)), width)
@@ -227,7 +225,8 @@ def fit_pulses(
         weight /= weight.sum()
         ln = np.log(gains)
         spread = float(weight @ (ln - weight @ ln) ** 2)
-        n_values = max(2.0 / max(spread, 1e-9), ACCURACY.min_gain_values)
+        # Student's t of fewer than six values has hardly a variance.
+        n_values = max(2.0 / max(spread, 1e-9), 6.0)
         median = float(np.exp(np.interp(0.5, np.cumsum(weight), ln)))
         odds = np.log(len(units) - 1.0) if number and len(units) > 1 else 0.0
         found.append((float(fit.max()) - odds, median * n_values / (n_values - 2.0)))
@@ -250,7 +249,7 @@ def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
 
     code, number = np.unique(codes, return_counts=True)
     below = np.cumsum(number) - number
-    commonest, lower = int(np.argmax(number)), int(np.searchsorted(below, ACCURACY.min_values_below))
+    commonest, lower = int(np.argmax(number)), int(np.searchsorted(below, 16))
     if lower >= commonest:
         return ACCURACY.hidden_sd_dn
     near, far = (float(ndtri(below[one] / codes.size)) for one in (commonest, lower))
@@ -273,9 +272,9 @@ def is_clipped_at_black(codes: NDArray) -> bool:
 
     code, number = np.unique(codes, return_counts=True)
     above = codes.size - np.cumsum(number)
-    near = int(np.argmax(above <= ACCURACY.upper_fraction * above[0]))
-    far = max(int(np.argmax(above <= ACCURACY.top_fraction * above[0])), near + 1)
-    if near == 0 or far >= code.size or above[far] < ACCURACY.min_values_above:
+    near = int(np.argmax(above <= 0.5 * above[0]))
+    far = max(int(np.argmax(above <= 0.05 * above[0])), near + 1)
+    if near == 0 or far >= code.size or above[far] < 20:
         return False
     at, z = code[[0, near, far]].astype(float), ndtri(1.0 - above[[0, near, far]] / codes.size)
     lower, upper = np.diff(at) / np.diff(z)

@@ -95,7 +95,7 @@ def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
 
     highest = ndimage.maximum_filter(steady, size=5)
     rows, cols = np.nonzero((steady == highest) & (steady - level >= least))
-    order = np.argsort(-steady[rows, cols], kind="stable")[: ACCURACY.max_peaks]
+    order = np.argsort(-steady[rows, cols], kind="stable")[:100]
     peaks = list(zip(rows[order].tolist(), cols[order].tolist(), strict=True))
     centre = 0.5 * (np.array(steady.shape) - 1.0)
     bright = [
@@ -139,8 +139,11 @@ def round_down(significance: float) -> float:
 
 
 def source_signal(data: NDArray) -> float:
-    """Return the signal of the brightest steady source of frames (frame, row, col), DN summed over frames."""
-    steady = np.median(_smooth_frames(data), axis=0)
+    """Return the signal of the brightest steady source of frames (frame, row, col), DN summed over frames.
+
+    Three frames suffice for the median that leaves out single bright events.
+    """
+    steady = np.median(_smooth_frames(data[:: max(1, len(data) // 3)][:3]), axis=0)
     return len(data) * float(steady.max() - np.median(steady))
 
 
@@ -148,9 +151,8 @@ def _smooth_frames(data: NDArray) -> Array:
     """Return every frame smoothed, shape (frame, row, col), DN; single precision suffices and is twice as fast."""
     from scipy import ndimage
 
-    return np.stack(
-        [ndimage.gaussian_filter(frame.astype(np.float32), ACCURACY.detection_smoothing_px) for frame in data]
-    )  # pyright: ignore[reportReturnType]
+    smooth = [ndimage.gaussian_filter(frame.astype(np.float32), 1.2) for frame in data]
+    return np.stack(smooth)  # pyright: ignore[reportReturnType]
 
 
 def _spread(steady: Array, level: float, data: NDArray) -> float:

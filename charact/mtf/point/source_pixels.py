@@ -10,7 +10,7 @@ from charact.mtf.point.blur_models_2d import BlurModel2D
 from charact.mtf.point.model_fit import BlurModelFit2D, Censored, WhitenedPixels
 from charact.mtf.point.parametric_noise import GAINS, Pulses, SurroundingsNoise, fit_pulses, pulse_covariances
 from charact.mtf.point.source_window import Window
-from charact.mtf.point.spot_image_matrix import Aperture, cosines, pictures, pixel_matrix, radial, ring_matrix
+from charact.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, Aperture, pictures, pixel_matrix, ring_matrix
 from charact.mtf.point.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ class SourcePixels:
     def near(self) -> NDArray[np.int64]:
         """Valid core pixels near the source."""
         x, y = self.axes
-        return np.flatnonzero((np.hypot(x, y[:, None]) < ACCURACY.pulse_radius_px).ravel() & self.window.keep.ravel())
+        return np.flatnonzero((np.hypot(x, y[:, None]) < 5.0).ravel() & self.window.keep.ravel())
 
     @property
     def value_mask(self) -> NDArray[np.bool_]:
@@ -74,7 +74,8 @@ class SourcePixels:
             return np.empty(0)
         area = np.pi * (ring[:, -1] ** 2 - ring[:, 0] ** 2) / float(np.diff(self.window.y[:2])[0])
         least = self.dark.variance * self.dark.grain / self.window.frames / np.maximum(area, 1.0)
-        return ACCURACY.sector_variance_factor * np.maximum(self.window.ring_variance, least)
+        # Student's t of an estimate from 12 sectors.
+        return 11.0 / 9.0 * np.maximum(self.window.ring_variance, least)
 
     def matrix(self) -> Array:
         """Return the matrix from a transfer to core pixels and rings of unit light, shape (value, node)."""
@@ -100,13 +101,13 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
     flat = site.background()[used] / sd[used, None]
     data = site.values[used] / sd[used]
     thetas = np.stack([np.log(GUESSES), np.full_like(GUESSES, 1.5), np.zeros_like(GUESSES)], axis=1)
-    transfers = GUESSED.transfer(thetas, radial(site.aperture.top)[1], cosines())
+    transfers = GUESSED.transfer(thetas)
     described = replace(site.aperture, orders=1)
     shapes = transfers.reshape(len(thetas), -1) @ replace(site, aperture=described).matrix()[used].T / sd[used]
     basis = np.linalg.qr(flat)[0]
     free, left = shapes - (shapes @ basis) @ basis.T, data - basis @ (basis.T @ data)
     best = int(np.argmax((free @ left) * np.abs(free @ left) / np.sum(free**2, axis=1)))
-    for _ in range(ACCURACY.position_turns):
+    for _ in range(3):
         site, move = _reposition(site, transfers[best], sd[: height.size])
         if move < 0.01:
             break
@@ -155,7 +156,7 @@ def noise_likelihood(site: SourcePixels, fit: BlurModelFit2D) -> float:
 
     It compares models before the noise is known: a model that does not fit takes its misfit for noise.
     """
-    transfer = fit.form.transfer(fit.point[None], *_nodes(site))[0]
+    transfer = fit.form.transfer(fit.point[None])[0]
     left, near = _core_residual(site, transfer, _sd(site)), site.near
     light = np.maximum(left.coefficients[0] * left.design[near, 0], 0.0)
     still = site.dark.variance + _rounding_variance(site)
@@ -169,15 +170,15 @@ def add_noise(site: SourcePixels, fit: BlurModelFit2D, light: float, *, lower: f
     The noise is estimated from frame differences, or in a single frame from the residuals, reduced by the factor
     `lower`.
     """
-    transfer = fit.form.transfer(fit.point[None], *_nodes(site))[0]
+    transfer = fit.form.transfer(fit.point[None])[0]
     site, _ = _reposition(site, transfer, _sd(site))
     x, y = site.axes
     mean = light * pictures(site.aperture, transfer, x, y)[0]
     near = site.near
-    if near.size < ACCURACY.min_near_pixels:
+    if near.size < 9:
         return site
-    blur = fit.form.camera(fit.point[None], *_nodes(site))[0].mean(axis=0)
-    units = pulse_covariances((_nodes(site)[0], blur), mean, x, y)
+    blur = fit.form.camera(fit.point[None], FREQUENCIES, COSINES)[0].mean(axis=0)
+    units = pulse_covariances((FREQUENCIES, blur), mean, x, y)
     factor = site.memory.between_rows(site.window.parity)
     if site.window.frames > 1:
         return replace(site, pulses=fit_pulses(site.window.contrasts, dark_noise(site), units, factor, near))
@@ -197,12 +198,8 @@ def _slopes(site: SourcePixels, fit: BlurModelFit2D) -> Array:
     """Return the derivatives of the core's pixels at unit light by a model's parameters, shape (pixel, parameter)."""
     bounds = fit.form.bounds
     moves = np.where(fit.point > bounds.mean(axis=1), -1e-4, 1e-4) * (bounds[:, 1] - bounds[:, 0])
-    nodes = fit.form.nodes(np.concatenate([fit.point[None], fit.point + np.diag(moves)]), *_nodes(site))
+    nodes = fit.form.nodes(np.concatenate([fit.point[None], fit.point + np.diag(moves)]))
     return pixel_matrix(site.aperture, *site.axes) @ ((nodes[1:] - nodes[0]) / moves[:, None]).T
-
-
-def _nodes(site: SourcePixels) -> tuple[Array, Array]:
-    return radial(site.aperture.top)[1], cosines()
 
 
 def dark_noise(site: SourcePixels) -> Array:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,36 +59,11 @@ class Window:
         x, y = (part.ravel() for part in np.broadcast_arrays(self.x, self.y[:, None]))
         return np.hypot(x[:, None] - x, y[:, None] - y)
 
-    def frames_above(self, pedestal: float) -> Array:
-        """Return the frames of the core above a level, shape (frame, row, col), DN."""
-        return self.deviations.reshape(-1, *self.core.shape) + (self.core - pedestal)
-
-    def exceeds_rounding(self, variance: Array) -> NDArray[np.bool_]:
-        """Return where noise of a variance, DN^2, is so large that quantisation only adds to it."""
-        return (variance > LIMITS.min_variance_dn2) | np.isinf(self.quiet_sd)
-
     @property
     def contrasts(self) -> Array:
         """Contrasts of frames: independent samples of one frame's noise, shape (frame - 1, pixel), DN."""
         mixed = np.linalg.qr(np.eye(self.frames)[:, : self.frames - 1] - 1.0 / self.frames)[0]
         return np.asarray(mixed.T @ self.deviations, np.float64)
-
-    @property
-    def offsets_from_centre(self) -> tuple[Array, Array]:
-        """Positions of columns and rows from the centre of light, column pitches."""
-        x, y = self.centre
-        return self.x - x, self.y - y
-
-    @property
-    def border_dn(self) -> float:
-        """Median of the core's outermost pixels, DN."""
-        core = self.core
-        return float(np.median(np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]])))
-
-    @property
-    def row_parity(self) -> NDArray[np.bool_]:
-        """Field of every row of the core."""
-        return self.parity[:: self.x.size]
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -158,7 +132,7 @@ def neighbour_mask(
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     near = np.zeros(shape, bool)
     for row, col in neighbours:
-        near |= np.hypot(cols - col, (rows - row) * pitch_ratio) < LIMITS.neighbour_px
+        near |= (cols - col) ** 2 + ((rows - row) * pitch_ratio) ** 2 < LIMITS.neighbour_px**2
     return near
 
 
@@ -169,7 +143,7 @@ def _valid_pixels(core: Array, full_scale_dn: float | None, *, filtered: bool) -
     full = np.asarray(core.max(axis=0) >= LIMITS.full_fraction * full_scale_dn)
     spoilt = full.copy()
     if filtered:
-        for step in range(1, ACCURACY.filter_tail_px + 1):
+        for step in range(1, 9):
             spoilt[:, step:] |= full[:, :-step]
         spoilt[:, :-1] |= full[:, 1:]
     return ~spoilt
@@ -184,7 +158,7 @@ def _rings(mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col
         if high > reach:
             break
         inside = outside & (radius >= low) & (radius < high)
-        if inside.sum() < ACCURACY.min_ring_pixels:
+        if inside.sum() < 24:
             continue
         distances.append(_ring_quantiles(radius[inside]))
         values.append(float(mean[inside].mean()))
@@ -231,7 +205,8 @@ def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Ar
     # Subtracting their mean reduces the correlation of sectors.
     size = float(count.mean())
     alike = (1.0 + seen * (size - 1.0)) / (size - 2.0 + 2.0 * seen)
-    reach = float(np.clip(alike * ACCURACY.sector_px, 0.0, ACCURACY.max_correlation_px))
+    # Noise is correlated over at most one pixel across a border.
+    reach = float(np.clip(alike * ACCURACY.sector_px, 0.0, 1.0))
     wider = 1.0 + 2.0 * reach / ACCURACY.sector_px
     by_pixel = pixels * wider * square / (count - wider) / count
     weight = np.eye(count.size) + np.eye(count.size, k=1) + np.eye(count.size, k=-1)
@@ -240,44 +215,3 @@ def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Ar
     touch = np.isclose(borders[1:, 0], borders[:-1, 1])
     adjacent = np.where(touch, reach / np.sqrt(width[1:] * width[:-1]), 0.0)
     return variance, np.eye(count.size) + np.diag(adjacent, 1) + np.diag(adjacent, -1)
-
-
-def rounding_note(window: Window) -> list[str]:
-    """Return a note where quantisation may shift faint light."""
-    most = float(np.exp(-2.0 * np.pi**2 * window.quiet_sd**2) / np.pi)
-    if most < LIMITS.min_rounding_shift_dn:
-        return []
-    return [
-        f"Quantisation may shift faint light and its level by up to {most:.2f} DN; the fit includes this, and the "
-        "plotted model the estimated shift."
-    ]
-
-
-def source_figure_data(
-    window: Window, place: tuple[float, float], core_dn: Array, rings_dn: Array, **fitted: float
-) -> dict[str, Any]:
-    """Return mean frame, model and the lines through the source's centre, as figure data.
-
-    `place`: column and row of the source from the centre of the window, column pitches; `core_dn`, `rings_dn`: model of
-    the core, shape (row, col), and of the rings, shape (ring,), DN; `fitted`: numbers of the fit that are printed:
-    light, level, chi squared.
-    """
-    x_px, y_px = place
-    row, col = int(np.argmin(np.abs(window.y - y_px))), int(np.argmin(np.abs(window.x - x_px)))
-    return {
-        "figure": "point-profile",
-        "column_px": (window.x - x_px).tolist(),
-        "row_px": (window.y - y_px).tolist(),
-        "value_dn": window.core.tolist(),
-        "model_dn": core_dn.tolist(),
-        "used": window.keep.tolist(),
-        "along_row_dn": window.core[row].tolist(),
-        "along_row_model_dn": core_dn[row].tolist(),
-        "along_column_dn": window.core[:, col].tolist(),
-        "along_column_model_dn": core_dn[:, col].tolist(),
-        "ring_px": window.ring_px.mean(axis=1).tolist(),
-        "ring_dn": window.ring_dn.tolist(),
-        "ring_sd_dn": np.sqrt(window.ring_variance).tolist(),
-        "ring_model_dn": rings_dn.tolist(),
-        **fitted,
-    }

@@ -16,10 +16,16 @@ from charact.video_filter import VideoFilter
 Array = NDArray[np.float64]
 
 # Radial panels, cycles per column pitch: dense where the halo's transfer oscillates.
-PANELS = (0.0, 0.004, 0.012, *np.arange(0.025, 0.3, 0.025), *np.arange(0.3, 0.6, 0.05), 0.6, 0.7, 0.8, 0.9, 1.0)
-BEYOND = 0.25
-NODES = 4
-DIRECTIONS = 5
+BORDERS = np.array([
+    0.0, 0.004, 0.012, *np.arange(0.025, 0.3, 0.025), *np.arange(0.3, 0.6, 0.05), 0.6, 0.7, 0.8, 0.9,
+    *np.arange(1.0, 2.01, 0.25),
+])  # fmt: skip
+NODES, DIRECTIONS = 4, 5
+GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(NODES)
+# Radial nodes, cycles per column pitch, at which transfers are kept, and the cosines of twice the angle of their
+# directions: Chebyshev's, rows to columns.
+FREQUENCIES = (0.5 * (BORDERS[1:] + BORDERS[:-1])[:, None] + 0.5 * np.diff(BORDERS)[:, None] * GAUSS).ravel()
+COSINES = np.cos(np.pi * np.arange(DIRECTIONS) / (DIRECTIONS - 1))
 # Nodes of a panel for the rings, and distances per ring.
 FINE, PER_RING = 12, 12
 # Directions of the integral at zero frequency, and their increase per cycle per pixel.
@@ -30,16 +36,13 @@ TURNS, TURNS_PER_CYCLE = 12, 36
 class Aperture:
     """Known part of the camera's transfer."""
 
-    # width_px, height_px: extent of a pixel as read, column pitches
-    width_px: float = 1.0
-    height_px: float = 1.0
+    height_px: float = 1.0  # Height of a pixel as read, column pitches; its width is one
     video: VideoFilter | None = None  # Video filter along rows, or None
-    top: float = 2.0  # Highest frequency with contrast, cycles per column pitch
     orders: int = 1  # Powers of ln bandwidth, from 0, for which matrices have columns
 
     def horizontal(self, frequency: Array, order: int = 0) -> NDArray[np.complex128]:
         """Return aperture and video filter along rows, as the coefficient of a power of ln bandwidth, at most 2."""
-        plain = np.sinc(frequency * self.width_px).astype(complex)
+        plain = np.sinc(frequency).astype(complex)
         if self.video is None:
             return plain if order == 0 else np.zeros_like(plain)
         plain *= self.video(frequency)
@@ -51,21 +54,6 @@ class Aperture:
     def vertical(self, frequency: Array) -> Array:
         """Return the aperture along columns."""
         return np.sinc(frequency * self.height_px)
-
-
-@lru_cache(maxsize=8)
-def radial(top: float) -> tuple[Array, Array]:
-    """Return borders of the panels and the radial nodes."""
-    borders = np.array([*(b for b in PANELS if b < top), *np.arange(1.0 + BEYOND, top + 1e-9, BEYOND)])
-    at = np.polynomial.legendre.leggauss(NODES)[0]
-    middle, half = 0.5 * (borders[1:] + borders[:-1]), 0.5 * np.diff(borders)
-    return borders, (middle[:, None] + half[:, None] * at).ravel()
-
-
-@lru_cache(maxsize=1)
-def cosines() -> Array:
-    """Cosines of twice the angle of the directions at which transfers are kept: Chebyshev's, rows to columns."""
-    return np.cos(np.pi * np.arange(DIRECTIONS) / (DIRECTIONS - 1))
 
 
 def _lagrange(nodes: Array, at: Array) -> Array:
@@ -89,18 +77,15 @@ class _Panel:
 
 @lru_cache(maxsize=24)
 def _panels(aperture: Aperture, order: int = 0) -> list[_Panel]:
-    borders, nodes = radial(aperture.top)
-    weights = np.polynomial.legendre.leggauss(NODES)[1]
     panels = []
-    for number, (low, high) in enumerate(pairwise(borders)):
-        f = nodes[number * NODES : (number + 1) * NODES]
+    for (low, high), f in zip(pairwise(BORDERS), FREQUENCIES.reshape(-1, NODES), strict=True):
         turn, share = np.polynomial.legendre.leggauss(int(TURNS + TURNS_PER_CYCLE * high))
         turn, share = 0.25 * np.pi * (turn + 1.0), 0.25 * np.pi * share
         fx, fy = f[:, None] * np.cos(turn), f[:, None] * np.sin(turn)
         # Four quadrants of the plane.
-        area = 4.0 * (0.5 * (high - low) * weights * f)[:, None] * share
+        area = 4.0 * (0.5 * (high - low) * WEIGHTS * f)[:, None] * share
         known = aperture.horizontal(fx.ravel(), order).reshape(fx.shape) * aperture.vertical(fy)
-        panels.append(_Panel(fx.ravel(), fy.ravel(), (area * known).ravel(), _lagrange(cosines(), np.cos(2.0 * turn))))
+        panels.append(_Panel(fx.ravel(), fy.ravel(), (area * known).ravel(), _lagrange(COSINES, np.cos(2.0 * turn))))
     return panels
 
 
@@ -109,21 +94,19 @@ def pixel_matrix(aperture: Aperture, x: Array, y: Array) -> Array:
 
     `x`, `y`: positions of columns and rows from the source, column pitches, shape (col,) and (row,).
     """
-    return np.concatenate([_pixel_matrix(aperture, order, x, y) for order in range(aperture.orders)], axis=1)
-
-
-def _pixel_matrix(aperture: Aperture, order: int, x: Array, y: Array) -> Array:
-    """Return the matrix's columns of one power of ln bandwidth."""
+    down = [np.cos(2.0 * np.pi * panel.fy[:, None] * y) for panel in _panels(aperture)]
     parts = []
-    for panel in _panels(aperture, order):
-        phase = 2.0 * np.pi * panel.fx[:, None] * x
-        along = panel.weight.real[:, None] * np.cos(phase)
-        if aperture.video is not None:
-            along = along - panel.weight.imag[:, None] * np.sin(phase)
-        down = np.cos(2.0 * np.pi * panel.fy[:, None] * y)
-        both = (down[:, :, None] * along[:, None, :]).reshape(NODES, -1, x.size * y.size)
-        parts.append(panel.between.T @ both)
-    return np.concatenate(parts).transpose(2, 1, 0).reshape(x.size * y.size, -1)
+    for order in range(aperture.orders):
+        columns = []
+        for panel, fall in zip(_panels(aperture, order), down, strict=True):
+            phase = 2.0 * np.pi * panel.fx[:, None] * x
+            along = panel.weight.real[:, None] * np.cos(phase)
+            if aperture.video is not None:
+                along = along - panel.weight.imag[:, None] * np.sin(phase)
+            both = (fall[:, :, None] * along[:, None, :]).reshape(NODES, -1, x.size * y.size)
+            columns.append(panel.between.T @ both)
+        parts.append(np.concatenate(columns).transpose(2, 1, 0).reshape(x.size * y.size, -1))
+    return np.concatenate(parts, axis=1)
 
 
 def pictures(aperture: Aperture, transfer: Array, x: Array, y: Array) -> Array:
@@ -151,20 +134,21 @@ def ring_matrix(aperture: Aperture, ring_px: Array) -> Array:
     """
     from scipy.special import j0
 
-    borders, nodes = radial(aperture.top)
-    out = np.zeros((len(ring_px), aperture.orders * DIRECTIONS * nodes.size))
+    out = np.zeros((len(ring_px), aperture.orders * DIRECTIONS * FREQUENCIES.size))
     if not len(ring_px):
         return out
     some = ring_px[:, np.linspace(0, ring_px.shape[1] - 1, PER_RING).round().astype(int)]
     at, weight = np.polynomial.legendre.leggauss(FINE)
-    between = _lagrange(np.polynomial.legendre.leggauss(NODES)[0], at)
-    half = 0.5 * np.diff(borders)
-    f = 0.5 * (borders[1:] + borders[:-1])[:, None] + half[:, None] * at
-    pixel = np.sinc(f * aperture.width_px / np.sqrt(2.0)) * np.sinc(f * aperture.height_px / np.sqrt(2.0))
+    between = _lagrange(GAUSS, at)
+    half = 0.5 * np.diff(BORDERS)
+    f = 0.5 * (BORDERS[1:] + BORDERS[:-1])[:, None] + half[:, None] * at
+    pixel = np.sinc(f / np.sqrt(2.0)) * np.sinc(f * aperture.height_px / np.sqrt(2.0))
     kernel = j0(2.0 * np.pi * f[..., None, None] * some).mean(axis=-1) * (2.0 * np.pi * f * pixel)[..., None]
     radially = np.einsum("pfr,pf,fn->rpn", kernel, half[:, None] * weight, between).reshape(len(ring_px), -1)
     turns = np.cos(np.pi * (np.arange(64) + 0.5) / 64)
-    round_about = _lagrange(cosines(), turns).mean(axis=0)
+    round_about = _lagrange(COSINES, turns).mean(axis=0)
     # The video filter moves hardly any light between rings.
-    out[:, : DIRECTIONS * nodes.size] = (round_about[None, :, None] * radially[:, None, :]).reshape(len(ring_px), -1)
+    out[:, : DIRECTIONS * FREQUENCIES.size] = (round_about[None, :, None] * radially[:, None, :]).reshape(
+        len(ring_px), -1
+    )
     return out

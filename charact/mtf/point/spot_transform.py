@@ -29,16 +29,7 @@ EFFECTS = {
 }
 
 
-@register(
-    "point",
-    METHOD,
-    quantities=("mtf50", "mtf10"),
-    scope=(
-        "Single unsaturated point sources with little light beyond 8 px, at least 3 frames, linear response: a gamma "
-        "between 0.6 and 2.2 is not detected, nor are halos below the noise and a second source within the blur. "
-        "Biased upwards where the MTF beyond half a cycle per pixel is aliased."
-    ),
-)
+@register("point", METHOD)
 def point_spread(
     stack: FrameStack, *, region: Region | None = None, pinhole_px: float | None = None, context: Context
 ) -> Result:
@@ -125,7 +116,7 @@ def _spots(used: FrameStack, source: DetectedSource, context: Context) -> tuple[
 
 def _has_halo(data: NDArray, radius: Array, ring: NDArray[np.bool_]) -> bool:
     """Return whether the background ring is brighter than its surroundings: part of a halo."""
-    bare = (radius >= ACCURACY.background_radius_px) & (radius < ACCURACY.halo_radius_px)
+    bare = (radius >= ACCURACY.background_radius_px) & (radius < 22.0)
     over = data[:, ring].mean(axis=1) - data[:, bare].mean(axis=1)
     return bool(over.mean() > LIMITS.min_halo_excess_sd * ACCURACY.lag_factor * over.std(ddof=1) / np.sqrt(len(over)))
 
@@ -138,7 +129,7 @@ def _offsets_from_centre(mean: Array, x: Array, y: Array) -> tuple[Array, Array]
 
 def _tail(spots: Array, radius: Array) -> tuple[float, float]:
     """Return the fraction of light at the disc's border and its standard uncertainty."""
-    fraction = spots[:, (radius >= ACCURACY.border_radius_px) & (radius < ACCURACY.spot_radius_px)].sum(axis=1)
+    fraction = spots[:, (radius >= 6.5) & (radius < ACCURACY.spot_radius_px)].sum(axis=1)
     light = float(spots.sum(axis=(1, 2)).mean())
     return float(fraction.mean()) / light, ACCURACY.lag_factor * float(fraction.std(ddof=1)) / np.sqrt(
         len(fraction)
@@ -151,7 +142,7 @@ def _is_asymmetric(spots: Array, x: Array, y: Array) -> bool:
     across, down = _offsets_from_centre(mean, x.ravel(), y.ravel())
     for turn in np.deg2rad([0.0, 45.0, 90.0, 135.0]):
         position = across[None, :] * np.cos(turn) + down[:, None] * np.sin(turn)
-        for frequency in ACCURACY.asymmetry_cy_per_px:
+        for frequency in (0.06, 0.1):
             # A shift doubles the phase at twice the frequency; the remainder is asymmetry.
             wave = np.sin(4.0 * np.pi * frequency * position) - 2.0 * np.sin(2.0 * np.pi * frequency * position)
             odd = np.tensordot(spots, wave, axes=2)

@@ -23,6 +23,9 @@ class PointLimits:
     max_negative_power: float = 0.35  # Extra negative power of the noise that only a nonlinear response explains
     min_region_px: int = 9  # Side of a region, px
     min_light_sd: float = 6.0  # Light of a source, standard uncertainties
+    # -2 ln likelihood of the best model over the degrees of freedom: residuals of a hundred standard deviations, where
+    # the likelihood is too steep to be explored.
+    max_cost: float = 1e4
     full_fraction: float = 0.97  # Fraction of full scale at which frames clip or the wells of a sensor fill
     min_variance_dn2: float = 0.25  # Variance to which quantisation only adds its own, DN^2
     min_rounding_shift_dn: float = 0.02  # Quantisation shift of faint light that is reported, DN
@@ -66,76 +69,38 @@ class PointAccuracy:
     # Quantiles of an image of which at least half is background.
     background_quantiles: tuple[float, float] = (0.05, 0.25)
     background_quantile_sd: float = 0.97  # Their distance in standard deviations (normal distribution)
-    max_peaks: int = 100  # Peaks of a region examined, for speed
-    max_cores: int = 4  # Cores tried with extended components, for speed
     # Factors of a single frame's residual noise in successive turns; misfit does not count as noise at first.
     noise_factors: tuple[float, float] = (0.1, 1.0)
     # Second start: half frequency in focus over the blurred one, defocus squared, waves^2; half a wave halves MTF50.
     defocus_start: tuple[float, float] = (2.0, 0.25)
-    light_iterations: int = 25  # Newton iterations for the light of clipped sources
-    model_iterations: int = 40  # Gauss-Newton iterations
-    difference: float = 1e-5  # Finite difference, fraction of the bounds' width
-    quick_ess: float = 500.0  # Effective sample size of a quick answer
-    quick_first_draws: int = 1000  # First draws of a quick answer
     min_model_weight: float = 0.02  # A model of less weight contributes no draws
     candidate_ln_evidence: float = 8.0  # Models within this of the best ln evidence are refined
-    # Cores within this are always tried with extended components, which noise may hide.
-    extended_ln_evidence: float = 3.0
-    min_extended_chi2_gain: float = 4.0  # Others only where chi squared gains this much
-    extended_sizes: int = 6  # Starting sizes of an extended component
     half_rows: int = 6  # Half height of the core, px
     half_cols: int = 7  # Half width of the core, px
     # Borders of the rings, px.
     ring_borders_px: tuple[float, ...] = (7.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 31.0, 36.0)
     sector_px: float = 6.0  # Length of a ring's sectors, px
-    max_correlation_px: float = 1.0  # Longest correlation of noise across a ring's border, px
-    min_ring_pixels: int = 24  # Pixels of a ring
     pixels_per_ring: int = 48  # Distances that represent a ring
-    filter_tail_px: int = 8  # Columns after a full well that a causal filter affects
     phosphor_pattern: float = 0.015  # Relative fixed pattern of a phosphor screen
     phosphor_pattern_px: float = 1.5  # Its correlation length, px
     pulse_height_square: float = 3.0  # Mean square over squared mean of pulse heights
     pulses_per_dn: float = 1.0  # Pulses per DN before they are estimated
     motion_radius_px: float = 5.0  # Pixels in which motion is followed, px from the centre
-    motion_min_height: float = 0.1  # Their height over the peak
-    min_motion_frames: int = 4  # Frames that motion needs
-    total_light_radius_px: float = 10.0  # Radius that holds all light, also of a moving source, px
     draws: int = 1000  # Draws of the parametric method
     quick_draws: int = 500  # The same for a quick answer
-    min_effort: float = 0.25  # Smallest fraction of them for a model of little weight
-    chain_steps: int = 1500  # Longest Markov chain
     empty_rings: int = 2  # Rings that an extended component must leave empty
-    position_turns: int = 3  # Turns of the position
-    min_near_pixels: int = 9  # Pixels near a source whose noise is used
     first_relative_sd: float = 0.02  # Relative noise assumed for the first estimate, of the brightest pixel
     model_relative_sd: float = 3e-4  # Relative error of the model's tables
-    sector_variance_factor: float = 11.0 / 9.0  # Student's t variance of an estimate from 12 sectors
     noise_distance_px: float = 12.0  # Distance of the surroundings from a source, px
-    noise_distance_fraction: float = 0.6  # The same in a small region, fraction of its extent
-    max_noise_frames: int = 16  # Frames whose noise is used
-    # Fractions of the blur after the gain; 0: independent pixels.
-    pulse_fractions: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
-    min_gain_values: float = 6.0  # Values that constrain a gain; Student's t of fewer has hardly a variance
     pulse_step_px: float = 0.6  # Step of pulse positions, px
     pulse_extent_px: float = 10.2  # Their extent, px
-    pulse_radius_px: float = 5.0  # Pixels whose noise is compared, px from the source
-    min_values_below: int = 16  # Values below the lower of two grey values
     hidden_sd_dn: float = 0.2  # Noise that quantisation hides, DN
-    upper_fraction: float = 0.5  # Fraction of the values above the first of two higher grey values
-    top_fraction: float = 0.05  # The same of the second
-    min_values_above: int = 20  # Values above the second
     min_light_fraction: float = 0.02  # Light over the brightest pixel that is informative
-    min_lit_pixels: int = 6  # Number of such pixels
-    noise_iterations: int = 8  # Iterations for the size of the pulses
-    detection_smoothing_px: float = 1.2  # Smoothing before detection, px
     spot_radius_px: float = 8.0  # Radius of the transformed disc, px
     background_radius_px: float = 14.0  # Outer radius of the background ring, px
     lag_factor: float = 1.6  # Standard uncertainty factor of frames correlated by phosphor decay
-    border_radius_px: float = 6.5  # Inner radius of the disc's border, px
-    halo_radius_px: float = 22.0  # Outer radius of the ring compared with the background ring, px
     light_beyond: float = 6.0  # Light beyond the disc over that at its border, for tails of tubes
     crossing_factor: float = 0.7  # Its effect on a crossing frequency
-    asymmetry_cy_per_px: tuple[float, float] = (0.06, 0.1)  # Frequencies of the asymmetry test, cy/px
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_
 from charact.mtf.known_transfer import halo_diameters_px
 from charact.mtf.session.constraints import MtfConstraint, constraints_from
 from charact.mtf.session.joint_model import JointBlurModel, KnownCameraTransfer
-from charact.mtf.session.thresholds import ACCURACY, THRESHOLDS
+from charact.mtf.session.thresholds import THRESHOLDS
 from charact.posterior import find_maximum, importance_sample, sample_posterior
 from charact.posterior.diagnostics import crowds_at_bound
 from labdata.measurement import Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 CORES: tuple[tuple[Core, bool], ...] = (
     ("gaussian", False), ("exponential", False), ("moffat", False), ("exponential", True),
 )  # fmt: skip
+DRAWS = 1000
 # Parameters whose bounds are physical: a posterior may lean on them.
 NATURAL_BOUNDS = ("blur_px2", "halo_fraction", "halo_elastic_share", "moffat_exponent", "halo_diameter_px")
 
@@ -104,7 +105,7 @@ def fit_joint_model(problem: JointLikelihood) -> JointFit:
     start = np.tile(problem.form.start, (24, 1))
     start[:, 0] = np.linspace(walls[0, 0], walls[0, 1], 26)[1:-1]
     begun = start[int(np.argmax(problem.log_probability(start)))]
-    point, _ = find_maximum(problem.log_probability, begun, walls, iterations=ACCURACY.newton_steps)
+    point, _ = find_maximum(problem.log_probability, begun, walls, iterations=20)
     slope, residual = _slope(problem.residuals, point, walls), problem.residuals(point[None])[0]
     below = residual[count:]
     # Curvature of -ln Phi(z): h (h + z), h the density over Phi.
@@ -190,7 +191,7 @@ class JointMtf:
         none = np.zeros_like(frequency)
         fx, fy = (none, frequency) if vertical else (frequency, none)
         return np.concatenate([
-            fit.problem.form.transfer(posterior.draws[: max(1, round(ACCURACY.draws * share))], fx, fy)
+            fit.problem.form.transfer(posterior.draws[: max(1, round(DRAWS * share))], fx, fy)
             for fit, posterior, share in zip(self.fits, self.posteriors, self.shares, strict=True)
         ])  # fmt: skip
 
@@ -284,11 +285,11 @@ def _posterior(fit: JointFit, context: Context, seed: int) -> Posterior:
     form = fit.problem.form
     asked = {
         "names": tuple(form.parameters), "units": tuple(unit for unit, _ in form.parameters.values()),
-        "start": fit.point, "covariance": fit.covariance, "seed": seed, "bounds": form.bounds, "draws": ACCURACY.draws,
+        "start": fit.point, "covariance": fit.covariance, "seed": seed, "bounds": form.bounds, "draws": DRAWS,
     }  # fmt: skip
     if context.quick:
         return importance_sample(fit.problem.log_probability, **asked)
-    return sample_posterior(fit.problem.log_probability, **asked, max_steps=ACCURACY.chain_steps)
+    return sample_posterior(fit.problem.log_probability, **asked, max_steps=3000)
 
 
 def _flags(found: JointMtf) -> tuple[str, ...]:

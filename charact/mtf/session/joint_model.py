@@ -1,6 +1,7 @@
 """One transfer of the camera in every direction: an elliptical core, a halo shared by all, aperture and video."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,7 @@ class JointBlurModel:
     elliptical: bool
     known: KnownCameraTransfer
 
-    @property
+    @cached_property
     def family(self) -> BlurModel:
         """Core alone, along one direction."""
         return BlurModel(core=self.core)
@@ -76,7 +77,7 @@ class JointBlurModel:
         wide = self.wide.parameters if self.wide else {}
         return {**self.family.parameters, **blur, **stretch, **wide, **self.known.parameters}
 
-    @property
+    @cached_property
     def bounds(self) -> Array:
         """Bounds of the parameters, shape (parameter, 2)."""
         return np.array([bound for _, bound in self.parameters.values()])
@@ -129,11 +130,11 @@ class JointBlurModel:
         density -= np.sum(np.log(bounds[free, 1] - bounds[free, 0]))
         return np.where(np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1), density, -np.inf)
 
-    @property
+    @cached_property
     def prior_precision(self) -> Array:
         """Inverse variance of the prior of each parameter, flat ones as wide as their bounds, shape (parameter,)."""
         precision = 12.0 / np.ptp(self.bounds, axis=1) ** 2
-        precision[: self.family.core_parameters] += self.family.prior_precision()[1]
+        precision[: self.family.core_parameters] += self.family.prior_precision[1]
         if self.elliptical:
             precision[self._stretch_index] += THRESHOLDS.stretch_sd**-2
         if self.known.video and self.known.parameters:

@@ -7,7 +7,7 @@ post-gain MTF. Stages known no better than from the description, and groups know
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,8 @@ from charact.method import Context
 from charact.mtf.curve import REPORTED, quantiles
 from charact.mtf.session.constraints import FREQUENCIES, POST_GAIN, interpolate_draws, sources
 from charact.mtf.session.stage_transfers import AFTER_GAIN, PARAMETERS, STAGES, Direction, StageModel
-from charact.mtf.session.thresholds import ACCURACY, THRESHOLDS
-from charact.posterior import find_maximum, laplace, sample
-from labdata.errors import BadInput
+from charact.mtf.session.thresholds import THRESHOLDS
+from charact.posterior import find_maximum, laplace, sample_posterior
 from labdata.measurement import Curve, Measurement, Posterior, Result
 from labdata.sensor import Sensor
 
@@ -31,8 +30,7 @@ SHOWN = np.maximum(REPORTED, 1e-6)
 DIRECTIONS: tuple[Direction, ...] = ("horizontal", "vertical")
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeasuredCurve:
+class MeasuredCurve(NamedTuple):
     """A measured MTF along one direction, shape (f,).
 
     Frequencies are cycles per column pitch, vertically per row pitch; `after_gain`: the post-gain MTF.
@@ -44,31 +42,11 @@ class MeasuredCurve:
     after_gain: bool = False
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeasuredCurves:
-    """Curves with the covariance of all their values, one curve after the other; it may be of low rank.
-
-    Raises
-    ------
-    BadInput
-        If the sizes do not agree.
-    """
+class MeasuredCurves(NamedTuple):
+    """Curves with the covariance of all their values, one curve after the other; it may be of low rank."""
 
     curves: tuple[MeasuredCurve, ...]
     covariance: Array
-
-    def __post_init__(self) -> None:
-        size = sum(len(curve.frequency_cy_per_px) for curve in self.curves)
-        if np.shape(self.value) != (size,) or np.shape(self.covariance) != (size, size):
-            raise BadInput(
-                f"curves of {size} frequencies together must have as many values and a covariance of that size, got "
-                f"{len(self.value)} values and {np.shape(self.covariance)}"
-            )
-
-    @property
-    def value(self) -> Array:
-        """Values of all curves, shape (n,)."""
-        return np.concatenate([curve.value for curve in self.curves])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,22 +81,25 @@ def fit_mtf_budget(
     The stages are those of `StageModel`, with the description's ranges as normal priors; errors of the curves are
     normal. A post-gain curve lacks the lens, the halo and the tube's share before the gain. `interlaced`: a row of a
     frame sums two rows of the chip; `halo`: the curves are normalised to all light, so that the halo lowers them.
-    Raises BadInput if there is no curve.
     """
-    if not measured:
-        raise BadInput("a stage budget must have at least one measured curve, got none")
     camera = StageModel.of(sensor, interlaced=interlaced, halo=halo)
-    whitened = [(one, _whitener(one.covariance)) for one in measured]
+    whitened = [
+        (one.curves, np.concatenate([curve.value for curve in one.curves]), _whitener(one.covariance))
+        for one in measured
+    ]
     bounds = camera.bounds
 
     def chi2(theta: Array) -> Array:
         total = np.zeros(len(theta))
-        for one, root in whitened:
+        for curves, value, root in whitened:
             predicted = [
                 camera.mtf(theta, curve.frequency_cy_per_px, curve.direction, after_gain=curve.after_gain)
-                for curve in one.curves
+                for curve in curves
             ]
-            total += np.sum(((np.concatenate(predicted, axis=1) - one.value) @ root) ** 2, axis=1)
+            total += np.sum(
+                ((np.concatenate(predicted, axis=1) - value) @ root) ** 2,
+                axis=1,
+            )
         return total
 
     def log_probability(theta: Array) -> Array:
@@ -128,13 +109,13 @@ def fit_mtf_budget(
         return np.where(inside, -0.5 * (chi2(safe) + prior), -np.inf)
 
     point, covariance = find_maximum(log_probability, camera.mean, bounds)
-    posterior = (laplace if quick else sample)(
+    posterior = (laplace if quick else sample_posterior)(
         log_probability, names=camera.names, units=tuple(PARAMETERS[name][0] for name in camera.names),
         start=point, covariance=covariance, seed=seed, bounds=bounds,
     )  # fmt: skip
-    rank = sum(root.shape[1] for _, root in whitened)
+    rank = sum(root.shape[1] for *_, root in whitened)
     chance = float(chdtrc(rank, float(chi2(point[None])[0])))
-    prior = np.random.default_rng([seed, 1]).normal(camera.mean, camera.sd, (ACCURACY.prior_draws, len(camera.mean)))
+    prior = np.random.default_rng([seed, 1]).normal(camera.mean, camera.sd, (2000, len(camera.mean)))
     prior = np.clip(prior, bounds[:, 0] + 1e-6, bounds[:, 1])
     identified, products, known = _identify_stages(
         camera, posterior.draws, prior, [curve for one in measured for curve in one.curves]
@@ -243,12 +224,12 @@ def _system_curves(result: Result, kinds: Mapping[str, str]) -> tuple[tuple[Curv
         (across, _), (down, _) = points[0].curves
         of = points[0].of
         vouching = tuple(m for m in result.find("mtf50", stack=of.stack) if m.region == of.region)
-    if not _drawn_together(across, down) or not vouching or any(m.value is None for m in vouching):
+    if not _draw_jointly(across, down) or not vouching or any(m.value is None for m in vouching):
         return None
     return (across, down), vouching[0], halo
 
 
-def _drawn_together(one: Curve, other: Curve) -> bool:
+def _draw_jointly(one: Curve, other: Curve) -> bool:
     return one.draws is not None and other.draws is not None and len(one.draws) == len(other.draws)
 
 
@@ -258,7 +239,7 @@ def _post_gain_curves(result: Result) -> tuple[Curve, Curve] | None:
     across, down = (result.curves.get(name) for name in POST_GAIN)
     if not found or any(m.status != "ok" for m in found) or across is None or down is None:
         return None
-    return (across, down) if _drawn_together(across, down) else None
+    return (across, down) if _draw_jointly(across, down) else None
 
 
 def _with_covariance(curves: tuple[Curve, Curve], context: Context, *, after_gain: bool = False) -> MeasuredCurves:

@@ -164,16 +164,15 @@ class _Group:
 
 def _find_upright(picture: Array, bars: int | None, *, transposed: bool) -> list[_Group]:
     """Return the groups whose bars lie along columns: the strongest answers first, each looked at more closely."""
-    answers = sorted(_detections(picture, bars or MIN_BARS), key=lambda answer: -answer.amplitude)[
-        : ACCURACY.max_detections
-    ]
+    answers = sorted(_detections(picture, bars or MIN_BARS), key=lambda answer: -answer.amplitude)[:600]
     found: list[_Group] = []
     for answer in answers:
-        if not any(_inside(answer, _box(group)) for group in found):
+        boxes = (_box(group) for group in found)
+        if not any(box[0] <= answer.row <= box[2] and box[1] <= answer.col <= box[3] for box in boxes):
             group = _verify(picture, answer, bars)
             if group is not None:
                 found.append(group)
-    return [_transpose(group) for group in found] if transposed else found
+    return [replace(one, row=one.col, col=one.row, transposed=True) for one in found] if transposed else found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,10 +184,6 @@ class _Detection:
     frequency: float
     amplitude: float
     significance: float
-
-
-def _inside(answer: _Detection, box: tuple[float, float, float, float]) -> bool:
-    return box[0] <= answer.row <= box[2] and box[1] <= answer.col <= box[3]
 
 
 def _detections(picture: Array, bars: int) -> Iterator[_Detection]:
@@ -203,17 +198,14 @@ def _detections(picture: Array, bars: int) -> Iterator[_Detection]:
         if small.shape[1] < (bars + 1) * period or small.shape[0] < 0.5 * ASPECT * period:
             continue
         response = _filter_amplitude(small, bars, period)
-        spread = float(np.median(response)) / ACCURACY.rayleigh_median
+        # The median of a Rayleigh distribution is 1.1774 of its scale.
+        spread = float(np.median(response)) / 1.1774
         for row, col in _peaks(response, max(THRESHOLDS.bar_filter_sd * spread, floor), bars, period):
             amplitude = float(response[row, col])
             yield _Detection(
                 row=(row + 0.5) * factor - 0.5, col=(col + 0.5) * factor - 0.5, frequency=float(frequency),
                 amplitude=amplitude, significance=amplitude / max(spread, 1e-12),
             )  # fmt: skip
-
-
-def _transpose(group: _Group) -> _Group:
-    return replace(group, row=group.col, col=group.row, transposed=True)
 
 
 def _block_means(picture: Array, factor: int) -> Array:
@@ -350,7 +342,7 @@ def _overlap(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
 def _region(group: _Group, others: list[tuple[float, float, float, float]], shape: tuple[int, ...]) -> Region:
     """Return the group with a margin, cut half way to its neighbours."""
     box = _box(group)
-    margin = max(ACCURACY.min_bar_margin_px, ACCURACY.bar_margin_periods / group.frequency) + 4.0
+    margin = max(14.0, 1.5 / group.frequency) + 4.0
     gaps = [max(o[0] - box[2], box[0] - o[2], o[1] - box[3], box[1] - o[3]) for o in others]
     margin = min(margin, max(0.5 * min(gaps, default=np.inf), 2.0))
     top, left = max(int(np.floor(box[0] - margin)), 0), max(int(np.floor(box[1] - margin)), 0)

@@ -12,22 +12,20 @@ from charact.mtf.target_detection.smoothed_mean_frame import Gradient, gradient,
 from charact.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
 from labdata.frames import FrameStack
 
+# Smoothing at which edges are searched, px: fine ones where the noise allows, coarse ones in strong noise.
+SCALES_PX = (1.4, 2.8, 5.6)
+
 
 @dataclass(frozen=True, kw_only=True)
-class ClearRectangle:
-    """A rectangle that holds one edge."""
+class DetectedEdge:
+    """An edge found in a frame."""
 
-    region: Region  # ROW, COL, HEIGHT, WIDTH, px
-    rows: int  # Extent along the edge's nearer axis, px
-    reach_px: float  # Shorter of its plateaus, px
-
-    @property
-    def worth(self) -> float:
-        """What the rectangle is worth to a measurement: rows, less where plateaus are short."""
-        return self.rows * self.reach_px / (self.reach_px + ACCURACY.plateau_scale_px)
+    region: Region  # ROW, COL, HEIGHT, WIDTH that holds the edge, its plateaus and nothing else, px
+    orientation_deg: float  # Direction of its normal from the row direction, degrees in [0, 180)
+    worth: float  # Rows of the region, less where plateaus are short: what orders edges, px
 
 
-def clear_rectangle(segment: Segment, fields: list[Gradient]) -> ClearRectangle | None:
+def clear_rectangle(segment: Segment, fields: list[Gradient]) -> DetectedEdge | None:
     """Return the most useful clear rectangle around a segment; None if none holds an edge and its plateaus."""
     upright = abs(np.cos(segment.normal_rad)) >= abs(np.sin(segment.normal_rad))
     box = _surroundings(segment, fields[0].modulus.shape)
@@ -39,11 +37,12 @@ def clear_rectangle(segment: Segment, fields: list[Gradient]) -> ClearRectangle 
     found = _best_rectangle(foreign, row, col, float(slope), segment, upright)
     if found is None:
         return None
-    (top, left, height, width), reach = found
-    region = (top, left, height, width) if upright else (left, top, width, height)
-    return ClearRectangle(
-        region=(box[0] + region[0], box[1] + region[1], region[2], region[3]), rows=height, reach_px=reach
-    )
+    worth, (top, left, height, width) = found
+    top, left, height, width = (top, left, height, width) if upright else (left, top, width, height)
+    return DetectedEdge(
+        region=(box[0] + top, box[1] + left, height, width), worth=worth,
+        orientation_deg=float(np.rad2deg(segment.normal_rad)) % 180.0,
+    )  # fmt: skip
 
 
 def _surroundings(segment: Segment, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
@@ -76,8 +75,8 @@ def _foreign(segment: Segment, fields: list[Gradient], box: tuple[int, int, int,
 
 def _best_rectangle(
     foreign: NDArray[np.bool_], row: float, col: float, slope: float, segment: Segment, upright: bool
-) -> tuple[Region, float] | None:
-    """Return the most useful clear rectangle of an upright edge through (row, col), and its shorter reach."""
+) -> tuple[float, Region] | None:
+    """Return worth and place of the most useful clear rectangle of an upright edge through (row, col)."""
     rows, cols = foreign.shape
     total = np.zeros((rows + 1, cols + 1), np.int32)
     total[1:, 1:] = foreign.cumsum(0).cumsum(1)
@@ -86,7 +85,7 @@ def _best_rectangle(
     first = 0 if row - half < 3.0 + spare else int(np.ceil(row - half + spare))
     last = rows if row + half > rows - 4.0 - spare else int(np.floor(row + half - spare))
     least = max(THRESHOLDS.min_plateau_px, THRESHOLDS.min_plateau_blurs * segment.blur_px)
-    best: tuple[float, Region, float] | None = None
+    best: tuple[float, Region] | None = None
     for top in np.unique(np.linspace(first, max(first, last - THRESHOLDS.min_edge_rows), ACCURACY.cuts).astype(int)):
         for bottom in np.unique(
             np.linspace(
@@ -108,8 +107,8 @@ def _best_rectangle(
                 high = int(np.floor(ends.max() + min(right, ACCURACY.max_plateau_px))) + 1
                 low, high = max(low, 0), min(high, cols)
                 if empty[high] - empty[low] == 0:
-                    best = (worth, (int(top), low, int(bottom - top), high - low), float(reach))
-    return None if best is None else best[1:]
+                    best = (float(worth), (int(top), low, int(bottom - top), high - low))
+    return best
 
 
 def _reach(empty: NDArray, start: float) -> float:
@@ -120,19 +119,6 @@ def _reach(empty: NDArray, start: float) -> float:
     changed = np.flatnonzero(empty[begin:] != empty[begin])
     last = begin + int(changed[0]) - 2 if changed.size else len(empty) - 2
     return max(last - start, 0.0)
-
-
-# Smoothing at which edges are looked for, px: fine ones where the noise allows, coarse ones out of strong noise.
-SCALES_PX = (1.4, 2.8, 5.6)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DetectedEdge:
-    """An edge found in a frame."""
-
-    region: Region  # ROW, COL, HEIGHT, WIDTH that holds the edge, its plateaus and nothing else, px
-    orientation_deg: float  # Direction of its normal from the row direction, degrees in [0, 180)
-    worth: float  # Rows of the region, less where plateaus are short: what orders edges, px
 
 
 def find_edges(pictures: NDArray | FrameStack) -> tuple[DetectedEdge, ...]:
@@ -156,30 +142,48 @@ def find_edges(pictures: NDArray | FrameStack) -> tuple[DetectedEdge, ...]:
     gradient for 4 standard deviations of its blur and 8 px at least. The growing follows Grompone von Gioi et al.,
     doi:10.5201/ipol.2012.gjmr-lsd; the noise is read off the picture instead of taken as white.
     """
+    kept, _ = _sort_segments(pictures)
+    return tuple(clear for _, clear in kept)
+
+
+def find_unusable_edges(pictures: NDArray | FrameStack) -> tuple[tuple[Region, str], ...]:
+    """Return the straight edges that `find_edges` leaves out: region of the edge itself, px, and why."""
+    kept, unusable = _sort_segments(pictures)
+    rows, cols = mean_frame_of(pictures)[0].shape
+    out = []
+    for segment, why in unusable:
+        if segment.length_px >= THRESHOLDS.min_edge_rows and not any(_covers(segment, other) for other, _ in kept):
+            down, right = segment.cut(ACCURACY.outline_blurs * segment.blur_px)
+            height, width = min(down.stop, rows) - down.start, min(right.stop, cols) - right.start
+            out.append(((down.start, right.start, height, width), why))
+    return tuple(out)
+
+
+def _sort_segments(
+    pictures: NDArray | FrameStack,
+) -> tuple[list[tuple[Segment, DetectedEdge]], list[tuple[Segment, str]]]:
+    """Return the segments that can be measured, best first, with their regions, and those that cannot, with why."""
     picture, whole_codes = mean_frame_of(pictures)
     scales = [scale for scale in SCALES_PX if min(picture.shape) > 8 * scale]
     fields = [gradient(picture, scale, whole_codes=whole_codes) for scale in scales]
-    if not fields:
-        return ()
     segments = _of_all_scales(fields)
-    found: list[tuple[Segment, ClearRectangle]] = []
+    found: list[tuple[Segment, DetectedEdge]] = []
+    unusable: list[tuple[Segment, str]] = []
     for segment in segments:
-        if not _is_bar(segment, segments):
-            finest = max(ACCURACY.foreign_scale_px, segment.scale_px)
-            clear = clear_rectangle(segment, [field for field in fields if field.scale_px <= finest])
-            if clear is not None:
-                found.append((segment, clear))
-    best_first = sorted(found, key=lambda pair: -pair[1].worth)
-    kept: list[tuple[Segment, ClearRectangle]] = []
-    for segment, clear in best_first:
+        if _is_bar(segment, segments):
+            unusable.append((segment, "one of several bars"))
+            continue
+        finest = max(2.8, segment.scale_px)
+        clear = clear_rectangle(segment, [field for field in fields if field.scale_px <= finest])
+        if clear is None:
+            unusable.append((segment, "no room next to it"))
+        else:
+            found.append((segment, clear))
+    kept: list[tuple[Segment, DetectedEdge]] = []
+    for segment, clear in sorted(found, key=lambda pair: -pair[1].worth):
         if not any(_same_edge(segment, clear, *other) for other in kept):
             kept.append((segment, clear))
-    return tuple(
-        DetectedEdge(
-            region=clear.region, orientation_deg=float(np.rad2deg(segment.normal_rad)) % 180.0, worth=clear.worth
-        )
-        for segment, clear in kept
-    )
+    return kept, unusable
 
 
 def _of_all_scales(fields: list[Gradient]) -> list[Segment]:
@@ -243,7 +247,7 @@ def _is_bar(segment: Segment, segments: Iterable[Segment]) -> bool:
     ) or any(abs(distance / (2.0 * spacing) - 1.0) < THRESHOLDS.bar_evenness for distance in same)
 
 
-def _same_edge(segment: Segment, clear: ClearRectangle, other: Segment, others: ClearRectangle) -> bool:
+def _same_edge(segment: Segment, clear: DetectedEdge, other: Segment, others: DetectedEdge) -> bool:
     """Return whether two segments lie on one line and their regions meet."""
     if np.cos(segment.normal_rad - other.normal_rad) < np.cos(np.deg2rad(10.0)):
         return False

@@ -39,11 +39,8 @@ class SteadySpots:
         for row, col in places:
             bare[max(row - apart_px, 0) : row + apart_px + 1, max(col - apart_px, 0) : col + apart_px + 1] = False
         rest = self.height[bare]
-        far = (
-            float(np.quantile(rest, ACCURACY.far_quantile)) / ACCURACY.far_sd
-            if rest.size > ACCURACY.far_pixels
-            else 0.0
-        )
+        # The quantile at 0.999 of a normal distribution.
+        far = float(np.quantile(rest, 0.999)) / 3.0902 if rest.size > 20_000 else 0.0
         return max(self.spread, far)
 
 
@@ -54,14 +51,15 @@ def steady_light(pictures: NDArray | FrameStack, replaced: tuple[NDArray[np.bool
     """
     data = pictures.data if isinstance(pictures, FrameStack) else np.asarray(pictures)
     data = data[None] if data.ndim == 2 else data
-    count = min(len(data), ACCURACY.max_groups) if len(data) >= THRESHOLDS.min_steady_frames else 1
+    count = min(len(data), 16) if len(data) >= THRESHOLDS.min_steady_frames else 1
     groups = np.stack([_subtract_background(part.mean(axis=0, dtype=np.float32), replaced)
                        for part in np.array_split(data, count)])  # fmt: skip
     height = np.median(groups, axis=0)
     middle = float(np.median(height))
     height = height - middle
     robust = 1.4826 * float(np.median(np.abs(height)))
-    tail = float(np.quantile(height[::2, ::2], ACCURACY.tail_quantile)) / ACCURACY.tail_sd
+    # Quantile at 0.97 of a normal distribution.
+    tail = float(np.quantile(height[::2, ::2], 0.97)) / 1.8808
     rounding = LIMITS.min_background_sd_dn if data.dtype.kind in "ui" else 0.0
     spread = max(robust, tail, rounding, 1e-6 * float(np.ptp(height)))
     return SteadySpots(groups=groups - middle, height=height, spread=spread)
@@ -92,9 +90,7 @@ class DetectedPoint:
     saturated: bool  # Whether its core stands at full scale
 
 
-def find_pinholes(
-    pictures: NDArray | FrameStack, *, blur_px: float | None = None, full_scale_dn: float | None = None
-) -> tuple[DetectedPoint, ...]:
+def find_pinholes(pictures: NDArray | FrameStack, *, full_scale_dn: float | None = None) -> tuple[DetectedPoint, ...]:
     """Find the point sources of a frame.
 
     Parameters
@@ -102,9 +98,6 @@ def find_pinholes(
     pictures
         Picture (row, col), stack (frame, row, col) or frames. Of three frames and more only light that stands in most
         of them counts: one flash of an intensifier is no source, and takes no room from one.
-    blur_px
-        Standard deviation of the camera's blur, px; a spot whose neighbours hold less than half the light that it
-        puts there is a hot pixel. None: less than any lens and pixel put there.
     full_scale_dn
         Highest code, DN; of frames that know it their own is taken.
 
@@ -124,7 +117,7 @@ def find_pinholes(
         full_scale_dn = pictures.full_scale_dn
     if min(picture.shape) < 2 * MIN_REACH_PX + 1:
         return ()
-    replaced = _hot_pixels(picture, _least_neighbours(blur_px))
+    replaced = _hot_pixels(picture)
     light = steady_light(pictures, replaced)
     picture = np.where(*replaced, picture)
     places, spread = _sources(light)
@@ -162,7 +155,7 @@ def _peaks(smooth: Array, least: float) -> list[tuple[int, int]]:
     return kept
 
 
-def _hot_pixels(picture: Array, least_neighbours: float) -> tuple[NDArray[np.bool_], Array]:
+def _hot_pixels(picture: Array) -> tuple[NDArray[np.bool_], Array]:
     """Return which pixels stand alone, their neighbours holding less than a share of their light, and these."""
     import cv2
 
@@ -171,7 +164,7 @@ def _hot_pixels(picture: Array, least_neighbours: float) -> tuple[NDArray[np.boo
     around = np.asarray(cv2.filter2D(picture, -1, cross, borderType=cv2.BORDER_REFLECT_101), np.float32)
     over = picture - ground
     noise = 1.4826 * float(np.median(np.abs(over)))
-    hot = (over > LIMITS.min_height_sd * noise) & (around - ground < least_neighbours * over + noise)
+    hot = (over > LIMITS.min_height_sd * noise) & (around - ground < THRESHOLDS.min_neighbours * over + noise)
     return hot, around
 
 
@@ -197,20 +190,10 @@ def _spot(picture: Array, place: tuple[int, int], full_scale_dn: float | None) -
     return float(row - reach + centre[0]), float(col - reach + centre[1]), saturated
 
 
-def _least_neighbours(blur_px: float | None) -> float:
-    """Return the least share of the peak that neighbours of a spot of a blur may hold."""
-    if blur_px is None:
-        return THRESHOLDS.min_neighbours
-    from scipy.special import ndtr
-
-    inner = ndtr(0.5 / blur_px)
-    return 0.5 * float((ndtr(1.5 / blur_px) - inner) / (2.0 * inner - 1.0))
-
-
 def _region(row: float, col: float, spots: list[tuple[float, float]], shape: tuple[int, ...]) -> Region | None:
     """Return a square around a source up to half way to its nearest neighbour, None if that is too near."""
     gaps = [max(abs(row - r), abs(col - c)) for r, c in spots if (r, c) != (row, col)]
-    half = int(min([ACCURACY.point_region_px, *(0.5 * gap for gap in gaps)]))
+    half = int(min([48, *(0.5 * gap for gap in gaps)]))
     if half < MIN_REACH_PX:
         return None
     top, left = max(round(row) - half, 0), max(round(col) - half, 0)

@@ -78,7 +78,7 @@ def _candidates(field: Gradient) -> list[tuple[NDArray, NDArray]]:
     angle = np.arctan2(field.down[rows, cols], field.right[rows, cols])
     found = []
     for direction in np.arange(ACCURACY.n_directions) * 2.0 * np.pi / ACCURACY.n_directions:
-        aligned = np.cos(angle - direction) > np.cos(np.deg2rad(ACCURACY.direction_tolerance_deg))
+        aligned = np.cos(angle - direction) > np.cos(np.deg2rad(28.0))
         mask = np.zeros(member.shape, np.uint8)
         mask[rows[aligned], cols[aligned]] = 1
         count, *found_in, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
@@ -180,12 +180,12 @@ def _join(segments: list[Segment]) -> list[Segment]:
 
 
 def _same_line(one: Segment, other: Segment) -> bool:
-    if np.cos(one.normal_rad - other.normal_rad) < np.cos(np.deg2rad(ACCURACY.same_line_deg)):
+    if np.cos(one.normal_rad - other.normal_rad) < np.cos(np.deg2rad(4.0)):
         return False
     row, col = other.ends().T
     along = one.along(row, col)
     gap = max(abs(float(along.mean())) - 0.5 * (one.length_px + float(np.ptp(along))), 0.0)
-    allowed = ACCURACY.same_line_px + 0.02 * gap
+    allowed = 1.5 + 0.02 * gap
     return gap < ACCURACY.gap_px and bool(np.all(np.abs(one.across(row, col)) < allowed + 0.05 * other.length_px))
 
 

@@ -44,31 +44,14 @@ class DetectionAccuracy:
 
     central_fraction: float = 0.8  # Fraction of the bars' length that the filter takes in
     pixels_per_period: float = 8.0  # Pixels per period that binning leaves
-    rayleigh_median: float = 1.1774  # Median of a Rayleigh distribution of unit scale
-    max_detections: int = 600  # Filter maxima that are examined
-    bar_margin_periods: float = 1.5  # Margin of a group's region, periods
-    min_bar_margin_px: float = 14.0  # Least margin, px
     max_plateau_px: float = 64.0  # Longest plateau of use, px
     plateau_scale_px: float = 12.0  # Plateau at which rows count half, px
     cuts: int = 12  # Positions tried for either end of a rectangle
-    foreign_scale_px: float = 2.8  # Coarsest smoothing at which other objects are searched, px
+    outline_blurs: float = 4.0  # Margin of the outline of an edge that is not measured, standard deviations of its blur
     finer_scale_cell_px: float = 3.0  # Cells along the segment for this test, px
     background_px: float = 8.0  # Smoothing of the background, px
-    max_groups: int = 16  # Groups into which more frames are averaged
-    tail_quantile: float = 0.97  # Quantile of the background whose height estimates its scatter
-    tail_sd: float = 1.8808  # Its height for a normal distribution, standard deviations
-    far_quantile: float = 0.999  # The same farther out, where pulses contribute
-    far_sd: float = 3.0902  # Its height for a normal distribution, standard deviations
-    far_pixels: int = 20_000  # Pixels that estimate it
-    point_region_px: int = 48  # Half side of a source's region, px
-    direction_tolerance_deg: float = 28.0  # Range of gradient directions in a segment, deg
     n_directions: int = 16  # Directions tried; neighbouring ones overlap by half
     gap_px: float = 12.0  # Gap across which collinear pieces are joined, px
-    same_line_px: float = 1.5  # Distance of collinear pieces from a common line, px
-    same_line_deg: float = 4.0  # Angle between collinear pieces, deg
-    quiet_quantile: float = 0.25  # Quantile of the gradient components in a block that structure hardly changes
-    quiet_sd: float = 0.318639  # Its height for a normal distribution, standard deviations
-    min_blur_px: float = 1.5  # Blur of such a step, px
     noise_levels: int = 8  # Signal levels at which the noise is estimated
 
 

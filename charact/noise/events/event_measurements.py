@@ -10,7 +10,7 @@ from charact.method import Context
 from charact.method.stopwatch import with_timing
 from charact.noise.events.frames import MIDDLE, dark_frames, fits_filters, has_pulses
 from charact.noise.events.pulse_height_fit import PulseFit, fit_pulses
-from charact.noise.findings import Finding, flags_of, notes_of, provenance
+from charact.noise.findings import Finding, Unmeasurable, flags_of, notes_of, provenance
 from charact.noise.gain.series import gain_of
 from charact.noise.illumination import lognormal_draws, photoelectrons_per_lux_s
 from charact.noise.rounding import QUANTISED_DN2
@@ -106,9 +106,10 @@ def measure_events(dark: StackEntry, *, context: Context) -> Result:
     count = min(len(stack), EVENTS.max_frames)
     frames = FrameStack(data=stack.frames(0, count), frame_number=stack.frame_number[:count],
                         full_scale_dn=stack.full_scale_dn)  # fmt: skip
-    found = _fit_dark_frames(frames, dark.conditions, context)
-    if isinstance(found, str):
-        out = [make_refusal(name, unit, found, **fields)
+    try:
+        found = _fit_dark_frames(frames, dark.conditions, context)
+    except Unmeasurable as reason:
+        out = [make_refusal(name, unit, str(reason), **fields)
                for name, unit in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px"))]  # fmt: skip
         return Result(measurements=tuple(out))
     findings = pulse_findings(found)
@@ -117,30 +118,30 @@ def measure_events(dark: StackEntry, *, context: Context) -> Result:
     return Result(measurements=tuple(out), evidence={"pulse-heights": pulse_figure_data(found)})
 
 
-def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context) -> PulseFit | str:
-    """Return the pulse fit, or the reason for refusal."""
+def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context) -> PulseFit:
+    """Return the pulse fit; Unmeasurable if the darks do not show single photoelectrons."""
     if len(stack) < EVENTS.min_frames:
-        return f"single photoelectrons need at least {EVENTS.min_frames} dark frames, got {len(stack)}"
+        raise Unmeasurable(f"single photoelectrons need at least {EVENTS.min_frames} dark frames, got {len(stack)}")
     look = dark_frames(stack, context, EVENTS.quick_values)
     rows, cols = look.changes[0].shape[1:]
     if not fits_filters(look, EVENTS.min_inside_px):
-        return f"exposures of {rows} x {cols} px are too small for the pulse filters"
+        raise Unmeasurable(f"exposures of {rows} x {cols} px are too small for the pulse filters")
     if look.still > EVENTS.max_unchanged:
-        return (
+        raise Unmeasurable(
             "the noise beneath the pulses is smaller than the quantisation step: "
             f"{100 * look.still:.0f} % of the values do not change between frames, at most "
             f"{100 * EVENTS.max_unchanged:.0f} % may; use a higher camera gain or at least 10 bits"
         )
     if not has_pulses(look):
-        return "no single-photoelectron events detected: filtered pixels are symmetric about their mean"
+        raise Unmeasurable("no single-photoelectron events detected: filtered pixels are symmetric about their mean")
     period_s, open_s = conditions.exposure_s, _open_s(conditions)
     share = min(1.0, open_s / period_s) if open_s and period_s else 1.0
     try:
         found = fit_pulses(look, dark_frames(stack, context), context, period_s=period_s, open_share=share)
     except np.linalg.LinAlgError:
-        return "no pulse-height distribution fits the darks: their bright pixels are not single photoelectrons"
-    if isinstance(found, str):
-        return found
+        raise Unmeasurable(
+            "no pulse-height distribution fits the darks: their bright pixels are not single photoelectrons"
+        ) from None
     chi2, error = found.peak.chi2 / found.peak.freedom, _relative_sd(found.posterior)
     for wrong, reason in (
         (found.gain_of_pulses < EVENTS.min_chi2_gain,
@@ -156,7 +157,7 @@ def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context
          f"the uncertainty of number or height of pulses is {100 * error:.0f} %; take more frames"),
     ):  # fmt: skip
         if wrong:
-            return reason
+            raise Unmeasurable(reason)
     return found
 
 

@@ -213,9 +213,6 @@ def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
     return nodes[used], out[used]
 
 
-Images = NDArray[np.float32]
-
-
 @dataclass(frozen=True, kw_only=True)
 class DarkFrames:
     """Dark exposures without fixed pattern."""

@@ -24,6 +24,7 @@ from charact.noise.events.frames import (
     spread,
     usable_values,
 )
+from charact.noise.findings import Unmeasurable
 from charact.noise.thresholds import EVENT_ACCURACY, EVENTS
 from charact.posterior import laplace
 from labdata.measurement import Posterior
@@ -302,8 +303,8 @@ class _Setup:
 
 
 def fit_pulses(look: DarkFrames, frames: DarkFrames, context: Context, *, period_s: float | None = None,
-               open_share: float = 1.0) -> PulseFit | str:  # fmt: skip
-    """Fit the pulses of dark frames, or return the reason for refusal.
+               open_share: float = 1.0) -> PulseFit:  # fmt: skip
+    """Fit the pulses of dark frames; Unmeasurable if image lag hides their light.
 
     `look`, `frames`: a part of the exposures for the start of the fit, and all used exposures; `period_s`: exposure
     period, s; None: unknown; `open_share`: fraction of the period, from its start, in which photoelectrons arrive.
@@ -311,7 +312,7 @@ def fit_pulses(look: DarkFrames, frames: DarkFrames, context: Context, *, period
     seen, fast = image_lag_correlation(frames), fast_prior(context, period_s, frames.stride)
     known = context.sensor is not None and period_s is not None
     if seen.across and not seen.later and not known:
-        return (
+        raise Unmeasurable(
             "image lag reaches the next field, whose amount is not measurable from one field alone: "
             "name the sensor, with its phosphor decay, and state the exposure_s of the darks"
         )

@@ -110,7 +110,7 @@ def _dark_current_findings(series: FlatSeries) -> list[Finding]:
     return [with_remedy("unlike-conditions", effect, "darks of the flats' exposure_s")]
 
 
-def _stated_light(series: FlatSeries) -> tuple[Array, Array] | None:
+def _light_of_conditions(series: FlatSeries) -> tuple[Array, Array] | None:
     """Return stated light and signal of the fitted flats; None if one is unknown, or there is one flat only."""
     chosen = np.flatnonzero(series.fitted)
     light = [light_of(series.flats[i].conditions) for i in chosen]
@@ -121,7 +121,7 @@ def _stated_light(series: FlatSeries) -> tuple[Array, Array] | None:
 
 def _light_statement_findings(series: FlatSeries) -> list[Finding]:
     """Return the finding of different levels under the same stated light."""
-    stated = _stated_light(series)
+    stated = _light_of_conditions(series)
     if stated is None:
         return []
     exposure, signal = stated
@@ -288,7 +288,7 @@ def _proportionality_findings(series: FlatSeries) -> list[Finding]:
     # A gain change common to all levels does not show in flats; the session must state it.
     if any(flat.conditions.automatic_gain or flat.conditions.brightness_control for flat in series.flats):
         return [Finding("agc", "an automatic gain or brightness control was on")]
-    stated = _stated_light(series)
+    stated = _light_of_conditions(series)
     if stated is None:
         return []
     exposure, signal = stated

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.gain.series import FlatSeries
+from charact.noise.linear_fit import draw_posterior
 from charact.noise.rounding import QUANTISATION_DN2, rounding_sd
 from charact.noise.thresholds import GAIN
-from charact.posterior import find_maximum, laplace, sample
+from charact.posterior import laplace, sample_posterior
 from labdata.conditions import Conditions
 from labdata.measurement import Posterior
 from labdata.solid_state import excess_noise_factor
@@ -97,16 +98,10 @@ def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[
         if shared_sd:
             known = 1.0 / shared_sd**2 + (1.0 / variance).sum(axis=1)
             value += 0.5 * ((rest / variance).sum(axis=1) ** 2 / known - np.log(known))
-        return np.where((points[:, 1] >= floor) & (points[:, 1] <= ceiling), value, -np.inf)
+        return value
 
-    point, covariance = find_maximum(log_probability, start, bounds)
-    drawn = (laplace if quick else sample)(
-        log_probability, names=(names[0], f"log_{names[1]}"), units=units, start=point, covariance=covariance,
-        seed=seed, bounds=bounds,
-    )  # fmt: skip
-    # An undetectably small departure at its lower bound is harmless.
-    kept = tuple(flag for flag in drawn.flags if flag != "prior-bound")
-    posterior = replace(drawn, flags=kept)
+    posterior = draw_posterior(log_probability, start, bounds, names=(names[0], f"log_{names[1]}"), units=units,
+                               seed=seed, method=laplace if quick else sample_posterior)  # fmt: skip
     slope = posterior[names[0]]
     return GainLine(posterior=posterior, slope=slope, residual=given[1] - float(np.median(slope)) * given[0])
 

@@ -147,7 +147,7 @@ def form_optima(data: SpectrumData, forms: Sequence[GainBlurModel]) -> list[Gain
 
 def _form_optimum(data: SpectrumData, form: GainBlurModel, begin: Array) -> GainSpectrumOptimum:
     """Optimise one blur model from start values of all parameters."""
-    from scipy.stats import chi2 as chi_squared
+    from scipy.special import chdtrc
 
     log_probability = _log_probability(data, form)
     point, covariance = find_maximum(log_probability, form.part(begin), form.bounds)
@@ -156,7 +156,7 @@ def _form_optimum(data: SpectrumData, form: GainBlurModel, begin: Array) -> Gain
     evidence = ln_evidence(float(log_probability(point[None])[0]), covariance)
     return GainSpectrumOptimum(form=form, point=point, covariance=covariance, log_probability=log_probability,
                                log_evidence=evidence, chi2=chi2, freedom=freedom,
-                               chance=float(chi_squared.sf(chi2, freedom)))  # fmt: skip
+                               chance=float(chdtrc(freedom, chi2)) if freedom > 0 else np.nan)  # fmt: skip
 
 
 def _log_probability(data: SpectrumData, form: GainBlurModel) -> Callable[[Array], Array]:

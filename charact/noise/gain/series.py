@@ -74,6 +74,14 @@ def gain_of(conditions: Conditions) -> tuple[float | None, ...]:
     return tuple(getattr(conditions, name) for name in GAINS)
 
 
+def group_by_gain(levels: Iterable[StackStatistics]) -> list[list[StackStatistics]]:
+    """Return stacks of equal gain, in order of first appearance."""
+    groups: dict[tuple, list[StackStatistics]] = {}
+    for level in levels:
+        groups.setdefault(gain_of(level.conditions), []).append(level)
+    return list(groups.values())
+
+
 def longest_series(flats: list[StackStatistics]) -> list[StackStatistics]:
     """Return the flats of the most frequent gain, in order of rising level.
 
@@ -84,11 +92,7 @@ def longest_series(flats: list[StackStatistics]) -> list[StackStatistics]:
     def worth(group: list[StackStatistics]) -> tuple[int, float]:
         return len(group), max((flat.mean_dn for flat in group if flat.high_fraction <= CLIPPED_SHARE), default=-np.inf)
 
-    groups: dict[tuple, list[StackStatistics]] = {}
-    for flat in flats:
-        groups.setdefault(gain_of(flat.conditions), []).append(flat)
-    chosen = max(groups.values(), key=worth) if groups else []
-    return sorted(chosen, key=lambda level: level.mean_dn)
+    return sorted(max(group_by_gain(flats), key=worth, default=[]), key=lambda level: level.mean_dn)
 
 
 def series_of(flats: list[StackStatistics], darks: list[StackStatistics], single: Sequence[str] = ()) -> FlatSeries:

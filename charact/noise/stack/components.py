@@ -52,13 +52,20 @@ def waves(length: int) -> Array:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def contrasts(stack: LazyStack | FrameStack, *, interlaced: bool) -> Contrasts:
+def row_sets(*, interlaced: bool, two_way: bool = False) -> int:
+    """Return the number of sets of rows that are separate: two fields, each with lines of both scan directions."""
+    return (2 if interlaced else 1) * (2 if two_way else 1)
+
+
+def contrasts(stack: LazyStack | FrameStack, *, interlaced: bool, two_way: bool = False) -> Contrasts:
     """Read a stack once, in groups of frames, and return its contrasts.
+
+    `two_way`: whether successive lines of a field are scanned in opposite directions; these are separate then.
 
     The first frame is subtracted from all frames, which removes the fixed pattern, so that single precision suffices
     for the squares.
     """
-    step = 2 if interlaced else 1
+    step = row_sets(interlaced=interlaced, two_way=two_way)
     rows = step * (stack.shape[1] // step)
     parts = [_Pass(stack, parity, rows, step) for parity in range(step)]
     for first in range(0, len(stack), CUBE.chunk_frames):
@@ -176,8 +183,8 @@ def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSqua
 
     For a stationary normal process with mode powers P the sum of n squares is approximately chi-squared with (sum P)^2
     / sum P^2 degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 110 (1946)). A fourth cumulant g adds g / n to
-    its relative variance; two fields of correlation r count 2 / (1 + r^2) times. Each of the three is measured and
-    corrected for its own error.
+    its relative variance; k fields of correlation r count k / (1 + (k - 1) r^2) times. Each of the three is measured
+    and corrected for its own error.
     """
     count = degrees_of_freedom(rest.shape, own, fixed=fixed)
     total = float(np.sum(rest**2))
@@ -216,12 +223,14 @@ def excess_kurtosis(unit: NDArray, count: float) -> float:
 
 
 def field_correlation_square(unit: NDArray, count: float) -> float:
-    """Return the squared correlation of the two fields; 0 for one field."""
-    if len(unit) < 2:
+    """Return the sum of the squared correlations of a field with the others; 0 for one field."""
+    fields = len(unit)
+    product = unit.reshape(fields, -1) @ unit.reshape(fields, -1).T
+    own = np.diag(product)
+    if fields < 2 or not np.all(own > 0):
         return 0.0
-    first, second = unit
-    norm = float(np.sum(first**2) * np.sum(second**2))
-    return max(0.0, float(np.sum(first * second)) ** 2 / norm - 2.0 / count) if norm > 0 else 0.0
+    square = float(np.sum(product**2 / np.outer(own, own))) / fields - 1.0
+    return max(0.0, square - (fields - 1) * fields / count)
 
 
 def strata(values: Array, own: tuple[int, ...]) -> list[tuple[int, list[int], Array]]:

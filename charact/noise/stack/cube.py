@@ -15,6 +15,7 @@ from charact.noise.stack.components import (
     Contrasts,
     components,
     contrasts,
+    row_sets,
     shading,
     subtract_means,
 )
@@ -132,20 +133,24 @@ class Cube:
     # row_mean_dn, column_mean_dn: mean of each row, shape (row,), and of each column, shape (col,), DN
     row_mean_dn: Array
     column_mean_dn: Array
-    fields: int  # number of cubes: 2 for interlaced frames
+    fields: int  # number of cubes: 2 for interlaced frames, 4 if their lines are scanned both ways
     seconds: float  # run time, s
 
 
 def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
     """Return the 3-D noise of a stack; None if it is too short or too small."""
     frames, rows, cols = stack.shape
-    if frames < CUBE.min_frames or min(rows // (2 if context.interlaced else 1), cols) < CUBE.min_pixels:
+    two_way = context.imager is not None and context.imager.scanner is not None
+    sets = row_sets(interlaced=context.interlaced, two_way=two_way)
+    if frames < CUBE.min_frames or min(rows // sets, cols) < CUBE.min_pixels:
         return None
     watch = Stopwatch()
-    found = contrasts(stack, interlaced=context.interlaced)
+    found = contrasts(stack, interlaced=context.interlaced, two_way=two_way)
     parts = components(found)
     shaded = tuple(shading_findings(found))
-    split = context.interlaced
+    split, fields = sets > 1, 2 if context.interlaced else 1
+    # Lines of both directions of one field have one exposure.
+    mean_dn = found.frame_mean_dn.reshape(sets // fields, fields, frames).mean(axis=0)
     findings = {
         "v": shaded + (() if split else tuple(row_parity_findings(found, fixed=True))),
         "h": shaded,
@@ -153,7 +158,7 @@ def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
         "tv": () if split else tuple(row_parity_findings(found, fixed=False)),
     }
     return Cube(
-        components=parts, findings=findings, means=frame_means(found.frame_mean_dn, stack.time_s),
+        components=parts, findings=findings, means=frame_means(mean_dn, stack.time_s),
         row_mean_dn=(found.by_row[..., 0].mean(axis=1) / np.sqrt(found.size[2])).T.ravel(),
         column_mean_dn=(found.by_col[:, :, 0].mean(axis=1) / np.sqrt(found.size[1])).mean(axis=0),
         fields=len(found.by_row), seconds=watch.seconds(),

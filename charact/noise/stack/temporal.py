@@ -1,10 +1,8 @@
 """Unbiased temporal autocovariance from few centred exposures, and the time order of exposures."""
 
-from collections.abc import Callable, Sized
+from collections.abc import Sized
 from dataclasses import dataclass
-from functools import lru_cache, wraps
 from itertools import pairwise
-from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,23 +11,6 @@ from charact.noise.thresholds import STACK
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
-Arguments = ParamSpec("Arguments")
-Found = TypeVar("Found")
-
-
-def _cached(function: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
-    """Cache a function of short arrays by their values: most stacks of a session have equal exposure times."""
-
-    @lru_cache(maxsize=64)
-    def of(arguments: tuple, named: tuple) -> Any:
-        return function(*(np.array(a) if isinstance(a, tuple) else a for a in arguments), **dict(named))  # type: ignore[call-arg]
-
-    @wraps(function)
-    def by_value(*arguments: Arguments.args, **named: Arguments.kwargs) -> Found:
-        plain = (tuple(a.tolist()) if isinstance(a, np.ndarray) else a for a in arguments)
-        return of(tuple(plain), tuple(named.items()))
-
-    return by_value
 
 
 def centring(parity: Whole) -> Array:
@@ -53,7 +34,6 @@ def autocovariance(products: Array, time: Whole, parity: Whole, lags: Whole, *, 
     return measured @ solve.T
 
 
-@_cached
 def _solution(time: Whole, parity: Whole, lags: Whole, within_parity: bool) -> tuple[list[NDArray[np.bool_]], Array]:
     """Return the pairs of every lag, and the matrix that inverts the centring."""
     distance = np.abs(time[:, None] - time)
@@ -64,7 +44,6 @@ def _solution(time: Whole, parity: Whole, lags: Whole, within_parity: bool) -> t
     return pairs, np.linalg.inv(np.array([[matrix[pair].mean() for matrix in centred] for pair in pairs]))
 
 
-@_cached
 def truncation_bias(time: Whole, parity: Whole, lags: Whole) -> tuple[Whole, Array]:
     """Return the lags beyond the last one, and the bias of `autocovariance` by a covariance of 1 there.
 
@@ -78,7 +57,6 @@ def truncation_bias(time: Whole, parity: Whole, lags: Whole) -> tuple[Whole, Arr
     return distance, solve @ np.array([[one[pair].mean() for one in centred] for pair in pairs])
 
 
-@_cached
 def n_effective_samples(
     time: Whole, parity: Whole, lags: Whole, correlation: Array, *, within_parity: bool = False
 ) -> float:
@@ -96,7 +74,6 @@ def n_effective_samples(
     return float(1.0 / np.trace(chain @ chain))
 
 
-@_cached
 def error_correlation(time: Whole, parity: Whole, lags: Whole) -> Array:
     """Return the correlation of the errors of `autocovariance` at all lags, shape (lag, lag).
 

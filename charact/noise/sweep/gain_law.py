@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.findings import Finding
-from charact.noise.linear_fit import linear_fit
+from charact.noise.linear_fit import draw_posterior, linear_fit
 from charact.noise.sweep.settings import SweepSetting
 from charact.noise.thresholds import SWEEP
-from charact.posterior import find_maximum, importance_sample, sample
+from charact.posterior import importance_sample, sample
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -25,6 +25,11 @@ LOG_DEPARTURE = np.log([1e-4, 0.3])
 
 
 Values = tuple[Array, Array]
+
+
+def _method(quick: bool) -> Callable[..., Posterior]:
+    """Return the sampler; importance sampling for speed, as few settings leave a skewed departure."""
+    return importance_sample if quick else sample
 
 
 class Axis(NamedTuple):
@@ -59,27 +64,6 @@ def departure_prior(log_departure: Array) -> Array:
     return -0.5 * ((log_departure - np.log(SWEEP.departure)) / SWEEP.departure_spread) ** 2
 
 
-def draw_posterior(
-    log_probability: Callable[[Array], Array], start: Array, bounds: Array, *, names: tuple[str, ...],
-    units: tuple[str, ...], seed: int, quick: bool,
-) -> Posterior:  # fmt: skip
-    """Draw from a posterior inside bounds; quick by importance sampling, as few settings leave a skewed departure.
-
-    The flag `prior-bound` is dropped: an undetectably small departure or fraction is harmless.
-    """
-
-    def inside_bounds(points: Array) -> Array:
-        inside = np.all((points >= bounds[:, 0]) & (points <= bounds[:, 1]), axis=1)
-        return np.where(inside, log_probability(np.where(inside[:, None], points, start)), -np.inf)
-
-    point, covariance = find_maximum(inside_bounds, start, bounds)
-    method = importance_sample if quick else sample
-    drawn = method(
-        inside_bounds, names=names, units=units, start=point, covariance=covariance, seed=seed, bounds=bounds
-    )
-    return replace(drawn, flags=tuple(flag for flag in drawn.flags if flag != "prior-bound"))
-
-
 def law_of(
     x: Array, covariance: Values, variance: Values | None, *, share: tuple[float, float] | None, seed: int, quick: bool
 ) -> GainLaw:
@@ -110,7 +94,8 @@ def law_of(
         names, units, limits = [*names, "electron_share"], [*units, "1"], [*limits, (0.0, likelihood.most_share)]
         first.append(min(max(share[0], 0.2 * share[1]), 0.5 * likelihood.most_share))
     posterior = draw_posterior(log_probability, np.array(first, float), np.array(limits, float), names=tuple(names),
-                               units=tuple(units), seed=seed, quick=quick)  # fmt: skip
+                               units=tuple(units), seed=seed,
+                               method=_method(quick))  # fmt: skip
     rng = np.random.default_rng([seed, 7])
     electrons = likelihood.electrons(posterior.draws)[:, 0]
     pulses, settings = likelihood.settings(posterior.draws, rng)
@@ -242,7 +227,9 @@ def response_of(settings: tuple[SweepSetting, ...], x: Array, *, seed: int, quic
     bounds = np.array([free, free, SWEEP.loss_bounds, LOG_DEPARTURE, LOG_DEPARTURE])
     line = line_fit(levels.x, levels.log_ratio, np.hypot(levels.sd, SWEEP.light_sd))
     start = np.array([*line, 0.05, np.log(0.01), np.log(0.02)])
-    posterior = draw_posterior(log_probability, start, bounds, names=NAMES, units=UNITS, seed=seed, quick=quick)
+    posterior = draw_posterior(
+        log_probability, start, bounds, names=NAMES, units=UNITS, seed=seed, method=_method(quick)
+    )
     responses, own, own_sd = levels.settings(posterior, np.random.default_rng([seed, 8]))
     return SweepResponsivity(posterior=posterior, settings=responses, own=own, own_sd=own_sd,
                     brightest_dn=levels.brightest_dn, bendable=bendable)  # fmt: skip

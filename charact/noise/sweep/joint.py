@@ -45,6 +45,10 @@ class SweepJointFit:
         """Draws of the slope of ln gain per unit of the control's position."""
         return self.source.posterior["rise"] / self.axis.span
 
+    def setting_at(self, place: Array) -> Array:
+        """Return the values of the control at positions on the axis."""
+        return self.sweep.knob.value(self.axis.middle + self.axis.span * place)
+
     @property
     def source(self) -> GainLaw | SweepResponsivity:
         """Source of the gain law: responsivity, which is more precise, if available."""

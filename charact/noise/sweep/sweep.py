@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from charact.noise.findings import fields_of, flags_of, notes_of
+from charact.noise.findings import Unmeasurable, fields_of, flags_of, notes_of
 from charact.noise.gain import emva1288
-from charact.noise.rounding import quantised_flags
+from charact.noise.rounding import flags_of_rounding
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.sweep.gain_law import (
     GainLaw,
@@ -39,36 +39,37 @@ class Knee:
     flags: tuple[str, ...] = ()  # flags of the read noise
 
 
-def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> Knee | str:
-    """Return the knee of a sweep, or the reason for refusal."""
+def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> Knee:
+    """Return the knee of a sweep; Unmeasurable without read noise."""
     rng = np.random.default_rng([seed, 9])
     dark = {s.dark: i for i, s in enumerate(settings) if s.dark_variance_dn2 is not None}
     if not dark:
-        return "the knee needs darks at one setting at least: the read noise is unknown"
+        raise Unmeasurable("the knee needs darks at one setting at least: the read noise is unknown")
     own = [settings[i] for i in dark.values()]
     floor = _floor(law.settings[:, list(dark.values())], own, rng)
     if np.quantile(floor, 0.025) <= 0:
-        return "dark scintillation at every setting hides the read noise and the knee"
+        raise Unmeasurable("dark scintillation at every setting hides the read noise and the knee")
     floor = np.maximum(floor, np.quantile(floor, 0.01).clip(1e-9))
     pulses = _pulses_at(floor, law)
     place = (np.log(pulses) - law.posterior["log_gain"]) / law.posterior["rise"]
     # One dark cannot separate scintillation.
-    flags = quantised_flags(min(s.dark_variance_dn2 or 0.0 for s in own))
+    flags = flags_of_rounding(min(s.dark_variance_dn2 or 0.0 for s in own))
     flags = (("unlike-conditions",) if len(own) < 2 else ()) + flags
     return Knee(read_noise_dn=np.sqrt(floor), gain_dn=pulses + law.electron_gain_dn, place=place, flags=flags)
 
 
-def outside_reason(knee: Knee) -> str | None:
-    """Return the refusal of a knee outside the sweep, or None if inside."""
+def _check_inside(knee: Knee) -> None:
+    """Refuse a knee outside the sweep."""
     middle = float(np.median(knee.place))
     if abs(middle) <= 0.5:
-        return None
+        return
     low, high = np.quantile(knee.gain_dn, [0.025, 0.975])
-    side, ruler = ("below", "scintillation outweighs") if middle < 0 else ("above", "read noise outweighs")
-    other = "read noise" if middle < 0 else "scintillation"
-    return (
-        f"not reached in the sweep: {ruler} {other} at every setting at {STATED_PE:g} photoelectron per pixel; "
-        f"the knee is where the covariance gain is {low:.3g} to {high:.3g} DN, {side} the sweep"
+    below = middle < 0
+    larger, other = ("scintillation", "read noise") if below else ("read noise", "scintillation")
+    raise Unmeasurable(
+        f"not reached in the sweep: {larger} outweighs {other} at every setting at {STATED_PE:g} photoelectron per "
+        f"pixel; the knee is where the covariance gain is {low:.3g} to {high:.3g} DN, {'below' if below else 'above'} "
+        "the sweep"
     )
 
 
@@ -97,7 +98,7 @@ def _floor(gain: Array, settings: list[SweepSetting], rng: np.random.Generator) 
 
 def sweep_figure_data(joint: SweepJointFit, knee: Knee | None) -> dict[str, Any]:
     """Return gains and read noise against the control, the gain law with its interval, and the knee."""
-    sweep, axis, law = joint.sweep, joint.axis, joint.law
+    sweep, law = joint.sweep, joint.law
     log_gains = np.array([s.log_gain for s in sweep.settings])
     x = np.linspace(-0.5, 0.5, 41)
     pulses = np.exp(law.posterior["log_gain"][:, None] + law.posterior["rise"][:, None] * x)
@@ -119,7 +120,7 @@ def sweep_figure_data(joint: SweepJointFit, knee: Knee | None) -> dict[str, Any]
         "joint_interval95_dn": shrunk[[0, 2]].tolist(),
         "blur_factor": [float(np.median(s.blur_factor)) for s in sweep.settings],
         "dark_noise_dn": [None if v is None else float(np.sqrt(max(v, 0.0))) for v in dark],
-        "law_setting": sweep.knob.value(axis.middle + axis.span * x).tolist(),
+        "law_setting": joint.setting_at(x).tolist(),
         "law_gain_dn": middle.tolist(),
         "law_interval95_dn": [low.tolist(), high.tolist()],
         "departure_percent": 100.0 * float(np.median(np.exp(law.posterior["log_departure"]))),
@@ -130,7 +131,7 @@ def sweep_figure_data(joint: SweepJointFit, knee: Knee | None) -> dict[str, Any]
         places = np.quantile(knee.place, [0.025, 0.5, 0.975])
         found["read_noise_dn"] = float(np.median(knee.read_noise_dn))
         found["knee_gain_dn"] = float(np.median(knee.gain_dn))
-        found["knee_setting"] = sweep.knob.value(axis.middle + axis.span * places).tolist()
+        found["knee_setting"] = joint.setting_at(places).tolist()
     return found
 
 
@@ -182,14 +183,14 @@ def measure_sweep(sweep: Sweep, *, context: Context) -> Result:
         reason = "; ".join(["the gain law needs usable flats at two settings at least", *sweep.left_out])
         return Result(measurements=(make_refusal(*_quantity_of(sweep.knob), reason, **fields),))
     joint = fit_sweep(sweep, context=context)
-    knee = knee_of(joint.sweep.settings, joint.law, seed=context.seed) if joint.is_resolved else DROWNS
-    out = [_rise(joint, fields), *_knee(joint, knee, fields)]
+    at_knee, knee = _knee(joint, context.seed, fields)
+    out = [_rise(joint, fields), *at_knee]
     out += [_saturation(joint, fields)] if sweep.knob.tube else []
     out += _excess(joint, context, fields) if sweep.knob.unit != "dB" else []
     for number, setting in enumerate(joint.sweep.settings):
         out += _of_setting(joint, number, setting, context, fields)
     evidence = {
-        "noise-against-gain": sweep_figure_data(joint, knee if isinstance(knee, Knee) else None),
+        "noise-against-gain": sweep_figure_data(joint, knee),
         "noise-by-gain": levels_figure_data(joint),
     }
     return Result(measurements=tuple(out), evidence=evidence)
@@ -220,22 +221,26 @@ def _rise(joint: SweepJointFit, fields: Fields) -> Measurement:
                       posterior=joint.source.posterior, **fields)  # fmt: skip
 
 
-def _knee(joint: SweepJointFit, knee: Knee | str, fields: Fields) -> list[Measurement]:
-    """Return setting and covariance gain at the knee."""
-    knob = joint.sweep.knob
-    reason = knee if isinstance(knee, str) else outside_reason(knee)
-    if isinstance(knee, str) or reason is not None:
-        return [make_refusal("gain_knee", unit, str(reason), **fields) for unit in (knob.unit, "DN")]
+def _knee(joint: SweepJointFit, seed: int, fields: Fields) -> tuple[list[Measurement], Knee | None]:
+    """Return setting and covariance gain at the knee, and the knee itself, which may lie outside the sweep."""
+    knob, knee = joint.sweep.knob, None
+    try:
+        if not joint.is_resolved:
+            raise Unmeasurable(DROWNS)
+        knee = knee_of(joint.sweep.settings, joint.law, seed=seed)
+        _check_inside(knee)
+    except Unmeasurable as reason:
+        return [make_refusal("gain_knee", unit, str(reason), **fields) for unit in (knob.unit, "DN")], knee
     note = (
         f"at {STATED_PE:g} effective photoelectron per pixel and exposure (n of unequal pulses count as "
         "n/F2); at n of them the covariance gain at the knee is smaller by the root of n"
     )
     own = {"flags": flags_of(joint.findings) + knee.flags, "notes": (note,), **fields}
-    places = knob.value(joint.axis.middle + joint.axis.span * knee.place)
+    places = joint.setting_at(knee.place)
     return [
         measurement_from_draws("gain_knee", knob.unit, places, **own),
         measurement_from_draws("gain_knee", "DN", knee.gain_dn, **own),
-    ]
+    ], knee
 
 
 def _saturation(joint: SweepJointFit, fields: Fields) -> Measurement:
@@ -303,6 +308,6 @@ def _of_setting(
         out.append(measurement_from_draws("blur_factor", "1", s.blur_factor, stack=s.stack, **own))
     if s.dark_variance_dn2 is not None and s.dark_variance_dn2 > 0:
         noise = emva1288.noise_of(s.dark_variance_dn2, s.dark_variance_sd_dn2)
-        own = {**own, "flags": flags_of(s.findings) + quantised_flags(s.dark_variance_dn2)}
+        own = {**own, "flags": flags_of(s.findings) + flags_of_rounding(s.dark_variance_dn2)}
         out.append(measurement_from_sd("read_noise", "DN", *noise, stack=s.dark, **own))
     return out

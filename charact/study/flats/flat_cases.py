@@ -32,52 +32,30 @@ def in_memory_stack(kind: Kind, label: str, frames: FrameStack, lux: float) -> I
 
 @dataclass(frozen=True, kw_only=True)
 class FlatScene:
-    """A flat series of an intensified camera, with one knob for each way in which gain estimators break.
+    """A flat series of an intensified camera, with one knob for each way in which gain estimators break."""
 
-    Parameters
-    ----------
-    photoelectron_gain_dn
-        k, DN per photoelectron.
-    excess_noise_factor
-        F^2 = 1 + relative variance of the pulse heights; every photoelectron is detected. 1: equal pulses. 0: a camera
-        without an intensifier, whose light comes without pulses.
-    electron_gain_dn
-        K, DN per CCD electron.
-    blur_px
-        Standard deviation of the Gaussian blur after the gain, px.
-    wings_cy_per_px
-        Frequency fc of the blur exp(-(f/fc)^1.2) of an image tube that comes on top, cycles per px; infinite: none.
-    photoelectrons
-        Mean photoelectrons per pixel and frame at each level; the first stack is dark.
-    rows, cols, frames
-        Size of each stack.
-    read_noise_dn, black_dn, full_scale_dn
-        White read noise, offset and highest code, DN.
-    lag
-        Share of a frame's light that returns in the next, dimensionless.
-    flicker
-        Relative standard deviation of the light from frame to frame.
-    agc
-        Whether an automatic gain holds the mean of every level at that of the brightest.
-    resampling_px
-        Standard deviation of a Gaussian that smooths the frames as recorded, px: noise of the camera shared afterwards.
-    """
-
-    photoelectron_gain_dn: float = 20.0
+    photoelectron_gain_dn: float = 20.0  # k, DN per photoelectron
+    # F^2 = 1 + relative variance of the pulse heights; every photoelectron is detected. 1: equal pulses. 0: a camera
+    # without an intensifier, whose light comes without pulses
     excess_noise_factor: float = 2.0
-    electron_gain_dn: float = 0.05
-    blur_px: float = 0.6
+    electron_gain_dn: float = 0.05  # K, DN per CCD electron
+    blur_px: float = 0.6  # standard deviation of the Gaussian blur after the gain, px
+    # frequency fc of the blur exp(-(f/fc)^1.2) of an image tube that comes on top, cycles per px; infinite: none
     wings_cy_per_px: float = np.inf
+    # mean photoelectrons per pixel and frame at each level; the first stack is dark
     photoelectrons: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
+    # rows, cols, frames: size of each stack
     rows: int = 192
     cols: int = 256
     frames: int = 24
+    # read_noise_dn, black_dn, full_scale_dn: white read noise, offset and highest code, DN
     read_noise_dn: float = 1.5
     black_dn: float = 60.0
     full_scale_dn: float = 4095.0
-    lag: float = 0.0
-    flicker: float = 0.0
-    agc: bool = False
+    lag: float = 0.0  # share of a frame's light that returns in the next, dimensionless
+    flicker: float = 0.0  # relative standard deviation of the light from frame to frame
+    agc: bool = False  # whether an automatic gain holds the mean of every level at that of the brightest
+    # standard deviation of a Gaussian that smooths the frames as recorded, px: noise of the camera shared afterwards
     resampling_px: float = 0.0
 
     @property

@@ -28,68 +28,41 @@ FINER = 4
 
 @dataclass(frozen=True, kw_only=True)
 class ScintillatingFlats:
-    """Flats of an intensified camera, with one knob for each way in which a noise spectrum breaks.
+    """Flats of an intensified camera, with one knob for each way in which a noise spectrum breaks."""
 
-    Parameters
-    ----------
-    half_frequency_cy_per_px, exponent
-        f2 and n of the transfer after the gain exp(-ln 2 (f/f2)^n), times the square pixel's; n = 2 is a Gaussian.
-    anisotropy
-        f2 along columns over f2 along rows.
-    halo_fraction, halo_px
-        Share of the light after the gain in a Gaussian veil of this standard deviation, px.
-    photoelectrons
-        Mean photoelectrons per pixel and exposure of each flat, all detected, pulse heights exponential.
-    gain_dn
-        k, DN per photoelectron; 0: no intensifier, electrons alone.
-    electron_gain_dn, read_noise_dn
-        K, DN per electron, white; and read noise, DN.
-    read_smoothing_px
-        Standard deviation of a Gaussian along rows over the read noise, px: electronics that are not white.
-    rows, cols, frames
-        Size of each stack.
-    lag
-        Share of an exposure's light that returns in the next.
-    gamma
-        Exponent of the response over full scale.
-    full_scale_dn, black_dn
-        Highest code and offset, DN.
-    interlaced
-        Whether odd and even rows are exposed one after the other.
-    darks
-        Whether there is a dark stack.
-    vignetting
-        Share of the light that the corners lose, growing with the square of the distance from the middle.
-    flicker
-        Relative standard deviation of the light from exposure to exposure.
-    row_noise_dn
-        Standard deviation of an offset that each row of each frame has for itself, DN.
-    ion_share, ion_photoelectrons
-        Share of the pulses that an ion makes, and how many photoelectrons' light such a one has.
-    """
-
+    # half_frequency_cy_per_px, exponent: f2 and n of the transfer after the gain exp(-ln 2 (f/f2)^n), times the square
+    # pixel's; n = 2 is a Gaussian
     half_frequency_cy_per_px: float = 0.25
     exponent: float = 1.5
-    anisotropy: float = 1.0
+    anisotropy: float = 1.0  # f2 along columns over f2 along rows
+    # halo_fraction, halo_px: share of the light after the gain in a Gaussian veil of this standard deviation, px
     halo_fraction: float = 0.0
     halo_px: float = 6.0
+    # mean photoelectrons per pixel and exposure of each flat, all detected, pulse heights exponential
     photoelectrons: tuple[float, ...] = (2.0, 8.0)
-    gain_dn: float = 20.0
+    gain_dn: float = 20.0  # k, DN per photoelectron; 0: no intensifier, electrons alone
+    # electron_gain_dn, read_noise_dn: K, DN per electron, white; and read noise, DN
     electron_gain_dn: float = 0.05
     read_noise_dn: float = 3.0
+    # standard deviation of a Gaussian along rows over the read noise, px: electronics that are not white
     read_smoothing_px: float = 0.0
+    # rows, cols, frames: size of each stack
     rows: int = 128
     cols: int = 128
     frames: int = 12
-    lag: float = 0.0
-    gamma: float = 1.0
+    lag: float = 0.0  # share of an exposure's light that returns in the next
+    gamma: float = 1.0  # exponent of the response over full scale
+    # full_scale_dn, black_dn: highest code and offset, DN
     full_scale_dn: float = 4095.0
     black_dn: float = 60.0
-    interlaced: bool = False
-    darks: bool = True
+    interlaced: bool = False  # whether odd and even rows are exposed one after the other
+    darks: bool = True  # whether there is a dark stack
+    # share of the light that the corners lose, growing with the square of the distance from the middle
     vignetting: float = 0.0
-    flicker: float = 0.0
-    row_noise_dn: float = 0.0
+    flicker: float = 0.0  # relative standard deviation of the light from exposure to exposure
+    row_noise_dn: float = 0.0  # standard deviation of an offset that each row of each frame has for itself, DN
+    # ion_share, ion_photoelectrons: share of the pulses that an ion makes, and how many photoelectrons' light such a
+    # one has
     ion_share: float = 0.0
     ion_photoelectrons: float = 20.0
 

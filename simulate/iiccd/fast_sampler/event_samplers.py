@@ -221,17 +221,22 @@ class SparseLight:
 
     def near_e(self, size: tuple[int, ...]) -> Array:
         """Return the mean charge that pulses bring to so many pixels by the compact kernel, e-, shape (row, col)."""
-        from scipy.signal import fftconvolve
+        from scipy import fft
 
+        forward: Any = fft.rfft2
+        back: Any = fft.irfft2
         shares = self.kernel.shares
         taps, breadth = shares.shape[2:]
         # Pulses are even over a cell: its kernel is the mean of its places'.
         cells = shares.reshape(CELLS, PLACES, CELLS, PLACES, taps, breadth).mean(axis=(1, 3))
+        length = [n // CELLS + m - 1 for n, m in zip(self.charge_e.shape, (taps, breadth), strict=True)]
+        fast = [fft.next_fast_len(n, real=True) for n in length]
         parts = [
-            fftconvolve(self.charge_e[i::CELLS, j::CELLS], cells[i, j]) for i in range(CELLS) for j in range(CELLS)
-        ]
+            back(forward(self.charge_e[i::CELLS, j::CELLS], fast) * forward(cells[i, j], fast), fast)
+            for i in range(CELLS) for j in range(CELLS)
+        ]  # fmt: skip
         further = REACH - self.kernel.reach
-        whole = np.sum(parts, axis=0)[taps - 1 + further :, breadth - 1 + further :]
+        whole = np.sum(parts, axis=0)[taps - 1 + further : length[0], breadth - 1 + further : length[1]]
         return np.ascontiguousarray(whole[: size[0], : size[1]], np.float32)
 
     @cached_property
@@ -313,7 +318,7 @@ class SparseScreen:
         charge = np.concatenate(heights) / light.shape * light.gain.ravel()[cells] * factor
         rows, columns = np.divmod(cells, light.gain.shape[1])
         within = rng.integers(PLACES, size=(2, len(cells)))
-        later = charge * self._decay.left_by_lasting(rng.random(len(cells), np.float32))
+        later = charge * self._decay.remainder_of_lasting(rng.random(len(cells), np.float32))
         return _Pulses(
             rows=(PLACES * rows + within[0]).astype(np.int32),
             columns=(PLACES * columns + within[1]).astype(np.int32),

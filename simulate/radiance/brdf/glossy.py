@@ -36,19 +36,19 @@ class Facets:
             limits = f"[{microfacet.SMOOTHEST:g}, {microfacet.ROUGHEST:g}]"
             raise BadInput(f"roughness must lie in {limits}, got {self.roughness:g}")
 
-    def mirrored_share(self, outgoing: Array) -> Array:
+    def specular_share(self, outgoing: Array) -> Array:
         """Return the fraction of mirrored samples, shape (ray,)."""
         raise NotImplementedError
 
     def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw mirrored directions or by the cosine law; and their densities."""
         normals = microfacet.sample_visible_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
-        drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self.mirrored_share(outgoing), rng)
+        drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self.specular_share(outgoing), rng)
         return drawn, self.pdf(drawn, outgoing)
 
     def pdf(self, incoming: Array, outgoing: Array) -> Array:
         """Return the density of `sample`, sr-1, shape (ray,)."""
-        share = self.mirrored_share(outgoing)
+        share = self.specular_share(outgoing)
         mirrored = microfacet.mirror_density(incoming, outgoing, self.roughness)
         return share * mirrored + (1.0 - share) * cosine_density(incoming)
 
@@ -78,7 +78,7 @@ class Metal(Facets):
         many = base_value(perfect.at(incoming), perfect.at(outgoing), perfect.mean, self._between(normal))
         return one + many * both_above(incoming, outgoing)
 
-    def mirrored_share(self, outgoing: Array) -> Array:
+    def specular_share(self, outgoing: Array) -> Array:
         """Return the albedo of perfect facets: the rest hits several facets."""
         return self._perfect.at(outgoing)
 
@@ -132,7 +132,7 @@ class Glossy(Facets):
         coat = self._coat.at(outgoing)
         return coat + (1.0 - coat) * self.reflectance.at(wavelength_nm)[:, None]
 
-    def mirrored_share(self, outgoing: Array) -> Array:
+    def specular_share(self, outgoing: Array) -> Array:
         """Return the fraction of mirrored samples, in the ratio of coat and base."""
         coat, base = self._coat.at(outgoing), float(np.mean(self.reflectance.share))
         share = coat / np.maximum(coat + (1.0 - coat) * base, 1e-12)

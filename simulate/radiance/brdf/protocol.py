@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from labdata.frames import read_only
 
 Array = NDArray[np.floating]
@@ -271,6 +272,7 @@ def read_measured(path: Path) -> MeasuredTable:
 
     Raises BadInput if the file cannot be read, lacks an array, or the table is not a BRDF.
     """
+    require_regular(path, "a measured BRDF")
     try:
         with np.load(path, allow_pickle=False) as file:
             found = {name: np.asarray(file[name], float) for name in ARRAYS if name in file}

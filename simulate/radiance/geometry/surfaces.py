@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +100,13 @@ def disc(radius: float) -> Mesh:
 
 def cylinder(radius: float, height: float) -> Mesh:
     """Closed upright cylinder on z = 0."""
-    return _frustum(radius, radius, height)
+    vertices = np.vstack([_circle(radius, 0.0), _circle(radius, height), [[0, 0, 0], [0, 0, height]]])
+    faces = []
+    for i in range(AROUND):
+        j = (i + 1) % AROUND
+        faces += [[i, j, AROUND + j], [i, AROUND + j, AROUND + i]]
+        faces += [[j, i, 2 * AROUND], [AROUND + i, AROUND + j, 2 * AROUND + 1]]
+    return Mesh(vertices, np.array(faces))
 
 
 def cone(radius: float, height: float) -> Mesh:
@@ -145,7 +152,8 @@ def shed(width: float, depth: float, eaves: float, ridge: float) -> Mesh:
     drop = np.array([[thick, 0], [thick, -0.5 * thick], [0, -thick], [-thick, -0.5 * thick], [-thick, 0]])
     inner = outer + drop
     front, back, within = -0.5 * depth, 0.5 * depth, 0.5 * depth - thick
-    rings = [_upright(outer, front), _upright(outer, back), _upright(inner, front), _upright(inner, within)]
+    sides = ((outer, front), (outer, back), (inner, front), (inner, within))
+    rings = [np.insert(outline, 1, y, axis=1) for outline, y in sides]
     of_front, of_back, in_front, in_back = (5 * i for i in range(4))
     quads = []
     for i in range(4):
@@ -158,20 +166,6 @@ def shed(width: float, depth: float, eaves: float, ridge: float) -> Mesh:
     fans += [[of_front, of_back, in_back, in_front], [of_back + 4, of_front + 4, in_front + 4, in_back + 4]]
     fans += [[of_back, of_back + 4, in_back + 4, in_back]]
     return Mesh(np.concatenate(rings), _cut(quads + fans))
-
-
-def _upright(outline: Array, y: float) -> Array:
-    return np.column_stack([outline[:, 0], np.full(len(outline), y), outline[:, 1]])
-
-
-def _frustum(below: float, above: float, height: float) -> Mesh:
-    vertices = np.vstack([_circle(below, 0.0), _circle(above, height), [[0, 0, 0], [0, 0, height]]])
-    faces = []
-    for i in range(AROUND):
-        j = (i + 1) % AROUND
-        faces += [[i, j, AROUND + j], [i, AROUND + j, AROUND + i]]
-        faces += [[j, i, 2 * AROUND], [AROUND + i, AROUND + j, 2 * AROUND + 1]]
-    return Mesh(vertices, np.array(faces))
 
 
 def _circle(radius: float, z: float) -> Array:
@@ -201,7 +195,6 @@ class Surfaces:
     """Triangles of a scene."""
 
     mesh: Mesh  # triangles without copies, in scene coordinates
-    tracer: RayTracer  # ray tracer of all surfaces
     # Number of the object and of the material of each triangle, of `mesh` and then of `copied`, shape (row,).
     object_of: NDArray[np.int64]
     material_of: NDArray[np.int64]
@@ -218,20 +211,14 @@ class Surfaces:
         """Area of each triangle of `mesh`, shape (face,), m2."""
         return self.mesh.area_m2
 
-    def __reduce__(self) -> tuple:
-        # Embree's scene cannot be pickled: it is rebuilt.
-        mesh = self.mesh
-        parts = (
-            mesh.vertices_m,
-            mesh.faces,
-            self.object_of,
-            self.material_of,
-            self.objects,
-            self.materials,
-            self.copied,
-            self.panes,
-        )
-        return _rebuilt, parts
+    @cached_property
+    def tracer(self) -> RayTracer:
+        """Ray tracer of all surfaces."""
+        return tracer(self.mesh.vertices_m, self.mesh.faces, self.copied)
+
+    def __getstate__(self) -> dict:
+        # Embree's scene cannot be pickled: it is built again.
+        return {name: value for name, value in vars(self).items() if name != "tracer"}
 
     def near(self, place_m: Array, radius_m: float) -> Iterator[tuple[Array, str]]:
         """Yield triangles that a sphere may touch, in parts (face, corner, 3), m, and names of their objects."""
@@ -281,18 +268,4 @@ def collect_surfaces(
     object_of = np.array([objects.index(name) for name, _, _ in every], np.int64)[of_part] if every else of_part
     material_of = np.array([materials.index(name) for _, name, _ in every], np.int64)[of_part] if every else of_part
     together = tuple(mesh for _, _, mesh in copied)
-    return _rebuilt(mesh.vertices_m, mesh.faces, object_of, material_of, objects, materials, together)
-
-
-def _rebuilt(
-    vertices_m: Array,
-    faces: NDArray[np.int64],
-    object_of: NDArray[np.int64],
-    material_of: NDArray[np.int64],
-    objects: tuple[str, ...],
-    materials: tuple[str, ...],
-    copied: tuple[Copied, ...] = (),
-    panes: Surfaces | None = None,
-) -> Surfaces:
-    mesh, trace = Mesh(vertices_m, faces), tracer(vertices_m, faces, copied)
-    return Surfaces(mesh, trace, object_of, material_of, objects, materials, copied, panes)
+    return Surfaces(mesh, object_of, material_of, objects, materials, together)

@@ -113,7 +113,10 @@ class Viewpoint:
         towards = np.stack([x, y, np.ones_like(x)], axis=1) @ self.axes
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         origin = np.broadcast_to(np.asarray(self.position_m, float), towards.shape)
-        return (origin, towards) if self.scan is None else self._move_rays(self.scan, row, origin, towards)
+        if self.scan is None:
+            return origin, towards
+        moved, turn = self.scan.at(row)
+        return origin + moved, _turn_about_vertical(towards, turn)
 
     def exposures(self) -> Iterator[Exposure]:
         """Yield the rows taken at one time: all of a framing camera, each of a scanner."""
@@ -162,12 +165,6 @@ class Viewpoint:
         """Return the undistorted radii of radii in the image, corner radii."""
         came = np.linspace(0.0, FARTHEST, STEPS)
         return np.interp(radius, came * (1.0 + self.distortion_fraction * came**2), came)
-
-    @staticmethod
-    def _move_rays(scan: RasterGeometry, row: Array, origin: Array, towards: Array) -> tuple[Array, Array]:
-        """Return rays from the position of a scanner in the middle of each row's time."""
-        moved, turn = scan.at(row)
-        return origin + moved, _turn_about_vertical(towards, turn)
 
 
 def _turn_about_vertical(direction: Array, turn_rad: Array | float) -> Array:

@@ -1,10 +1,12 @@
 """Auxiliary layers (AOVs): material, object, distance, normal and shadow at the centre of each pixel."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.geometry.embree import ROW
 from simulate.radiance.geometry.viewpoint import Viewpoint
@@ -52,20 +54,15 @@ class AuxiliaryLayers:
             found[rest] |= differs
         return found
 
-    def save(self, path: Path) -> None:
-        """Write the maps to an .npz file."""
-        np.savez_compressed(
-            path,
-            material=self.material,
-            object=self.object,
-            range_m=self.range_m,
-            normal=self.normal.astype(np.float16),
-            shadow=self.shadow,
-            temperature_k=self.temperature_k,
-            materials=np.array(self.materials),
-            objects=np.array(self.objects),
-            sources=np.array(self.sources),
-        )
+    def save(self, path: Path, geometry: Mapping[str, ArrayLike]) -> None:
+        """Write the maps, and the geometry of the view under its own names, to an .npz file."""
+        maps: dict[str, Any] = {
+            "material": self.material, "object": self.object, "range_m": self.range_m,
+            "normal": self.normal.astype(np.float16), "shadow": self.shadow, "temperature_k": self.temperature_k,
+            "materials": np.array(self.materials), "objects": np.array(self.objects), "sources": np.array(self.sources),
+        }  # fmt: skip
+        maps.update(geometry)
+        np.savez_compressed(path, **maps)
 
 
 def truth(stage: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:

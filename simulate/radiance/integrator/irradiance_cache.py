@@ -23,7 +23,7 @@ from simulate.radiance.integrator.integrator_settings import (
     additional_rays,
     excess_variance,
 )
-from simulate.radiance.integrator.outgoing_radiance import lamp_and_disc_radiance, surroundings_radiance
+from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
 from simulate.radiance.integrator.sampling import R2, SequenceSlice, fraction, low_discrepancy_points
 from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
 
@@ -129,7 +129,8 @@ def _known_signal(
     """Return the signal of nodes by direct light and open sky, and their mean reflectance over the sensor's weights."""
     reflected = stage.bsdfs.diffuse_brdf(points) @ weight / max(float(weight.sum()), 1e-30)
     sky = stage.lighting.environment_map
-    signal = lamp_and_disc_radiance(stage, points, effort, np.random.default_rng(0)).total() @ weight
+    rng = np.random.default_rng(0)
+    signal = outgoing_radiance(stage, points, effort, rng, rays=0, light="lamps and discs").total() @ weight
     return (signal if sky.dark else signal + reflected * (sky.irradiance(points.normal) @ weight)), reflected
 
 
@@ -208,7 +209,8 @@ def _gather(
         part = np.arange(start, min(start + count, len(nodes)))
         rng = np.random.default_rng([*seed, start])
         here, shared = start_from.of(nodes[part], places, rng), even.some(part).divide(places)
-        light = surroundings_radiance(stage, here, effort, rng, shared).total()
+        asked = {"rays": shared.rays, "even": shared, "light": "surroundings"}
+        light = outgoing_radiance(stage, here, effort, rng, **asked).total()
         light *= np.float32(np.pi)
         if not sky.dark:
             light -= sky.irradiance(here.normal)

@@ -110,7 +110,7 @@ def disc_arrays(discs: tuple[DiscLight, ...], bands: int) -> tuple[NDArray, NDAr
 
 def lamp_arrays(lamps: tuple[LampLight, ...], bands: int) -> tuple:
     """Return positions, radii, spectra and their sums, and the distributions' axes and concatenated tables."""
-    tables = [lamp.distribution.encoded() for lamp in lamps]
+    tables = [lamp.distribution.encode() for lamp in lamps]
     ends = np.cumsum([0, *(len(table) for table in tables)])
     return (
         np.array([lamp.position_m for lamp in lamps], float).reshape(-1, 3),

@@ -11,6 +11,7 @@ light is requested by source and bounce.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,6 +122,8 @@ def outgoing_radiance(
     split: bool = False,
     depth: int = 0,
     shared: Shared | None = None,
+    even: SequenceSlice | None = None,
+    light: Literal["all", "lamps and discs", "surroundings"] = "all",
 ) -> RadianceComponents:
     """Return the reflected outgoing radiance of points, in components of shape (point, band).
 
@@ -140,46 +143,26 @@ def outgoing_radiance(
         Bounces between the points and the surface that the camera sees.
     shared
         Points with a cached irradiance, which do not gather: their component is "shared".
+    even
+        Pairs of numbers from which the directions of gather rays follow; None: drawn.
+    light
+        All light, that of lamps and discs alone, or all other.
     """
-    asked = _request(stage, points, effort, rng, rays, into=into, split=split, depth=depth)
-    _add_direct(stage, asked)
+    parts, rows = into or (RadianceComponents((len(points), stage.bands), split=split), np.arange(len(points)))
+    asked = ShadingRequest(
+        points=points, parts=parts, rows=rows, effort=effort, rng=rng, rays=rays, depth=depth, even=even
+    )
+    if light != "surroundings":
+        _add_direct(stage, asked)
+    if light == "lamps and discs":
+        return parts
     if shared is not None:
         sharing, irradiance = shared
         asked.add("shared", sharing, stage.bsdfs.diffuse_brdf(points)[sharing] * irradiance)
         asked = asked.some(np.setdiff1d(np.arange(len(points)), sharing, assume_unique=True))
     if len(asked.points):
         _add_around(stage, asked)
-    return asked.parts
-
-
-def lamp_and_disc_radiance(
-    stage: SpectralScene, points: ShadingPoints, effort: IntegratorSettings, rng: np.random.Generator
-) -> RadianceComponents:
-    """Return the outgoing radiance by lamps and discs alone, as `outgoing_radiance`."""
-    asked = _request(stage, points, effort, rng, 0)
-    _add_direct(stage, asked)
-    return asked.parts
-
-
-def surroundings_radiance(
-    stage: SpectralScene,
-    points: ShadingPoints,
-    effort: IntegratorSettings,
-    rng: np.random.Generator,
-    even: SequenceSlice,
-) -> RadianceComponents:
-    """Return the outgoing radiance by all light but lamps and discs, as `outgoing_radiance`, by rays of given pairs."""
-    asked = _request(stage, points, effort, rng, even.rays, even=even)
-    _add_around(stage, asked)
-    return asked.parts
-
-
-def _request(stage, points, effort, rng, rays, *, into=None, split=False, depth=0, even=None) -> ShadingRequest:
-    """Return a request, with new components where none are given."""
-    parts, rows = into or (RadianceComponents((len(points), stage.bands), split=split), np.arange(len(points)))
-    return ShadingRequest(
-        points=points, parts=parts, rows=rows, effort=effort, rng=rng, rays=rays, depth=depth, even=even
-    )
+    return parts
 
 
 def _add_direct(stage: SpectralScene, asked: ShadingRequest) -> None:

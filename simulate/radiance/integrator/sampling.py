@@ -13,6 +13,8 @@ from simulate.radiance.geometry.ray_tracer import CLEARANCE_SHARE
 Array = NDArray[np.floating]
 # Increments of the R2 sequence (Roberts, 2018): powers of the inverse plastic number.
 R2 = np.array([0.7548776662466927, 0.5698402909980532])
+# Inverse of the increment of that sequence in six dimensions, x^7 = x + 1.
+R6 = 1.1127756842787055
 # Points along the side of a tile of a grid that use one sequence.
 TILE = 8
 # What a step of the sequence adds to the square of the radius, and the turn by which it rotates a point of the disc.
@@ -49,6 +51,27 @@ class SequenceSlice:
     def pairs(self) -> Array:
         """Return all pairs, shape (point, ray, 2)."""
         return fraction(self.start[:, None] + np.arange(self.rays)[:, None] * R2)
+
+
+@dataclass
+class EvenNumbers:
+    """Numbers of a low-discrepancy sequence in place of a generator's, for rays of several points.
+
+    Each number of a ray is a further dimension of the R sequence (Roberts, 2018), with a random shift for each point.
+    """
+
+    points: int
+    rays: int
+    rng: np.random.Generator
+    used: int = 0  # dimensions so far
+
+    def random(self, shape: Any) -> Array:
+        """Return numbers in [0, 1) of a shape whose first axis holds the rays of one point after the other."""
+        count = int(np.prod(np.atleast_1d(shape))) // (self.points * self.rays)
+        step = R6 ** -(self.used + 1.0 + np.arange(count))
+        self.used += count
+        start = self.rng.random((self.points, 1, count))
+        return fraction(start + (np.arange(self.rays)[:, None] + 1.0) * step).reshape(shape)
 
 
 def low_discrepancy_points(row: NDArray[np.int64], col: NDArray[np.int64], rays: int, seed: list[int]) -> SequenceSlice:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from labdata.frames import read_only
 from simulate.radiance.spectrum import SourceSpectrum
 
@@ -24,8 +25,8 @@ class Distribution(Protocol):
         """Return the fraction of the flux per sr in directions (ray, 3), shape (ray,); its integral is 1."""
         ...
 
-    def encoded(self) -> Array:
-        """Return the numbers from which `light_sources.lamp_pattern` finds the same; `tabulated` serves any shape."""
+    def encode(self) -> Array:
+        """Return the numbers from which `light_sources.lamp_pattern` finds the same."""
         ...
 
 
@@ -37,7 +38,7 @@ class Isotropic:
         """Return 1/(4 pi), sr-1."""
         return np.full(len(direction), 0.25 / np.pi)
 
-    def encoded(self) -> Array:
+    def encode(self) -> Array:
         """Return the numbers for `light_sources.lamp_pattern`."""
         return np.array([POWER, 0.25 / np.pi, 0.0])
 
@@ -50,7 +51,7 @@ class Cosine:
         """Return cos/pi, sr-1, zero behind."""
         return np.maximum(direction[:, 2], 0.0) / np.pi
 
-    def encoded(self) -> Array:
+    def encode(self) -> Array:
         """Return the numbers for `light_sources.lamp_pattern`."""
         return np.array([POWER, 1.0 / np.pi, 1.0])
 
@@ -74,7 +75,7 @@ class SpotBeam:
         """Return (m + 1)/(2 pi) cos^m, sr-1, zero behind."""
         return (self.power + 1.0) / (2.0 * np.pi) * np.maximum(direction[:, 2], 0.0) ** self.power
 
-    def encoded(self) -> Array:
+    def encode(self) -> Array:
         """Return the numbers for `light_sources.lamp_pattern`."""
         return np.array([POWER, (self.power + 1.0) / (2.0 * np.pi), self.power])
 
@@ -113,7 +114,7 @@ class MeasuredDistribution:
         """Integral of the intensities over all directions: lumens where they are candela."""
         return self._total
 
-    def encoded(self) -> Array:
+    def encode(self) -> Array:
         """Return the numbers for `light_sources.lamp_pattern`."""
         head = [MEASURED, 1.0 / self.integral, float(self.polar_deg.size), float(self.azimuth_deg.size)]
         return np.concatenate([head, self.polar_deg, self.azimuth_deg, self.candela.ravel()])
@@ -158,15 +159,6 @@ class MeasuredDistribution:
         return float(2.0 * np.pi * np.sum(np.interp(middle, self.polar_deg, around) * ring))
 
 
-def tabulated(distribution: Distribution, steps: int = 721) -> MeasuredDistribution:
-    """Return the table of any distribution, in steps of a quarter of a degree from the axis and 5 degrees around it."""
-    polar, azimuth = np.linspace(0.0, 180.0, steps), np.linspace(0.0, 360.0, 73)
-    up, turn = np.meshgrid(np.deg2rad(polar), np.deg2rad(azimuth))
-    way = np.stack([np.sin(up) * np.cos(turn), np.sin(up) * np.sin(turn), np.cos(up)], axis=-1)
-    candela = distribution.per_sr(way.reshape(-1, 3)).reshape(up.shape)
-    return MeasuredDistribution(polar_deg=polar, azimuth_deg=azimuth, candela=candela)
-
-
 # Beams by name, made from a scene's lamp (`LampPlacement`).
 BEAMS: dict[str, Callable[[Any], Distribution]] = {
     "isotropic": lambda lamp: Isotropic(),
@@ -207,6 +199,7 @@ def read_ies(path: str | Path) -> Photometry:
     Raises BadInput if the file cannot be read, breaks the form, or needs what is not read here.
     """
     path = Path(path)
+    require_regular(path, "a lamp's photometry")
     try:
         data = path.read_bytes()
     except OSError:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN, SourceSpectrum, planck, table
 
 NARROW = "narrow-band"
@@ -127,6 +128,7 @@ def _narrow(wavelength_nm: float, width_nm: float) -> SourceSpectrum:
 
 
 def _rows(path: Path) -> np.ndarray:
+    require_regular(path, "a lamp's spectrum")
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):

@@ -1,6 +1,5 @@
 """Surfaces of a scene from its description: shapes, mesh files and material maps, in their poses."""
 
-import os
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,14 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from simulate.radiance.geometry.embree import Copied
-from simulate.radiance.geometry.surfaces import Mesh, Surfaces, collect_surfaces, shape
-from simulate.radiance.outdoor.scene import METRE, Object, OutdoorScene, Pose
+from simulate.radiance.geometry.surfaces import Mesh, Surfaces, collect_surfaces, join_meshes, shape
+from simulate.radiance.outdoor.poses import Pose, rotation_of
+from simulate.radiance.outdoor.scene import METRE, Object, OutdoorScene
 
 Array = NDArray[np.floating]
 
 # Each run of one material along a row becomes a rectangle; an image with more runs is not a map.
 MOST_RUNS = 500_000
+
+
+def _read_map(path: Path, count: int) -> NDArray[np.int64]:
+    """Return the numbers of materials of an image, shape (row, col); refuse others than 0 to count - 1."""
+    from labdata.importers import read_frames
+
+    values = np.asarray(read_frames(path).data[0])
+    wrong = values[(values < 0) | (values >= count) | (values != np.round(values))]
+    if wrong.size:
+        raise BadInput(
+            f"a material map must hold whole numbers from 0 to {count - 1}, got {wrong.flat[0]:g} in {path.name}"
+        )
+    return values.astype(np.int64)
 
 
 def split_by_material(path: Path, size_m: tuple[float, ...], materials: Sequence[str]) -> list[tuple[str, Mesh]]:
@@ -28,16 +42,8 @@ def split_by_material(path: Path, size_m: tuple[float, ...], materials: Sequence
 
     Raises BadInput if the image cannot be read, contains other numbers, or changes too often for a map.
     """
-    from labdata.importers import read_frames
-
-    values = np.asarray(read_frames(path).data[0])
-    wrong = values[(values < 0) | (values >= len(materials)) | (values != np.round(values))]
-    if wrong.size:
-        raise BadInput(
-            f"a material map must hold whole numbers from 0 to {len(materials) - 1}, got {wrong.flat[0]:g} "
-            f"in {path.name}"
-        )
-    row, first, last, number = _runs(values.astype(np.int64))
+    values = _read_map(path, len(materials))
+    row, first, last, number = _runs(values)
     if len(row) > MOST_RUNS:
         raise BadInput(
             f"a material map must change at most {MOST_RUNS} times along its rows, got {len(row)} in {path.name}"
@@ -79,43 +85,40 @@ SHARED_FROM = 500_000
 KINDS = (".obj", ".ply", ".stl", ".glb")
 
 
-def build_surfaces(scene: OutdoorScene) -> Surfaces:
-    """Return the surfaces of a scene.
+def build_surfaces(scene: OutdoorScene, *, opaque: bool = False) -> Surfaces:
+    """Return the surfaces of a scene; with `opaque`, as in the infrared, panes of glass are surfaces like others.
 
     Raises BadInput if a mesh file cannot be read, contains no triangle, or is open although its surface emits
     light; if an object with gaps has too few triangles.
     """
-    glass = frozenset(surface.label for surface in scene.material if surface.pane_transmittance is not None)
+    panes = [] if opaque else [surface for surface in scene.material if surface.pane_transmittance is not None]
+    glass = frozenset(surface.label for surface in panes)
     glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
     parts, copied, notes = [], [], []
     for thing in scene.object:
         poses = thing.instances or (thing,)
-        mesh, own = _mesh(scene, thing)
-        if own:
-            notes.append(f"{thing.file} has {own}, which are not used: all of {thing.label!r} is {thing.material!r}")
-        if thing.map is not None:
-            pieces = split_by_material(scene.file(thing.map), thing.size_m, thing.map_materials)
-            parts += [(thing.label, name, place_mesh(piece, pose)) for name, piece in pieces for pose in poses]
-            continue
-        if thing.file is not None and thing.material in glowing and not mesh.is_closed:
-            raise BadInput(
-                f"the mesh of an object that glows must be closed, so that it has an outer side, got an open one "
-                f"in {thing.file} of {thing.label!r}"
-            )
-        if thing.gaps > 0.0:
-            mesh = remove_triangles(mesh, thing.gaps, thing.label)
-        # Emitters and glass are sampled by triangle, so that their copies are not shared.
-        shared = thing.material not in glowing | glass and len(poses) * len(mesh.faces) > SHARED_FROM and len(poses) > 1
-        if shared:
-            copied.append((thing.label, thing.material, _copies(mesh, poses[1:])))
-        parts += [(thing.label, thing.material, place_mesh(mesh, pose)) for pose in (poses[:1] if shared else poses)]
+        pieces, unused = _pieces(scene, thing)
+        notes += unused
+        for material, mesh in pieces:
+            if thing.file is not None and material in glowing and not mesh.is_closed:
+                raise BadInput(
+                    f"the mesh of an object that glows must be closed, so that it has an outer side, got an open one "
+                    f"in {thing.file} of {thing.label!r}"
+                )
+            if thing.gaps > 0.0:
+                mesh = remove_triangles(mesh, thing.gaps, thing.label)
+            # Emitters and glass are sampled by triangle, so that their copies are not shared.
+            shared = material not in glowing | glass and len(poses) * len(mesh.faces) > SHARED_FROM and len(poses) > 1
+            if shared:
+                copied.append((thing.label, material, _copies(mesh, poses[1:])))
+            parts += [(thing.label, material, place_mesh(mesh, pose)) for pose in (poses[:1] if shared else poses)]
     return replace(collect_surfaces(parts, glass, tuple(copied)), notes=tuple(notes))
 
 
 def _copies(mesh: Mesh, poses: tuple[Pose, ...]) -> Copied:
     """Return a mesh relative to its centre, for single precision, and the poses of its copies."""
     middle = 0.5 * (mesh.vertices_m.min(axis=0) + mesh.vertices_m.max(axis=0))
-    turn = np.array([pose.scale * _rotation(pose) for pose in poses])
+    turn = np.array([pose.scale * rotation_of(pose) for pose in poses])
     shift = np.array([pose.position_m for pose in poses]) + turn @ middle
     return Copied(vertices_m=mesh.vertices_m - middle, faces=mesh.faces, turn=turn, shift_m=shift)
 
@@ -138,60 +141,137 @@ def remove_triangles(mesh: Mesh, gaps: float, label: str) -> Mesh:
 
 def place_mesh(mesh: Mesh, pose: Pose) -> Mesh:
     """Transform a mesh into a pose."""
-    turned = pose.scale * mesh.vertices_m @ _rotation(pose).T
+    turned = pose.scale * mesh.vertices_m @ rotation_of(pose).T
     return Mesh(turned + np.asarray(pose.position_m), mesh.faces)
 
 
-def _rotation(pose: Pose) -> Array:
-    """Return the rotation: roll about y, then pitch about x, then heading about z, clockwise from above."""
-    roll, pitch, heading = np.deg2rad([pose.roll_deg, pose.pitch_deg, -pose.heading_deg])
-    about_y = np.array([[np.cos(roll), 0, np.sin(roll)], [0, 1, 0], [-np.sin(roll), 0, np.cos(roll)]])
-    about_x = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
-    about_z = np.array([[np.cos(heading), -np.sin(heading), 0], [np.sin(heading), np.cos(heading), 0], [0, 0, 1]])
-    return about_z @ about_x @ about_y
-
-
-def _mesh(scene: OutdoorScene, thing: Object) -> tuple[Mesh, str]:
-    """Return the triangles of an object, and the materials in its file, in words."""
+def _pieces(scene: OutdoorScene, thing: Object) -> tuple[list[tuple[str, Mesh]], list[str]]:
+    """Return the triangles of an object by materials of the scene, and what of its file is not used, in sentences."""
+    if thing.map is not None and thing.file is None:
+        return split_by_material(scene.file(thing.map), thing.size_m, thing.map_materials), []
+    if thing.map is not None and thing.file is not None:
+        numbers = _read_map(scene.file(thing.map), len(thing.map_materials))
+        return split_by_texture(scene.file(thing.file), METRE[thing.unit or "m"], numbers, thing.map_materials), []
     if thing.shape is not None:
-        return shape(thing.shape, thing.size_m), ""
+        return [(thing.material, shape(thing.shape, thing.size_m))], []
     assert thing.file is not None and thing.unit is not None
-    return _read(scene.file(thing.file), METRE[thing.unit])
+    meshes, colours = read_mesh(scene.file(thing.file), METRE[thing.unit])
+    if not thing.file_materials:
+        named = [name for name in meshes if name]
+        own = [*([f"materials ({', '.join(sorted(named))})"] if named else []), *(["colours"] if colours else [])]
+        words = " and ".join(own)
+        unused = f"{thing.file} has {words}, which are not used: all of {thing.label!r} is {thing.material!r}"
+        return [(thing.material, join_meshes(list(meshes.values())))], [unused] if own else []
+    known = ", ".join(sorted(repr(name) for name in meshes))
+    for name in thing.file_materials:
+        if name not in meshes:
+            raise BadInput(f"file_materials must name materials of {thing.file}, {known}, got {name!r}")
+    for name in meshes:
+        if name not in thing.file_materials and not thing.material:
+            raise BadInput(
+                f"file_materials must name all materials of {thing.file} or leave the others to a material, "
+                f"got none for {name!r} of {thing.label!r}"
+            )
+    return [(thing.file_materials.get(name, thing.material), mesh) for name, mesh in meshes.items()], []
 
 
-def _read(path: Path, metre: float) -> tuple[Mesh, str]:
+def split_by_texture(
+    path: Path, metre: float, numbers: NDArray[np.int64], materials: Sequence[str]
+) -> list[tuple[str, Mesh]]:
+    """Return the parts of a mesh file, one for each material of an image that its texture coordinates lay on it.
+
+    The image's first row lies at v = 1, its first column at u = 0, and it repeats beyond. Triangles with several
+    materials are cut into parts whose sides are as long as a pixel of the image at most.
+
+    Raises BadInput if the mesh has no texture coordinates, or would have too many parts.
+    """
+    corners, uv = [], []
+    for part in _load(path):
+        own = getattr(part.visual, "uv", None)
+        if own is None or len(own) != len(part.vertices):
+            raise BadInput(f"a mesh with a map must have texture coordinates, got none in {path.name}")
+        _check_mesh(path.name, part.vertices, part.faces)
+        corners.append(metre * np.asarray(part.vertices, float)[part.faces])
+        uv.append(np.asarray(own, float)[part.faces])
+    place, texel = np.concatenate(corners), np.concatenate(uv) * numbers.shape[::-1]
+    if not np.isfinite(texel).all():
+        raise BadInput(f"texture coordinates must be finite, got others in {path.name}")
+    sides = np.linalg.norm(texel - np.roll(texel, 1, axis=1), axis=2).max(axis=1)
+    cuts = np.maximum(np.ceil(sides), 1.0)
+    if (cuts**2).sum() > MOST_RUNS:
+        raise BadInput(
+            f"a map on a mesh must make at most {MOST_RUNS} parts, got {(cuts**2).sum():.0f} of {path.name}; "
+            "give an image of fewer pixels"
+        )
+    parts: list[tuple[Array, NDArray[np.int64]]] = []
+    for count in np.unique(cuts.astype(np.int64)):
+        of = np.flatnonzero(cuts == count)
+        weights = _subdivision(int(count))
+        col, row = np.floor(np.einsum("pk,fkx->xfp", weights.mean(axis=1), texel[of])).astype(np.int64)
+        which = numbers[(-1 - row) % numbers.shape[0], col % numbers.shape[1]]
+        whole = (which == which[:, :1]).all(axis=1)
+        parts.append((place[of[whole]], which[whole, 0]))
+        small = np.einsum("pck,fkx->fpcx", weights, place[of[~whole]])
+        parts.append((small.reshape(-1, 3, 3), which[~whole].ravel()))
+    every, which = (np.concatenate(each) for each in zip(*parts, strict=True))
+    meshes = ((name, every[which == number].reshape(-1, 3)) for number, name in enumerate(materials))
+    return [(name, Mesh(xyz, np.arange(len(xyz)).reshape(-1, 3))) for name, xyz in meshes if len(xyz)]
+
+
+def _subdivision(count: int) -> Array:
+    """Return barycentric coordinates of the corners of count**2 equal parts of a triangle, (part, corner, 3)."""
+    i, j = (axis.ravel() for axis in np.indices((count, count)))
+    up = (i + j) < count
+    down = (i + j) < count - 1
+    upright = [np.stack([i[up] + a, j[up] + b], axis=1) for a, b in ((0, 0), (1, 0), (0, 1))]
+    turned = [np.stack([i[down] + a, j[down] + b], axis=1) for a, b in ((1, 0), (1, 1), (0, 1))]
+    two = np.concatenate([np.stack(upright, axis=1), np.stack(turned, axis=1)]) / count
+    return np.concatenate([1.0 - two.sum(axis=2, keepdims=True), two], axis=2)
+
+
+def read_mesh(path: Path, metre: float) -> tuple[dict[str, Mesh], bool]:
+    """Return the triangles of a file by the names of its materials, "" without one, and whether it has colours."""
+    parts = _load(path)
+    found = [(_material_of(part), np.array(part.vertices, float), np.array(part.faces, np.int64)) for part in parts]
+    colours = any(part.visual.defined and part.visual.kind in ("vertex", "face") for part in parts)
+    for _, vertices, faces in found:
+        _check_mesh(path.name, vertices, faces)
+    names = dict.fromkeys(name for name, _, _ in found)
+    meshes = {name: [Mesh(metre * xyz, faces) for other, xyz, faces in found if other == name] for name in names}
+    return {name: join_meshes(each) for name, each in meshes.items()}, colours
+
+
+def _load(path: Path) -> list[Any]:
+    """Return the parts of a mesh file, each with its own material, in the frame of the file."""
     if path.suffix.lower() not in KINDS:
         raise BadInput(f"a mesh file must be one of {', '.join(KINDS)}, got {path.name}")
-    if not os.path.isfile(path):  # Path.is_file raises on names that no disk takes
-        raise BadInput(f"a mesh file must exist to be read, got {path}")
+    require_regular(path, "a mesh file")
     import trimesh
 
     try:
-        loaded = trimesh.load_scene(path, process=False)
-        mesh, own = loaded.to_mesh(), _own_materials([thing.visual for thing in loaded.geometry.values()])
-        vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
+        parts: list[Any] = trimesh.load_scene(path, process=False).dump()
+        triangles = sum(len(part.faces) for part in parts)
     except Exception as error:
         # The readers of the four formats raise many kinds of errors.
         raise BadInput(f"{path.name} must be a whole {path.suffix} mesh: {_first_line(error)}") from None
-    if not len(faces):
+    if not triangles:
         raise BadInput(f"a mesh must have triangles, got none in {path.name}")
+    return parts
+
+
+def _check_mesh(name: str, vertices: Array, faces: NDArray[np.int64]) -> None:
     if vertices.shape[1:] != (3,):
-        raise BadInput(f"the vertices of a mesh must have three coordinates, got {vertices.shape[1:]} in {path.name}")
+        raise BadInput(f"the vertices of a mesh must have three coordinates, got {vertices.shape[1:]} in {name}")
     if not np.isfinite(vertices).all():
-        raise BadInput(f"the vertices of a mesh must be finite, got others in {path.name}")
-    if not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise BadInput(f"the corners of a mesh must be among its {len(vertices)} vertices, got others in {path.name}")
-    return Mesh(metre * vertices, faces), own
+        raise BadInput(f"the vertices of a mesh must be finite, got others in {name}")
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise BadInput(f"the corners of a mesh must be among its {len(vertices)} vertices, got others in {name}")
 
 
-def _own_materials(visuals: list[Any]) -> str:
-    """Return in words the colours in a file, which are not used because they have no near infrared."""
-    made = [visual.material for visual in visuals if visual.defined and hasattr(visual, "material")]
-    names = sorted({str(material.name) for material in made if material.name})
-    words = [f"materials ({', '.join(names)})" if names else "materials"] if made else []
-    if any(visual.defined and visual.kind in ("vertex", "face") for visual in visuals):
-        words.append("colours")
-    return " and ".join(words)
+def _material_of(part: Any) -> str:
+    """Return the name of the material of a part of a file; "" without one."""
+    visual = part.visual
+    return str(visual.material.name or "unnamed") if visual.defined and hasattr(visual, "material") else ""
 
 
 def _first_line(error: Exception) -> str:

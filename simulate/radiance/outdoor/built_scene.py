@@ -20,7 +20,6 @@ from simulate.radiance.lamps.spectra import read_spectrum, spectrum
 from simulate.radiance.outdoor.build import build_surfaces
 from simulate.radiance.outdoor.materials import MaterialSpec
 from simulate.radiance.outdoor.scene import LampPlacement, OutdoorScene, Weather
-from simulate.radiance.sky.moon import ObserverLocation
 from simulate.radiance.sky.night_sky import NightSky, TownGlow
 from simulate.radiance.spectrum import SourceSpectrum, spectral_grid
 
@@ -49,12 +48,9 @@ class BuiltScene:
         where, weather, sky = self.scene.place, self.scene.weather, self.scene.sky
         if where is None:
             return None
-        place = ObserverLocation(
-            latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m
-        )
         towns = tuple(TownGlow(**vars(town)) for town in sky.towns)
         parts = {"airglow": sky.airglow, "zodiacal": sky.zodiacal, "starlight": sky.starlight, "towns": towns}
-        found = NightSky.at(place, where.moment, atmosphere=_atmosphere(weather), **parts)
+        found = NightSky.at(where, where.moment, atmosphere=_atmosphere(weather), **parts)
         shining = {"moon": sky.moon, "sun": sky.sun}
         return replace(found, bodies=tuple(body for body in found.bodies if shining[body.name]))
 
@@ -96,6 +92,15 @@ class BuiltScene:
         if surfaces.panes is not None:
             bsdfs = replace(bsdfs, panes=_panes(surfaces.panes, by_label, grid))
         return SpectralScene(surfaces=surfaces, bsdfs=bsdfs, lighting=self._lighting(grid), air=self._air(grid))
+
+    def like(self, stage: SpectralScene) -> SpectralScene:
+        """Return the scene on the bands of another one that differs by the poses of its objects alone."""
+        surfaces, bsdfs, grid = self.surfaces, stage.bsdfs, stage.bsdfs.wavelength_nm
+        if surfaces.panes is not None:
+            by_label = {surface.label: surface for surface in self.scene.material}
+            bsdfs = replace(bsdfs, panes=_panes(surfaces.panes, by_label, grid))
+        lighting = replace(stage.lighting, panels=self._panels(grid))
+        return replace(stage, surfaces=surfaces, bsdfs=bsdfs, lighting=lighting)
 
     def _brdf(self, surface: MaterialSpec) -> Brdf:
         return surface.material.brdf() if surface.measured is None else read_measured(self.scene.file(surface.measured))

@@ -42,6 +42,8 @@ class MaterialSpec:
     slab
         What lies below the surface, for its temperature: a label of the scene's slabs or a name in
         `simulate.thermal.temperatures`; None: that of the library entry.
+    note
+        What was assumed of it, in a sentence, which the notes of its pictures repeat.
     """
 
     label: str
@@ -58,6 +60,7 @@ class MaterialSpec:
     glow_lm_per_m2: float = 0.0
     lamp: str = "incandescent"
     slab: str | None = None
+    note: str = ""
 
     def __post_init__(self) -> None:
         kinds = (self.library, self.reflectance, self.measured, self.pane_transmittance)
@@ -124,7 +127,7 @@ class MaterialSpec:
 
 # Numbers of a slab that does not state them: usual surfaces, dry, smooth, adiabatic behind.
 EMISSIVITY, NOTHING, SMOOTH = Parameter(value=0.95), Parameter(value=0.0), Parameter(value=3.0)
-SHARES = ("emissivity", "emissivity_mwir", "absorptivity", "latent_fraction")
+SHARES = ("emissivity", "emissivity_mwir", "absorptivity", "transmittance", "latent_fraction")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,6 +171,9 @@ class Slab:
         3.5 to 4.1 um, dimensionless; None if unknown.
     absorptivity
         Fraction of sunlight that is absorbed, dimensionless; None: from the reflectance of the scene's material.
+    transmittance
+        Fraction of sunlight that goes through, as of glass, dimensionless; what is neither absorbed nor transmitted is
+        reflected.
     latent_fraction
         Fraction of the absorbed sun that evaporates water, dimensionless.
     wind_coefficient
@@ -190,6 +196,7 @@ class Slab:
     emissivity: Parameter = EMISSIVITY
     emissivity_mwir: Parameter | None = None
     absorptivity: Parameter | None = None
+    transmittance: Parameter = NOTHING
     latent_fraction: Parameter = NOTHING
     wind_coefficient: Parameter = SMOOTH
     back_w_m2_k: Parameter = NOTHING

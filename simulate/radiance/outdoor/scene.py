@@ -1,23 +1,23 @@
 """Description of an outdoor scene: camera, objects, lamps, location, weather and natural light: tables of its file."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
-from labdata.camera_description import must_be_positive
 from labdata.errors import BadInput
-from simulate.radiance.geometry.viewpoint import RasterGeometry
 from simulate.radiance.lamps.distribution import BEAMS
 from simulate.radiance.lamps.spectra import NARROW
 from simulate.radiance.outdoor.materials import MaterialSpec, Slab
+from simulate.radiance.outdoor.poses import ObjectKeyframe, Pose, RigSensor, SceneCamera, check_keyframes, pose_at
+from simulate.radiance.sky.moon import ObserverLocation
 
 ConvectionLaw = Literal["buoyant", "mcadams", "watmuff", "constant"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Where:
+class Where(ObserverLocation):
     """Location and time.
 
     Parameters
@@ -30,10 +30,7 @@ class Where:
         Date, time of day and offset from UTC, such as 1998-06-24T02:00:00-04:00.
     """
 
-    latitude_deg: float
-    longitude_deg: float
     time: str
-    altitude_m: float = 0.0
 
     @property
     def moment(self) -> datetime:
@@ -47,6 +44,7 @@ class Where:
         return moment
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _ = self.moment
 
 
@@ -79,6 +77,10 @@ class Weather:
         EPW (.epw), TMY3 or `docs/thermal.md` (.csv) or SURFRAD (.dat), relative to the scene's.
     convection, convection_w_m2_k
         Law of convection (`simulate.thermal.slab`), and the coefficient of the law "constant", W m-2 K-1.
+    atmosphere, modtran_folder
+        Transmittance of paths in infrared images: "built-in" (`simulate.thermal.air`) or "modtran5", by the database of
+        pyBSM (`simulate.thermal.air.ModtranAir`), and the folder of its files, relative to the scene's; without one,
+        that of the installed package.
     """
 
     visibility_km: float = 23.0
@@ -93,8 +95,15 @@ class Weather:
     file: str | tuple[str, ...] | None = None
     convection: ConvectionLaw = "buoyant"
     convection_w_m2_k: float | None = None
+    atmosphere: Literal["built-in", "modtran5"] = "built-in"
+    modtran_folder: str | None = None
 
     def __post_init__(self) -> None:
+        if self.modtran_folder is not None and self.atmosphere != "modtran5":
+            raise BadInput(
+                f'modtran_folder must come with atmosphere = "modtran5", got {self.modtran_folder!r} and '
+                f"{self.atmosphere!r}"
+            )
         if self.dew_point_c is not None and self.dew_point_c > self.temperature_c:
             raise BadInput(
                 f"dew_point_c must not exceed temperature_c {self.temperature_c:g}, got {self.dew_point_c:g}"
@@ -145,36 +154,6 @@ class Sky:
     moon: bool = True
     sun: bool = True
     towns: tuple[Town, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class SceneCamera:
-    """Pose of the camera; its lens and pixels are the sensor's.
-
-    Parameters
-    ----------
-    position_m
-        Position of the lens (east, north, up), m.
-    look_at_m
-        A point on its axis, m.
-    roll_deg
-        Rotation about the axis, clockwise as the camera sees it, deg.
-    distortion_fraction
-        Radial distortion of the rays at the corner; the sensor's lens has its own, so it is 0 unless a cube is made for
-        something else.
-    scan
-        Motion of a line scanner; None for a framing camera.
-    """
-
-    position_m: tuple[float, float, float]
-    look_at_m: tuple[float, float, float]
-    roll_deg: float = 0.0
-    distortion_fraction: float = 0.0
-    scan: RasterGeometry | None = None
-
-    def __post_init__(self) -> None:
-        if self.position_m == self.look_at_m:
-            raise BadInput(f"a camera must look at another place than it stands, got {list(self.position_m)} for both")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,32 +235,6 @@ METRE: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pose:
-    """Pose of a copy of an object.
-
-    Parameters
-    ----------
-    position_m
-        Where its origin is (east, north, up), m.
-    heading_deg
-        Where its own +y points, clockwise from north, deg.
-    pitch_deg, roll_deg
-        Turn about its own x (nose up) and then, before it, about its own y, deg.
-    scale
-        Size over that described, dimensionless.
-    """
-
-    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    heading_deg: float = 0.0
-    pitch_deg: float = 0.0
-    roll_deg: float = 0.0
-    scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        must_be_positive(self, "scale")
-
-
-@dataclass(frozen=True, kw_only=True)
 class Object(Pose):
     """Something with a surface: a shape or a mesh file, standing once or several times.
 
@@ -295,13 +248,18 @@ class Object(Pose):
         A shape of `simulate.radiance.geometry.surfaces` and its sizes, m; or else:
     file, unit
         A mesh file (.obj, .ply, .stl, .glb), relative to the scene's file, and the unit of its numbers.
+    file_materials
+        Of a mesh file: the material of the scene for the name of each material in the file; `material`, if given, is
+        that of all others.
     map, map_materials
-        Of a plane: a picture whose numbers say which of these materials lies where, see
-        `simulate.radiance.outdoor.build`; in place of `material`.
+        Of a plane, or of a mesh file with texture coordinates: a picture whose numbers say which of these materials
+        lies where, see `simulate.radiance.outdoor.build`; in place of `material`.
     gaps
         Fraction of its surface that is open, as between leaves, dimensionless; all copies omit the same triangles.
     instances
         Poses of copies; without any there is one object, in its own pose.
+    keyframe
+        Where it stands later; not with copies.
     temperature_c, above_air_k
         Temperature of all of its surface, in place of the slab's: constant, C, or excess over that of the air, K.
     heat_w_m2, heat_hours
@@ -315,10 +273,12 @@ class Object(Pose):
     size_m: tuple[float, ...] = ()
     file: str | None = None
     unit: Unit | None = None
+    file_materials: dict[str, str] = field(default_factory=dict)
     map: str | None = None
     map_materials: tuple[str, ...] = ()
     gaps: float = 0.0
     instances: tuple[Pose, ...] = ()
+    keyframe: tuple[ObjectKeyframe, ...] = ()
     temperature_c: float | None = None
     above_air_k: float | None = None
     heat_w_m2: float = 0.0
@@ -326,12 +286,18 @@ class Object(Pose):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_keyframes(self.keyframe, repr(self.label))
+        if self.keyframe and self.instances:
+            raise BadInput(f"an object with keyframes must have no copies, got {len(self.instances)} of {self.label!r}")
         if (self.shape is None) == (self.file is None):
             raise BadInput(f"an object must have either a shape or a file, got {self.label!r}")
-        if (self.map is None) != (not self.map_materials) or (self.map is None) == (not self.material):
+        if self.file_materials and self.file is None:
+            raise BadInput(f"file_materials must be those of a mesh file, got {self.label!r} without a file")
+        one = bool(self.material or self.file_materials)
+        if (self.map is None) != (not self.map_materials) or (self.map is None) != one:
             raise BadInput(f"an object must have either a material or a map and its materials, got {self.label!r}")
-        if self.map is not None and self.shape != "plane":
-            raise BadInput(f"a material map must lie on a plane, got {self.label!r}")
+        if self.map is not None and self.shape not in (None, "plane"):
+            raise BadInput(f"a material map must lie on a plane or on a mesh file, got {self.label!r}")
         if self.temperature_c is not None and (self.above_air_k is not None or self.temperature_c <= -273.15):
             raise BadInput(
                 "an object must have either a temperature_c above -273.15 or above_air_k, got "
@@ -364,6 +330,8 @@ class OutdoorScene:
         Natural light of a place.
     material, object, lamp, slab
         Tables of materials, objects, lamps and slabs.
+    rig
+        Places of sensors by their names; one that is not there stands in the camera's place.
     folder
         Folder of its files.
     """
@@ -377,6 +345,7 @@ class OutdoorScene:
     object: tuple[Object, ...] = ()
     lamp: tuple[LampPlacement, ...] = ()
     slab: tuple[Slab, ...] = ()
+    rig: dict[str, RigSensor] = field(default_factory=dict)
     folder: str = "."
 
     def __post_init__(self) -> None:
@@ -388,8 +357,8 @@ class OutdoorScene:
                 raise BadInput(f"labels of {kind}s must differ, got {twice[0]!r} twice")
         known = {surface.label for surface in self.material}
         for thing in self.object:
-            for name in thing.map_materials or (thing.material,):
-                if name not in known:
+            for name in thing.map_materials or (*thing.file_materials.values(), thing.material):
+                if (name or not thing.file_materials) and name not in known:
                     raise BadInput(
                         f"the material of an object must be one of {', '.join(sorted(known)) or 'none described'}, "
                         f"got {name!r} of {thing.label!r}"
@@ -399,6 +368,25 @@ class OutdoorScene:
         numbers = [*self.camera.position_m, *(x for thing in self.object for x in thing.position_m)]
         if not all(math.isfinite(number) for number in numbers):
             raise BadInput("places in a scene must be finite")
+
+    @property
+    def moves(self) -> bool:
+        """Whether its camera or an object has keyframes."""
+        return bool(self.camera.keyframe) or any(thing.keyframe for thing in self.object)
+
+    def at(self, time_s: float) -> "OutdoorScene":
+        """Return the scene, without motion, as it stands at a time after its own, s; light and weather stay."""
+        if not self.moves:
+            return self
+        camera = pose_at(replace(self.camera, keyframe=()), self.camera.keyframe, time_s)
+        things = (pose_at(replace(thing, keyframe=()), thing.keyframe, time_s) for thing in self.object)
+        return replace(self, camera=camera, object=tuple(things))
+
+    def for_sensor(self, sensor: str | None) -> "OutdoorScene":
+        """Return the scene with its camera in the place of a sensor of the rig."""
+        if sensor is None or sensor not in self.rig:
+            return self
+        return replace(self, camera=self.rig[sensor].camera(self.camera))
 
     def file(self, name: str) -> Path:
         """Return the path of a file that the scene names."""

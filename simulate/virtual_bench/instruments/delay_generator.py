@@ -216,7 +216,7 @@ class DelayGenerator(LineInstrument, GateGenerator):
             raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
         if reference == 1 or not 0 <= reference < EDGES:
             raise RefusedCommand(Dg645Error.ILLEGAL_LINK)
-        tried = self._delays.moved(edge, reference, steps)
+        tried = self._delays.with_edge(edge, reference, steps)
         try:
             times = [tried.total(other) for other in range(2, EDGES)]
         except RecursionError:

@@ -154,7 +154,7 @@ class Dg535(BusInstrument, GateGenerator):
         seconds = _number(arguments[2], float)
         if not abs(seconds) < LONGEST_S:
             raise RefusedCommand(ErrorStatus.RANGE)
-        moved = self._delays.moved(edge, reference[0], round(seconds / STEP_S))
+        moved = self._delays.with_edge(edge, reference[0], round(seconds / STEP_S))
         try:
             if any(not 0 <= moved.total(other) * STEP_S < LONGEST_S for other in EDGES):
                 raise RefusedCommand(ErrorStatus.RANGE)

@@ -111,14 +111,14 @@ class HighVoltageSupply(BusInstrument, VoltageSource):
             raise RefusedCommand(StandardEvent.CME)
         value = parse_number(arguments[0], float, StandardEvent.CME)
         if name in self._set:
-            self._set[name] = self._allowed(name, value)
+            self._set[name] = self._check_setting(name, value)
         elif not 0 <= int(value) <= _SWITCHES[name]:
             raise RefusedCommand(StandardEvent.EXE)
         else:
             self._switches[name] = int(value)
         return None
 
-    def _allowed(self, name: str, value: float) -> float:
+    def _check_setting(self, name: str, value: float) -> float:
         """Return the value that a setting takes; one out of range or order is refused."""
         if name[0] == "V":
             value = float(round(value))

@@ -6,21 +6,12 @@ import numpy as np
 import pytest
 
 from charact.bloom.column_artefacts import column_artefact_mask
-from charact.bloom.point_stack import read_point_stacks
 from charact.method import Context
-from charact.study.bloom.scene import bloom_session
 from charact.study.bloom.source import BloomScene
+from tests.charact.bloom.test_streak import spots_of
 
 QUICK = Context(seed=1, quick=True)
 HALO_OVERLOADS = (0.5, 30.0, 3e3, 1e5)
-
-
-def spots_of(scene, overloads, rng):
-    """Spots at the place where the source is: finding it is tested elsewhere."""
-    row, col = scene.centre
-    return tuple(
-        replace(one, row=row, col=col) for one in read_point_stacks(bloom_session(scene, overloads, rng), context=QUICK)
-    )
 
 
 def test_nothing_is_spoiled_where_the_source_is_round(seed):

@@ -8,6 +8,7 @@ from charact.bloom.series.series_measurements import levels_apart
 from charact.method import Context
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
+from tests.charact.noise.scenes import errors
 
 QUICK = Context(seed=1, quick=True)
 LIGHTS = (1e3, 1e4, 1e5)
@@ -16,11 +17,6 @@ LIGHTS = (1e3, 1e4, 1e5)
 def halo_of(result):
     (found,) = result.find("halo_diameter")
     return found
-
-
-def errors(measurement, truth) -> float:
-    low, high = measurement.interval68
-    return (measurement.value - truth) / (0.5 * (high - low))
 
 
 def series(point, in_memory, rng, lights=LIGHTS, **settings):

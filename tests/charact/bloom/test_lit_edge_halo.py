@@ -15,6 +15,7 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.session import Session
+from tests.charact.noise.scenes import errors
 
 QUICK = Context(seed=1, quick=True, full_scale_dn=255.0)
 SCENE = BloomScene(rows=150, cols=200)
@@ -62,11 +63,6 @@ def session_of(levels, world, rng, scene=SCENE, *, turned=False, frames=4) -> Se
 def found_of(session, context=QUICK):
     result = measure_lit_edge(session, context=context)
     return result.find("halo_diameter")[0], result.find("halo_fraction")[0], result
-
-
-def errors(measurement, truth) -> float:
-    low, high = measurement.interval68
-    return (measurement.value - truth) / (0.5 * (high - low))
 
 
 @pytest.mark.parametrize("turned", [False, True])

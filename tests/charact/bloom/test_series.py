@@ -19,6 +19,7 @@ from charact.method import Context
 from charact.method.registry import methods_of_kind
 from charact.study.bloom.scene import bloom_session
 from charact.study.bloom.source import BloomScene
+from tests.charact.noise.scenes import errors
 
 QUICK = Context(seed=1, quick=True)
 TWO_DECADES = tuple(np.geomspace(0.5, 5e4, 7))
@@ -32,11 +33,6 @@ def measured(scene, seed, overloads=TWO_DECADES, context=QUICK):
 def only(result, quantity, **where):
     (found,) = result.find(quantity, **where)
     return found
-
-
-def errors(measurement, truth) -> float:
-    low, high = measurement.interval68
-    return (measurement.value - truth) / (0.5 * (high - low))
 
 
 @pytest.fixture(scope="module")
@@ -168,11 +164,10 @@ def test_no_halo_is_no_halo(scene, seed):
 
 
 def test_a_source_in_the_corner_has_the_same_halo(seed):
-    """Levels that part from each other by chance are flagged in one series of ten thousand: not in two of three."""
     scene = BloomScene(row=22.3, col=24.8)
-    found = [only(measured(scene, [seed, number]), "halo_diameter") for number in range(3)]
-    assert sum(one.status == "ok" for one in found) >= 2
-    assert all(abs(errors(one, scene.halo_diameter_px)) < 4.5 for one in found)
+    found = only(measured(scene, seed), "halo_diameter")
+    assert found.status == "ok"
+    assert abs(errors(found, scene.halo_diameter_px)) < 4.5
 
 
 def test_overflow_and_smear_do_not_pull_the_halo(seed):
@@ -190,8 +185,8 @@ def test_cores_cut_at_every_level_leave_the_halo_and_hide_its_share(seed):
     assert share.status != "ok" or low <= 0.1 <= high
 
 
-@pytest.mark.parametrize("saturation_dn", [1000.0, 4000.0])
-def test_a_plate_that_tires_is_told_by_its_density_and_leaves_the_halo(saturation_dn, seed):
+def test_a_saturating_mcp_has_its_density_measured_and_leaves_the_halo(seed):
+    saturation_dn = 1000.0
     scene = BloomScene(plate_saturation_dn=saturation_dn)
     result = measured(scene, seed, tuple(np.geomspace(0.3, 1e5, 9)))
     density = only(result, "mcp_saturation_density")
@@ -205,7 +200,7 @@ def test_a_plate_that_tires_is_told_by_its_density_and_leaves_the_halo(saturatio
 def test_glare_is_told_from_backgrounds_that_rise_with_the_light(seed):
     """Halos tell the light of cut cores, so that glare is known as well as the halo's share of the light."""
     scene = BloomScene(glare_fraction=0.1)
-    series = [measured(scene, [seed, number]) for number in range(4)]
+    series = [measured(scene, [seed, number]) for number in range(2)]
     glare, share = ([only(one, name) for one in series] for name in ("veiling_glare", "halo_fraction"))
     error = np.mean([0.5 * (one.interval68[1] - one.interval68[0]) / one.value for one in share]) / np.sqrt(len(series))
     inside = 0.1 * scene.rows * scene.cols / 600.0**2
@@ -214,10 +209,9 @@ def test_glare_is_told_from_backgrounds_that_rise_with_the_light(seed):
     assert all(abs(errors(one, true)) < 4.5 for one in glare)
 
 
-@pytest.mark.parametrize("distance_px, ratio", [(20.0, 0.3), (60.0, 1.0)])
-def test_a_source_beside_another_has_a_halo_of_its_own(distance_px, ratio, seed):
+def test_a_source_beside_another_has_a_halo_of_its_own(seed):
     """Rings without the pixels nearer to the other one: the edge stays where it is, what counts light is flagged."""
-    scene = BloomScene(rows=180, cols=260, second_distance_px=distance_px, second_ratio=ratio)
+    scene = BloomScene(rows=180, cols=260, second_distance_px=20.0, second_ratio=0.3)
     result = measured(scene, seed)
     found = only(result, "halo_diameter")
     assert found.status == "ok" and found.value is not None and found.interval95 is not None

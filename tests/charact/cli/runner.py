@@ -1,8 +1,12 @@
 """The command run in this process, and what every refusal has in common."""
 
+from dataclasses import replace
+from pathlib import Path
+
 from typer.testing import CliRunner, Result
 
 from charact.cli.application import app
+from labdata.sensors import load_camera, save_sensor
 
 
 def charact(*arguments: object) -> Result:
@@ -23,3 +27,10 @@ def assert_one_sentence(done: Result, *words: str) -> None:
     assert "Traceback" not in done.output
     for word in words:
         assert word in sentence, sentence
+
+
+def small_camera(folder: Path, rows: int, columns: int, name: str = "pulnix-ag5745ef3") -> Path:
+    """Write the description of a shipped camera with a small chip, and return its path."""
+    camera = load_camera(name)
+    save_sensor(replace(camera, ccd=replace(camera.ccd, rows=rows, columns=columns)), folder / f"{name}.toml")
+    return folder / f"{name}.toml"

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tifffile
 from typer.testing import CliRunner
 
 from charact.cli.application import app
@@ -49,13 +48,6 @@ def test_a_file_that_is_no_image_is_named(tmp_path: Path, name: str, content: by
     if content is not None:
         (tmp_path / name).write_bytes(content)
     assert_one_sentence(charact("mtf", "edge", tmp_path / name), *words)
-
-
-def test_a_pixel_that_is_not_a_number_is_counted(tmp_path: Path) -> None:
-    image = np.ones((32, 32), np.float32)
-    image[3:6, 4:6] = np.nan
-    tifffile.imwrite(tmp_path / "nan.tif", image)
-    assert_one_sentence(charact("mtf", "edge", tmp_path / "nan.tif"), "finite", "6 ")
 
 
 def test_a_session_file_is_refused_by_key_and_place(tmp_path: Path) -> None:
@@ -113,36 +105,33 @@ def test_a_map_of_a_bare_picture_and_the_mtf_of_a_session_name_what_is_needed(ed
         charact("bloom", edge, "--map", "map.png"), "--map needs a session with point sources", "--kind point"
     )
     folder = session(tmp_path, "")
-    assert_one_sentence(charact("mtf", "edge", folder), "one image or stack", f"charact measure {folder}")
+    assert_one_sentence(charact("mtf", "edge", folder), "images or stacks", f"charact measure {folder}")
     assert_one_sentence(charact("mtf", "flats", tmp_path / "nope"), "session folder", "file of frames", "nope")
 
 
 def test_flats_in_lines_per_millimetre_take_a_pitch(tmp_path: Path) -> None:
     folder = session(tmp_path, "")
-    assert_one_sentence(charact("mtf", "flats", folder, "--units", "lp/mm"), "give --pitch-um or --sensor")
+    assert_one_sentence(charact("mtf", "flats", folder, "--units", "lp/mm"), "give --pitch-um, or a sensor description")
     done = charact("mtf", "flats", folder, "--units", "lp/mm", "--pitch-um", "10")
     assert done.exit_code == 1 and "pitch_um" not in done.stderr
 
 
-def test_a_stack_of_a_map_without_a_map_is_misuse(edge: Path) -> None:
-    done = charact("bloom", edge, "--map-of", "point-1")
-    assert done.exit_code == 2 and "needs --map" in done.output
-
-
 @pytest.mark.parametrize(
-    "verb",
+    ("verb", "words"),
     [
-        ("mtf", "edge", "a.tif"),
-        ("noise", "a"),
-        ("simulate", "airfield", "out", "--sensor", "pulnix-ag5745ef3"),
-        ("demo", "out"),
-        ("chart", "mtf50"),
+        (("mtf", "edge", "a.tif", "--seed", "-1"), "'--seed'"),
+        (("noise", "a", "--seed", "-1"), "greater than or equal to 0"),
+        (("simulate", "airfield", "out", "--sensor", "pulnix-ag5745ef3", "--seed", "-1"), "'--seed'"),
+        (("bloom", "a", "--map-of", "point-1"), "needs --map"),
+        (("mtf", "edge", "a.tif", "--no-such-option"), "No such option"),
+        (("no-such-verb",), "No such command"),
+        (("mtf", "edge"), "Missing argument"),
     ],
 )
-def test_a_negative_seed_is_misuse(verb: tuple[str, ...]) -> None:
-    done = charact(*verb, "--seed", "-1")
+def test_misuse_ends_with_two(verb: tuple[str, ...], words: str) -> None:
+    done = charact(*verb)
     assert done.exit_code == 2, done.output
-    assert "'--seed'" in done.output and "greater than or equal to 0" in done.output
+    assert words in done.output
 
 
 def test_bad_input_is_also_said_in_json(tmp_path: Path) -> None:
@@ -152,12 +141,6 @@ def test_bad_input_is_also_said_in_json(tmp_path: Path) -> None:
     assert set(said) == {"charact", "input", "error"}
     assert "missing.tif" in said["error"]
     assert len(done.stderr.strip().splitlines()) == 1
-
-
-def test_misuse_ends_with_two(edge: Path) -> None:
-    assert charact("mtf", "edge", edge, "--no-such-option").exit_code == 2
-    assert charact("no-such-verb").exit_code == 2
-    assert charact("mtf", "edge").exit_code == 2
 
 
 def test_an_interrupt_ends_in_one_sentence_that_tells_how_to_go_on(tmp_path: Path, monkeypatch) -> None:

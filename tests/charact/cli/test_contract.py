@@ -25,9 +25,10 @@ def holds(checker: Path, *arguments: object, expect: int | None = None) -> None:
     assert done.stdout.strip() == "contract holds", done.stdout
 
 
-@pytest.mark.parametrize("file", ["h_edge.tif", "v_edge.tif"])
-@pytest.mark.parametrize("method", ["auto", "edge-slanted", "edge-forward"])
-def test_edge(check_contract: Path, shared_data: Path, file: str, method: str) -> None:
+@pytest.mark.parametrize(
+    ("method", "file"), [("auto", "h_edge.tif"), ("edge-slanted", "v_edge.tif"), ("edge-forward", "v_edge.tif")]
+)
+def test_edge(check_contract: Path, shared_data: Path, method: str, file: str) -> None:
     path = shared_data / "burns_sfrmat3" / file
     holds(check_contract, "mtf", "edge", path, "--quick", "--method", method, expect=0)
 

@@ -6,9 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.special import erf
 
-from charact.cli.annotate import COLOURS, place_captions, render_annotations
-from charact.cli.output import FrequencyUnit
+from charact.cli.annotate import COLOURS, place_captions, render_annotations, unusable_edges
+from charact.report.frequency_unit import FrequencyUnit
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -155,3 +156,44 @@ def test_the_annotated_picture_is_written(two_edges: Path, tmp_path: Path) -> No
     assert picture is not None and picture.shape[1] >= 1500
     wrong = charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--annotate", tmp_path / "out.jpg")
     assert wrong.exit_code == 1 and "must name a .png file" in wrong.stderr
+
+
+def test_edges_that_cannot_be_measured_are_drawn_with_the_reason() -> None:
+    """The long sides of a bar of 8 px have no room for their plateaus; unless the region of one was measured."""
+    row, col = np.mgrid[:200, :300].astype(float)
+    across = (col - 230) * np.cos(0.09) + (row - 100) * np.sin(0.09)
+    bar = (np.abs(row - 100) < 60) * (erf((across + 4) / 1.2) - erf((across - 4) / 1.2))
+    stack = FrameStack(data=np.random.default_rng(0).poisson(200.0 + 400.0 * bar).astype(np.uint16)[None])
+    found = unusable_edges(stack, Measured())
+    assert [why for _, why in found] == ["no room next to it"] * 2
+    centres = sorted(region[1] + region[3] / 2 for region, _ in found)
+    assert centres == pytest.approx([226, 234], abs=1.5)
+    region = (41, 229, 120, 60)
+    one = make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), method="edge-forward", region=region)
+    assert len(unusable_edges(stack, Measured(measurements=(one,)))) == 1
+    bare, drawn = (render_annotations(stack, Measured(measurements=(one,)), unusable=u) for u in ((), found))
+    rows, columns = np.nonzero(np.any(bare[:1000] != drawn[:1000], axis=2))
+    # Outlines and captions are at the bar, rows 37 to 163, columns 215 to 245, five times enlarged.
+    assert rows.size > 2 * 120 * 5 and 180 < rows.min() < 210 and 790 < rows.max() < 840
+    assert columns.min() < 1100 and columns.max() > 1190
+    assert len(drawn) == len(bare) and np.any(bare[1000:] != drawn[1000:])
+
+
+def test_a_picture_is_written_and_told_when_everything_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "even.npy", np.random.default_rng(0).poisson(300.0, (100, 120)).astype(np.uint16))
+    path = tmp_path / "even.png"
+    done = charact("mtf", "edge", tmp_path / "even.npy", "--quick", "--method", "edge-slanted", "--annotate", path)
+    told, reason = done.stderr.strip().splitlines()
+    assert done.exit_code == 1 and "no target: no step" in reason
+    assert told == f"{path}: every region with its value, or why it has none"
+    assert np.all(np.abs(cv2.imread(str(path)).astype(int) - COLOURS["refused"]) < 10, axis=2).any()
+
+
+def test_a_region_of_a_cropped_stack_is_drawn_where_it_lies() -> None:
+    """A region in the file's row 130 of a stack that begins at row 30 is at the stack's row 100."""
+    stack = FrameStack(data=np.zeros((1, 300, 300), np.uint8), origin=(30, 0))
+    common = {"method": "edge-forward", "region": (130, 100, 90, 90)}
+    one = make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), **common)
+    picture = render_annotations(stack, Measured(measurements=(one,)))
+    rows = np.flatnonzero(np.all(picture[:1500, 600] == COLOURS["ok"], axis=1))
+    assert abs(rows.min() - 500) <= 2 and abs(rows.max() - 949) <= 2

@@ -1,21 +1,19 @@
 """`charact plan` tells what a plan would do and switches nothing on; what was taken agrees with what was told."""
 
 import json
-from dataclasses import replace
 
 import pytest
 
 from charact.cli.benches import builtin_plan_names, load_plan
-from charact.report.page import page
+from charact.report import page
 from labdata.measurement import Result as Measured
-from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
 from labdata.tube_dose import FOLDER_VARIABLE, Dose, ledger_of
-from tests.charact.cli.runner import charact, done_well
+from tests.charact.cli.runner import charact, done_well, small_camera
 
 PLAN = """
 name = "small"
-sensor = "small.toml"
+sensor = "pulnix-ag5745ef3.toml"
 tube = "SN 7"
 seed = 3
 [wires]
@@ -36,8 +34,7 @@ illuminance_lux = [1e-4, 2e-4]
 @pytest.fixture
 def plan(tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "tubes"))
-    sensor = load_sensor("pulnix-ag5745ef3")
-    save_sensor(replace(sensor, ccd=replace(sensor.ccd, rows=61, columns=84)), tmp_path / "small.toml")
+    small_camera(tmp_path, 61, 84)
     (tmp_path / "plan.toml").write_text(PLAN)
     return tmp_path / "plan.toml"
 
@@ -71,6 +68,14 @@ def test_what_was_taken_agrees_with_what_was_told_and_the_report_prints_the_over
     assert told(plan)["dose_before"]["screen_c_per_cm2"] == spent.screen_c_per_cm2
     html = page(session, Measured(measurements=(), curves={}, evidence={}))
     assert "was overridden to 400: a rehearsal on the virtual bench." in html
+    (tmp_path / "session" / "notes.txt").write_text("mine")
+    (tmp_path / "session" / "results.json").write_text("of the run before")
+    done_well("acquire", plan, tmp_path / "session", "--force")
+    again = open_session(tmp_path / "session")
+    assert [entry.label for entry in again.stacks] == [entry.label for entry in session.stacks]
+    assert (tmp_path / "session" / "notes.txt").is_file() and not (tmp_path / "session" / "results.json").exists()
+    # The dose of the first run stays in the tube's ledger.
+    assert ledger_of("SN 7").total().hours_at_gain > spent.hours_at_gain
 
 
 def test_a_life_nearly_used_up_is_warned_of(plan):

@@ -1,6 +1,5 @@
 """`charact simulate` end to end: a picture, a cube and a bench scene become sessions that say how they came about."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import tifffile
 from labdata.phosphors import load_phosphor
 from labdata.sensors import load_camera, save_sensor
 from labdata.session import open_session
-from tests.charact.cli.runner import assert_one_sentence, charact, done_well
+from tests.charact.cli.runner import assert_one_sentence, charact, done_well, small_camera
 
 ROWS, COLS = 48, 64
 CAMERAS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512")
@@ -20,10 +19,7 @@ CAMERAS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512")
 def cameras(tmp_path_factory) -> dict[str, Path]:
     """Every shipped camera with a small chip, as a file."""
     folder = tmp_path_factory.mktemp("cameras")
-    for name in CAMERAS:
-        camera = load_camera(name)
-        save_sensor(replace(camera, ccd=replace(camera.ccd, rows=ROWS, columns=COLS)), folder / f"{name}.toml")
-    return {name: folder / f"{name}.toml" for name in CAMERAS}
+    return {name: small_camera(folder, ROWS, COLS, name) for name in CAMERAS}
 
 
 @pytest.fixture
@@ -120,14 +116,15 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(tmp
     ("file", "options", "words"),
     [
         ("half.tif", (), ("needs --photoelectrons-per-dn",)),
-        ("half.tif", ("--photoelectrons-per-dn", 0), ("must be positive, got 0",)),
         ("half.tif", (*SCALE, "--illuminance-lux", 1), ("--illuminance-lux is only for bench scenes",)),
         ("half.tif", (*SCALE, "--frequency", 0.1), ("--frequency is only for --kind bars of a bench scene",)),
+        ("airfield", ("--illuminance-lux", 1e-4), ("--illuminance-lux is only for bench scenes",)),
+        ("bench", ("--preview",), ("--preview needs an outdoor scene",)),
+        ("nowhere", (), ("must be a .toml file or one of airfield, bench, bench-lit, hangar, road",)),
         ("half.tif", (*SCALE, "--phosphor", "P11"), ("a phosphor must be one of p20, p43, p46, p47",)),
         ("half.tif", (*SCALE, "--kind", "house"), ("--kind must be one of dark, flat",)),
         ("half.tif", (*SCALE, "--gate-ns", 1e9), ("gate_ns", "at most one exposure")),
         ("letter.tif", SCALE, ("letter.tif",)),
-        ("missing.tif", SCALE, ("must exist", "missing.tif")),
         ("picture.xyz", SCALE, (".xyz", ".tif")),
         ("cube.npz", (), ("must be a complete .npz file",)),
         ("cube.npz", SCALE, ("--photoelectrons-per-dn is only for an image",)),
@@ -136,7 +133,6 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(tmp
         ("half.tif", (*SCALE, "--pinhole-px", 1), ("--pinhole-px is only for --kind point of a bench scene",)),
         ("half.tif", (*SCALE, "--kind", "dark"), ("a dark must have no light, got it on 50 % of half.tif",)),
         ("airfield", ("--kind", "dark"), ("a dark must have no light, got the scene 'half-moon airfield'",)),
-        ("airfield", ("--preview", *SCALE), ("--photoelectrons-per-dn is only for an image",)),
         ("airfield", ("--preview", "--stage-images", "s"), ("--preview has no stages, got --stage-images",)),
         ("bench", ("--kind", "point"), ("--kind point of a bench scene needs --pinhole-px",)),
         ("bench", ("--kind", "bars"), ("--kind bars of a bench scene needs --frequency",)),
@@ -155,7 +151,7 @@ def test_what_cannot_be_simulated_is_one_sentence_and_leaves_no_session(
     (tmp_path / "letter.tif").write_text("Dear lab")
     (tmp_path / "picture.xyz").write_text("Dear lab")
     (tmp_path / "cube.npz").write_text("Dear lab")
-    source = file if file in ("bench", "airfield") else tmp_path / file
+    source = file if "." not in file else tmp_path / file
     done = charact("simulate", source, tmp_path / "out", "--sensor", cameras["pulnix-ag5745ef3"], *options)
     assert_one_sentence(done, *words)
     assert not (tmp_path / "out").exists()
@@ -165,7 +161,7 @@ def test_a_folder_that_holds_a_session_is_left_alone(tmp_path, cameras, picture)
     arguments = ("simulate", picture, tmp_path / "out", "--sensor", cameras["emccd-512"], *SCALE, "--frames", 1)
     assert charact(*arguments).exit_code == 0
     before = sorted(path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*"))
-    assert_one_sentence(charact(*arguments), "a new session needs a folder without one")
+    assert_one_sentence(charact(*arguments), "out-2 is free")
     assert sorted(path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")) == before
 
 

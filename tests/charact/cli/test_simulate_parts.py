@@ -5,7 +5,7 @@ import pytest
 import tifffile
 from numpy.testing import assert_allclose, assert_array_equal
 
-from charact.cli.image_figures import SHEET, save_stages, sheet
+from charact.cli.image_figures import SHEET, save_stages
 from labdata import BadInput
 from labdata.sensors import load_camera, load_sensor
 from simulate.api import conditions_of, voltage_limit_warnings
@@ -191,16 +191,3 @@ def test_every_stage_is_a_file_in_the_order_of_the_light(tmp_path):
             assert page.pages.first.description == f"{name}: {quantity}"
             assert page.asarray().dtype == np.float32
             assert_array_equal(page.asarray(), image.astype(np.float32))
-
-
-def test_every_panel_of_the_sheet_has_its_picture_its_scale_and_its_unit():
-    figure = sheet([(name, quantity, image.astype(np.float32)) for name, quantity, image in stages()], "a tube")
-    pictures = [axes for axes in figure.axes if axes.images]
-    bars = [axes for axes in figure.axes if axes.get_label() == "<colorbar>"]
-    assert [axes.get_title(loc="left") for axes in pictures] == ["photocathode", "microchannel plate", "ccd"]
-    assert [" ".join(axes.get_ylabel().split()) for axes in bars] == [quantity for _, quantity, _ in stages()]
-    for axes, (_, _, image) in zip(pictures, stages(), strict=True):
-        low, high = axes.images[0].get_clim()
-        assert low < high
-        assert np.mean((image < low) | (image > high)) <= 0.006
-    assert all(axes.get_visible() == (axes in pictures or axes in bars) for axes in figure.axes)

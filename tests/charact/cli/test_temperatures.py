@@ -72,7 +72,24 @@ def test_tables_map_and_pictures_agree(scene, small, tmp_path):
         assert f"{term['name']} " in done.stdout
     assert "modelled" in done.stderr
     again = charact("temperatures", scene, out, "--sensor", small)
-    assert again.exit_code == 1 and "nothing is overwritten" in again.stderr
+    assert again.exit_code == 1 and f"{out}-2 is free" in again.stderr
+
+
+def test_the_document_holds_the_last_row_with_intervals(scene, small, tmp_path):
+    done = done_well("temperatures", scene, tmp_path / "warm", "--sensor", small, "--json")
+    document = json.loads(done.stdout)
+    with open(tmp_path / "warm" / "temperatures.csv", newline="") as file:
+        last = list(csv.DictReader(file))[-1]
+    found = {one["stack"]: one for one in document["measurements"]}
+    assert {f"{name}_c" for name in found} == set(last) - {"hour", "air_c"}
+    for name, one in found.items():
+        assert (one["quantity"], one["unit"], one["status"]) == ("surface_temperature", "C", "ok")
+        assert one["value"] == pytest.approx(float(last[f"{name}_c"]), abs=6e-4)
+        half = 0.5 * (one["interval95"][1] - one["interval95"][0])
+        # Handbook slabs under a modelled sky: some tenths of a kelvin to some kelvin.
+        assert 0.2 < half < 6.0 and any("modelled" in note for note in one["notes"])
+    refused = charact("temperatures", "bench", tmp_path / "cold", "--json")
+    assert refused.exit_code == 1 and "outdoor scene" in json.loads(refused.stdout)["error"]
 
 
 @pytest.mark.parametrize(

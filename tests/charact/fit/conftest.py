@@ -51,7 +51,7 @@ def told_of(sheet: Sensor) -> Callable[[int], Told]:
         drawn = dict(zip(prior.names, prior.parameters(point).T, strict=True))
         values = {**values_of_description(sheet), **drawn}
         stacks = (StackEntry(label="edge", kind="edge", frames="-", target=Target(angle_deg=ANGLE_DEG), folder=Path()),)
-        session = Session(folder=Path(), name="told", stacks=stacks, sensor=sheet, bit_depth=8)
+        session = Session(folder=Path(), name="told", stacks=stacks, camera=sheet, bit_depth=8)
         result = Result(measurements=_numbers(values, rng), curves={"mtf:edge": _curve(values, rng)})
         levels = _levels(values, rng)
         model = model_of(sheet, observations(session, sheet, result, levels))

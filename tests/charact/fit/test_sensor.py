@@ -11,7 +11,6 @@ from charact.fit import fit_sensor, predicted_quantities
 from charact.fit.observations import observations
 from charact.fit.prior import prior_of, values_of_description
 from charact.fit.sensor import (
-    IDENTIFIED_SHARE,
     KEPT_DRAWS,
     description_from_posterior,
     inflate_errors,
@@ -25,8 +24,8 @@ from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import Session
 
-SPECIMENS = 8
-POINTS, FREEDOM = 6000, 8.0
+SPECIMENS = 3
+POINTS, FREEDOM = 3000, 8.0
 
 
 def _weighed_posterior(told, seed: int) -> Posterior:
@@ -68,8 +67,8 @@ def test_truth_is_inside_the_ranges_as_often_as_promised(fits) -> None:
             low, high = np.quantile(column, (0.025, 0.975))
             inside.append(low <= told.truth[name] <= high)
             away.append((told.truth[name] - np.median(column)) / column.std())
-    # Some 160 intervals, of which each specimen's go together: 95 % with a standard error of about 3 %.
-    assert np.mean(inside) > 0.82
+    # Some 60 intervals, correlated within each specimen: 95 % with a standard error of about 5 %.
+    assert np.mean(inside) > 0.8
     assert np.max(np.abs(away)) < 5.5
 
 
@@ -77,27 +76,40 @@ def test_light_and_noise_narrow_what_they_speak_of(fits) -> None:
     for _, _, sensor in fits:
         standing = {path: parameter.standing for path, parameter in sensor.parameters().items()}
         assert standing["photocathode.gap_mm"] == "fitted"
-        assert standing["tube.luminous_gain"] == "fitted"
         assert standing["tube.post_gain_share"] == "fitted"
         assert standing["video.black_level_dn"] == "fitted"
 
 
-def test_what_is_not_identified_keeps_value_and_range_of_its_prior(fits, sheet: Sensor) -> None:
+def test_a_combination_is_known_better_than_its_factors_and_said_so(fits) -> None:
+    factors = ("tube.luminous_gain", "taper.transmission", "ccd.quantum_efficiency", "video.conversion_gain_dn_per_e")
+    for told, _, sensor in fits:
+        table = dict(zip(sensor.draws.names, np.array(sensor.draws.values).T, strict=True))
+        product = np.prod([table[path] for path in factors], axis=0)
+        assert product.std() / product.mean() < 0.5 * table[factors[0]].std() / table[factors[0]].mean()
+        true = np.prod([told.truth[path] for path in factors])
+        assert abs(product.mean() - true) < 4.5 * product.std()
+        assert any("only together with taper.transmission" in note for note in sensor.notes)
+
+
+def test_every_value_lies_inside_its_interval_without_an_effort(fits) -> None:
+    """Well inside: a value at the edge of its own interval would be tied to numbers that nobody fitted."""
+    for _, _, sensor in fits:
+        table = np.array(sensor.draws.values)
+        for name, column in zip(sensor.draws.names, table.T, strict=True):
+            place = np.mean(column < float(sensor.parameters()[name]))
+            assert 0.02 < place < 0.98, name
+
+
+def test_what_is_not_identified_keeps_the_range_of_its_prior(fits, sheet: Sensor) -> None:
     before = sheet.parameters()
-    for told, posterior, sensor in fits:
-        left = dict(zip(posterior.names, posterior.draws.std(axis=0, ddof=1) / told.model.prior.sd, strict=True))
+    for _, _, sensor in fits:
         after = sensor.parameters()
         for path, parameter in after.items():
             if path not in sensor.draws.names:
                 assert parameter == before[path]
             elif parameter.standing == "prior":
-                assert (parameter.value, parameter.low, parameter.high) == (
-                    before[path].value,
-                    before[path].low,
-                    before[path].high,
-                )
-                assert "not identified" in parameter.source or "product" in parameter.source
-                assert left.get(path, 1.0) >= IDENTIFIED_SHARE
+                assert parameter.low <= before[path].low and parameter.high >= before[path].high
+                assert "not identified" in parameter.source
         assert after["taper.transmission"].standing == "prior"
 
 
@@ -142,7 +154,7 @@ def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> 
     halo = Result(measurements=told.result.find("halo_diameter"))
     model = model_of(told.session.sensor, observations(told.session, told.session.sensor, halo, ()))
     posterior = posterior_of(model, seed=seed)
-    assert posterior.sampler == "emcee"
+    assert posterior.sampler in ("importance", "emcee")
     sensor = description_from_posterior(model, posterior, illuminance_relative_sd=0.03, seed=seed)
     assert sensor.photocathode.gap_mm.standing == "fitted"
     assert {p for p, parameter in sensor.parameters().items() if parameter.standing in ("fitted", "prior")} == {
@@ -190,14 +202,4 @@ def test_a_session_without_a_sensor_or_without_numbers_is_refused(sheet: Sensor)
     with pytest.raises(BadInput, match="needs a sensor"):
         fit_sensor(bare, Result())
     with pytest.raises(BadInput, match="at least one measurement"):
-        fit_sensor(replace(bare, sensor=sheet), Result())
-
-
-def test_the_chain_agrees_with_importance_sampling(fits, seed: int) -> None:
-    told, weighed, _ = fits[0]
-    chain = posterior_of(told.model, seed=seed)
-    assert chain.sampler == "emcee"
-    # Some 100 independent draws on either side at the least: means within 4.5 standard errors, widths within a third.
-    sd = chain.draws.std(axis=0)
-    assert np.all(np.abs(chain.draws.mean(axis=0) - weighed.draws.mean(axis=0)) < 4.5 * sd * np.sqrt(2.0 / 100.0))
-    assert weighed.draws.std(axis=0) == pytest.approx(sd, rel=0.4)
+        fit_sensor(replace(bare, camera=sheet), Result())

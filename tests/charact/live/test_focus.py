@@ -49,9 +49,9 @@ def test_the_best_is_held_while_the_lens_is_turned_through_focus(seed) -> None:
 
 
 def test_noise_alone_does_not_push_the_best_upwards(seed) -> None:
-    """Of 100 lenses that nobody turns, 3,000 readings each: intervals of two standard errors on either side."""
+    """Of 50 lenses that nobody turns, 1,500 readings each: intervals of two standard errors on either side."""
     error, bests = 0.005, []
-    for readings in np.random.default_rng(seed).normal(0.2, error, (100, 3000)):
+    for readings in np.random.default_rng(seed).normal(0.2, error, (50, 1500)):
         held = BestFocus()
         for value in readings:
             held = held.after(reading(float(value), half=2 * error))
@@ -60,7 +60,7 @@ def test_noise_alone_does_not_push_the_best_upwards(seed) -> None:
         # An ordinary reading finds it again, and one four standard errors lower does not.
         assert held.is_reached_by(reading(0.2, half=2 * error))
     assert 1.0 < np.median(bests) < 2.0
-    assert np.sum(np.array(bests) > 3.0) <= 3
+    assert np.sum(np.array(bests) > 3.0) <= 2
     assert not held.is_reached_by(reading(0.18 - error, half=2 * error))
 
 

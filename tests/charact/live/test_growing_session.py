@@ -10,7 +10,8 @@ from charact.live.frame_source import SessionSource
 from charact.live.live_loop import LiveLoop
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.store import ArrayFollower, SessionWriter
+from labdata.session_writer import SessionWriter
+from labdata.store import ArrayFollower
 from tests.charact.live.sources import AtOnce, edge
 
 SHAPE = (24, 32)

@@ -9,7 +9,7 @@ from threading import Event
 import numpy as np
 import pytest
 
-from charact.live.frame_source import CameraSource, full_scale_of
+from charact.live.frame_source import CameraSource
 from charact.live.live_loop import FrameRate, LiveLoop
 from charact.live.terminal import lines, watch_on_terminal
 from charact.method import Context
@@ -56,13 +56,6 @@ def test_a_camera_is_read_and_nothing_of_it_is_set() -> None:
     assert camera.asked == [CameraSettings()]
     assert [one.lost_frames for one in shown if one] == [0, 0, 2]
     assert all(one and one.full_scale_dn == 4095.0 and one.conditions.camera_gain_db == 6.0 for one in shown)
-
-
-@pytest.mark.parametrize(
-    "pixel_format,dtype,code", [("Mono8", np.uint8, 255), ("Mono10", np.uint16, 1023), (None, np.uint16, 65535)]
-)
-def test_full_scale_is_that_of_the_pixel_format_where_it_names_one(pixel_format, dtype, code) -> None:
-    assert full_scale_of(np.dtype(dtype), pixel_format) == code
 
 
 def test_the_rate_is_the_cameras_own_and_counts_frames_that_nobody_looked_at() -> None:

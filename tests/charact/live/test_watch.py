@@ -12,7 +12,7 @@ from charact.live.quick_look import look_at, run_outcome, watch_stacks
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
-from labdata.store import SessionWriter
+from labdata.session_writer import SessionWriter
 from tests.charact.live.sources import edge
 
 SHAPE = (96, 112)

@@ -33,7 +33,7 @@ def repeated(stack, times):
 
 @pytest.mark.parametrize(
     ("kind", "method"),
-    [*(("edge", one) for one in EDGES), ("bars", "auto"), ("point", "auto"), ("point", "point-forward")],
+    [*(("edge", one) for one in EDGES), ("bars", "auto"), ("point", "point-forward")],
 )
 def test_one_frame_delivered_six_times_is_one_frame(kind, method, seed):
     """The number, its interval and its flags are those of the frame; edges ended in a division by zero."""

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from charact import noise
-from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
+from tests.charact.noise.scenes import QUICK, errors
 
-QUICK = Context(seed=1, quick=True)
 GAIN_DN = 0.5
 CURRENT_E_PER_S = 40.0
 DOUBLING_K = 7.0
@@ -45,18 +44,12 @@ def measured(in_memory, rng, exposures_s=EXPOSURES_S, temperatures_c=(REFERENCE_
     return noise.measure(in_memory(stacks), method="variance", context=QUICK)
 
 
-def off(measurement, truth):
-    """Distance from the truth in standard errors."""
-    low, high = measurement.interval68
-    return (measurement.value - truth) / (0.5 * (high - low))
-
-
 def test_dark_current_is_the_rise_of_the_level_with_the_exposure(in_memory, seed):
     result = measured(in_memory, np.random.default_rng(seed))
     (in_dn,), (in_e,) = (result.find("dark_current", unit=unit) for unit in ("DN/s", "e-/s"))
     assert (in_dn.status, in_e.status) == ("ok", "ok")
-    assert abs(off(in_dn, GAIN_DN * CURRENT_E_PER_S)) < 4.5
-    assert abs(off(in_e, CURRENT_E_PER_S)) < 4.5
+    assert abs(errors(in_dn, GAIN_DN * CURRENT_E_PER_S)) < 4.5
+    assert abs(errors(in_e, CURRENT_E_PER_S)) < 4.5
     # Known to some permille: 12,288 pixels of four frames at the longest exposure.
     assert in_dn.interval95[1] - in_dn.interval95[0] < 0.05 * in_dn.value
     assert "25.0 degrees" in in_dn.notes[0]
@@ -66,7 +59,7 @@ def test_it_doubles_at_the_temperature_step_that_was_put_in(in_memory, seed):
     result = measured(in_memory, np.random.default_rng(seed), temperatures_c=(15.0, 20.0, 25.0, 30.0), flats=False)
     (doubling,) = result.find("dark_doubling_temperature")
     assert doubling.status == "ok"
-    assert abs(off(doubling, DOUBLING_K)) < 4.5
+    assert abs(errors(doubling, DOUBLING_K)) < 4.5
     assert doubling.interval95[1] - doubling.interval95[0] < 0.1 * DOUBLING_K
 
 

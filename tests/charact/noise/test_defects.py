@@ -7,8 +7,8 @@ from charact import noise
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
+from tests.charact.noise.scenes import QUICK, gaussian
 
-QUICK = Context(seed=1, quick=True)
 HOT = ((3, 5), (40, 77), (95, 127))
 DEAD = ((10, 10), (60, 3))
 RESTLESS = ((20, 100), (70, 50), (71, 51), (80, 9))
@@ -75,7 +75,7 @@ def test_blinking_pixels_are_left_out_of_the_noise(in_memory, seed):
 
 def test_pulses_of_light_are_no_defects(pulses, in_memory, seed):
     """Rare bright events of a tube change a pixel once, not half of the time."""
-    camera = pulses(shape=(96, 128), transfer=lambda f: np.exp(-2.0 * (np.pi * f * 0.7) ** 2))
+    camera = pulses(shape=(96, 128), transfer=gaussian(0.7))
     rng = np.random.default_rng(seed)
     dim = in_memory([("dark", "dark", camera.frames(rng, 0.02, 32), Conditions())])
     (found,) = noise.measure(dim, method="variance", context=QUICK).find("defect_pixels")

@@ -4,7 +4,7 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from labdata.importers.sessions import import_emva1288
+from labdata.session_import import import_emva1288
 
 # The standard's reference implementation on this subset; see the README beside the images.
 REFERENCE = {
@@ -19,9 +19,14 @@ REFERENCE = {
 }
 
 
+@pytest.fixture(scope="module")
+def session(shared_data, tmp_path_factory):
+    data = shared_data / "emva001_basler_ccd12" / "EMVA1288_Data.txt"
+    return import_emva1288(data, tmp_path_factory.mktemp("emva") / "session")
+
+
 @pytest.mark.parametrize("method", ["covariance-sum", "variance"])
-def test_a_real_camera_reads_as_the_standards_own_program_reads_it(shared_data, tmp_path, method):
-    session = import_emva1288(shared_data / "emva001_basler_ccd12" / "EMVA1288_Data.txt", tmp_path / "session")
+def test_a_real_camera_reads_as_the_standards_own_program_reads_it(session, method):
     result = noise.measure(session, method=method, context=Context(seed=3, quick=True, full_scale_dn=4095.0))
     found = {(m.quantity, m.unit): m for m in result.measurements}
     for key, (truth, tolerance) in REFERENCE.items():

@@ -1,21 +1,18 @@
 """Single photoelectrons: rate, heights and spread of heights are found again in darks made pulse by pulse."""
 
 from dataclasses import replace
-from time import process_time
-from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.studies.dark_events_coverage import DarkScene
-from charact.method import Context
 from charact.noise.events.event_distribution import PulseDecay, PulsePopulation, height_transform
 from charact.noise.events.event_measurements import measure_events, pulses_of_darks
 from charact.noise.events.frames import Filter, boxes
 from charact.noise.gain.series import read_levels
 from labdata.conditions import Conditions
+from tests.charact.noise.scenes import QUICK, one
 
-QUICK = Context(seed=1, quick=True)
 # What a scene of these holds can be told to a few percent; cheap enough for a test run.
 BRIGHT = DarkScene(height_dn=150.0)
 
@@ -23,10 +20,6 @@ BRIGHT = DarkScene(height_dn=150.0)
 def measured(scene: DarkScene, seed: int):
     session = scene.session_drawn(np.random.default_rng(seed))
     return measure_events(session.stacks[0], context=replace(QUICK, interlaced=scene.interlaced))
-
-
-def one(result, quantity: str, unit: str | None = None) -> Any:
-    return next(m for m in result.find(quantity) if unit in (None, m.unit))
 
 
 def test_a_pixel_of_rare_pulses_has_the_moments_of_campbells_theorem():
@@ -50,7 +43,7 @@ def test_a_pixel_of_rare_pulses_has_the_moments_of_campbells_theorem():
     assert -6.0 * log.imag / t**3 == pytest.approx(0.02 * 50.0**3 * (1.5 * 2.0) * cubes, rel=0.01)
 
 
-@pytest.mark.parametrize("spread", [0.05, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("spread", [0.05, 1.0, 3.0])
 def test_heights_have_the_transform_of_their_gamma_law(seed, spread):
     heights = np.random.default_rng(seed).gamma(1.0 / spread, spread, 400_000)
     z = np.array([0.3, 1.0, 3.0])
@@ -63,8 +56,8 @@ def test_filters_see_neither_levels_nor_lines_nor_slopes():
     row = np.arange(64.0)
     for line in (np.ones(64), row):
         image = np.broadcast_to(line.astype(np.float32), (4, 64, 64))
-        for one in boxes(1, stride=1, exposures=4, lag=True):
-            assert np.abs(one.within(image, one.reach)).max() < 2e-2
+        for box in boxes(1, stride=1, exposures=4, lag=True):
+            assert np.abs(box.within(image, box.reach)).max() < 2e-2
 
 
 def test_glow_hands_all_light_on_and_none_twice():
@@ -125,13 +118,6 @@ def test_what_spills_from_field_to_field_is_refused_where_no_screen_is_known(see
     scene = replace(BRIGHT, fast_exposures=0.12, interlaced=True, rows=192)
     height = one(measured(scene, seed), "detected_photoelectron_gain")
     assert height.status == "refused" and "next field" in height.reason
-
-
-def test_darks_without_pulses_are_left_alone_quickly(seed):
-    began = process_time()
-    measured(replace(BRIGHT, density=0.0), seed)
-    # Most of it is drawing the frames.
-    assert process_time() - began < 2.0
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from scipy.ndimage import uniform_filter
 from scipy.special import ndtr
 
 from charact import noise
-from charact.method import Context
 from charact.noise.gain.series import read_levels
 from charact.noise.illumination import StatedIllumination, response_draws
 from charact.noise.noise_law import SignalNoiseSeries, noise_law
@@ -17,13 +16,9 @@ from charact.noise.snr_against_light import Scope, minimum_illumination, snr_aga
 from charact.noise.stack.stack_statistics import SIDE_PX
 from labdata.conditions import Conditions
 from labdata.measurement import Measurement
+from tests.charact.noise.scenes import QUICK, errors, gaussian
 
-QUICK = Context(seed=1, quick=True)
 LUX_PER_PE = 1e-6
-
-
-def gaussian(sigma_px):
-    return lambda f: np.exp(-2.0 * (np.pi * f * sigma_px) ** 2)
 
 
 def kernel(sigma_px: float, size: int = 64):
@@ -69,11 +64,6 @@ def of(result, quantity) -> list[Measurement]:
     return [one for one in result.measurements if one.quantity == quantity]
 
 
-def errors(measurement, truth) -> float:
-    low, high = measurement.interval68
-    return (measurement.value - truth) / (0.5 * (high - low))
-
-
 def least_level(camera, variance) -> float:
     """The level, photoelectrons, at which signal equals noise, by bisection."""
     low, high = 1e-4, 1e3
@@ -83,7 +73,7 @@ def least_level(camera, variance) -> float:
     return float(low)
 
 
-@pytest.mark.parametrize("sigma_px", [0.0, 0.6, 1.5])
+@pytest.mark.parametrize("sigma_px", [0.0, 1.5])
 def test_ratios_of_pixel_and_area_are_those_of_counted_pulses_behind_a_blur(pulses, in_memory, seed, sigma_px):
     """Blur smooths a pixel's noise and leaves most of an area's: the area is not as good as its pixels over n."""
     camera = pulses(gain_dn=4.0, transfer=gaussian(sigma_px) if sigma_px else None, read_noise_dn=3.0)
@@ -170,7 +160,7 @@ def test_the_law_has_slopes_one_one_half_and_none():
         assert np.diff(np.log(ratio))[0] / np.diff(np.log(around))[0] == pytest.approx(slope, abs=0.01)
 
 
-@pytest.mark.parametrize("sd_dn", [0.2, 0.35, 0.5])
+@pytest.mark.parametrize("sd_dn", [0.2, 0.5])
 def test_steps_of_the_digitiser_shift_mean_and_variance_by_as_much_as_is_allowed_for(sd_dn):
     """Noise rounded by summing its normal law over the codes, at every place between two codes."""
     codes, places = np.arange(-8, 9), np.linspace(0.0, 1.0, 41)[:-1]
@@ -196,7 +186,7 @@ def test_noise_finer_than_the_steps_leaves_the_truth_in_the_interval(pulses, in_
     assert abs(errors(found, truth)) < 4.5 and found.status == "ok"
 
 
-@pytest.mark.parametrize("off", [-2.0, -1.0, 1.0, 2.0])
+@pytest.mark.parametrize("off", [-2.0, 1.0])
 def test_a_meter_wrong_by_its_stated_error_is_in_the_interval(pulses, in_memory, seed, off):
     camera = pulses(gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
     session = light_series(camera, np.random.default_rng(seed), in_memory, (0.1, 1.0, 10.0),

@@ -14,7 +14,7 @@ from charact.session_measurement import method_context
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import open_session
-from labdata.store import SessionWriter
+from labdata.session_writer import SessionWriter
 
 SHAPE = (64, 96)
 # More than one run of 32 frames, so that large stacks have several parts.
@@ -109,12 +109,6 @@ def test_what_is_no_address_of_a_scheduler_ends_in_one_sentence_before_there_is_
     for address in ("nowhere", "", "tcp://127.0.0.1:99999", "tcp://127.0.0.1:9"):
         with pytest.raises(BadInput, match="running Dask scheduler"), parallel_map(address):
             pass
-
-
-def test_a_scheduler_that_does_not_answer_ends_in_one_sentence():
-    pytest.importorskip("distributed", reason="Dask is not installed: pip install 'charact[dask]'")
-    with pytest.raises(BadInput, match="running Dask scheduler"), parallel_map("tcp://127.0.0.1:9", timeout_s=0.5):
-        pass
 
 
 def test_without_dask_the_extra_is_named(monkeypatch):

@@ -4,18 +4,16 @@ import numpy as np
 import pytest
 
 from charact import noise
-from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
+from tests.charact.noise.scenes import METHODS, QUICK, gaussian
 
-QUICK = Context(seed=1, quick=True)
-METHODS = ("covariance-sum", "variance")
 # Electrons, and the light that brings them.
 LEVELS = (400.0, 1000.0, 2500.0, 6000.0, 12000.0)
 
 
 def electrons(rng, level, count):
-    return rng.poisson(level, (count, 128, 160)).astype(float)
+    return rng.poisson(level, (count, 112, 144)).astype(float)
 
 
 def plain(charge, read):
@@ -61,7 +59,7 @@ def series(in_memory, rng, camera, *, lit=True, count=10):
     """Darks and flats of a camera; the light in the books or not."""
     stacks = []
     for level in (0.0, *LEVELS):
-        read = 2.0 * rng.standard_normal((count, 128, 160))
+        read = 2.0 * rng.standard_normal((count, 112, 144))
         data = np.clip(np.rint(camera(electrons(rng, level, count), read)), 0, 65535).astype(np.uint16)
         light = Conditions(illuminance_lux=level) if lit else Conditions()
         stacks.append((f"level-{level:g}", "flat" if level else "dark", FrameStack(data=data), light))
@@ -93,7 +91,7 @@ def test_a_gamma_curve_is_told_by_the_light_or_by_the_noise_alone(in_memory, see
 
 def test_the_glow_of_dark_pulses_is_no_noise_reduction(pulses, keeping, in_memory, seed):
     """Scintillations of the dark are kept by the screen from frame to frame, and shared by neighbours."""
-    camera = pulses(transfer=lambda f: np.exp(-2.0 * (np.pi * f * 0.9) ** 2), memory=keeping(0.3))
+    camera = pulses(transfer=gaussian(0.9), memory=keeping(0.3))
     rng = np.random.default_rng(seed)
     stacks = [
         (f"level-{level}", "flat" if level > 1 else "dark", camera.frames(rng, level, 12), Conditions())

@@ -13,13 +13,10 @@ from charact.noise.illumination import luminous_sensitivity_ua_per_lm, photoelec
 from labdata.conditions import Conditions
 from labdata.measurement import Result, measurement_from_draws
 from labdata.sensors import load_sensor
+from tests.charact.noise.scenes import errors, gaussian, one
 
 ELECTRON_C = 1.602176634e-19
 SECONDS = 0.016
-
-
-def gaussian(sigma_px):
-    return lambda f: np.exp(-2.0 * (np.pi * f * sigma_px) ** 2)
 
 
 def known_sensor(electron_gain_dn: float, sensitivity: float = 1350.0):
@@ -54,16 +51,6 @@ def parted(session, **told) -> Result:
     posterior = fit_single_setting(series, context=context, quick=True).posterior
     return Result(measurements=tuple(separate_gains(series, posterior, context=context, flags=(), covariance_flags=(),
                                                method="covariance-sum")))  # fmt: skip
-
-
-def one(result, quantity):
-    (found,) = result.find(quantity)
-    return found
-
-
-def errors(measurement, truth) -> float:
-    low, high = measurement.interval68
-    return (measurement.value - truth) / (0.5 * (high - low))
 
 
 def test_the_specified_ratio_of_a_tube():

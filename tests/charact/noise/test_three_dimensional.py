@@ -11,12 +11,12 @@ from charact.method import Context
 from charact.noise.stack.components import components, contrasts
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
+from tests.charact.noise.scenes import QUICK
 
 NAMES = ("t", "v", "h", "tv", "th", "vh", "tvh")
-QUICK = Context(seed=1, quick=True)
-CUBES = 200
-# 95 % of 200, less four standard errors.
-LEAST_HELD = 178
+CUBES = 40
+# 95 % of 40, less four standard errors.
+LEAST_HELD = 33
 MARGIN = 12
 
 
@@ -92,7 +92,6 @@ def test_seven_components_at_once_are_unbiased_and_their_intervals_hold(seed, sh
     found, held = trials(rng, lambda rng: cube(rng, shape, sd), sd)
     assert np.abs(pulls(found, sd)).max() < 3.5
     assert held.min() >= LEAST_HELD
-    assert held.max() <= 199
 
 
 def test_a_component_that_is_not_there_is_estimated_as_often_below_zero_as_above(seed):
@@ -102,7 +101,8 @@ def test_a_component_that_is_not_there_is_estimated_as_often_below_zero_as_above
     assert np.abs(pulls(found, sd)).max() < 3.5
     assert held.min() >= LEAST_HELD
     below = (found[:, [0, 3, 4, 5]] < 0).sum(axis=0)
-    assert 0.3 * CUBES < below.min() <= below.max() < 0.8 * CUBES
+    # Estimates of nothing are skewed: a little more than half of them lie below zero.
+    assert 0.2 * CUBES < below.min() <= below.max() < 0.87 * CUBES
 
 
 def test_what_is_taken_off_is_the_bias_of_finite_cubes(seed):
@@ -119,7 +119,7 @@ def test_what_is_taken_off_is_the_bias_of_finite_cubes(seed):
     averaged = {"vh": 0, "tv": 2, "th": 1, "t": (1, 2), "v": (0, 2), "h": (0, 1)}
     rng = np.random.default_rng(seed)
     excess = {name: [] for name in textbook}
-    for _ in range(CUBES // 2):
+    for _ in range(CUBES):
         frames_dn = cube(rng, shape, sd)
         parts = of(frames_dn)
         for name, axes in averaged.items():
@@ -129,7 +129,7 @@ def test_what_is_taken_off_is_the_bias_of_finite_cubes(seed):
             plain = float((mean**2).sum() / np.prod([length - 1 for length in mean.shape]))
             excess[name].append(plain - parts[name].variance_dn2)
     for name, bias in textbook.items():
-        error = np.std(excess[name], ddof=1) / np.sqrt(CUBES // 2)
+        error = np.std(excess[name], ddof=1) / np.sqrt(CUBES)
         assert abs(np.mean(excess[name]) - bias) < 3.5 * error, name
 
 
@@ -140,7 +140,7 @@ def test_noise_shared_by_neighbours_is_no_noise_of_rows_or_columns(seed):
     found, held = trials(rng, lambda rng: cube(rng, (8, 72, 96), sd, blur_px=1.0), sd)
     assert held.min() >= LEAST_HELD
     plain = (3.54 - 1.0) * sd[6] ** 2 / np.array([96, 72])
-    assert (np.abs(found[:, 3:5].mean(axis=0)) < 0.05 * plain).all()
+    assert (np.abs(found[:, 3:5].mean(axis=0)) < 0.08 * plain).all()
 
 
 def test_noise_that_lasts_is_followed_to_frequency_zero(seed):
@@ -149,14 +149,14 @@ def test_noise_that_lasts_is_followed_to_frequency_zero(seed):
     found, held = trials(np.random.default_rng(seed), lambda rng: cube(rng, (32, 40, 56), sd, lag=0.4), sd)
     assert held.min() >= LEAST_HELD
     # Without the slope 0.026 DN2 of the random noise would pass for fixed pattern.
-    assert abs(found[:, 5].mean() - sd[5] ** 2) < 0.006
+    assert abs(found[:, 5].mean() - sd[5] ** 2) < 0.01
 
 
 @pytest.mark.parametrize(("frames", "lag"), [(16, 0.3), (16, 0.6), (64, 0.6), (12, 0.9)])
 def test_noise_that_lasts_is_no_fixed_pattern_or_flagged(in_memory, seed, frames, lag):
     rng = np.random.default_rng(seed)
     sd = (0.0, 0.2, 0.2, 0.0, 0.0, 0.3, 3.0)
-    for _ in range(4):
+    for _ in range(2):
         found = measured(in_memory, cube(rng, (frames, 64, 80), sd, lag=lag).astype(np.float32))
         for name, truth in zip(NAMES, sd, strict=True):
             low, high = found[name].interval95
@@ -280,9 +280,10 @@ def test_rare_pulses_make_the_random_noise_less_certain_than_normal_noise_would(
     camera, rng = pulses(gain_dn=20.0, shape=(64, 80)), np.random.default_rng(seed)
     variance = 0.02 * 2.0 * camera.gain_dn**2 + 0.05 * 0.02 * camera.gain_dn + camera.read_noise_dn**2 + 1 / 12
     held, narrow = 0, 0
-    for _ in range(60):
+    for _ in range(30):
         part = of(camera.frames(rng, 0.02, 12).data)["tvh"]
         low, high = np.quantile(part.draws(rng, 2000), [0.025, 0.975])
         held += low <= variance <= high
         narrow += abs(part.variance_dn2 - variance) < 1.96 * variance * np.sqrt(2.0 / (11 * 63 * 79))
-    assert held >= 50 > 40 > narrow
+    # 95 % of 30, less four standard errors.
+    assert held >= 24 > 21 > narrow

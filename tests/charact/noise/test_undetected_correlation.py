@@ -4,24 +4,13 @@ import numpy as np
 import pytest
 
 from charact import noise
-from charact.method import Context
 from charact.noise.stack.pixels import lower_neighbour, pixel_sums, right_neighbour, successor_correlation
 from charact.noise.stack.spectrum import NO_BINS
 from charact.noise.stack.temporal import order_of
 from labdata.frames import FrameStack
+from tests.charact.noise.scenes import METHODS, QUICK, errors, one
 
-QUICK = Context(seed=1, quick=True)
 ELECTRONS = (400.0, 1500.0, 4000.0)
-METHODS = ("covariance-sum", "variance")
-
-
-def one(result, quantity, unit=None):
-    return next(m for m in result.find(quantity) if unit in (None, m.unit))
-
-
-def errors(measurement, truth) -> float:
-    low, high = measurement.interval68
-    return (measurement.value - truth) / (0.5 * (high - low))
 
 
 @pytest.fixture
@@ -30,7 +19,7 @@ def ccd(pulses):
     return lambda **more: pulses(gain_dn=0.0, electron_gain_dn=0.5, **more)
 
 
-@pytest.mark.parametrize("smoothing_px", [0.3, 0.4, 0.7])
+@pytest.mark.parametrize("smoothing_px", [0.3, 0.7])
 def test_a_little_smoothing_lowers_the_variance_and_is_seen(ccd, series, seed, smoothing_px):
     """At 0.3 px a neighbour holds 0.8 % of the noise, and the variance is 3 % low."""
     session = series(ccd(smoothing_px=smoothing_px), np.random.default_rng(seed), ELECTRONS)
@@ -44,34 +33,36 @@ def test_a_little_smoothing_lowers_the_variance_and_is_seen(ccd, series, seed, s
     assert abs(errors(one(summed, "covariance_gain"), 0.5)) < 4.5
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("frames", [2, 3, 4, 8])
-def test_a_camera_that_hides_nothing_is_not_accused(ccd, series, seed, method, frames):
+@pytest.mark.parametrize("frames", [2, 3, 8])
+def test_a_camera_that_hides_nothing_is_not_accused(ccd, series, seed, frames):
     session = series(ccd(), np.random.default_rng(seed), (*ELECTRONS, 8000.0), frames=frames)
-    gain = one(noise.measure(session, method=method, context=QUICK), "system_gain")
-    assert gain.status == "ok"
-    assert abs(errors(gain, 0.5)) < 4.5
-    assert (gain.interval68[1] - gain.interval68[0]) / 2 < 0.04 * 0.5
+    for method in METHODS:
+        gain = one(noise.measure(session, method=method, context=QUICK), "system_gain")
+        assert gain.status == "ok", method
+        assert abs(errors(gain, 0.5)) < 4.5
+        assert (gain.interval68[1] - gain.interval68[0]) / 2 < 0.04 * 0.5
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(("share", "frames"), [(0.05, 8), (0.2, 4), (0.2, 3), (0.2, 2), (0.8, 2), (0.8, 16)])
-def test_light_that_stays_in_the_next_frames_never_passes_unseen(pulses, keeping, series, seed, method, share, frames):
-    session = series(pulses(memory=keeping(share)), np.random.default_rng(seed), (5.0, 15.0, 30.0), frames=frames)
-    result = noise.measure(session, method=method, context=QUICK)
-    gain = one(result, "system_gain")
-    assert gain.status == "refused" or "lag" in gain.flags
-    for found, truth in ((m, pulses().covariance_gain_dn) for m in result.find("covariance_gain")):
-        assert found.status != "ok" or abs(errors(found, truth)) < 4.5
+@pytest.mark.parametrize(("share", "frames"), [(0.05, 8), (0.2, 3), (0.2, 2), (0.8, 16)])
+def test_light_that_stays_in_the_next_frames_never_passes_unseen(pulses, keeping, series, seed, share, frames):
+    session = series(
+        pulses(memory=keeping(share), shape=(144, 160)), np.random.default_rng(seed), (5.0, 15.0, 30.0), frames=frames
+    )
+    for method in METHODS:
+        result = noise.measure(session, method=method, context=QUICK)
+        gain = one(result, "system_gain")
+        assert gain.status == "refused" or "lag" in gain.flags, method
+        for found in result.find("covariance_gain"):
+            assert found.status != "ok" or abs(errors(found, pulses().covariance_gain_dn)) < 4.5
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_frames_that_come_twice_are_lag(ccd, series, in_memory, seed, method):
+def test_frames_that_come_twice_are_lag(ccd, series, in_memory, seed):
     session = series(ccd(), np.random.default_rng(seed), ELECTRONS, frames=4)
     twice = in_memory([
         (s.label, s.kind, FrameStack(data=np.repeat(s.read().data, 2, axis=0)), s.conditions) for s in session.stacks
     ])  # fmt: skip
-    assert "lag" in one(noise.measure(twice, method=method, context=QUICK), "system_gain").flags
+    for method in METHODS:
+        assert "lag" in one(noise.measure(twice, method=method, context=QUICK), "system_gain").flags
 
 
 def test_what_a_handful_of_pixels_cannot_exclude_is_in_the_interval(ccd, series, seed):

@@ -1,6 +1,5 @@
 """Every move by itself leaves the posterior as it is, and ensembles side by side know nothing of each other."""
 
-import emcee
 import numpy as np
 import pytest
 
@@ -43,16 +42,6 @@ def test_a_move_leaves_mean_variance_and_fourth_moment_of_a_gaussian_as_they_are
         means = (chain**power).mean((1, 2))
         error = means.std(0, ddof=1) / np.sqrt(len(means))
         assert np.all(np.abs(means.mean(0) - moment) < 4.5 * error)
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_the_snooker_of_emcee_which_is_left_out_does_not(seed):
-    """A Gaussian of ten dimensions loses a third of its variance; a release that mends it will be told by this."""
-    sampler = emcee.EnsembleSampler(
-        32, 10, lambda points: -0.5 * (points**2).sum(1), moves=emcee.moves.DESnookerMove(), vectorize=True
-    )
-    sampler.run_mcmc(np.random.default_rng(seed).standard_normal((32, 10)), 1500)
-    assert sampler.get_chain()[500:].var() < 0.8
 
 
 def test_an_ensemble_learns_nothing_from_the_one_beside_it(seed):

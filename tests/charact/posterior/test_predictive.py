@@ -21,7 +21,7 @@ def linear_posterior(data, covariance, rng, draws=1000):
 
 
 def test_probabilities_are_uniform_where_the_model_is_right_and_one_in_a_hundred_is_called_wrong(seed):
-    rng, trials = np.random.default_rng(seed), 400
+    rng, trials = np.random.default_rng(seed), 160
     lags = np.abs(np.subtract.outer(np.arange(60), np.arange(60)))
     covariance = 0.25 * 0.6**lags
     root = np.linalg.cholesky(covariance)
@@ -45,7 +45,7 @@ def test_probabilities_are_uniform_where_the_model_is_right_and_one_in_a_hundred
 def test_a_weak_slope_that_chi_squared_misses_is_told_by_its_neighbours():
     """Light rising by 0.6 standard deviations to either side, fitted by a level: the residuals keep their sign."""
     told = {"chi_squared": 0, "structure": 0, "flags": 0}
-    for trial in range(40):
+    for trial in range(15):
         rng = np.random.default_rng(trial)
         place = np.linspace(-1.0, 1.0, 400)
         data = 10.0 + 0.6 * place + rng.standard_normal(400)
@@ -54,9 +54,9 @@ def test_a_weak_slope_that_chi_squared_misses_is_told_by_its_neighbours():
         told["chi_squared"] += check.chi_squared < 0.01
         told["structure"] += min(check.runs, check.neighbours) < 0.01
         told["flags"] += check.flags == ("model-misfit",)
-    assert told["structure"] >= 36
-    assert told["flags"] >= 36
-    assert told["chi_squared"] <= 30
+    assert told["structure"] >= 12
+    assert told["flags"] >= 12
+    assert told["chi_squared"] <= 12
 
 
 def bloom(points, radius):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from charact.posterior.laplace import BASES, LONGEST, quasi_random_normals, truncated_gaussian_draws
+from charact.posterior.laplace import BASES, LONGEST, draw_truncated_gaussian, quasi_random_normals
 
 WIDE = np.tile([-np.inf, np.inf], (4, 1))
 
@@ -44,7 +44,7 @@ def test_quantiles_of_few_draws_scatter_half_as_much(seed):
     scatter = {}
     for even in (False, True):
         drawn = [
-            truncated_gaussian_draws(np.random.default_rng([seed, i]), np.zeros(4), covariance, WIDE, 500, even=even)[
+            draw_truncated_gaussian(np.random.default_rng([seed, i]), np.zeros(4), covariance, WIDE, 500, even=even)[
                 :, 1
             ]
             for i in range(200)
@@ -57,10 +57,10 @@ def test_quantiles_of_few_draws_scatter_half_as_much(seed):
 
 def test_even_draws_keep_to_the_covariance_and_to_the_walls(seed):
     covariance = np.array([[2.0, -0.9], [-0.9, 0.5]])
-    drawn = truncated_gaussian_draws(np.random.default_rng(seed), np.zeros(2), covariance, WIDE[:2], 4000, even=True)
+    drawn = draw_truncated_gaussian(np.random.default_rng(seed), np.zeros(2), covariance, WIDE[:2], 4000, even=True)
     assert np.cov(drawn.T) == pytest.approx(covariance, rel=0.02)
     walls = np.array([[0.0, np.inf], [-np.inf, np.inf]])
-    half = truncated_gaussian_draws(np.random.default_rng(seed), np.zeros(2), covariance, walls, 4000, even=True)
+    half = draw_truncated_gaussian(np.random.default_rng(seed), np.zeros(2), covariance, walls, 4000, even=True)
     assert half.shape == (4000, 2)
     assert half[:, 0].min() >= 0
     # The mean of half a normal is sqrt(2 / pi) deviations; what goes with it follows.
@@ -69,7 +69,7 @@ def test_even_draws_keep_to_the_covariance_and_to_the_walls(seed):
 
 def test_a_singular_covariance_is_drawn_from_too(seed):
     along = np.array([1.0, -2.0, 0.5])
-    drawn = truncated_gaussian_draws(
+    drawn = draw_truncated_gaussian(
         np.random.default_rng(seed), np.zeros(3), np.outer(along, along), WIDE[:3], 500, even=True
     )
     assert drawn == pytest.approx(np.outer(drawn[:, 0], along), abs=1e-6)

@@ -5,7 +5,6 @@ import pytest
 
 from charact.report import blooms
 from charact.report.bloom_images import add_extent_data, plot_bloom_frames, plot_bloom_map
-from charact.report.corner import varying
 from charact.report.figure_registry import figure_of
 from charact.report.style import white_style
 from charact.study.bloom.scene import bloom_session
@@ -79,21 +78,6 @@ def test_frames_show_source_bloom_and_halo_at_their_places(evidence):
     assert (tint[..., 3] > 0).sum() == pytest.approx(truth(SCENE, 3000.0)["saturated_area"], rel=0.1)
 
 
-def test_residuals_are_drawn_in_standard_errors_of_the_rings_that_were_fitted():
-    radius = np.arange(1.0, 31.0)
-    data = {
-        "label": ["point-1"],
-        "radius_px": [radius],
-        "mean_dn": [np.full(30, 20.0)],
-        "sd_dn": [np.full(30, 0.5)],
-        "used": [radius > 5],
-        "model_dn": [np.full(30, 19.0)],
-    }
-    upper, lower = blooms.plot_point_profile(data).axes
-    assert lower.lines[0].get_ydata() == pytest.approx(np.full(25, 2.0))
-    assert "standard errors" in lower.get_ylabel() and "px" in lower.get_xlabel() and "DN" in upper.get_ylabel()
-
-
 def test_a_map_greys_what_is_unknown():
     fraction = np.full((40, 50), 0.3)
     fraction[:10] = np.nan
@@ -110,17 +94,3 @@ def test_a_map_greys_what_is_unknown():
 def test_a_series_is_drawn_without_what_a_method_does_not_give(evidence, missing):
     data = {key: value for key, value in evidence["bloom-series"].items() if key != missing}
     assert figure_of("bloom-series", data).svg
-
-
-def test_forms_are_named_with_their_criterion():
-    table = [{"form": "gaussian core, disc", "parameters": 4, "bic_over_best": 0.0, "foretold_chi2_per_ring": 0.9},
-             {"form": "gaussian core, no halo", "parameters": 1, "bic_over_best": 350.0}]  # fmt: skip
-    svg = figure_of("bloom-forms", {"table": table}).svg
-    assert svg and "gaussian core, no halo" in svg and "350" in svg
-
-
-def test_a_corner_shows_the_quantities_where_parameters_are_many():
-    names = ("core_sd", "wing_share", "wing_radius", "wing_exponent", "elastic_share", "halo_diameter", "halo_fraction")
-    draws = np.random.default_rng(0).normal(1.0, 0.1, (50, 7))
-    shown = varying(Posterior(names=names, units=("1",) * 7, draws=draws))
-    assert {"halo_diameter", "halo_fraction"} <= {names[n] for n in shown}

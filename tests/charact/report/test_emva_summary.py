@@ -1,9 +1,12 @@
 """The EMVA 1288 summary stands for a camera of white noise, and says for any other why it does not."""
 
+from xml.etree import ElementTree
+
+import numpy as np
+
 from charact.report import fragment
-from charact.report.tables import NAMES, emva_summary
+from charact.report.emva_sheet import SHEET, emva_summary, emva_xml, in_standard_unit
 from labdata.measurement import Result, make_refusal, measurement_from_sd
-from labdata.quantity import QUANTITIES
 
 PLAIN = {"method": "variance"}
 
@@ -17,18 +20,35 @@ def white(**more):
     )
 
 
-def test_every_line_is_a_quantity_of_the_vocabulary():
-    assert all(unit in QUANTITIES[name].units for name, unit, _, _ in NAMES)
-
-
 def test_figures_stand_under_the_standards_names_and_what_is_missing_is_named():
     found = emva_summary(Result(measurements=white()))
     assert found is not None and not found["reason"]
-    assert [(name.split(" ")[0], section) for name, section, _ in found["rows"]] == [
-        ("Quantum", "2.1"), ("Overall", "2.2"), ("Temporal", "2.2"),
+    assert [(entry.symbol, entry.clause) for entry, *_ in found["rows"]] == [
+        ("η", "eq. 52"), ("K", "eq. 50"), ("1/K", "eq. 50"), ("σ_y.dark", "eq. 53"),
     ]  # fmt: skip
-    assert found["rows"][1][2]["plus_minus"].startswith("0.28")
-    assert any("SNR_max" in name for name in found["left_out"])
+    assert found["rows"][1][1].startswith("0.28")
+    assert "Largest signal-to-noise ratio" in found["left_out"]
+
+
+def test_a_ratio_in_decibels_and_the_inverse_gain_carry_their_intervals():
+    entries = {entry.symbol: entry for entry in SHEET}
+    ratio = measurement_from_sd("snr_max", "1", 100.0, 5.0, **PLAIN)
+    shown = in_standard_unit(entries["SNR_max.dB"], ratio)
+    assert shown.value == 40.0 and shown.unit == "dB"
+    assert np.allclose(shown.interval95, 20 * np.log10(ratio.interval95))
+    gain = measurement_from_sd("system_gain", "DN/e-", 0.25, 0.01, **PLAIN)
+    inverse = in_standard_unit(entries["1/K"], gain)
+    assert inverse.value == 4.0
+    assert np.allclose(sorted(1.0 / np.array(gain.interval95)), inverse.interval95)
+
+
+def test_the_xml_states_symbol_clause_and_what_is_not_to_standard():
+    measurements = (*white(), measurement_from_sd("prnu", "%", 1.0, 0.01, **PLAIN))
+    sheet = ElementTree.fromstring(emva_xml(Result(measurements=measurements), "day"))
+    assert sheet.attrib["release"] == "4.0 Linear"
+    assert sheet.find("sensitivity/K").attrib["symbol"] == "K"
+    assert "high-pass" in sheet.find("spatial/PRNU1288").attrib["not_to_standard"]
+    assert "not_to_standard" not in sheet.find("sensitivity/QE").attrib
 
 
 def test_an_intensified_camera_gets_a_reason_and_no_figure():

@@ -60,20 +60,11 @@ def labelled(axes) -> dict[str, tuple[str, np.ndarray]]:
 def test_identified_and_known_stages_are_solid_and_the_others_dashed():
     rows, columns = drawn(budget()).axes[:2]
     told = labelled(rows)
+    assert rows.child_axes[0].get_xlim() == pytest.approx((0.0, 0.5 / 0.018))  # lp/mm at the photocathode
     assert {stage: told[stage][0] for stage in ("lens", "pixel", "video")} == {"lens": "-", "pixel": "-", "video": "--"}
     assert told["product of all"][1] == pytest.approx(np.array(budget()["horizontal"]["product"]["value"]))
     # A stage that does nothing in a direction would be a line along the top.
     assert "video" not in labelled(columns)
-
-
-def test_both_axes_have_their_units_and_the_cathode_s_scale():
-    figure = drawn(budget())
-    rows, columns = figure.axes[:2]
-    (above,) = rows.child_axes
-    assert columns.get_xlabel() == "frequency (cycles per column pitch)"
-    assert above.get_xlabel() == "at the photocathode (lp/mm)"
-    assert above.get_xlim() == pytest.approx((0.0, 0.5 / 0.018))
-    assert {axes.get_ylabel() for axes in (rows, columns)} == {"MTF (1)"}
 
 
 @pytest.mark.parametrize("after", [True, False])
@@ -82,8 +73,7 @@ def test_the_budget_is_drawn_in_the_section_of_the_mtf_with_its_numbers_beside_i
     assert figure.section == "mtf"
     assert figure.svg is not None, figure.refusal_reason
     assert ("measured after the gain, 95 %" in figure.svg) == after
-    assert dict(figure.numbers)["the curves say"] == "identified by the curves: lens"
-    assert len(figure.svg) < 150_000
+    assert figure.caption.endswith("identified by the curves: lens.")
 
 
 def groups() -> dict:

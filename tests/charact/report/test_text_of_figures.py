@@ -1,10 +1,12 @@
 """What figures say is whole: no text is cut at the rim of its figure, none lies over another or over what it names."""
 
+import re
+
 import numpy as np
 import pytest
-from matplotlib.text import Text
 
 from charact.report import blooms, corner, curves, noise, style
+from charact.report.figure_svg import as_svg
 from labdata.measurement import Posterior
 
 SPREAD = [0.1, 0.1]
@@ -39,28 +41,82 @@ FIGURES = {
 }
 
 
-def texts(figure) -> list:
-    """Boxes of all that is written and seen, in points of the screen."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+def number_in(tag: str, *patterns: str) -> float:
+    return next(float(found[1]) for pattern in patterns if (found := re.search(pattern, tag)))
 
-    renderer = FigureCanvasAgg(figure).get_renderer()
-    figure.draw(renderer)
-    found = [label for axes in figure.axes if axes.get_visible() for label in (axes.xaxis.label, axes.yaxis.label)]
-    found += [tick for axes in figure.axes for beside in axes.child_axes for tick in beside.get_yticklabels()]
-    found += [text for axes in figure.axes for text in axes.texts]
-    return [text.get_window_extent(renderer) for text in found if isinstance(text, Text) and text.get_text().strip()]
+
+def groups(pattern: str, text: str) -> list[str]:
+    found = re.search(pattern, text)
+    assert found is not None, pattern
+    return [str(group) for group in found.groups()]
+
+
+def texts(svg: str) -> list[tuple[str, float, float, float, float]]:
+    """Words, left, top, right and bottom of all texts, a character half as wide as it is high."""
+    found = []
+    for tag, words in re.findall(r"(<text[^>]*>)([^<]*)</text>", svg):
+        size = number_in(tag, r'font-size="([\d.]+)"', r"font(?:-size)?: ([\d.]+)px")
+        x = number_in(tag, r' x="(-?[\d.]+)"', r"translate\((-?[\d.]+)")
+        y = number_in(tag, r' y="(-?[\d.]+)"', r"translate\(-?[\d.]+ (-?[\d.]+)")
+        turn = re.search(r"rotate\((-?[\d.]+)(?: (-?[\d.]+) (-?[\d.]+))?", tag)
+        centre = complex(float(turn[2]), float(turn[3])) if turn and turn[2] else complex(x, y)
+        anchor = re.search(r"text-anchor[=:] ?\"?(\w+)", tag)
+        start = {"start": 0.0, "middle": -0.5, "end": -1.0}[anchor[1] if anchor else "start"] * 0.5 * size * len(words)
+        ends = np.array([complex(x + start, y), complex(x + start + 0.5 * size * len(words), y - 0.7 * size)])
+        if turn:
+            ends = centre + (ends - centre) * np.exp(1j * np.deg2rad(float(turn[1])))
+        found.append((words, *np.sort(np.real(ends)), *np.sort(np.imag(ends))))
+    return [(words, left, top, right, bottom) for words, left, right, top, bottom in found]
 
 
 @pytest.mark.parametrize("name", FIGURES)
-def test_no_label_leaves_its_figure(name):
+def test_no_text_leaves_its_figure(name):
     drawn, data = FIGURES[name]
     with style.report_style():
-        figure = drawn(data)
-        boxes, paper = texts(figure), figure.bbox
-    assert boxes
-    for box in boxes:
-        assert box.x0 > -2 and box.y0 > -2
-        assert box.x1 < paper.x1 + 2 and box.y1 < paper.y1 + 2
+        svg = as_svg(drawn(data), name)
+    width, height = map(float, groups(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg))
+    boxes = texts(svg)
+    assert len(boxes) > 6
+    for words, left, top, right, bottom in boxes:
+        assert left > -2 and top > -2 and right < width + 2 and bottom < height + 2, words
+
+
+def test_labels_of_the_ticks_stand_at_their_values():
+    with style.report_style():
+        figure, axes = style.panel(xlim=(0.0, 10.0), ylim=(1e-3, 1e3), yscale="log", xlabel="time (s)")
+        axes.plot([1.0, 9.0], [0.01, 100.0])
+        svg = as_svg(figure, "ticks")
+    shown = {words: (0.5 * (left + right), 0.5 * (top + bottom)) for words, left, top, right, bottom in texts(svg)}
+    across = [shown[words][0] for words in ("0", "2", "4", "10")]
+    assert np.interp([2.0, 4.0], [0.0, 10.0], [across[0], across[3]]) == pytest.approx(across[1:3], abs=0.2)
+    up = [shown[words][1] for words in ("10⁻³", "10⁻¹", "10¹", "10³")]
+    assert np.diff(up) == pytest.approx([(up[3] - up[0]) / 3.0] * 3, abs=0.2)
+    assert up[0] > up[3] and "$" not in svg and shown["time (s)"][1] > shown["0"][1] + 8.0
+    # The line ends where the axes say: at a tenth of the width less than its end.
+    start, end = (float(place) for place in groups(r'd="M ([\d.]+) [\d.]+ *\n?L ([\d.]+)[^"]*" clip', svg))
+    assert (start, end) == pytest.approx(np.interp([1.0, 9.0], [0.0, 10.0], [across[0], across[3]]), abs=0.3)
+
+
+def test_the_same_figure_has_the_same_bytes():
+    drawn, data = FIGURES["noise in three dimensions"]
+    with style.report_style():
+        assert as_svg(drawn(data), "noise") == as_svg(drawn(data), "noise")
+
+
+def test_a_corner_plot_holds_its_texts_and_its_region_the_draws():
+    draws = np.random.default_rng(1).multivariate_normal([0.2, 5.0], [[1e-4, 0.0], [0.0, 0.04]], 20000)
+    posterior = Posterior(names=("mtf50", "height_dn"), units=("cy/px", "DN"), draws=draws)
+    svg = corner.corner_svg(posterior, "edge")
+    width, height = map(float, groups(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg))
+    for words, left, top, right, bottom in texts(svg):
+        assert left > -2 and top > -2 and right < width + 2 and bottom < height + 2, words
+    # Semi-axes of the 95 % region of a normal distribution: sqrt(5.991) standard deviations; panel: 0.003 to 0.997.
+    (outer,) = groups(r'd="([^"]*)" fill="[^"]*" fill-opacity="0.25"', svg)
+    places = np.array([list(map(float, step.split())) for step in re.split("[ML]", outer)[1:]])
+    reach = 1.16 * 2.0 * 2.748  # width of the panel, standard deviations
+    half_width = 0.5 * np.ptp(places[:, 0]) / (corner.SIDE - corner.GAP) * reach
+    # The smoothing of the histogram, 0.95 bins of 22, adds to the variance.
+    assert half_width == pytest.approx(np.sqrt(5.991 * (1.0 + (0.95 * reach / corner.BINS) ** 2)), rel=0.05)
 
 
 def test_a_corner_says_the_power_of_ten_with_the_unit():

@@ -9,6 +9,7 @@ import pytest
 from charact.report import page
 from charact.report.validation import validation_section
 from charact.validation import FramePair, Statistic, Validation, ValidationControl
+from charact.validation.validation_result import DetectableError
 from labdata.measurement import Result
 
 
@@ -31,6 +32,7 @@ def _validation(p_value: float = 0.4, null: float = 0.5, negative: float = 1e-6)
             ValidationControl(name="null", title="frames of the fitted sensor", statistics=(_statistic(null),)),
             ValidationControl(name="negative", title="blur after the gain removed", statistics=(_statistic(negative),)),
         ),
+        power=(DetectableError(title="PRNU", relative_error=0.12, probability=0.8, statistic="fixed-pattern"),),
         overlays={"mtf": {**overlay, **curves}, "autocorrelation": {**named, **curves}},
         pairs=(FramePair(kind="flat", label="flat-1", measured=frame, simulated=frame, low_dn=3.0, high_dn=90.0),),
         notes=("The edge was left out.",),
@@ -47,8 +49,8 @@ def test_the_page_shows_pictures_statistics_and_controls(made):
     for piece in (
         "Measured: flat-1", "Simulated: flat-1", "Black 3 DN, white 90 DN.", "blur after the gain removed",
         "Variance and covariance against the mean", "The edge was left out.", "16 posterior draws, seed 7",
-        "p in the null control (must pass)", "0.5 (passes)", "(fails)", "frequency (cy/px)", "MTF (1)", "lag (px)",
-        "noise: variance", "half-widths of the 95 % interval",
+        "must pass", "must be noticed", "What this validation could not have seen", "PRNU 12 % fixed-pattern",
+        "frequency (cy/px)", "MTF (1)", "lag (px)", "half-widths of the 95 % interval",
     ):  # fmt: skip
         assert piece in text, piece
     assert html.count("data:image/jpeg") == 2 + len({entry.kind for entry in made.session().stacks})
@@ -57,10 +59,10 @@ def test_the_page_shows_pictures_statistics_and_controls(made):
 @pytest.mark.parametrize(
     ("validation", "status", "words"),
     [
-        (_validation(), "ok", "agrees: 1 of 1 statistics pass; null control held, negative control held"),
+        (_validation(), "ok", "agrees: 1 of 1 statistics pass; null controls hold; 1 of 1 negative controls noticed"),
         (_validation(p_value=1e-4), "refused", "does not agree: 0 of 1"),
-        (_validation(negative=0.5), "refused", "negative control did not hold"),
-        (_validation(null=1e-5), "refused", "null control did not hold"),
+        (_validation(negative=0.5), "refused", "0 of 1 negative controls noticed"),
+        (_validation(null=1e-5), "refused", "null controls do not hold"),
     ],
 )
 def test_the_headline_is_no_better_than_statistics_and_controls(validation, status, words):

@@ -1,42 +1,96 @@
-"""A measured vector of the simulated kind passes as often as it should, and one of another kind does not."""
+"""Sets of the simulated kind pass as often as stated, others do not, and several tests hold one level."""
+
+from dataclasses import replace
 
 import numpy as np
+import pytest
+from numpy.typing import NDArray
 
-from charact.validation.frame_features import Features, compare
+from charact.validation import ensemble
+from charact.validation.ensemble import Ensemble, ensemble_of, holm_levels
 
-SIZE, DRAWS, REPEATED = 5, 12, 499
-
-
-def _vectors(rng: np.random.Generator, spread: float, count: int) -> list[Features]:
-    """Vectors with correlated sampling errors whose mean one parameter of the posterior moves."""
-    root = np.linalg.cholesky(0.5 * np.eye(SIZE) + 0.5)
-    out = []
-    for _ in range(count):
-        value = root @ rng.standard_normal(SIZE) + spread * rng.standard_normal() * np.linspace(0.5, 1.5, SIZE)
-        errors = rng.standard_normal((15, SIZE)) @ root.T
-        out.append(Features(value=value, covariance=errors.T @ errors / 15, freedom=15))
-    return out
+SIZE, SETS = 6, 16
+ROOT = np.linalg.cholesky(0.5 * np.eye(SIZE) + 0.5)
 
 
-def _p_values(seed: int, spread: float, shift: float = 0.0, count: int = 60) -> np.ndarray:
+@pytest.fixture(autouse=True)
+def few_replicates(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ensemble, "VALIDATION", replace(ensemble.VALIDATION, replicates=1000))
+
+
+def _ensemble(rng: np.random.Generator) -> Ensemble:
+    values = rng.standard_normal((SETS, SIZE)) @ ROOT.T
+    return Ensemble(values=values, least_sd=np.zeros(SIZE), seed=int(rng.integers(2**31)))
+
+
+def _p_values(seed: int, shift: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     rng = np.random.default_rng(seed)
-    out = []
-    for _ in range(count):
-        measured, *simulated = _vectors(rng, spread, DRAWS + 1)
-        moved = Features(value=measured.value + shift, covariance=measured.covariance, freedom=15)
-        out.append(compare(moved, simulated, rng=rng, replicates=REPEATED).p_value)
-    return np.array(out)
+    return np.array([
+        _ensemble(rng).p_value(rng.standard_normal(SIZE) @ ROOT.T + shift) for _ in range(count)
+    ])  # fmt: skip
 
 
-def test_a_right_sensor_is_seldom_refused_however_wide_its_posterior(seed: int) -> None:
-    p_values = [_p_values(seed, spread) for spread in (0.0, 5.0)]
-    for p in p_values:
-        # At most 1 % below 0.01 and 4.5 standard errors.
-        assert np.mean(p < 0.01) < 0.01 + 4.5 * np.sqrt(0.01 * 0.99 / p.size)
-    assert 0.3 < np.mean(p_values[0]) < 0.8
-    assert np.mean(p_values[0] < 0.5) > 0.15
+def test_p_values_of_right_simulations_are_uniform(seed: int) -> None:
+    p_values = _p_values(seed, np.zeros(SIZE), 200)
+    for at in (0.05, 0.2, 0.5, 0.8):
+        share = np.mean(p_values < at)
+        error = 4.5 * np.sqrt(at * (1.0 - at) / p_values.size)
+        assert share < at + error
+        # Halved correlations make p-values of correlated numbers larger, by up to a tenth.
+        assert share > at - error - 0.1 * at
 
 
-def test_a_shift_of_twelve_standard_errors_is_refused(seed: int) -> None:
-    # The least that so many repetitions can tell.
-    assert np.all(_p_values(seed, 0.0, shift=12.0, count=30) < 1.5 / REPEATED)
+@pytest.mark.parametrize("shift", [np.full(SIZE, 12.0), 12.0 * np.eye(SIZE)[2]], ids=["all", "one"])
+def test_a_shift_of_twelve_standard_deviations_is_refused(seed: int, shift: NDArray[np.float64]) -> None:
+    # The least p-value that a thousand replicates give is 0.001.
+    assert np.all(_p_values(seed, shift, 20) < 0.003)
+
+
+def test_an_error_of_one_number_of_forty_is_found_where_chi_squared_is_usual(seed: int) -> None:
+    """Seven standard deviations of one number are a chi-squared that 40 usual numbers often exceed."""
+    rng = np.random.default_rng(seed)
+    one = Ensemble(values=rng.standard_normal((SETS, 40)), least_sd=np.zeros(40), seed=seed)
+    moved = one.values.mean(axis=0) + 7.0 * np.eye(40)[7] * one.sd
+    assert np.mean(one.null[:, 0] >= 40.0 * one.distance(moved) ** 2) > 0.02
+    assert one.p_value(moved) < 0.005
+
+
+def test_the_covariance_keeps_variances_and_half_the_correlations(seed: int) -> None:
+    one = _ensemble(np.random.default_rng(seed))
+    expected = np.cov(one.values, rowvar=False)
+    assert np.diag(one.covariance) == pytest.approx(np.diag(expected), rel=1e-12)
+    assert one.covariance[0, 1:] == pytest.approx(0.5 * expected[0, 1:], rel=1e-12)
+
+
+def test_power_is_the_fraction_of_moved_sets_that_fail(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    one, level = _ensemble(rng), 0.05
+    shift = 3.0 * one.sd
+    root = np.linalg.cholesky(one.covariance)
+    moved = one.values.mean(axis=0) + shift + rng.standard_normal((300, SIZE)) @ root.T
+    expected = np.mean([one.p_value(value) < level for value in moved])
+    assert one.detects(shift, level) == pytest.approx(expected, abs=4.5 * np.sqrt(0.25 / 300 + 0.25 / 400))
+    assert one.detects(np.zeros(SIZE), level) < 0.05 + 0.1
+    assert one.detects(20.0 * shift, level) == 1.0
+
+
+def test_a_number_that_one_set_lacks_is_left_out_and_a_constant_one_has_its_least_spread() -> None:
+    sets = [{"a": float(i), "b": 2.0, "c": np.nan if i == 3 else 1.0} for i in range(SETS)]
+    labels, found = ensemble_of(sets, 0.5, 1)
+    assert labels == ("a", "b")
+    assert found.sd[1] == pytest.approx(0.5 * np.sqrt(1.0 + 1.0 / SETS), rel=1e-9)
+    assert found.z_scores(np.array([7.5, 4.0]))[1] == pytest.approx(4.0 / np.sqrt(1.0 + 1.0 / SETS), rel=1e-9)
+
+
+def test_holm_refuses_in_order_of_p_until_one_passes() -> None:
+    """p-values of 0.005 and 0.01 fail at 0.05 / 4 and 0.05 / 3, 0.03 passes 0.05 / 2 and so does all above it."""
+    p_values = (0.01, 0.04, 0.03, 0.005)
+    levels = holm_levels(p_values, 0.05)
+    assert [p < level for p, level in zip(p_values, levels, strict=True)] == [True, False, False, True]
+    assert [levels[i] for i in (3, 0, 2)] == pytest.approx([0.05 / 4, 0.05 / 3, 0.05 / 2])
+
+
+def test_holm_holds_the_family_wise_level(seed: int) -> None:
+    p_values = np.random.default_rng(seed).random((4000, 15))
+    failing = [any(p < level for p, level in zip(row, holm_levels(row, 0.05), strict=True)) for row in p_values]
+    assert np.mean(failing) == pytest.approx(1.0 - (1.0 - 0.05 / 15) ** 15, abs=4.5 * np.sqrt(0.05 * 0.95 / 4000))

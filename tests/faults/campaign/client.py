@@ -18,7 +18,7 @@ from charact.cli.benches import SaturationJudge
 from charact.cli.prompting import PromptingOperator
 from drivers.acquisition.acquire import PLAN, acquire
 from drivers.acquisition.run_control import RunControl
-from drivers.bench.setup import open_bench
+from drivers.bench.local_bench import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.errors import BenchError
 from drivers.interface import Operator

@@ -154,6 +154,10 @@ class _Watch:
             now_s = time.monotonic()
             if self._look(now_s):
                 hot_s = now_s
+            if fault.since == "saturation" and not self._marks_s() and now_s < self.since_s + END_S:
+                # Beside a busy machine the first frame that shows the light may come late; the light stays until then.
+                heals_s = now_s + fault.lasts_s
+                until_s = max(until_s, heals_s)
             at_rest = now_s > hot_s + REST_S
             over = at_rest and (self.live or self._client.exit_code() is not None)
             if not healed and (now_s > heals_s or (over and not fault.passes)):
@@ -177,12 +181,16 @@ class _Watch:
             self._volts = 0.0
         return now.gate_open or now.mcp_v > DANGEROUS_V
 
+    def _marks_s(self) -> list[float]:
+        """Times after the strike of the marks from which the fault counts."""
+        return [at_s for at_s in self._client.marks_s(MARKS[self._fault.since]) if at_s > self.since_s]
+
     def _counted_s(self, last_s: float) -> float:
         """The moment from which the time until an output was last on counts."""
         since = self._fault.since
         if since == "strike":
             return self.since_s
-        marks_s = [at_s for at_s in self._client.marks_s(MARKS[since]) if at_s > self.since_s]
+        marks_s = self._marks_s()
         if since == "progress":
             return max((at_s for at_s in marks_s if at_s < last_s), default=self.since_s)
         return min(marks_s, default=self.since_s)

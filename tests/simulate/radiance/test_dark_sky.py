@@ -34,22 +34,6 @@ def test_luminance_and_illuminance():
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "watts", "count"),
-    [(400, 700, 3.06e-6, 8.7e12), (700, 900, 4.12e-6, 1.69e13), (400, 950, 9.35e-6, 3.58e13)],
-)
-def test_irradiance_of_a_uniform_dark_sky(low, high, watts, count):
-    assert np.pi * dark_sky().total.total(low, high) == pytest.approx(watts, rel=0.01)
-    assert np.pi * photons(dark_sky().total, low, high) == pytest.approx(count, rel=0.02)
-
-
-def test_the_near_infrared_holds_three_times_the_photons_of_the_visible():
-    whole = dark_sky().total
-    visible = photons(whole, 400, 700) / 300.0
-    assert photons(whole, 700, 900) / 200.0 / visible == pytest.approx(2.9, rel=0.05)
-    assert photons(whole, 900, 950) / 50.0 / visible == pytest.approx(7.0, rel=0.05)
-
-
-@pytest.mark.parametrize(
     ("elevation", "factor"), [(90.0, 1.0), (60.0, 1.15), (30.0, 1.92), (15.0, 3.28), (10.0, 4.19), (0.0, 6.01)]
 )
 def test_airglow_grows_towards_the_horizon(elevation, factor):

@@ -80,23 +80,6 @@ def test_shared_light_knows_its_own_error(seed):
     assert shared(128).variance.mean() < found.variance.mean() / 4.0
 
 
-def test_nodes_that_miss_more_than_is_allowed_send_more_rays(seed):
-    stage, finer = beside_a_wall(), replace(ABOVE, shape=(288, 60), focal_px=(400.0, 400.0))
-    known, weight, limits = np.ones(finer.shape, np.float32), np.array([1.0, 0.0]), {"rays": 4, "max_rays": 256}
-
-    def shared(share: float):
-        allowed, effort = partial(squared, share), IntegratorSettings(max_bounces=0)
-        return build_irradiance_cache(
-            stage, finer, effort, known, **limits, error_limit=allowed, weight=weight, seed=seed, run=one_by_one
-        )
-
-    strict, middling, loose = shared(1e-4), shared(2e-2), shared(1.0)
-    assert (loose.rays == 4).all()
-    assert 128 < strict.rays.max() <= 256
-    # Near the wall, where the sky is hidden, rays differ most.
-    assert middling.rays[-4:].mean() > 2.0 * middling.rays[:4].mean()
-
-
 @pytest.mark.parametrize(("share", "fine"), [(0.01, False), (0.01, True)])
 def test_what_few_rays_find_counts_for_the_whole(share, fine, seed):
     """A plate that one ray in 180 meets, of 4 from each node at first: those that missed it do not stop at that.

@@ -1,15 +1,19 @@
 """Lamps have the lumens asked for, the photoelectrons that the tube makes of them, and shine where they say."""
 
+import os
+
 import numpy as np
 import pytest
 
 from labdata.errors import BadInput
 from simulate.iiccd.tube_photometry import JOULE_METRE, quantum_efficiency
-from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
+from simulate.radiance.brdf.protocol import read_measured
+from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam, read_ies
 from simulate.radiance.lamps.spectra import KINDS, read_spectrum, spectrum
+from simulate.radiance.outdoor import build
 from simulate.radiance.sky.moon import moon_spectrum
 from simulate.radiance.sky.night_sky import dark_sky
-from simulate.radiance.spectrum import luminous_efficiency, planck
+from simulate.radiance.spectrum import luminous_efficiency
 
 
 def per_lumen(sheet, light):
@@ -43,20 +47,6 @@ def test_photoelectrons_of_a_lumen_differ_eightfold_between_lamps(sheet, kind, e
 def test_photoelectrons_of_a_lumen_of_moon_and_dark_sky(sheet):
     assert per_lumen(sheet, moon_spectrum(5.0)) == pytest.approx(3.7e15, rel=0.02)
     assert per_lumen(sheet, dark_sky().total) == pytest.approx(6.6e15, rel=0.02)
-
-
-def test_a_tenth_more_power_in_the_near_infrared_makes_a_sixth_more_photoelectrons(sheet):
-    plain, more = (per_lumen(sheet, spectrum("high-pressure-sodium", near_infrared_share=x)) for x in (0.0, 0.1))
-    assert more - plain == pytest.approx(0.25e15, rel=0.05)
-
-
-def test_a_2856_kelvin_lamp_shines_mostly_unseen():
-    fine = np.geomspace(250.0, 200_000.0, 40_000)
-    total = np.trapezoid(planck(fine, 2856.0), fine)
-    light = spectrum("incandescent", temperature_k=2856.0)
-    scale = light.total(400.0, 900.0) / np.trapezoid(planck(np.arange(400.0, 901.0), 2856.0))
-    assert light.total(400.0, 700.0) / scale / total == pytest.approx(0.065, rel=0.02)
-    assert light.total(700.0, 950.0) / scale / total == pytest.approx(0.142, rel=0.02)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -158,9 +148,22 @@ def test_a_bad_file_is_refused_in_a_sentence(tmp_path, text, says):
             lambda: MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 70.0]), candela=STREET[:2]),
             "azimuth_deg must ascend from 0 to 0, 90, 180 or 360",
         ),
-        (lambda: read_spectrum("nowhere.csv"), "readable text file, got nowhere.csv"),
     ],
 )
 def test_impossible_lamps_are_refused_in_a_sentence(make, says):
     with pytest.raises(BadInput, match=says):
         make()
+
+
+@pytest.mark.parametrize(
+    "read",
+    [read_spectrum, read_ies, read_measured, lambda path: build.read_mesh(path, 1.0)],
+    ids=["spectrum", "ies", "brdf", "mesh"],
+)
+def test_what_is_no_regular_file_is_refused_before_it_is_opened(tmp_path, read):
+    pipe = tmp_path / "pipe.obj"
+    os.mkfifo(pipe)
+    with pytest.raises(BadInput, match="must be a regular file"):
+        read(pipe)
+    with pytest.raises(BadInput, match="must exist to be read"):
+        read(tmp_path / "nowhere.obj")

@@ -1,7 +1,5 @@
 """Light followed by compiled loops is the light that batches for all kinds of surfaces find."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -11,10 +9,8 @@ from simulate.radiance.geometry.surfaces import box, plane
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
 from simulate.radiance.integrator.light_sources import LampLight, lamp_arrays, lamp_pattern
 from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
-from simulate.radiance.integrator.path_tracer import WAVE, follow_paths
-from simulate.radiance.integrator.sampling import SequenceSlice
 from simulate.radiance.integrator.spectral_scene import SpectralScene
-from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam, tabulated
+from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
 from tests.simulate.radiance.staging import OVERCAST, at, disc_light, inside_out, lamp, staged
 
 # A glow of a hundred times the rest around a place 30 degrees high.
@@ -116,49 +112,10 @@ def same_around() -> MeasuredDistribution:
     )
 
 
-def loops_alone(
-    stage: SpectralScene, face: int, place: list[float], up: list[float], even: SequenceSlice, *, sky_shadowing: bool
-) -> np.ndarray:
-    """What compiled loops find once around places of which no sky is known, shape (place,)."""
-    many = len(even.start)
-    points = stage.bsdfs.points(
-        stage.surfaces,
-        np.full(many, face),
-        np.tile(place, (many, 1)),
-        -np.tile(up, (many, 1)),
-        np.zeros(many, np.float32),
-    )
-    effort = replace(ONCE, sky_shadowing=sky_shadowing)
-    found, _ = follow_paths(stage, points, even, effort, None, control=points.sky_control_fraction, depth=0, seed=1)
-    return found[:, 0]
-
-
-def test_stretches_go_on_where_waves_end(seed):
-    """Rays of an open place find the sky where its stretch of even numbers says, however many waves they take."""
-    stage = staged([("floor", "floor", plane(12, 12))], {"floor": 0.3}, sky=GLOWING)
-    even = SequenceSlice.random(3, WAVE + WAVE // 3, np.random.default_rng(seed))
-    found = loops_alone(stage, 0, [0, 0, 0], [0, 0, 1.0], even, sky_shadowing=True)
-    square, turn = np.moveaxis(even.pairs(), -1, 0)
-    flat, turn = np.sqrt(square), 2.0 * np.pi * turn
-    way = np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sqrt(1.0 - square)], axis=-1)
-    sky = stage.lighting.environment_map.radiance(way.reshape(-1, 3))[:, 0].reshape(way.shape[:2])
-    np.testing.assert_allclose(found, np.pi * sky.mean(axis=1), rtol=1e-5)
-
-
-def test_no_ray_of_a_full_wave_is_lost(seed):
-    """Under a ceiling close to a wide floor all rays find what the floor sends, and its sky is taken as known."""
-    parts = [("floor", "floor", plane(400, 400)), ("ceiling", "floor", inside_out(at(plane(1, 1), 0, 0, 0.1)))]
-    stage = staged(parts, {"floor": 0.4}, sky=lambda way: np.full((1, len(way)), 2.0))
-    even = SequenceSlice.random(5, WAVE, np.random.default_rng(seed))
-    found = loops_alone(stage, 2, [0, 0, 0.1], [0, 0, -1.0], even, sky_shadowing=False)
-    np.testing.assert_allclose(found, 0.4 * 2.0 * np.pi, rtol=1e-3)
-
-
 @pytest.mark.parametrize(
     "distribution", [Isotropic(), Cosine(), SpotBeam(half_angle_deg=12.0), measured(), same_around()]
 )
 def test_loops_know_where_lamps_shine(distribution, seed):
-    """Also as a table, which serves any shape: but for its last quarter of a degree before the dark."""
     rng = np.random.default_rng(seed)
     frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     way = rng.normal(size=(500, 3))
@@ -174,5 +131,3 @@ def test_loops_know_where_lamps_shine(distribution, seed):
     *_, axes, ends, tables = lamp_arrays((light, light), 2)
     found = [lamp_pattern(tables[ends[1] : ends[2]], axes[1], *towards) for towards in way]
     assert found == pytest.approx(light.per_sr(way), rel=1e-9, abs=1e-12)
-    table = tabulated(distribution).per_sr(way)
-    assert np.mean(np.abs(table - distribution.per_sr(way)) > 0.02 * table.max()) < 0.02

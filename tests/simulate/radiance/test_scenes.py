@@ -9,7 +9,7 @@ from labdata.errors import BadInput
 from simulate.radiance.brdf.glossy import Metal
 from simulate.radiance.brdf.protocol import grey
 from simulate.radiance.geometry.surfaces import SIZES, Mesh, box, ground, plane, shape, shed, sphere
-from simulate.radiance.geometry.viewpoint import RasterGeometry, Viewpoint
+from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.auxiliary_layers import truth
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings, RenderSensor, SamplingSettings
 from simulate.radiance.integrator.outgoing_radiance import radiance_along
@@ -110,6 +110,40 @@ def test_a_mesh_files_own_materials_are_named_as_left_out(tmp_path):
     assert build_surfaces(scene_of(tmp_path, CAMERA + GREY + mesh + '"bare.glb"\n')).notes == ()
 
 
+def test_parts_of_a_mesh_file_have_the_materials_that_its_names_are_given(tmp_path):
+    import trimesh
+
+    parts = {"paint": 1.0, "glass": 2.0, "tyre": 3.0}
+    whole = trimesh.Scene()
+    for name, side in parts.items():
+        cube = trimesh.creation.box((side, side, side))
+        cube.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(name=name))
+        whole.add_geometry(cube, transform=trimesh.transformations.translation_matrix([9.0 * side, 0, 0]))
+    whole.export(tmp_path / "car.glb")
+    (tmp_path / "car.mtl").write_text("".join(f"newmtl {name}\nKd 1 0 0\n" for name in parts))
+    flat = ["mtllib car.mtl", "v 0 0 0", "v 2 0 0", "v 0 1 0", "v 0 0 4"]
+    (tmp_path / "car.obj").write_text("\n".join([*flat, "usemtl paint", "f 1 2 3", "usemtl glass", "f 1 2 4", ""]))
+    red = GREY + GREY.replace("grey", "red") + '[[material]]\nlabel = "window"\npane_transmittance = [0.9]\n'
+    mesh = '[[object]]\nlabel = "car"\nunit = "m"\nfile = "car.glb"\n'
+    given = 'material = "grey"\nfile_materials = { paint = "red", glass = "window" }\n'
+    found = build_surfaces(scene_of(tmp_path, CAMERA + red + mesh + given))
+    area = {name: found.area_m2[found.material_of == n].sum() for n, name in enumerate(found.materials)}
+    assert area == pytest.approx({"red": 6.0, "grey": 54.0}) and found.notes == ()
+    assert found.panes is not None and found.panes.area_m2.sum() == pytest.approx(24.0)
+    assert found.mesh.vertices_m[:, 0].max() == pytest.approx(28.5)
+    drawn = build_surfaces(scene_of(tmp_path, CAMERA + red + mesh.replace("glb", "obj") + given))
+    assert drawn.area_m2.sum() == pytest.approx(1.0) and drawn.panes is not None
+    for text, words in (
+        (given.replace("paint", "varnish"), "must name materials of .*, 'glass', 'paint', 'tyre', got 'varnish'"),
+        (given.replace('material = "grey"\n', ""), "must name all materials of .* got none for 'tyre' of 'car'"),
+        (given.replace('"red"', '"pink"'), "must be one of grey, red, window, got 'pink'"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            build_surfaces(scene_of(tmp_path, CAMERA + red + mesh + text))
+    with pytest.raises(BadInput, match="must be those of a mesh file"):
+        build_surfaces(scene_of(tmp_path, CAMERA + GREY + BALL + 'file_materials = { a = "grey" }\n'))
+
+
 def test_a_measured_surface_in_a_scene_reflects_as_its_table_says(tmp_path):
     polar, azimuth = np.linspace(0.0, 90.0, 10), np.linspace(0.0, 180.0, 7)
     table = np.broadcast_to(np.array([0.2, 0.6]).reshape(2, 1, 1, 1) / np.pi, (2, 10, 10, 7))
@@ -121,7 +155,7 @@ def test_a_measured_surface_in_a_scene_reflects_as_its_table_says(tmp_path):
     assert albedo == pytest.approx([0.2, 0.4], rel=1e-3)
     for name, content, words in (
         ("letter.npz", b"Dear lab", r"readable \.npz file, got .*letter\.npz"),
-        ("nothing.npz", None, r"readable \.npz file"),
+        ("nothing.npz", None, r"measured BRDF must exist to be read"),
     ):
         if content is not None:
             (tmp_path / name).write_bytes(content)
@@ -173,6 +207,35 @@ def test_a_map_lays_materials_on_a_plane_as_its_picture_shows_them(tmp_path):
         build_surfaces(scene_of(tmp_path, CAMERA + paints + lot + 'map_materials = ["a", "b"]\n'))
 
 
+def test_a_map_lies_on_a_mesh_by_its_texture_coordinates(tmp_path):
+    rng = np.random.default_rng(5)
+    picture_of = rng.integers(0, 3, (7, 11))
+    np.save(tmp_path / "signs.npy", picture_of.astype(np.uint8))
+    # A square of 2 m, seen with v up: its texture covers it once. A coarse mesh, of two triangles.
+    (tmp_path / "wall.mtl").write_text("newmtl any\nKd 1 1 1\n")
+    corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    lines = ["mtllib wall.mtl", *(f"v {2 * u} {2 * v} 0" for u, v in corners), *(f"vt {u} {v}" for u, v in corners)]
+    (tmp_path / "wall.obj").write_text("\n".join([*lines, "usemtl any", "f 1/1 2/2 3/3", "f 1/1 3/3 4/4", ""]))
+    paints = "".join(f'[[material]]\nlabel = "{name}"\nreflectance = [0.5]\n' for name in "abc")
+    wall = '[[object]]\nlabel = "wall"\nunit = "m"\nfile = "wall.obj"\nmap = "signs.npy"\n'
+    laid = build_surfaces(scene_of(tmp_path, CAMERA + paints + wall + 'map_materials = ["a", "b", "c"]\n'))
+    assert laid.area_m2.sum() == pytest.approx(4.0) and (laid.tracer.planes[1][:, 2] > 0.99).all()
+    row, col = (axis.ravel() for axis in np.indices(picture_of.shape))
+    above = np.column_stack([2.0 * (col + 0.5) / 11, 2.0 - 2.0 * (row + 0.5) / 7, np.full(row.size, 2.0)])
+    face = laid.tracer.hits(above, np.broadcast_to([0.0, 0.0, -1.0], above.shape)).face
+    found = [laid.materials[number] for number in laid.material_of[face]]
+    assert np.mean([name == "abc"[n] for name, n in zip(found, picture_of.ravel(), strict=True)]) > 0.85
+    # Edges of pixels are ragged by a part of a pixel: areas agree with their number of pixels.
+    area = [laid.area_m2[laid.material_of == laid.materials.index(name)].sum() for name in "abc"]
+    assert area == pytest.approx(4.0 * np.bincount(picture_of.ravel()) / 77, rel=0.1)
+    np.save(tmp_path / "signs.npy", np.ones((7, 11), np.uint8))
+    one = build_surfaces(scene_of(tmp_path, CAMERA + paints + wall + 'map_materials = ["a", "b", "c"]\n'))
+    assert len(one.mesh.faces) == 2 and one.materials == ("b",)
+    (tmp_path / "wall.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(BadInput, match=r"must have texture coordinates, got none in wall\.obj"):
+        build_surfaces(scene_of(tmp_path, CAMERA + paints + wall + 'map_materials = ["a", "b", "c"]\n'))
+
+
 def test_solids_are_closed_and_hold_their_volume():
     sizes = {"box": (1, 2, 3), "cylinder": (1, 2), "cone": (1, 3), "sphere": (1,), "shed": (10, 8, 4, 6)}
     volumes = {"box": 6.0, "cylinder": 2.0 * np.pi, "cone": np.pi, "sphere": 4.0 / 3.0 * np.pi}
@@ -215,14 +278,6 @@ def test_the_picture_is_the_right_way_round():
     assert towards[0, 2] > 0.0 > towards[1, 2], "row 0 is on top"
 
 
-def test_a_scanner_moves_between_rows():
-    scan = RasterGeometry(line_time_s=0.1, velocity_m_per_s=(3.0, 0.0, 0.0), turn_deg_per_s=10.0)
-    origin, towards = replace(VIEW, scan=scan).rays(np.array([0.5, 10.5]), np.array([16.0, 16.0]))
-    assert origin[1] - origin[0] == pytest.approx([3.0, 0.0, 0.0])
-    turned = np.rad2deg(np.arctan2(towards[:, 0], towards[:, 1]))
-    assert turned[1] - turned[0] == pytest.approx(10.0)
-
-
 def test_shadows_fall_away_from_the_light_and_truth_knows_them():
     parts = [("floor", "m", plane(40, 40)), ("post", "m", at(box(0.5, 6.0, 3.0), 0, 8, 0))]
     stage = staged(parts, {"m": 0.5}, discs=(disc_light((-1, 0, 1)),))
@@ -260,13 +315,6 @@ def _of_lamp(stage, found) -> float:
     assert inside.all()
     size = float(VIEW.solid_angle_sr(row, col)[0])
     return float(2.0 * 3.0 / (place @ place) / size / found.signal.size)
-
-
-def test_a_camera_inside_an_object_sees_its_inside():
-    stage = staged([("box", "m", at(box(4, 4, 4), 0, -10, 0))], {"m": 0.5}, sky=UNIFORM)
-    found = render_scene(stage, VIEW, SamplingSettings(), IntegratorSettings(max_bounces=1), weight=WEIGHT, seed=0)
-    assert np.abs(found.signal).max() < 1e-6
-    assert (found.truth.object == 0).all()
 
 
 def test_of_faces_in_one_plane_the_light_is_that_of_either():

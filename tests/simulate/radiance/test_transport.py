@@ -87,15 +87,6 @@ def test_a_long_wall_hides_the_sky_and_how_it_is_asked_for_does_not_matter(seed,
     agree(irradiance(stage, [(0, 0, 0)] * 3000, UP, seed=seed, rays=8, sky_control_fraction=known) / np.pi, exact)
 
 
-def test_a_street_canyon_as_deep_as_wide(seed):
-    walls = [("wall", "wall", at(upright(plane(300, 1)), 0, y, 0.5)) for y in (-0.5, 0.5)]
-    stage = staged([("floor", "floor", plane(300, 1)), *walls], {"floor": 0.5, "wall": 0.5}, sky=UNIFORM)
-    agree(irradiance(stage, [(0, 0, 0)] * 4000, UP, seed=seed, rays=8) / np.pi, 0.4472)
-    agree(irradiance(stage, over(1, 1, 4000, seed), UP, seed=seed, rays=4) / np.pi, 0.4142)
-    side = over(1, 1, 4000, seed)[:, [0, 2, 1]] + [0.0, 0.5, 0.5]
-    agree(irradiance(stage, side, (0, -1, 0), seed=seed, rays=4) / np.pi, 0.2929)
-
-
 def groove(rho: float) -> float:
     """Mean irradiance over pi L of the walls of an endless square groove: the integral equation, solved at 400 places.
 
@@ -121,15 +112,6 @@ def test_a_groove_of_ninety_degrees_lights_itself(seed, rho):
     stage = staged(parts, {"m": rho}, sky=UNIFORM)
     along_it = rng.random(6000)[:, None] * [0, half, half] + rng.random((6000, 1)) * [1.0, 0, 0]
     agree(irradiance(stage, along_it, (0, -half, half), seed=seed, effort=EXACT, rays=2) / np.pi, exact)
-
-
-def test_parallel_plates_light_each_other(seed):
-    parts = [("lower", "lower", plane(400, 400)), ("upper", "upper", at(inside_out(plane(400, 400)), 0, 0, 1))]
-    stage = staged(parts, {"lower": 0.5, "upper": 0.3}, glow={"lower": 0.5 / np.pi})
-    under = irradiance(stage, [(0.1, 0.2, 1.0)] * 6000, (0, 0, -1), seed=seed, effort=EXACT, rays=2)
-    agree(under, 0.588235)
-    over_it = irradiance(stage, [(0.1, 0.2, 0.0)] * 6000, UP, seed=seed, effort=EXACT, rays=2)
-    agree(over_it, 0.176471)
 
 
 @pytest.mark.parametrize(("rho", "port", "rays"), [(0.8, 0.0, 2500), (0.95, 0.01, 2500)])

@@ -132,6 +132,7 @@ def test_hours_of_an_epw_stamp_their_end_and_sunlight_follows_the_clear_sky(tmp_
     # Noon of summer time is 11 h of standard time: the end of the file's hour 11, which has 15 + 10/2.
     assert weather.air_k[-1] - ZERO_C == pytest.approx(20.0)
     assert any("model" in note for note in weather.notes) and any("typical" in note for note in weather.notes)
+    assert any("in steps of 60 minutes" in note for note in weather.notes)
 
 
 def test_sunlight_of_hours_belongs_to_their_middle(tmp_path):
@@ -169,7 +170,8 @@ def own(
     rows = [head, "time,air_c,dew_point_c,wind_m_s,direct_w_m2,diffuse_w_m2,longwave_w_m2"]
     for step in range(25 * 60 // minutes + 1):
         time = datetime(1998, 6, 22, 11) + timedelta(minutes=minutes * step)
-        rows.append(f"{time.isoformat()}{zone},18,10,2,600,100,{300 + step}")
+        light = "600,100" if 6 <= time.hour < 20 else "0,0"
+        rows.append(f"{time.isoformat()}{zone},18,10,2,{light},{300 + step}")
     if cut is not None:
         del rows[2 + cut]
     path.write_text("\n".join(rows))
@@ -180,7 +182,8 @@ def test_a_csv_of_this_project_is_read_as_it_is(tmp_path):
     weather = weather_from_files([own(tmp_path / "day.csv", minutes=5)], ROCHESTER, NOON)
     assert len(weather) == DAY_STEPS
     assert weather.longwave_w_m2[[0, -1]] == pytest.approx([300 + 13, 300 + 300])
-    assert weather.direct_w_m2 == pytest.approx(600.0)
+    by_day = np.array([6 <= time.hour < 20 for time in weather.times])
+    assert weather.direct_w_m2[by_day] == pytest.approx(600.0) and weather.direct_w_m2[~by_day].max() < 600.0
 
 
 @pytest.mark.parametrize(
@@ -199,12 +202,50 @@ def test_a_csv_of_this_project_is_read_as_it_is(tmp_path):
         (lambda path: _text(path / "c.dat", "x\n1 2 3\n2016 1 1 1"), "complete weather file"),
         (lambda path: _text(path / "c.epw", "LOCATION"), "complete weather file"),
         (lambda path: _text(path / "c.csv", ""), "without latitude_deg"),
+        (lambda path: changed(epw(path / "a.epw"), 40, ",", 6, None), "22 columns in each row, got 6 in row 41"),
+        (lambda path: changed(epw(path / "a.epw"), 50, ",", 3, "25"), "from 1 to 24, got 25"),
+        (lambda path: changed(epw(path / "a.epw"), 50, ",", 3, "0"), "from 1 to 24, got 0"),
+        (lambda path: changed(epw(path / "a.epw"), 50, ",", 3, "5"), "times of a weather file must rise"),
+        (lambda path: changed(epw(path / "a.epw"), 50, ",", 6, "85"), "air_c .* must lie from -95 to 62, got 85 at"),
+        (lambda path: changed(epw(path / "a.epw"), 50, ",", 21, "-5"), "wind_m_s .* must lie from 0 to 115, got -5"),
+        (lambda path: changed(epw(path / "a.epw"), 0, ",", 8, "30"), "within 14 h of UTC, got 30"),
+        (lambda path: changed(epw(path / "a.epw"), 0, ",", 8, "5"), "must fall by day, got .* below the horizon"),
+        (lambda path: changed(epw(path / "a.epw"), 0, ",", 6, "25.8"), "a.epw 19.. km away"),
+        (lambda path: changed(own(path / "b.csv"), 1, ",", 3, "wind"), "without wind_m_s"),
+        (lambda path: changed(own(path / "b.csv"), 50, ",", 1, "-9999.9"), "air_c .* got -9999.9 at"),
+        (lambda path: changed(own(path / "b.csv"), 50, ",", 1, "warm"), "could not convert string to float: 'warm'"),
+        (lambda path: own(path / "b.csv", zone="+08:00"), "must fall by day"),
+        (lambda path: surfrad(path / "c.dat"), "without air_c between 1998-06-22T16:59:00.00:00 and"),
     ],
 )
 def test_bad_weather_files_are_refused_in_one_sentence(tmp_path, write, words):
     with pytest.raises(BadInput, match=words) as refused:
         weather_from_files([write(tmp_path)], ROCHESTER, NOON)
     assert "\n" not in str(refused.value)
+
+
+def changed(path, line, separator, column, value):
+    """Replace a column of a line of a file, or, without a value, cut the line there, and return the path."""
+    lines = path.read_text().split("\n")
+    row = lines[line].split(separator)
+    row = row[:column] if value is None else [*row[:column], value, *row[column + 1 :]]
+    lines[line] = separator.join(row)
+    path.write_text("\n".join(lines))
+    return path
+
+
+def surfrad(path):
+    """Write a SURFRAD day at night's light whose air temperature is missing for an hour, and return the path."""
+    rows = [" Rochester", "  43.16   77.61  150 m version 1"]
+    for minute in range(25 * 60):
+        time = datetime(1998, 6, 22, 15, 30, tzinfo=UTC) + timedelta(minutes=minute)
+        row = ["0 0"] * 20
+        row[4], row[15], row[16], row[17], row[19] = "350 0", "18 0", "60 0", "2 0", "995 0"
+        if (time.day, time.hour) == (22, 17):
+            row[15] = "-9999.9 1"
+        stamp = f"{time.year} 173 {time.month} {time.day} {time.hour} {time.minute} {time.hour:.3f} 60.0"
+        rows.append(" ".join([stamp, *row]))
+    return _text(path, "\n".join(rows))
 
 
 def _text(path, text):

@@ -3,18 +3,27 @@
 import warnings
 
 import pytest
+import serial
 
 from simulate.virtual_bench.outputs import read_outputs
 from simulate.virtual_bench.process import VirtualInstruments
 
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # of the library's own imports
-    import instruments
-    from instruments.abstract_instruments.comm import GPIBCommunicator, SerialCommunicator
-    from instruments.units import ureg
-import serial
-
 pytestmark = [pytest.mark.wires]
+
+
+@pytest.fixture(scope="module")
+def instruments():
+    """The library, which takes seconds to import."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the library's own imports
+        import instruments
+        import instruments.abstract_instruments.comm
+    return instruments
+
+
+@pytest.fixture(scope="module")
+def ureg(instruments):
+    return instruments.units.ureg
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +33,7 @@ def bench(tmp_path_factory):
 
 
 @pytest.fixture
-def delay_generator(bench):
+def delay_generator(bench, instruments):
     srs = instruments.srs.SRSDG645.open_serial(bench.gate_port, baud=9600, timeout=2)
     srs.terminator = "\n"
     yield srs
@@ -32,10 +41,11 @@ def delay_generator(bench):
 
 
 @pytest.fixture
-def supply(bench):
+def supply(bench, instruments, ureg):
+    comm = instruments.abstract_instruments.comm
     with serial.Serial(bench.supply_port, 9600, timeout=1.0) as port:
         port.write(b"++eot_enable 1\r++eot_char 13\r")  # this library ends an answer at a carriage return
-        communicator = GPIBCommunicator(SerialCommunicator(port), 14, model="pl")
+        communicator = comm.GPIBCommunicator(comm.SerialCommunicator(port), 14, model="pl")
         communicator.timeout = 1 * ureg.second
         yield instruments.generic_scpi.SCPIInstrument(communicator)
 
@@ -45,7 +55,7 @@ def test_a_public_driver_knows_the_delay_generator(delay_generator):
     assert delay_generator.query("LERR?").strip() == "0"
 
 
-def test_a_public_driver_sets_and_reads_delays_to_5_picoseconds(delay_generator):
+def test_a_public_driver_sets_and_reads_delays_to_5_picoseconds(delay_generator, ureg):
     edges = delay_generator.Channels
     a, b = delay_generator.channel[edges.A], delay_generator.channel[edges.B]
     a.delay = (delay_generator.channel[edges.T0], 85 * ureg.ns)
@@ -56,7 +66,7 @@ def test_a_public_driver_sets_and_reads_delays_to_5_picoseconds(delay_generator)
     assert b.delay[1].to("ps").magnitude == pytest.approx(16_000_003_000, abs=5)
 
 
-def test_a_public_driver_opens_and_shuts_the_gate(delay_generator, bench):
+def test_a_public_driver_opens_and_shuts_the_gate(delay_generator, bench, ureg):
     edges, sources = delay_generator.Channels, delay_generator.TriggerSource
     delay_generator.output["AB"].level_amplitude = 4.0 * ureg.V
     delay_generator.channel[edges.B].delay = (delay_generator.channel[edges.A], 10 * ureg.us)
@@ -71,7 +81,7 @@ def test_a_public_driver_opens_and_shuts_the_gate(delay_generator, bench):
     assert not _after(delay_generator, bench).gate_open
 
 
-def test_a_public_driver_sets_levels_polarity_and_bursts(delay_generator):
+def test_a_public_driver_sets_levels_polarity_and_bursts(delay_generator, ureg):
     output, polarity = delay_generator.output["CD"], delay_generator.LevelPolarity
     output.level_amplitude, output.level_offset, output.polarity = 3.3 * ureg.V, -0.5 * ureg.V, polarity.negative
     assert output.level_amplitude.magnitude == 3.3
@@ -91,7 +101,7 @@ def test_a_public_driver_sets_levels_polarity_and_bursts(delay_generator):
     assert delay_generator.query("LERR?").strip() == "0"
 
 
-def test_a_refused_level_keeps_its_value_and_queues_an_error(delay_generator):
+def test_a_refused_level_keeps_its_value_and_queues_an_error(delay_generator, ureg):
     output = delay_generator.output["AB"]
     before = output.level_amplitude
     output.level_amplitude = 7.0 * ureg.V

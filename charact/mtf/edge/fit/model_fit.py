@@ -13,7 +13,7 @@ from charact.mtf.blur_models.one_dimensional import BlurModel
 from charact.mtf.edge.checks import FittedProfile
 from charact.mtf.edge.fit.edge_form import EdgeForm
 from charact.mtf.edge.fit.edge_maps import EdgeMaps, Marginal, apply_phases
-from charact.mtf.edge.nonlinearity import CurvatureEstimate, response_curvature
+from charact.mtf.edge.nonlinearity import CurvatureEstimate
 from charact.mtf.edge.pixels.profile import EdgeProfile
 from charact.mtf.edge.thresholds import ACCURACY
 from charact.mtf.known_transfer import KnownTransfer
@@ -29,7 +29,7 @@ GUESSES = np.exp(np.linspace(np.log(0.01), np.log(1.8), 40))
 BLOCK = 512
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LinearisedProfile:
     """A profile's model made linear at a point, whitened: linear amplitudes follow the parameters.
 
@@ -124,13 +124,13 @@ class EdgeFitter:
         linear: LinearisedProfile = at.model
         form, size = form_of(family), point.size
         covariance = covariance_at(at.normal, form.bounds)
-        flat, normal = _flat(family), at.normal[size:, size:]
-        ln_height = -0.5 * (at.cost + np.linalg.slogdet(normal)[1] - np.sum(np.log(linear.precision[-2:])))
+        volume = np.linalg.slogdet(at.normal[size:, size:])[1] - np.sum(np.log(linear.precision[-2:]))
+        ln_height = -0.5 * (at.cost + volume)
         return EdgeFit(
             form=form,
             point=point,
             covariance=covariance,
-            log_evidence=ln_evidence(ln_height + flat + ln_weight, covariance, point, form.bounds),
+            log_evidence=ln_evidence(ln_height + _flat(family) + ln_weight, covariance, point, form.bounds),
             cost=at.cost,
             chi2=float(linear.residual @ linear.residual),
             free=max(linear.residual.size - size - 2, 1),
@@ -142,7 +142,7 @@ class EdgeFitter:
     def optimise(self, family: BlurModel, start: Array, slope_sd_per_px: float, iterations: int) -> Optimum:
         """Return where so many steps lead from a starting point, and the model there."""
         mean, precision = self.prior(family, slope_sd_per_px)
-        kind, maps, own = kind_of(family), self.maps, _tables(family)
+        kind, maps, own = kind_of(family), self.maps, tables(pupils=family.core == "pupil")
 
         def linearise(point: Array) -> Linearisation:
             maps.rebuild_for(float(point[0]))
@@ -151,14 +151,11 @@ class EdgeFitter:
                 transfers, point, maps.white, maps.levels, maps.data, mean, precision
             )
             residual, design, amplitude, off = model
-            linear = LinearisedProfile(
-                residual=residual, design=design, amplitude=amplitude, off=off, precision=precision
-            )
+            linear = LinearisedProfile(residual, design, amplitude, off, precision)
             return Linearisation(cost, gradient, normal, linear)
 
-        return least_squares(
-            linearise, start, form_of(family).bounds, iterations=iterations, tolerance=2e-3, grow=30.0
-        )  # fmt: skip
+        bounds = form_of(family).bounds
+        return least_squares(linearise, start, bounds, iterations=iterations, tolerance=2e-3, grow=30.0)
 
     def fit_departures(self, form: EdgeForm, start: Array, slope_sd_per_px: float) -> EdgeFit:
         """Fit a form with departures from a starting point.
@@ -200,7 +197,7 @@ class EdgeFitter:
 
     def prior(self, family: BlurModel, slope_sd_per_px: float) -> tuple[Array, Array]:
         """Return mean and precision of the Gaussian part of every parameter's prior, linear ones last."""
-        mean, precision = family.prior_precision()
+        mean, precision = family.prior_precision
         levels = self._level_precision(slope_sd_per_px)
         return np.array([0.0, *mean, *[0.0] * LINEAR]), np.array([0.0, *precision, 0.0, *levels])
 
@@ -237,29 +234,39 @@ class EdgeFitter:
 
     def side_slopes(self, fit: EdgeFit) -> Array:
         """Return the fitted slopes of the light on the bright and on the dark side, DN per px."""
-        return self.profile.light.by_side(fit.at.amplitude)[-2:]
+        return fit.at.amplitude[-2:] @ self.profile.gradient_ways
 
     def response_curvature(self, fit: EdgeFit) -> CurvatureEstimate:
-        """Return the curvature of the response that the profile asks for, and its uncertainty.
+        """Return the curvature of the response that the profile requires if its blur is symmetric, and its uncertainty.
 
         Every parameter of the blur but its phases, which stay at the camera's known filter, may move by five of its
         standard deviations.
+
+        Notes
+        -----
+        A response y = u + c u (1 - u) of the edge spread u; a power law of exponent g over levels a to b has about
+        c = -g (g - 1) m^(g - 2) (b - a)^2 / 2 / (b^g - a^g), m their middle. First order in c and in every parameter
+        of a symmetric blur; an asymmetric blur looks the same on one edge.
         """
-        form, centre = fit.form, fit.point.copy()
+        form, centre, profile = fit.form, fit.point.copy(), self.profile
         centre[form.phase_index] = 0.0
         free = np.delete(np.arange(centre.size), form.phase_index)
         sd = np.sqrt(np.diag(fit.covariance))[free]
-        points = (
-            centre
-            + np.concatenate([np.eye(centre.size)[free], -np.eye(centre.size)[free]]) * 0.1 * np.tile(sd, 2)[:, None]
-        )
-        points = np.clip(points, *form.bounds.T)
+        step = np.eye(centre.size)[free] * 0.1 * sd[:, None]
+        points = np.clip(centre + np.concatenate([step, -step]), *form.bounds.T)
         apart = np.abs(points[: free.size] - points[free.size :]).sum(axis=1)
         spreads = self._transfers_near(fit, np.concatenate([centre[None], points])) @ self.maps.plain
         most = 5.0 * sd if fit.linear is None else np.append(ACCURACY.max_shift_px, 5.0 * sd[1:])
-        tangents = (spreads[1 : 1 + free.size] - spreads[1 + free.size :]) * (most / apart)[:, None]
-        shape_sd = np.array([np.inf, *self.profile.slopes_sd(fit.slope_sd_per_px)])
-        return response_curvature(self.profile, self.maps.root, spreads[0], tangents, self.profile.levels, shape_sd)
+        tangents = (spreads[1 : 1 + free.size] - spreads[1 + free.size :]) * (most / apart * abs(profile.step))[:, None]
+        level = np.clip(spreads[0] + 0.5, 0.0, 1.0)
+        design = np.concatenate([spreads[:1], [level * (1.0 - level)], tangents, profile.levels.T])
+        white = self.maps.root @ design.T
+        prior = np.concatenate([[0.0, 0.0], np.ones(free.size), self._level_precision(fit.slope_sd_per_px)])
+        scale = np.sqrt(np.maximum(np.sum(white**2, axis=0) + prior, 1e-300))
+        normal = (white.T @ white + np.diag(prior)) / np.outer(scale, scale)
+        inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / np.outer(scale, scale)
+        found = inverse @ (white.T @ self.maps.data)
+        return float(found[1] / found[0]), float(np.sqrt(max(inverse[1, 1], 0.0)) / abs(found[0]))
 
     def log_probability(self, form: EdgeForm, slope_sd_per_px: float, power: float = 1.0) -> Callable[[Array], Array]:
         """Return the log-probability of a form's parameters, vectorised, the likelihood to a power."""
@@ -285,14 +292,10 @@ def form_of(family: BlurModel) -> EdgeForm:
     return EdgeForm(family=family)
 
 
-def _tables(family: BlurModel) -> Tables:
-    return tables(pupils=family.core == "pupil")
-
-
 @lru_cache(maxsize=256)
 def _flat(family: BlurModel) -> float:
     """Return ln of the prior's density less its Gaussian part, the same wherever the bounds allow."""
-    middle = np.clip(family.prior_precision()[0], *family.bounds.T)
+    middle = np.clip(family.prior_precision[0], *family.bounds.T)
     return float(family.log_prior(middle[None])[0])
 
 

@@ -3,9 +3,11 @@
 Simple cores are fitted first. Extended components are scored to first order and fitted if the score is high enough.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import compress
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +30,7 @@ from charact.mtf.known_transfer import halo_diameters_px
 from charact.posterior.least_squares import weigh_by_evidence
 
 Array = NDArray[np.float64]
+_evidence = attrgetter("log_evidence")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,41 +130,35 @@ def score_extended_components(
     core = fit.family.modulus(fit.point[None, 1:], maps.grid)
     shapes = maps.transfers(core * np.concatenate([one.change for one in trials]), float(fit.point[0]))
     white = shapes @ maps.white * abs(fitter.profile.step)
-    return [
-        score
-        for slope, least_gain in least_gains.items()
-        for score in _scores(fitter, fitter.under(fit, slope), trials, white, least_gain)
-    ]
+    scores = []
+    for slope, least_gain in least_gains.items():
+        own_fit = fitter.under(fit, slope)
+        scale = abs(fitter.profile.step) / own_fit.at.amplitude[0]
+        amplitude, precision, moved = _amplitudes_to_add(own_fit.at, white)
+        amplitude, precision = amplitude * scale, precision / scale**2
+        gains = np.where(amplitude > 0, amplitude * (amplitude * precision), 0.0)
+        first = 0
+        for one in trials:
+            own = slice(first, first := first + len(one.shapes))
+            if gains[own].max() < least_gain:
+                continue
+            # Half a step of the core: what the component changes is not small.
+            points = np.clip(own_fit.point + 0.5 * moved[own], *own_fit.form.bounds.T)
+            shares = np.minimum(np.clip(amplitude[own], 0.02, 0.3) / one.unit, one.wide.fraction[1])
+            score = ExtendedComponentScore(
+                core=own_fit,
+                wide=one.wide,
+                gains=gains[own],
+                odds=one.bayes_factor(amplitude[own], precision[own]),
+                ln_weight=-float(np.log(len(trials))),
+                starts=np.concatenate([points, shares[:, None], one.shapes], axis=1),
+                sizes=one.shapes[:, 0],
+            )
+            scores.append(score)
+    return scores
 
 
-def _scores(
-    fitter: EdgeFitter, fit: EdgeFit, trials: list[TrialComponent], white: Array, least_gain: float
-) -> Iterator[ExtendedComponentScore]:
-    """Yield what each component gains, where enough, from its whitened shapes, shape (size, bin)."""
-    scale = abs(fitter.profile.step) / fit.at.amplitude[0]
-    amplitude, precision, moved = _added_amplitudes(fit.at, white)
-    amplitude, precision = amplitude * scale, precision / scale**2
-    gains = np.where(amplitude > 0, amplitude * (amplitude * precision), 0.0)
-    first = 0
-    for one in trials:
-        own = slice(first, first := first + len(one.shapes))
-        if gains[own].max() < least_gain:
-            continue
-        # Half a step of the core: what the component changes is not small.
-        points = np.clip(fit.point + 0.5 * moved[own], *fit.form.bounds.T)
-        shares = np.minimum(np.clip(amplitude[own], 0.02, 0.3) / one.unit, one.wide.fraction[1])
-        yield ExtendedComponentScore(
-            core=fit,
-            wide=one.wide,
-            gains=gains[own],
-            odds=one.bayes_factor(amplitude[own], precision[own]),
-            ln_weight=-float(np.log(len(trials))),
-            starts=np.concatenate([points, shares[:, None], one.shapes], axis=1),
-            sizes=one.shapes[:, 0],
-        )
-
-
-def _added_amplitudes(at: LinearisedProfile, shapes: Array) -> tuple[Array, Array, Array]:
+def _amplitudes_to_add(at: LinearisedProfile, shapes: Array) -> tuple[Array, Array, Array]:
     """Return the amplitude of each whitened shape (shape, bin) added alone to a fit, to first order, and its precision.
 
     Also how far it moves each parameter, shape (shape, parameter).
@@ -248,21 +245,17 @@ def _fit_cores_and_components(
     best = max(found[:2], key=_evidence)
     near = best.log_evidence - THRESHOLDS.competitive_ln_evidence
     least = max(map(_evidence, found)) - THRESHOLDS.competitive_ln_evidence
-    # A component beside a Moffat only where wings are likelier than none: it explains them a second time.
+    # A component next to a Moffat only where wings are likelier than none: it explains them a second time.
     wings = best.family.core != "gaussian" and found[2].log_evidence > near
     pursued = [*(found[:3] if wings else found[:2]), *(fit for fit in found[3:] if fit.log_evidence > least)]
     least_gains = {UNEVEN_PER_PX: THRESHOLDS.component_in_gradient_chi2, slope_sd_per_px: 0.0}
     scores = [one for core in pursued for one in score_extended_components(fitter, core, wide, least_gains)]
-    own = _components_worth_fitting([one for one in scores if one.core.slope_sd_per_px == slope_sd_per_px])
+    alike = [one.core.slope_sd_per_px == slope_sd_per_px for one in scores]
+    own = _components_worth_fitting(list(compress(scores, alike)))
     already = {(one.core.family, one.wide) for one in own}
     # A halo and a gradient may hide each other.
-    hidden = [
-        one
-        for one in scores
-        if one.core.slope_sd_per_px != slope_sd_per_px
-        and (one.core.family, one.wide) not in already
-        and one.log_evidence > near
-    ]
+    others = compress(scores, np.logical_not(alike))
+    hidden = [one for one in others if (one.core.family, one.wide) not in already and one.log_evidence > near]
     for score in sorted([*own, *hidden], key=lambda one: wide.index(one.wide)):
         fit = fit_extended_component(fitter, score, min(fit.cost for fit in found) + THRESHOLDS.max_start_chi2)
         found = found if fit is None else [*found, fit]
@@ -270,16 +263,23 @@ def _fit_cores_and_components(
 
 
 def _fit_cores(fitter: EdgeFitter, slope_sd_per_px: float) -> list[EdgeFit]:
-    """Fit a Gaussian, a tube's core, a Moffat and pupils, each from where the one before led."""
+    """Fit a Gaussian, a tube's core, a Moffat and pupils, each from shift and half frequency of the one before."""
     guess = fitter.guess()
-    found = [fitter.fit(BlurModel(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)]
-    cores: tuple[Core, ...] = ("exponential", "moffat", "airy")
+    found: list[EdgeFit] = []
+
+    def fit_core(core: Core, near: EdgeFit | None) -> None:
+        family = BlurModel(core=core)
+        start = np.concatenate([[0.0], family.start(guess)])
+        start[:2] = start[:2] if near is None else near.point[:2]
+        found.append(fitter.fit(family, start, slope_sd_per_px))
+
+    cores: tuple[Core, ...] = ("gaussian", "exponential", "moffat", "airy")
     for core in cores:
-        found.append(_next_core(fitter, core, found[-1], guess))
+        fit_core(core, found[-1] if found else None)
     best = max(found, key=_evidence)
     lens_like = found[-1].log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
     if lens_like or exceeds_model(fitter, best, THRESHOLDS.pupil_departure_sd):
-        found.append(_next_core(fitter, "pupil", best, guess))
+        fit_core("pupil", best)
     return found
 
 
@@ -297,21 +297,6 @@ def _components_worth_fitting(scores: list[ExtendedComponentScore]) -> list[Exte
     stands_for = float(np.log(likely.sum() / likely.max()))
     likeliest = rest[int(np.argmax(likely))]
     return [*measurable, replace(likeliest, ln_weight=likeliest.ln_weight + stands_for)]
-
-
-def _start(core: Core, half_frequency_cy_per_px: float) -> Array:
-    return np.concatenate([[0.0], BlurModel(core=core).start(half_frequency_cy_per_px)])
-
-
-def _next_core(fitter: EdgeFitter, core: Core, near: EdgeFit, half_frequency_cy_per_px: float) -> EdgeFit:
-    """Fit a core from the shift and half frequency of another."""
-    start = _start(core, half_frequency_cy_per_px)
-    start[:2] = near.point[:2]
-    return fitter.fit(BlurModel(core=core), start, near.slope_sd_per_px)
-
-
-def _evidence(fit: EdgeFit) -> float:
-    return fit.log_evidence
 
 
 def _best_of_each(fits: list[EdgeFit]) -> list[EdgeFit]:

@@ -1,7 +1,6 @@
 """Position of an edge: a straight line found by projections and refined row by row, and displacements of fields."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -17,6 +16,9 @@ Array = NDArray[np.float64]
 SLOPES = np.tan(np.deg2rad(np.arange(-48.0, 49.0, 2.0)))
 # Distance from the edge up to which a row locates it, px, and cells per px of the mean profile it is compared with.
 ROW_REACH_PX, CELLS_PER_PX = 14.0, 4
+# Cells of the rows' mean profile, px, and the weights that smooth it, shape (cell, cell).
+CELLS_PX = (np.arange(2 * CELLS_PER_PX * int(ROW_REACH_PX)) + 0.5) / CELLS_PER_PX - ROW_REACH_PX
+SMOOTHING = np.exp(-0.5 * ((CELLS_PX[:, None] - CELLS_PX) / 0.5) ** 2)
 # Displacement of the odd lines against the even ones, px, and its standard uncertainty.
 Displacement = tuple[float, float]
 
@@ -103,7 +105,7 @@ def find(picture: OrientedFrame) -> tuple[OrientedFrame, EdgeLine]:
     return upright, replace(iterate_edge_line(upright, line), strength=strength)
 
 
-def iterate_edge_line(picture: OrientedFrame, line: EdgeLine, iterations: int = 12) -> EdgeLine:
+def iterate_edge_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
     """Return the line that fits the pixels around it best with a smooth step, by damped Gauss-Newton.
 
     Notes
@@ -125,50 +127,48 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine, iterations: int = 
     few = tuple(np.ascontiguousarray(part[:: max(1, every[0].size // 2000)]) for part in every)
     shift, turn, width, clip = 0.0, 0.0, max(2.0, slack), np.inf
     last = np.inf
-    for iteration in range(iterations):
+    for iteration in range(12):
         value, distance, height = few if iteration < 3 else every
         place = (distance - shift - turn * height) / width
-        design, residual = _step_and_derivatives(value, place, np.tanh(place), height, width)
-        if iteration in (3, 6):
-            clip = 6.0 * NORMAL * median(np.abs(residual[:: max(1, value.size // 4000)]))
-        move = _least_squares(design, np.minimum(np.maximum(residual, -clip), clip))[4:].tolist()
-        step = _clamp(move[0], -4.0, 4.0), _clamp(move[1], -8.0, 8.0)
-        shift, turn = _clamp(shift + step[0], -reach, reach), turn + step[1]
-        width = _clamp(width + _clamp(move[2], -0.5 * width, width), 0.4, 20.0)
-        size = abs(step[0]) + abs(step[1])
+        renew = iteration in (3, 6)
+        across_step, along_step, wider, clip = _smooth_step(value, place, np.tanh(place), height, width, clip, renew)
+        # On single numbers NumPy's clip takes fifty times as long.
+        across_step, along_step = min(max(across_step, -4.0), 4.0), min(max(along_step, -8.0), 8.0)
+        shift, turn = min(max(shift + across_step, -reach), reach), turn + along_step
+        width = min(max(width + min(max(wider, -0.5 * width), width), 0.4), 20.0)
+        size = abs(across_step) + abs(along_step)
         if iteration > 3 and size < 1e-3 and last < 0.1:
             break
         last = size
     return replace(line, position=line.position + shift, slope=line.slope + turn / rows)
 
 
-def _clamp(value: float, low: float, high: float) -> float:
-    """Return a number, or the limit that it passes: on one of them NumPy's clip takes fifty times as long."""
-    return min(max(value, low), high)
-
-
 @njit(cache=True)
-def _step_and_derivatives(value: Array, place: Array, bend: Array, height: Array, width: float) -> tuple[Array, Array]:
-    """Return the change of a smooth step with level, rise, their slopes along the edge, place, turn and width.
+def _smooth_step(
+    value: Array, place: Array, bend: Array, height: Array, width: float, clip: float, renew: bool
+) -> tuple[float, float, float, float]:
+    """Return the Gauss-Newton step of position, turn and width of a smooth step, and the clip of residuals.
 
-    Shape (7, pixel); and what the best levels and slopes leave of the pixels, shape (pixel,).
+    Level, rise and their slopes along the edge are fitted first. `renew`: whether the clip is set from the residuals.
     """
-    design = np.empty((7, value.size))
+    design, residual = np.empty((7, value.size)), np.empty(value.size)
     for k in range(value.size):
         design[0, k], design[1, k], design[2, k], design[3, k] = 1.0, bend[k], height[k], height[k] * bend[k]
     levels = _least_squares(design[:4], value)
-    residual = np.empty(value.size)
     for k in range(value.size):
         rise = levels[1] + levels[3] * height[k]
         residual[k] = value[k] - levels[0] - levels[2] * height[k] - rise * bend[k]
         design[4, k] = -rise / width * (1.0 - bend[k] ** 2)
         design[5, k], design[6, k] = design[4, k] * height[k], design[4, k] * place[k]
-    return design, residual
+    if renew:
+        clip = 6.0 * NORMAL * np.median(np.abs(residual[:: max(1, value.size // 4000)]))
+    move = _least_squares(design, np.minimum(np.maximum(residual, -clip), clip))
+    return move[4], move[5], move[6], clip
 
 
 @njit(cache=True)
 def _least_squares(design: Array, value: Array) -> Array:
-    """Return the amplitudes of rows of a design, shape (row, pixel); one that nothing feels stays at none."""
+    """Return the amplitudes of rows of a design, shape (row, pixel); one that has no effect stays at 0."""
     normal = np.dot(design, design.T)
     for k in range(len(normal)):
         normal[k, k] += 1e-9 * normal[k, k] + 1e-300
@@ -203,38 +203,26 @@ def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
     """
     rows = picture.value.shape[0]
     row = np.arange(rows) - (rows - 1) / 2
-    offset, good, shift, turn = _compare_rows(picture, line, row)
-    if abs(shift) + abs(turn) * rows > 0.02:
-        shift, turn = _clamp(shift, -3.0, 3.0), _clamp(turn * rows, -6.0, 6.0) / rows
-        line = replace(line, position=line.position + shift, slope=line.slope + turn)
-        offset, good, shift, turn = _compare_rows(picture, line, row)
+    moved = False
+    while True:
+        across = line.across(picture.value.shape)
+        sums, counts = _profile_sums(picture.value, across)
+        profile = SMOOTHING @ sums / np.maximum(SMOOTHING @ counts, 1e-300)
+        offset, power = _row_displacements(picture.value, across, profile, np.gradient(profile, CELLS_PX))
+        good = (power > 0.5 * median(power)) & (power > 0)
+        if good.sum() < 3:
+            return RowFit(line=line, offset=offset, offset_sd=np.inf)
+        good &= np.abs(offset - median(offset[good])) < 6 * robust_sd(offset[good]) + 1e-9
+        design = np.stack([np.ones_like(row), row], axis=1)[good]
+        shift, turn = np.linalg.lstsq(design, offset[good], rcond=None)[0].tolist()
+        if moved or abs(shift) + abs(turn) * rows <= 0.02:
+            break
+        shift, turn = min(max(shift, -3.0), 3.0), min(max(turn * rows, -6.0), 6.0) / rows
+        line, moved = replace(line, position=line.position + shift, slope=line.slope + turn), True
     if good.sum() < 3:
         return RowFit(line=line, offset=offset, offset_sd=np.inf)
     offset = np.where(good, offset - shift - turn * row, np.nan)
     return RowFit(line=line, offset=offset, offset_sd=robust_sd(offset[good]))
-
-
-def _compare_rows(picture: OrientedFrame, line: EdgeLine, row: Array) -> tuple[Array, NDArray[np.bool_], float, float]:
-    """Return the rows' displacements, which of them hold the edge, and their mean and slope over the rows."""
-    across = line.across(picture.value.shape)
-    sums, counts = _profile_sums(picture.value, across)
-    places, kernel = _smoothing()
-    profile = kernel @ sums / np.maximum(kernel @ counts, 1e-300)
-    offset, power = _row_displacements(picture.value, across, places, profile, np.gradient(profile, places))
-    good = (power > 0.5 * median(power)) & (power > 0)
-    if good.sum() < 3:
-        return offset, good, 0.0, 0.0
-    good &= np.abs(offset - median(offset[good])) < 6 * robust_sd(offset[good]) + 1e-9
-    design = np.stack([np.ones_like(row), row], axis=1)[good]
-    shift, turn = np.linalg.lstsq(design, offset[good], rcond=None)[0]
-    return offset, good, float(shift), float(turn)
-
-
-@lru_cache(maxsize=1)
-def _smoothing() -> tuple[Array, Array]:
-    """Return the cells of the rows' mean profile, px, and the weights that smooth it, shape (cell, cell)."""
-    places = (np.arange(2 * CELLS_PER_PX * int(ROW_REACH_PX)) + 0.5) / CELLS_PER_PX - ROW_REACH_PX
-    return places, np.exp(-0.5 * ((places[:, None] - places) / 0.5) ** 2)
 
 
 @njit(cache=True)
@@ -259,22 +247,22 @@ def _profile_sums(value: Array, across: Array) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def _row_displacements(value: Array, across: Array, places: Array, profile: Array, rise: Array) -> tuple[Array, Array]:
+def _row_displacements(value: Array, across: Array, profile: Array, rise: Array) -> tuple[Array, Array]:
     """Return by how much each row's edge lies off a profile, shape (row,), px, and the power that tells it.
 
     A row's own level and step are free: light that changes along the edge must not move it.
     """
     rows, cols = value.shape
     offset, power = np.zeros(rows), np.zeros(rows)
-    first, step, mean = places[0], places[1] - places[0], profile.mean()
+    mean = profile.mean()
     shape = np.ones(3)
     for row in range(rows):
         normal, pull = np.zeros((3, 3)), np.zeros(3)
         for col in range(cols):
             if abs(across[row, col]) >= ROW_REACH_PX:
                 continue
-            place = min(max((across[row, col] - first) / step, 0.0), places.size - 1.0)
-            left = min(int(place), places.size - 2)
+            place = min(max((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX - 0.5, 0.0), profile.size - 1.0)
+            left = min(int(place), profile.size - 2)
             rest = place - left
             template = profile[left] + rest * (profile[left + 1] - profile[left])
             shape[0] = rise[left] + rest * (rise[left + 1] - rise[left])
@@ -295,50 +283,50 @@ def _row_displacements(value: Array, across: Array, places: Array, profile: Arra
     return offset, power
 
 
-def orientation_deg(picture: OrientedFrame, angle_rad: float) -> float:
-    """Return the direction of the edge's normal from the row direction, degrees in [0, 180)."""
-    tilt = float(np.rad2deg(angle_rad))
-    # Upright, the normal stands at -tilt to the columns' direction; mirrored it is turned over, transposed exchanged.
-    tilt = tilt if picture.mirrored else -tilt
-    return (90.0 - tilt if picture.transposed else tilt) % 180.0
-
-
 def is_significant(displacement: Displacement) -> bool:
-    """Tell whether fields are displaced by more than chance, and by enough to matter."""
+    """Return whether fields are displaced by more than chance, and by enough to matter."""
     apart, error = displacement
     return bool(abs(apart) > max(THRESHOLDS.field_displacement_sd * error, THRESHOLDS.field_displacement_px))
 
 
-def field_displacement_of_rows(picture: OrientedFrame, rows: RowFit) -> Displacement:
-    """Return the displacement of the edge in odd lines of the frame, which are rows of the picture."""
-    good = np.isfinite(rows.offset)
-    odd = (picture.row_index[:, 0] % 2).astype(bool)
-    one, other = rows.offset[good & odd], rows.offset[good & ~odd]
-    if min(one.size, other.size) < 6:
-        return 0.0, np.inf
-    error = 1.25 * np.hypot(robust_sd(one) / np.sqrt(one.size), robust_sd(other) / np.sqrt(other.size))
-    return median(one) - median(other), float(error)
-
-
-def field_displacement_of_pixels(
-    line_parity: NDArray[np.int64], residual: Array, steep: Array, noise: float
+def field_displacement(
+    picture: OrientedFrame,
+    rows: RowFit,
+    used: NDArray[np.bool_],
+    distance: Array,
+    profile: tuple[Array, Array],
+    noise: float | None = None,
 ) -> Displacement:
-    """Return the displacement of odd lines, which run along the edge, by least squares on single pixels.
+    """Return the displacement of the edge in odd lines of the frame across the edge, px, and its standard uncertainty.
 
     Parameters
     ----------
-    line_parity
-        0 or 1 for the field of every pixel, shape (pixel,).
-    residual, steep
-        Pixels less their mean profile, DN, and slope of that profile, DN per px, shape (pixel,).
+    used, distance
+        Pixels that show it where lines run along the edge, and their distance from it, shape (row, col), px.
+    profile
+        Places, px, and values of the mean profile, DN.
     noise
-        Standard deviation of a pixel, DN.
+        Standard deviation of a pixel, DN; None: that of the pixels less their profile.
+
+    Notes
+    -----
+    Lines across the edge are rows of the picture: the medians of their displacements are compared. For lines along it
+    the displacement is least squares on single pixels.
     """
-    shape = (0.5 - line_parity) * steep
+    if not picture.transposed:
+        odd, good = (picture.row_index[:, 0] % 2).astype(bool), np.isfinite(rows.offset)
+        one, other = rows.offset[good & odd], rows.offset[good & ~odd]
+        if min(one.size, other.size) < 6:
+            return 0.0, np.inf
+        error = 1.25 * np.hypot(robust_sd(one) / np.sqrt(one.size), robust_sd(other) / np.sqrt(other.size))
+        return median(one) - median(other), float(error)
+    away, parity = distance[used], picture.row_index[used] % 2
+    residual = picture.value[used] - np.interp(away, *profile)
+    shape = (0.5 - parity) * steepness(*profile, away)
     power = float(shape @ shape)
-    if power <= 0 or line_parity.min() == line_parity.max():
+    if power <= 0 or parity.min() == parity.max():
         return 0.0, np.inf
-    return float(shape @ residual) / power, noise / np.sqrt(power)
+    return float(shape @ residual) / power, float(np.std(residual) if noise is None else noise) / np.sqrt(power)
 
 
 def steepness(place: Array, value: Array, distance: Array) -> Array:

@@ -1,7 +1,7 @@
 """Noise of a frame along an edge: its variance on both sides, its correlation, and the covariance of bin means.
 
-It is taken from the residuals of the profile, so it holds all of it: photons, gain, read-out, the fixed pattern that
-frames share, and the correlation by blur.
+It is estimated from the residuals of the profile and so includes photons, gain, read-out, the fixed pattern that frames
+share, and the correlation by blur.
 """
 
 from dataclasses import dataclass
@@ -44,6 +44,16 @@ class EdgeNoiseModel:
     def covariance_over_variance(self) -> float:
         """Sum of the correlation: by how much averages are noisier than those of independent pixels."""
         return float(max(self.correlation.sum(), 0.05))
+
+    @property
+    def mean_sd(self) -> float:
+        """Noise of a pixel, the root mean square of both sides, DN."""
+        return float(np.sqrt(0.5 * (self.dark_variance + self.bright_variance)))
+
+    @property
+    def max_sd(self) -> float:
+        """Noise of a pixel on the noisier side, DN."""
+        return float(np.sqrt(max(self.dark_variance, self.bright_variance)))
 
     def variance(self, level: Array) -> Array:
         """Return the variance where the profile stands at a level between 0 (dark) and 1 (bright)."""
@@ -99,7 +109,7 @@ def fit_correlation_model(
     correlation
         At lags of rows and columns, shape (2 R + 1, 2 C + 1), 1 in the middle.
     pairs
-        Pairs of pixels behind each lag.
+        Number of pairs of pixels at each lag.
     across
         Distance across the edge that each lag makes, px.
     between
@@ -117,48 +127,41 @@ def fit_correlation_model(
     because means of bins take the same fraction of all pairs that lie in one bin. Least squares on ln Lx, ln Ly and p
     with A and c solved at each step.
     """
-    rows, cols = (np.arange(size) - size // 2 for size in correlation.shape)
-    y, x = np.meshgrid(rows, cols, indexing="ij")
+    y, x = np.meshgrid(*(np.arange(size) - size // 2 for size in correlation.shape), indexing="ij")
     strip = np.maximum(1.0 - np.abs(across) / ACCURACY.strip_px, 0.0)
     # One of each pair of opposite lags, and not the pixel itself.
     half = (y > 0) | ((y == 0) & (x > 0))
     near = half & (np.maximum(np.abs(x), np.abs(y)) <= ACCURACY.correlation_fit_px) & (pairs > 50)
     telling = near if between is None else near & ~between
     weight = np.sqrt(pairs[telling])
-    data, lags, own_strip = correlation[telling] * weight, np.stack([x, y])[:, telling], strip[telling] * weight
-    middle = (x == 0) & (y == 0)
-    found = _fit_correlation(data, lags.astype(float), own_strip, weight)
-    if found is None:
-        taken = min(float(own_strip @ data / max(own_strip @ own_strip, 1e-300)), 0.0)
-        return np.where(middle, 1.0, 0.0), np.where(middle, 0.0, taken * strip)
-    theta, (share, taken) = found
-    form = share * _shape(theta[None], np.stack([x.ravel(), y.ravel()]).astype(float)).reshape(x.shape)
-    if between is not None:
-        lags = near & between
-        own = pairs[lags] * form[lags]
-        across_fields = own @ (correlation - taken * strip)[lags] / max(own @ form[lags], 1e-300)
-        form = np.where(between, float(np.clip(across_fields, 0.0, 1.0)) * form, form)
-    return np.where(middle, 1.0, form), np.where(middle, 0.0, taken * strip)
-
-
-def _fit_correlation(data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array] | None:
-    """Return ln lengths and exponent, and amplitude and what bins took; None where the model is not worth it."""
-    low, high = np.log(LENGTH_PX)
-    bounds = np.array([(low, high), (low, high), EXPONENT])
+    data, own_strip = correlation[telling] * weight, strip[telling] * weight
+    lags = np.stack([x[telling], y[telling]]).astype(float)
+    bounds = np.array([np.log(LENGTH_PX), np.log(LENGTH_PX), EXPONENT])
     little = 1e-4
 
     def linearise(theta: Array) -> Linearisation:
         points = theta + np.concatenate([np.zeros((1, 3)), little * np.eye(3)])
-        amplitude, left = _solve_amplitudes(points, data, lags, strip, weight)
+        amplitude, left = _solve_amplitudes(points, data, lags, own_strip, weight)
         return linearise_residual(left[0], (left[0] - left[1:]) / little, model=amplitude[0])
 
     starts = np.array([[np.log(length), np.log(length), EXPONENT_PRIOR[0]] for length in (0.7, 1.2, 2.4)])
-    start = starts[np.argmin(np.sum(_solve_amplitudes(starts, data, lags, strip, weight)[1] ** 2, axis=1))]
+    costs = np.sum(_solve_amplitudes(starts, data, lags, own_strip, weight)[1] ** 2, axis=1)
     limits = {"min_damping": 1e-3, "max_damping": 100.0, "max_step": 0.5 / np.diff(bounds)[:, 0]}
-    theta, at = least_squares(linearise, start, bounds, iterations=30, tolerance=0.1, **limits)
-    without = data - strip * (strip @ data / max(strip @ strip, 1e-300))
-    worth = float(np.sum(without**2)) - at.cost
-    return (theta, at.model) if worth > THRESHOLDS.correlation_chi2 and at.model[0] > 0 else None
+    theta, at = least_squares(linearise, starts[np.argmin(costs)], bounds, iterations=30, tolerance=0.1, **limits)
+    share, taken = at.model
+    none = float(own_strip @ data / max(own_strip @ own_strip, 1e-300))
+    form = np.zeros(x.shape)
+    if float(np.sum((data - none * own_strip) ** 2)) - at.cost > THRESHOLDS.correlation_chi2 and share > 0:
+        form = share * _shape(theta[None], np.stack([x.ravel(), y.ravel()]).astype(float)).reshape(x.shape)
+    else:
+        # The model is not worth its parameters.
+        taken = min(none, 0.0)
+    if between is not None and form.any():
+        own = pairs * form * (near & between)
+        across_fields = np.sum(own * (correlation - taken * strip)) / max(np.sum(own * form), 1e-300)
+        form = np.where(between, float(np.clip(across_fields, 0.0, 1.0)) * form, form)
+    middle = (x == 0) & (y == 0)
+    return np.where(middle, 1.0, form), np.where(middle, 0.0, taken * strip)
 
 
 @njit(cache=True)
@@ -204,14 +207,19 @@ def correlation_of(
     slopes
         Change of the distance from the edge with one column and with one row, px.
     field_axis
-        As of `estimate_edge_noise`.
+        Axis along which two fields alternate; None: there are none.
     """
+    from scipy.fft import next_fast_len
+    from scipy.ndimage import uniform_filter
+
     rows, cols = standard.shape
     reach_row, reach_col = min(MAX_LAG_PX, rows - 1), min(MAX_LAG_PX, cols - 1)
-    shape = (rows + reach_row, cols + reach_col)
     take_row, take_col = np.arange(-reach_row, reach_row + 1), np.arange(-reach_col, reach_col + 1)
-    product, pairs = (_autocorrelation(one, shape)[np.ix_(take_row, take_col)] for one in (standard, used))
-    pairs = np.rint(pairs)
+    fast = [int(next_fast_len(size, real=True) or size) for size in (rows + reach_row, cols + reach_col)]
+    # In single precision: a correlation is known to a thousandth at best.
+    spectra = np.stack([np.fft.rfft2(one.astype(np.float32), fast) for one in (standard, used)]).astype(np.complex64)
+    lagged = np.fft.irfft2(spectra.real**2 + spectra.imag**2, fast)[:, take_row[:, None], take_col].astype(float)
+    product, pairs = lagged[0], np.rint(lagged[1])
     correlation = np.where(pairs > 50, product / np.maximum(pairs, 1), 0.0)
     if not correlation[reach_row, reach_col] > 0:
         return np.ones((1, 1))
@@ -223,13 +231,12 @@ def correlation_of(
     # Bartlett: errors of a correlation are tied over lags as the noise itself is.
     error = np.sqrt(np.sum(form**2) / np.maximum(pairs, 1))
     near = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= ACCURACY.correlation_near_px
-    tied = np.sqrt(np.sum(_running_mean(form) ** 2) / np.maximum(pairs, 1))
+    tied = np.sqrt(np.sum(uniform_filter(form, 3, mode="constant") ** 2) / np.maximum(pairs, 1))
     formless = np.mean((left / error)[near] ** 2) > THRESHOLDS.correlation_misfit
-    if formless:
-        # The model is not that of this noise: what is significant counts as it is.
-        keep = np.abs(_running_mean(correlation - taken)) > THRESHOLDS.correlation_sd * tied
-    else:
-        keep = np.abs(_running_mean(left)) > THRESHOLDS.correlation_departure_sd * tied
+    # Where the model is not that of this noise, what is significant counts as it is.
+    tested = correlation - taken if formless else left
+    least = THRESHOLDS.correlation_sd if formless else THRESHOLDS.correlation_departure_sd
+    keep = np.abs(uniform_filter(tested, 3, mode="constant")) > least * tied
     keep[reach_row, reach_col] = False
     # 1 up to half the largest lag, then a cosine down to 0.
     share = [np.clip((np.abs(lag) - MAX_LAG_PX / 2) / (MAX_LAG_PX / 2 + 1), 0.0, 1.0) for lag in (take_row, take_col)]
@@ -240,25 +247,6 @@ def correlation_of(
     # of chance would take all of it there.
     spectrum = np.fft.fft2(np.fft.ifftshift(departure)).real
     return form + np.fft.fftshift(np.fft.ifft2(np.maximum(spectrum, 0.0)).real)
-
-
-def _autocorrelation(field: NDArray, shape: tuple[int, int]) -> Array:
-    """Return the sums of products at all lags, free of wrapping up to what the shape adds to the field's.
-
-    In single precision: a correlation is known to a thousandth at best.
-    """
-    from scipy.fft import next_fast_len
-
-    fast = [int(next_fast_len(size, real=True) or size) for size in shape]
-    spectrum = np.asarray(np.fft.rfft2(field.astype(np.float32), fast), np.complex64)
-    return np.asarray(np.fft.irfft2(spectrum.real**2 + spectrum.imag**2, fast), np.float64)
-
-
-def _running_mean(field: Array) -> Array:
-    """Return the 3 x 3 running mean, nothing beyond the borders."""
-    padded = np.pad(field, 1)
-    rows = padded[:-2] + padded[1:-1] + padded[2:]
-    return (rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0
 
 
 def bin_covariance(
@@ -298,14 +286,10 @@ def bin_covariance(
     apart = np.arange(-reach, reach + 1) * NARROWEST_PX
     index = np.searchsorted(delta, apart)
     ramp = np.asarray(total[index] * apart - moment[index], np.float64)
-    width, sd = np.diff(borders)[keep], np.sqrt(grain.variance(level))
-    scale = sd / np.sqrt(width * count)
-    begin, end = place[:-1][keep], place[1:][keep]
-
-    def ramp_between(one: NDArray, other: NDArray) -> Array:
-        return ramp[reach + other[None, :] - one[:, None]]
-
-    overlap = ramp_between(begin, end) - ramp_between(end, end) + ramp_between(end, begin) - ramp_between(begin, begin)
+    sd = np.sqrt(grain.variance(level))
+    scale = sd / np.sqrt(np.diff(borders)[keep] * count)
+    ramp = ramp[reach + place - place[:, None]]
+    overlap = (ramp[:-1, 1:] - ramp[1:, 1:] + ramp[1:, :-1] - ramp[:-1, :-1])[np.ix_(keep, keep)]
     covariance = 0.5 * (overlap + overlap.T) * np.outer(scale, scale)
     diagonal = np.diag(covariance)
     if not (diagonal > 0).any():

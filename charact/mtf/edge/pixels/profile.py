@@ -4,14 +4,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.edge.pixels.line import EdgeLine, steepness
 from charact.mtf.edge.pixels.noise_model import NARROWEST_PX, EdgeNoiseModel, bin_covariance, estimate_edge_noise
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.nonlinearity import usable_black_level
+from charact.mtf.mean_frame import OrientedFrame, usable_black_level
+from charact.mtf.nonlinearity import contrast_of
 from charact.robust import NORMAL, median
 
 Array = NDArray[np.float64]
@@ -51,23 +50,14 @@ class BinnedPixels:
 
     def means(self, value: Array) -> tuple[Array, Array]:
         """Return mean of a quantity and count of pixels in every bin, shape (bin,)."""
-        return _means(value, self.used, self.bin_index, self.borders.size - 1)
+        index, size = self.bin_index[self.used], self.borders.size - 1
+        count = np.bincount(index, minlength=size).astype(float)
+        return np.bincount(index, value[self.used], size) / np.maximum(count, 1.0), count
 
     @cached_property
     def place(self) -> Array:
         """Mean distance of the pixels of every bin, shape (bin,), px."""
         return self.means(self.distance)[0]
-
-
-@njit(cache=True)
-def _means(value: Array, used: NDArray[np.bool_], index: NDArray[np.int64], size: int) -> tuple[Array, Array]:
-    total, count = np.zeros(size), np.zeros(size)
-    for row in range(value.shape[0]):
-        for col in range(value.shape[1]):
-            if used[row, col]:
-                total[index[row, col]] += value[row, col]
-                count[index[row, col]] += 1.0
-    return total / np.maximum(count, 1.0), count
 
 
 def bin_pixels(
@@ -139,20 +129,21 @@ def levels_of(mean: Array, count: Array, gathered: BinnedPixels) -> tuple[float,
     return dark, bright
 
 
-def _residual_of(value: Array, gathered: BinnedPixels) -> tuple[Array, Array, Array]:
-    """Return the frame less its profile, the profile from 0 to 1 at every pixel, and counts of the bins.
+def _residual_of(value: Array, gathered: BinnedPixels) -> tuple[Array, Array, Array, float]:
+    """Return the frame less its profile, the profile from 0 to 1 at every pixel, a factor of residuals, and the step.
 
-    The profile is its bin's mean, with its slope for the position within the bin.
+    The profile is its bin's mean, with its slope for the position within the bin. The factor restores the part of the
+    noise that a bin's mean takes with it, and is 0 for pixels that are not used.
     """
     mean, count = gathered.means(value)
     dark, bright = levels_of(mean, count, gathered)
-    level = ((mean - dark) / (bright - dark if bright != dark else 1.0))[gathered.bin_index]
-    filled, rise = count > 0, np.zeros_like(mean)
+    index, filled, rise = gathered.bin_index, count > 0, np.zeros_like(mean)
+    level = ((mean - dark) / (bright - dark if bright != dark else 1.0))[index]
     if np.count_nonzero(filled) > 8:
         rise[filled] = steepness(gathered.place[filled], mean[filled], gathered.place[filled])
-    index = gathered.bin_index
     residual = value - (mean[index] + rise[index] * (gathered.distance - gathered.place[index]))
-    return residual, level, count
+    lost = np.where(gathered.used, np.sqrt(count / np.maximum(count - 1.0, 0.5))[index], 0.0)
+    return residual, level, lost, abs(bright - dark)
 
 
 def _slope_along(value: Array, gathered: BinnedPixels, level: Array) -> Array:
@@ -166,62 +157,6 @@ def _slope_along(value: Array, gathered: BinnedPixels, level: Array) -> Array:
     sides = np.stack([(within * level).ravel(), (within * (1.0 - level)).ravel()])
     bright, dark = np.linalg.lstsq(sides @ sides.T, sides @ value.ravel(), rcond=1e-9)[0]
     return along * (bright * level + dark * (1.0 - level))
-
-
-def _find_defects(residual: Array, level: Array, used: NDArray[np.bool_], least_sd: float) -> NDArray[np.bool_]:
-    """Tell which pixels the noise of their level cannot explain; none in heavy-tailed noise, where many nearly are."""
-    size = np.where(used, np.abs(residual), 0.0)
-    sides = [used & (level < 0.25), used & (level > 0.75)]
-    dark, bright = (max(NORMAL * median(size[side if side.any() else used]), least_sd) for side in sides)
-    sd = np.sqrt(dark**2 + np.clip(level, 0.0, 1.0) * (bright**2 - dark**2))
-    far, near = size > DEFECT_SD * sd, np.count_nonzero(size > 5.0 * sd)
-    return far & (sd > 0) if np.count_nonzero(far) > THRESHOLDS.defect_fraction * near else np.zeros_like(used)
-
-
-@dataclass(frozen=True, kw_only=True)
-class IlluminationGradient:
-    """The two ways in which the light of an edge slopes.
-
-    Parameters
-    ----------
-    ways
-        Slopes of bright and dark side in each way, unit vectors, shape (way, side).
-    together
-        Whether the first way is that of one light on both sides; otherwise each side slopes by itself.
-    """
-
-    ways: Array
-    together: bool
-
-    def levels(self, distance_px: Array) -> Array:
-        """Return a level and both ways of slopes at distances from the edge, shape (distance, 3), px."""
-        sides = np.stack([np.maximum(distance_px, 0.0), np.minimum(distance_px, 0.0)], axis=1)
-        return np.concatenate([np.ones((distance_px.size, 1)), sides @ self.ways.T], axis=1)
-
-    def slopes_sd(self, slope_sd_per_px: float) -> Array:
-        """Return the standard deviations of the priors of both ways from that of the bright side's slope."""
-        apart = max(THRESHOLDS.gradient_asymmetry * slope_sd_per_px, EVEN_PER_PX) if self.together else slope_sd_per_px
-        return np.array([slope_sd_per_px / self.ways[0, 0], apart])
-
-    def by_side(self, amplitude: Array) -> Array:
-        """Return amplitudes that end with the slopes of bright and dark side for those that end with both ways'."""
-        return np.concatenate([amplitude[:-2], amplitude[-2:] @ self.ways])
-
-
-def illumination_gradient(dark_dn: float, bright_dn: float, black_dn: float | None) -> IlluminationGradient:
-    """Return how light slopes on an edge between two levels; without a black level each side by itself.
-
-    Notes
-    -----
-    Non-uniform lamps and lens shading multiply the light: sides a and b above black slope by the same fraction of a and
-    of b.
-    """
-    if black_dn is None or not bright_dn > max(dark_dn, black_dn):
-        return IlluminationGradient(ways=np.eye(2), together=False)
-    bright, dark = bright_dn - black_dn, max(dark_dn - black_dn, 0.0)
-    return IlluminationGradient(
-        ways=np.array([[bright, dark], [-dark, bright]]) / np.hypot(bright, dark), together=True
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,15 +210,33 @@ class EdgeProfile:
         """Height of the edge, DN."""
         return self.bright - self.dark
 
+    @property
+    def contrast(self) -> float:
+        """Contrast of both sides."""
+        return contrast_of(self.dark, self.bright, self.black)
+
+    @property
+    def _is_one_light(self) -> bool:
+        """Whether the black level tells that both sides slope as one light; else each side slopes by itself."""
+        return self.black is not None and self.bright > max(self.dark, self.black)
+
     @cached_property
-    def light(self) -> IlluminationGradient:
-        """How light may slope."""
-        return illumination_gradient(self.dark, self.bright, self.black)
+    def gradient_ways(self) -> Array:
+        """Slopes of bright and dark side in the two ways in which light slopes, unit vectors, shape (way, side).
+
+        Non-uniform lamps and lens shading multiply the light: sides a and b above black slope by the same fraction of a
+        and of b.
+        """
+        if not self._is_one_light:
+            return np.eye(2)
+        bright, dark = self.bright - (self.black or 0.0), max(self.dark - (self.black or 0.0), 0.0)
+        return np.array([[bright, dark], [-dark, bright]]) / np.hypot(bright, dark)
 
     @cached_property
     def levels(self) -> Array:
         """A level and the two ways in which light slopes at the bins, shape (bin, 3)."""
-        return self.light.levels(self.distance)
+        sides = np.stack([np.maximum(self.distance, 0.0), np.minimum(self.distance, 0.0)], axis=1)
+        return np.concatenate([np.ones((self.distance.size, 1)), sides @ self.gradient_ways.T], axis=1)
 
     def slopes_sd(self, slope_sd_per_px: float) -> Array:
         """Return the standard deviations of the priors of the two ways in which light slopes, DN per px.
@@ -293,13 +246,9 @@ class EdgeProfile:
         slope_sd_per_px
             That of the bright side's slope, fraction of the step per px.
         """
-        return self.light.slopes_sd(slope_sd_per_px) * max(abs(self.step), 1e-300)
-
-    def with_noise(self, grain: EdgeNoiseModel) -> "EdgeProfile":
-        """Return the profile with another noise, its plateaus taken as even."""
-        level = (self.value - self.dark) / (self.step if self.step != 0 else 1.0)
-        covariance = bin_covariance(grain, self.gathered.borders, level, self.count, self.keep, self.slopes)
-        return replace(self, grain=grain, covariance=covariance, shading_sd=0.0)
+        apart = max(THRESHOLDS.gradient_asymmetry * slope_sd_per_px, EVEN_PER_PX)
+        sd = slope_sd_per_px / self.gradient_ways[0, 0], apart if self._is_one_light else slope_sd_per_px
+        return np.array(sd) * max(abs(self.step), 1e-300)
 
 
 def profile_of(picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, quickly: bool = False) -> EdgeProfile:
@@ -314,26 +263,25 @@ def profile_of(picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, 
     """
     gathered = bin_pixels(picture, line, half_width_px)
     # Light that changes along the edge makes a slope in a tilted window.
-    residual, level, _ = _residual_of(picture.value, gathered)
+    residual, level, _, _ = _residual_of(picture.value, gathered)
     value = picture.value - _slope_along(residual, gathered, level)
-    residual, level, count = _residual_of(value, gathered)
-
-    def enlarged(residual: Array, gathered: BinnedPixels, count: Array) -> Array:
-        """Return residuals raised for the part of the noise that a bin's mean takes with it."""
-        lost = np.sqrt(count / np.maximum(count - 1.0, 0.5))
-        return np.where(gathered.used, residual * lost[gathered.bin_index], 0.0)
-
-    residual = enlarged(residual, gathered, count)
-    dark, bright = levels_of(*gathered.means(value), gathered)
-    step = abs(bright - dark)
+    residual, level, lost, step = _residual_of(value, gathered)
+    residual = residual * lost
+    # Defects: pixels that the noise of their level cannot explain; none in heavy-tailed noise, where many nearly are.
+    size, used = np.abs(residual), gathered.used
     quantisation_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
     least_sd = max(quantisation_sd, THRESHOLDS.min_defect * step / DEFECT_SD)
-    masked = _find_defects(residual, level, gathered.used, least_sd)
-    defects = int(masked.sum())
+    sides = (side if side.any() else used for side in (used & (level < 0.25), used & (level > 0.75)))
+    dark_sd, bright_sd = (max(NORMAL * median(size[side]), least_sd) for side in sides)
+    sd = np.sqrt(dark_sd**2 + np.clip(level, 0.0, 1.0) * (bright_sd**2 - dark_sd**2))
+    masked, near = (size > DEFECT_SD * sd) & (sd > 0), np.count_nonzero(size > 5.0 * sd)
+    defects = int(np.count_nonzero(masked))
+    if defects <= THRESHOLDS.defect_fraction * near:
+        defects = 0
     if defects:
         gathered = bin_pixels(picture, line, half_width_px, masked)
-        residual, level, count = _residual_of(value, gathered)
-        residual = enlarged(residual, gathered, count)
+        residual, level, lost, _ = _residual_of(value, gathered)
+        residual = residual * lost
     if quickly and step < THRESHOLDS.noisy_step_sd * np.std(residual[gathered.used]):
         gathered = coarsen(gathered)
     mean, count = gathered.means(value)
@@ -341,9 +289,11 @@ def profile_of(picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, 
     keep = count >= 1
     dark, bright = levels_of(mean, count, gathered)
     angle = line.angle_rad(picture.pitch_ratio)
+    slopes = float(np.cos(angle)), float(-line.slope * np.cos(angle))
     quantisation = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
     floor = max(quantisation, (3e-4 * (bright - dark)) ** 2, 1e-30)
     grain = estimate_edge_noise(residual, level, gathered.used, gathered.distance, floor, picture.field_axis)
+    of_bins = (mean[keep] - dark) / (bright - dark if bright != dark else 1.0)
     return EdgeProfile(
         gathered=gathered,
         distance=distance[keep],
@@ -355,13 +305,13 @@ def profile_of(picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, 
         bright=bright,
         black=usable_black_level(picture.black_dn, dark, bright),
         grain=grain,
-        covariance=np.eye(int(keep.sum())),
+        covariance=bin_covariance(grain, gathered.borders, of_bins, count[keep], keep, slopes),
         shading_sd=0.0,
         defects=defects,
         angle_rad=angle,
-        slopes=(float(np.cos(angle)), float(-line.slope * np.cos(angle))),
+        slopes=slopes,
         variance_floor=floor,
-    ).with_noise(grain)
+    )
 
 
 def centre_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
@@ -388,7 +338,9 @@ def refine_noise(profile: EdgeProfile, picture: OrientedFrame, model_value: Arra
     residual = np.where(gathered.used, value - _slope_along(value, gathered, level), value)
     floor = profile.variance_floor
     grain = estimate_edge_noise(residual, level, gathered.used, gathered.distance, floor, picture.field_axis)
-    return with_shading(profile.with_noise(grain), profile.value)
+    of_bins = (profile.value - profile.dark) / profile.step
+    covariance = bin_covariance(grain, gathered.borders, of_bins, profile.count, profile.keep, profile.slopes)
+    return with_shading(replace(profile, grain=grain, covariance=covariance, shading_sd=0.0), profile.value)
 
 
 def with_shading(profile: EdgeProfile, left_over: Array) -> EdgeProfile:

@@ -35,26 +35,6 @@ class PulsedBars(PhotoelectronTarget):
         """MTF at the bars' frequency across them, pixel included, dimensionless."""
         return float(self.mtf(self.frequency_cy_per_px))
 
-    @property
-    def fundamental_snr(self) -> float:
-        """The fundamental over the standard error of either of its parts, asked of the bars and half a period around.
-
-        Photoelectrons p of places x in the core, g of the ground, make |sum (p - g) exp(2 pi i f x)| T(f), T a pulse's
-        transfer and the pixel's, with the variance ((1 + spread) sum p T^2 + read noise) / 2 of each part.
-        """
-        f, angle = self.frequency_cy_per_px, np.deg2rad(self.angle_deg)
-        photoelectrons, (row, col) = self._mean(0.0), self._places()
-        x, y = col - self.col_px, row - self.row_px
-        across, along = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
-        core = (np.abs(across) < (self.bars + 1.0) / (2.0 * f)) & (np.abs(along) < 2.25 / f)
-        counted = np.where(core, photoelectrons, 0.0)
-        pulse = float(np.exp(-2 * (np.pi * f * self.pulse_px) ** 2) * np.sinc(f))
-        ground = self.dark_share * self.photoelectrons / FINER**2
-        height = abs(np.sum(np.where(core, photoelectrons - ground, 0.0) * np.exp(2j * np.pi * f * across))) * pulse
-        read = (self.read_dn / self.gain_dn) ** 2 * np.count_nonzero(core) / FINER**2
-        variance = 0.5 * ((1.0 + self.gain_spread) * counted.sum() * pulse**2 + read)
-        return height / float(np.sqrt(variance / self.frames))
-
     def _illumination(self, row: Array, col: Array, moved_px: float) -> Array:
         shape, first = (row.size, col.size), (float(row[0, 0]), float(col[0, 0]))
         place = self.row_px - first[0], self.col_px + moved_px - first[1]

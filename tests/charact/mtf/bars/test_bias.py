@@ -47,7 +47,6 @@ def fits_of(image: NDArray, frequency: float, snr: float, blur_px: float) -> Fit
     ("core", "frequency", "snr", "rows", "blur_px", "sign"),
     [
         (gaussian(0.8), 0.4, 10.0, 10, 0.0, 1),
-        (tube(0.25, 1.1), 0.3, 10.0, 20, 0.0, -1),
         (gaussian(0.8), 0.4, 10.0, 20, 0.7, -1),
     ],
 )

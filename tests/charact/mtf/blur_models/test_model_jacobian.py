@@ -32,7 +32,7 @@ FAMILIES = [BlurModel(core=core, wide=wide) for core in ("gaussian", "exponentia
 def test_a_prior_is_flat_but_for_its_gaussian_part(family, seed):
     rng, bounds = np.random.default_rng(seed), family.bounds
     theta = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * rng.random((7, len(bounds)))
-    mean, precision = family.prior_precision()
+    mean, precision = family.prior_precision
     pull = 0.5 * (theta - mean) ** 2 @ precision
     assert family.log_prior(theta) == pytest.approx(_flat(family) - pull)
 
@@ -51,16 +51,11 @@ def test_a_form_alone_is_the_form_of_many_points_and_its_slopes_are_differences(
             assert slope == pytest.approx(difference, abs=0.02 * np.abs(difference).max() + 1e-9)
 
 
-def test_si_and_the_disc_are_those_of_scipy_near_and_far():
-    x = np.concatenate([np.linspace(1e-6, 399.9, 5000), np.linspace(400.1, 3000.0, 500)])
-    assert transfer.sine_integral(x) == pytest.approx(sici(x)[0], abs=2e-5)
-    assert transfer.disc_from_table(x) == pytest.approx(2.0 * j1(x) / x, abs=1e-8)
-
-
-def test_a_halo_is_made_of_scipys_sines():
-    x, share = np.linspace(1e-6, 399.9, 3000)[None], 0.3
+def test_halo_and_disc_are_made_of_scipys_sines_and_bessel_functions():
+    x, share = np.concatenate([np.linspace(1e-6, 399.9, 3000), np.linspace(400.1, 3000.0, 500)]), 0.3
     expected = share * np.sin(x) / x + (1.0 - share) * sici(x)[0] / x
-    assert transfer.halo_from_table(x, np.array([share])) == pytest.approx(expected, abs=2e-5)
+    assert transfer.halo(x / np.pi, 1.0, share) == pytest.approx(expected, abs=2e-5)
+    assert transfer.disc(x / np.pi, 1.0) == pytest.approx(2.0 * j1(x) / x, abs=1e-8)
 
 
 @pytest.mark.parametrize("exponent", [1.3, 1.5, 2.5, 6.0])

@@ -141,10 +141,10 @@ def test_what_a_fit_would_be_in_other_light_is_about_what_it_becomes(seed):
 
 
 def test_wings_stay_possible_beside_a_gaussian_that_noise_cannot_tell_from_them(seed):
-    """Of 30 drawings of a Gaussian's edge each leaves wings some share; one favours them, but not their mean."""
+    """Of 12 drawings of a Gaussian's edge each leaves wings some share; one favours them, but not their mean."""
     rng = np.random.default_rng(seed)
     shares = []
-    for _ in range(30):
+    for _ in range(12):
         stack = replace(PLAIN, snr=10.0).frames_drawn(rng)
         forms = edge_parametric(stack, context=QUICK).find("mtf50")[0].provenance.settings["forms"]
         shares.append([forms.get(core, 0.0) for core in ("gaussian", "exponential", "moffat")])

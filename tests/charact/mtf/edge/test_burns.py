@@ -34,7 +34,7 @@ def table(shared_data):
 def response_of(stack: FrameStack):
     edge = prepare_edge(stack, None, CONTEXT)
     assert isinstance(edge, PreparedEdge)
-    return edge_slanted._slanted_estimate(edge.picture, edge.rows.line)
+    return edge_slanted._estimate_slanted(edge.picture, edge.rows.line)
 
 
 @pytest.mark.parametrize("name", ["h_edge.tif", "v_edge.tif"])

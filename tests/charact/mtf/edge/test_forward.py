@@ -44,11 +44,16 @@ def test_a_real_edge_agrees_with_the_table_made_from_it_and_with_its_own_rotatio
     assert (upright.orientation_deg - rotated.orientation_deg) % 180 == pytest.approx(90.0, abs=0.1)
 
 
-@pytest.mark.parametrize("blur", [False, True], ids=["white", "correlated"])
-def test_the_truth_lies_inside_the_interval_as_often_as_promised(blur, seed):
-    trials, inside, trusted = 30, {"mtf50": 0, "mtf": 0}, 0
-    for trial in range(trials):
-        rng = np.random.default_rng([seed, trial, int(blur)])
+def test_errors_are_those_that_the_intervals_state(seed):
+    """In white and in correlated noise: chi squared of ten errors is above 35.6 once in ten thousand runs."""
+    squares, trusted = {"mtf50": 0.0, "mtf": 0.0}, 0
+
+    def squared_error(found, truth):
+        side = found.interval95[0 if truth < found.value else 1]
+        return (1.96 * (truth - found.value) / (side - found.value)) ** 2
+
+    for trial in range(10):
+        rng, blur = np.random.default_rng([seed, trial]), bool(trial % 2)
         sigma = rng.uniform(0.6, 1.5)
         angle = float(rng.choice([0, 90, 180, 270]) + rng.choice([-1, 1]) * rng.uniform(3, 12))
         snr = float(np.exp(rng.uniform(np.log(15), np.log(80))))
@@ -56,16 +61,14 @@ def test_the_truth_lies_inside_the_interval_as_often_as_promised(blur, seed):
         found = result.find("mtf50")[0]
         truth = edges.frequency_at(0.5, sigma, angle)
         assert found.interval95[0] < found.interval68[0] < found.value < found.interval68[1] < found.interval95[1]
-        inside["mtf50"] += found.interval95[0] <= truth <= found.interval95[1]
-        pinned = result.find("mtf", frequency_cy_per_px=0.2)[0]
-        inside["mtf"] += pinned.interval95[0] <= edges.mtf(0.2, sigma, angle) <= pinned.interval95[1]
+        squares["mtf50"] += squared_error(found, truth)
+        squares["mtf"] += squared_error(result.find("mtf", frequency_cy_per_px=0.2)[0], edges.mtf(0.2, sigma, angle))
         trusted += found.status == "ok"
-    # Of 30 draws at 95 % fewer than 23 are a 4.5 sigma event.
-    assert min(inside.values()) >= 23
-    assert trusted >= 0.95 * trials
+    assert max(squares.values()) < 35.6
+    assert trusted >= 8
 
 
-@pytest.mark.parametrize("angle", [4.0, -7.0, 42.0, 85.0, 97.0, 176.0, 184.0, 263.0])
+@pytest.mark.parametrize("angle", [-7.0, 42.0, 97.0, 263.0])
 def test_edges_in_any_direction_and_of_either_polarity_give_the_same_mtf(angle, seed):
     found = measured(edge(np.random.default_rng(seed), angle_deg=angle, snr=80.0))
     mtf50, tilt = found.find("mtf50")[0], found.find("edge_angle")[0]
@@ -81,7 +84,7 @@ def test_noise_is_no_edge(seed):
     flat = np.full((90, 110), 600.0)
     held = []
     for blur in (False, True):
-        for snr in 8 * (3.0, 30.0):
+        for snr in 3 * (3.0, 30.0):
             result = measured(edges.noisy(flat, rng, snr=snr, step=STEP / 4, blur=blur))
             assert all(m.status != "ok" for m in result.measurements)
             refused = all(m.status == "refused" and m.reason for m in result.measurements)
@@ -101,19 +104,10 @@ def test_a_slope_of_the_light_is_no_edge(seed):
 def test_uneven_light_leaves_the_mtf_alone(seed):
     """Reference: section 5.1, where a plain estimator is off by -2.4 % at 10 % and -7 % at 30 %."""
     truth = edges.frequency_at(0.5, 0.9, 5.0)
-    for gradient in (-0.3, -0.1, 0.1, 0.3):
+    for gradient in (-0.3, 0.1):
         found = measured(edge(np.random.default_rng(seed), gradient=gradient, snr=80.0)).find("mtf50")[0]
         half = (found.interval68[1] - found.interval68[0]) / 2
         assert abs(found.value - truth) < 4.5 * half
-
-
-def test_clipping_is_told(seed):
-    stack = edge(np.random.default_rng(seed), snr=40.0)
-    top = int(600 + 0.9 * STEP)
-    clipped = FrameStack(data=np.minimum(stack.data, top), full_scale_dn=float(top))
-    assert "clipped" in flags_of(clipped)
-    assert "clipped" in flags_of(FrameStack(data=np.minimum(stack.data, top)))
-    assert "clipped" not in flags_of(stack)
 
 
 def test_motion_between_fields_is_told(seed):
@@ -207,10 +201,9 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
         assert found.interval68[1] - found.interval68[0] == pytest.approx(width, rel=0.25)
 
 
-@pytest.mark.parametrize("number", [6, 18])
-def test_a_ridge_that_the_curvature_at_its_peak_does_not_tell(number):
+def test_a_ridge_that_the_curvature_at_its_peak_does_not_tell():
     """Wings of a power law, fitted as glare: the draws of the curvature are 5 % off, and chains do not converge."""
-    case = chart_cases(0, 40)[number]
+    case = chart_cases(0, 7)[6]
     found = measured(case.drawn(), replace(Context(quick=True, seed=case.seed), **case.context)).find("mtf50")[0]
     assert found.value == pytest.approx(case.truth, rel=0.025)
     assert found.interval95[0] < case.truth < found.interval95[1]

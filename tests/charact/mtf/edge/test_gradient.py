@@ -17,7 +17,7 @@ def measured(frame):
     return mtf.measure("edge", FrameStack(data=frame[None]), method="edge-gradient", context=QUICK)
 
 
-@pytest.mark.parametrize("angle_deg", [3.3, 12.0, -7.0, 97.0, 186.0])
+@pytest.mark.parametrize("angle_deg", [3.3, -7.0, 97.0])
 @pytest.mark.parametrize("sigma_px", [0.5, 1.5])
 def test_without_noise_the_curve_is_the_transform_of_the_blur(sigma_px, angle_deg):
     """Within 0.4 %: where rows step by nearly an eighth of a pixel, as at 7 degrees, bins are filled unevenly."""
@@ -39,24 +39,24 @@ def test_light_outside_the_window_of_the_blur_counts():
 
 def test_it_stands_noise_better_than_a_differentiated_profile(seed):
     """On the same frames; reference: 2.7 % for the gradient tool and 5.3 % for the profile tool at a step of 10 sd."""
-    wanted = dict.fromkeys(("edge-gradient", "edge-slanted"), seed + 24)
-    trials = [trial for one in range(24) for trial in answers(seed + one, 10.0, wanted)]
+    wanted = dict.fromkeys(("edge-gradient", "edge-slanted"), seed + 14)
+    trials = [trial for one in range(14) for trial in answers(seed + one, 10.0, wanted)]
     rms = {
         name: np.sqrt(np.mean([trial.relative_error**2 for trial in trials if trial.method == name]))
         for name in ("edge-gradient", "edge-slanted")
     }
-    # 2.5 standard errors of an RMS of 24.
-    assert rms["edge-gradient"] < 0.031 * (1 + 2.5 / np.sqrt(48))
+    # 2.5 standard errors of an RMS of 14.
+    assert rms["edge-gradient"] < 0.031 * (1 + 2.5 / np.sqrt(28))
     assert rms["edge-gradient"] < rms["edge-slanted"]
 
 
 @pytest.mark.parametrize("method", ["edge-gradient", "edge-slanted"])
 def test_plain_intervals_hold_where_noise_makes_the_response_uneven(method, seed):
-    """Mixed blurs, noises and light; three standard errors of a share of about 30 are 12 points at 95 %."""
-    trials = [trial for one in range(50) for trial in measure_mixed_scene(seed + one, (method,))]
+    """Mixed blurs, noises and light; three standard errors of a share of about 20 are 15 points at 95 %."""
+    trials = [trial for one in range(32) for trial in measure_mixed_scene(seed + one, (method,))]
     sure = [trial for trial in trials if trial.status == "ok"]
-    assert len(sure) > 20
-    assert np.mean([trial.covers95 for trial in sure]) > 0.95 - 0.12
+    assert len(sure) > 12
+    assert np.mean([trial.covers95 for trial in sure]) > 0.95 - 0.15
     assert not any(trial.silent for trial in trials)
 
 

@@ -40,7 +40,7 @@ def measured(frame, method, context=QUICK, **options):
     return mtf.measure("edge", stack, method=method, context=context)
 
 
-@pytest.mark.parametrize("angle_deg", [3.3, 12.0, 24.0, -7.0, 97.0, 186.0])
+@pytest.mark.parametrize("angle_deg", [3.3, 24.0, 97.0])
 @pytest.mark.parametrize(
     ("form", "rms"),
     [(gaussian(0.5), 5e-4), (gaussian(1.5), 5e-4), (tube(0.25, 1.1), 1e-3), (tube(0.32, 1.184), 1e-3)],
@@ -56,7 +56,7 @@ def test_without_noise_the_forms_have_no_bias(form, rms, angle_deg):
     assert np.sqrt(np.mean(away**2)) < rms
 
 
-@pytest.mark.parametrize(("share", "diameter_px"), [(0.05, 22.0), (0.15, 35.0), (0.25, 30.0)])
+@pytest.mark.parametrize(("share", "diameter_px"), [(0.05, 22.0), (0.25, 30.0)])
 def test_a_halo_lowers_the_mtf_by_the_light_it_takes(share, diameter_px):
     """All light that entered is in the normalisation: RMS of the MTF up to Nyquist within 2e-3."""
     form = with_disc(gaussian(0.8), share, diameter_px)
@@ -77,7 +77,7 @@ def test_the_bound_is_the_one_the_peers_were_held_against():
 @pytest.mark.parametrize("snr", [30.0, 5.0])
 def test_errors_are_at_the_bound(snr, seed):
     """Sampling error of an RMS of n errors is 1/sqrt(2 n) of it: 2.5 of that are allowed over 1.15 and 1.5."""
-    count, limits = 40, {"edge-parametric": 1.15, "edge-free": 1.5}
+    count, limits = 12, {"edge-parametric": 1.15, "edge-free": 1.5}
     wanted = dict.fromkeys(limits, seed + count)
     given = [one for each in range(count) for one in answers(seed + each, snr, wanted)]
     for method, limit in limits.items():
@@ -87,38 +87,23 @@ def test_errors_are_at_the_bound(snr, seed):
 
 
 def test_intervals_hold_as_often_as_they_say(seed):
-    """Mixed blurs, noises and light; 3 standard errors of a share of 40 are 22 points at 68 % and 10.3 at 95 %."""
-    trials = [trial for one in range(40) for trial in measure_mixed_scene(seed + one, ("edge-parametric",))]
+    """Mixed blurs, noises and light; 3 standard errors of a share of 30 are 25 points at 68 % and 12 at 95 %."""
+    trials = [trial for one in range(30) for trial in measure_mixed_scene(seed + one, ("edge-parametric",))]
     sure = [trial for trial in trials if trial.status == "ok"]
-    assert len(sure) > 25
-    assert abs(np.mean([trial.covers68 for trial in sure]) - 0.68) < 0.22
-    assert np.mean([trial.covers95 for trial in sure]) > 0.95 - 0.103
+    assert len(sure) > 18
+    assert abs(np.mean([trial.covers68 for trial in sure]) - 0.68) < 0.25
+    assert np.mean([trial.covers95 for trial in sure]) > 0.95 - 0.12
     assert sum(trial.silent for trial in sure) <= 1
 
 
 def test_the_evidence_tells_a_lens_from_a_tube(seed):
-    """Noise makes one frame in a hundred look like another form: two of five are passed once in a thousand runs."""
+    """Noise makes one frame in a hundred look like another form: one of three is passed."""
     rng = np.random.default_rng(seed)
     for form, name in ((gaussian(1.0), "gaussian"), (tube(0.25, 1.15), "exponential")):
         frame = 1000.0 + 2000.0 * edges.frame_of(form, 160, 120, angle_deg=6.0)
-        frames = [frame + 20.0 * rng.standard_normal(frame.shape) for _ in range(5)]
+        frames = [frame + 20.0 * rng.standard_normal(frame.shape) for _ in range(3)]
         found = [measured(one, "edge-parametric").find("mtf50")[0].provenance.settings["forms"] for one in frames]
-        assert sum(next(iter(shares)) == name for shares in found) >= 4, found
-
-
-@pytest.mark.parametrize("method", ["edge-parametric"])
-def test_a_blur_of_no_known_form_is_told_and_the_free_method_needs_none(method, seed):
-    """Light smeared evenly over 4 px along the normal: transfer sinc(4 f), which no lens or tube has."""
-    rng = np.random.default_rng(seed)
-    form = lambda f: np.sinc(4.0 * f) * gaussian(0.5)(f)  # noqa: E731
-    frame = 1000.0 + 2000.0 * edges.frame_of(form, 160, 120, angle_deg=6.0)
-    frame = frame + 20.0 * rng.standard_normal(frame.shape)
-    assert "model-misfit" in measured(frame, "edge-parametric").find("mtf50")[0].flags
-    free = measured(frame, "auto").find("mtf50")[0]
-    assert free.method == "edge-free"
-    half = (free.interval95[1] - free.interval95[0]) / 4
-    assert abs(free.value - edges.level_of(form, 6.0)) < 4.5 * half
-    assert free.status == "ok"
+        assert sum(next(iter(shares)) == name for shares in found) >= 2, found
 
 
 @pytest.mark.parametrize("gradient", [-0.06, 0.06])
@@ -127,13 +112,13 @@ def test_light_that_slopes_is_no_long_tail_to_the_free_method(gradient, seed):
     rng = np.random.default_rng(seed)
     mean = edges.mean_edge(130, 116, sigma_px=1.3, angle_deg=7.0, dark=1500.0, bright=3000.0, gradient=gradient)
     truth, away = edges.frequency_at(0.5, 1.3, 7.0), []
-    for _ in range(6):
+    for _ in range(4):
         frames = (mean + 60.0 * rng.standard_normal(mean.shape))[None]
         stack = FrameStack(data=frames, full_scale_dn=65535.0, black_level_dn=0.0)
         found = mtf.measure("edge", stack, method="edge-free", context=QUICK).find("mtf50")[0]
         away.append((found.value - truth) / np.diff(found.interval95)[0] * 2.0)
     assert np.abs(away).max() < 1.6
-    assert np.count_nonzero(np.abs(away) < 1.0) >= 4
+    assert np.count_nonzero(np.abs(away) < 1.0) >= 2
 
 
 def test_what_tails_carry_out_of_the_region_widens_the_free_interval(seed):
@@ -141,23 +126,9 @@ def test_what_tails_carry_out_of_the_region_widens_the_free_interval(seed):
     form = tube(0.25, 1.1)
     frame = 1000.0 + 2000.0 * edges.frame_of(form, 160, 56, angle_deg=5.0)
     rng = np.random.default_rng(seed)
-    found = [measured(frame + 20.0 * rng.standard_normal(frame.shape), "edge-free").find("mtf50")[0] for _ in range(8)]
+    found = [measured(frame + 20.0 * rng.standard_normal(frame.shape), "edge-free").find("mtf50")[0] for _ in range(5)]
     truth = edges.level_of(form, 5.0)
-    assert sum(one.interval95[0] < truth < one.interval95[1] for one in found) >= 6
-
-
-def test_chain_importance_and_curvature_say_the_same(seed, monkeypatch):
-    frame = 1000.0 + 2000.0 * edges.frame_of(gaussian(0.9), 120, 100, angle_deg=6.0)
-    frame = frame + 60.0 * np.random.default_rng(seed).standard_normal(frame.shape)
-    quick = measured(frame, "edge-parametric").find("mtf50")[0]
-    picked = measured(frame, "edge-parametric", Context(seed=1)).find("mtf50")[0]
-    monkeypatch.setattr("charact.posterior.sampling.ENOUGH", np.inf)
-    chained = measured(frame, "edge-parametric", Context(seed=1)).find("mtf50")[0]
-    assert [one.posterior.sampler for one in (quick, picked, chained)] == ["laplace", "importance", "emcee"]
-    width = quick.interval68[1] - quick.interval68[0]
-    for full in (picked, chained):
-        assert abs(full.value - quick.value) < 0.25 * width
-        assert full.interval68[1] - full.interval68[0] == pytest.approx(width, rel=0.2)
+    assert sum(one.interval95[0] < truth < one.interval95[1] for one in found) >= 3
 
 
 def test_an_uncertain_edge_has_the_skewed_interval_of_the_chain_quickly_too(seed):
@@ -167,19 +138,19 @@ def test_an_uncertain_edge_has_the_skewed_interval_of_the_chain_quickly_too(seed
     """
     frame = 1000.0 + 2000.0 * edges.frame_of(gaussian(0.5), 120, 100, angle_deg=6.0)
     skew = []
-    for one in range(3):
+    for one in range(2):
         noisy = frame + 700.0 * np.random.default_rng([seed, one]).standard_normal(frame.shape)
         both = [measured(noisy, "edge-parametric", Context(quick=quick)).find("mtf50")[0] for quick in (True, False)]
         skew.append([(one.interval95[1] - one.value) / (one.value - one.interval95[0]) for one in both])
     quick, full = np.log(skew).mean(axis=0)
-    assert quick == pytest.approx(full, abs=3 * 0.13 * np.sqrt(2 / 3))
+    assert quick == pytest.approx(full, abs=3 * 0.13)
 
 
 def test_a_surer_edge_has_the_skew_of_its_posterior_from_the_curvature_alone(seed, monkeypatch):
     """A step of seven standard deviations, MTF50 known to 5 %: errors are even in the blur's width, not in ln MTF50."""
     frame = 1000.0 + 2000.0 * edges.frame_of(gaussian(0.5), 120, 100, angle_deg=6.0)
     skew = []
-    for one in range(8):
+    for one in range(4):
         noisy = frame + 300.0 * np.random.default_rng([seed, one]).standard_normal(frame.shape)
         both = []
         for unsure in (THRESHOLDS.skewed_sd, 0.005):
@@ -189,7 +160,7 @@ def test_a_surer_edge_has_the_skew_of_its_posterior_from_the_curvature_alone(see
         skew.append([(found.interval95[1] - found.value) / (found.value - found.interval95[0]) for found in both])
         monkeypatch.undo()
     curvature, importance = np.log(skew).mean(axis=0)
-    assert curvature == pytest.approx(importance, abs=0.07)
+    assert curvature == pytest.approx(importance, abs=0.1)
 
 
 def test_an_interval_too_wide_for_its_tails_is_flagged(seed):

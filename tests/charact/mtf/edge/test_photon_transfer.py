@@ -6,17 +6,9 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.mtf.edge.nonlinearity import growth_of
+from charact.mtf.edge.pixels.plateau_noise import READ_OUT, PlateauNoiseRatio, ln_bayes_factor_nonlinear, noise_flags
 from charact.mtf.edge.pixels.prepare_edge import prepare_edge
-from charact.mtf.nonlinearity import (
-    BENDING,
-    MAX_LN_BAYES_FACTOR,
-    READ_OUT,
-    PlateauNoiseRatio,
-    ln_bayes_factor_nonlinear,
-    noise_flags,
-    variance_ratio,
-)
+from charact.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from tests.charact.mtf.edge.photoelectron_edges import PulseEdge
 
@@ -32,26 +24,26 @@ PULSES = PulseEdge(
 )  # fmt: skip
 
 
-def edges(scene, seed, count=20):
+def edges(scene, seed, count=10):
     """Edges found in drawings of a scene."""
     drawn = (scene.frames_drawn(np.random.default_rng([seed, n])) for n in range(count))
     return [prepare_edge(stack, None, Context(quick=True)) for stack in drawn]
 
 
 @pytest.mark.parametrize(
-    ("gamma", "shot_share", "told"), [(1.0, 1.0, 0), (1.3, 1.0, 20), (1.8, 0.8, 20)], ids=["straight", "1.3", "1.8"]
+    ("gamma", "shot_share", "told"), [(1.0, 1.0, 0), (1.3, 1.0, 10), (1.8, 0.8, 10)], ids=["straight", "1.3", "1.8"]
 )
 def test_noise_that_rises_faster_than_light_is_a_curved_response(gamma, shot_share, told, seed):
-    """Photons' variance grows as the level over black; of 20 frames at most two are told wrongly."""
+    """Photons' variance grows as the level over black; of 10 frames at most one is told wrongly."""
     found = edges(replace(STRAIGHT, gamma=gamma, shot_share=shot_share), seed)
-    flagged = sum(noise_flags(growth_of(edge)) == ("gamma",) for edge in found)
-    assert abs(flagged - told) <= 2
+    flagged = sum(noise_flags(edge.noise_growth) == ("gamma",) for edge in found)
+    assert abs(flagged - told) <= 1
 
 
 @pytest.mark.parametrize("shot_share", [1.0, 0.8, 0.0])
 def test_growth_is_that_of_the_light(shot_share, seed):
     """Photons' share of the variance grows as 2600 to 1100 DN over black, read noise not at all."""
-    found = [growth_of(edge) for edge in edges(replace(STRAIGHT, shot_share=shot_share), seed)]
+    found = [edge.noise_growth for edge in edges(replace(STRAIGHT, shot_share=shot_share), seed)]
     bright, dark = (shot_share * level / 1850.0 + 1.0 - shot_share for level in (2600.0, 1100.0))
     ratios = np.array([growth.ratio for growth in found])
     scatter = np.mean([growth.scatter for growth in found])
@@ -65,7 +57,7 @@ def test_growth_is_that_of_the_light(shot_share, seed):
 @pytest.mark.parametrize("share", [-0.5, 0.0, 0.4, 1.0, 1.6])
 def test_odds_are_those_of_noise_drawn_as_was_said(photons, scatter, share, seed):
     """Read-out's noise or photons' in any share, behind a power law or not: counted close to what was found."""
-    rng, count, most = np.random.default_rng(seed), 4_000_000, np.log(photons)
+    rng, count, most = np.random.default_rng(seed), 1_000_000, np.log(photons)
     at = share * most
     kept = rng.random(count) < READ_OUT
     grown = np.where(kept, 0.0, rng.uniform(0.0, most, count)) + scatter * rng.standard_normal(count)
@@ -81,7 +73,7 @@ def test_odds_are_those_of_noise_drawn_as_was_said(photons, scatter, share, seed
 
 
 def test_noise_that_grows_as_photons_do_speaks_for_a_straight_response(seed):
-    odds = [ln_bayes_factor_nonlinear(growth_of(edge)) for edge in edges(replace(STRAIGHT, shot_share=0.8), seed)]
+    odds = [ln_bayes_factor_nonlinear(edge.noise_growth) for edge in edges(replace(STRAIGHT, shot_share=0.8), seed)]
     assert np.mean(odds) < -0.5
     assert max(odds) < 1.0
 
@@ -91,46 +83,18 @@ def test_noise_says_nothing_where_it_may_be_something_else(unknown, seed):
     """No black, pixels so quiet that unequal gain is seen."""
     edge = edges(replace(STRAIGHT, snr=70.0) if unknown == "quiet" else STRAIGHT, seed, count=1)[0]
     black = None if unknown == "black" else edge.profile.black
-    growth = growth_of(replace(edge, profile=replace(edge.profile, black=black)))
+    growth = replace(edge, profile=replace(edge.profile, black=black)).noise_growth
     assert growth.photon_ratio is None
     assert ln_bayes_factor_nonlinear(growth) == 0.0
 
 
-@pytest.mark.parametrize("pattern", [0.0, 0.1], ids=["even", "pattern"])
-def test_pulses_grow_as_their_light_from_frame_to_frame(pattern, seed):
-    """Heavy-tailed and tied, beside read noise: the ratio within four of its errors, whatever the fixed pattern."""
-    found = [
-        variance_ratio(edge.plateau_noise, edge.profile.black)
-        for edge in edges(replace(PULSES, pattern=pattern, flicker=0.1), seed, count=12)
-    ]
-    ratios, scatter = np.array([one.ratio for one in found]), np.mean([one.scatter for one in found])
-    # Photoelectrons and their heights, each pulse shared out among pixels.
-    line = edge_square(PULSES.pulse_px)
-    signal = 1.6 * PULSES.gain_dn * line**2 * np.array([160.0, 32.0])
-    bright, dark = signal + PULSES.read_dn**2 + 1.0 / 12.0
-    assert np.log(ratios).mean() == pytest.approx(np.log(bright / dark), abs=4 * scatter / np.sqrt(len(found)))
-    assert np.log(ratios).std(ddof=1) < 2.0 * scatter
-    assert [one.photon_ratio for one in found] == pytest.approx([5.0] * len(found), rel=0.03)
-
-
-def edge_square(pulse_px):
-    """Sum over pixels of the squares of a Gaussian pulse's shares along one axis, over all places of it."""
-    places, pixels = np.linspace(-0.5, 0.5, 201)[:-1], np.arange(-8, 9)
-    from scipy.special import ndtr
-
-    shares = ndtr((pixels + 0.5 - places[:, None]) / pulse_px) - ndtr((pixels - 0.5 - places[:, None]) / pulse_px)
-    return float(np.mean(np.sum(shares**2, axis=1)))
-
-
 @pytest.mark.parametrize(
-    ("gamma", "frames", "told"), [(1.0, 16, 0), (1.25, 16, 12), (0.8, 16, 12), (1.0, 1, 0), (0.5, 1, 12), (2.0, 1, 12)]
+    ("gamma", "frames", "told"), [(1.0, 16, 0), (1.25, 16, 4), (0.8, 16, 4), (1.0, 1, 0), (0.5, 1, 4), (2.0, 1, 4)]
 )
 def test_pulses_tell_a_curved_response(gamma, frames, told, seed):
-    """What neighbours share grows as the light, neither more nor less: a single frame of pulses tells a gamma of 0.5.
-
-    It was 17 to 20 % off, ok: noise that does not grow with the light might have been read-out's.
-    """
-    found = [growth_of(edge) for edge in edges(replace(PULSES, gamma=gamma, frames=frames), seed, count=12)]
+    """What neighbours share grows as the light, neither more nor less, whatever the fixed pattern and the flicker."""
+    more = {"pattern": 0.1, "flicker": 0.1} if frames > 1 else {}
+    found = [edge.noise_growth for edge in edges(replace(PULSES, gamma=gamma, frames=frames, **more), seed, count=4)]
     # A response that steepens may leave the dark side too little for that; the variance tells it then.
     assert all(one.of_light for one in found) or gamma > 1.0
     assert abs(sum(noise_flags(one) == ("gamma",) for one in found) - told) <= 1
@@ -139,8 +103,9 @@ def test_pulses_tell_a_curved_response(gamma, frames, told, seed):
 @pytest.mark.parametrize("row_noise_dn", [0.0, 3.0])
 def test_what_neighbours_share_is_light_and_nothing_that_a_row_has_in_common(row_noise_dn, seed):
     """Read-out's noise of 8 DN, white or of whole rows besides: the ratio stays that of the light."""
-    found = [growth_of(one) for one in edges(replace(PULSES, read_dn=8.0, row_noise_dn=row_noise_dn), seed, count=12)]
+    found = [one.noise_growth for one in edges(replace(PULSES, read_dn=8.0, row_noise_dn=row_noise_dn), seed, count=4)]
     away = np.array([np.log(one.ratio / one.photon_ratio) / one.scatter for one in found if one.of_light])
-    assert len(away) == 12
-    assert away.mean() == pytest.approx(0.0, abs=4.0 / np.sqrt(12))
-    assert away.std(ddof=1) < 2.0
+    assert len(away) == 4
+    assert away.mean() == pytest.approx(0.0, abs=4.0 / np.sqrt(4))
+    # Chi squared of three is above 15.9 once in a thousand.
+    assert away.std(ddof=1) < 2.3

@@ -15,7 +15,7 @@ from charact.mtf.point.model_selection import fit_sources
 from charact.mtf.point.parametric import point_parametric
 from charact.mtf.point.parametric_noise import measure_surroundings_noise, pulse_covariances
 from charact.mtf.point.source_pixels import covariance
-from charact.mtf.point.spot_image_matrix import Aperture, cosines, pixel_matrix, radial
+from charact.mtf.point.spot_image_matrix import FREQUENCIES, Aperture, pixel_matrix
 from charact.posterior import importance_sample, sampling
 from charact.study.edge.scene import TrueBlur
 from charact.study.point.scene import PointScene
@@ -39,7 +39,7 @@ def standard_errors(measurement, truth):
 def test_matrix_of_pixels_is_that_of_integrated_gaussians(sigma):
     x, y = np.linspace(-7.3, 6.7, 15), np.linspace(-5.8, 6.2, 13)
     half = np.sqrt(np.log(2) / 2) / np.pi / sigma
-    transfer = BlurModel2D(core="gaussian").transfer(np.array([[np.log(half), 0.2]]), radial(2.0)[1], cosines())
+    transfer = BlurModel2D(core="gaussian").transfer(np.array([[np.log(half), 0.2]]))
     pixels = pixel_matrix(Aperture(), x, y) @ transfer.ravel()
     narrow, high = sigma * np.exp(-0.1), sigma * np.exp(0.1)
     lines = [
@@ -53,7 +53,6 @@ def test_matrix_of_pixels_is_that_of_integrated_gaussians(sigma):
 @pytest.mark.parametrize(
     "spot",
     [
-        Spot(width=0.6),
         Spot(width=1.2, stretch=0.2),
         Spot(form="exponential", width=0.25, exponent=1.3),
         Spot(form="moffat", width=2.0, exponent=2.5),
@@ -70,13 +69,13 @@ def test_a_spot_without_noise_is_measured_within_a_thousandth_in_both_directions
 def test_intervals_hold_the_truth_also_of_cores_beyond_full_scale(seed, full_scale_dn):
     rng = np.random.default_rng(seed)
     errors = []
-    for _ in range(6):
+    for _ in range(3):
         spot = Spot(width=float(rng.uniform(0.8, 1.4)), row_px=rng.uniform(-0.5, 0.5), col_px=rng.uniform(-0.5, 0.5))
         camera = SpotCamera(snr=40.0, full_scale_dn=full_scale_dn)
         found = level(point_parametric(camera.taken(spot, rng), context=QUICK))
         errors.append(standard_errors(found, spot.level(0.5)))
     assert np.abs(errors).max() < 4.5
-    assert abs(np.mean(errors)) < 4.5 / np.sqrt(6)
+    assert abs(np.mean(errors)) < 4.5 / np.sqrt(3)
 
 
 def test_a_core_at_full_scale_is_counted_and_told(seed):
@@ -92,12 +91,34 @@ def test_pixels_of_which_only_a_least_value_is_known_weigh_by_the_tail_beyond_it
     heights = np.array([80.0, 100.0, 125.0])
     one = np.ones(3)
     cut = Censored(matrix=np.empty((3, 1)), limit=100 * one, sd=10 * one, cut=4 * one, left=0 * one, mean=0 * one)
-    slope, curvature, value = cut.terms(heights)
+    slope, curvature, value = (part[0] for part in cut.terms(heights[None]))
     step = 1e-3
     by_hand = [4 * log_ndtr((heights + k * step - 100.0) / 10.0) for k in (-1, 0, 1)]
     assert value == pytest.approx(by_hand[1].sum())
     assert slope == pytest.approx((by_hand[2] - by_hand[0]) / (2 * step), rel=1e-4)
     assert curvature == pytest.approx(-(by_hand[2] - 2 * by_hand[1] + by_hand[0]) / step**2, rel=1e-2)
+
+
+def test_a_clipped_pixel_far_from_its_limit_keeps_a_finite_likelihood():
+    one = np.ones(1)
+    cut = Censored(matrix=np.empty((1, 1)), limit=100 * one, sd=10 * one, cut=4 * one, left=0 * one, mean=0 * one)
+    for height in (-1e12, -1e5, 1e5, 1e12):
+        slope, curvature, value = cut.terms(np.full((1, 1), height))
+        assert np.isfinite([slope[0, 0], curvature[0, 0], value[0]]).all()
+        # Far below, ln Phi(z) is -z^2/2: slope -z and curvature 1 in units of the noise.
+        z = (height - 100.0) / 10.0
+        assert slope[0, 0] == pytest.approx(4 * max(-z, 0.0) / 10.0, rel=1e-6)
+        assert curvature[0, 0] == pytest.approx(4 * (z < 0) / 100.0, rel=1e-6)
+
+
+def test_light_far_beyond_full_scale_is_refused_and_not_fitted():
+    row, col = np.mgrid[:101, :101] - 50.0
+    light = 1e9 * np.exp(-(row**2 + col**2) / 8.0) + 1e4 / (1.0 + row**2 + col**2)
+    frames = (
+        np.random.default_rng(3).poisson(np.minimum(20.0 + light, 1e6), (6, 101, 101)).clip(0, 255).astype(np.uint8)
+    )
+    found = point_parametric(FrameStack(data=frames, full_scale_dn=255.0), context=QUICK)
+    assert all(m.value is None or m.flags for m in found.find("mtf50"))
 
 
 def test_an_unknown_pinhole_widens_the_interval_to_hold_the_camera_alone(seed):
@@ -172,12 +193,11 @@ HALO = PointScene(
 
 def test_a_faint_halo_in_whole_codes_is_counted(seed):
     """A tenth of the light at 0.14 DN, where a pixel's noise is 0.6 DN: MTF50 without it is 7 % high."""
-    for number in range(2):
-        stack = HALO.frames_drawn(np.random.default_rng([seed, number]))
-        found = level(point_parametric(stack, context=replace(QUICK, full_scale_dn=255.0)))
-        assert found.status == "ok", found.flags
-        assert abs(standard_errors(found, HALO.truth_mtf50)) < 4.0
-        assert found.value == pytest.approx(HALO.truth_mtf50, rel=0.05)
+    stack = HALO.frames_drawn(np.random.default_rng(seed))
+    found = level(point_parametric(stack, context=replace(QUICK, full_scale_dn=255.0)))
+    assert found.status == "ok", found.flags
+    assert abs(standard_errors(found, HALO.truth_mtf50)) < 4.0
+    assert found.value == pytest.approx(HALO.truth_mtf50, rel=0.05)
 
 
 def test_the_forward_fit_of_any_camera_knows_no_halo_and_says_where_one_stands_out(seed):
@@ -219,7 +239,7 @@ def test_noise_of_the_surroundings_is_known_with_its_correlation(seed, blur_px):
 
 
 def test_pulses_that_spread_over_neighbours_are_a_covariance_of_the_same_size():
-    f = radial(2.0)[1]
+    f = FREQUENCIES
     x, y = np.arange(-7.0, 8.0), np.arange(-6.0, 7.0)
     mean = 100 * np.exp(-0.5 * (x**2 + y[:, None] ** 2)).ravel()
     for unit in pulse_covariances((f, np.exp(-2 * (np.pi * f) ** 2)), mean, x, y):
@@ -240,30 +260,17 @@ def test_one_of_the_pulses_is_that_of_a_tail_before_the_gain_and_a_gaussian_behi
     pulse = 0.5 * (erf(off + 0.5 / np.sqrt(2.0) / pulse_px) - erf(off - 0.5 / np.sqrt(2.0) / pulse_px))
     pairs = (pulse[:, :, None] * pulse[:, None, :]).reshape(size, -1)
     exact = (pairs.T @ density @ pairs).reshape((x.size,) * 4).transpose(0, 2, 1, 3).reshape(x.size**2, -1)
-    f = radial(2.0)[1]
+    f = FREQUENCIES
     blur = np.exp(-((f / 0.3) ** exponent) - 2.0 * (np.pi * f * pulse_px) ** 2)
     units = pulse_covariances((f, blur), np.diag(exact), x, x)
     exact *= np.trace(units[0]) / np.trace(exact)
     assert min(np.linalg.norm(unit - exact) for unit in units) < 0.05 * np.linalg.norm(exact)
 
 
-@pytest.mark.parametrize("frames", [1, 4])
-def test_noise_holds_no_point(seed, frames):
-    data = np.random.default_rng(seed).normal(60.0, 8.0, (frames, 72, 72))
-    statuses = {m.status for m in point_parametric(FrameStack(data=data), context=QUICK).measurements}
-    assert statuses <= ({"refused"} if frames > 2 else {"refused", "suspect"})
-
-
 @pytest.mark.parametrize("pinhole_px", [-1.0, (2.0, 1.0), (0.0, 90.0)])
 def test_a_pinhole_of_impossible_size_is_bad_input(pinhole_px):
     with pytest.raises(BadInput, match="pinhole_px"):
         point_parametric(FrameStack(data=np.zeros((2, 32, 32))), pinhole_px=pinhole_px, context=QUICK)
-
-
-def test_the_same_seed_gives_the_same_numbers(seed):
-    stack = SpotCamera().taken(Spot(), np.random.default_rng(seed))
-    first, second = (point_parametric(stack, context=Context(quick=True, seed=5)) for _ in range(2))
-    assert [m.interval95 for m in first.measurements] == [m.interval95 for m in second.measurements]
 
 
 def test_the_noise_of_all_pixels_together_is_told_of_pulses_that_rows_share(seed, monkeypatch):
@@ -278,8 +285,8 @@ def test_the_noise_of_all_pixels_together_is_told_of_pulses_that_rows_share(seed
     core = site.window.core
     told = covariance(site, np.zeros(site.values.size), 0.0)[: core.size, : core.size]
     row, col = (round(47.5 + at) for at in (-(core.shape[0] - 1) / 2, -(core.shape[1] - 1) / 2))
-    many = replace(scene, frames=400).frames_drawn(np.random.default_rng(seed + 1)).data.astype(float)
-    off = (many - many.mean(axis=0))[:, row : row + core.shape[0], col : col + core.shape[1]].reshape(400, -1)
+    many = replace(scene, frames=160).frames_drawn(np.random.default_rng(seed + 1)).data.astype(float)
+    off = (many - many.mean(axis=0))[:, row : row + core.shape[0], col : col + core.shape[1]].reshape(160, -1)
     grain = off.sum(axis=1).var() / off.var(axis=0).sum()
-    # Variances of 400 sums, and of gains by 8 frames of 3000 pulses: 7 % and 3 %.
-    assert told.sum() / np.trace(told) == pytest.approx(grain, rel=4.0 * 0.08)
+    # Variances of 160 sums, and of gains by 8 frames of 3000 pulses: 11 % and 3 %.
+    assert told.sum() / np.trace(told) == pytest.approx(grain, rel=4.0 * 0.12)

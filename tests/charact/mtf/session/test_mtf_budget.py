@@ -5,7 +5,6 @@ import pytest
 
 from charact.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mtf_budget
 from charact.mtf.session.stage_transfers import STAGES, Direction
-from labdata.errors import BadInput
 from labdata.sensors import load_sensor
 
 # f at the cathode (lp/mm), and there lens, tube, taper, pixel along rows and columns (26 um), low pass; section 1.12.
@@ -150,11 +149,3 @@ def test_a_curve_told_twice_with_the_same_errors_tells_no_more_than_once(seed):
 
 def test_a_camera_that_no_stages_describe_is_said(seed):
     assert any("do not describe" in sentence for sentence in budget([curve("horizontal", 0.002, bump=0.05)]).statement)
-
-
-def test_curves_must_fit_their_covariance():
-    one = MeasuredCurve(direction="vertical", frequency_cy_per_px=np.ones(3), value=np.ones(3))
-    with pytest.raises(BadInput, match="covariance"):
-        MeasuredCurves(curves=(one,), covariance=np.eye(2))
-    with pytest.raises(BadInput, match="at least one"):
-        budget([])

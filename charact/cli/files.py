@@ -1,0 +1,179 @@
+"""The verbs `import`, `convert` and `view`: frames of other programs as sessions, sessions as files, and pictures."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from charact.cli.options import Axis, Plane, parse_kind
+from charact.cli.output import exit_on_bad_input
+from charact.cli.outputs import Force, manifest_to_replace, require_free, require_free_session, why_other_kind
+from labdata.errors import BadInput
+
+if TYPE_CHECKING:
+    from labdata.frames import FrameStack
+    from labdata.session import Session
+
+import_app = typer.Typer(no_args_is_help=True, help="Create a session from existing frames.")
+Out = Annotated[Path, typer.Argument(help="Output session folder.")]
+
+NO_KIND_HINT = "set the kind of the stacks in {}/session.toml, or import with --kind: scene stacks are not measured"
+
+
+@import_app.command()
+def emva1288(
+    file: Annotated[Path, typer.Argument(help="EMVA 1288 descriptor file.")], out: Out, force: Force = False
+) -> None:
+    """Import a photon-transfer series from an EMVA 1288 descriptor file.
+
+    Example: charact import emva1288 EMVA1288_Data.txt ccd12
+    """
+    with exit_on_bad_input(str(file)):
+        require_free_session(out, "import", force=force)
+        from labdata.session_import import import_emva1288
+
+        with manifest_to_replace(out):
+            session = import_emva1288(file, out)
+        _summarise(session, out, f"charact noise {out}")
+
+
+@import_app.command()
+def frames(
+    files: Annotated[list[Path], typer.Argument(help="Frames, then the session's folder: FILES... OUT")],
+    kind: Annotated[str, typer.Option(help="Kind of the stacks: dark, flat, edge, bars, point or scene.")] = "scene",
+    name: Annotated[
+        str | None, typer.Option(help="Pattern of conditions in the file names, e.g. '{mcp_v}V_{gate_ns}ns_*'.")
+    ] = None,
+    axis: Axis = None,
+    plane: Plane = None,
+    force: Force = False,
+) -> None:
+    """Import image files as stacks, one stack per file.
+
+    Example: charact import frames 780V_*.tif mine --kind flat --name '{mcp_v}V_*'
+    """
+    *sources, out = files
+    with exit_on_bad_input(" ".join(map(str, sources))):
+        if not sources:
+            raise BadInput(f"import frames needs at least one file and the folder of the session, got only {out}")
+        require_free_session(out, "import", force=force)
+        from labdata.session_import import import_frames
+
+        with manifest_to_replace(out):
+            session = import_frames(sources, out, kind=parse_kind(kind), name_pattern=name, axis=axis, plane=plane)
+        _summarise(session, out, NO_KIND_HINT.format(out) if kind == "scene" else f"charact measure {out}")
+
+
+def _summarise(session: "Session", out: Path, next_verb: str) -> None:
+    kinds: dict[str, int] = {}
+    for stack in session.stacks:
+        kinds[stack.kind] = kinds.get(stack.kind, 0) + 1
+    print(f"{out}: {len(session.stacks)} stacks ({', '.join(f'{count} {kind}' for kind, count in kinds.items())})")
+    unknown = sorted({name for s in session.stacks for name, value in vars(s.conditions).items() if value is None})
+    if unknown:
+        print(f"conditions unknown for some stacks: {', '.join(unknown)}")
+    for note in session.notes:
+        print(f"note: {note}")
+    print(f"Next: {next_verb}")
+
+
+# Beginnings of the files of results.
+BEGINNINGS = {"csv": b"file,", "json": b'{"charact":', "emva": b"<EMVA1288 "}
+FORMATS = ("tif", "npy", "fits", "h5", "png", *BEGINNINGS)
+Source = Annotated[str, typer.Argument(help="File of frames, session folder, or SESSION#LABEL for one stack.")]
+
+
+def view(
+    source: Source,
+    out: Annotated[
+        Path | None, typer.Option(help="Output PNG file (default: LABEL-view.png in the working folder).")
+    ] = None,
+) -> None:
+    """Write the mean frame of a stack as a PNG picture and print its path and levels.
+
+    Example: charact view my-edge.tif
+
+    Example: charact view day1#flat-3 --out flat.png
+    """
+    with exit_on_bad_input(source):
+        from labdata.frame_export import write_frames
+
+        for label, read, _ in _stacks(source):
+            path = out or Path(f"{label}-view.png")
+            if path.suffix.lower() != ".png":
+                raise BadInput(f"a picture must be a .png file, got {path.name!r}")
+            if path.exists() and path.samefile(source.partition("#")[0]):
+                raise BadInput(f"a picture must not replace its own frames, got {path}")
+            stack = read()
+            write_frames(stack, path)
+            frames, rows, cols = stack.shape
+            low, high = stack.data.min(), stack.data.max()
+            print(f"{path}: mean of {frames} frames of {rows} x {cols} px, {low:g} to {high:g} {stack.unit}")
+            if out is not None:
+                return
+
+
+def convert(
+    source: Source,
+    out: Annotated[Path, typer.Argument(help="Output folder; for csv, json and emva the output file.")],
+    to: Annotated[str, typer.Option("--to", help=f"Format: {', '.join(FORMATS)}.")] = "tif",
+    force: Force = False,
+) -> None:
+    """Write the frames of a session as files (tif, npy, fits, h5, png), or its results as CSV, JSON or EMVA 1288 XML.
+
+    Example: charact convert day1 day1-fits --to fits
+
+    Example: charact convert ccd12 sheet.xml --to emva
+    """
+    with exit_on_bad_input(source):
+        if to not in FORMATS:
+            raise BadInput(f"--to must be one of {', '.join(FORMATS)}, got {to!r}")
+        if to in BEGINNINGS:
+            require_free(out, force=force, kept=lambda: why_other_kind(out, BEGINNINGS[to]))
+            _write_results(Path(source), out, to)
+            return
+        from labdata.frame_export import write_frames
+
+        stacks = _stacks(source)
+        paths = [out / f"{label}.{to}" for label, _, _ in stacks]
+        taken = {path.resolve() for path in paths if path.exists()}
+        own = taken & {path.resolve() for _, _, sources in stacks for path in sources}
+        wrong = "the folder of its own frames" if own else "a file" if out.is_file() else None
+        require_free(out, force=force, taken=bool(taken) or out.is_file(), kept=lambda: wrong)
+        out.mkdir(parents=True, exist_ok=True)
+        for path, (_, read, _) in zip(paths, stacks, strict=True):
+            print(write_frames(read(), path))
+
+
+def _write_results(folder: Path, out: Path, to: str) -> None:
+    from charact.report import emva_sheet, exports
+    from labdata import result_io
+    from labdata.file_io import write_atomically
+    from labdata.session import open_session
+
+    session = open_session(folder)
+    result = result_io.load(session.folder)
+    if result is None:
+        raise BadInput(f"{to} needs the results of a session, got none in {folder}: run charact measure {folder}")
+    if to == "csv":
+        text = exports.table_of_files({session.name: result})
+    elif to == "json":
+        text = exports.as_json(result, str(folder))
+    else:
+        text = emva_sheet.emva_xml(result, session.name)
+    write_atomically(out, text.encode())
+    print(out)
+
+
+def _stacks(source: str) -> "list[tuple[str, Callable[[], FrameStack], tuple[Path, ...]]]":
+    """Return label, reader and files of a file, of one stack of a session, or of all its stacks."""
+    from labdata.importers import read_frames
+    from labdata.session import MANIFEST, open_session
+
+    path, _, label = source.partition("#")
+    if not (Path(path) / MANIFEST).is_file():
+        return [(Path(source).stem, lambda: read_frames(source), (Path(path),))]
+    session = open_session(path)
+    entries = session.stacks if not label else (session.stack(label),)
+    return [(entry.label, entry.read, entry.paths) for entry in entries]

@@ -1,0 +1,140 @@
+"""Conditions of two sessions side by side, and those that make them unlike.
+
+Stacks are matched by their labels. Two sessions are unlike if the camera differs, or if a matched stack was acquired
+with another gain, gate, exposure or illumination, with another kind of target, or from another plane of the camera.
+Values are alike within the tolerances of `charact.comparison.thresholds`, illuminances also within their uncertainty.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any
+
+from charact.comparison.thresholds import LIMITS
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.serialiser import to_mapping
+from labdata.session import Session, StackEntry
+
+GAIN_AND_TIME = (
+    "mcp_v", "gain_control", "luminous_gain", "camera_gain_db", "em_gain", "automatic_gain", "brightness_control",
+    "gate_ns", "exposure_s", "blackbody_c", "background_c",
+)  # fmt: skip
+# Measures of the illumination; the first that is known on both sides decides.
+LIGHT = ("illuminance_lux", "photons_per_px", "filter_density", "lamp_a")
+# Times and readings of meters; the conditions in force are compared instead.
+READINGS = ("metered_time_s", "temperature_time_s", "metered_w", "metered_lux")
+ABSOLUTE = {
+    "camera_gain_db": LIMITS.gain_db, "filter_density": LIMITS.filter_density, "blackbody_c": LIMITS.infrared_c,
+    "background_c": LIMITS.infrared_c,
+}  # fmt: skip
+RELATIVE = {"mcp_v": LIMITS.relative_gain_control, "gain_control": LIMITS.relative_gain_control}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionPair:
+    """A property of the session or of a matched stack that differs between two sessions."""
+
+    name: str  #: Field of the conditions, or "sensor", "bit_depth", "interlaced", "kind", "plane"
+    a: Any  #: Value in the first session; None if unknown
+    b: Any  #: Value in the second session; None if unknown
+    stack: str | None = None  #: Label of the stack; None for the whole session
+    unlike: bool = False  #: Whether measurements under the two values should not be compared
+
+
+def condition_pairs(a: Session, b: Session) -> tuple[ConditionPair, ...]:
+    """Return the properties in which two sessions and their matched stacks differ.
+
+    Parameters
+    ----------
+    a, b
+        The sessions; stacks are matched by label.
+
+    Returns
+    -------
+    tuple of ConditionPair
+        Those of the sessions first. A condition that is unknown on one side is listed and is not unlike.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from charact.api import session, stack
+    >>> day1, day2 = (session([stack(np.zeros((2, 8, 8)), "dark", mcp_v=volts)]) for volts in (780.0, 800.0))
+    >>> [(pair.stack, pair.name, pair.a, pair.b, pair.unlike) for pair in condition_pairs(day1, day2)]
+    [('dark', 'mcp_v', 780.0, 800.0, True)]
+    """
+    return (*_of_cameras(a, b), *(pair for one, other in pair_stacks(a, b) for pair in _of_stacks(one, other)))
+
+
+def pair_stacks(a: Session, b: Session) -> tuple[tuple[StackEntry, StackEntry], ...]:
+    """Return the stacks whose label is in both sessions, in the order of the first."""
+    others = {entry.label: entry for entry in b.stacks}
+    return tuple((entry, others[entry.label]) for entry in a.stacks if entry.label in others)
+
+
+def require_alike(a: Session, b: Session, *, remedy: str) -> None:
+    """Raise BadInput, which names a remedy, if two sessions are unlike or have no stack label in common."""
+    unlike = [pair for pair in condition_pairs(a, b) if pair.unlike]
+    if unlike:
+        first, more = unlike[0], len(unlike) - 1
+        where = "" if first.stack is None else f" of stack {first.stack!r}"
+        raise BadInput(
+            f"compared sessions must be alike, got {first.name} {_format_value(first.a)} and "
+            f"{_format_value(first.b)}{where}"
+            + (f" and {more} more unlike conditions" if more else "")
+            + f"; {remedy} compares them nevertheless"
+        )
+    if not pair_stacks(a, b):
+        raise BadInput(
+            f"compared sessions must have the label of a stack in common, got none; {remedy} compares the quantities "
+            "of the whole session"
+        )
+
+
+def _format_value(value: object) -> str:
+    return "unknown" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _of_cameras(a: Session, b: Session) -> Iterator[ConditionPair]:
+    cameras = a.camera, b.camera
+    descriptions = [None if one is None else to_mapping(one) for one in cameras]
+    if descriptions[0] != descriptions[1]:
+        names = [None if one is None else one.name for one in cameras]
+        if names[0] == names[1]:
+            names = [f"{name} ({which} parameters)" for name, which in zip(names, ("its", "other"), strict=True)]
+        yield ConditionPair(name="sensor", a=names[0], b=names[1], unlike=True)
+    for name in ("bit_depth", "interlaced"):
+        one, other = getattr(a, name), getattr(b, name)
+        if one != other:
+            yield ConditionPair(name=name, a=one, b=other, unlike=None not in (one, other))
+
+
+def _of_stacks(a: StackEntry, b: StackEntry) -> Iterator[ConditionPair]:
+    for name in ("kind", "plane"):
+        if getattr(a, name) != getattr(b, name):
+            yield ConditionPair(name=name, a=getattr(a, name), b=getattr(b, name), stack=a.label, unlike=True)
+    known = [name for name in LIGHT if _is_known_in_both(a.conditions, b.conditions, name)]
+    deciding = (*GAIN_AND_TIME, *known[:1], "wavelength_nm")
+    for item in fields(Conditions):
+        if item.name in READINGS or _alike(a.conditions, b.conditions, item.name):
+            continue
+        one, other = getattr(a.conditions, item.name), getattr(b.conditions, item.name)
+        unlike = item.name in deciding and None not in (one, other)
+        yield ConditionPair(name=item.name, a=one, b=other, stack=a.label, unlike=unlike)
+
+
+def _is_known_in_both(a: Conditions, b: Conditions, name: str) -> bool:
+    return None not in (getattr(a, name), getattr(b, name))
+
+
+def _alike(a: Conditions, b: Conditions, name: str) -> bool:
+    """Return whether two values of a condition agree within its tolerance."""
+    one, other = getattr(a, name), getattr(b, name)
+    if one == other or one is None or other is None or isinstance(one, bool):
+        return one == other
+    relative = RELATIVE.get(name, LIMITS.relative_setting)
+    if name in ("illuminance_lux", "photons_per_px"):
+        # Errors of two light meters, 95 %.
+        sds = (a.illuminance_relative_sd or 0.0, b.illuminance_relative_sd or 0.0)
+        relative = max(relative, 1.96 * (sds[0] ** 2 + sds[1] ** 2) ** 0.5)
+    tolerance = ABSOLUTE.get(name, relative * max(abs(one), abs(other)))
+    return abs(one - other) <= tolerance

@@ -1,0 +1,263 @@
+"""Observations of a camera without a tube: gain, dark noise, levels, fixed patterns, saturation."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.fit.observations import (
+    NOISE_MODEL_SD,
+    Observation,
+    StackMean,
+    admissible_measurements,
+    at_least,
+    mtf_observations,
+    one,
+    sd_of,
+)
+from charact.fit.predicted_quantities import ELEMENTARY_CHARGE_C, Values
+from charact.method import Context
+from charact.noise.gain.emva1288 import excess_of
+from charact.noise.illumination import relative_sd_of, table_sensitivity_ua_per_lm
+from labdata.conditions import Conditions
+from labdata.measurement import Result
+from labdata.session import Session
+from labdata.solid_state import Silicon, SolidStateCamera, excess_noise_factor
+
+Array = NDArray[np.float64]
+
+LENS = ("optics.aberration_blur_um", "optics.f_number")
+HEIGHTS = "register.pulse_height_shape"
+READING = (HEIGHTS, "register.clock_induced_e", "ccd.dark_current_e_per_s", "ccd.read_noise_e")
+# Dark current and DSNU are stated at this temperature.
+REFERENCE_C = 25.0
+# Variance of rounding to whole DN, DN^2.
+ROUNDING_DN2 = 1.0 / 12.0
+# Dark noise below which rounding is not additive, DN.
+LEAST_NOISE_DN = 0.4
+# Relative error of a flat's level, from linearity and the light's repeatability.
+LEVEL_MODEL_SD = 0.003
+# Relative error of the electrons per lumen of a table of quantum efficiencies; see `table_sensitivity_ua_per_lm`.
+LUMEN_MODEL_SD = 0.01
+# Relative error of the level of saturation: the variance peaks somewhat below the full well.
+SATURATION_MODEL_SD = 0.03
+
+
+def em_gain(values: Values, conditions: Conditions) -> Array:
+    """Return the multiplication of the register: that of the conditions, else the description's."""
+    return values["register.em_gain"] if conditions.em_gain is None else np.array([conditions.em_gain])
+
+
+def dn_per_electron(values: Values, conditions: Conditions) -> Array:
+    """Return DN per electron behind the register, with the camera's gain in dB."""
+    return values["video.conversion_gain_dn_per_e"] * 10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0)
+
+
+def register_excess(values: Values, conditions: Conditions) -> Array:
+    """Return F^2 = 1 + (F0^2 - 1) / shape of the register; F0^2 is that of exponential pulse heights."""
+    gain, stages = em_gain(values, conditions), float(values["register.stages"][0])
+    exponential = np.array([excess_noise_factor(float(one), stages) for one in gain])
+    return 1.0 + (exponential - 1.0) / values["register.pulse_height_shape"]
+
+
+def dark_electrons(values: Values, conditions: Conditions, seconds: float) -> Array:
+    """Return the dark charge of an exposure at the camera's temperature, e-."""
+    return values["ccd.dark_current_e_per_s"] * _warmth(values, conditions) * seconds
+
+
+def _warmth(values: Values, conditions: Conditions) -> Array:
+    """Return dark current over that at 25 C."""
+    warmer = 0.0 if conditions.temperature_c is None else conditions.temperature_c - REFERENCE_C
+    return 2.0 ** (warmer / values["ccd.dark_current_doubling_k"])
+
+
+def _amplification(conditions: Conditions) -> tuple[str, ...]:
+    """Return the paths of the gain from electrons to DN: that of a register only where none is stated."""
+    own = ("register.em_gain",) if conditions.em_gain is None else ()
+    return ("video.conversion_gain_dn_per_e", *own)
+
+
+def _cooling(conditions: Conditions) -> tuple[str, ...]:
+    """Return the path of the temperature law where a temperature other than the reference is stated."""
+    return () if conditions.temperature_c in (None, REFERENCE_C) else ("ccd.dark_current_doubling_k",)
+
+
+def dark_variance(values: Values, conditions: Conditions, seconds: float) -> Array:
+    """Return the temporal variance of a dark frame, DN^2.
+
+    K^2 (r^2 + g^2 F^2 (d + c)) + 1/12 with read noise r, gain g and excess noise factor F^2 of the register, dark
+    charge d and clock-induced charge c.
+    """
+    charge = dark_electrons(values, conditions, seconds) + values["register.clock_induced_e"]
+    multiplied = em_gain(values, conditions) ** 2 * register_excess(values, conditions) * charge
+    return dn_per_electron(values, conditions) ** 2 * (values["ccd.read_noise_e"] ** 2 + multiplied) + ROUNDING_DN2
+
+
+def electrons_per_efficiency(silicon: Silicon, level: StackMean) -> float:
+    """Return the photoelectrons of a pixel, or per m2 where light is in lux, for a highest quantum efficiency of 1."""
+    conditions = level.conditions
+    relative = np.asarray(silicon.quantum_efficiency) / max(silicon.quantum_efficiency)
+    if np.isfinite(level.illuminance_lux):
+        per_lumen = table_sensitivity_ua_per_lm(silicon.wavelength_nm, relative.tolist()) * 1e-6 / ELEMENTARY_CHARGE_C
+        return per_lumen * level.illuminance_lux * level.gate_s
+    share = float(np.interp(conditions.wavelength_nm or 0.0, silicon.wavelength_nm, relative, left=0.0, right=0.0))
+    return share * (conditions.photons_per_px or 0.0)
+
+
+def silicon_observations(
+    session: Session, camera: SolidStateCamera, result: Result, levels: tuple[StackMean, ...]
+) -> tuple[Observation, ...]:
+    """Return the observations of a session of a camera without a tube."""
+    darks = [level for level in levels if level.dark and np.isfinite(level.temporal_dn2[1])]
+    flats = session.of_kind("flat")
+    usual = flats[0].conditions if flats else Conditions()
+    found = mtf_observations(session, camera, result, LENS)
+    found += _gain(camera, result, usual)
+    found += _dark_noise(darks)
+    found += _patterns(darks, result)
+    found += _saturation(result, usual)
+    found += _dark_slope(result, darks)
+    known = [level for level in levels if not level.dark]
+    longest_s = max((entry.conditions.exposure_s or 0.0 for entry in flats), default=0.0)
+    # The level of a longer dark contains a dark charge that a clamp need not remove.
+    short = [level for level in levels if level.dark and (not flats or level.exposure_s <= longest_s or not longest_s)]
+    if known or short:
+        found.append(_levels(camera, (*short, *known)))
+    if not known:
+        found += _efficiency(result)
+    return tuple(found)
+
+
+def _gain(camera: SolidStateCamera, result: Result, usual: Conditions) -> list[Observation]:
+    """Observe the slope of the photon transfer curve, K g F^2, from the system gain or else from covariances."""
+    factor = excess_of(usual, Context(register=camera.register)).factor
+    measured = [(m, factor) for m in admissible_measurements(result, "system_gain", "DN/e-")]
+    measured = measured or [(m, 1.0) for m in admissible_measurements(result, "covariance_gain", "DN")]
+
+    def predict(values: Values) -> Array:
+        return dn_per_electron(values, usual) * em_gain(values, usual) * register_excess(values, usual)
+
+    depends = (*_amplification(usual), HEIGHTS)
+    return [
+        one("gain", by * (m.value or 0.0), float(by * np.hypot(sd_of(m), 0.001 * (m.value or 0.0))), predict, depends)
+        for m, by in measured[:1]
+    ]
+
+
+def _dark_noise(darks: list[StackMean]) -> list[Observation]:
+    """Observe the temporal variance of every dark whose rounding is additive."""
+    found = []
+    for dark in darks:
+        variance, sd = dark.temporal_dn2
+        if variance > LEAST_NOISE_DN**2:
+            sd = float(np.hypot(sd, NOISE_MODEL_SD * variance))
+            depends = (*_amplification(dark.conditions), *READING, *_cooling(dark.conditions))
+            found.append(one(f"dark noise of {dark.label}", variance, sd, _of(dark_variance, dark), depends))
+    return found
+
+
+def _of(formula: Callable[[Values, Conditions, float], Array], level: StackMean) -> Callable[[Values], Array]:
+    """Return a formula under the conditions of a stack."""
+    return lambda values: formula(values, level.conditions, level.exposure_s)
+
+
+def _patterns(darks: list[StackMean], result: Result) -> list[Observation]:
+    """Observe PRNU, and DSNU as the pattern of the dark with most frames and longest exposure.
+
+    The error of a variance over pixels contains their kurtosis: a pattern of little dark charge is that of few pixels.
+    """
+    found = []
+    for m in admissible_measurements(result, "prnu", "%"):
+        value = 0.01 * (m.value or 0.0)
+        sd = float(np.hypot(0.01 * sd_of(m), NOISE_MODEL_SD * value))
+        found.append(one("PRNU", value, sd, lambda values: values["ccd.prnu"], ("ccd.prnu",)))
+    if not darks:
+        return found
+    dark = max(darks, key=lambda level: (len(level.entry.read()) if level.entry else 0, level.exposure_s))
+
+    def pattern(values: Values) -> Array:
+        gain = dn_per_electron(values, dark.conditions) * em_gain(values, dark.conditions)
+        return (gain * values["ccd.dsnu_e"] * _warmth(values, dark.conditions)) ** 2
+
+    value, own = dark.spatial_dn2
+    sd = float(np.hypot(own, 2.0 * NOISE_MODEL_SD * value))
+    depends = (*_amplification(dark.conditions), "ccd.dsnu_e", *_cooling(dark.conditions))
+    found.append(one("DSNU", value, sd, pattern, depends))
+    return found
+
+
+def _saturation(result: Result, usual: Conditions) -> list[Observation]:
+    """Observe a lower bound of the full well: the digitiser may clip first, and few levels locate a peak badly."""
+    depends = (*_amplification(usual), "ccd.full_well_e", "video.black_level_dn")
+
+    def level(values: Values) -> Array:
+        charge = values["ccd.full_well_e"] * em_gain(values, usual)
+        return values["video.black_level_dn"] + dn_per_electron(values, usual) * charge
+
+    curve = result.evidence.get("photon-transfer", {})
+    means = np.array(curve.get("mean_dn", ()), float)
+    for m in admissible_measurements(result, "saturation", "DN"):
+        value = m.value or 0.0
+        sd = float(np.hypot(sd_of(m), SATURATION_MODEL_SD * value))
+        return [at_least("saturation", value, sd, level, depends)]
+    linear = means[np.array(curve.get("fitted", ()), bool)]
+    if not linear.size:
+        return []
+    brightest = float(linear.max())
+    return [at_least("brightest linear flat", brightest, SATURATION_MODEL_SD * brightest, level, depends)]
+
+
+def _dark_slope(result: Result, darks: list[StackMean]) -> list[Observation]:
+    """Observe the rise of the dark level as a lower bound of the dark current: a clamp removes an unknown fraction."""
+    if not darks:
+        return []
+    warm = darks[0].conditions
+
+    def slope(values: Values) -> Array:
+        return dn_per_electron(values, warm) * em_gain(values, warm) * dark_electrons(values, warm, 1.0)
+
+    depends = (*_amplification(warm), "ccd.dark_current_e_per_s", *_cooling(warm))
+    return [
+        at_least("rise of the dark level", m.value, sd_of(m), slope, depends)
+        for m in admissible_measurements(result, "dark_current", "DN/s")
+        if m.value is not None and m.value > 3.0 * sd_of(m)
+    ]
+
+
+def _efficiency(result: Result) -> list[Observation]:
+    """Observe the quantum efficiency of light of unstated wavelength: a lower bound of the highest."""
+    return [
+        at_least("quantum efficiency", 0.01 * (m.value or 0.0), 0.01 * sd_of(m),
+                 lambda values: values["ccd.quantum_efficiency"], ("ccd.quantum_efficiency",))
+        for m in admissible_measurements(result, "quantum_efficiency", "%")
+    ]  # fmt: skip
+
+
+def _levels(camera: SolidStateCamera, levels: tuple[StackMean, ...]) -> Observation:
+    """Observe stack means: black level plus gain times photoelectrons; an error of the light is common to all flats."""
+
+    light = np.array([electrons_per_efficiency(camera.silicon, level) for level in levels])
+    in_lux = np.array([np.isfinite(level.illuminance_lux) for level in levels])
+
+    def predict(values: Values) -> Array:
+        gains = [dn_per_electron(values, one.conditions) * em_gain(values, one.conditions) for one in levels]
+        area_m2 = values["ccd.pitch_x_um"] * values["ccd.pitch_y_um"] * 1e-12
+        electrons = values["ccd.quantum_efficiency"][:, None] * np.where(in_lux, area_m2[:, None], 1.0) * light
+        return values["video.black_level_dn"][:, None] + np.stack(np.broadcast_arrays(*gains), axis=1) * electrons
+
+    mean = np.array([level.mean_dn for level in levels])
+    black = min(float(mean.min()), *(level.mean_dn for level in levels if level.dark), np.inf)
+    signal = np.array([0.0 if level.dark else level.mean_dn - black for level in levels])
+    own = np.array([level.sd_dn for level in levels])
+    lit = [level.conditions for level in levels if not level.dark]
+    of_lux = bool(in_lux[signal > 0.0].any())
+    relative_sd = relative_sd_of(lit, "lux" if of_lux else "photons/px")[0] if lit else 0.0
+    shared = float(np.hypot(relative_sd, LUMEN_MODEL_SD if of_lux else 0.0))
+    # Rounding of a level with little noise is biased by up to a tenth.
+    rounding = np.array([0.1 if level.noise_dn < LEAST_NOISE_DN else 0.03 for level in levels])
+    covariance = np.diag(own**2 + rounding**2 + (LEVEL_MODEL_SD * signal) ** 2) + shared**2 * np.outer(signal, signal)
+    depends = ("video.black_level_dn",)
+    if lit:
+        gains = dict.fromkeys(path for conditions in lit for path in _amplification(conditions))
+        depends += (*gains, "ccd.quantum_efficiency", *(("ccd.pitch_x_um",) if of_lux else ()))
+    return Observation(name="levels", value=mean, covariance=covariance, predict=predict, speaks_of=depends)

@@ -1,0 +1,1 @@
+"""Fusion of visible and thermal frames: rules, registration, noise reduction and scores."""

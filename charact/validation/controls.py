@@ -1,0 +1,116 @@
+"""Controls of the validation: one camera parameter changed a stage, and faults put into the frames of one stack."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.validation.frames import MatchedStacks, VisibleCamera
+
+Frames = NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterControl:
+    """A parameter whose change must be noticed: `title` says what, `parameters` its paths, the first that exists."""
+
+    title: str
+    parameters: tuple[str, ...]
+
+
+PARAMETERS = (
+    ParameterControl(title="sensitivity", parameters=("photocathode.luminous_sensitivity_ua_per_lm",)),
+    ParameterControl(title="gain", parameters=("tube.luminous_gain", "video.conversion_gain_dn_per_e")),
+    ParameterControl(title="detection probability, as 1/F²", parameters=("microchannel_plate.detection_probability",)),
+    ParameterControl(title="blur after the gain", parameters=("tube.post_gain_share",)),
+    ParameterControl(
+        title="frequency of the tube's MTF, or blur of the lens",
+        parameters=("tube.mtf_frequency_lp_per_mm", "optics.aberration_blur_um"),
+    ),
+    ParameterControl(title="video bandwidth", parameters=("video.bandwidth_mhz",)),
+    ParameterControl(title="slow decay of the phosphor", parameters=("phosphor.slow_decay_ms",)),
+    ParameterControl(title="read noise", parameters=("ccd.read_noise_e",)),
+    ParameterControl(
+        title="dark events: EBI or dark current",
+        parameters=("photocathode.ebi_lm_per_cm2", "ccd.dark_current_e_per_s"),
+    ),
+    ParameterControl(title="PRNU", parameters=("ccd.prnu",)),
+)
+
+
+def change_parameter(
+    camera: VisibleCamera, control: ParameterControl, change: float
+) -> tuple[VisibleCamera, float] | None:
+    """Return a camera with one parameter larger by a relative change, and the change; None without the parameter.
+
+    A fraction that would exceed 1 is made smaller by as much.
+    """
+    known = camera.parameters()
+    path = next((path for path in control.parameters if path in known and float(known[path]) != 0.0), None)
+    if path is None:
+        return None
+    value = float(known[path])
+    if path.endswith(("share", "probability")) and value * (1.0 + change) > 1.0:
+        change = -change
+    return camera.with_values({path: value * (1.0 + change)}), change
+
+
+def _hot_pixels(frames: Frames, rng: np.random.Generator) -> Frames:
+    rows, cols = (rng.integers(size, size=6) for size in frames.shape[1:])
+    frames[:, rows, cols] += 12.0 * frames.std()
+    return frames
+
+
+def _hum(frames: Frames, rng: np.random.Generator) -> Frames:
+    wave = np.sin(2.0 * np.pi * np.arange(frames.shape[1]) / 17.0 + rng.uniform(0.0, 6.0, (len(frames), 1)))
+    return frames + 0.5 * frames.std(axis=0).mean() * wave[:, :, None]
+
+
+def _repeat_frame(frames: Frames, rng: np.random.Generator) -> Frames:
+    frames[-1] = frames[-2]
+    return frames
+
+
+def _shading(frames: Frames, rng: np.random.Generator) -> Frames:
+    y, x = (np.linspace(-1.0, 1.0, size) for size in frames.shape[1:])
+    return frames * (1.0 - 0.1 * (x[None, None, :] ** 2 + y[None, :, None] ** 2))
+
+
+def _flicker(frames: Frames, rng: np.random.Generator) -> Frames:
+    return frames * (1.0 + 0.01 * rng.standard_normal((len(frames), 1, 1)))
+
+
+def _missing_bit(frames: Frames, rng: np.random.Generator) -> Frames:
+    return 2.0 * (frames // 2.0)
+
+
+def _cosmic_rays(frames: Frames, rng: np.random.Generator) -> Frames:
+    rows, cols = (rng.integers(size - 6, size=(len(frames), 3, 1)) for size in frames.shape[1:])
+    step = np.arange(6)
+    frames[np.arange(len(frames))[:, None, None], rows + step, cols + step] += 40.0 * frames.std()
+    return frames
+
+
+# Fault, the stack that has it (dark or brightest flat), and what it does to its frames.
+FAULTS: dict[str, tuple[str, Callable[[Frames, np.random.Generator], Frames]]] = {
+    "hot pixels": ("dark", _hot_pixels),
+    "three cosmic rays a frame": ("dark", _cosmic_rays),
+    "rolling hum of half the noise": ("flat", _hum),
+    "a repeated frame": ("flat", _repeat_frame),
+    "vignetting of 10 %": ("flat", _shading),
+    "lamp flicker of 1 %": ("flat", _flicker),
+    "lowest bit left out": ("flat", _missing_bit),
+}
+
+
+def put_fault(
+    frames: Mapping[str, NDArray], chosen: MatchedStacks, name: str, rng: np.random.Generator
+) -> dict[str, NDArray]:
+    """Return frames with one fault in one stack, in whole DN within the digitiser's range."""
+    kind, change = FAULTS[name]
+    label = chosen.dark.label if kind == "dark" else chosen.flats[-1].label
+    before = frames[label]
+    top = np.iinfo(before.dtype).max if before.dtype.kind == "u" else np.inf
+    changed = np.clip(np.rint(change(before.astype(float), rng)), 0, top).astype(before.dtype)
+    return {**frames, label: changed}

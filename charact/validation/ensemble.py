@@ -1,0 +1,140 @@
+"""Test of one set of numbers against an ensemble of simulated ones, and correction for several such tests."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.validation.thresholds import VALIDATION
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ensemble:
+    """Numbers of one kind from simulated sets of frames, each set from its own posterior draw.
+
+    `values`: shape (set, number); `least_sd`: least standard deviation of each number, for counts that all simulated
+    sets have in common, shape (number,).
+    """
+
+    values: Array
+    least_sd: Array
+    seed: int
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the numbers of one set, shape (number, number).
+
+        Correlations are halved: of so few sets an unchanged correlation matrix would be nearly singular.
+        """
+        spread = self.values - self.values.mean(axis=0)
+        return _shrink(spread[None], self.least_sd)[0]
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviation of a prediction, shape (number,)."""
+        return np.sqrt(np.diag(self.covariance) * (1.0 + 1.0 / len(self.values)))
+
+    def distance(self, measured: Array) -> float:
+        """Return the root of chi-squared over the number of terms; 1 is usual."""
+        return float(np.sqrt(self._deviations(measured[None])[0, 0] / self.values.shape[1]))
+
+    def p_value(self, measured: Array) -> float:
+        """Return the probability of at least this deviation, at least 1/(replicates + 1).
+
+        Notes
+        -----
+        A deviation is the larger of two, each over its 99 % quantile: chi-squared of all numbers, which finds small
+        errors of many, and the largest squared z-score, which finds an error of one. The covariance is estimated from
+        few sets, so that neither has a tabulated distribution: the procedure is repeated on Gaussian sets with the
+        estimated covariance (a parametric bootstrap; Davison and Hinkley 1997, section 4.2).
+        """
+        at_least = np.sum(self._ranked(self.null) >= self._ranked(self._deviations(measured[None]))[0])
+        return float((1 + at_least) / (len(self.null) + 1))
+
+    def detects(self, shifts: Array, level: float) -> float:
+        """Return the fraction of sets, moved by shifts (number,), whose p-value is below a level."""
+        rng = np.random.default_rng([self.seed, 2])
+        root = np.linalg.cholesky(self.covariance)
+        moved = self.values.mean(axis=0) + shifts + rng.standard_normal((400, self.values.shape[1])) @ root.T
+        found = self._ranked(self._deviations(moved))
+        return float(np.mean(found > np.quantile(self._ranked(self.null), 1.0 - level)))
+
+    def z_scores(self, measured: Array) -> Array:
+        """Return each number's deviation in standard deviations of the prediction, shape (number,)."""
+        return (measured - self.values.mean(axis=0)) / self.sd
+
+    def _deviations(self, measured: Array) -> Array:
+        """Return chi-squared and the largest squared z-score of sets (n, number), shape (n, 2)."""
+        return _deviations(measured - self.values.mean(axis=0), self.covariance * (1.0 + 1.0 / len(self.values)))
+
+    def _ranked(self, deviations: Array) -> Array:
+        """Return the larger of both deviations, each over its 99 % quantile where the simulation is right."""
+        return (deviations / np.quantile(self.null, 0.99, axis=0)).max(axis=-1)
+
+    @cached_property
+    def null(self) -> Array:
+        """Deviations where the simulation is right, shape (replicate, 2)."""
+        rng = np.random.default_rng([self.seed, 1])
+        count, size = self.values.shape
+        root = np.linalg.cholesky(self.covariance)
+        found = []
+        for _ in range(VALIDATION.replicates // 500):
+            drawn = rng.standard_normal((500, count + 1, size)) @ root.T
+            sets, one = drawn[:, 1:], drawn[:, 0]
+            centre = sets.mean(axis=1)
+            covariance = _shrink(sets - centre[:, None], self.least_sd) * (1.0 + 1.0 / count)
+            found.append(_deviations(one - centre, covariance))
+        return np.concatenate(found)
+
+
+def _deviations(gap: Array, covariance: Array) -> Array:
+    """Return chi-squared and the largest squared z-score of gaps (n, number) by covariances, shape (n, 2)."""
+    squared = np.einsum("ni,ni->n", gap, np.linalg.solve(covariance, gap[..., None])[..., 0])
+    variance = np.einsum("...ii->...i", covariance)
+    return np.stack([squared, (gap**2 / variance).max(axis=-1)], axis=-1)
+
+
+def _shrink(spread: Array, least_sd: Array) -> Array:
+    """Return covariances of deviations (..., set, number) with halved correlations and a least variance."""
+    covariance = np.swapaxes(spread, -1, -2) @ spread / (spread.shape[-2] - 1.0)
+    variance = np.maximum(np.einsum("...ii->...i", covariance), least_sd**2)
+    half = 0.5 * covariance
+    np.einsum("...ii->...i", half)[...] = variance
+    return half
+
+
+def ensemble_of(sets: Sequence[Mapping[str, float]], least_sd: float, seed: int) -> tuple[tuple[str, ...], Ensemble]:
+    """Return the labels that all sets have with finite numbers, and their ensemble."""
+    labels = tuple(label for label in sets[0] if all(np.isfinite(one.get(label, np.nan)) for one in sets))
+    values = np.array([[one[label] for label in labels] for one in sets], float).reshape(len(sets), len(labels))
+    # Rounding leaves a spread even of numbers that are the same in all sets.
+    floor = np.maximum(least_sd, 1e-6 * np.abs(values).max(axis=0, initial=0.0)) + 1e-12
+    return labels, Ensemble(values=values, least_sd=np.broadcast_to(floor, (len(labels),)), seed=seed)
+
+
+def holm_levels(p_values: Sequence[float], level: float) -> tuple[float, ...]:
+    """Return the level below which each of several tests fails, so that all hold a family-wise level (Holm 1979).
+
+    Notes
+    -----
+    In the order of p, test i of m is held against level / (m - i), i = 0 first; once one passes, those with larger p
+    pass as well: they are held against its level. So a test fails exactly where its p-value is below its level.
+
+    Examples
+    --------
+    >>> holm_levels([0.2, 0.001, 0.012], 0.03)
+    (0.03, 0.01, 0.015)
+    >>> holm_levels([0.02, 0.012], 0.02)
+    (0.01, 0.01)
+    """
+    levels, own = [0.0] * len(p_values), 0.0
+    passed = False
+    for place, index in enumerate(np.argsort(p_values, kind="stable")):
+        own = own if passed else level / (len(p_values) - place)
+        levels[index] = own
+        passed = passed or p_values[index] >= own
+    return tuple(levels)

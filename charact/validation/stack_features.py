@@ -1,0 +1,320 @@
+"""Numbers that frames of darks and flats are compared by: levels, noise in space and time, fixed pattern, defects."""
+
+import itertools
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Frames = NDArray[np.floating]
+# Lags (row, col) whose correlation is compared, and the range of the summed covariance, px.
+LAGS = ((0, 1), (0, 2), (0, 3), (1, 0), (2, 0), (3, 0), (1, 1))
+REACH = 6
+# Shares of the values whose mean describes a tail of the temporal noise.
+TAILS = (0.001, 0.01, 0.1)
+# Lowest bits of a value whose share of ones is compared.
+BITS = 8
+# Edges of the bands of a noise spectrum, cy/px; the last ends in the corner.
+BANDS = (0.0, 0.05, 0.2, 0.35, 0.5, 0.71)
+# Standard deviations of a pixel that is no noise, in time.
+EVENT_SD = (5.0, 10.0)
+# Number of highest values whose mean is compared: of events in a stack, of pixels, and of spots.
+HIGHEST_EVENTS, HIGHEST_PIXELS, HIGHEST_SPOTS = 30, 8, 10
+# Standard deviations of the two Gaussians whose difference shows a spot, px: shadows of dust are some 10 px wide.
+SPOT_PX = (3.0, 9.0)
+
+
+class StackView:
+    """A stack of frames, split into its mean frame and what changes from frame to frame.
+
+    `mean`: mean frame, shape (row, col); `steady`: mean frame of the middle half of each pixel's values, in which
+    pulses of single frames leave no trace; `change`: frames less the mean frame, scaled so that their variance is that
+    of a frame, shape (frame, row, col); `interlaced`: whether odd rows were exposed at another time than even ones;
+    `bits`: share of ones of the lowest bits of whole DN, shape (bit,).
+    """
+
+    def __init__(self, label: str, frames: NDArray, *, interlaced: bool = False) -> None:
+        self.label = label
+        self.interlaced = interlaced
+        data = np.asarray(frames, np.float32)
+        count = len(data)
+        self.mean = data.mean(axis=0)
+        self.steady = np.sort(data, axis=0)[count // 4 : count - count // 4].mean(axis=0)
+        whole = np.rint(frames[0]).astype(np.int64)
+        self.bits = np.array([np.mean(whole >> bit & 1) for bit in range(BITS)])
+        self.change = (data - self.mean) * np.float32(np.sqrt(count / (count - 1.0)))
+        self.covariance = _autocovariance(self.change)
+        self.power = self.spectrum(self.change)
+        # A plane and a bowl are shading, not pattern.
+        self.shading, self.pattern = _without_shading(self.mean)
+
+    @property
+    def level(self) -> float:
+        """Mean, DN."""
+        return float(self.mean.mean())
+
+    @property
+    def variance(self) -> float:
+        """Variance of a pixel in time, DN^2."""
+        # Frames that repeat each other have none.
+        return max(float(self.covariance[REACH, REACH]), 1e-12)
+
+    @cached_property
+    def ordered(self) -> Frames:
+        """Changes in ascending order, shape (frame * row * col,)."""
+        return np.sort(self.change, axis=None)
+
+    @property
+    def robust_sd(self) -> float:
+        """Half the range of the central 68 % of changes, DN; the step of whole numbers where it is 0."""
+        low, high = self.ordered[[int(share * self.ordered.size) for share in (0.159, 0.841)]]
+        return max(float(high - low) / 2.0, 0.3)
+
+    @cached_property
+    def line_variances(self) -> Mapping[str, float]:
+        """Variance in time of the means of rows and columns less those of their frames, DN^2."""
+        lines = {"rows": self.change.mean(axis=2), "columns": self.change.mean(axis=1)}
+        return {name: float((line - line.mean(axis=1, keepdims=True)).var()) for name, line in lines.items()}
+
+    @staticmethod
+    def spectrum(images: Frames) -> Array:
+        """Return the mean power of images per pixel, 1 for white noise of variance 1, shape (row, col / 2 + 1)."""
+        rows, cols = images.shape[-2:]
+        power = np.abs(np.fft.rfft2(images)) ** 2 / (rows * cols)
+        return power.reshape(-1, *power.shape[-2:]).mean(axis=0)
+
+
+def level_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return the level of the dark, DN, and the logarithm of each flat's signal above it."""
+    found = {f"level of {dark.label}, DN": dark.level}
+    return found | {f"ln signal of {one.label}": _log(one.level - dark.level) for one in flats}
+
+
+def transfer_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return logarithms of the dark's variance, and of variance and summed covariance over signal of each flat."""
+    found = {f"ln variance of {dark.label}": _log(dark.variance)}
+    for one in flats:
+        signal = one.level - dark.level
+        found[f"ln variance/signal of {one.label}"] = _log((one.variance - dark.variance) / signal)
+    return found
+
+
+def covariance_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return the logarithm of the summed covariance over signal of each flat."""
+    found = {}
+    for one in flats:
+        total = float(one.covariance.sum() - dark.covariance.sum())
+        found[f"ln covariance/signal of {one.label}"] = _log(total / (one.level - dark.level))
+    return found
+
+
+def correlation_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return the correlation of neighbours in the brightest flat, and along rows and columns in the dark."""
+    flat = flats[-1]
+    found = {
+        f"correlation at {row},{col} px of {flat.label}": float(flat.covariance[REACH + row, REACH + col])
+        / flat.variance
+        for row, col in LAGS
+    }
+    for row, col in ((0, 1), (1, 0)):
+        name = f"correlation at {row},{col} px of {dark.label}"
+        found[name] = float(dark.covariance[REACH + row, REACH + col]) / max(dark.variance, 1e-12)
+    return found
+
+
+def spectrum_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return temporal noise power over its mean in bands of both cuts and over all directions, and its peaks."""
+    found: dict[str, float] = {}
+    for one in (dark, flats[-1]):
+        found |= _bands(one.power, np.full_like(one.power, one.power.mean()), f"noise of {one.label}")
+    return found
+
+
+def row_and_column_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return variances in time of means of frames, rows and columns of dark and brightest flat.
+
+    Each is over that of white noise of the same variance. Cube roots of variances, and of powers, are nearly Gaussian
+    (Wilson and Hilferty 1931).
+    """
+    found = {}
+    for one in (dark, flats[-1]):
+        _, rows, cols = one.change.shape
+        variances = {"frames": float(one.change.mean(axis=(1, 2)).var()), **one.line_variances}
+        for (name, value), pixels in zip(variances.items(), (rows * cols, cols, rows), strict=True):
+            found[f"variance of means of {name} of {one.label}"] = _root(value * pixels / max(one.variance, 1e-12))
+    return found
+
+
+def histogram_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return means of the tails of temporal noise over its standard deviation, and shares of ones of the low bits.
+
+    Notes
+    -----
+    The mean of a tail changes smoothly where the values are few whole DN, unlike its quantile. A bit that is stuck or
+    left out has no ones or no zeros; bits of more than the noise depend on the level.
+    """
+    found = {}
+    for one in (dark, *flats):
+        ordered = one.ordered / np.float32(np.sqrt(max(one.variance, 1e-12)))
+        for share in TAILS:
+            size = max(1, round(share * ordered.size))
+            found[f"mean of the lowest {100.0 * share:g} % of {one.label}"] = float(ordered[:size].mean())
+            found[f"mean of the highest {100.0 * share:g} % of {one.label}"] = float(ordered[-size:].mean())
+    flat = flats[-1]
+    return found | {f"share of ones of bit {bit} of {flat.label}": float(x) for bit, x in enumerate(flat.bits)}
+
+
+def event_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return roots of the number of bright and dark events of the dark, and the height of the highest."""
+    sd = dark.robust_sd
+    found = {}
+    for limit in EVENT_SD:
+        for sign, name in ((1.0, "bright"), (-1.0, "dark")):
+            hit = sign * dark.change > limit * sd
+            found[f"root of {name} events above {limit:g} sd of {dark.label}"] = float(np.sqrt(np.sum(hit) + 0.375))
+    found[f"ln height of the highest events of {dark.label}"] = _log(_highest(dark.change, HIGHEST_EVENTS) / sd)
+    return found
+
+
+def pattern_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return fixed over temporal variance of pixels, rows and columns, and of bands of their spectra.
+
+    Fixed is what the mean frame holds, with the temporal noise left in it; over the temporal variance, neither gain nor
+    light enters where there is no fixed pattern. The difference of odd and even rows, and columns, over the level shows
+    fields or taps of unequal gain.
+    """
+    found: dict[str, float] = {}
+    for one in (dark, flats[-1]):
+        rows, cols = one.pattern.mean(axis=1), one.pattern.mean(axis=0)
+        fixed = {"pixels": (one.pattern - rows[:, None] - cols).var(), "rows": rows.var(), "columns": cols.var()}
+        temporal = {"pixels": one.variance, **one.line_variances}
+        for name, variance in fixed.items():
+            ratio = float(variance) * len(one.change) / max(temporal[name], 1e-12)
+            found[f"fixed over temporal variance of {name} of {one.label}"] = _root(ratio)
+        for name, line in (("rows", rows), ("columns", cols)):
+            found[f"odd less even {name} of {one.label}"] = float(line[1::2].mean() - line[::2].mean()) / one.level
+        found |= _bands(StackView.spectrum(one.pattern[None]), one.power, f"fixed pattern of {one.label}")
+    return found
+
+
+def defect_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return logarithms of the heights and depths of the most deviating pixels and spots, of dark and brightest flat.
+
+    Notes
+    -----
+    Pixels are those of the mean of each pixel's middle values less the median of 5 x 5 pixels, spots those of the mean
+    frame behind a difference of Gaussians. The mean of several highest values is a smooth number, with a narrow
+    distribution where nothing is defective; a count of pixels above a limit is 0 in nearly all sets, and its
+    distribution unknown.
+    """
+    import cv2
+
+    found = {}
+    for one in (dark, flats[-1]):
+        inner, outer = (cv2.GaussianBlur(one.pattern, (0, 0), size) for size in SPOT_PX)
+        pixels, spots = one.steady - cv2.medianBlur(one.steady, 5), (inner - outer)[::3, ::3]
+        for name, local, count in (("pixels", pixels, HIGHEST_PIXELS), ("spots", spots, HIGHEST_SPOTS)):
+            for sign, side in ((1.0, "bright"), (-1.0, "dark")):
+                # Half a step of whole DN keeps the logarithm smooth where all pixels are equal.
+                height = _highest(sign * local, count) + 0.5
+                found[f"ln height of the {count} most {side} {name} of {one.label}, DN"] = _log(height)
+    return found
+
+
+def shading_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return slopes and curvatures of the mean frames over the picture: of flats over the signal, of the dark in DN."""
+    found = {}
+    for one in (dark, flats[-1]):
+        scale = 1.0 if one is dark else one.level - dark.level
+        for name, value in zip(("slope x", "slope y", "x²", "y²", "xy"), one.shading, strict=True):
+            found[f"{name} of {one.label}"] = float(value) / scale
+    return found
+
+
+def time_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return correlations of frames, and of fields of interlaced video, with each other, and changes in time.
+
+    Correlations are those of successive ones and the largest of any two, without pulses: a few of them would rule.
+    """
+    found = {}
+    for one in (dark, flats[-1]):
+        limit = EVENT_SD[0] * one.robust_sd
+        change = np.clip(one.change, -limit, limit)
+        found |= _correlations(change, (1, 2), f"frames of {one.label}")
+        if one.interlaced:
+            count, rows, cols = change.shape
+            fields = change[:, : rows - rows % 2].reshape(count, rows // 2, 2, cols).swapaxes(1, 2)
+            found |= _correlations(fields.reshape(2 * count, rows // 2, cols), (1,), f"fields of {one.label}")
+        means = one.change.mean(axis=(1, 2))
+        at = np.arange(len(means)) - (len(means) - 1) / 2.0
+        found[f"drift of {one.label}, DN a frame"] = float(at @ means / (at @ at))
+        variances = np.log(np.maximum(change.var(axis=(1, 2)), 1e-12))
+        found[f"range of the variances of frames of {one.label}"] = _root(float(np.ptp(variances)))
+    return found
+
+
+def _correlations(images: Frames, lags: tuple[int, ...], what: str) -> dict[str, float]:
+    """Return the mean correlation of images at lags, and the largest of any two, of images (image, row, col)."""
+    flat = images.reshape(len(images), -1)
+    gram = flat @ flat.T
+    gram = gram / max(float(np.trace(gram)) / len(gram), 1e-12)
+    found = {f"correlation of {what}, {lag} apart": float(np.diag(gram, lag).mean()) for lag in lags if lag < len(gram)}
+    return found | {f"largest correlation of two {what}": float(gram[np.triu_indices(len(gram), 1)].max())}
+
+
+def _highest(values: Frames, count: int) -> float:
+    """Return the mean of the highest values."""
+    flat = values.ravel()
+    return float(np.partition(flat, flat.size - count)[-count:].mean())
+
+
+def _bands(power: Array, reference: Array, what: str) -> dict[str, float]:
+    """Return the power over a reference in bands along both axes and over all directions, and its highest peak."""
+    rows, half = power.shape
+    x, y = np.fft.rfftfreq(2 * (half - 1))[:half], np.abs(np.fft.fftfreq(rows))
+    cuts = {
+        "horizontal": (x, power[0], reference[0]),
+        "vertical": (y, power[:, 0], reference[:, 0]),
+        "radial": (np.hypot(y[:, None], x), power, reference),
+    }
+    found = {}
+    for name, (frequency, own, other) in cuts.items():
+        for low, high in itertools.pairwise(BANDS):
+            band = (frequency > low) & (frequency <= high)
+            if band.any():
+                ratio = float(own[band].mean()) / max(float(other[band].mean()), 1e-12)
+                found[f"{name} {what}, {low:g} to {high:g} cy/px"] = _root(ratio)
+    highest = float(power.ravel()[1:].max()) / max(float(power.mean()), 1e-12)
+    return found | {f"ln peak in the {what}": _log(highest)}
+
+
+def _without_shading(mean: Frames) -> tuple[Array, Frames]:
+    """Return slopes and curvatures of a frame over coordinates -1..1, and the frame without them."""
+    y, x = (np.linspace(-1.0, 1.0, size, dtype=np.float32) for size in mean.shape)
+    terms = np.stack(np.broadcast_arrays(
+        np.float32(1.0), x[None, :], y[:, None], x[None, :] ** 2, y[:, None] ** 2, x[None, :] * y[:, None]
+    )).reshape(6, -1)  # fmt: skip
+    found = np.linalg.solve((terms @ terms.T).astype(float), (terms @ mean.ravel()).astype(float))
+    return found[1:], mean - (found.astype(np.float32) @ terms).reshape(mean.shape)
+
+
+def _autocovariance(change: Frames) -> Array:
+    """Return the autocovariance of changes (frame, row, col), averaged over frames and pairs of pixels."""
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    count, rows, cols = change.shape
+    shape = (next_fast_len(rows + REACH), next_fast_len(cols + REACH))
+    spectrum = np.asarray(rfft2(change, s=shape))
+    full = np.asarray(irfft2((np.abs(spectrum) ** 2).sum(axis=0), s=shape))
+    lags = np.arange(-REACH, REACH + 1)
+    return full[np.ix_(lags, lags)] / (np.outer(rows - np.abs(lags), cols - np.abs(lags)) * count)
+
+
+def _log(value: float) -> float:
+    return float(np.log(max(value, 1e-12)))
+
+
+def _root(value: float) -> float:
+    return float(np.cbrt(value))

@@ -1,0 +1,125 @@
+"""Numbers that frames of targets are compared by: MTF and levels of an edge, profile of a point source."""
+
+import itertools
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from labdata.frames import FrameStack
+
+# Centres of bands up to 0.8 of the sampling limit, and distances from them at which an MTF is averaged: its errors at
+# frequencies that differ by more than one over the width of the picture are independent.
+FREQUENCY_CY_PER_PX = np.arange(0.05, 0.4001, 0.05)
+WITHIN_CY_PER_PX = np.linspace(-0.02, 0.02, 5)
+# Ends of the ranges of distance from an edge on both sides, and of radii about a point, px.
+DISTANCES_PX = (0.5, 1.5, 3.0, 5.0, 8.0, 15.0, 30.0)
+# Distance from an edge within which its place is found, and ends of the range whose levels are its contrast, px.
+NEAR_PX, SIDE_PX = 6.0, (3.0, 8.0)
+# Smoothing of a ghost image, and its least distance from its point, px.
+GHOST_PX, LEAST_GHOST_PX = 1.5, 12.0
+RADII_PX = (0.0, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 26.0, 40.0)
+
+
+def mtf_features(frames: NDArray, context: Context) -> Mapping[str, float]:
+    """Return the MTF of an edge in bands about `FREQUENCY_CY_PER_PX`, none where the method refuses."""
+    from charact import mtf
+
+    found = mtf.measure("edge", FrameStack(data=frames), method="edge-slanted", context=context)
+    line = next(iter(found.curves.values()), None)
+    if line is None:
+        return {}
+    frequency = FREQUENCY_CY_PER_PX[:, None] + WITHIN_CY_PER_PX
+    values = np.interp(frequency, line.frequency_cy_per_px, line.value).mean(axis=1)
+    return {f"MTF at {at:.2f} cy/px": float(value) for at, value in zip(FREQUENCY_CY_PER_PX, values, strict=True)}
+
+
+def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
+    """Return mean levels and variances in time by distance from an edge, none where no edge is found.
+
+    Notes
+    -----
+    The edge is the line through the centres of gravity of the gradient near it in each row, or column of a flat edge.
+    Levels are over the step close to the edge. Near it they are given as the step between both sides at equal
+    distances, which an error of the place hardly changes, and their mean: blur and sharpening. Far from it the dark
+    side shows veiling glare and ghost images. Noise that is larger on the edge than on both sides shows jitter of
+    lines, or motion.
+    """
+    import cv2
+
+    mean = frames.mean(axis=0, dtype=np.float64) - dark_dn
+    # The difference of successive frames leaves drift out.
+    variance = np.diff(frames.astype(np.float32), axis=0).var(axis=0) / 2.0
+    steps = [np.abs(np.diff(mean, axis=axis)).sum() for axis in (0, 1)]
+    if steps[0] > steps[1]:
+        mean, variance = mean.T, variance.T
+    gradient = np.diff(mean, axis=1)
+    gradient *= np.sign(gradient.sum())
+    rows, columns = np.arange(len(mean)), np.arange(gradient.shape[1]) + 0.5
+    # Noise far from the edge would pull the centres of gravity: they start at the steepest place of the smoothed rows.
+    steepest = columns[np.argmax(cv2.GaussianBlur(gradient, (0, 0), 3.0), axis=1)]
+    slope, at = np.polyfit(rows, steepest, 1)
+    for _ in range(4):
+        away = columns[None, :] - (at + slope * rows[:, None])
+        near = np.where(np.abs(away) < NEAR_PX, gradient, 0.0)
+        if not near.sum() > 0.0:
+            return {}
+        # Moments of all rows together, as the gradient of a single one may cancel.
+        shift, turn = (
+            float((near * away * weight[:, None]).sum() / (near * weight[:, None] ** 2).sum())
+            for weight in (np.ones(len(rows)), rows - rows.mean())
+        )
+        slope, at = slope + turn, at + shift - turn * rows.mean()
+    distance = (np.arange(mean.shape[1])[None, :] - (at + slope * rows[:, None])) / np.hypot(1.0, slope)
+    if mean[distance > NEAR_PX].mean() < mean[distance < -NEAR_PX].mean():
+        distance = -distance
+    near, far = (np.abs(distance) > SIDE_PX[0]) & (np.abs(distance) <= SIDE_PX[1]), np.abs(distance) > SIDE_PX[1]
+    contrast = float(mean[near & (distance > 0.0)].mean() - mean[near & (distance < 0.0)].mean())
+    found = {}
+    for low, high in itertools.pairwise(DISTANCES_PX):
+        sides = [(sign * distance > low) & (sign * distance <= high) for sign in (1.0, -1.0)]
+        enough = min(int(own.sum()) for own in sides) > 50
+        upper, lower = (float(mean[own].mean()) / contrast if enough else np.nan for own in sides)
+        if high < NEAR_PX:
+            found[f"step over {low:g} to {high:g} px of the edge"] = upper - lower
+            found[f"mean level at {low:g} to {high:g} px of the edge"] = (upper + lower) / 2.0
+        else:
+            found[f"bright level at {low:g} to {high:g} px of the edge"] = upper
+            found[f"dark level at {low:g} to {high:g} px of the edge"] = lower
+    bright = distance > 0.0
+    places = {"dark side": far & ~bright, "edge itself": np.abs(distance) < 1.5, "bright side": far & bright}
+    for name, own in places.items():
+        found[f"ln variance of the {name}"] = (
+            float(np.log(max(variance[own].mean(), 1e-12))) if own.sum() > 50 else np.nan
+        )
+    return found
+
+
+def point_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
+    """Return mean levels in rings about the brightest point, above dark, as asinh(level / 1 DN), and the highest spot.
+
+    The highest spot is that of the smoothed frame above the mean of its ring, outside the inner rings: a ghost image.
+    """
+    import cv2
+
+    mean = (frames.mean(axis=0, dtype=np.float64) - dark_dn).astype(np.float32)
+    _, _, _, (col, row) = cv2.minMaxLoc(cv2.GaussianBlur(mean, (0, 0), 2.0))
+    y, x = np.indices(mean.shape)
+    near = np.hypot(y - row, x - col) < 6.0
+    light = np.maximum(mean[near], 0.0)
+    if not light.sum() > 0.0:
+        return {}
+    row, col = float(light @ y[near] / light.sum()), float(light @ x[near] / light.sum())
+    radius = np.hypot(y - row, x - col)
+    found, highest = {}, 0.0
+    smooth = cv2.GaussianBlur(mean, (0, 0), GHOST_PX)
+    for low, high in itertools.pairwise(RADII_PX):
+        ring = (radius >= low) & (radius < high)
+        found[f"level at {low:g} to {high:g} px of the point"] = (
+            float(np.arcsinh(mean[ring].mean())) if ring.any() else np.nan
+        )
+        if ring.any() and low >= LEAST_GHOST_PX:
+            highest = max(highest, float(smooth[ring].max() - smooth[ring].mean()))
+    found[f"highest spot beyond {LEAST_GHOST_PX:g} px of the point"] = float(np.arcsinh(highest))
+    return found

@@ -1,0 +1,205 @@
+"""A simulated camera before its light: frames, images after each stage, and what was neglected."""
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from labdata.sensors import Camera
+from labdata.session import Kind
+from labdata.target import Target
+from simulate.motion import Look, Motion
+
+if TYPE_CHECKING:
+    from simulate.effect_selection import EffectSelection
+    from simulate.infrared_view import InfraredView
+    from simulate.outdoor_rendering import RenderedView
+
+Stage = tuple[str, str, NDArray[Any]]  # name, quantity with unit, image (row, col)
+Keep = Callable[[int, Any], None]  # called with the number of a frame and its view
+
+
+def _ignore_view(number: int, view: Any) -> None:
+    """Ignore a view."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """A simulated camera, its light and the metadata of the session.
+
+    Parameters
+    ----------
+    camera, light
+        The camera, and expected photoelectrons at the MCP, or in the sensor of a camera without tube.
+    kind, conditions, target, notes
+        Metadata of the stack.
+    seen
+        Input of the camera: an image in photoelectrons, a radiance cube, or None.
+    plan, exact
+        Effect selection (None for a camera without tube, where all are retained); whether every pulse is sampled.
+    view
+        Rendering of an outdoor scene: radiance, effect selection and auxiliary layers.
+    delay_s
+        Time of the first frame after that of the scene, s.
+    motion
+        Motion of an outdoor scene with keyframes.
+    """
+
+    camera: Any
+    light: Any
+    kind: Kind
+    conditions: Conditions
+    seen: Any = None
+    target: Target = field(default_factory=Target)
+    notes: tuple[str, ...] = ()
+    plan: "EffectSelection | None" = None
+    exact: bool = False
+    view: "RenderedView | InfraredView | None" = None
+    delay_s: float = 0.0
+    motion: Motion | None = None
+
+    @property
+    def description(self) -> Camera | None:
+        """Description of the camera where the scene set its level and span."""
+        return None
+
+    @property
+    def frame_distortion(self) -> tuple[float, ...]:
+        """Radial distortions of lens and taper, in the order of the light, dimensionless."""
+        from simulate.iiccd.chain import Slot
+
+        fibres = (self.camera.stage(Slot.FIBRES).distortion_fraction,) if self.camera.has_tube else ()
+        return (self.camera.lens().distortion_fraction, *fibres)
+
+    def time_s(self, frame: float) -> float:
+        """Return the time of a frame after that of the scene, s."""
+        return self.delay_s + frame * self.camera.frame_s
+
+    def frames(self, *, seed: int, count: int, keep: Keep = _ignore_view) -> Iterator[NDArray[Any]]:
+        """Yield frames, shape (row, col), DN.
+
+        Parameters
+        ----------
+        seed, count
+            Seed, and number of frames.
+        keep
+            Of a moving scene: called with the number of each frame whose view is another than that of the frame before.
+        """
+        steps = self._exposures_per_frame
+        times_s = [self.time_s(number / steps) for number in range(count * steps)]
+        if self.motion is None or self.motion.is_still(times_s):
+            yield from islice(self._still_frames(seed), count)
+            return
+        yield from self._moving_frames(seed, self._looks(self.motion, times_s, keep))
+
+    @property
+    def _exposures_per_frame(self) -> int:
+        return self.camera.fields_per_frame if self.camera.has_tube else 1
+
+    def _looks(self, motion: Motion, times_s: list[float], keep: Keep) -> Iterator[Look]:
+        assert self.view is not None
+        steps, kept = self._exposures_per_frame, self.view
+        for number, look in enumerate(motion.looks(Look(view=self.view, light=self._first_light), times_s)):
+            if number % steps == 0 and look.view is not kept:
+                kept = look.view
+                keep(number // steps, kept)
+            yield look
+
+    @property
+    def _first_light(self) -> Any:
+        return self.light
+
+    def _still_frames(self, seed: int) -> Iterator[NDArray[Any]]:
+        threads = min(2, os.cpu_count() or 1)
+        return self.camera.frames(self.light, self.conditions, seed=seed, exact=self.exact, threads=threads)
+
+    def _moving_frames(self, seed: int, looks: Iterator[Look]) -> Iterator[NDArray[Any]]:
+        if self.camera.has_tube:
+            lights = (look.light for look in looks)
+            yield from self.camera.moving_frames(lights, self.conditions, seed=seed, settled=True)
+            return
+        for number, look in enumerate(looks):
+            given = {"seed": seed, "first_frame": number, "exact": self.exact}
+            yield next(self.camera.frames(look.light, self.conditions, **given))
+
+    def stages(self, *, seed: int) -> Iterator[Stage]:
+        """Yield the input, the expected photoelectrons or radiance behind the lens, and the image after each stage."""
+        from simulate.iiccd.stage_images import stage_images
+        from simulate.radiance.cube import RadianceCube
+
+        if isinstance(self.seen, RadianceCube):
+            yield from stage_images(self.camera, self.seen, self.conditions, seed)
+            return
+        if self.seen is not None:
+            yield "picture", "photoelectrons per exposure and pixel, expected", self.seen
+        place = "at the plate" if self.camera.has_tube else "in the chip"
+        inside = self.light.values[(..., *self.light.grid.inside)]
+        yield f"photoelectrons {place}", "photoelectrons per exposure and cell, expected", inside
+        yield from stage_images(self.camera, self.light, self.conditions, seed)
+
+    @property
+    def explanation(self) -> str:
+        """Text of retained and neglected effects of light and camera with their bounds."""
+        light = () if self.view is None else (self.view.text(), "")
+        camera = "camera without tube: all effects are retained" if self.plan is None else self.plan.text()
+        return "\n".join((*light, camera))
+
+    @property
+    def economy_note(self) -> str:
+        """Note on neglected effects."""
+        if self.plan is None or self.exact:
+            return "nothing left out"
+        names = ", ".join(effect.name for effect in self.plan.left_out) or "nothing"
+        share = f"{100.0 * self.plan.influence:.2g} % of the temporal noise, of {100.0 * self.plan.tolerance:g} %"
+        return f"left out, together at most {share} allowed: {names}; see economy.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class InfraredShot(Shot):
+    """A thermal imager before an outdoor scene; `seen` is its `InfraredView`."""
+
+    @property
+    def description(self) -> Camera:
+        """The imager with level and span for the scene."""
+        return self.seen.camera.description
+
+    @property
+    def frame_distortion(self) -> tuple[float, ...]:
+        """Radial distortions: none, as the distortion of the imager is that of its view."""
+        return ()
+
+    @property
+    def _exposures_per_frame(self) -> int:
+        return 1
+
+    @property
+    def _first_light(self) -> Any:
+        return self.seen.signal
+
+    def _still_frames(self, seed: int) -> Iterator[NDArray[Any]]:
+        return self.seen.frames(seed=seed)
+
+    def _moving_frames(self, seed: int, looks: Iterator[Look]) -> Iterator[NDArray[Any]]:
+        # The lag of a frame needs those before it.
+        signals = np.stack([look.light for look in looks])
+        return self.camera.frames_of_signal(signals, seed=seed)
+
+    def stages(self, *, seed: int) -> Iterator[Stage]:
+        """Yield the apparent temperature and a frame."""
+        yield "apparent temperature", "temperature of a black body of that radiance, K", self.seen.picture.apparent_k()
+        yield "frame", "DN", next(self.frames(seed=seed, count=1))
+
+    @property
+    def explanation(self) -> str:
+        """Text of retained and neglected terms with their changes."""
+        return self.seen.text()
+
+    @property
+    def economy_note(self) -> str:
+        """Note on neglected effects of the imager."""
+        return "no effect of the imager left out"

@@ -1,0 +1,150 @@
+"""The functions of `charact` measure arrays as files, and say in one sentence what is no image."""
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+import charact
+from labdata.frames import FrameStack
+from labdata.measurement import measurement_from_sd
+
+SIGMA_PX = 1.06
+# Gaussian blur times the pixel: exp(-2 (pi sigma f)^2) sinc(f) is 0.5 here, by bisection.
+MTF50 = 0.17213
+
+
+@pytest.fixture(scope="module")
+def edge() -> np.ndarray:
+    """An edge at 5.71 degrees, Gaussian blur of 1.06 px, integrated over each pixel, with Poisson noise."""
+    row, col = np.mgrid[:80, :96].astype(float)
+    slope = 0.1
+    fine = np.mean(
+        [erf((col + dx - 48 + slope * (row + dy - 40)) / (SIGMA_PX * np.sqrt(2 * (1 + slope**2))))
+         for dx in (-0.375, -0.125, 0.125, 0.375) for dy in (-0.375, -0.125, 0.125, 0.375)], axis=0,
+    )  # fmt: skip
+    return np.random.default_rng(5).poisson(2000 + 1500 * fine).astype(np.uint16)
+
+
+def test_an_array_a_stack_and_a_file_have_one_result(edge, tmp_path):
+    np.save(tmp_path / "e.npy", edge)
+    sources = (
+        edge,
+        edge[None],
+        edge.tolist(),
+        FrameStack(data=edge[None]),
+        tmp_path / "e.npy",
+        str(tmp_path / "e.npy"),
+    )
+    found = [charact.mtf(source, method="edge-slanted").mtf50 for source in sources]
+    assert len({(m.value, m.interval95) for m in found}) == 1
+
+
+def test_the_mtf_of_an_array_is_that_of_its_blur(edge):
+    m = charact.mtf(edge, quick=True).mtf50
+    assert m.status == "ok"
+    assert m.interval95[0] < MTF50 < m.interval95[1]
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [None, 3.0, [1, 2, 3], np.zeros(5), [[1, 2], [3]], object(), np.zeros((5, 5), complex), "no-such-file.tif",
+     np.full((40, 40), np.nan), np.ma.masked_equal(np.eye(40), 1), np.array([["a"]])],
+    ids=lambda bad: type(bad).__name__,
+)  # fmt: skip
+def test_what_is_no_image_is_bad_input(bad):
+    with pytest.raises(charact.BadInput) as caught:
+        charact.mtf(bad)
+    assert "\n" not in str(caught.value)
+
+
+def test_flats_in_memory_have_the_gain_they_were_made_with(seed):
+    rng = np.random.default_rng(seed)
+    flats = [2.0 * rng.poisson(level, (16, 64, 64)) + rng.normal(100, 3, (16, 64, 64)) for level in (50, 200, 800)]
+    darks = [rng.normal(100, 3, (16, 64, 64))]
+    found = charact.noise(flats=flats, darks=darks, method="variance", quick=True, exposure_s=[1, 4, 16])
+    gain = found.system_gain
+    assert abs(gain.value - 2.0) < 2.5 * (gain.interval95[1] - gain.value) / 1.96 + 1e-3
+
+
+def test_conditions_are_one_for_all_or_one_for_each_flat():
+    flats = [np.zeros((2, 40, 40))] * 2
+    with pytest.raises(charact.BadInput, match="one entry for each of 2 flats"):
+        charact.noise(flats=flats, exposure_s=[1.0])
+    with pytest.raises(charact.BadInput, match="a condition must be one of"):
+        charact.noise(flats=flats, exposure=1.0)
+    with pytest.raises(charact.BadInput, match="got both"):
+        charact.noise("somewhere", flats=flats)
+
+
+def test_pixels_beyond_the_digitiser_are_bad_input():
+    with pytest.raises(charact.BadInput, match="255 DN of 8 bits"):
+        charact.session([charact.stack(np.full((2, 9, 9), 300.0), "dark")], bit_depth=8)
+
+
+def test_a_quantity_is_an_attribute_and_several_are_asked_for_by_their_place():
+    one = measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, method="m", stack="a")
+    other = measurement_from_sd("mtf50", "cy/px", 0.3, 0.01, method="m", stack="b")
+    assert charact.Analysis(measurements=(one,)).mtf50 is one
+    with pytest.raises(AttributeError, match=r"find\('mtf50', stack='a'\)"):
+        charact.Analysis(measurements=(one, other)).mtf50  # noqa: B018
+    with pytest.raises(AttributeError, match="was not measured"):
+        charact.Analysis(measurements=(one,)).read_noise  # noqa: B018
+    assert "mtf50" in dir(charact.Analysis(measurements=(one,)))
+
+
+def test_a_result_is_shown_and_exported(edge, tmp_path):
+    pytest.importorskip("pandas")
+    xarray = pytest.importorskip("xarray")
+    found = charact.mtf(edge)
+    assert repr(found).startswith("<Analysis: mtf50 ") and "\n" not in repr(found)
+    assert "<table" in found._repr_html_()
+    found.plot(tmp_path / "mtf.png")
+    assert (tmp_path / "mtf.png").stat().st_size > 5000
+    assert found.to_frame().set_index("quantity").loc["mtf50", "value"] == found.mtf50.value
+    assert float(found.to_xarray()["mtf"].sel(frequency=0.0)) == pytest.approx(1.0)
+    draws = found.to_arviz("mtf50")
+    assert isinstance(draws, xarray.DataTree) and draws["posterior"].sizes["chain"] == 1
+
+
+def test_an_array_goes_through_a_camera_and_same_seed_gives_same_frames(edge):
+    made = [
+        charact.simulate(edge, sensor="gen3-digital-iccd", frames=2, photoelectrons_per_dn=0.01, seed=seed)
+        for seed in (1, 1, 2)
+    ]
+    assert made[0].shape == (2, 1024, 1024)
+    assert np.array_equal(made[0].data, made[1].data)
+    assert not np.array_equal(made[0].data, made[2].data)
+
+
+def test_every_name_is_in_dir_and_callable():
+    for name in charact.__all__:
+        assert name in dir(charact)
+        assert callable(getattr(charact, name))
+
+
+def test_results_of_unlike_sessions_are_refused():
+    rng = np.random.default_rng(1)
+
+    def day(exposure_s: float):
+        stacks = [
+            charact.stack(rng.normal(level, 9.0, (4, 64, 64)), kind, exposure_s=exposure_s)
+            for kind, level in (("dark", 100.0), ("flat", 500.0))
+        ]
+        return charact.noise(charact.session(stacks), method="variance", quick=True)
+
+    with pytest.raises(charact.BadInput, match="must be alike"):
+        charact.compare(day(0.01), day(0.02))
+
+
+def test_small_frames_of_a_plain_camera_have_their_gain_by_the_variance_of_pixels():
+    rng = np.random.default_rng(0)
+
+    def frames(electrons: float) -> np.ndarray:
+        return np.round(0.5 * rng.poisson(electrons, (8, 48, 64)) + rng.normal(20.0, 1.5, (8, 48, 64))).astype(
+            np.uint16
+        )
+
+    found = charact.noise(flats=[frames(n) for n in (500, 2000, 6000)], darks=[frames(0)], quick=True)
+    low, high = found.system_gain.interval95
+    assert low < 0.5 < high
+    assert found.system_gain.method == "variance"

@@ -1,0 +1,115 @@
+"""Simulated sets of a bench, and defects put into them: what a session gives to a validation, without its files."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.validation.frame_features import Numbers, features_of
+from charact.validation.frames import MatchedFrames, MatchedStacks, VisibleCamera, simulate_frames
+from labdata.camera_description import Draws
+from labdata.conditions import Conditions
+from labdata.sensor import Sensor
+from labdata.sensors import load_camera
+from labdata.session import Kind
+from labdata.solid_state import SolidStateCamera
+from labdata.target import Target
+from tests.charact.validation.defects import Defect, Digitiser
+
+Frames = Mapping[str, NDArray]
+
+# Illuminance of the three flats, lux, and conditions.
+LIGHT: dict[str, tuple[tuple[float, float, float], Conditions]] = {
+    "pulnix-ag5745ef3": ((3e-5, 1e-4, 2e-4), Conditions(mcp_v=800.0, gate_ns=1.6e7)),
+    "emccd-512": ((3e-4, 1e-3, 4e-3), Conditions(em_gain=50.0, temperature_c=-20.0, exposure_s=0.025)),
+}
+# Parameters of the posterior and their relative standard deviation; those of the tube would cost seconds a draw.
+POSTERIOR = {"video.conversion_gain_dn_per_e": 0.01, "optics.aberration_blur_um": 0.02, "ccd.read_noise_e": 0.02}
+
+
+class BenchSets:
+    """Sets of a dark, three flats, an edge and a point of one camera, each from its own posterior draw.
+
+    Parameters
+    ----------
+    name
+        Name of a shipped camera.
+    seed
+        Seed of draws and frames.
+    shape
+        Rows and columns of dark and flats.
+    """
+
+    def __init__(self, name: str, *, seed: int, shape: tuple[int, int] = (192, 256)) -> None:
+        lights, conditions = LIGHT[name]
+        camera = load_camera(name)
+        assert isinstance(camera, Sensor | SolidStateCamera)
+        self.camera = camera
+        self.seed = seed
+        rng = np.random.default_rng(seed)
+        known = self.camera.parameters()
+        names = tuple(path for path in POSTERIOR if path in known)
+        rows = [tuple(float(known[k]) * (1.0 + POSTERIOR[k] * rng.standard_normal()) for k in names) for _ in range(64)]
+        self.sensor: VisibleCamera = replace(self.camera, draws=Draws(names=names, values=tuple(rows)))
+
+        def stack(
+            kind: Kind, label: str, lux: float | None, size: tuple[int, int], target: Target, count: int
+        ) -> MatchedFrames:
+            return MatchedFrames(
+                label=label, kind=kind, conditions=replace(conditions, illuminance_lux=lux), target=target,
+                frames=count, corner=(0, 0), shape=size,
+            )  # fmt: skip
+
+        self.chosen = MatchedStacks(
+            dark=stack("dark", "dark", None, shape, Target(), 8),
+            flats=tuple(
+                stack("flat", label, lux, shape, Target(), 8)
+                for label, lux in zip(("low", "mid", "bright"), lights, strict=True)
+            ),
+            edge=stack("edge", "edge", lights[-1], (shape[0], 72), Target(angle_deg=5.0), 16),
+            point=stack("point", "point", 300.0 * lights[-1], (128, 128), Target(pinhole_px=3.0), 8),
+            others=(),
+            measured={},
+            notes=(),
+        )
+        self.top = float(2**self.camera.video.bit_depth - 1)
+        self.context = Context(
+            seed=0, quick=True, sensor=self.camera if isinstance(self.camera, Sensor) else None,
+            interlaced=self.camera.video.interlaced, full_scale_dn=self.top,
+        )  # fmt: skip
+
+    def frames(self, number: int, defect: Defect | None = None) -> dict[str, NDArray]:
+        """Return the frames of a set by label, with a defect or none."""
+        rng = np.random.default_rng([self.seed, number])
+        drawn = replace(self.sensor.draw(rng), name=f"{self.camera.name}, set {number}")
+        if defect is not None and defect.factors:
+            known = drawn.parameters()
+            changed = {path: float(known[path]) * by for path, by in defect.factors.items() if path in known}
+            drawn = drawn.with_values(changed)
+        frames = simulate_frames(drawn, self.chosen.compared, seed=int(rng.integers(2**31)))
+        return frames if defect is None else self.put(frames, defect)
+
+    def put(self, frames: Frames, defect: Defect) -> dict[str, NDArray]:
+        """Return frames with a defect, in whole DN within the digitiser's range."""
+        if defect.put is None:
+            return dict(frames)
+        black, out = float(frames["dark"].mean()), dict(frames)
+        for label in defect.stacks:
+            before = frames[label]
+            adc = Digitiser(black=black, top=self.top, noise=float(before.std(axis=0).mean()))
+            # One seed for all stacks: dust lies at one place.
+            changed = defect.put(before.astype(float), adc, np.random.default_rng([self.seed, 5]))
+            out[label] = np.clip(np.rint(changed), 0.0, self.top).astype(before.dtype)
+        return out
+
+    def has(self, defect: Defect) -> bool:
+        """Whether the camera can have a defect."""
+        if defect.has_tube is not None and defect.has_tube != isinstance(self.camera, Sensor):
+            return False
+        return not defect.factors or any(path in self.camera.parameters() for path in defect.factors)
+
+    def numbers(self, frames: Frames) -> Mapping[str, Numbers]:
+        """Return the numbers of a set by group."""
+        return features_of(frames, self.chosen, context=self.context).groups

@@ -1,0 +1,175 @@
+"""Descriptions of infrared imagers, what they share as cameras, and verbs that need the other half."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labdata.errors import BadInput
+from labdata.sensors import load_camera, load_sensor, save_sensor
+from labdata.serialiser import from_mapping
+from simulate import api
+from simulate.infrared.camera import InfraredCamera
+from simulate.infrared.targets import four_bars, half_moon
+from simulate.radiance.spectrum import band_radiance
+from tests.simulate.infrared.measures import imager
+
+NAMES = ("scanning-lwir", "vox-lwir-640", "insb-mwir-640")
+
+
+SMALL = {"scanner__lines_per_field": 16}, {"bolometer__rows": 32}, {"cooled_array__rows": 32}
+
+
+@pytest.fixture(params=range(3), ids=NAMES)
+def camera(request) -> InfraredCamera:
+    """Each imager with few rows."""
+    return imager(NAMES[request.param], **SMALL[request.param])
+
+
+def test_the_shipped_imagers_have_the_geometry_of_their_class():
+    shapes = {name: load_camera(name).shape for name in NAMES}
+    assert shapes == {"scanning-lwir": (480, 256), "vox-lwir-640": (480, 640), "insb-mwir-640": (512, 640)}
+    pitches = [load_camera(name).pitch_mrad for name in NAMES]
+    # 15 degrees over 240 lines of a field: 1.09 mrad.
+    assert 2.0 * pitches[0][0] == pytest.approx(1.09, abs=0.005)
+    assert pitches[1:] == [pytest.approx((0.68, 0.68)), pytest.approx((0.30, 0.30))]
+    assert all(load_camera(name).is_thermal for name in NAMES)
+    assert not load_camera("pulnix-ag5745ef3").is_thermal
+
+
+def test_a_description_has_the_tables_of_one_kind(tmp_path):
+    tables = [
+        tomllib.loads((Path(api.__file__).parents[1] / f"labdata/sensors/{name}.toml").read_text()) for name in NAMES
+    ]
+    described = type(load_camera(NAMES[0]))
+    with pytest.raises(BadInput, match="must have one of scanner, bolometer, cooled_array, got scanner, bolometer"):
+        from_mapping(tables[0] | {"bolometer": tables[1]["bolometer"]}, described)
+    with pytest.raises(BadInput, match="got none"):
+        from_mapping({key: value for key, value in tables[1].items() if key != "bolometer"}, described)
+    with pytest.raises(BadInput, match="unknown key 'netd' in bolometer; did you mean"):
+        from_mapping(tables[1] | {"bolometer": tables[1]["bolometer"] | {"netd": 40}}, described)
+    with pytest.raises(BadInput, match="a scanner must be interlaced and an array progressive"):
+        from_mapping(tables[1] | {"video": tables[1]["video"] | {"interlaced": True}}, described)
+    for name in NAMES:
+        save_sensor(load_camera(name), tmp_path / "again.toml")
+        assert load_camera(tmp_path / "again.toml") == load_camera(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "value", "sentence"),
+    [
+        ("scanning-lwir", "band.short_um", 13.0, "short_um must lie below long_um, got 13 and 12"),
+        ("scanning-lwir", "scanner.active_fraction", 1.0, "active_fraction must lie between 0.05 and 0.98, got 1"),
+        ("scanning-lwir", "video.span_k", 700.0, r"span_k must lie within -200 to 2000 C, got -328 to 372 C"),
+        ("scanning-lwir", "scanner.mirror_hz", 7000.0, "all lines_per_field within a field, got 240 of 233.6 lines"),
+        ("scanning-lwir", "scanner.clock_error_ns", 1e6, "clock_error_ns must lie between -1000 and 1000, got 1e"),
+        ("vox-lwir-640", "bolometer.netd_mk", 0.0, "netd_mk must be positive, got 0"),
+        ("insb-mwir-640", "cooled_array.correction_low_c", 40.0, "correction_low_c must lie below correction_high_c"),
+    ],
+)
+def test_what_no_imager_can_have_is_refused(name, path, value, sentence):
+    with pytest.raises(BadInput, match=sentence):
+        load_camera(name).with_values({path: value})
+
+
+def test_verbs_that_need_visible_light_or_a_tube_refuse_an_imager_in_one_sentence():
+    described = load_camera("vox-lwir-640")
+    picture = api.SimulationRequest(source=np.ones((480, 640)), photoelectrons_per_dn=1.0)
+    conditions = api.conditions_of(described)
+    with pytest.raises(BadInput, match="thermal imager needs an outdoor scene"):
+        api.simulate(picture, described, conditions)
+    with pytest.raises(BadInput, match="a thermal imager needs an outdoor scene, got bench"):
+        api.simulate(api.SimulationRequest(source=Path("bench")), described, conditions)
+    for option in ({"gain": 3.0}, {"mcp_v": 700.0}, {"illuminance_lux": 1e-4}):
+        with pytest.raises(BadInput, match=r"^--[a-z-]+ needs a camera of visible light, got 'VOx LWIR 640'$"):
+            api.conditions_of(described, **option)
+    with pytest.raises(BadInput, match="--phosphor needs a camera with a tube"):
+        api.load_described_camera("vox-lwir-640", "p43")
+    with pytest.raises(BadInput, match="must be an intensified camera"):
+        load_sensor("vox-lwir-640")
+
+
+def test_the_signal_of_a_black_body_is_its_radiance_in_the_band(camera):
+    """8-12 um: 38.5004; 7.5-13.5 um: 55.4916 W m-2 sr-1 at 300 K. Bins of any width see the same."""
+    short, long = camera.band_um
+    expected = {"scanning-lwir": 38.5004, "vox-lwir-640": 55.4916}
+    for edges in ([short, long], np.linspace(3.0, 14.0, 12), np.linspace(2.9, 14.1, 300)):
+        body = band_radiance(np.array(edges[:-1]), np.array(edges[1:]), 300.0)
+        signal = camera.signal(np.broadcast_to(body, (2, 3, body.size)), edges)
+        assert signal == pytest.approx(np.full((2, 3), float(camera.signal_of(300.0))), rel=1e-9)
+    for name, radiance in expected.items():
+        assert float(InfraredCamera(load_camera(name)).signal_of(300.0)) == pytest.approx(radiance, rel=2e-6)
+
+
+def test_codes_are_linear_in_radiance_and_what_saturates_is_counted(camera):
+    quiet = InfraredCamera(camera.description, frozenset(camera.effects) - {"quantisation"})
+    low, high = (float(camera.signal_of(kelvin)) for kelvin in (288.0, 300.0))
+    levels = [next(quiet.frames_of_signal(np.full(camera.shape, s), seed=0)) for s in np.linspace(low, high, 5)]
+    means = np.array([frame.mean(dtype=float) for frame in levels])
+    assert np.abs(means - np.linspace(means[0], means[-1], 5)).max() <= 0.5 + 1e-9
+    assert all(np.array_equal(frame, np.rint(frame)) for frame in levels)
+    video = camera.description.video
+    full = 2**video.bit_depth - 1
+    if video.level_c is not None:
+        ends = [float(video.level_c) + 273.15 + side * float(video.span_k) for side in (-0.5, 0.5)]
+        ends = [float(band_radiance(*camera.band_um, kelvin)) for kelvin in ends]
+        share = (np.array([low, high]) - ends[0]) / (ends[1] - ends[0])
+        assert means[[0, -1]] == pytest.approx(share * 2**video.bit_depth, rel=0.01)
+    dark, hot = (next(camera.frames_of_signal(np.full(camera.shape, s), seed=0)) for s in (0.0, 50.0 * high))
+    pixels = dark.size
+    assert camera.count_saturated(hot) == (0, pixels) and hot.min() == full
+    assert camera.count_saturated(levels[0]) == (0, 0)
+    if camera.description.cooled_array is None:
+        assert camera.count_saturated(dark) == (pixels, 0)
+
+
+def test_a_frame_follows_from_seed_and_number(camera, seed):
+    some = camera.view_target(22.0, seed=seed, count=3)
+    assert some.tobytes() == camera.view_target(22.0, seed=seed, count=3).tobytes()
+    assert np.array_equal(camera.view_target(22.0, seed=seed, count=1, first_frame=2)[0], some[2])
+    assert not np.array_equal(some[0], some[1])
+    assert not np.array_equal(camera.view_target(22.0, seed=seed + 1, count=1)[0], some[0])
+
+
+def test_radiance_and_effects_that_do_not_fit_are_refused(camera):
+    short, long = camera.band_um
+    with pytest.raises(BadInput, match="spectral bins must hold the band"):
+        camera.responses([short + 0.2, long])
+    with pytest.raises(BadInput, match=r"axes \(row, col, bin\) with 1 bins, got shape"):
+        camera.signal(np.ones((4, 4)), [short, long])
+    with pytest.raises(BadInput, match="radiances must be finite and not negative"):
+        camera.signal(-np.ones((4, 4, 1)), [short, long])
+    with pytest.raises(BadInput, match="a picture must have a whole number of cells in each of"):
+        next(camera.frames_of_signal(np.ones((7, 9)), seed=0))
+    with pytest.raises(BadInput, match="an effect must be one of optics blur, detector footprint"):
+        camera.without("jitter")
+
+
+def test_plates_show_the_share_that_is_drawn():
+    """Half of a half moon, and four bars of seven times their width."""
+    camera = InfraredCamera(load_camera("vox-lwir-640"))
+    for tilt_deg in (0.0, 5.0, 90.0):
+        share = half_moon(camera, tilt_deg=tilt_deg, oversample=2)
+        assert share.mean() == pytest.approx(0.5, abs=1e-9)
+        mixed = np.mean((share > 1e-3) & (share < 0.999))
+        assert (mixed > 0.0) == (tilt_deg == 5.0)
+    for level in (False, True):
+        bars = four_bars(camera, 0.1, level=level, oversample=2)
+        cell = camera.pitch_mrad[0] * camera.pitch_mrad[1] / 4.0
+        # A bar is 5 mrad wide and 35 mrad long.
+        assert bars.sum() * cell == pytest.approx(4.0 * 5.0 * 35.0, rel=1e-6)
+        assert (bars.min(), bars.max()) == pytest.approx((0.0, 1.0))
+    assert np.array_equal(bars.shape, np.array(camera.shape) * 2)
+
+
+def test_rays_of_a_scanner_are_equal_angles_and_those_of_an_array_equal_slopes(camera):
+    view = camera.viewpoint((0.0, 0.0, 2.0), (0.0, 1.0, 0.0), oversample=2)
+    rows, columns = view.shape
+    assert (rows, columns) == (2 * camera.shape[0], 2 * camera.shape[1])
+    col = np.linspace(0.0, columns, 9)
+    _, direction = view.rays(np.full(9, 0.5 * rows), col)
+    angle = 1e3 * np.arctan2(direction[:, 0], direction[:, 1])
+    straight = (col - 0.5 * columns) * camera.pitch_mrad[1] / 2.0
+    seen = angle if camera.description.scanner is not None else 1e3 * np.tan(1e-3 * angle)
+    assert seen == pytest.approx(straight, abs=0.4 * camera.pitch_mrad[1])
