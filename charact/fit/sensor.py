@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.observations import Observation, levels_of, observations
+from charact.fit.observation import Observation
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import (
     Product,
@@ -21,6 +21,8 @@ from charact.fit.prior import (
     widen_to_products,
 )
 from charact.fit.silicon_observations import silicon_observations
+from charact.fit.stack_levels import levels_of
+from charact.fit.tube_observations import tube_observations
 from charact.noise.illumination import relative_sd_of
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
@@ -222,7 +224,7 @@ def fit_sensor(
     progress("levels of darks and flats", 0.0)
     levels = levels_of(session)
     observed = (
-        observations(session, camera, result, levels)
+        tube_observations(session, camera, result, levels)
         if isinstance(camera, Sensor)
         else silicon_observations(session, camera, result, levels)
     )

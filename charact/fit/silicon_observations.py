@@ -5,17 +5,17 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.observations import (
+from charact.fit.mtf_observations import mtf_observations
+from charact.fit.observation import (
     NOISE_MODEL_SD,
     Observation,
-    StackMean,
     admissible_measurements,
     at_least,
-    mtf_observations,
     one,
     sd_of,
 )
 from charact.fit.predicted_quantities import ELEMENTARY_CHARGE_C, Values
+from charact.fit.stack_levels import StackMean
 from charact.method import Context
 from charact.noise.gain.emva1288 import excess_of
 from charact.noise.illumination import relative_sd_of, table_sensitivity_ua_per_lm

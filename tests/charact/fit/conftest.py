@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from charact.fit import predicted_quantities
-from charact.fit.observations import LEVEL, SHAPE, StackMean, observations
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import prior_of, values_of_description
 from charact.fit.sensor import Model, model_of
+from charact.fit.stack_levels import StackMean
+from charact.fit.tube_observations import LEVEL, SHAPE, tube_observations
 from labdata.measurement import Curve, Measurement, Result, measurement_from_sd
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
@@ -54,7 +55,7 @@ def told_of(sheet: Sensor) -> Callable[[int], Told]:
         session = Session(folder=Path(), name="told", stacks=stacks, camera=sheet, bit_depth=8)
         result = Result(measurements=_numbers(values, rng), curves={"mtf:edge": _curve(values, rng)})
         levels = _levels(values, rng)
-        model = model_of(sheet, observations(session, sheet, result, levels))
+        model = model_of(sheet, tube_observations(session, sheet, result, levels))
         truth = {path: float(value[0]) for path, value in drawn.items()}
         return Told(truth=truth, session=session, result=result, levels=levels, model=model)
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from charact.fit.observations import LEVEL, SHAPE
 from charact.fit.prior import VisibleCamera, prior_of
+from charact.fit.tube_observations import LEVEL, SHAPE
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera

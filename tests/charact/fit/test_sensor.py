@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from charact.fit import fit_sensor, predicted_quantities
-from charact.fit.observations import observations
 from charact.fit.prior import prior_of, values_of_description
 from charact.fit.sensor import (
     KEPT_DRAWS,
@@ -17,6 +16,7 @@ from charact.fit.sensor import (
     model_of,
     posterior_of,
 )
+from charact.fit.tube_observations import tube_observations
 from charact.posterior import find_maximum
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result, measurement_from_sd
@@ -152,7 +152,7 @@ def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> 
     """A halo alone speaks of the gap and the taper, and leaves everything else as it stood."""
     told = told_of(seed)
     halo = Result(measurements=told.result.find("halo_diameter"))
-    model = model_of(told.session.sensor, observations(told.session, told.session.sensor, halo, ()))
+    model = model_of(told.session.sensor, tube_observations(told.session, told.session.sensor, halo, ()))
     posterior = posterior_of(model, seed=seed)
     assert posterior.sampler in ("importance", "emcee")
     sensor = description_from_posterior(model, posterior, illuminance_relative_sd=0.03, seed=seed)
@@ -172,7 +172,7 @@ def test_measurements_that_contradict_each_other_widen_the_ranges_and_are_named(
     wrong = measurement_from_sd("blur_factor", "1", 2.5 * blur.value, 0.003, method="told")
     others = tuple(m for m in told.result.measurements if m.quantity != "blur_factor")
     result = replace(told.result, measurements=(*others, wrong))
-    model = model_of(told.session.sensor, observations(told.session, told.session.sensor, result, told.levels))
+    model = model_of(told.session.sensor, tube_observations(told.session, told.session.sensor, result, told.levels))
     wider, said = inflate_errors(model)
     assert said is not None and "model-misfit" in said
     assert np.all(wider.observed[0].covariance > 1.5 * model.observed[0].covariance - 1e-12)
@@ -183,7 +183,7 @@ def test_a_bent_measurement_stays_outside(told_of: Callable, seed: int) -> None:
     told = told_of(seed)
     bent = tuple(m.with_(flags=("model-misfit",)) for m in told.result.measurements)
     result = replace(told.result, measurements=bent)
-    names = [one.name for one in observations(told.session, told.session.sensor, result, told.levels)]
+    names = [one.name for one in tube_observations(told.session, told.session.sensor, result, told.levels)]
     assert names == ["levels"]
 
 

@@ -1,5 +1,6 @@
 """A public driver library, which never heard of this project, drives the virtual instruments over their wires."""
 
+import importlib
 import warnings
 
 import pytest
@@ -23,7 +24,8 @@ def instruments():
 
 @pytest.fixture(scope="module")
 def ureg(instruments):
-    return instruments.units.ureg
+    """The library's units; its attribute `instruments.units` is the registry or the module, by the order of imports."""
+    return importlib.import_module("instruments.units").ureg
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from charact.fit.observations import mtf_observations
+from charact.fit.mtf_observations import mtf_observations
 from charact.method import Context
 from charact.mtf.bars.group_curve import session_curves
 from charact.mtf.curve import FINE, REPORTED, crossing_frequency, curve_of

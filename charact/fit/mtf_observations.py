@@ -1,0 +1,100 @@
+"""Observations of MTF curves and bar targets, each along its own direction."""
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.fit import predicted_quantities
+from charact.fit.observation import Observation, admissible_measurements, one, sd_of
+from charact.fit.prior import VisibleCamera
+from labdata.measurement import Curve, Result
+from labdata.session import Session
+
+Array = NDArray[np.float64]
+
+SPREAD = (
+    "optics.aberration_blur_um",
+    "photocathode.gap_mm",
+    "photocathode.halo_fraction",
+    "photocathode.halo_elastic_share",
+    "tube.mtf_frequency_lp_per_mm",
+    "tube.mtf_exponent",
+    "taper.demagnification",
+    "taper.interface_mtf_lp_per_mm",
+    "video.bandwidth_mhz",
+)
+
+# Model error of the MTF, and spacing of its points; closer points are correlated.
+MTF_MODEL_SD = 0.004
+MTF_SPACING_CY_PER_PX = 0.04
+
+
+def mtf_observations(
+    session: Session, sensor: VisibleCamera, result: Result, depends: tuple[str, ...] = SPREAD
+) -> list[Observation]:
+    """Return the observations of MTF curves and bar targets, each along its own direction.
+
+    `depends`: paths of the parameters that the MTF depends on.
+    """
+    stacks = {m.stack for m in admissible_measurements(result, "mtf50")}
+    found = [
+        _curve(name, line, session, sensor, result, depends)
+        for name, line in result.curves.items()
+        if name.split(":")[0] in ("mtf", "mtf_vertical")
+        and line.interval68 is not None
+        and _stack_of(name, line) in stacks
+    ]
+    bars = {entry.label: entry for entry in session.of_kind("bars")}
+    for m in admissible_measurements(result, "mtf"):
+        if m.stack in bars and m.frequency_cy_per_px:
+            angle_deg = m.orientation_deg if m.orientation_deg is not None else bars[m.stack].target.angle_deg
+            fx, fy = _components(np.array([m.frequency_cy_per_px]), angle_deg or 0.0, sensor)
+            sd = float(np.hypot(sd_of(m), MTF_MODEL_SD))
+            predict = partial(predicted_quantities.mtf, across=fx, along=fy)
+            found.append(one(f"mtf of {m.stack}", m.value or 0.0, sd, lambda v, f=predict: f(v)[:, 0], depends))
+    return found
+
+
+def _stack_of(name: str, line: Curve) -> str | None:
+    """Return the stack of a curve."""
+    return line.stack or (name.split(":", 1)[1] if ":" in name else None)
+
+
+def _curve(name: str, line: Curve, session: Session, sensor: VisibleCamera, result: Result, depends: tuple[str, ...]
+           ) -> Observation:  # fmt: skip
+    """Observe an MTF curve at frequencies far enough apart."""
+    wanted = np.arange(MTF_SPACING_CY_PER_PX, 0.45 + 1e-9, MTF_SPACING_CY_PER_PX)
+    frequency = np.asarray(line.frequency_cy_per_px, float)
+    low, high = np.asarray(line.interval68, float)
+    value = np.interp(wanted, frequency, line.value)
+    sd = np.interp(wanted, frequency, (high - low) / (2.0 * 0.994458))
+    used = (wanted >= frequency[0]) & (wanted <= frequency[-1]) & (value > 0.03)
+    angle_deg = _angle_deg(name, line, session, result)
+    fx, fy = _components(wanted[used], angle_deg, sensor)
+    # Errors are correlated over 0.08 cy/px: closely spaced points add little information.
+    apart, sd = np.abs(np.subtract.outer(wanted[used], wanted[used])), sd[used]
+    covariance = np.outer(sd, sd) * np.exp(-apart / 0.08) + MTF_MODEL_SD**2 * np.eye(sd.size)
+    return Observation(name=name, value=value[used], covariance=covariance, speaks_of=depends,
+                       predict=partial(predicted_quantities.mtf, across=fx, along=fy))  # fmt: skip
+
+
+def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> float:
+    """Return the direction of a curve's frequencies, degrees from the row direction."""
+    if name.startswith("mtf_vertical"):
+        return 90.0
+    stack = _stack_of(name, line)
+    entry = next((entry for entry in session.stacks if entry.label == stack), None)
+    if entry is not None and entry.kind == "point":
+        return 0.0
+    if entry is not None and entry.target.angle_deg is not None:
+        return entry.target.angle_deg
+    angles = [m.orientation_deg for m in result.find("mtf50") if m.orientation_deg is not None and m.stack == stack]
+    return angles[0] if angles else 0.0
+
+
+def _components(frequency: Array, angle_deg: float, sensor: VisibleCamera) -> tuple[Array, Array]:
+    """Split frequencies in cy per column pitch: along rows in the same, along columns in cy per row pitch."""
+    pitch_ratio = float(sensor.ccd.pitch_y_um) / float(sensor.ccd.pitch_x_um)
+    angle = np.deg2rad(angle_deg)
+    return frequency * abs(np.cos(angle)), frequency * abs(np.sin(angle)) * pitch_ratio

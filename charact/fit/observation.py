@@ -1,0 +1,79 @@
+"""Observations of the fit: measured numbers with covariance and predicted quantity."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.fit.predicted_quantities import Values
+from labdata.measurement import Measurement, Result
+
+Array = NDArray[np.float64]
+
+# Relative model error of noise quantities: sampling of the sensor rows, image lag.
+NOISE_MODEL_SD = 0.01
+# Flags that add no bias; any other flag excludes a measurement from the fit.
+MILD = {"defects", "drift", "flicker", "gradient", "low-signal", "not-converged", "prior-bound", "too-few-frames"}
+
+
+def is_admissible(m: Measurement) -> bool:
+    """Whether a measurement is ok, or suspect only for reasons that add no bias."""
+    return m.status != "refused" and m.interval68 is not None and set(m.flags) <= MILD
+
+
+def admissible_measurements(result: Result, quantity: str, unit: str | None = None) -> list[Measurement]:
+    """Return the measurements of a quantity with status ok, or the mildly suspect ones where there are none."""
+    found = [m for m in result.find(quantity) if is_admissible(m) and unit in (None, m.unit)]
+    return [m for m in found if m.status == "ok"] or found
+
+
+def sd_of(m: Measurement) -> float:
+    """Return half the 68 % interval: the standard deviation of a Gaussian one."""
+    low, high = m.interval68 or (float("nan"), float("nan"))
+    return (high - low) / (2.0 * 0.994458)
+
+
+Predict = Callable[[Values], Array]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observation:
+    """Measured numbers with Gaussian errors and their predicted values."""
+
+    name: str  # name of the quantity, for messages
+    value: Array  # measured numbers, shape (k,)
+    covariance: Array  # covariance of their errors, model error included, shape (k, k)
+    predict: Predict  # predictions for parameter draws: values of shape (n,) each -> (n, k)
+    speaks_of: tuple[str, ...]  # paths of the sensor parameters that it depends on
+
+    def chi_squared(self, values: Values) -> Array:
+        """Return each draw's chi squared, shape (n,)."""
+        away = (self.predict(values) - self.value) @ self._whitening
+        return np.sum(away**2, axis=1)
+
+    def scale_errors(self, factor: float) -> "Observation":
+        """Return the same numbers with all errors larger by a factor."""
+        return replace(self, covariance=self.covariance * factor**2)
+
+    @cached_property
+    def _whitening(self) -> Array:
+        """Root of the inverse covariance: residuals times it are independent and of unit variance."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)).T, np.float64)
+
+
+def one(
+    name: str, value: float, sd: float, predict: Callable[[Values], Array], speaks_of: tuple[str, ...]
+) -> Observation:
+    """Return an observation of one number; its prediction has shape (n,)."""
+    return Observation(
+        name=name, value=np.array([value]), covariance=np.array([[sd**2]]),
+        predict=lambda values: predict(values)[:, None], speaks_of=speaks_of,
+    )  # fmt: skip
+
+
+def at_least(name: str, value: float, sd: float, predict: Callable[[Values], Array], speaks_of: tuple[str, ...]
+             ) -> Observation:  # fmt: skip
+    """Return the observation of a lower bound: a prediction above it agrees."""
+    return one(name, value, sd, lambda values: np.minimum(predict(values), value), speaks_of)

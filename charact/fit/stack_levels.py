@@ -1,0 +1,117 @@
+"""Mean level, temporal variance and fixed pattern of a session's darks and flats."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.noise.illumination import gathering_s
+from labdata.conditions import Conditions
+from labdata.sensor import Sensor
+from labdata.session import Session, StackEntry
+from labdata.solid_state import SolidStateCamera
+
+
+@dataclass(frozen=True, kw_only=True)
+class StackMean:
+    """Mean of one stack, its temporal variance and that of its fixed pattern."""
+
+    label: str  # label of the stack
+    mean_dn: float  # mean over frames and pixels, DN
+    sd_dn: float  # its standard error, from the scatter of the frames' means, DN
+    noise_dn: float  # robust noise of a pixel, DN: half the range of the central 68 %
+    # illuminance_lux, gate_s, exposure_s, mcp_v: conditions; a dark has no illuminance, nan is unknown
+    illuminance_lux: float
+    gate_s: float
+    exposure_s: float
+    mcp_v: float
+    entry: StackEntry | None = None  # the stack
+    # mean over pixels of the variance between frames, variance over pixels of the mean frame without its noise, and the
+    # standard errors of both, DN^2; nan of a single frame
+    temporal_dn2: tuple[float, float] = (np.nan, np.nan)
+    spatial_dn2: tuple[float, float] = (np.nan, np.nan)
+
+    @property
+    def conditions(self) -> Conditions:
+        """Conditions of the stack."""
+        return Conditions() if self.entry is None else self.entry.conditions
+
+    @property
+    def dark(self) -> bool:
+        """Whether the stack is a dark."""
+        return self.illuminance_lux == 0.0
+
+
+# Fraction of pixels at an end of the scale, and level over full scale, up to which a stack is in the linear range.
+MOST_CLIPPED, HIGHEST_LEVEL = 1e-3, 0.85
+
+
+def levels_of(session: Session) -> tuple[StackMean, ...]:
+    """Return the means of the session's darks and flats of known light within the linear range."""
+    found = (_level(session, entry) for entry in session.of_kind("dark", "flat"))
+    return tuple(level for level in found if level is not None)
+
+
+def _level(session: Session, entry: StackEntry) -> StackMean | None:
+    conditions, camera = entry.conditions, session.camera
+    illuminance = 0.0 if entry.kind == "dark" else conditions.illuminance_lux
+    if isinstance(camera, SolidStateCamera):
+        if illuminance is None and conditions.photons_per_px and conditions.wavelength_nm:
+            illuminance = np.nan
+        reference_v, field_s = 0.0, 1.0 / float(camera.video.field_rate_hz)
+        shutter_s = gathering_s(conditions) or field_s
+    elif isinstance(camera, Sensor):
+        reference_v, field_s = float(camera.microchannel_plate.reference_v), 1.0 / float(camera.video.field_rate_hz)
+        shutter_s = conditions.exposure_s or field_s
+    else:
+        return None
+    if illuminance is None:
+        return None
+    stack = entry.read()
+    top = stack.full_scale_dn or float(2**camera.video.bit_depth - 1)
+    means = stack.data.mean(axis=(1, 2), dtype=np.float64)
+    clipped = max(np.mean(stack.data >= top), np.mean(stack.data <= 0))
+    if clipped > MOST_CLIPPED or means.mean() > HIGHEST_LEVEL * top:
+        return None
+    scatter = float(means.std(ddof=1)) / np.sqrt(len(means)) if len(means) > 1 else float(stack.data.std()) / 10.0
+    gate_s = shutter_s if conditions.gate_ns is None else min(conditions.gate_ns * 1e-9, shutter_s)
+    temporal, spatial = _variances(stack.data)
+    return StackMean(
+        label=entry.label, mean_dn=float(means.mean()), sd_dn=scatter, noise_dn=_noise_dn(stack.data[0]),
+        illuminance_lux=float(illuminance), gate_s=float(gate_s), exposure_s=float(shutter_s),
+        mcp_v=float(conditions.mcp_v or reference_v), entry=entry, temporal_dn2=temporal, spatial_dn2=spatial,
+    )  # fmt: skip
+
+
+def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return temporal variance and variance of the fixed pattern with their standard errors, frame offsets removed.
+
+    Standard errors are from the scatter over pixels, taken as independent: for white noise.
+    """
+    count, pixels = len(data), data[0].size
+    if count < 2:
+        return (np.nan, np.nan), (np.nan, np.nan)
+    total, square = np.zeros(data.shape[1:]), np.zeros(data.shape[1:])
+    for frame in data:
+        away = frame - frame.mean(dtype=np.float64)
+        total += away
+        square += away**2
+    each = (square - total**2 / count) / (count - 1)
+    own = (total / count) ** 2 - each / count
+    root = np.sqrt(pixels)
+    return (
+        (float(each.mean()), float(each.std() / root)),
+        (float(own.mean()), float(own.std() / root)),
+    )
+
+
+def _noise_dn(frame: NDArray) -> float:
+    """Return half the width of the central 68 % of the grey values, sub-DN where one value dominates."""
+    codes, counts = np.unique(frame, return_counts=True)
+    share = float(counts.max()) / frame.size
+    if share < 0.38 or len(codes) < 2:
+        low, high = np.quantile(frame, (0.16, 0.84))
+        return float(high - low) / 2.0
+    from scipy.special import erfinv
+
+    return float(0.5 / (np.sqrt(2.0) * erfinv(min(share, 1.0 - 1e-9))))

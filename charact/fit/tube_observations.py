@@ -1,0 +1,203 @@
+"""Observations of a camera with a tube: MTF, noise, halo, fixed patterns, levels."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.fit import predicted_quantities
+from charact.fit.mtf_observations import SPREAD, mtf_observations
+from charact.fit.observation import NOISE_MODEL_SD, Observation, admissible_measurements, one, sd_of
+from charact.fit.predicted_quantities import Values
+from charact.fit.prior import values_of_description
+from charact.fit.stack_levels import StackMean
+from labdata.measurement import Measurement, Result
+from labdata.sensor import Sensor
+from labdata.session import Session
+
+Array = NDArray[np.float64]
+
+GAIN = (
+    "photocathode.luminous_sensitivity_ua_per_lm",
+    "tube.luminous_gain",
+    "taper.transmission",
+    "ccd.quantum_efficiency",
+    "video.conversion_gain_dn_per_e",
+)
+NOISE = (*GAIN, "microchannel_plate.detection_probability", "microchannel_plate.pulse_height_shape")
+SHAPE = (*SPREAD, *NOISE, "tube.post_gain_share")
+LEVEL = (
+    *GAIN,
+    "photocathode.ebi_lm_per_cm2",
+    "microchannel_plate.strip_current_ua_per_cm2",
+    "video.black_level_dn",
+    "taper.demagnification",
+)
+# Minimum noise at which quantisation is additive, DN.
+LEAST_NOISE_DN = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Noise:
+    """One noise quantity, predicted from values, photoelectron gain and (blur factor, correlation)."""
+
+    mcp_v: float
+    value: float
+    sd: float
+    predict: Callable[[Values, Array, tuple[Array, Array]], Array]
+    speaks_of: tuple[str, ...] = NOISE
+
+
+def noise_observations(
+    session: Session, sensor: Sensor, result: Result, levels: tuple[StackMean, ...]
+) -> list[Observation]:
+    """Observe covariance gain, blur factor and dark variance, grouped by MCP voltage."""
+    reference_v = float(sensor.microchannel_plate.reference_v)
+    known = [float(entry.conditions.mcp_v) for entry in session.of_kind("flat") if entry.conditions.mcp_v]
+    # Of several voltages, the one with most flats is the session's.
+    volts = max(dict.fromkeys(known), key=known.count) if known else reference_v
+    own_volts = {entry.label: entry.conditions.mcp_v for entry in session.stacks}
+    found = []
+    for quantity, unit, predict, depends in (
+        ("covariance_gain", "DN", lambda values, gain, _: predicted_quantities.covariance_gain(values, gain), NOISE),
+        ("blur_factor", None, lambda _, __, shape: shape[0], SHAPE),
+    ):
+        for m in admissible_measurements(result, quantity, unit):
+            value = m.value or 0.0
+            sd = float(np.hypot(sd_of(m), NOISE_MODEL_SD * value))
+            at = float(own_volts.get(m.stack or "") or volts)
+            found.append(_Noise(mcp_v=at, value=value, sd=sd, predict=predict, speaks_of=depends))
+    found += _neighbours(result, volts)
+    darks = [level for level in levels if level.dark]
+    # The read noise must be large against the quantisation step, so that rounding is additive.
+    least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
+    if darks and least_e * float(sensor.video.conversion_gain_dn_per_e) > LEAST_NOISE_DN:
+        own = {level.label: level for level in darks}
+        reads = admissible_measurements(result, "read_noise", "DN")
+        found += [_dark(m, own.get(m.stack or "", darks[0]), sensor, reference_v) for m in reads]
+    return [
+        _together([one for one in found if one.mcp_v == mcp_v], mcp_v, reference_v)
+        for mcp_v in dict.fromkeys(one.mcp_v for one in found)
+    ]
+
+
+def _neighbours(result: Result, volts: float) -> list[_Noise]:
+    """Observe the horizontal neighbour correlation of the brightest flat that is neither clipped nor saturated."""
+    measured = result.evidence.get("autocorrelation", {})
+    transfer = result.evidence.get("photon-transfer", {})
+    columns = [transfer.get(name, ()) for name in ("label", "signal_dn", "fitted")]
+    signal = {label: mean for label, mean, fitted in zip(*columns, strict=True) if fitted}
+    columns = [measured.get(name, ()) for name in ("label", "neighbour_correlation", "neighbour_sd")]
+    usable = [(signal[label], value, sd) for label, value, sd in zip(*columns, strict=True) if label in signal]
+    return [
+        _Noise(mcp_v=volts, value=value, sd=float(np.hypot(sd, 0.004)), predict=lambda _, __, shape: shape[1],
+               speaks_of=SHAPE)
+        for _, value, sd in sorted(usable)[-1:]
+    ]  # fmt: skip
+
+
+def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observation:
+    """Combine quantities of one MCP voltage, so that the blur is computed once."""
+
+    def predict(values: Values) -> Array:
+        gain = predicted_quantities.photoelectron_gain(values, mcp_v, reference_v)
+        shape = predicted_quantities.noise_shape(values, gain)
+        return np.stack(np.broadcast_arrays(*(part.predict(values, gain, shape) for part in parts)), axis=1)
+
+    return Observation(
+        name="noise", value=np.array([part.value for part in parts]),
+        covariance=np.diag([part.sd**2 for part in parts]), predict=predict,
+        speaks_of=tuple(dict.fromkeys(path for part in parts for path in part.speaks_of)),
+    )  # fmt: skip
+
+
+def _dark(m: Measurement, dark: StackMean, sensor: Sensor, reference_v: float) -> _Noise:
+    """Observe the temporal noise of darks: read noise and EBI; ion feedback enters by its prior range."""
+    ions = sensor.microchannel_plate.ion_event_rate_per_s_cm2
+    sheet = values_of_description(sensor)
+    gain = predicted_quantities.photoelectron_gain(sheet, dark.mcp_v, reference_v)
+    usual = float(
+        predicted_quantities.ion_variance(sheet, gain, predicted_quantities.blur_factor(sheet, gain), dark.gate_s)[0]
+    )
+    low, high = (float(ions) if end is None else end for end in (ions.low, ions.high))
+    spread = usual * (high - low) / (4.0 * float(ions)) if float(ions) > 0 else 0.0
+    variance = (m.value or 0.0) ** 2
+
+    def predict(values: Values, gain: Array, shape: tuple[Array, Array]) -> Array:
+        own = predicted_quantities.dark_variance(values, gain, shape[0], dark.gate_s)
+        return own + predicted_quantities.ion_variance(values, gain, shape[0], dark.gate_s)
+
+    return _Noise(
+        mcp_v=dark.mcp_v, value=variance,
+        sd=float(np.hypot.reduce([2.0 * (m.value or 0.0) * sd_of(m), NOISE_MODEL_SD * variance, spread])),
+        predict=predict, speaks_of=("ccd.read_noise_e", "photocathode.ebi_lm_per_cm2", *NOISE),
+    )  # fmt: skip
+
+
+def tube_observations(
+    session: Session, sensor: Sensor, result: Result, levels: tuple[StackMean, ...]
+) -> tuple[Observation, ...]:
+    """Return the observations in the order MTF, noise, halo, stack means.
+
+    A mildly suspect measurement is used only if there is none with status ok; refused and otherwise flagged ones are
+    excluded.
+    """
+    reference_v = float(sensor.microchannel_plate.reference_v)
+    found = mtf_observations(session, sensor, result) + noise_observations(session, sensor, result, levels)
+    for m in admissible_measurements(result, "halo_diameter"):
+        # The halo edge is located on pixels.
+        sd, depends = float(np.hypot(sd_of(m), 0.1)), ("photocathode.gap_mm", "taper.demagnification")
+        found.append(one("halo diameter", m.value or 0.0, sd, predicted_quantities.halo_diameter_px, depends))
+    path = "photocathode.halo_fraction"
+    for m in admissible_measurements(result, "halo_fraction"):
+        found.append(one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values[path], (path,)))
+    found += _fixed_patterns(sensor, result)
+    found += [_levels(levels, reference_v)] if levels else []
+    return tuple(found)
+
+
+# Relative model error of the variance of a tube's fixed pattern: blur of the screen's grain.
+PATTERN_MODEL_SD = 0.1
+# Variance of a hexagonal pattern of lines over its squared contrast: 2 w/P sqrt(pi)/2 of Gaussian lines of width w, a
+# fibre or two of 6 um, at the pitch P of 0.5 mm.
+LINE_AREA = 0.03
+
+
+def _fixed_patterns(sensor: Sensor, result: Result) -> list[Observation]:
+    """Observe the relative variance of the fixed pattern; the lines of the multi-fibres are a systematic error."""
+    plates = (sensor.taper.pattern_contrast, sensor.microchannel_plate.pattern_contrast)
+    lines = sum(LINE_AREA * (plate.high or float(plate)) ** 2 / 2.0 for plate in plates)
+    found = []
+    for m in admissible_measurements(result, "prnu", "%"):
+        value = 1e-4 * (m.value or 0.0) ** 2
+        sd = float(np.hypot.reduce([2e-4 * (m.value or 0.0) * sd_of(m), PATTERN_MODEL_SD * value, lines]))
+        depends = ("ccd.prnu", "phosphor.gain_nonuniformity")
+        found.append(one("fixed pattern", value, sd, predicted_quantities.spatial_variance, depends))
+    return found
+
+
+def _levels(levels: tuple[StackMean, ...], reference_v: float) -> Observation:
+    """Observe stack means: black level plus gain times photoelectrons; the clamp removes dark charge."""
+    lux, gate_s, mcp_v = (
+        np.array([getattr(level, name) for level in levels]) for name in ("illuminance_lux", "gate_s", "mcp_v")
+    )
+    mean = np.array([level.mean_dn for level in levels])
+    own = np.array([level.sd_dn for level in levels])
+
+    def predict(values: Values) -> Array:
+        one = {path: value[:, None] for path, value in values.items()}
+        events = (
+            predicted_quantities.photoelectrons(one, lux, gate_s) + predicted_quantities.background_rate(one) * gate_s
+        )
+        gain = predicted_quantities.photoelectron_gain(one, mcp_v, reference_v)
+        load = predicted_quantities.mcp_load(one, lux, gate_s, mcp_v, reference_v)
+        return one["video.black_level_dn"] + gain * events / (1.0 + load)
+
+    # With little noise the mean is attracted to whole numbers.
+    leaning = np.array([0.1 if level.noise_dn < LEAST_NOISE_DN else 0.0 for level in levels])
+    variance = own**2 + 0.03**2 + (0.003 * mean) ** 2 + leaning**2
+    extra = ("microchannel_plate.gain_exponent",) if len(set(mcp_v.tolist())) > 1 else ()
+    return Observation(
+        name="levels", value=mean, covariance=np.diag(variance), predict=predict, speaks_of=(*LEVEL, *extra)
+    )
