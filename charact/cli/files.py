@@ -21,6 +21,13 @@ Out = Annotated[Path, typer.Argument(help="Output session folder.")]
 
 NO_KIND_HINT = "set the kind of the stacks in {}/session.toml, or import with --kind: scene stacks are not measured"
 
+# Conditions that measurements use, one of each, and what for; those of a bench or tube matter to its owner alone.
+NEEDED = (
+    (("exposure_s",), "dark current"),
+    (("illuminance_lux", "photons_per_px"), "sensitivity, linearity"),
+    (("temperature_c",), "dark current at 25 °C"),
+)
+
 
 @import_app.command()
 def emva1288(
@@ -87,9 +94,13 @@ def _summarise(session: "Session", out: Path, next_verb: str) -> None:
     for stack in session.stacks:
         kinds[stack.kind] = kinds.get(stack.kind, 0) + 1
     print(f"{out}: {len(session.stacks)} stacks ({', '.join(f'{count} {kind}' for kind, count in kinds.items())})")
-    unknown = sorted({name for s in session.stacks for name, value in vars(s.conditions).items() if value is None})
+    unknown = [
+        f"{' or '.join(names)} ({use})"
+        for names, use in NEEDED
+        if any(all(getattr(stack.conditions, name) is None for name in names) for stack in session.stacks)
+    ]
     if unknown:
-        print(f"conditions unknown for some stacks: {', '.join(unknown)}")
+        print(f"unknown for some stacks: {'; '.join(unknown)}")
     for note in session.notes:
         print(f"note: {note}")
     print(f"Next: {next_verb}")
