@@ -1,5 +1,6 @@
 """The verbs `import`, `convert` and `view`: frames of other programs as sessions, sessions as files, and pictures."""
 
+from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -21,11 +22,11 @@ Out = Annotated[Path, typer.Argument(help="Output session folder.")]
 
 NO_KIND_HINT = "set the kind of the stacks in {}/session.toml, or import with --kind: scene stacks are not measured"
 
-# Conditions that measurements use, one of each, and what for; those of a bench or tube matter to its owner alone.
+# Kinds of stacks, conditions of which measurements use one, and what for; those of a bench matter to its owner alone.
 NEEDED = (
-    (("exposure_s",), "dark current"),
-    (("illuminance_lux", "photons_per_px"), "sensitivity, linearity"),
-    (("temperature_c",), "dark current at 25 °C"),
+    (("dark", "flat"), ("exposure_s",), "dark current"),
+    (("flat",), ("illuminance_lux", "photons_per_px"), "sensitivity, linearity"),
+    (("dark",), ("temperature_c",), "dark current at 25 °C"),
 )
 
 
@@ -90,14 +91,12 @@ def frames(
 
 
 def _summarise(session: "Session", out: Path, next_verb: str) -> None:
-    kinds: dict[str, int] = {}
-    for stack in session.stacks:
-        kinds[stack.kind] = kinds.get(stack.kind, 0) + 1
-    print(f"{out}: {len(session.stacks)} stacks ({', '.join(f'{count} {kind}' for kind, count in kinds.items())})")
+    counts = Counter(stack.kind for stack in session.stacks)
+    print(f"{out}: {len(session.stacks)} stacks ({', '.join(f'{count} {kind}' for kind, count in counts.items())})")
     unknown = [
         f"{' or '.join(names)} ({use})"
-        for names, use in NEEDED
-        if any(all(getattr(stack.conditions, name) is None for name in names) for stack in session.stacks)
+        for kinds, names, use in NEEDED
+        if any(all(getattr(one.conditions, name) is None for name in names) for one in session.of_kind(*kinds))
     ]
     if unknown:
         print(f"unknown for some stacks: {'; '.join(unknown)}")
