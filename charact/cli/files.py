@@ -12,6 +12,7 @@ from charact.cli.options import Axis, Plane, parse_kind
 from charact.cli.output import exit_on_bad_input
 from charact.cli.outputs import Force, manifest_to_replace, require_free, require_free_session, why_other_kind
 from labdata.errors import BadInput
+from labdata.target import Kind
 
 if TYPE_CHECKING:
     from labdata.frames import FrameStack
@@ -23,7 +24,7 @@ Out = Annotated[Path, typer.Argument(help="Output session folder.")]
 NO_KIND_HINT = "set the kind of the stacks in {}/session.toml, or import with --kind: scene stacks are not measured"
 
 # Kinds of stacks, conditions of which measurements use one, and what for; those of a bench matter to its owner alone.
-NEEDED = (
+NEEDED: tuple[tuple[tuple[Kind, ...], tuple[str, ...], str], ...] = (
     (("dark", "flat"), ("exposure_s",), "dark current"),
     (("flat",), ("illuminance_lux", "photons_per_px"), "sensitivity, linearity"),
     (("dark",), ("temperature_c",), "dark current at 25 °C"),
