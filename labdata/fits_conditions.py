@@ -17,8 +17,10 @@ from labdata.target import Kind
 KIND_CARDS = ("IMAGETYP", "IMAGETYPE", "OBSTYPE", "FRAMETYP")
 EXPOSURE_CARDS = ("EXPTIME", "EXPOSURE")
 TEMPERATURE_CARDS = ("CCD-TEMP", "CCDTEMP", "DET-TEMP")
+# Settings that change gain and level by amounts that no condition states: all frames of a session must share them.
+CAMERA_CARDS = ("INSTRUME", "READOUTM", "GAIN", "OFFSET", "XBINNING", "YBINNING")
 # Settings that all frames of a stack must share.
-SETTING_CARDS = ("INSTRUME", "READOUTM", "GAIN", "OFFSET", "XBINNING", "YBINNING", "FILTER")
+SETTING_CARDS = (*CAMERA_CARDS, "FILTER")
 # A dark of a flat is a dark.
 KIND_WORDS: dict[str, Kind] = {
     "dark": "dark", "bias": "dark", "zero": "dark", "flat": "flat", "light": "scene", "object": "scene",
@@ -93,8 +95,8 @@ def _number(header: Mapping[str, Any], cards: Sequence[str]) -> float | None:
 def group_stated(frames: Sequence[StatedFrame], kind: Kind | None) -> list[tuple[str, Kind, Conditions, list[Path]]]:
     """Return label, kind, conditions and files of each stack.
 
-    Frames of a stack share kind, exposure and settings, temperatures within `SAME_TEMPERATURE_K` and, of flats, levels
-    within `SAME_LEVEL`. Its temperature is the mean.
+    Frames of a stack share kind, exposure and filter, temperatures within `SAME_TEMPERATURE_K` and, of flats, levels
+    within `SAME_LEVEL`. Its temperature is the mean. Frames of several gains, offsets, binnings or cameras are BadInput.
 
     Parameters
     ----------
@@ -103,6 +105,7 @@ def group_stated(frames: Sequence[StatedFrame], kind: Kind | None) -> list[tuple
     kind
         Kind of all stacks in place of the stated one; frames that state none are scenes.
     """
+    _require_one_camera(frames)
     stacks: dict[tuple, list[StatedFrame]] = {}
     for one in frames:
         own = kind or one.kind or "scene"
@@ -126,6 +129,19 @@ def group_stated(frames: Sequence[StatedFrame], kind: Kind | None) -> list[tuple
                 paths = sorted(one.path for one in level)
                 found.append((" ".join([own, *parts]).replace("/", "-"), own, conditions, paths))
     return found
+
+
+def _require_one_camera(frames: Sequence[StatedFrame]) -> None:
+    """Require every frame to have the same settings of `CAMERA_CARDS`."""
+    for card in CAMERA_CARDS:
+        first: dict[str, str] = {}
+        for one in frames:
+            first.setdefault(one.settings.get(card, "none"), one.path.name)
+        if len(first) > 1:
+            shown = " and ".join(f"{value!r} in {name}" for value, name in list(first.items())[:2])
+            raise BadInput(
+                f"all frames of a session must have one {card}, got {shown}: import each into its own session"
+            )
 
 
 Of = Callable[[StatedFrame], float]

@@ -155,7 +155,7 @@ def test_fits_frames_are_gathered_by_what_their_headers_state(tmp_path):
         fits_frame(tmp_path / "f1.fit", 1000, **flat),
         fits_frame(tmp_path / "f2.fit", 1010, **flat),
         fits_frame(tmp_path / "f3.fit", 3000, **flat),
-        fits_frame(tmp_path / "other gain.fit", 1000, **flat, GAIN=2),
+        fits_frame(tmp_path / "other colour.fit", 1000, **flat, FILTER="R"),
         # A temperature in kelvins says nothing here, and a file without kind and exposure is a stack of its own.
         fits_frame(tmp_path / "kelvin.fit", 50, IMAGETYP="Light Frame", EXPTIME=2.0, CCD_TEMP=168.0),
         fits_frame(tmp_path / "silent.fit", 50),
@@ -163,7 +163,7 @@ def test_fits_frames_are_gathered_by_what_their_headers_state(tmp_path):
     session = import_frames(files, tmp_path / "S")
     found = {tuple(path.stem for path in stack.paths): stack for stack in session.stacks}
     assert set(found) == {
-        ("silent",), ("b1", "b2"), ("warm",), ("f1", "f2"), ("f3",), ("other gain",), ("kelvin",),
+        ("silent",), ("b1", "b2"), ("warm",), ("f1", "f2"), ("f3",), ("other colour",), ("kelvin",),
     }  # fmt: skip
     assert found["b1", "b2"].kind == "dark"
     assert found["b1", "b2"].conditions == Conditions(exposure_s=0.0, temperature_c=-10.0)
@@ -173,6 +173,10 @@ def test_fits_frames_are_gathered_by_what_their_headers_state(tmp_path):
     assert (found["kelvin",].kind, found["silent",].kind) == ("scene", "scene")
     told = import_frames(files[:2], tmp_path / "T", kind="flat")
     assert [stack.kind for stack in told.stacks] == ["flat"]
+    # A gain that changes from dark to flat is in no condition: noise would compare them in silence.
+    other = fits_frame(tmp_path / "gain.fit", 1000, **flat, GAIN=2)
+    with pytest.raises(BadInput, match=r"must have one GAIN, got 'none' in f1\.fit and '2' in gain\.fit"):
+        import_frames([files[3], other], tmp_path / "U")
 
 
 def test_files_of_one_stack_are_named_and_added_to_a_session(tmp_path):
