@@ -92,11 +92,27 @@ def _number(header: Mapping[str, Any], cards: Sequence[str]) -> float | None:
     return None
 
 
+def require_one_camera(paths: Sequence[Path]) -> None:
+    """Require every FITS file of a session to have the same settings of `CAMERA_CARDS`; another is BadInput."""
+    from labdata.importers import module_of
+
+    headers = {path: _header_of(path) for path in paths if module_of(path) == "fits.read"}
+    for card in CAMERA_CARDS:
+        first: dict[str, str] = {}
+        for path, header in headers.items():
+            first.setdefault(str(header.get(card, "none")).strip(), path.name)
+        if len(first) > 1:
+            shown = " and ".join(f"{value!r} in {name}" for value, name in list(first.items())[:2])
+            raise BadInput(
+                f"all frames of a session must have one {card}, got {shown}: import each into its own session"
+            )
+
+
 def group_stated(frames: Sequence[StatedFrame], kind: Kind | None) -> list[tuple[str, Kind, Conditions, list[Path]]]:
     """Return label, kind, conditions and files of each stack.
 
     Frames of a stack share kind, exposure and filter, temperatures within `SAME_TEMPERATURE_K` and, of flats, levels
-    within `SAME_LEVEL`. Its temperature is the mean. Frames of several gains, offsets, binnings or cameras are BadInput.
+    within `SAME_LEVEL`. Its temperature is the mean.
 
     Parameters
     ----------
@@ -105,7 +121,6 @@ def group_stated(frames: Sequence[StatedFrame], kind: Kind | None) -> list[tuple
     kind
         Kind of all stacks in place of the stated one; frames that state none are scenes.
     """
-    _require_one_camera(frames)
     stacks: dict[tuple, list[StatedFrame]] = {}
     for one in frames:
         own = kind or one.kind or "scene"
@@ -129,19 +144,6 @@ def group_stated(frames: Sequence[StatedFrame], kind: Kind | None) -> list[tuple
                 paths = sorted(one.path for one in level)
                 found.append((" ".join([own, *parts]).replace("/", "-"), own, conditions, paths))
     return found
-
-
-def _require_one_camera(frames: Sequence[StatedFrame]) -> None:
-    """Require every frame to have the same settings of `CAMERA_CARDS`."""
-    for card in CAMERA_CARDS:
-        first: dict[str, str] = {}
-        for one in frames:
-            first.setdefault(one.settings.get(card, "none"), one.path.name)
-        if len(first) > 1:
-            shown = " and ".join(f"{value!r} in {name}" for value, name in list(first.items())[:2])
-            raise BadInput(
-                f"all frames of a session must have one {card}, got {shown}: import each into its own session"
-            )
 
 
 Of = Callable[[StatedFrame], float]

@@ -120,6 +120,7 @@ def import_frames(
     Without pattern and label each file is a stack, but FITS files of one frame whose headers state kind or exposure:
     those alike become one stack (`labdata.fits_conditions`).
     """
+    from labdata.fits_conditions import require_one_camera
     from labdata.importers import reader_of
 
     paths, out = sorted({Path(file) for file in files}), Path(out)
@@ -140,8 +141,10 @@ def import_frames(
         for name, of, conditions, files in groups
     )
     form = _session_to_add_to(out) if add else SessionFile(name=out.resolve().name)
-    form = replace(form, stack=(*form.stack, *stacks))
-    return _write_session(replace(form, notes=(*form.notes, *_findings(stacks, out))), out, add=add)
+    notes = (*form.notes, *_findings(stacks, out))
+    form = replace(form, stack=(*form.stack, *stacks), notes=notes)
+    require_one_camera([(out / name).resolve() for stack in form.stack for name in _names_of(stack)])
+    return _write_session(form, out, add=add)
 
 
 Group = tuple[str, Kind, Conditions, list[Path]]
@@ -167,6 +170,11 @@ def _group_headers(paths: list[Path], kind: Kind | None, plane: str | None) -> l
         *((name, kind or "scene", Conditions(), [path]) for name, path in own),
         *(group_stated(known, kind) if known else []),
     ]
+
+
+def _names_of(stack: StackRecord) -> tuple[str, ...]:
+    """Return the files of a stack, relative to the session's folder."""
+    return (stack.frames,) if isinstance(stack.frames, str) else stack.frames
 
 
 def _frames_of(paths: list[Path], out: Path) -> str | tuple[str, ...]:
@@ -216,7 +224,7 @@ def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
     notes: dict[str, list[str]] = {}
     for stack in stacks:
         sizes: dict[tuple[int, int], str] = {}
-        for name in (stack.frames,) if isinstance(stack.frames, str) else stack.frames:
+        for name in _names_of(stack):
             frames = read_frames((out / name).resolve(), stack.plane, axis=stack.axis, find_full_scale=False)
             sizes[frames.shape[1:]] = name
             for note in frames.notes:

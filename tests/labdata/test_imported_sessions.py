@@ -177,6 +177,8 @@ def test_fits_frames_are_gathered_by_what_their_headers_state(tmp_path):
     other = fits_frame(tmp_path / "gain.fit", 1000, **flat, GAIN=2)
     with pytest.raises(BadInput, match=r"must have one GAIN, got 'none' in f1\.fit and '2' in gain\.fit"):
         import_frames([files[3], other], tmp_path / "U")
+    with pytest.raises(BadInput, match="must have one GAIN"):
+        import_frames([other], tmp_path / "T", label="other", add=True)
 
 
 def test_files_of_one_stack_are_named_and_added_to_a_session(tmp_path):
