@@ -152,7 +152,7 @@ def figures_of(
 
 def _flat_fields(chosen: MatchedStacks) -> dict[str, MatchedFrames]:
     """Return the dark, the dimmest and the brightest flat by role."""
-    dim = {"dim flat": chosen.flats[0]} if len(chosen.flats) > 1 else {}
+    dim = {"dim flat": shot for shot in chosen.flats[:-1][:1]}
     return {"dark": chosen.dark, **dim, "bright flat": chosen.flats[-1]}
 
 
@@ -283,7 +283,7 @@ def _overlays_of_curves(
 def _frequency(chosen: MatchedStacks, direction: str) -> Array:
     """Return the frequencies of a cut of the spectrum of darks and flats, cy/px."""
     rows, cols = chosen.dark.shape
-    return np.fft.rfftfreq(cols if direction == "horizontal" else rows)[1:]
+    return np.asarray(np.fft.rfftfreq(cols if direction == "horizontal" else rows)[1:], np.float64)
 
 
 def _curve(

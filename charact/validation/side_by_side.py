@@ -175,7 +175,7 @@ def _simulate_sets(bench: _Bench, levels: tuple[MatchedFrames, ...]) -> _Simulat
     for index in range(VALIDATION.draws):
         camera = bench.draw_camera() if index else base
         seed = bench.draw_seed() if index else base_seed
-        frames = bench.simulate(camera, seed, levels if index else (*levels, *bench.pictured))
+        frames = bench.simulate(camera, seed, levels if index else (*bench.pictured, *levels))
         first = first or frames
         features.append(bench.features(frames))
         halves.append(bench.difference_of_halves(frames))
