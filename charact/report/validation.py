@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from charact.report.figure_registry import Figure
-from charact.report.number_format import short_text
+from charact.report.number_format import MINUS, short_text
 from charact.report.report_images import ReportImage, as_jpeg
 from charact.report.validation_figures import (
     deviations_by_statistic,
@@ -108,14 +108,16 @@ def _power_sentence(validation: Validation) -> str:
     found = sorted((one for one in validation.power if one.statistic), key=lambda one: one.relative_error)
     never = [one.title for one in validation.power if not one.statistic]
     if not validation.power:
-        return "How large an error it would have found is not known."
-    texts = [f"{one.title} {100.0 * one.relative_error:.2g} %" for one in found]
-    sharp, blunt = texts[:NAMED], texts[NAMED:][-NAMED:]
-    seen = f"It would have found in {100.0 * validation.power[0].probability:g} % of cases errors of "
-    seen = f"{seen}{'; '.join(sharp)}" if sharp else ""
-    missed = [f"smaller ones than {'; '.join(blunt)}"] if blunt else []
-    missed += [f"even 100 % of {'; '.join(never)}"] if never else []
-    return ". ".join(part for part in (seen, f"It could have missed {', and '.join(missed)}" if missed else "") if part)
+        return "How large an error it would have found is not known"
+    texts = [f"{100.0 * one.relative_error:.2g} % of {one.title}" for one in found]
+    seen = "; ".join(texts[:NAMED])
+    missed = "; ".join([*(f"up to {text}" for text in texts[NAMED:][-NAMED:]), *(f"any of {title}" for title in never)])
+    share = f"{100.0 * validation.power[0].probability:g} %"
+    sentences = (
+        f"In {share} of cases it would have found an error of {seen}" if seen else "",
+        f"It could have missed one of {missed}" if missed else "",
+    )
+    return ". ".join(sentence for sentence in sentences if sentence)
 
 
 def _deviation_sentence(validation: Validation) -> str:
@@ -154,7 +156,7 @@ def _control_row(one: ValidationControl) -> dict[str, Any]:
 def _pictures(pair: FramePair, aspect: float, *, pattern: bool = False) -> tuple[ReportImage, ...]:
     """Return both images of a pair with the same grey scale."""
     what = f"Mean of {pair.frames} frames without shading. " if pattern else ""
-    caption = f"{what}Black {pair.low_dn:.4g} DN, white {pair.high_dn:.4g} DN."
+    caption = f"{what}Black {pair.low_dn:.4g} DN, white {pair.high_dn:.4g} DN.".replace("-", MINUS)
     return tuple(
         _image(frame, f"{word}, {pair.role}: {pair.label}", caption, aspect)
         for word, frame in (("Measured", pair.measured), ("Simulated", pair.simulated))
@@ -176,9 +178,7 @@ def _blind_pair(pair: FramePair, seed: int, aspect: float) -> BlindPair:
     images = (pair.measured, pair.simulated) if first else (pair.simulated, pair.measured)
     return BlindPair(
         images=tuple(
-            _image(
-                image, f"{name}, a frame of the {pair.role} {pair.label}", "The grey scale is common to both.", aspect
-            )
+            _image(image, f"{name}, a frame of the {pair.role} {pair.label}", "Both have one grey scale.", aspect)
             for name, image in zip("AB", images, strict=True)
         ),
         answer=f"{'A' if first else 'B'} is measured, {'B' if first else 'A'} is simulated.",

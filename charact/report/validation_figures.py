@@ -55,7 +55,10 @@ def overlay_figure(name: str, data: Mapping[str, Any]) -> Figure:
         if "y_scale" in data:
             axes.set_yscale(data["y_scale"])
         axes.set(xlabel=_with_unit(data.get("x_title", "")), ylabel=_with_unit(data.get("y_title", title)))
-        axes.legend(loc="best")
+        if len(curves) > 1:
+            figure.legend(loc="outside lower center", ncols=len(curves))
+        else:
+            axes.legend()
         band = "Band: 95 % of simulated sets." if len(curves) == 1 else (
             "Points or thick lines: measured; thin lines and bands: mean and 95 % of simulated sets."
         )  # fmt: skip
@@ -93,14 +96,14 @@ def residual_figure(found: ResidualMap, aspect: float) -> Figure:
         drawn = axes.imshow(difference, cmap="RdBu_r", vmin=-most, vmax=most, extent=(0, cols, rows, 0),
                             interpolation="nearest", aspect=aspect)  # fmt: skip
         bar = figure.colorbar(drawn, ax=axes, ticks=most * np.linspace(-1.0, 1.0, 5))
-        bar.ax.set_yticklabels([_minus(f"{at:+.3g} DN = {at / sd:+.2g} sd") for at in bar.get_ticks()])
+        bar.ax.set_yticklabels([_minus(f"{at:+.3g} DN = {at / sd:+.2g} sd") if at else "0" for at in bar.get_ticks()])
         axes.grid(False)
         axes.set(xlabel="column (px)", ylabel="row (px)")
         title = f"Residual of the {found.role}, {found.label}"
         mean, rms = float(difference.mean()), float(np.sqrt((difference**2).mean()))
         caption = (
-            f"Measured mean frame less that of all simulated sets, means of {found.block_px} × {found.block_px} px. Mean "
-            f"{_minus(f'{mean:+.3g}')} DN, rms {rms:.3g} DN; the simulated sets spread by {sd:.3g} DN (sd)."
+            f"Measured mean frame less that of all simulated sets, means of {found.block_px} × {found.block_px} px: "
+            f"mean {_minus(f'{mean:+.3g}')} DN, rms {rms:.3g} DN; sd of a simulated set {sd:.3g} DN."
         )
         return Figure(section="validation", title=title, svg=as_svg(figure, title), caption=caption)
 
@@ -152,7 +155,7 @@ def named_deviations(validation: Validation) -> tuple[Figure, ...]:
         return ()
     limit = chance_limit(total, validation.draws)
     with report_style():
-        figure, axes = panel((7.6, 0.9 + 0.22 * len(worst)))
+        figure, axes = panel((6.4, 0.9 + 0.22 * len(worst)))
         for row, (_, one, z) in enumerate(worst):
             colour = DATA if one.passed else WARN
             axes.plot([0.0, z], [row, row], color=colour, linewidth=2.4, solid_capstyle="butt")
@@ -208,7 +211,7 @@ def power_figure(validation: Validation) -> tuple[Figure, ...]:
     percent = [100.0 * one.relative_error if one.statistic else 100.0 for one in rows]
     least = 10.0 ** np.floor(np.log10(min(*percent, 1.0)))
     with report_style():
-        figure, axes = panel((7.6, 0.9 + 0.26 * len(rows)))
+        figure, axes = panel((6.4, 0.9 + 0.26 * len(rows)))
         for row, (one, length) in enumerate(zip(rows, percent, strict=True)):
             axes.barh(row, length - least, left=least, height=0.62, color=DATA if one.statistic else WARN, alpha=0.75)
             words = f"{length:.2g} %, {one.statistic}" if one.statistic else "none below 100 %"
@@ -216,11 +219,13 @@ def power_figure(validation: Validation) -> tuple[Figure, ...]:
         axes.set_xscale("log")
         axes.set_yticks(range(len(rows)), [one.title for one in rows], fontsize=7.5)
         axes.set(xlim=(least, 1500.0), ylim=(len(rows) - 0.5, -0.5), xlabel="least error that would be found (%)")
-        axes.set_xticks(10.0 ** np.arange(np.log10(least), 2.01))
+        ticks = 10.0 ** np.arange(np.log10(least), 2.01)
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.grid(False, axis="y")
         title = "What this validation could not have seen"
         caption = (
-            f"Errors shorter than a bar would have been missed in more than {100.0 - 100.0 * rows[0].probability:g} % of "
-            "cases. After the number: the statistic that finds the error. Numbers are taken as linear in the parameter."
+            f"Errors shorter than a bar are missed in more than {100.0 - 100.0 * rows[0].probability:g} % of cases. "
+            "After the number: the statistic that finds the error. Numbers are taken as linear in the parameter."
         )
         return (Figure(section="validation", title=title, svg=as_svg(figure, title), caption=caption),)
 

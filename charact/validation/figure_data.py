@@ -35,6 +35,7 @@ SCALES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "plain": (np.asarray, np.asarray),
     "log": (lambda values: np.log(np.maximum(values, 1e-12)), np.exp),
     "asinh": (np.arcsinh, np.sinh),
+    "root": (np.sqrt, lambda values: np.square(np.maximum(values, 0.0))),
 }
 
 
@@ -152,8 +153,10 @@ def figures_of(
 
 def _flat_fields(chosen: MatchedStacks) -> dict[str, MatchedFrames]:
     """Return the dark, the dimmest and the brightest flat by role."""
-    dim = {"dim flat": shot for shot in chosen.flats[:-1][:1]}
-    return {"dark": chosen.dark, **dim, "bright flat": chosen.flats[-1]}
+    flats = dict(zip(("dim flat", "bright flat"), (chosen.flats[0], chosen.flats[-1]), strict=True))
+    if len(chosen.flats) == 1:
+        del flats["dim flat"]
+    return {"dark": chosen.dark, **flats}
 
 
 def _roles(chosen: MatchedStacks) -> dict[str, MatchedFrames]:
@@ -264,7 +267,7 @@ def _overlays_of_curves(
             "title": f"Histogram of the noise in time of {shot.label}",
             "x_title": "deviation from the mean frame; the ends hold all beyond, sd", "y_title": "values in half an sd",
             "y_scale": "symlog",
-            "curves": [_curve("", (BINS_SD[1:] + BINS_SD[:-1]) / 2.0, own.counts[shot.label], rows, counts=True)],
+            "curves": [_curve("", (BINS_SD[1:] + BINS_SD[:-1]) / 2.0, own.counts[shot.label], rows, scale="root")],
         }  # fmt: skip
     found = [
         _curve(shot.label, [(low + high) / 2.0 for low, high in pairwise(RADII_PX)], own.rings[shot.label],
@@ -287,25 +290,26 @@ def _frequency(chosen: MatchedStacks, direction: str) -> Array:
 
 
 def _curve(
-    name: str, x: Any, measured: Any, simulated: Any, x_simulated: Any = None, *, scale: str = "plain",
-    counts: bool = False,
+    name: str, x: Any, measured: Any, simulated: Any, x_simulated: Any = None, *, scale: str = "plain"
 ) -> dict[str, Any]:  # fmt: skip
     """Return a measured curve with the mean of the simulated ones and the 95 % band of one more set, JSON-ready.
 
-    `simulated`: shape (set, k); `scale`: that of `SCALES` on which mean and variance are taken; `counts`: numbers of
-    events, whose variance is at least that of Poisson.
+    `simulated`: shape (set, k); `scale`: that of `SCALES` on which mean and sd are taken; the root is of counts.
     """
     to, back = SCALES[scale]
     sets = to(np.asarray(simulated, float))
-    centre, variance = sets.mean(axis=0), sets.var(axis=0, ddof=1)
-    if counts:  # Of n sets without an event the rate is about 1/n, by the gamma distribution.
-        variance = np.maximum(variance, centre + 1.0 / len(sets))
-    half = TWO_SIDED_95 * np.sqrt(variance * (1.0 + 1.0 / len(sets)))
-    low = np.maximum(centre - half, 0.0) if counts else centre - half
+    # A root of a count has a variance of 1/4 by Poisson (Anscombe 1948), also where all sets have none.
+    variance = np.maximum(sets.var(axis=0, ddof=1), 0.25 if scale == "root" else 0.0)
+    centre, half = sets.mean(axis=0), TWO_SIDED_95 * np.sqrt(variance * (1.0 + 1.0 / len(sets)))
     out = {"name": name, "x": list(x) if isinstance(x[0], str) else _rounded(x)}
     if x_simulated is not None:
         out["x_simulated"] = _rounded(x_simulated)
-    values = {"measured": measured, "simulated": back(centre), "low95": back(low), "high95": back(centre + half)}
+    values = {
+        "measured": measured,
+        "simulated": back(centre),
+        "low95": back(centre - half),
+        "high95": back(centre + half),
+    }
     return {**out, **{key: _rounded(value) for key, value in values.items()}}
 
 
