@@ -57,6 +57,7 @@ class Section:
     columns: tuple[str, ...]
     rows: tuple[dict[str, Any], ...]
     controls: tuple[dict[str, Any], ...]  # rows of the controls: cells and status
+    left_out: tuple[str, ...]  # figures that the session does not give
     notes: tuple[str, ...]
 
 
@@ -65,11 +66,11 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
     drawn = validation.figures
     return Section(
         status=_status(validation.passed),
-        headline=_headline(validation),
-        sentence=_power_sentence(validation) if validation.passed else _deviation_sentence(validation),
+        headline=headline_of(validation),
+        sentence=sentence_of(validation),
         caution=SAME_SESSION if SAME_SESSION in validation.notes else "",
         summary=_summary(validation),
-        blind=_blind_pair(drawn.blind[0], validation.seed, aspect) if drawn.blind else None,
+        blind=blind_pair(drawn.blind[0], validation.seed, aspect) if drawn.blind else None,
         pairs=tuple(_pictures(pair, aspect) for pair in drawn.pairs),
         patterns=tuple(_pictures(pair, aspect, pattern=True) for pair in drawn.patterns),
         residuals=tuple(residual_figure(one, aspect) for one in drawn.residuals),
@@ -79,8 +80,8 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
         columns=("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", "Deviates most", "Verdict"),
         rows=tuple(_row(one) for one in validation.statistics),
         controls=tuple(_control_row(one) for one in validation.controls),
+        left_out=left_out(drawn.overlays),
         notes=(
-            *left_out(drawn.overlays),
             *(one.note for one in validation.statistics if one.note),
             *(note for note in validation.notes if note != SAME_SESSION),
         ),
@@ -91,7 +92,7 @@ def _status(passed: bool) -> str:
     return "ok" if passed else "refused"
 
 
-def _headline(validation: Validation) -> str:
+def headline_of(validation: Validation) -> str:
     """Return how many statistics and controls came out as they must."""
     good = sum(one.passed for one in validation.statistics)
     nulls, negatives = ([one for one in validation.controls if one.name == name] for name in ("null", "negative"))
@@ -103,8 +104,13 @@ def _headline(validation: Validation) -> str:
     )
 
 
+def sentence_of(validation: Validation) -> str:
+    """Return what an agreement could have seen and not, or what deviates most."""
+    return _power_sentence(validation) if validation.passed else _deviation_sentence(validation)
+
+
 def _power_sentence(validation: Validation) -> str:
-    """Return what the agreement says: the least errors that would have been found, and the largest that would not."""
+    """Return the least errors that would have been found, and the largest that could have been missed."""
     found = sorted((one for one in validation.power if one.statistic), key=lambda one: one.relative_error)
     never = [one.title for one in validation.power if not one.statistic]
     if not validation.power:
@@ -132,8 +138,8 @@ def _deviation_sentence(validation: Validation) -> str:
 
 def _summary(validation: Validation) -> str:
     return (
-        f"The camera {validation.sensor} was simulated under the conditions of the session "
-        f"{validation.session}: {validation.draws} posterior draws, seed {validation.seed}, "
+        f"The camera “{validation.sensor}” was simulated under the conditions of the session "
+        f"“{validation.session}”: {validation.draws} posterior draws, seed {validation.seed}, "
         f"{validation.seconds:.0f} s. A statistic fails where its p-value is below its level, which holds all of them "
         "together to a false alarm in 100 sessions (Holm)."
     )
@@ -172,7 +178,7 @@ def _image(codes: Any, title: str, caption: str, aspect: float) -> ReportImage:
     return ReportImage(title=title, caption=caption, data=data, rows=codes.shape[0], cols=codes.shape[1], aspect=aspect)
 
 
-def _blind_pair(pair: FramePair, seed: int, aspect: float) -> BlindPair:
+def blind_pair(pair: FramePair, seed: int, aspect: float) -> BlindPair:
     """Return both images in an order by the seed and the frame, without words that tell them apart."""
     first = bool(np.random.default_rng([seed, int(pair.measured.sum())]).integers(2))
     images = (pair.measured, pair.simulated) if first else (pair.simulated, pair.measured)

@@ -28,6 +28,7 @@ from charact.validation.thresholds import VALIDATION
 NAMED = 16
 # Colour scale of a residual, standard deviations, unless it is larger; linear range of large deviations.
 LEAST_SCALE_SD, LINEAR_SD = 4.0, 5.0
+DEVIATION_TICKS_SD = (-10000, -2000, -500, -100, -20, -5, 0, 5, 20, 100, 500, 2000, 10000)
 # Half of a two-sided 95 % interval of a Gaussian, standard deviations.
 TWO_SIDED_95 = 1.96
 
@@ -92,10 +93,10 @@ def residual_figure(found: ResidualMap, aspect: float) -> Figure:
     most = max(LEAST_SCALE_SD * sd, float(np.quantile(np.abs(difference), 0.998)))
     rows, cols = (size * found.block_px for size in difference.shape)
     with report_style():
-        figure, axes = panel((4.6, 0.7 + 3.0 * min(1.4, rows * aspect / cols)))
+        figure, axes = panel((4.6, 0.8 + 2.3 * min(1.4, rows * aspect / cols)))
         drawn = axes.imshow(difference, cmap="RdBu_r", vmin=-most, vmax=most, extent=(0, cols, rows, 0),
                             interpolation="nearest", aspect=aspect)  # fmt: skip
-        bar = figure.colorbar(drawn, ax=axes, ticks=most * np.linspace(-1.0, 1.0, 5))
+        bar = figure.colorbar(drawn, ax=axes, ticks=most * np.linspace(-1.0, 1.0, 5), shrink=0.8)
         bar.ax.set_yticklabels([_minus(f"{at:+.3g} DN = {at / sd:+.2g} sd") if at else "0" for at in bar.get_ticks()])
         axes.grid(False)
         axes.set(xlabel="column (px)", ylabel="row (px)")
@@ -165,6 +166,7 @@ def named_deviations(validation: Validation) -> tuple[Figure, ...]:
         axes.set(ylim=(len(worst) - 0.5, -0.5))
         title = f"The {len(worst)} most deviating of {total} numbers"
         caption = (
+            "Measured minus predicted, in standard deviations of the prediction. "
             f"Dashed: {limit:.2g} sd, which the largest of {total} independent numbers exceeds in "
             f"{100.0 * VALIDATION.level:g} % of sessions (Student's t of {validation.draws} sets). Red: the statistic "
             "of the number fails."
@@ -187,16 +189,18 @@ def deviations_by_statistic(validation: Validation) -> tuple[Figure, ...]:
         axes.set_yticks(range(len(shown)), [one.name for one, _ in shown], fontsize=7.5)
         axes.set(ylim=(len(shown) - 0.5, -0.5))
         title = "Deviation of each number from its prediction, by statistic"
-        caption = "Band: 95 % of the simulation. Red: the statistic fails."
+        caption = "Measured minus predicted. Band: 95 % of the simulation. Red: the statistic fails."
         return (Figure(section="validation", title=title, svg=as_svg(figure, title), caption=caption),)
 
 
 def _deviation_axis(axes: Any, most: float, *limits: float) -> None:
     """Set an axis of deviations, logarithmic beyond the linear range if one lies far beyond it."""
+    side = 1.15 * max(most, LINEAR_SD, *limits)
     if most > 4.0 * LINEAR_SD:
         axes.set_xscale("symlog", linthresh=LINEAR_SD)
-    side = 1.15 * max(most, LINEAR_SD, *limits)
-    axes.set(xlim=(-side, side), xlabel="measured minus predicted (sd of the prediction)")
+        ticks = [at for at in DEVIATION_TICKS_SD if abs(at) < side]
+        axes.set_xticks(ticks, [_minus(f"{at:g}") for at in ticks])
+    axes.set(xlim=(-side, side), xlabel="deviation (sd)")
     axes.axvline(0, color=INK, linewidth=0.8)
     for limit in limits:
         for sign in (-1.0, 1.0):

@@ -22,6 +22,8 @@ Frames = Mapping[str, NDArray]
 
 # Side of the squares over which a residual is averaged, px: structure stands out of the noise of pixels.
 BLOCK_PX = 4
+# Neighbouring frequencies of a cut of the spectrum that are averaged: one of few frames would be all noise.
+NEIGHBOURS = 4
 # Edges of the bins of temporal noise, standard deviations; the first and the last bin hold all beyond.
 BINS_SD = np.arange(-8.0, 12.01, 0.5)
 # Levels of the point source whose profile is drawn.
@@ -171,8 +173,8 @@ def _points(chosen: MatchedStacks, levels: tuple[MatchedFrames, ...]) -> tuple[M
 
 
 def _cut_of_spectrum(lines: NDArray, pixels: int) -> Array:
-    """Return the mean power of sums over lines (frame, place) per pixel, without the mean, DN^2."""
-    return (np.abs(np.fft.rfft(lines, axis=1)) ** 2).mean(axis=0)[1:].astype(float) / pixels
+    """Return the mean power of sums over lines (frame, place) per pixel, DN^2, at `_frequency`."""
+    return _averaged((np.abs(np.fft.rfft(lines, axis=1)) ** 2).mean(axis=0) / pixels)
 
 
 def _block_means(image: NDArray) -> Array:
@@ -286,7 +288,13 @@ def _overlays_of_curves(
 def _frequency(chosen: MatchedStacks, direction: str) -> Array:
     """Return the frequencies of a cut of the spectrum of darks and flats, cy/px."""
     rows, cols = chosen.dark.shape
-    return np.asarray(np.fft.rfftfreq(cols if direction == "horizontal" else rows)[1:], np.float64)
+    return _averaged(np.fft.rfftfreq(cols if direction == "horizontal" else rows))
+
+
+def _averaged(spectrum: NDArray) -> Array:
+    """Return means of neighbours of a spectrum without its first value, the mean; a remainder is left out."""
+    count = (len(spectrum) - 1) // NEIGHBOURS
+    return np.asarray(spectrum[1 : 1 + count * NEIGHBOURS], float).reshape(count, NEIGHBOURS).mean(axis=1)
 
 
 def _curve(
