@@ -157,9 +157,8 @@ def test_a_file_that_states_or_unpacks_to_too_much_is_refused_before_it_takes_me
     assert most_resident_mb() - before_mb < 50.0
 
 
-@pytest.mark.parametrize("verb", [("mtf", "edge"), ("import", "frames")])
-@pytest.mark.parametrize("name", ["a.tif", "a.npy", "a.pgm"])
-def test_the_command_line_says_it_in_one_sentence(tmp_path, verb, name):
+@pytest.mark.parametrize(("name", "verb"), [("a.tif", ("mtf", "edge")), ("a.npy", ("import", "frames"))])
+def test_the_command_line_says_it_in_one_sentence(tmp_path, name, verb):
     write, rule = BOMBS[name]
     write(tmp_path / name)
     out = (tmp_path / "out",) * (verb[0] == "import")
@@ -231,8 +230,7 @@ def test_a_link_to_a_file_is_as_good_as_the_file(tmp_path):
 MANIFEST = 'name = "s"\n[[stack]]\nlabel = "flat"\nkind = "flat"\nframes = "{frames}"\n'
 
 
-@pytest.mark.parametrize("kind", ["a named pipe", "a device", "a socket"])
-@pytest.mark.parametrize("verb", ["measure", "noise", "bloom"])
+@pytest.mark.parametrize(("kind", "verb"), [("a named pipe", "measure"), ("a device", "noise"), ("a socket", "bloom")])
 def test_a_session_names_none_of_them(tmp_path, monkeypatch, kind, verb):
     monkeypatch.chdir(tmp_path)
     OTHERS[kind](tmp_path / "a.npy")
