@@ -14,15 +14,14 @@ import numpy as np
 import pytest
 import tifffile
 import zarr
-from typer.testing import CliRunner
 
-from charact.cli.application import app
 from labdata import file_io
 from labdata.errors import BadInput
 from labdata.file_io import MOST_PICTURE_PX
 from labdata.importers import read_frames
 from labdata.lazy_stack import open_lazy_stack
 from labdata.session import open_session
+from tests.charact.cli.runner import charact
 from tests.fuzz.bounds import most_resident_mb
 from tests.labdata import dng
 
@@ -41,10 +40,6 @@ def in_time():
     yield
     signal.alarm(0)
     signal.signal(signal.SIGALRM, before)
-
-
-def charact(*arguments: object):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def one_sentence(done) -> str:

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from charact.cli.application import app
+from tests.charact.cli.runner import charact
 
 VERBS = {"edge": (), "bars": ("--frequency", "0.12"), "point": ()}
 
@@ -73,7 +72,7 @@ def test_flats_that_tell_nothing_are_never_a_gain(case: str, kinds: tuple[str, .
 
 
 def ok_measurements(*arguments: object) -> list[dict]:
-    done = CliRunner().invoke(app, [*map(str, arguments), "--json"])
+    done = charact(*arguments, "--json")
     assert done.exit_code in (0, 1), done.output
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
     return [m for m in json.loads(done.stdout).get("measurements", ()) if m["status"] == "ok"]
