@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 
 from labdata.camera_description import Description, Draws, Parameter, must_be_an_efficiency_table
-from labdata.errors import BadInput, check
+from labdata.errors import BadInput, check, check_range
 from labdata.sensor import Ccd, Optics, Video
 
 
@@ -40,6 +40,31 @@ class Register:
         return float(self.em_gain) > 1.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class Readout:
+    """Temporal noise of a digital read-out that is not white: rows, neighbours along a row, interference.
+
+    EMVA 1288 release 4 (section 8) divides temporal noise into that of rows, columns and pixels; its spectra show
+    interference as peaks. Values of 0, and a ratio of 1, are white noise. DN are those of the digitiser.
+    """
+
+    row_noise_dn2: Parameter = field(default_factory=lambda: Parameter(value=0.0))
+    #: density of the rows' offsets at 0.25 cy/row; of white offsets their variance
+    row_noise_exponent: Parameter = field(default_factory=lambda: Parameter(value=0.0))
+    #: a of the density's law f^-a down the rows; 0 is white, 1 is 1/f noise
+    fine_noise_ratio: Parameter = field(default_factory=lambda: Parameter(value=1.0))
+    #: density of read noise along a row at 0.5 cy/px over that at 0; above 1 neighbours differ more than by white noise
+    interference_dn2: Parameter = field(default_factory=lambda: Parameter(value=0.0))
+    #: variance of a sinusoid over the frame whose phase changes from frame to frame
+    interference_x_cy_per_px: Parameter = field(default_factory=lambda: Parameter(value=0.5))
+    interference_y_cy_per_px: Parameter = field(default_factory=lambda: Parameter(value=0.5))
+
+    def __post_init__(self) -> None:
+        check(self, not_negative="row_noise_dn2 interference_dn2", positive="fine_noise_ratio")
+        check_range(self, 0.0, 2.0, "row_noise_exponent")
+        check_range(self, 0.0, 1.0, "interference_x_cy_per_px", "interference_y_cy_per_px")
+
+
 def excess_noise_factor(em_gain: float, stages: float = np.inf) -> float:
     """Return the excess noise factor F^2 of an electron-multiplying register of mean gain g and N stages.
 
@@ -67,6 +92,7 @@ class SolidStateCamera(Description):
     ccd: Ccd
     register: Register
     video: Video
+    readout: Readout = field(default_factory=Readout)
     draws: Draws = field(default_factory=Draws)
     notes: tuple[str, ...] = ()
 

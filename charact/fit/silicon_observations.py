@@ -15,6 +15,13 @@ from charact.fit.observation import (
     sd_of,
 )
 from charact.fit.predicted_quantities import ELEMENTARY_CHARGE_C, Values
+from charact.fit.readout_observations import (
+    INTERFERENCE,
+    ROW_EXPONENT,
+    ROW_NOISE,
+    coloured_variance,
+    readout_observations,
+)
 from charact.fit.stack_levels import StackMean
 from charact.method import Context
 from charact.noise.gain.emva1288 import excess_of
@@ -29,6 +36,7 @@ Array = NDArray[np.float64]
 LENS = ("optics.aberration_blur_um", "optics.f_number")
 HEIGHTS = "register.pulse_height_shape"
 READING = (HEIGHTS, "register.clock_induced_e", "ccd.dark_current_e_per_s", "ccd.read_noise_e")
+COLOURED = (ROW_NOISE, ROW_EXPONENT, INTERFERENCE)
 # Dark current and DSNU are stated at this temperature.
 REFERENCE_C = 25.0
 # Variance of rounding to whole DN, DN^2.
@@ -114,7 +122,8 @@ def silicon_observations(
     found = mtf_observations(session, camera, result, LENS)
     found += _gain(camera, result, usual)
     found += _dark_noise(darks)
-    found += _patterns(darks, result)
+    found += _readout(darks)
+    found += _patterns(levels, darks, result)
     found += _saturation(result, usual)
     found += _dark_slope(result, darks)
     known = [level for level in levels if not level.dark]
@@ -151,26 +160,41 @@ def _dark_noise(darks: list[StackMean]) -> list[Observation]:
         variance, sd = dark.temporal_dn2
         if variance > LEAST_NOISE_DN**2:
             sd = float(np.hypot(sd, NOISE_MODEL_SD * variance))
-            depends = (*_amplification(dark.conditions), *READING, *_cooling(dark.conditions))
-            found.append(one(f"dark noise of {dark.label}", variance, sd, _of(dark_variance, dark), depends))
+            depends = (*_amplification(dark.conditions), *READING, *COLOURED, *_cooling(dark.conditions))
+            found.append(one(f"dark noise of {dark.label}", variance, sd, _variance_of(dark), depends))
     return found
 
 
-def _of(formula: Callable[[Values, Conditions, float], Array], level: StackMean) -> Callable[[Values], Array]:
-    """Return a formula under the conditions of a stack."""
-    return lambda values: formula(values, level.conditions, level.exposure_s)
+def _variance_of(dark: StackMean) -> Callable[[Values], Array]:
+    """Return the temporal variance of a pixel under the conditions of a dark, DN^2."""
+    rows = 1 if dark.entry is None else dark.entry.read().shape[1]
+
+    def predict(values: Values) -> Array:
+        return dark_variance(values, dark.conditions, dark.exposure_s) + coloured_variance(values, rows)
+
+    return predict
 
 
-def _patterns(darks: list[StackMean], result: Result) -> list[Observation]:
+def _readout(darks: list[StackMean]) -> list[Observation]:
+    """Observe rows, neighbours and interference in the dark with most frames, of these the shortest exposure."""
+    usable = [dark for dark in darks if dark.entry is not None and dark.temporal_dn2[0] > LEAST_NOISE_DN**2]
+    if not usable:
+        return []
+    dark = min(usable, key=lambda level: (-len(level.entry.read()) if level.entry else 0, level.exposure_s))
+
+    def read_noise_dn(values: Values) -> Array:
+        return dn_per_electron(values, dark.conditions) * values["ccd.read_noise_e"]
+
+    data = dark.entry.read().data if dark.entry else np.zeros((0, 0, 0))
+    return readout_observations(data, read_noise_dn, ("video.conversion_gain_dn_per_e", "ccd.read_noise_e"))
+
+
+def _patterns(levels: tuple[StackMean, ...], darks: list[StackMean], result: Result) -> list[Observation]:
     """Observe PRNU, and DSNU as the pattern of the dark with most frames and longest exposure.
 
     The error of a variance over pixels contains their kurtosis: a pattern of little dark charge is that of few pixels.
     """
-    found = []
-    for m in admissible_measurements(result, "prnu", "%"):
-        value = 0.01 * (m.value or 0.0)
-        sd = float(np.hypot(0.01 * sd_of(m), NOISE_MODEL_SD * value))
-        found.append(one("PRNU", value, sd, lambda values: values["ccd.prnu"], ("ccd.prnu",)))
+    found = _response_pattern(levels, darks) or _stated_response_pattern(result)
     if not darks:
         return found
     dark = max(darks, key=lambda level: (len(level.entry.read()) if level.entry else 0, level.exposure_s))
@@ -183,6 +207,36 @@ def _patterns(darks: list[StackMean], result: Result) -> list[Observation]:
     sd = float(np.hypot(own, 2.0 * NOISE_MODEL_SD * value))
     depends = (*_amplification(dark.conditions), "ccd.dsnu_e", *_cooling(dark.conditions))
     found.append(one("DSNU", value, sd, pattern, depends))
+    return found
+
+
+def _response_pattern(levels: tuple[StackMean, ...], darks: list[StackMean]) -> list[Observation]:
+    """Observe the squared PRNU in the flat that shows it best: (fixed pattern - that of a dark) over signal squared.
+
+    Shading of light and lens, which the PRNU of EMVA 1288 contains, is no part of it.
+    """
+    if not darks:
+        return []
+    dark, found = darks[0], []
+    for flat in levels:
+        signal = flat.mean_dn - dark.mean_dn
+        if not flat.dark and np.isfinite(flat.spatial_dn2[1]) and signal > 0.0:
+            value = (flat.spatial_dn2[0] - dark.spatial_dn2[0]) / signal**2
+            found.append((float(np.hypot(flat.spatial_dn2[1], dark.spatial_dn2[1])) / signal**2, value))
+    if not found:
+        return []
+    own, value = min(found)
+    sd = float(np.hypot(own, 2.0 * NOISE_MODEL_SD * value))
+    return [one("PRNU", value, sd, lambda values: values["ccd.prnu"] ** 2, ("ccd.prnu",))]
+
+
+def _stated_response_pattern(result: Result) -> list[Observation]:
+    """Observe the measured PRNU where no dark and flat of known light show it."""
+    found = []
+    for m in admissible_measurements(result, "prnu", "%"):
+        value = 0.01 * (m.value or 0.0)
+        sd = float(np.hypot(0.01 * sd_of(m), NOISE_MODEL_SD * value))
+        found.append(one("PRNU", value, sd, lambda values: values["ccd.prnu"], ("ccd.prnu",)))
     return found
 
 

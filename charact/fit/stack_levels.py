@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.illumination import gathering_s
+from charact.noise.stack.components import shading
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.session import Session, StackEntry
@@ -26,8 +27,8 @@ class StackMean:
     exposure_s: float
     mcp_v: float
     entry: StackEntry | None = None  # the stack
-    # mean over pixels of the variance between frames, variance over pixels of the mean frame without its noise, and the
-    # standard errors of both, DN^2; nan of a single frame
+    # mean over pixels of the variance between frames, variance over pixels of the mean frame without its noise and
+    # smooth shading, and the standard errors of both, DN^2; nan of a single frame
     temporal_dn2: tuple[float, float] = (np.nan, np.nan)
     spatial_dn2: tuple[float, float] = (np.nan, np.nan)
 
@@ -84,7 +85,9 @@ def _level(session: Session, entry: StackEntry) -> StackMean | None:
 
 
 def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return temporal variance and variance of the fixed pattern with their standard errors, frame offsets removed.
+    """Return temporal variance and variance of the fixed pattern with their standard errors.
+
+    Removed are the frames' offsets and, of the fixed pattern, shading of light and lens up to the fourth order.
 
     Standard errors are from the scatter over pixels, taken as independent: for white noise.
     """
@@ -97,12 +100,18 @@ def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]
         total += away
         square += away**2
     each = (square - total**2 / count) / (count - 1)
-    own = (total / count) ** 2 - each / count
+    own = _without_shading(total / count) ** 2 - each / count
     root = np.sqrt(pixels)
     return (
         (float(each.mean()), float(each.std() / root)),
         (float(own.mean()), float(own.std() / root)),
     )
+
+
+def _without_shading(image: NDArray) -> NDArray:
+    """Return an image without products of polynomials along rows and columns."""
+    down, across = (np.column_stack([np.full(n, n**-0.5), shading(n)]) for n in image.shape)
+    return image - down @ (down.T @ image @ across) @ across.T
 
 
 def _noise_dn(frame: NDArray) -> float:
