@@ -136,8 +136,9 @@ def _highest_peak(power: Array, whole: Array, frames: int) -> Interference | Non
 
 def row_density(values: Values, frequency: Array) -> Array:
     """Return the spectral density of the rows' offsets, s (4 f)^-a, shape (n, frequency), DN^2."""
-    exponent = values[ROW_EXPONENT][:, None]
-    return values[ROW_NOISE][:, None] * (4.0 * frequency) ** -exponent
+    logarithm = -values[ROW_EXPONENT][:, None] * np.log(4.0 * frequency)
+    # Exponents far beyond any prior must not overflow.
+    return values[ROW_NOISE][:, None] * np.exp(np.minimum(logarithm, 300.0))
 
 
 def row_variance(values: Values, rows: int) -> Array:

@@ -27,6 +27,8 @@ class StackMean:
     exposure_s: float
     mcp_v: float
     entry: StackEntry | None = None  # the stack
+    full_scale_dn: float = np.nan  # highest code of the digitiser, DN
+    light_known: bool = True  # whether its light is stated; otherwise it shows noise alone
     # mean over pixels of the variance between frames, variance over pixels of the mean frame without its noise and
     # smooth shading, and the standard errors of both, DN^2; nan of a single frame
     temporal_dn2: tuple[float, float] = (np.nan, np.nan)
@@ -48,17 +50,22 @@ MOST_CLIPPED, HIGHEST_LEVEL = 1e-3, 0.85
 
 
 def levels_of(session: Session) -> tuple[StackMean, ...]:
-    """Return the means of the session's darks and flats of known light within the linear range."""
+    """Return the means of the session's darks and flats within the linear range.
+
+    Flats of unknown light are left out behind a tube; of a camera without one their noise is that of their signal.
+    """
     found = (_level(session, entry) for entry in session.of_kind("dark", "flat"))
     return tuple(level for level in found if level is not None)
 
 
 def _level(session: Session, entry: StackEntry) -> StackMean | None:
-    conditions, camera = entry.conditions, session.camera
+    conditions, camera, light_known = entry.conditions, session.camera, True
     illuminance = 0.0 if entry.kind == "dark" else conditions.illuminance_lux
     if isinstance(camera, SolidStateCamera):
         if illuminance is None and conditions.photons_per_px and conditions.wavelength_nm:
             illuminance = np.nan
+        light_known = illuminance is not None
+        illuminance = np.nan if illuminance is None else illuminance
         reference_v, field_s = 0.0, 1.0 / float(camera.video.field_rate_hz)
         shutter_s = gathering_s(conditions) or field_s
     elif isinstance(camera, Sensor):
@@ -81,6 +88,7 @@ def _level(session: Session, entry: StackEntry) -> StackMean | None:
         label=entry.label, mean_dn=float(means.mean()), sd_dn=scatter, noise_dn=_noise_dn(stack.data[0]),
         illuminance_lux=float(illuminance), gate_s=float(gate_s), exposure_s=float(shutter_s),
         mcp_v=float(conditions.mcp_v or reference_v), entry=entry, temporal_dn2=temporal, spatial_dn2=spatial,
+        light_known=light_known, full_scale_dn=top,
     )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ class Silicon(Stage, slot=Slot.SILICON, takes="photons", emits="photoelectrons i
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
         """Return the chip that detects."""
         efficiency = max(camera.description.silicon.quantum_efficiency)
-        return cls(quantum_efficiency=efficiency, exposure_s=camera.open_s(conditions), grid=camera.cells)
+        return cls(quantum_efficiency=efficiency, exposure_s=camera.lit_s(conditions), grid=camera.cells)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.quantum_efficiency <= 1.0:

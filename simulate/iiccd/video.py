@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.solid_state import gain_at_no_signal
 from simulate.iiccd.chain import Slot, Stage, values_of
 from simulate.iiccd.grid import ACCURACY, CameraFrame
 from simulate.iiccd.readout_noise import draw_interference, draw_row_offsets
@@ -18,6 +19,7 @@ Array = NDArray[np.floating]
 
 _OF_READOUT = (
     "row_noise_dn2", "row_noise_exponent", "interference_dn2", "interference_x_cy_per_px", "interference_y_cy_per_px",
+    "compression_fraction",
 )  # fmt: skip
 # Where the boost of aperture correction is stated.
 CORRECTED_MHZ = 4.5
@@ -100,6 +102,7 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
     interference_dn2: float = 0.0
     interference_x_cy_per_px: float = 0.5
     interference_y_cy_per_px: float = 0.5
+    compression_fraction: float = 0.0
     effects: ClassVar = {"line jitter": {"sync_jitter_px": 0.0}, "row noise": {"line_noise_dn": 0.0}}
 
     @classmethod
@@ -177,6 +180,9 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
 
     def _level(self, signal: NDArray[np.float32]) -> NDArray[np.float32]:
         signal = signal * np.float32(self.conversion_gain_dn_per_e * self.gain)
+        if self.compression_fraction != 0.0:
+            signal *= np.float32(gain_at_no_signal(1.0, self.compression_fraction))
+            signal -= np.float32(self.compression_fraction / self.full_scale_dn) * signal**2
         if self.gamma != 1.0:
             span = np.float32(self.full_scale_dn - self.black_level_dn)
             signal = span * np.sign(signal) * np.abs(signal / span) ** np.float32(self.gamma)
