@@ -134,7 +134,7 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
     A value at an end of its range extends a little beyond.
     """
     low, value, high = float(parameter.low or 0.0), float(parameter.value), float(parameter.high or 0.0)
-    floor, ceiling = 0.0 if low == 0 else 0.02 * value, 1.0 if path in _AT_MOST_ONE else np.inf
+    floor, ceiling = 0.0 if low == 0 else -np.inf if low < 0 else 0.02 * value, 1.0 if path in _AT_MOST_ONE else np.inf
     scale = path in _FACTORS or high > SCALE_RATIO * low
     power = 1 if low <= 0 else -1 if path in _LIMITS else 0 if scale else 1
     if power < 1:
