@@ -1,6 +1,5 @@
 """Observations of image lag and line noise of a camera with a tube, from the successive frames of its flats."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,19 +50,25 @@ class Fields:
         return 2 if self.interlaced else 1
 
 
-def fields_of(level: StackMean, sensor: Sensor, black_dn: float) -> Fields | None:
-    """Return the deviations of a stack's successive frames, or None of too few, or of frames that were lost."""
+def frames_of(level: StackMean, sensor: Sensor) -> NDArray[np.float32] | None:
+    """Return the middle of a stack's successive frames, DN, or None of too few, or of frames that were lost."""
     if level.entry is None:
         return None
     stack = level.entry.read()
     count = min(len(stack), MOST_FRAMES)
-    numbers = stack.frame_number[:count]
-    if count < LEAST_FRAMES or np.any(np.diff(numbers) != 1):
+    if count < LEAST_FRAMES or np.any(np.diff(stack.frame_number[:count]) != 1):
         return None
     rows, columns = stack.data.shape[1:]
     # An even first row keeps the order of the fields.
     top, left = (max(rows - MOST_ROWS, 0) // 4) * 2, max(columns - MOST_COLUMNS, 0) // 2
-    data = stack.data[:count, top : top + MOST_ROWS, left : left + MOST_COLUMNS].astype(np.float32)
+    return stack.data[:count, top : top + MOST_ROWS, left : left + MOST_COLUMNS].astype(np.float32)
+
+
+def fields_of(level: StackMean, sensor: Sensor, black_dn: float) -> Fields | None:
+    """Return the deviations of a stack's successive frames, or None where `frames_of` has none."""
+    data = frames_of(level, sensor)
+    if data is None:
+        return None
     step = 2 if sensor.video.interlaced else 1
     for parity in range(step):
         field = data[:, parity::step]
@@ -146,12 +151,15 @@ def _next_field(x: NDArray[np.float32]) -> NDArray[np.float32]:
     return 0.5 * (same + (even_first if even_first.mean() >= odd_first.mean() else odd_first))
 
 
+def block_sums(image: NDArray) -> Array:
+    """Return the sums of the blocks of an image, shape (block,)."""
+    rows, columns = ((np.arange(parts) * n) // parts for n, parts in zip(image.shape, BLOCKS, strict=True))
+    return np.add.reduceat(np.add.reduceat(image.astype(np.float64), rows, axis=0), columns, axis=1).ravel()
+
+
 def _blocks(image: NDArray[np.floating]) -> Array:
     """Return the means of the blocks of an image, shape (block,)."""
-    rows, columns = (np.array_split(np.arange(n), parts) for n, parts in zip(image.shape, BLOCKS, strict=True))
-    lines = np.add.reduceat(image.astype(np.float64), [part[0] for part in rows], axis=0)
-    cells = np.add.reduceat(lines, [part[0] for part in columns], axis=1)
-    return (cells / np.outer([len(part) for part in rows], [len(part) for part in columns])).ravel()
+    return block_sums(image) / block_sums(np.ones(image.shape))
 
 
 def predicted_correlations(values: Values, fields: Fields, reference_v: float) -> Array:
@@ -347,5 +355,3 @@ def measured_line_variance(fields: Fields) -> tuple[float, float]:
     means = np.concatenate([group.mean(axis=1) for group in groups])
     return float(each.mean()), float(means.var(ddof=1) / means.size)
 
-
-Predict = Callable[[Values], Array]

@@ -1,0 +1,474 @@
+"""Observations of a tube's darks: noise and level between pulses, DSNU, background illumination and ion events."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.fit import predicted_quantities as predicted
+from charact.fit.observation import Observation, admissible_measurements, one
+from charact.fit.predicted_quantities import Values
+from charact.fit.prior import values_of_description
+from charact.fit.stack_levels import StackMean
+from charact.fit.tube_time_observations import (
+    BLOCKS,
+    LINE_NOISE,
+    block_sums,
+    field_products,
+    filter_covariance,
+    frames_of,
+    pulse_covariance,
+)
+from labdata.measurement import Result
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Pixels that stand out of the noise by so much are pulses, standard deviations and DN; so are their surroundings.
+PULSE_SD, PULSE_DN, PULSE_REACH = 4.5, 1.5, (7, 9)
+# Fewest values below a grey value, and largest fraction, that locate the noise; half of a fine digitiser's.
+LEAST_COUNT, MOST_BELOW, FINE_BELOW = 50, 0.9, 0.5
+FINE_CODES = 60
+# Fewest quiet values, as a fraction, and fewest frames.
+LEAST_QUIET, LEAST_FRAMES = 0.05, 4
+# Whole charge of an ion event over k F^2: one of 1e5 single pulses is as large.
+ION_CHARGE = 6.0
+# Window, field rows and columns, in which the charge of a pulse is summed, and the fraction of it that it contains.
+WINDOW, WINDOW_FRACTION = (3, 5), 0.8
+# Least charge of an ion event over the noise of the window, and the area that its light reaches, rows and columns.
+ION_SD, ION_REACH = 7.0, (13, 13)
+# Largest fraction of the image that may be reached by ions.
+MOST_REACHED = 0.6
+# Mean light of a pulse outside its surroundings, and its error; relative.
+WING, WING_SD = 0.04, 0.02
+# Relative model errors: of the pulses' covariance, of what rounding does to it, of an ion's charge.
+COVARIANCE_SD, ROUNDING_SD, ION_CHARGE_SD = 0.03, 0.25, 0.15
+# Variance of the noise between pulses: relative model error.
+QUIET_SD = 0.03
+# Standard deviation below which rounding is no noise of its own, DN; slope below which it hides a dark pattern.
+COARSE_DN, LEAST_SLOPE = 0.6, 0.4
+
+EBI, READ, DSNU, BLACK = "photocathode.ebi_lm_per_cm2", "ccd.read_noise_e", "ccd.dsnu_e", "video.black_level_dn"
+IONS = ("microchannel_plate.ion_event_rate_per_s_cm2", "microchannel_plate.ion_event_size_pe")
+CONVERSION = "video.conversion_gain_dn_per_e"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Darks:
+    """Frames of a dark, what is quiet in them, and how its pulses are expected to look."""
+
+    data: NDArray[np.float32]  # shape (frame, row, col), DN
+    level: StackMean
+    sensor: Sensor
+    level_dn: float  # mean of the quiet pixels before rounding, DN
+    noise_dn: float  # their standard deviation before rounding, DN
+    quiet: Mask  # pixels without a pulse near by, shape (frame, row, col)
+    event_dn: float  # k F^2 as measured, DN
+    reached: Mask  # pixels that the light of an ion event may reach in any frame, shape (row, col)
+    ion_charge_dn: tuple[float, ...]  # whole charge of each ion event, DN
+    least_ion_dn: float  # whole charge from which an event counts as that of an ion, DN
+
+    @property
+    def step(self) -> int:
+        """Frame rows from one row of a field to the next."""
+        return 2 if self.sensor.video.interlaced else 1
+
+    @property
+    def fields(self) -> int:
+        """Number of fields in the frames."""
+        return len(self.data) * self.step
+
+
+def dark_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> list[Observation]:
+    """Return the observations of the dark with most frames, one of each that its frames can show."""
+    stacks = [level for level in levels if level.dark and level.entry is not None]
+    gains = admissible_measurements(result, "covariance_gain", "DN")
+    if not stacks or not gains or not gains[0].value:
+        return []
+    level = max(stacks, key=lambda level: len(level.entry.read()) if level.entry else 0)
+    darks = darks_of(level, sensor, gains[0].value)
+    if darks is None:
+        return []
+    found = [*_quiet(darks), *_pattern(darks)]
+    if darks.reached.mean() < MOST_REACHED:
+        found += [*_events(darks), *_ions(darks)]
+    return found
+
+
+def darks_of(level: StackMean, sensor: Sensor, event_dn: float) -> Darks | None:
+    """Return the frames of a dark and what is quiet in them, or None where its noise cannot be located."""
+    from scipy.ndimage import maximum_filter
+
+    data = frames_of(level, sensor)
+    if data is None or len(data) < LEAST_FRAMES:
+        return None
+    first = quiet_noise(data.ravel())
+    if first is None:
+        return None
+    pulse = data >= first[0] + max(PULSE_DN, PULSE_SD * first[1])
+    quiet = maximum_filter(pulse, size=(1, *PULSE_REACH)) == 0
+    noise = quiet_noise(data[quiet]) if quiet.mean() > LEAST_QUIET else None
+    noise = noise or first
+    reached, charges, least = _find_ions(data, level, sensor, event_dn, noise)
+    return Darks(data=data, level=level, sensor=sensor, level_dn=noise[0], noise_dn=noise[1], quiet=quiet,
+                 event_dn=event_dn, reached=reached, ion_charge_dn=charges, least_ion_dn=least)  # fmt: skip
+
+
+def thresholds_of(values: NDArray[np.floating]) -> tuple[float, float] | None:
+    """Return two levels between grey values that locate the lower side and the middle of the noise, DN."""
+    codes, counts = np.unique(values, return_counts=True)
+    below = np.cumsum(counts)
+    fine = len(codes) > FINE_CODES
+    least = max(LEAST_COUNT, 0.05 * values.size if fine else 0.0)
+    most = (FINE_BELOW if fine else MOST_BELOW) * values.size
+    low, high = np.searchsorted(below, least), np.searchsorted(below, most, side="right") - 1
+    return (float(codes[low]) + 0.5, float(codes[high]) + 0.5) if high > low else None
+
+
+def quiet_noise(values: NDArray[np.floating]) -> tuple[float, float] | None:
+    """Return level and standard deviation before rounding of normal noise, from its lower side, DN.
+
+    The fraction below a level c between grey values is the normal distribution at (c - level)/sd, rounded or not.
+    Pulses only raise values. None of noise that reaches no second grey value.
+    """
+    levels = thresholds_of(values)
+    if levels is None:
+        return None
+    return _level_and_sd(np.array([[np.mean(values < level) for level in levels]]), levels)
+
+
+def _level_and_sd(below: Array, levels: tuple[float, float]) -> tuple[float, float]:
+    from scipy.special import ndtri
+
+    low, high = ndtri(below.mean(axis=0))
+    sd = (levels[1] - levels[0]) / (high - low)
+    return float(levels[0] - low * sd), float(sd)
+
+
+def _field_light(darks_values: Values, gate_s: float) -> float:
+    """Return the fraction of a pulse's light that its field shows, root mean square."""
+    return float(np.sqrt(field_products(darks_values, gate_s, 1)[0, 0]))
+
+
+def _find_ions(
+    data: NDArray[np.float32], level: StackMean, sensor: Sensor, event_dn: float, noise: tuple[float, float]
+) -> tuple[Mask, tuple[float, ...], float]:
+    """Return the pixels that ion events reach, each event's whole charge and the least charge of one, DN."""
+    from scipy.ndimage import label, maximum, maximum_filter, uniform_filter
+
+    step = 2 if sensor.video.interlaced else 1
+    charge = np.empty_like(data)
+    for parity in range(step):
+        charge[:, parity::step] = uniform_filter(data[:, parity::step], size=(0, *WINDOW)) - data.mean()
+    charge *= WINDOW[0] * WINDOW[1]
+    share = WINDOW_FRACTION * _field_light(values_of_description(sensor), level.gate_s)
+    low, middle = np.quantile(charge[0], (0.16, 0.5))
+    least = max(ION_CHARGE * event_dn, ION_SD * float(middle - low) / share)
+    seed = charge > least * share
+    # An event is seen in both fields and in later frames: what touches is one event.
+    parts, count = label(maximum_filter(seed, size=(1, 5, 5)), structure=np.ones((3, 3, 3)))
+    largest = np.atleast_1d(maximum(charge, parts, np.arange(1, count + 1))) if count else np.empty(0)
+    reached = maximum_filter(seed.any(axis=0), size=ION_REACH)
+    return reached, tuple(float(one) / share for one in largest), least
+
+
+def _gain(values: Values, darks: Darks) -> Array:
+    reference_v = float(darks.sensor.microchannel_plate.reference_v)
+    return predicted.photoelectron_gain(values, darks.level.mcp_v, reference_v)
+
+
+def _background(values: Values, darks: Darks) -> Array:
+    """Return the mean signal of the background illumination, shape (n,), DN."""
+    return _gain(values, darks) * predicted.background_rate(values) * darks.level.gate_s
+
+
+def _unseen(values: Values, darks: Darks) -> Array:
+    """Return the heights, in mean detected pulses, below which a pulse is hidden by the noise, shape (n,)."""
+    height = _gain(values, darks) / values["microchannel_plate.detection_probability"]
+    peak = 2.0 * pulse_covariance(values, ((0.0, 0.0),))[:, 0] * np.sqrt(
+        field_products(values, darks.level.gate_s, 1)[:, 0]
+    )
+    return max(PULSE_DN, PULSE_SD * darks.noise_dn) / (height * peak)
+
+
+def _moment_below(shape: Array, mean: Array | float, limit: Array, order: int) -> Array:
+    """Return the part of the moment of an order of gamma distributed charges below a limit."""
+    from scipy.special import gammainc, poch
+
+    shape, scale = np.asarray(shape, float), np.asarray(mean) / shape
+    return scale**order * poch(shape, order) * gammainc(shape + order, np.maximum(limit, 0.0) / scale)
+
+
+def _warmth(values: Values, darks: Darks) -> Array:
+    """Return dark current over that at 25 C."""
+    temperature_c = darks.level.conditions.temperature_c
+    warmer = 0.0 if temperature_c is None else temperature_c - 25.0
+    return 2.0 ** (warmer / values["ccd.dark_current_doubling_k"])
+
+
+def quiet_variance(values: Values, darks: Darks) -> Array:
+    """Return the variance of pixels between pulses before rounding, shape (n,), DN^2.
+
+    Read noise, dark charge and its pattern behind the video filter, line noise, and half of what hidden pulses would
+    add to noise that was not located by its lower side.
+    """
+    dark_e = predicted.rows_per_pixel(values) * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
+    warmth = _warmth(values, darks)
+    charge = values[READ] ** 2 + dark_e * warmth + (values[DSNU] * warmth) ** 2
+    reading = values[CONVERSION] ** 2 * charge * filter_covariance(values, 1)[:, 0]
+    return reading + values.get(LINE_NOISE, np.zeros(1)) ** 2 + 0.5 * _hidden_variance(values, darks)
+
+
+def _hidden_variance(values: Values, darks: Darks) -> Array:
+    """Return the variance of the pulses that are hidden by the noise, shape (n,), DN^2."""
+    shape = values["microchannel_plate.pulse_height_shape"]
+    hidden = _moment_below(shape, 1.0, _unseen(values, darks), 2) / (1.0 + 1.0 / shape)
+    event = _gain(values, darks) * predicted.excess_noise_factor(values)
+    blur = pulse_covariance(values, ((0.0, 0.0),))[:, 0]
+    return hidden * event * _background(values, darks) * blur * field_products(values, darks.level.gate_s, 1)[:, 0]
+
+
+def _hidden_light(values: Values, darks: Darks) -> Array:
+    """Return the fraction of the background illumination that falls on quiet pixels, shape (n,)."""
+    shape = values["microchannel_plate.pulse_height_shape"]
+    return np.minimum(_moment_below(shape, 1.0, _unseen(values, darks), 1) + WING, 1.0)
+
+
+def _quiet(darks: Darks) -> list[Observation]:
+    """Observe level and variance of the pixels between pulses."""
+    levels = thresholds_of(darks.data[darks.quiet]) if darks.quiet.mean() > LEAST_QUIET else None
+    if levels is None:
+        return []
+    count = block_sums(darks.quiet.sum(axis=0))
+    below = np.stack(
+        [block_sums(((darks.data < level) & darks.quiet).sum(axis=0)) for level in levels], axis=1
+    )
+    used = count > 0
+    best = np.array(_level_and_sd(below.sum(axis=0)[None] / count.sum(), levels))
+    # Jackknife over blocks: fractions near one and near zero enter together.
+    parts = np.array([
+        _level_and_sd((below.sum(axis=0) - own)[None] / (count.sum() - some), levels)
+        for own, some in zip(below[used], count[used], strict=True)
+    ])
+    if not np.isfinite(parts).all():
+        return []
+    both = np.cov(parts.T) * (len(parts) - 1) ** 2 / len(parts)
+    sheet = values_of_description(darks.sensor)
+    light, hidden = float(_background(sheet, darks)[0]), float(_hidden_light(sheet, darks)[0])
+    unsure_dn = np.hypot(WING_SD, 0.3 * np.sqrt(max(hidden - WING, 0.0))) * light
+    turn = np.array([1.0, 2.0 * best[1]])
+    value = np.array([best[0], best[1] ** 2])
+    model = np.diag([unsure_dn**2, (QUIET_SD * value[1]) ** 2 + (0.5 * _hidden_variance(sheet, darks)[0]) ** 2])
+
+    def predict(values: Values) -> Array:
+        level = values[BLACK] + _hidden_light(values, darks) * _background(values, darks)
+        return np.stack(np.broadcast_arrays(level, quiet_variance(values, darks)), axis=1)
+
+    return [Observation(name="noise between pulses of darks", value=value, covariance=both * np.outer(turn, turn) + model,
+                        predict=predict, speaks_of=(BLACK, READ, EBI))]  # fmt: skip
+
+
+def rounding_slope(level_dn: float, noise_dn: float) -> float:
+    """Return the slope of the mean of rounded noise against its level, 1 of much noise, dimensionless.
+
+    1 + 2 sum_k (-1)^k exp(-2 (pi k s)^2) cos(2 pi k level), the derivative of the mean of the rounded value.
+    """
+    order = np.arange(1, 8)
+    wave = (-1.0) ** order * np.exp(-2.0 * (np.pi * order * noise_dn) ** 2)
+    return float(1.0 + 2.0 * np.sum(wave * np.cos(2.0 * np.pi * order * level_dn)))
+
+
+def _pattern(darks: Darks) -> list[Observation]:
+    """Observe the DSNU: the covariance of the quiet pixels' means in the two halves of the frames."""
+    half, quiet = len(darks.data) // 2, darks.quiet
+    counts = [quiet[:half].sum(axis=0), quiet[half:].sum(axis=0)]
+    good = np.minimum(*counts) >= max(half // 2, 1)
+    slope, sd = _slope_with_error(darks)
+    if good.mean() < LEAST_QUIET or slope < LEAST_SLOPE:
+        return []
+    away = np.where(quiet, darks.data - darks.level_dn, 0.0)
+    means = [part.sum(axis=0) / np.maximum(count, 1) for part, count in zip((away[:half], away[half:]), counts, strict=True)]
+    number = np.maximum(block_sums(good), 1.0)
+    centre = [block_sums(np.where(good, mean, 0.0)) / number for mean in means]
+    product = block_sums(np.where(good, means[0] * means[1], 0.0)) / number - centre[0] * centre[1]
+    product = product[number > 0.1 * good.size / number.size]
+    if product.size < BLOCKS[0]:
+        return []
+    value, scatter = float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
+
+    def predict(values: Values) -> Array:
+        pattern = values[CONVERSION] * values[DSNU] * _warmth(values, darks)
+        return pattern**2 * filter_covariance(values, 1)[:, 0]
+
+    error = float(np.hypot(scatter / slope**2, 2.0 * sd / slope * value / slope**2))
+    return [one("DSNU", value / slope**2, error, predict, (DSNU,))]
+
+
+def _slope_with_error(darks: Darks) -> tuple[float, float]:
+    """Return the slope of rounding at the level of the darks, and its error by those of level and noise."""
+    if darks.noise_dn > COARSE_DN:
+        return 1.0, 0.0
+    slope = rounding_slope(darks.level_dn, darks.noise_dn)
+    moved = rounding_slope(darks.level_dn + 0.04, darks.noise_dn), rounding_slope(darks.level_dn, 1.03 * darks.noise_dn)
+    return slope, float(np.hypot(*(one - slope for one in moved)))
+
+
+def _events(darks: Darks) -> list[Observation]:
+    """Observe the background illumination by the covariance of neighbours, and of fine digitisers by its mean."""
+    apart = ((0, 1), (1, 1)) if darks.sensor.video.low_pass is not None else ((1, 0), (0, 1), (1, 1))
+    value, sd = _neighbour_covariance(darks, apart)
+    correction = _rounding_of_pulses(darks) if darks.noise_dn < COARSE_DN else 1.0
+    sd = float(np.hypot.reduce([sd, ROUNDING_SD * abs(correction - 1.0) * value, COVARIANCE_SD * value])) / correction
+    value /= correction
+    places = tuple((float(columns), float(rows)) for columns, rows in apart)
+
+    def predict(values: Values) -> Array:
+        shape = values["microchannel_plate.pulse_height_shape"]
+        event = _gain(values, darks) * predicted.excess_noise_factor(values)
+        limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
+        singles = _moment_below(shape, 1.0, limit, 2) / (1.0 + 1.0 / shape)
+        ions = _ion_moment_below(values, darks, limit, 2) / (1.0 + 1.0 / shape)
+        products = field_products(values, darks.level.gate_s, darks.fields)[:, :: darks.step]
+        spread = pulse_covariance(values, places).sum(axis=1) * (products @ _without_mean(len(darks.data)))
+        return event * _background(values, darks) * (singles + ions) * spread
+
+    found = [one("dark events", value, sd, predict, (EBI, *IONS))] if value > 3.0 * sd else []
+    if darks.noise_dn > COARSE_DN:
+        found += _mean_of_events(darks)
+    return found
+
+
+def _without_mean(count: int) -> Array:
+    """Return the weights of the covariances at each lag in the variance about the mean of so many frames, shape (count,)."""
+    lag = np.arange(count)
+    total = np.where(lag == 0, count, 2.0 * (count - lag)) / count**2
+    return ((lag == 0) - total) * count / (count - 1.0)
+
+
+def _ion_moment_below(values: Values, darks: Darks, limit: Array, order: int) -> Array:
+    """Return the moment of ion events below a charge, in mean pulses and for each detected photoelectron."""
+    number, size = IONS
+    shape = values["microchannel_plate.pulse_height_shape"]
+    per_cm2 = predicted.background_rate(values) * values["microchannel_plate.detection_probability"]
+    ratio = values[number] / (per_cm2 / _field_pixel_cm2(values))
+    # The sum of a Poisson number m of pulses, as the gamma law of its mean m and variance m (1 + 1/shape).
+    return ratio * _moment_below(values[size] / (1.0 + 1.0 / shape), values[size], limit, order)
+
+
+def _field_pixel_cm2(values: Values) -> Array:
+    pitch = values["ccd.pitch_x_um"] * predicted.rows_per_pixel(values) * values["ccd.pitch_y_um"] * 1e-8
+    return pitch * values["taper.demagnification"] ** 2
+
+
+def _neighbour_covariance(darks: Darks, apart: tuple[tuple[int, int], ...]) -> tuple[float, float]:
+    """Return the sum of the covariances of neighbours in time, and its standard error by the scatter over blocks."""
+    good = ~darks.reached
+    count, rows, columns = darks.data.shape
+    x = np.empty_like(darks.data)
+    for parity in range(darks.step):
+        field = darks.data[:, parity :: darks.step]
+        x[:, parity :: darks.step] = field - field[:, good[parity :: darks.step]].mean(axis=1)[:, None, None]
+    x = (x - x.mean(axis=0)) * good
+    total, number = np.zeros(BLOCKS[0] * BLOCKS[1]), np.zeros(BLOCKS[0] * BLOCKS[1])
+    for right, down in apart:
+        down *= darks.step
+        near, far = x[:, : rows - down, : columns - right], x[:, down:, right:]
+        total += block_sums(np.einsum("frc,frc->rc", near, far) / (count - 1.0))
+        number += block_sums(good[: rows - down, : columns - right] & good[down:, right:])
+    used = number > 0.1 * number.max()
+    each = total[used] / number[used] * len(apart)
+    mean = float(total[used].sum() / number[used].sum() * len(apart))
+    return mean, float(each.std(ddof=1) / np.sqrt(each.size))
+
+
+def _rounding_of_pulses(darks: Darks) -> float:
+    """Return what rounding leaves of the covariance of neighbouring rows, as a factor.
+
+    The mean of a rounded pixel with the light a of a pulse is m(a) = a + sum_k (-1)^k/(pi k) exp(-2 (pi k s)^2)
+    sin(2 pi k (level + a)). Pulses are taken as Gaussians of the described blur, of exponential heights.
+    """
+    values = values_of_description(darks.sensor)
+    blur = pulse_covariance(values, ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))[0]
+    wide, high = (1.0 / np.sqrt(4.0 * np.log(blur[0] / near)) for near in blur[1:])
+    height = darks.event_dn / (1.0 + 1.0 / float(values["microchannel_plate.pulse_height_shape"][0]))
+    shares = np.diff(np.sqrt(field_products(values, darks.level.gate_s, 4)[0]), prepend=0.0)
+    shares = np.sqrt(field_products(values, darks.level.gate_s, 1)[0, 0]) * np.array([1.0, 0.3, 0.2])
+    node, weight = np.polynomial.laguerre.laggauss(16)
+    light = (shares[:, None] * node * height).ravel()[:, None, None]
+    x, y = np.arange(0.0, 4.0 * wide, 0.25)[None, :], np.arange(-4.0 * high, 4.0 * high + 1.0, 0.2)[:, None]
+    spot = np.exp(-0.5 * ((x / wide) ** 2 + (y / high) ** 2)) / (2.0 * np.pi * wide * high)
+    below = np.exp(-0.5 * ((x / wide) ** 2 + ((y - 1.0) / high) ** 2)) / (2.0 * np.pi * wide * high)
+    whole = np.tile(weight, shares.size) @ np.sum(light * spot * light * below, axis=(1, 2))
+    seen = np.tile(weight, shares.size) @ np.sum(
+        _rounded_change(light * spot, darks) * _rounded_change(light * below, darks), axis=(1, 2)
+    )
+    return float(seen / whole)
+
+
+def _rounded_change(light_dn: Array, darks: Darks) -> Array:
+    """Return the change of a rounded pixel's mean by light, DN."""
+    change = light_dn.copy()
+    for order in (1, 2, 3):
+        wave = (-1.0) ** order / (np.pi * order) * np.exp(-2.0 * (np.pi * order * darks.noise_dn) ** 2)
+        phase = 2.0 * np.pi * order * darks.level_dn
+        change += wave * (np.sin(phase + 2.0 * np.pi * order * light_dn) - np.sin(phase))
+    return change
+
+
+def _mean_of_events(darks: Darks) -> list[Observation]:
+    """Observe the mean of all pixels that no ion reaches above the level between pulses."""
+    good = ~darks.reached
+    mean = darks.data.mean(axis=0, dtype=np.float64) - darks.level_dn
+    number = block_sums(good)
+    used = number > 0.1 * number.max()
+    each = block_sums(mean * good)[used] / number[used]
+    value = float(block_sums(mean * good).sum() / number.sum())
+    sd = float(np.hypot(each.std(ddof=1) / np.sqrt(each.size), WING_SD * value))
+
+    def predict(values: Values) -> Array:
+        shape = values["microchannel_plate.pulse_height_shape"]
+        limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
+        small = _moment_below(shape, 1.0, limit, 1) + _ion_moment_below(values, darks, limit, 1)
+        return _background(values, darks) * (small - _hidden_light(values, darks))
+
+    return [one("mean of dark events", value, sd, predict, (EBI, BLACK, *IONS))] if value > 3.0 * sd else []
+
+
+def _ions(darks: Darks) -> list[Observation]:
+    """Observe the number of ion events, whose root has the variance 1/4, and the mean charge of unclipped ones."""
+    charges = np.array(darks.ion_charge_dn)
+    fields, pixels = darks.fields, darks.reached.size / darks.step
+
+    def expected(values: Values) -> Array:
+        open_s = darks.level.gate_s
+        return _ion_tail(values, darks, 0) * values[IONS[0]] * _field_pixel_cm2(values) * open_s * fields * pixels
+
+    number = one(
+        "number of ion events", float(np.sqrt(charges.size + 0.375)), 0.5,
+        lambda values: np.sqrt(expected(values) + 0.375), IONS,
+    )  # fmt: skip
+    clipped = np.mean(darks.data >= 2**darks.sensor.video.bit_depth - 1) > 0.0
+    if charges.size < 4 or clipped:
+        return [number]
+    value = float(charges.mean())
+    sd = float(np.hypot(charges.std(ddof=1) / np.sqrt(charges.size), ION_CHARGE_SD * value))
+    return [number, one("charge of ion events", value, sd, lambda values: _ion_charge(values, darks), IONS)]
+
+
+def _ion_charge(values: Values, darks: Darks) -> Array:
+    height = _gain(values, darks) / values["microchannel_plate.detection_probability"]
+    return height * _ion_tail(values, darks, 1) / np.maximum(_ion_tail(values, darks, 0), 1e-12)
+
+
+def _ion_tail(values: Values, darks: Darks, order: int) -> Array:
+    """Return the moment of an ion event's charge, mean pulses, above the least that is counted, shape (n,)."""
+    shape, size = values["microchannel_plate.pulse_height_shape"], values[IONS[1]]
+    limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
+    law = size / (1.0 + 1.0 / shape)
+    whole = _moment_below(law, size, np.full_like(limit, np.inf), order)
+    return whole - _moment_below(law, size, limit, order)
+
+
+Predict = Callable[[Values], Array]
