@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fit import predicted_quantities as predicted
-from charact.fit.observation import Observation, admissible_measurements, one
+from charact.fit.observation import Observation, one
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
@@ -30,11 +30,13 @@ Mask = NDArray[np.bool_]
 PULSE_SD, PULSE_DN, PULSE_REACH = 4.5, 1.5, (7, 9)
 # Fewest values below a grey value, and largest fraction, that locate the noise; half of a fine digitiser's.
 LEAST_COUNT, MOST_BELOW, FINE_BELOW = 50, 0.9, 0.5
-FINE_CODES = 60
+# Largest fraction of one grey value of a fine digitiser.
+FINE_FRACTION = 0.05
 # Fewest quiet values, as a fraction, and fewest frames.
 LEAST_QUIET, LEAST_FRAMES = 0.05, 4
-# Whole charge of an ion event over k F^2: one of 1e5 single pulses is as large.
-ION_CHARGE = 6.0
+# Whole charge of an ion event over k F^2, and of each pixel of its window, DN: no single pulse is as large, and no
+# noise that rounding doubles along a line.
+ION_CHARGE, ION_PIXEL_DN = 8.0, 1.5
 # Window, field rows and columns, in which the charge of a pulse is summed, and the fraction of it that it contains.
 WINDOW, WINDOW_FRACTION = (3, 5), 0.8
 # Least charge of an ion event over the noise of the window, and the area that its light reaches, rows and columns.
@@ -84,11 +86,12 @@ class Darks:
 def dark_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> list[Observation]:
     """Return the observations of the dark with most frames, one of each that its frames can show."""
     stacks = [level for level in levels if level.dark and level.entry is not None]
-    gains = admissible_measurements(result, "covariance_gain", "DN")
-    if not stacks or not gains or not gains[0].value:
+    # A scale of the charge of pulses, for which any estimate will do.
+    gains = [m.value for m in result.find("covariance_gain") if m.value]
+    if not stacks or not gains:
         return []
     level = max(stacks, key=lambda level: len(level.entry.read()) if level.entry else 0)
-    darks = darks_of(level, sensor, gains[0].value)
+    darks = darks_of(level, sensor, gains[0])
     if darks is None:
         return []
     found = [*_quiet(darks), *_pattern(darks)]
@@ -111,7 +114,7 @@ def darks_of(level: StackMean, sensor: Sensor, event_dn: float) -> Darks | None:
     quiet = maximum_filter(pulse, size=(1, *PULSE_REACH)) == 0
     noise = quiet_noise(data[quiet]) if quiet.mean() > LEAST_QUIET else None
     noise = noise or first
-    reached, charges, least = _find_ions(data, level, sensor, event_dn, noise)
+    reached, charges, least = _find_ions(data, level, sensor, event_dn)
     return Darks(data=data, level=level, sensor=sensor, level_dn=noise[0], noise_dn=noise[1], quiet=quiet,
                  event_dn=event_dn, reached=reached, ion_charge_dn=charges, least_ion_dn=least)  # fmt: skip
 
@@ -120,7 +123,7 @@ def thresholds_of(values: NDArray[np.floating]) -> tuple[float, float] | None:
     """Return two levels between grey values that locate the lower side and the middle of the noise, DN."""
     codes, counts = np.unique(values, return_counts=True)
     below = np.cumsum(counts)
-    fine = len(codes) > FINE_CODES
+    fine = counts.max() < FINE_FRACTION * values.size
     least = max(LEAST_COUNT, 0.05 * values.size if fine else 0.0)
     most = (FINE_BELOW if fine else MOST_BELOW) * values.size
     low, high = np.searchsorted(below, least), np.searchsorted(below, most, side="right") - 1
@@ -153,7 +156,7 @@ def _field_light(darks_values: Values, gate_s: float) -> float:
 
 
 def _find_ions(
-    data: NDArray[np.float32], level: StackMean, sensor: Sensor, event_dn: float, noise: tuple[float, float]
+    data: NDArray[np.float32], level: StackMean, sensor: Sensor, event_dn: float
 ) -> tuple[Mask, tuple[float, ...], float]:
     """Return the pixels that ion events reach, each event's whole charge and the least charge of one, DN."""
     from scipy.ndimage import label, maximum, maximum_filter, uniform_filter
@@ -165,7 +168,8 @@ def _find_ions(
     charge *= WINDOW[0] * WINDOW[1]
     share = WINDOW_FRACTION * _field_light(values_of_description(sensor), level.gate_s)
     low, middle = np.quantile(charge[0], (0.16, 0.5))
-    least = max(ION_CHARGE * event_dn, ION_SD * float(middle - low) / share)
+    noise_dn = max(ION_SD * float(middle - low), ION_PIXEL_DN * WINDOW[0] * WINDOW[1])
+    least = max(ION_CHARGE * event_dn, noise_dn / share)
     seed = charge > least * share
     # An event is seen in both fields and in later frames: what touches is one event.
     parts, count = label(maximum_filter(seed, size=(1, 5, 5)), structure=np.ones((3, 3, 3)))
