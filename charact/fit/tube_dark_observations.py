@@ -191,8 +191,10 @@ def _background(values: Values, darks: Darks) -> Array:
 def _unseen(values: Values, darks: Darks) -> Array:
     """Return the heights, in mean detected pulses, below which a pulse is hidden by the noise, shape (n,)."""
     height = _gain(values, darks) / values["microchannel_plate.detection_probability"]
-    peak = 2.0 * pulse_covariance(values, ((0.0, 0.0),))[:, 0] * np.sqrt(
-        field_products(values, darks.level.gate_s, 1)[:, 0]
+    peak = (
+        2.0
+        * pulse_covariance(values, ((0.0, 0.0),))[:, 0]
+        * np.sqrt(field_products(values, darks.level.gate_s, 1)[:, 0])
     )
     return max(PULSE_DN, PULSE_SD * darks.noise_dn) / (height * peak)
 
@@ -246,16 +248,16 @@ def _quiet(darks: Darks) -> list[Observation]:
     if levels is None:
         return []
     count = block_sums(darks.quiet.sum(axis=0))
-    below = np.stack(
-        [block_sums(((darks.data < level) & darks.quiet).sum(axis=0)) for level in levels], axis=1
-    )
+    below = np.stack([block_sums(((darks.data < level) & darks.quiet).sum(axis=0)) for level in levels], axis=1)
     used = count > 0
     best = np.array(_level_and_sd(below.sum(axis=0)[None] / count.sum(), levels))
     # Jackknife over blocks: fractions near one and near zero enter together.
-    parts = np.array([
-        _level_and_sd((below.sum(axis=0) - own)[None] / (count.sum() - some), levels)
-        for own, some in zip(below[used], count[used], strict=True)
-    ])
+    parts = np.array(
+        [
+            _level_and_sd((below.sum(axis=0) - own)[None] / (count.sum() - some), levels)
+            for own, some in zip(below[used], count[used], strict=True)
+        ]
+    )
     if not np.isfinite(parts).all():
         return []
     both = np.cov(parts.T) * (len(parts) - 1) ** 2 / len(parts)
@@ -293,7 +295,9 @@ def _pattern(darks: Darks) -> list[Observation]:
     if good.mean() < LEAST_QUIET or slope < LEAST_SLOPE:
         return []
     away = np.where(quiet, darks.data - darks.level_dn, 0.0)
-    means = [part.sum(axis=0) / np.maximum(count, 1) for part, count in zip((away[:half], away[half:]), counts, strict=True)]
+    means = [
+        part.sum(axis=0) / np.maximum(count, 1) for part, count in zip((away[:half], away[half:]), counts, strict=True)
+    ]
     number = np.maximum(block_sums(good), 1.0)
     centre = [block_sums(np.where(good, mean, 0.0)) / number for mean in means]
     product = block_sums(np.where(good, means[0] * means[1], 0.0)) / number - centre[0] * centre[1]

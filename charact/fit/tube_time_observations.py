@@ -1,6 +1,8 @@
 """Observations of image lag and line noise of a camera with a tube, from the successive frames of its flats."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +51,11 @@ class Fields:
         """Fields that a frame is woven of."""
         return 2 if self.interlaced else 1
 
+    @property
+    def setting(self) -> tuple[int, float, float]:
+        """Number of frames, gate and MCP voltage."""
+        return len(self.deviation), self.gate_s, self.mcp_v
+
 
 def frames_of(level: StackMean, sensor: Sensor) -> NDArray[np.float32] | None:
     """Return the middle of a stack's successive frames, DN, or None of too few, or of frames that were lost."""
@@ -88,10 +95,9 @@ def time_observations(sensor: Sensor, levels: tuple[StackMean, ...]) -> list[Obs
     found: list[Observation] = []
     if LINE_NOISE in sensor.parameters():
         found += _line_noise(sensor, [level for level in levels if level.noise_dn > LEAST_NOISE_DN], black_dn)
-    for level in noisy[:MOST_FLATS]:
-        fields = fields_of(level, sensor, black_dn)
-        if fields is not None:
-            found.append(_lag(fields, sensor))
+    flats = [fields for level in noisy[:MOST_FLATS] if (fields := fields_of(level, sensor, black_dn)) is not None]
+    alike = [one for one in flats if one.setting == flats[0].setting]
+    found += [_lag(alike, sensor)] if alike else []
     return [observed for observed in found if depends_on(observed, sensor, DECAY + (LINE_NOISE,))]
 
 
@@ -107,12 +113,16 @@ def depends_on(observed: Observation, sensor: Sensor, paths: tuple[str, ...]) ->
     return max(shifted, default=0.0) > 1.0
 
 
-def _lag(fields: Fields, sensor: Sensor) -> Observation:
-    value, covariance = measured_correlations(fields)
+def _lag(flats: list[Fields], sensor: Sensor) -> Observation:
+    """Observe the mean correlations of flats of one setting: they hardly depend on the signal."""
+    measured = [measured_correlations(fields) for fields in flats]
+    value = np.mean([one for one, _ in measured], axis=0)
+    covariance = np.sum([one for _, one in measured], axis=0) / len(flats) ** 2
+    middle = replace(flats[0], signal_dn=float(np.mean([fields.signal_dn for fields in flats])))
     reference_v = float(sensor.microchannel_plate.reference_v)
 
     def predict(values: Values) -> Array:
-        return predicted_correlations(values, fields, reference_v)
+        return predicted_correlations(values, middle, reference_v)
 
     return Observation(
         name="image lag", value=value, covariance=covariance + CORRELATION_MODEL_SD**2 * np.eye(value.size),
@@ -190,6 +200,7 @@ def _projection(count: int) -> Array:
     return np.eye(count) - 1.0 / count
 
 
+@lru_cache(maxsize=16)
 def _diagonal_means(count: int, lags: tuple[int, ...]) -> Array:
     """Return the means of diagonals of P C P for unit covariances at each lag, shape (lag, count)."""
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
@@ -201,6 +212,7 @@ def _diagonal_means(count: int, lags: tuple[int, ...]) -> Array:
     return np.array(columns).T
 
 
+@lru_cache(maxsize=16)
 def _next_field_means(count: int) -> Array:
     """Return the mean over neighbours in time of P C P for unit covariances of fields 1, 3, 5, ... apart, (count,)."""
     early, late = 2 * np.arange(count), 2 * np.arange(count) + 1
@@ -265,8 +277,7 @@ def filter_covariance(values: Values, count: int) -> Array:
     """Return the covariances of filtered white noise of variance 1 at 0 ... count - 1 columns, shape (n, count)."""
     if "video.bandwidth_mhz" not in values:
         return np.eye(1, count)
-    clock_mhz, order = float(values["video.pixel_clock_mhz"][0]), int(values["video.filter_order"][0])
-    weights = predicted.video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
+    weights = _weights(values)
     length = weights.shape[1]
     return np.stack([np.sum(weights[:, : length - lag] * weights[:, lag:], axis=1) for lag in range(count)], axis=1)
 
@@ -274,7 +285,7 @@ def filter_covariance(values: Values, count: int) -> Array:
 def _nodes() -> tuple[Array, Array, Array, Array]:
     """Return nodes and weights of a quadrant of the frequency plane, cycles per field pixel, across and along."""
     out = []
-    for edges, counts in (((0.0, 0.2, 0.8, 2.5), (5, 7, 12)), ((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))):
+    for edges, counts in (((0.0, 0.2, 0.8, 2.0), (3, 4, 5)), ((0.0, 0.2, 1.0, 3.0), (3, 5, 7))):
         points, weights = [], []
         for low, high, count in zip(edges[:-1], edges[1:], counts, strict=True):
             node, weight = np.polynomial.legendre.leggauss(count)
@@ -293,7 +304,7 @@ def pulse_covariance(values: Values, apart: tuple[tuple[float, float], ...]) -> 
     The integral of |H|^2 cos(2 pi f x) over the plane of frequencies in cycles per field pixel, H the transfer of all
     stages after the gain; at no distance it is the blur factor.
     """
-    power = pulse_power(values)
+    power = (_analog_power if "video.bandwidth_mhz" in values else _tube_power)(values)
     out = []
     for columns, rows in apart:
         down = np.cos(2.0 * np.pi * _ALONG * rows) * _ALONG_WEIGHT
@@ -302,27 +313,52 @@ def pulse_covariance(values: Values, apart: tuple[tuple[float, float], ...]) -> 
     return np.stack(out, axis=1)
 
 
-def pulse_power(values: Values) -> Array:
+class _LastCall:
+    """A function of values that keeps its last result: several observations ask it about the same draws."""
+
+    def __init__(self, function: Callable[[Values], Array], paths: tuple[str, ...]) -> None:
+        self._function, self._paths = function, paths
+        self._known: tuple[Array, ...] = ()
+        self._result: Array | None = None
+
+    def __call__(self, values: Values) -> Array:
+        """Return the function of the values, computed anew if any array is another one than before."""
+        needed = tuple(values[path] for path in self._paths)
+        same = len(needed) == len(self._known) and all(a is b for a, b in zip(needed, self._known, strict=True))
+        if self._result is None or not same:
+            self._known, self._result = needed, self._function(values)
+        return self._result
+
+
+_POWER = (
+    "ccd.pitch_x_um", "ccd.pitch_y_um", "taper.demagnification", "tube.mtf_frequency_lp_per_mm", "tube.mtf_exponent",
+    "tube.post_gain_share", "taper.fibre_pitch_um", "taper.interface_mtf_lp_per_mm",
+)  # fmt: skip
+
+
+def _power_of(values: Values) -> Array:
     """Return |H|^2 of the stages after the gain at the nodes, shape (n, along, across)."""
-    pitch_x_mm, pitch_y_mm = (values[f"ccd.pitch_{axis}_um"] * 1e-3 for axis in ("x", "y"))
-    rows = predicted.rows_per_pixel(values)
-    detector = np.hypot(
-        _ACROSS / pitch_x_mm[:, None, None], _ALONG[:, None] / (rows * pitch_y_mm)[:, None, None]
+    pitch_x_mm, pitch_y_mm, large, cut_off, exponent, share, fibre_um, interface = (
+        values[path][:, None, None] * (1e-3 if path.startswith("ccd.") else 1.0) for path in _POWER
     )
-    cathode = detector / values["taper.demagnification"][:, None, None]
-    path = {name: values[name][:, None, None] for name in (
-        "tube.mtf_frequency_lp_per_mm", "tube.mtf_exponent", "tube.post_gain_share", "taper.fibre_pitch_um",
-        "taper.interface_mtf_lp_per_mm")}  # fmt: skip
-    after = predicted.tube_transfer(
-        cathode, path["tube.mtf_frequency_lp_per_mm"], path["tube.mtf_exponent"], path["tube.post_gain_share"]
-    ) * predicted.fibre_transfer(detector, path["taper.fibre_pitch_um"], path["taper.interface_mtf_lp_per_mm"])
+    detector = np.hypot(_ACROSS / pitch_x_mm, _ALONG[:, None] / (predicted.rows_per_pixel(values) * pitch_y_mm))
+    after = predicted.tube_transfer(detector / large, cut_off, exponent, share)
+    after = after * predicted.fibre_transfer(detector, fibre_um, interface)
     aperture = predicted.aperture_transfer(_ALONG)[:, None] * predicted.aperture_transfer(_ACROSS)
     video = np.ones((1, _ACROSS.size))
     if "video.bandwidth_mhz" in values:
-        clock_mhz, order = float(values["video.pixel_clock_mhz"][0]), int(values["video.filter_order"][0])
-        weights = predicted.video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
-        video = predicted.video_filter_transfer(weights, _ACROSS)
+        video = predicted.video_filter_transfer(_weights(values), _ACROSS)
     return (after * aperture * video[:, None, :]) ** 2
+
+
+def _video_weights(values: Values) -> Array:
+    clock_mhz, order = float(values["video.pixel_clock_mhz"][0]), int(values["video.filter_order"][0])
+    return predicted.video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
+
+
+_tube_power = _LastCall(_power_of, _POWER)
+_analog_power = _LastCall(_power_of, (*_POWER, "video.bandwidth_mhz"))
+_weights = _LastCall(_video_weights, ("video.bandwidth_mhz",))
 
 
 def _line_noise(sensor: Sensor, levels: list[StackMean], black_dn: float) -> list[Observation]:
@@ -345,7 +381,9 @@ def measured_line_variance(fields: Fields) -> tuple[float, float]:
     """
     x, step = fields.deviation, fields.fields_per_frame
     count, rows, columns = x.shape
-    parts = x[:, :, : columns - columns % LINE_PARTS].reshape(count, rows, LINE_PARTS, -1).mean(axis=3, dtype=np.float64)
+    parts = (
+        x[:, :, : columns - columns % LINE_PARTS].reshape(count, rows, LINE_PARTS, -1).mean(axis=3, dtype=np.float64)
+    )
     line = parts[:, step:] - parts[:, :-step]
     apart = line.sum(axis=2) ** 2 - np.sum(line**2, axis=2) - 2.0 * np.sum(line[:, :, 1:] * line[:, :, :-1], axis=2)
     pairs = LINE_PARTS**2 - LINE_PARTS - 2 * (LINE_PARTS - 1)
@@ -354,4 +392,3 @@ def measured_line_variance(fields: Fields) -> tuple[float, float]:
     groups = np.array_split(each, max(rows // 25, 2), axis=1)
     means = np.concatenate([group.mean(axis=1) for group in groups])
     return float(each.mean()), float(means.var(ddof=1) / means.size)
-
