@@ -1,7 +1,7 @@
 """Observations of a tube's darks: noise and level between pulses, DSNU, background illumination and ion events."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,42 +11,29 @@ from charact.fit.observation import Observation, one
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
+from charact.fit.tube_darks import LEAST_QUIET, PULSE_DN, PULSE_SD, Darks, darks_of, level_and_sd, thresholds_of
 from charact.fit.tube_time_observations import (
     BLOCKS,
     LINE_NOISE,
     block_sums,
+    field_light,
     field_products,
     filter_covariance,
-    frames_of,
     pulse_covariance,
 )
 from labdata.measurement import Result
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
-# Pixels that stand out of the noise by so much are pulses, standard deviations and DN; so are their surroundings.
-PULSE_SD, PULSE_DN, PULSE_REACH = 4.5, 1.5, (7, 9)
-# Fewest values below a grey value, and largest fraction, that locate the noise; half of a fine digitiser's.
-LEAST_COUNT, MOST_BELOW, FINE_BELOW = 50, 0.9, 0.5
-# Largest fraction of one grey value of a fine digitiser.
-FINE_FRACTION = 0.05
-# Fewest quiet values, as a fraction, and fewest frames.
-LEAST_QUIET, LEAST_FRAMES = 0.05, 4
-# Whole charge of an ion event over k F^2, and of each pixel of its window, DN: no single pulse is as large, and no
-# noise that rounding doubles along a line.
-ION_CHARGE, ION_PIXEL_DN = 8.0, 1.5
-# Window, field rows and columns, in which the charge of a pulse is summed, and the fraction of it that it contains.
-WINDOW, WINDOW_FRACTION = (3, 5), 0.8
-# Least charge of an ion event over the noise of the window, and the area that its light reaches, rows and columns.
-ION_SD, ION_REACH = 7.0, (13, 13)
 # Largest fraction of the image that may be reached by ions.
 MOST_REACHED = 0.6
 # Mean light of a pulse outside its surroundings, and its error; relative.
 WING, WING_SD = 0.04, 0.02
 # Relative model errors: of the pulses' covariance, of what rounding does to it, of an ion's charge.
 COVARIANCE_SD, ROUNDING_SD, ION_CHARGE_SD = 0.03, 0.25, 0.15
+# Error of the level between pulses by pulses too weak to be seen, DN.
+LEVEL_SD_DN = 0.04
 # Variance of the noise between pulses: relative model error.
 QUIET_SD = 0.03
 # Standard deviation below which rounding is no noise of its own, DN; slope below which it hides a dark pattern.
@@ -55,32 +42,7 @@ COARSE_DN, LEAST_SLOPE = 0.6, 0.4
 EBI, READ, DSNU, BLACK = "photocathode.ebi_lm_per_cm2", "ccd.read_noise_e", "ccd.dsnu_e", "video.black_level_dn"
 IONS = ("microchannel_plate.ion_event_rate_per_s_cm2", "microchannel_plate.ion_event_size_pe")
 CONVERSION = "video.conversion_gain_dn_per_e"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Darks:
-    """Frames of a dark, what is quiet in them, and how its pulses are expected to look."""
-
-    data: NDArray[np.float32]  # shape (frame, row, col), DN
-    level: StackMean
-    sensor: Sensor
-    level_dn: float  # mean of the quiet pixels before rounding, DN
-    noise_dn: float  # their standard deviation before rounding, DN
-    quiet: Mask  # pixels without a pulse near by, shape (frame, row, col)
-    event_dn: float  # k F^2 as measured, DN
-    reached: Mask  # pixels that the light of an ion event may reach in any frame, shape (row, col)
-    ion_charge_dn: tuple[float, ...]  # whole charge of each ion event, DN
-    least_ion_dn: float  # whole charge from which an event counts as that of an ion, DN
-
-    @property
-    def step(self) -> int:
-        """Frame rows from one row of a field to the next."""
-        return 2 if self.sensor.video.interlaced else 1
-
-    @property
-    def fields(self) -> int:
-        """Number of fields in the frames."""
-        return len(self.data) * self.step
+SHAPE = "microchannel_plate.pulse_height_shape"
 
 
 def dark_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> list[Observation]:
@@ -98,84 +60,6 @@ def dark_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, .
     if darks.reached.mean() < MOST_REACHED:
         found += [*_events(darks), *_ions(darks)]
     return found
-
-
-def darks_of(level: StackMean, sensor: Sensor, event_dn: float) -> Darks | None:
-    """Return the frames of a dark and what is quiet in them, or None where its noise cannot be located."""
-    from scipy.ndimage import maximum_filter
-
-    data = frames_of(level, sensor)
-    if data is None or len(data) < LEAST_FRAMES:
-        return None
-    first = quiet_noise(data.ravel())
-    if first is None:
-        return None
-    pulse = data >= first[0] + max(PULSE_DN, PULSE_SD * first[1])
-    quiet = maximum_filter(pulse, size=(1, *PULSE_REACH)) == 0
-    noise = quiet_noise(data[quiet]) if quiet.mean() > LEAST_QUIET else None
-    noise = noise or first
-    reached, charges, least = _find_ions(data, level, sensor, event_dn)
-    return Darks(data=data, level=level, sensor=sensor, level_dn=noise[0], noise_dn=noise[1], quiet=quiet,
-                 event_dn=event_dn, reached=reached, ion_charge_dn=charges, least_ion_dn=least)  # fmt: skip
-
-
-def thresholds_of(values: NDArray[np.floating]) -> tuple[float, float] | None:
-    """Return two levels between grey values that locate the lower side and the middle of the noise, DN."""
-    codes, counts = np.unique(values, return_counts=True)
-    below = np.cumsum(counts)
-    fine = counts.max() < FINE_FRACTION * values.size
-    least = max(LEAST_COUNT, 0.05 * values.size if fine else 0.0)
-    most = (FINE_BELOW if fine else MOST_BELOW) * values.size
-    low, high = np.searchsorted(below, least), np.searchsorted(below, most, side="right") - 1
-    return (float(codes[low]) + 0.5, float(codes[high]) + 0.5) if high > low else None
-
-
-def quiet_noise(values: NDArray[np.floating]) -> tuple[float, float] | None:
-    """Return level and standard deviation before rounding of normal noise, from its lower side, DN.
-
-    The fraction below a level c between grey values is the normal distribution at (c - level)/sd, rounded or not.
-    Pulses only raise values. None of noise that reaches no second grey value.
-    """
-    levels = thresholds_of(values)
-    if levels is None:
-        return None
-    return _level_and_sd(np.array([[np.mean(values < level) for level in levels]]), levels)
-
-
-def _level_and_sd(below: Array, levels: tuple[float, float]) -> tuple[float, float]:
-    from scipy.special import ndtri
-
-    low, high = ndtri(below.mean(axis=0))
-    sd = (levels[1] - levels[0]) / (high - low)
-    return float(levels[0] - low * sd), float(sd)
-
-
-def _field_light(darks_values: Values, gate_s: float) -> float:
-    """Return the fraction of a pulse's light that its field shows, root mean square."""
-    return float(np.sqrt(field_products(darks_values, gate_s, 1)[0, 0]))
-
-
-def _find_ions(
-    data: NDArray[np.float32], level: StackMean, sensor: Sensor, event_dn: float
-) -> tuple[Mask, tuple[float, ...], float]:
-    """Return the pixels that ion events reach, each event's whole charge and the least charge of one, DN."""
-    from scipy.ndimage import label, maximum, maximum_filter, uniform_filter
-
-    step = 2 if sensor.video.interlaced else 1
-    charge = np.empty_like(data)
-    for parity in range(step):
-        charge[:, parity::step] = uniform_filter(data[:, parity::step], size=(0, *WINDOW)) - data.mean()
-    charge *= WINDOW[0] * WINDOW[1]
-    share = WINDOW_FRACTION * _field_light(values_of_description(sensor), level.gate_s)
-    low, middle = np.quantile(charge[0], (0.16, 0.5))
-    noise_dn = max(ION_SD * float(middle - low), ION_PIXEL_DN * WINDOW[0] * WINDOW[1])
-    least = max(ION_CHARGE * event_dn, noise_dn / share)
-    seed = charge > least * share
-    # An event is seen in both fields and in later frames: what touches is one event.
-    parts, count = label(maximum_filter(seed, size=(1, 5, 5)), structure=np.ones((3, 3, 3)))
-    largest = np.atleast_1d(maximum(charge, parts, np.arange(1, count + 1))) if count else np.empty(0)
-    reached = maximum_filter(seed.any(axis=0), size=ION_REACH)
-    return reached, tuple(float(one) / share for one in largest), least
 
 
 def _gain(values: Values, darks: Darks) -> Array:
@@ -229,7 +113,7 @@ def quiet_variance(values: Values, darks: Darks) -> Array:
 
 def _hidden_variance(values: Values, darks: Darks) -> Array:
     """Return the variance of the pulses that are hidden by the noise, shape (n,), DN^2."""
-    shape = values["microchannel_plate.pulse_height_shape"]
+    shape = values[SHAPE]
     hidden = _moment_below(shape, 1.0, _unseen(values, darks), 2) / (1.0 + 1.0 / shape)
     event = _gain(values, darks) * predicted.excess_noise_factor(values)
     blur = pulse_covariance(values, ((0.0, 0.0),))[:, 0]
@@ -238,7 +122,7 @@ def _hidden_variance(values: Values, darks: Darks) -> Array:
 
 def _hidden_light(values: Values, darks: Darks) -> Array:
     """Return the fraction of the background illumination that falls on quiet pixels, shape (n,)."""
-    shape = values["microchannel_plate.pulse_height_shape"]
+    shape = values[SHAPE]
     return np.minimum(_moment_below(shape, 1.0, _unseen(values, darks), 1) + WING, 1.0)
 
 
@@ -250,11 +134,11 @@ def _quiet(darks: Darks) -> list[Observation]:
     count = block_sums(darks.quiet.sum(axis=0))
     below = np.stack([block_sums(((darks.data < level) & darks.quiet).sum(axis=0)) for level in levels], axis=1)
     used = count > 0
-    best = np.array(_level_and_sd(below.sum(axis=0)[None] / count.sum(), levels))
+    best = np.array(level_and_sd(below.sum(axis=0) / count.sum(), levels))
     # Jackknife over blocks: fractions near one and near zero enter together.
     parts = np.array(
         [
-            _level_and_sd((below.sum(axis=0) - own)[None] / (count.sum() - some), levels)
+            level_and_sd((below.sum(axis=0) - own) / (count.sum() - some), levels)
             for own, some in zip(below[used], count[used], strict=True)
         ]
     )
@@ -272,8 +156,16 @@ def _quiet(darks: Darks) -> list[Observation]:
         level = values[BLACK] + _hidden_light(values, darks) * _background(values, darks)
         return np.stack(np.broadcast_arrays(level, quiet_variance(values, darks)), axis=1)
 
-    return [Observation(name="noise between pulses of darks", value=value, covariance=both * np.outer(turn, turn) + model,
-                        predict=predict, speaks_of=(BLACK, READ, EBI))]  # fmt: skip
+    covariance = both * np.outer(turn, turn) + model
+    return [
+        Observation(
+            name="noise between pulses",
+            value=value,
+            covariance=covariance,
+            predict=predict,
+            speaks_of=(BLACK, READ, EBI),
+        )
+    ]
 
 
 def rounding_slope(level_dn: float, noise_dn: float) -> float:
@@ -291,7 +183,7 @@ def _pattern(darks: Darks) -> list[Observation]:
     half, quiet = len(darks.data) // 2, darks.quiet
     counts = [quiet[:half].sum(axis=0), quiet[half:].sum(axis=0)]
     good = np.minimum(*counts) >= max(half // 2, 1)
-    slope, sd = _slope_with_error(darks)
+    slope, sd = with_error(rounding_slope, darks)
     if good.mean() < LEAST_QUIET or slope < LEAST_SLOPE:
         return []
     away = np.where(quiet, darks.data - darks.level_dn, 0.0)
@@ -314,26 +206,30 @@ def _pattern(darks: Darks) -> list[Observation]:
     return [one("DSNU", value / slope**2, error, predict, (DSNU,))]
 
 
-def _slope_with_error(darks: Darks) -> tuple[float, float]:
-    """Return the slope of rounding at the level of the darks, and its error by those of level and noise."""
+def with_error(effect: Callable[[float, float], float], darks: Darks) -> tuple[float, float]:
+    """Return an effect of rounding at the level and noise of the darks, and its error by those of both.
+
+    Noise well above a step is not changed by rounding.
+    """
     if darks.noise_dn > COARSE_DN:
         return 1.0, 0.0
-    slope = rounding_slope(darks.level_dn, darks.noise_dn)
-    moved = rounding_slope(darks.level_dn + 0.04, darks.noise_dn), rounding_slope(darks.level_dn, 1.03 * darks.noise_dn)
-    return slope, float(np.hypot(*(one - slope for one in moved)))
+    level, noise = darks.level_dn, darks.noise_dn
+    usual = effect(level, noise)
+    moved = effect(level - LEVEL_SD_DN, noise), effect(level, (1.0 - darks.noise_relative_sd) * noise)
+    return usual, float(np.hypot(moved[0] - usual, moved[1] - usual))
 
 
 def _events(darks: Darks) -> list[Observation]:
     """Observe the background illumination by the covariance of neighbours, and of fine digitisers by its mean."""
     apart = ((0, 1), (1, 1)) if darks.sensor.video.low_pass is not None else ((1, 0), (0, 1), (1, 1))
     value, sd = _neighbour_covariance(darks, apart)
-    correction = _rounding_of_pulses(darks) if darks.noise_dn < COARSE_DN else 1.0
-    sd = float(np.hypot.reduce([sd, ROUNDING_SD * abs(correction - 1.0) * value, COVARIANCE_SD * value])) / correction
-    value /= correction
+    kept, kept_sd = with_error(partial(rounded_covariance, darks), darks)
+    model = np.hypot.reduce([COVARIANCE_SD, ROUNDING_SD * (kept - 1.0) / kept, kept_sd / kept])
+    value, sd = value / kept, float(np.hypot(sd, model * value)) / kept
     places = tuple((float(columns), float(rows)) for columns, rows in apart)
 
     def predict(values: Values) -> Array:
-        shape = values["microchannel_plate.pulse_height_shape"]
+        shape = values[SHAPE]
         event = _gain(values, darks) * predicted.excess_noise_factor(values)
         limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
         singles = _moment_below(shape, 1.0, limit, 2) / (1.0 + 1.0 / shape)
@@ -349,7 +245,7 @@ def _events(darks: Darks) -> list[Observation]:
 
 
 def _without_mean(count: int) -> Array:
-    """Return the weights of the covariances at each lag in the variance about the mean of so many frames, shape (count,)."""
+    """Return the weights of the covariances at each lag in the variance about the mean of all frames, (count,)."""
     lag = np.arange(count)
     total = np.where(lag == 0, count, 2.0 * (count - lag)) / count**2
     return ((lag == 0) - total) * count / (count - 1.0)
@@ -358,7 +254,7 @@ def _without_mean(count: int) -> Array:
 def _ion_moment_below(values: Values, darks: Darks, limit: Array, order: int) -> Array:
     """Return the moment of ion events below a charge, in mean pulses and for each detected photoelectron."""
     number, size = IONS
-    shape = values["microchannel_plate.pulse_height_shape"]
+    shape = values[SHAPE]
     per_cm2 = predicted.background_rate(values) * values["microchannel_plate.detection_probability"]
     ratio = values[number] / (per_cm2 / _field_pixel_cm2(values))
     # The sum of a Poisson number m of pulses, as the gamma law of its mean m and variance m (1 + 1/shape).
@@ -391,38 +287,37 @@ def _neighbour_covariance(darks: Darks, apart: tuple[tuple[int, int], ...]) -> t
     return mean, float(each.std(ddof=1) / np.sqrt(each.size))
 
 
-def _rounding_of_pulses(darks: Darks) -> float:
-    """Return what rounding leaves of the covariance of neighbouring rows, as a factor.
+def rounded_covariance(darks: Darks, level_dn: float, noise_dn: float) -> float:
+    """Return what rounding leaves of the covariance of rows by pulses, as a factor.
 
     The mean of a rounded pixel with the light a of a pulse is m(a) = a + sum_k (-1)^k/(pi k) exp(-2 (pi k s)^2)
-    sin(2 pi k (level + a)). Pulses are taken as Gaussians of the described blur, of exponential heights.
+    sin(2 pi k (level + a)). Pulses are Gaussians of the described blur with exponential heights, and pulses apart.
     """
     values = values_of_description(darks.sensor)
     blur = pulse_covariance(values, ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))[0]
     wide, high = (1.0 / np.sqrt(4.0 * np.log(blur[0] / near)) for near in blur[1:])
-    height = darks.event_dn / (1.0 + 1.0 / float(values["microchannel_plate.pulse_height_shape"][0]))
-    shares = np.diff(np.sqrt(field_products(values, darks.level.gate_s, 4)[0]), prepend=0.0)
-    shares = np.sqrt(field_products(values, darks.level.gate_s, 1)[0, 0]) * np.array([1.0, 0.3, 0.2])
+    height = darks.event_dn / (1.0 + 1.0 / float(values[SHAPE][0]))
     node, weight = np.polynomial.laguerre.laggauss(16)
-    light = (shares[:, None] * node * height).ravel()[:, None, None]
-    x, y = np.arange(0.0, 4.0 * wide, 0.25)[None, :], np.arange(-4.0 * high, 4.0 * high + 1.0, 0.2)[:, None]
-    spot = np.exp(-0.5 * ((x / wide) ** 2 + (y / high) ** 2)) / (2.0 * np.pi * wide * high)
-    below = np.exp(-0.5 * ((x / wide) ** 2 + ((y - 1.0) / high) ** 2)) / (2.0 * np.pi * wide * high)
-    whole = np.tile(weight, shares.size) @ np.sum(light * spot * light * below, axis=(1, 2))
-    seen = np.tile(weight, shares.size) @ np.sum(
-        _rounded_change(light * spot, darks) * _rounded_change(light * below, darks), axis=(1, 2)
+    light = (field_light(values, darks.level.gate_s, 3)[0, :, None] * node * height).ravel()[:, None, None]
+    x, y = np.arange(-4.0 * wide, 4.0 * wide, 0.25), np.arange(-4.0 * high, 4.0 * high + 1.0, 0.2)[:, None]
+    spot, below = (
+        np.exp(-0.5 * ((x / wide) ** 2 + ((y - row) / high) ** 2)) / (2.0 * np.pi * wide * high) for row in (0.0, 1.0)
+    )
+
+    def change(light_dn: Array) -> Array:
+        total = light_dn.copy()
+        for order in (1, 2, 3):
+            wave = (-1.0) ** order / (np.pi * order) * np.exp(-2.0 * (np.pi * order * noise_dn) ** 2)
+            phase = 2.0 * np.pi * order * level_dn
+            total += wave * (np.sin(phase + 2.0 * np.pi * order * light_dn) - np.sin(phase))
+        return total
+
+    weights = np.tile(weight, 3)
+    seen, whole = (
+        weights @ np.sum(of(light * spot) * of(light * below), axis=(1, 2))
+        for of in (change, lambda light_dn: light_dn)
     )
     return float(seen / whole)
-
-
-def _rounded_change(light_dn: Array, darks: Darks) -> Array:
-    """Return the change of a rounded pixel's mean by light, DN."""
-    change = light_dn.copy()
-    for order in (1, 2, 3):
-        wave = (-1.0) ** order / (np.pi * order) * np.exp(-2.0 * (np.pi * order * darks.noise_dn) ** 2)
-        phase = 2.0 * np.pi * order * darks.level_dn
-        change += wave * (np.sin(phase + 2.0 * np.pi * order * light_dn) - np.sin(phase))
-    return change
 
 
 def _mean_of_events(darks: Darks) -> list[Observation]:
@@ -436,7 +331,7 @@ def _mean_of_events(darks: Darks) -> list[Observation]:
     sd = float(np.hypot(each.std(ddof=1) / np.sqrt(each.size), WING_SD * value))
 
     def predict(values: Values) -> Array:
-        shape = values["microchannel_plate.pulse_height_shape"]
+        shape = values[SHAPE]
         limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
         small = _moment_below(shape, 1.0, limit, 1) + _ion_moment_below(values, darks, limit, 1)
         return _background(values, darks) * (small - _hidden_light(values, darks))
@@ -472,11 +367,8 @@ def _ion_charge(values: Values, darks: Darks) -> Array:
 
 def _ion_tail(values: Values, darks: Darks, order: int) -> Array:
     """Return the moment of an ion event's charge, mean pulses, above the least that is counted, shape (n,)."""
-    shape, size = values["microchannel_plate.pulse_height_shape"], values[IONS[1]]
+    shape, size = values[SHAPE], values[IONS[1]]
     limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
     law = size / (1.0 + 1.0 / shape)
     whole = _moment_below(law, size, np.full_like(limit, np.inf), order)
     return whole - _moment_below(law, size, limit, order)
-
-
-Predict = Callable[[Values], Array]

@@ -98,7 +98,7 @@ def time_observations(sensor: Sensor, levels: tuple[StackMean, ...]) -> list[Obs
     flats = [fields for level in noisy[:MOST_FLATS] if (fields := fields_of(level, sensor, black_dn)) is not None]
     alike = [one for one in flats if one.setting == flats[0].setting]
     found += [_lag(alike, sensor)] if alike else []
-    return [observed for observed in found if depends_on(observed, sensor, DECAY + (LINE_NOISE,))]
+    return [observed for observed in found if depends_on(observed, sensor, (*DECAY, LINE_NOISE))]
 
 
 def depends_on(observed: Observation, sensor: Sensor, paths: tuple[str, ...]) -> bool:
@@ -175,8 +175,8 @@ def _blocks(image: NDArray[np.floating]) -> Array:
 def predicted_correlations(values: Values, fields: Fields, reference_v: float) -> Array:
     """Return the correlations that `measured_correlations` measures, shape (n, k), dimensionless.
 
-    Pulses of the signal s have, j fields apart, the covariance s k F^2 B c_j with the blur factor B and the products c_j
-    of `field_products`; what the detector adds, s K sum w^2 and the noise of the dark, is of one field alone. The
+    Pulses of the signal s have, j fields apart, the covariance s k F^2 B c_j with the blur factor B and the products
+    c_j of `field_products`; what the detector adds, s K sum w^2 and the noise of the dark, is of one field alone. The
     deviations from the means of n frames have the covariance P C P, P = 1 - 1/n.
     """
     count, step = len(fields.deviation), fields.fields_per_frame
@@ -232,21 +232,12 @@ def field_products(values: Values, gate_s: float, fields: int) -> Array:
 
     Notes
     -----
-    Of two components with the fractions a of the light and the times tau, a pulse u before the end of its field T leaves
-    E = exp(-u/tau) of a to later fields, of which the i-th shows (1 - q) q^(i-1), q = exp(-T/tau): l_0 = 1 - sum a E.
-    Arrivals are even over the gate g at the start of the field, so that the mean of E is
-    (tau/g) (exp(-(T - g)/tau) - exp(-T/tau)), and that of E E' the same with 1/tau + 1/tau'.
+    Of two components with the fractions a of the light and the times tau, a pulse u before the end of its field T
+    leaves E = exp(-u/tau) of a to later fields, of which the i-th shows (1 - q) q^(i-1), q = exp(-T/tau): l_0 = 1 -
+    sum a E. Arrivals are even over the gate g at the start of the field, so that the mean of E is (tau/g) (exp(-(T -
+    g)/tau) - exp(-T/tau)), and that of E E' the same with 1/tau + 1/tau'.
     """
-    field_s = 1.0 / values["video.field_rate_hz"][:, None]
-    fast = np.minimum(values["phosphor.fast_fraction"], 1.0)
-    tau = np.stack(np.broadcast_arrays(*(values[f"phosphor.{name}_decay_ms"] * 1e-3 for name in ("fast", "slow"))))
-    light = np.stack(np.broadcast_arrays(fast * tau[0], (1.0 - fast) * tau[1]))
-    share, tau = (light / light.sum(axis=0)).T, tau.T
-    gate_s = np.minimum(gate_s, field_s)
-    rate = 1.0 / tau
-    once = _left(rate, gate_s, field_s)
-    twice = _left(rate[:, :, None] + rate[:, None, :], gate_s[:, :, None], field_s[:, :, None])
-    keep = np.exp(-field_s / tau)
+    share, once, twice, keep = _left_to_later(values, gate_s)
     both = share[:, :, None] * share[:, None, :] * twice
     out = np.empty((len(share), fields))
     out[:, 0] = 1.0 - 2.0 * np.sum(share * once, axis=1) + both.sum(axis=(1, 2))
@@ -259,9 +250,27 @@ def field_products(values: Values, gate_s: float, fields: int) -> Array:
     return out
 
 
-def _left(rate: Array, gate_s: Array, field_s: Array) -> Array:
-    """Return the mean of exp(-rate (T - t)) over arrivals t within the gate."""
-    return (np.exp(-(field_s - gate_s) * rate) - np.exp(-field_s * rate)) / (gate_s * rate)
+def field_light(values: Values, gate_s: float, fields: int) -> Array:
+    """Return the mean fractions l_0 ... of a pulse's light in its field and later ones, shape (n, fields)."""
+    share, once, _, keep = _left_to_later(values, gate_s)
+    later = share[:, None, :] * once[:, None, :] * keep[:, None, :] ** np.arange(fields)[None, :, None]
+    return -np.diff(later.sum(axis=2), axis=1, prepend=1.0)
+
+
+def _left_to_later(values: Values, gate_s: float) -> tuple[Array, Array, Array, Array]:
+    """Return the fractions a of two components, the means of E and E E', and q; shape (n, 2), but E E' (n, 2, 2)."""
+    field_s = 1.0 / values["video.field_rate_hz"][:, None]
+    fast = np.minimum(values["phosphor.fast_fraction"], 1.0)
+    tau = np.stack(np.broadcast_arrays(*(values[f"phosphor.{name}_decay_ms"] * 1e-3 for name in ("fast", "slow"))))
+    light = np.stack(np.broadcast_arrays(fast * tau[0], (1.0 - fast) * tau[1]))
+    share, rate = (light / light.sum(axis=0)).T, 1.0 / tau.T
+    open_s = np.minimum(gate_s, field_s)
+
+    def left(rate: Array, open_s: Array, field_s: Array) -> Array:
+        return (np.exp(-(field_s - open_s) * rate) - np.exp(-field_s * rate)) / (open_s * rate)
+
+    twice = left(rate[:, :, None] + rate[:, None, :], open_s[:, :, None], field_s[:, :, None])
+    return share, left(rate, open_s, field_s), twice, np.exp(-field_s * rate)
 
 
 def detector_variance(values: Values, signal_dn: float) -> Array:
