@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from charact.fit import predicted_quantities as predicted
 from charact.fit.observation import Observation, one
 from charact.fit.predicted_quantities import Values
-from charact.fit.prior import values_of_description
+from charact.fit.prior import prior_of, values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.tube_darks import LEAST_QUIET, PULSE_DN, PULSE_SD, Darks, darks_of, level_and_sd, thresholds_of
 from charact.fit.tube_time_observations import (
@@ -30,8 +30,9 @@ Array = NDArray[np.float64]
 MOST_REACHED = 0.6
 # Mean light of a pulse outside its surroundings, and its error; relative.
 WING, WING_SD = 0.04, 0.02
-# Relative model errors: of the pulses' covariance, of what rounding does to it, of an ion's charge.
-COVARIANCE_SD, ROUNDING_SD, ION_CHARGE_SD = 0.03, 0.25, 0.15
+# Relative model errors: of the pulses' covariance, of fine and of coarse digitisers, of what rounding does to it, of
+# an ion's charge.
+COVARIANCE_SD, COARSE_COVARIANCE_SD, ROUNDING_SD, ION_CHARGE_SD = 0.03, 0.06, 0.25, 0.15
 # Error of the level between pulses by pulses too weak to be seen, DN.
 LEVEL_SD_DN = 0.04
 # Variance of the noise between pulses: relative model error.
@@ -67,6 +68,12 @@ def _gain(values: Values, darks: Darks) -> Array:
     return predicted.photoelectron_gain(values, darks.level.mcp_v, reference_v)
 
 
+def _conversion_sd(darks: Darks) -> float:
+    """Return the relative error of electrons stated for DN: the prior's, as darks and flats cannot tell the factor."""
+    prior = prior_of(darks.sensor, (CONVERSION,))
+    return float(prior.sd[0]) if prior.names else 0.0
+
+
 def _background(values: Values, darks: Darks) -> Array:
     """Return the mean signal of the background illumination, shape (n,), DN."""
     return _gain(values, darks) * predicted.background_rate(values) * darks.level.gate_s
@@ -80,10 +87,10 @@ def _unseen(values: Values, darks: Darks) -> Array:
         * pulse_covariance(values, ((0.0, 0.0),))[:, 0]
         * np.sqrt(field_products(values, darks.level.gate_s, 1)[:, 0])
     )
-    return max(PULSE_DN, PULSE_SD * darks.noise_dn) / (height * peak)
+    return max(PULSE_DN, PULSE_SD * darks.noise_dn) / np.maximum(height * peak, 1e-9)
 
 
-def _moment_below(shape: Array, mean: Array | float, limit: Array, order: int) -> Array:
+def moment_below(shape: Array, mean: Array | float, limit: Array, order: int) -> Array:
     """Return the part of the moment of an order of gamma distributed charges below a limit."""
     from scipy.special import gammainc, poch
 
@@ -114,7 +121,7 @@ def quiet_variance(values: Values, darks: Darks) -> Array:
 def _hidden_variance(values: Values, darks: Darks) -> Array:
     """Return the variance of the pulses that are hidden by the noise, shape (n,), DN^2."""
     shape = values[SHAPE]
-    hidden = _moment_below(shape, 1.0, _unseen(values, darks), 2) / (1.0 + 1.0 / shape)
+    hidden = moment_below(shape, 1.0, _unseen(values, darks), 2) / (1.0 + 1.0 / shape)
     event = _gain(values, darks) * predicted.excess_noise_factor(values)
     blur = pulse_covariance(values, ((0.0, 0.0),))[:, 0]
     return hidden * event * _background(values, darks) * blur * field_products(values, darks.level.gate_s, 1)[:, 0]
@@ -123,7 +130,7 @@ def _hidden_variance(values: Values, darks: Darks) -> Array:
 def _hidden_light(values: Values, darks: Darks) -> Array:
     """Return the fraction of the background illumination that falls on quiet pixels, shape (n,)."""
     shape = values[SHAPE]
-    return np.minimum(_moment_below(shape, 1.0, _unseen(values, darks), 1) + WING, 1.0)
+    return np.minimum(moment_below(shape, 1.0, _unseen(values, darks), 1) + WING, 1.0)
 
 
 def _quiet(darks: Darks) -> list[Observation]:
@@ -150,7 +157,13 @@ def _quiet(darks: Darks) -> list[Observation]:
     unsure_dn = np.hypot(WING_SD, 0.3 * np.sqrt(max(hidden - WING, 0.0))) * light
     turn = np.array([1.0, 2.0 * best[1]])
     value = np.array([best[0], best[1] ** 2])
-    model = np.diag([unsure_dn**2, (QUIET_SD * value[1]) ** 2 + (0.5 * _hidden_variance(sheet, darks)[0]) ** 2])
+    reading = max(value[1] - float(sheet.get(LINE_NOISE, np.zeros(1))[0]) ** 2, 0.0)
+    spread = [
+        QUIET_SD * value[1],
+        0.5 * float(_hidden_variance(sheet, darks)[0]),
+        2.0 * _conversion_sd(darks) * reading,
+    ]
+    model = np.diag([unsure_dn**2, float(np.sum(np.square(spread)))])
 
     def predict(values: Values) -> Array:
         level = values[BLACK] + _hidden_light(values, darks) * _background(values, darks)
@@ -202,7 +215,8 @@ def _pattern(darks: Darks) -> list[Observation]:
         pattern = values[CONVERSION] * values[DSNU] * _warmth(values, darks)
         return pattern**2 * filter_covariance(values, 1)[:, 0]
 
-    error = float(np.hypot(scatter / slope**2, 2.0 * sd / slope * value / slope**2))
+    relative = 2.0 * np.hypot(sd / slope, _conversion_sd(darks))
+    error = float(np.hypot(scatter, relative * value)) / slope**2
     return [one("DSNU", value / slope**2, error, predict, (DSNU,))]
 
 
@@ -224,7 +238,8 @@ def _events(darks: Darks) -> list[Observation]:
     apart = ((0, 1), (1, 1)) if darks.sensor.video.low_pass is not None else ((1, 0), (0, 1), (1, 1))
     value, sd = _neighbour_covariance(darks, apart)
     kept, kept_sd = with_error(partial(rounded_covariance, darks), darks)
-    model = np.hypot.reduce([COVARIANCE_SD, ROUNDING_SD * (kept - 1.0) / kept, kept_sd / kept])
+    usual = COVARIANCE_SD if darks.noise_dn > COARSE_DN else COARSE_COVARIANCE_SD
+    model = np.hypot.reduce([usual, ROUNDING_SD * (kept - 1.0) / kept, kept_sd / kept])
     value, sd = value / kept, float(np.hypot(sd, model * value)) / kept
     places = tuple((float(columns), float(rows)) for columns, rows in apart)
 
@@ -232,7 +247,7 @@ def _events(darks: Darks) -> list[Observation]:
         shape = values[SHAPE]
         event = _gain(values, darks) * predicted.excess_noise_factor(values)
         limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
-        singles = _moment_below(shape, 1.0, limit, 2) / (1.0 + 1.0 / shape)
+        singles = moment_below(shape, 1.0, limit, 2) / (1.0 + 1.0 / shape)
         ions = _ion_moment_below(values, darks, limit, 2) / (1.0 + 1.0 / shape)
         products = field_products(values, darks.level.gate_s, darks.fields)[:, :: darks.step]
         spread = pulse_covariance(values, places).sum(axis=1) * (products @ _without_mean(len(darks.data)))
@@ -258,7 +273,7 @@ def _ion_moment_below(values: Values, darks: Darks, limit: Array, order: int) ->
     per_cm2 = predicted.background_rate(values) * values["microchannel_plate.detection_probability"]
     ratio = values[number] / (per_cm2 / _field_pixel_cm2(values))
     # The sum of a Poisson number m of pulses, as the gamma law of its mean m and variance m (1 + 1/shape).
-    return ratio * _moment_below(values[size] / (1.0 + 1.0 / shape), values[size], limit, order)
+    return ratio * moment_below(values[size] / (1.0 + 1.0 / shape), values[size], limit, order)
 
 
 def _field_pixel_cm2(values: Values) -> Array:
@@ -333,7 +348,7 @@ def _mean_of_events(darks: Darks) -> list[Observation]:
     def predict(values: Values) -> Array:
         shape = values[SHAPE]
         limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
-        small = _moment_below(shape, 1.0, limit, 1) + _ion_moment_below(values, darks, limit, 1)
+        small = moment_below(shape, 1.0, limit, 1) + _ion_moment_below(values, darks, limit, 1)
         return _background(values, darks) * (small - _hidden_light(values, darks))
 
     return [one("mean of dark events", value, sd, predict, (EBI, BLACK, *IONS))] if value > 3.0 * sd else []
@@ -370,5 +385,5 @@ def _ion_tail(values: Values, darks: Darks, order: int) -> Array:
     shape, size = values[SHAPE], values[IONS[1]]
     limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
     law = size / (1.0 + 1.0 / shape)
-    whole = _moment_below(law, size, np.full_like(limit, np.inf), order)
-    return whole - _moment_below(law, size, limit, order)
+    whole = moment_below(law, size, np.full_like(limit, np.inf), order)
+    return whole - moment_below(law, size, limit, order)
