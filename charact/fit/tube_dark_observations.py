@@ -1,0 +1,389 @@
+"""Observations of a tube's darks: noise and level between pulses, DSNU, background illumination and ion events."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.fit import predicted_quantities as predicted
+from charact.fit.observation import Observation, one
+from charact.fit.predicted_quantities import Values
+from charact.fit.prior import prior_of, values_of_description
+from charact.fit.stack_levels import StackMean
+from charact.fit.tube_darks import LEAST_QUIET, PULSE_DN, PULSE_SD, Darks, darks_of, level_and_sd, thresholds_of
+from charact.fit.tube_time_observations import (
+    BLOCKS,
+    LINE_NOISE,
+    block_sums,
+    field_light,
+    field_products,
+    filter_covariance,
+    pulse_covariance,
+)
+from labdata.measurement import Result
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+
+# Largest fraction of the image that may be reached by ions.
+MOST_REACHED = 0.6
+# Mean light of a pulse outside its surroundings, and its error; relative.
+WING, WING_SD = 0.04, 0.02
+# Relative model errors: of the pulses' covariance, of fine and of coarse digitisers, of what rounding does to it, of
+# an ion's charge.
+COVARIANCE_SD, COARSE_COVARIANCE_SD, ROUNDING_SD, ION_CHARGE_SD = 0.03, 0.06, 0.25, 0.15
+# Error of the level between pulses by pulses too weak to be seen, DN.
+LEVEL_SD_DN = 0.04
+# Variance of the noise between pulses: relative model error.
+QUIET_SD = 0.03
+# Standard deviation below which rounding is no noise of its own, DN; slope below which it hides a dark pattern.
+COARSE_DN, LEAST_SLOPE = 0.6, 0.4
+
+EBI, READ, DSNU, BLACK = "photocathode.ebi_lm_per_cm2", "ccd.read_noise_e", "ccd.dsnu_e", "video.black_level_dn"
+IONS = ("microchannel_plate.ion_event_rate_per_s_cm2", "microchannel_plate.ion_event_size_pe")
+CONVERSION = "video.conversion_gain_dn_per_e"
+SHAPE = "microchannel_plate.pulse_height_shape"
+
+
+def dark_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> list[Observation]:
+    """Return the observations of the dark with most frames, one of each that its frames can show."""
+    stacks = [level for level in levels if level.dark and level.entry is not None]
+    # A scale of the charge of pulses, for which any estimate will do.
+    gains = [m.value for m in result.find("covariance_gain") if m.value]
+    if not stacks or not gains:
+        return []
+    level = max(stacks, key=lambda level: len(level.entry.read()) if level.entry else 0)
+    darks = darks_of(level, sensor, gains[0])
+    if darks is None:
+        return []
+    found = [*_quiet(darks), *_pattern(darks)]
+    if darks.reached.mean() < MOST_REACHED:
+        found += [*_events(darks), *_ions(darks)]
+    return found
+
+
+def _gain(values: Values, darks: Darks) -> Array:
+    reference_v = float(darks.sensor.microchannel_plate.reference_v)
+    return predicted.photoelectron_gain(values, darks.level.mcp_v, reference_v)
+
+
+def _conversion_sd(darks: Darks) -> float:
+    """Return the relative error of electrons stated for DN: the prior's, as darks and flats cannot tell the factor."""
+    prior = prior_of(darks.sensor, (CONVERSION,))
+    return float(prior.sd[0]) if prior.names else 0.0
+
+
+def _background(values: Values, darks: Darks) -> Array:
+    """Return the mean signal of the background illumination, shape (n,), DN."""
+    return _gain(values, darks) * predicted.background_rate(values) * darks.level.gate_s
+
+
+def _unseen(values: Values, darks: Darks) -> Array:
+    """Return the heights, in mean detected pulses, below which a pulse is hidden by the noise, shape (n,)."""
+    height = _gain(values, darks) / values["microchannel_plate.detection_probability"]
+    peak = (
+        2.0
+        * pulse_covariance(values, ((0.0, 0.0),))[:, 0]
+        * np.sqrt(field_products(values, darks.level.gate_s, 1)[:, 0])
+    )
+    return max(PULSE_DN, PULSE_SD * darks.noise_dn) / np.maximum(height * peak, 1e-9)
+
+
+def moment_below(shape: Array, mean: Array | float, limit: Array, order: int) -> Array:
+    """Return the part of the moment of an order of gamma distributed charges below a limit."""
+    from scipy.special import gammainc, poch
+
+    shape, scale = np.asarray(shape, float), np.asarray(mean) / shape
+    return scale**order * poch(shape, order) * gammainc(shape + order, np.maximum(limit, 0.0) / scale)
+
+
+def _warmth(values: Values, darks: Darks) -> Array:
+    """Return dark current over that at 25 C."""
+    temperature_c = darks.level.conditions.temperature_c
+    warmer = 0.0 if temperature_c is None else temperature_c - 25.0
+    return 2.0 ** (warmer / values["ccd.dark_current_doubling_k"])
+
+
+def quiet_variance(values: Values, darks: Darks) -> Array:
+    """Return the variance of pixels between pulses before rounding, shape (n,), DN^2.
+
+    Read noise, dark charge and its pattern behind the video filter, line noise, and half of what hidden pulses would
+    add to noise that was not located by its lower side.
+    """
+    dark_e = predicted.rows_per_pixel(values) * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
+    warmth = _warmth(values, darks)
+    charge = values[READ] ** 2 + dark_e * warmth + (values[DSNU] * warmth) ** 2
+    reading = values[CONVERSION] ** 2 * charge * filter_covariance(values, 1)[:, 0]
+    return reading + values.get(LINE_NOISE, np.zeros(1)) ** 2 + 0.5 * _hidden_variance(values, darks)
+
+
+def _hidden_variance(values: Values, darks: Darks) -> Array:
+    """Return the variance of the pulses that are hidden by the noise, shape (n,), DN^2."""
+    shape = values[SHAPE]
+    hidden = moment_below(shape, 1.0, _unseen(values, darks), 2) / (1.0 + 1.0 / shape)
+    event = _gain(values, darks) * predicted.excess_noise_factor(values)
+    blur = pulse_covariance(values, ((0.0, 0.0),))[:, 0]
+    return hidden * event * _background(values, darks) * blur * field_products(values, darks.level.gate_s, 1)[:, 0]
+
+
+def _hidden_light(values: Values, darks: Darks) -> Array:
+    """Return the fraction of the background illumination that falls on quiet pixels, shape (n,)."""
+    shape = values[SHAPE]
+    return np.minimum(moment_below(shape, 1.0, _unseen(values, darks), 1) + WING, 1.0)
+
+
+def _quiet(darks: Darks) -> list[Observation]:
+    """Observe level and variance of the pixels between pulses."""
+    levels = thresholds_of(darks.data[darks.quiet]) if darks.quiet.mean() > LEAST_QUIET else None
+    if levels is None:
+        return []
+    count = block_sums(darks.quiet.sum(axis=0))
+    below = np.stack([block_sums(((darks.data < level) & darks.quiet).sum(axis=0)) for level in levels], axis=1)
+    used = count > 0
+    best = np.array(level_and_sd(below.sum(axis=0) / count.sum(), levels))
+    # Jackknife over blocks: fractions near one and near zero enter together.
+    parts = np.array(
+        [
+            level_and_sd((below.sum(axis=0) - own) / (count.sum() - some), levels)
+            for own, some in zip(below[used], count[used], strict=True)
+        ]
+    )
+    if not np.isfinite(parts).all():
+        return []
+    both = np.cov(parts.T) * (len(parts) - 1) ** 2 / len(parts)
+    sheet = values_of_description(darks.sensor)
+    light, hidden = float(_background(sheet, darks)[0]), float(_hidden_light(sheet, darks)[0])
+    unsure_dn = np.hypot(WING_SD, 0.3 * np.sqrt(max(hidden - WING, 0.0))) * light
+    turn = np.array([1.0, 2.0 * best[1]])
+    value = np.array([best[0], best[1] ** 2])
+    reading = max(value[1] - float(sheet.get(LINE_NOISE, np.zeros(1))[0]) ** 2, 0.0)
+    spread = [
+        QUIET_SD * value[1],
+        0.5 * float(_hidden_variance(sheet, darks)[0]),
+        2.0 * _conversion_sd(darks) * reading,
+    ]
+    model = np.diag([unsure_dn**2, float(np.sum(np.square(spread)))])
+
+    def predict(values: Values) -> Array:
+        level = values[BLACK] + _hidden_light(values, darks) * _background(values, darks)
+        return np.stack(np.broadcast_arrays(level, quiet_variance(values, darks)), axis=1)
+
+    covariance = both * np.outer(turn, turn) + model
+    return [
+        Observation(
+            name="noise between pulses",
+            value=value,
+            covariance=covariance,
+            predict=predict,
+            speaks_of=(BLACK, READ, EBI),
+        )
+    ]
+
+
+def rounding_slope(level_dn: float, noise_dn: float) -> float:
+    """Return the slope of the mean of rounded noise against its level, 1 of much noise, dimensionless.
+
+    1 + 2 sum_k (-1)^k exp(-2 (pi k s)^2) cos(2 pi k level), the derivative of the mean of the rounded value.
+    """
+    order = np.arange(1, 8)
+    wave = (-1.0) ** order * np.exp(-2.0 * (np.pi * order * noise_dn) ** 2)
+    return float(1.0 + 2.0 * np.sum(wave * np.cos(2.0 * np.pi * order * level_dn)))
+
+
+def _pattern(darks: Darks) -> list[Observation]:
+    """Observe the DSNU: the covariance of the quiet pixels' means in the two halves of the frames."""
+    half, quiet = len(darks.data) // 2, darks.quiet
+    counts = [quiet[:half].sum(axis=0), quiet[half:].sum(axis=0)]
+    good = np.minimum(*counts) >= max(half // 2, 1)
+    slope, sd = with_error(rounding_slope, darks)
+    if good.mean() < LEAST_QUIET or slope < LEAST_SLOPE:
+        return []
+    away = np.where(quiet, darks.data - darks.level_dn, 0.0)
+    means = [
+        part.sum(axis=0) / np.maximum(count, 1) for part, count in zip((away[:half], away[half:]), counts, strict=True)
+    ]
+    number = np.maximum(block_sums(good), 1.0)
+    centre = [block_sums(np.where(good, mean, 0.0)) / number for mean in means]
+    product = block_sums(np.where(good, means[0] * means[1], 0.0)) / number - centre[0] * centre[1]
+    product = product[number > 0.1 * good.size / number.size]
+    if product.size < BLOCKS[0]:
+        return []
+    value, scatter = float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
+
+    def predict(values: Values) -> Array:
+        pattern = values[CONVERSION] * values[DSNU] * _warmth(values, darks)
+        return pattern**2 * filter_covariance(values, 1)[:, 0]
+
+    relative = 2.0 * np.hypot(sd / slope, _conversion_sd(darks))
+    error = float(np.hypot(scatter, relative * value)) / slope**2
+    return [one("DSNU", value / slope**2, error, predict, (DSNU,))]
+
+
+def with_error(effect: Callable[[float, float], float], darks: Darks) -> tuple[float, float]:
+    """Return an effect of rounding at the level and noise of the darks, and its error by those of both.
+
+    Noise well above a step is not changed by rounding.
+    """
+    if darks.noise_dn > COARSE_DN:
+        return 1.0, 0.0
+    level, noise = darks.level_dn, darks.noise_dn
+    usual = effect(level, noise)
+    moved = effect(level - LEVEL_SD_DN, noise), effect(level, (1.0 - darks.noise_relative_sd) * noise)
+    return usual, float(np.hypot(moved[0] - usual, moved[1] - usual))
+
+
+def _events(darks: Darks) -> list[Observation]:
+    """Observe the background illumination by the covariance of neighbours, and of fine digitisers by its mean."""
+    apart = ((0, 1), (1, 1)) if darks.sensor.video.low_pass is not None else ((1, 0), (0, 1), (1, 1))
+    value, sd = _neighbour_covariance(darks, apart)
+    kept, kept_sd = with_error(partial(rounded_covariance, darks), darks)
+    usual = COVARIANCE_SD if darks.noise_dn > COARSE_DN else COARSE_COVARIANCE_SD
+    model = np.hypot.reduce([usual, ROUNDING_SD * (kept - 1.0) / kept, kept_sd / kept])
+    value, sd = value / kept, float(np.hypot(sd, model * value)) / kept
+    places = tuple((float(columns), float(rows)) for columns, rows in apart)
+
+    def predict(values: Values) -> Array:
+        shape = values[SHAPE]
+        event = _gain(values, darks) * predicted.excess_noise_factor(values)
+        limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
+        singles = moment_below(shape, 1.0, limit, 2) / (1.0 + 1.0 / shape)
+        ions = _ion_moment_below(values, darks, limit, 2) / (1.0 + 1.0 / shape)
+        products = field_products(values, darks.level.gate_s, darks.fields)[:, :: darks.step]
+        spread = pulse_covariance(values, places).sum(axis=1) * (products @ _without_mean(len(darks.data)))
+        return event * _background(values, darks) * (singles + ions) * spread
+
+    found = [one("dark events", value, sd, predict, (EBI, *IONS))] if value > 3.0 * sd else []
+    if darks.noise_dn > COARSE_DN:
+        found += _mean_of_events(darks)
+    return found
+
+
+def _without_mean(count: int) -> Array:
+    """Return the weights of the covariances at each lag in the variance about the mean of all frames, (count,)."""
+    lag = np.arange(count)
+    total = np.where(lag == 0, count, 2.0 * (count - lag)) / count**2
+    return ((lag == 0) - total) * count / (count - 1.0)
+
+
+def _ion_moment_below(values: Values, darks: Darks, limit: Array, order: int) -> Array:
+    """Return the moment of ion events below a charge, in mean pulses and for each detected photoelectron."""
+    number, size = IONS
+    shape = values[SHAPE]
+    per_cm2 = predicted.background_rate(values) * values["microchannel_plate.detection_probability"]
+    ratio = values[number] / (per_cm2 / _field_pixel_cm2(values))
+    # The sum of a Poisson number m of pulses, as the gamma law of its mean m and variance m (1 + 1/shape).
+    return ratio * moment_below(values[size] / (1.0 + 1.0 / shape), values[size], limit, order)
+
+
+def _field_pixel_cm2(values: Values) -> Array:
+    pitch = values["ccd.pitch_x_um"] * predicted.rows_per_pixel(values) * values["ccd.pitch_y_um"] * 1e-8
+    return pitch * values["taper.demagnification"] ** 2
+
+
+def _neighbour_covariance(darks: Darks, apart: tuple[tuple[int, int], ...]) -> tuple[float, float]:
+    """Return the sum of the covariances of neighbours in time, and its standard error by the scatter over blocks."""
+    good = ~darks.reached
+    count, rows, columns = darks.data.shape
+    x = np.empty_like(darks.data)
+    for parity in range(darks.step):
+        field = darks.data[:, parity :: darks.step]
+        x[:, parity :: darks.step] = field - field[:, good[parity :: darks.step]].mean(axis=1)[:, None, None]
+    x = (x - x.mean(axis=0)) * good
+    total, number = np.zeros(BLOCKS[0] * BLOCKS[1]), np.zeros(BLOCKS[0] * BLOCKS[1])
+    for right, down in apart:
+        down *= darks.step
+        near, far = x[:, : rows - down, : columns - right], x[:, down:, right:]
+        total += block_sums(np.einsum("frc,frc->rc", near, far) / (count - 1.0))
+        number += block_sums(good[: rows - down, : columns - right] & good[down:, right:])
+    used = number > 0.1 * number.max()
+    each = total[used] / number[used] * len(apart)
+    mean = float(total[used].sum() / number[used].sum() * len(apart))
+    return mean, float(each.std(ddof=1) / np.sqrt(each.size))
+
+
+def rounded_covariance(darks: Darks, level_dn: float, noise_dn: float) -> float:
+    """Return what rounding leaves of the covariance of rows by pulses, as a factor.
+
+    The mean of a rounded pixel with the light a of a pulse is m(a) = a + sum_k (-1)^k/(pi k) exp(-2 (pi k s)^2)
+    sin(2 pi k (level + a)). Pulses are Gaussians of the described blur with exponential heights, and pulses apart.
+    """
+    values = values_of_description(darks.sensor)
+    blur = pulse_covariance(values, ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))[0]
+    wide, high = (1.0 / np.sqrt(4.0 * np.log(blur[0] / near)) for near in blur[1:])
+    height = darks.event_dn / (1.0 + 1.0 / float(values[SHAPE][0]))
+    node, weight = np.polynomial.laguerre.laggauss(16)
+    light = (field_light(values, darks.level.gate_s, 3)[0, :, None] * node * height).ravel()[:, None, None]
+    x, y = np.arange(-4.0 * wide, 4.0 * wide, 0.25), np.arange(-4.0 * high, 4.0 * high + 1.0, 0.2)[:, None]
+    spot, below = (
+        np.exp(-0.5 * ((x / wide) ** 2 + ((y - row) / high) ** 2)) / (2.0 * np.pi * wide * high) for row in (0.0, 1.0)
+    )
+
+    def change(light_dn: Array) -> Array:
+        total = light_dn.copy()
+        for order in (1, 2, 3):
+            wave = (-1.0) ** order / (np.pi * order) * np.exp(-2.0 * (np.pi * order * noise_dn) ** 2)
+            phase = 2.0 * np.pi * order * level_dn
+            total += wave * (np.sin(phase + 2.0 * np.pi * order * light_dn) - np.sin(phase))
+        return total
+
+    weights = np.tile(weight, 3)
+    seen, whole = (
+        weights @ np.sum(of(light * spot) * of(light * below), axis=(1, 2))
+        for of in (change, lambda light_dn: light_dn)
+    )
+    return float(seen / whole)
+
+
+def _mean_of_events(darks: Darks) -> list[Observation]:
+    """Observe the mean of all pixels that no ion reaches above the level between pulses."""
+    good = ~darks.reached
+    mean = darks.data.mean(axis=0, dtype=np.float64) - darks.level_dn
+    number = block_sums(good)
+    used = number > 0.1 * number.max()
+    each = block_sums(mean * good)[used] / number[used]
+    value = float(block_sums(mean * good).sum() / number.sum())
+    sd = float(np.hypot(each.std(ddof=1) / np.sqrt(each.size), WING_SD * value))
+
+    def predict(values: Values) -> Array:
+        shape = values[SHAPE]
+        limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
+        small = moment_below(shape, 1.0, limit, 1) + _ion_moment_below(values, darks, limit, 1)
+        return _background(values, darks) * (small - _hidden_light(values, darks))
+
+    return [one("mean of dark events", value, sd, predict, (EBI, BLACK, *IONS))] if value > 3.0 * sd else []
+
+
+def _ions(darks: Darks) -> list[Observation]:
+    """Observe the number of ion events, whose root has the variance 1/4, and the mean charge of unclipped ones."""
+    charges = np.array(darks.ion_charge_dn)
+    fields, pixels = darks.fields, darks.reached.size / darks.step
+
+    def expected(values: Values) -> Array:
+        open_s = darks.level.gate_s
+        return _ion_tail(values, darks, 0) * values[IONS[0]] * _field_pixel_cm2(values) * open_s * fields * pixels
+
+    number = one(
+        "number of ion events", float(np.sqrt(charges.size + 0.375)), 0.5,
+        lambda values: np.sqrt(expected(values) + 0.375), IONS,
+    )  # fmt: skip
+    clipped = np.mean(darks.data >= 2**darks.sensor.video.bit_depth - 1) > 0.0
+    if charges.size < 4 or clipped:
+        return [number]
+    value = float(charges.mean())
+    sd = float(np.hypot(charges.std(ddof=1) / np.sqrt(charges.size), ION_CHARGE_SD * value))
+    return [number, one("charge of ion events", value, sd, lambda values: _ion_charge(values, darks), IONS)]
+
+
+def _ion_charge(values: Values, darks: Darks) -> Array:
+    height = _gain(values, darks) / values["microchannel_plate.detection_probability"]
+    return height * _ion_tail(values, darks, 1) / np.maximum(_ion_tail(values, darks, 0), 1e-12)
+
+
+def _ion_tail(values: Values, darks: Darks, order: int) -> Array:
+    """Return the moment of an ion event's charge, mean pulses, above the least that is counted, shape (n,)."""
+    shape, size = values[SHAPE], values[IONS[1]]
+    limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
+    law = size / (1.0 + 1.0 / shape)
+    whole = moment_below(law, size, np.full_like(limit, np.inf), order)
+    return whole - moment_below(law, size, limit, order)
