@@ -100,6 +100,7 @@ def residual_figure(found: ResidualMap, aspect: float) -> Figure:
         bar.ax.set_yticklabels([_minus(f"{at:+.3g} DN = {at / sd:+.2g} sd") if at else "0" for at in bar.get_ticks()])
         axes.grid(False)
         axes.set(xlabel="column (px)", ylabel="row (px)")
+        figure.get_layout_engine().set(w_pad=0.14)  # Inches: the page's labels are wider than matplotlib's.
         title = f"Residual of the {found.role}, {found.label}"
         mean, rms = float(difference.mean()), float(np.sqrt((difference**2).mean()))
         caption = (
