@@ -230,7 +230,7 @@ def power_figure(validation: Validation) -> tuple[Figure, ...]:
         ticks = 10.0 ** np.arange(np.log10(least), 2.01)
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.grid(False, axis="y")
-        title = "What this validation could not have seen"
+        title = "Least error of each parameter that would be found"
         caption = (
             f"Errors shorter than a bar are missed in more than {100.0 - 100.0 * rows[0].probability:g} % of cases. "
             "After the number: the statistic that finds the error. Numbers are taken as linear in the parameter."
