@@ -1,6 +1,7 @@
 """The verb `fuse`: one picture of a visible and a thermal frame with uncertainty, and its scores."""
 
 import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from charact.fusion.bands import Band
     from charact.fusion.fused import Fused
+    from charact.fusion.geometry import Placement
     from charact.fusion.scores import Score
     from charact.fusion.sources import Source
     from charact.fusion.truth_scores import FusionTruth
@@ -121,75 +123,137 @@ def pictures(
     ):
         if len(given) < 2:
             raise BadInput(f"fuse needs VISIBLE THERMAL [MORE...] OUT, got {' '.join(sources)}")
-        from charact.cli import fuse_files as files
-
         target, names = Path(out), _methods(method or ["auto"])
-        if target.suffix and (len(names) > 1 or sequence or colours):
-            raise BadInput(f"OUT must be a folder for several methods or a sequence, got {target.name!r}")
         if sequence and (len(names) > 1 or truth or colours):
             raise BadInput("--sequence needs one --method and neither --truth nor --table")
         if recursive is not None and not sequence:
             raise BadInput("--recursive filters a --sequence")
-        files.require_free_output(target, force=force)
-        from dataclasses import replace
-
-        from charact.fusion.alignment import align_bands, common_field, crop_band
-        from charact.fusion.bands import display_planes
-        from charact.fusion.colour_table import ColourTable, fuse_by_table
-        from charact.fusion.fuse import fuse_all
-        from charact.fusion.fused import codes_of
-        from charact.fusion.sequence import fuse_sequence, pair_frames
-        from charact.fusion.sources import band_of
-        from labdata.measurement import Result
-
+        _require_output(target, whole_folder=len(names) > 1 or sequence or colours is not None, force=force)
         read = _read(given, sensor=sensor, imager=imager, mcp_v=mcp_v, black_dn=black_dn)
-        progress("bands", 0.1)
-        bands = [band_of(one, bloom=not no_bloom, seed=seed) for one in read]
-        progress("registration", 0.5)
-        bands, places = align_bands(bands, read, distance_m=range_m, registered=registered)
-        region = None if whole else common_field(places)
+        aligned = _align(read, bloom=not no_bloom, seed=seed, distance_m=range_m, registered=registered, whole=whole,
+                         progress=progress)  # fmt: skip
         spans = _spans(span or [])
         if sequence:
-            pairs, notes = pair_frames(read)
-            frames = fuse_sequence(
-                read, pairs, method=names[0], colour=colour, spans=spans, places=places, region=region,
-                distance_m=range_m, recursive=recursive, bloom=not no_bloom, seed=seed, within_percent=within,
+            found = _fuse_frames(
+                aligned, names[0], target, given, colour=colour, spans=spans, distance_m=range_m, recursive=recursive,
+                bloom=not no_bloom, seed=seed, within_percent=within, progress=progress,
             )  # fmt: skip
-            made = []
-            for one in frames:
-                made.append(one)
-                progress(f"frame {len(made)} of {len(pairs)}", 0.5 + 0.5 * len(made) / len(pairs))
-            rows = made[0].measurements
-            found = {rows[0].method: replace(made[0], measurements=tuple(
-                row.with_(notes=(*row.notes, *notes)) for row in rows))}  # fmt: skip
-            stamps = read[0].stack.time_s
-            times = [float(stamps[pair[0]]) for pair in pairs] if stamps.size else None
-            files.write_sequence(made, target, given, region, times)
         else:
-            if region is not None:
-                bands = [crop_band(band, region) for band in bands]
-                note = "ROW,COL,HEIGHT,WIDTH {},{},{},{} of {}, the field of view in common (--whole keeps all)"
-                bands[0] = replace(bands[0], notes=(*bands[0].notes, note.format(*region, bands[0].name)))
-            progress("fusion", 0.8)
-            found = fuse_all(bands, names, colour=colour, spans=spans, registered=registered, within_percent=within)
-            if colours is not None:
-                found["colour-table"] = fuse_by_table(bands, ColourTable.load(colours))
-            true = None if truth is None else _truth(truth, region)
-            found = {name: one if true is None else _with_error(one, true, bands, seed) for name, one in found.items()}
-            shown = [codes_of(plane.value) for plane in display_planes(bands, bloom=False, spans=spans)]
-            files.write(found, shown, target, given, region)
-            if len(found) > 1:
-                _write_page(found, bands, shown, read, target, true, seed, progress)
+            found = _fuse_means(
+                aligned, names, target, given, colour=colour, spans=spans, registered=registered, colours=colours,
+                truth=truth, seed=seed, within_percent=within, progress=progress,
+            )  # fmt: skip
         progress("", 1.0)
-        result = Result(measurements=tuple(row for one in found.values() for row in one.measurements))
-        picture = files.picture_of(target, next(iter(found)) if len(found) > 1 else None)
-        inputs = [target / f"{name}.png" for name in next(iter(found.values())).names[:2]]
-        print_result(
-            result, given=" ".join(given), verb="fuse", as_json=as_json, events=events, everything=everything,
-            next_verb=None if target.suffix else f"charact fuse score {inputs[0]} {inputs[1]} {picture}",
-        )  # fmt: skip
-        if not as_json:
-            print_message(f"{target}: {', '.join(found)} of {', '.join(given)}", events=events)
+        _print(found, target, given, as_json=as_json, events=events, everything=everything)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Aligned:
+    """Sources, their bands on the pixels of the first one, the bands' places, and the region that all show."""
+
+    read: "list[Source]"
+    bands: "list[Band]"
+    places: "list[Placement | None]"
+    region: tuple[int, int, int, int] | None
+
+
+def _require_output(target: Path, *, whole_folder: bool, force: bool) -> None:
+    """Require a new output, and a folder where there is more than one picture."""
+    from charact.cli.fuse_files import require_free_output
+
+    if target.suffix and whole_folder:
+        raise BadInput(f"OUT must be a folder for several methods or a sequence, got {target.name!r}")
+    require_free_output(target, force=force)
+
+
+def _align(
+    read: "list[Source]", *, bloom: bool, seed: int, distance_m: float | None, registered: bool, whole: bool,
+    progress: Any,
+) -> _Aligned:  # fmt: skip
+    """Return the means of the sources as bands on common pixels; `whole`: all pixels, not the field in common."""
+    from charact.fusion.alignment import align_bands, common_field
+    from charact.fusion.sources import band_of
+
+    progress("bands", 0.1)
+    bands = [band_of(one, bloom=bloom, seed=seed) for one in read]
+    progress("registration", 0.5)
+    bands, places = align_bands(bands, read, distance_m=distance_m, registered=registered)
+    return _Aligned(read=read, bands=bands, places=places, region=None if whole else common_field(places))
+
+
+def _fuse_frames(
+    aligned: _Aligned, method: str, target: Path, given: list[str], *, progress: Any, **settings: Any
+) -> "dict[str, Fused]":
+    """Fuse a sequence frame by frame and write it; return its first picture by the method that was used."""
+    from charact.cli.fuse_files import write_sequence
+    from charact.fusion.sequence import fuse_sequence, pair_frames
+
+    pairs, notes = pair_frames(aligned.read)
+    frames = fuse_sequence(aligned.read, pairs, method=method, places=aligned.places, region=aligned.region, **settings)
+    made = []
+    for one in frames:
+        made.append(one)
+        progress(f"frame {len(made)} of {len(pairs)}", 0.5 + 0.5 * len(made) / len(pairs))
+    rows = tuple(row.with_(notes=(*row.notes, *notes)) for row in made[0].measurements)
+    stamps = aligned.read[0].stack.time_s
+    times = [float(stamps[pair[0]]) for pair in pairs] if stamps.size else None
+    write_sequence(made, target, given, aligned.region, times)
+    return {rows[0].method: replace(made[0], measurements=rows)}
+
+
+def _fuse_means(
+    aligned: _Aligned, names: list[str], target: Path, given: list[str], *, colours: Path | None, truth: Path | None,
+    seed: int, progress: Any, spans: dict[str, tuple[float, float]], **settings: Any,
+) -> "dict[str, Fused]":  # fmt: skip
+    """Fuse the means of all frames by several methods, write the pictures and return them by name."""
+    from charact.cli import fuse_files as files
+    from charact.fusion.bands import display_planes
+    from charact.fusion.colour_table import ColourTable, fuse_by_table
+    from charact.fusion.fuse import fuse_all
+    from charact.fusion.fused import codes_of
+
+    bands, region = _cropped(aligned), aligned.region
+    progress("fusion", 0.8)
+    found = fuse_all(bands, names, spans=spans, **settings)
+    if colours is not None:
+        found["colour-table"] = fuse_by_table(bands, ColourTable.load(colours))
+    true = None if truth is None else _truth(truth, region)
+    found = {name: one if true is None else _with_error(one, true, bands, seed) for name, one in found.items()}
+    shown = [codes_of(plane.value) for plane in display_planes(bands, bloom=False, spans=spans)]
+    files.write(found, shown, target, given, region)
+    if len(found) > 1:
+        _write_page(found, bands, shown, aligned.read, target, true, seed, progress)
+    return found
+
+
+def _cropped(aligned: _Aligned) -> "list[Band]":
+    """Return the bands cut to the region that all show, the first with a note of it."""
+    from charact.fusion.alignment import crop_band
+
+    if aligned.region is None:
+        return aligned.bands
+    bands = [crop_band(band, aligned.region) for band in aligned.bands]
+    note = "ROW,COL,HEIGHT,WIDTH {},{},{},{} of {}, the field of view in common (--whole keeps all)"
+    noted = replace(bands[0], notes=(*bands[0].notes, note.format(*aligned.region, bands[0].name)))
+    return [noted, *bands[1:]]
+
+
+def _print(
+    found: "dict[str, Fused]", target: Path, given: list[str], *, as_json: bool, events: bool, everything: bool
+) -> None:
+    """Print the measurements of all pictures, and how to score the first one."""
+    from charact.cli.fuse_files import picture_of
+    from labdata.measurement import Result
+
+    result = Result(measurements=tuple(row for one in found.values() for row in one.measurements))
+    picture = picture_of(target, next(iter(found)) if len(found) > 1 else None)
+    inputs = [target / f"{name}.png" for name in next(iter(found.values())).names[:2]]
+    print_result(
+        result, given=" ".join(given), verb="fuse", as_json=as_json, events=events, everything=everything,
+        next_verb=None if target.suffix else f"charact fuse score {inputs[0]} {inputs[1]} {picture}",
+    )  # fmt: skip
+    if not as_json:
+        print_message(f"{target}: {', '.join(found)} of {', '.join(given)}", events=events)
 
 
 @app.command()
@@ -309,8 +373,6 @@ def _truth(path: Path, region: tuple[int, int, int, int] | None) -> "FusionTruth
 
 def _with_error(found: "Fused", truth: "FusionTruth", bands: "Sequence[Band]", seed: int) -> "Fused":
     """Return a fused picture with its restoration error in each zone of the truth, percent."""
-    from dataclasses import replace
-
     from labdata.measurement import make_measurement
 
     method, errors = found.measurements[0].method, "restoration_error_"

@@ -29,6 +29,8 @@ NAMED = 16
 # Colour scale of a residual, standard deviations, unless it is larger; linear range of large deviations.
 LEAST_SCALE_SD, LINEAR_SD = 4.0, 5.0
 DEVIATION_TICKS_SD = (-10000, -2000, -500, -100, -20, -5, 0, 5, 20, 100, 500, 2000, 10000)
+# Marks on the colour scale of a residual, over its end.
+SCALE = np.linspace(-1.0, 1.0, 5)
 # Half of a two-sided 95 % interval of a Gaussian, standard deviations.
 TWO_SIDED_95 = 1.96
 
@@ -93,11 +95,13 @@ def residual_figure(found: ResidualMap, aspect: float) -> Figure:
     most = max(LEAST_SCALE_SD * sd, float(np.quantile(np.abs(difference), 0.998)))
     rows, cols = (size * found.block_px for size in difference.shape)
     with report_style():
-        figure, axes = panel((4.6, 0.8 + 2.3 * min(1.4, rows * aspect / cols)))
+        figure, axes = panel((4.8, 0.6 + 2.3 * min(1.4, rows * aspect / cols)))
+        figure.set_layout_engine("none")
+        axes.set_position((0.13, 0.17, 0.51, 0.78))
         drawn = axes.imshow(difference, cmap="RdBu_r", vmin=-most, vmax=most, extent=(0, cols, rows, 0),
                             interpolation="nearest", aspect=aspect)  # fmt: skip
-        bar = figure.colorbar(drawn, ax=axes, ticks=most * np.linspace(-1.0, 1.0, 5), shrink=0.8)
-        bar.ax.set_yticklabels([_minus(f"{at:+.3g} DN = {at / sd:+.2g} sd") if at else "0" for at in bar.get_ticks()])
+        bar = figure.colorbar(drawn, cax=figure.add_axes((0.67, 0.22, 0.03, 0.68)), ticks=most * SCALE)
+        bar.ax.set_yticklabels([_minus(f"{at:+.2g} DN = {at / sd:+.2g} sd") if at else "0" for at in bar.get_ticks()])
         axes.grid(False)
         axes.set(xlabel="column (px)", ylabel="row (px)")
         title = f"Residual of the {found.role}, {found.label}"
@@ -226,7 +230,7 @@ def power_figure(validation: Validation) -> tuple[Figure, ...]:
         ticks = 10.0 ** np.arange(np.log10(least), 2.01)
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.grid(False, axis="y")
-        title = "What this validation could not have seen"
+        title = "Least error of each parameter that would be found"
         caption = (
             f"Errors shorter than a bar are missed in more than {100.0 - 100.0 * rows[0].probability:g} % of cases. "
             "After the number: the statistic that finds the error. Numbers are taken as linear in the parameter."

@@ -81,7 +81,7 @@ def test_the_page_shows_pictures_statistics_and_controls(made):
     text = _text(html)
     for piece in (
         "Measured, dim flat: flat-1", "Simulated, dim flat: flat-1", "Black 3 DN, white 90 DN.",
-        "blur after the gain removed", "Residual of the dark, dark-1", "+26.9 DN = +5.4 sd", "Mean of 8 frames",
+        "blur after the gain removed", "Residual of the dark, dark-1", "+27 DN = +5.4 sd", "Mean of 8 frames",
         "point-1, measured", "Which one is measured?",
         "Variance and covariance against the mean", "The edge was left out.", "16 posterior draws, seed 7",
         "must pass", "must be noticed", "What this validation could not have seen", "12 %, fixed-pattern",

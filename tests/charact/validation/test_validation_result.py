@@ -56,7 +56,9 @@ def good() -> Validation:
             pairs=(pair, replace(pair, label="g", measured=picture + 1)),
             blind=(replace(pair, simulated=picture + 2),),
             residuals=(
-                ResidualMap(role="dark", label="d", block_px=4, difference_dn=np.float32(picture - 0.5), sd_dn=0.3),
+                ResidualMap(
+                    role="dark", label="d", block_px=4, difference_dn=np.eye(3, 4, dtype=np.float32), sd_dn=0.3
+                ),
             ),
         ),
         notes=("a note",),
