@@ -74,7 +74,7 @@ def test_gain_from_one_to_a_million_is_proportional_until_full_scale(bit_depth, 
     sensor = replace(sensor, video=replace(sensor.video, bit_depth=bit_depth))
     top = 2**bit_depth - 1
     means = []
-    for gain in 10.0 ** np.arange(0.0, 6.1, 0.5):
+    for gain in 10.0 ** np.arange(0.0, 6.1):
         camera = IntensifiedCamera(sensor.with_values({"tube.luminous_gain": gain}))
         codes = codes_of(camera, 2.0, Conditions(), seed)
         mean, error = with_error(codes)
@@ -200,7 +200,7 @@ def test_frames_of_one_pixel_one_row_or_one_column_have_the_mean_of_any_other(sh
 def test_every_shipped_camera_of_one_pixel_sees(name, seed):
     description = load_camera(name)
     camera = camera_from_description(replace(description, ccd=replace(description.ccd, rows=1, columns=1)))
-    dark, lit = (codes_of(camera, level, Conditions(), seed) for level in (0.0, 1e5))
+    dark, lit = (codes_of(camera, level, Conditions(), seed, frames=4) for level in (0.0, 1e5))
     assert lit.mean() > dark.mean()
 
 
@@ -351,10 +351,10 @@ def test_a_description_with_a_number_that_is_none_is_refused(name, value):
     assert not accepted
 
 
-# Both cameras with a tube have the same stages but for the analog video: the second is tried one way.
+# Both cameras with a tube have the same stages but for the analog video: that numbers may be too small is tried on one.
 @pytest.mark.parametrize(
     ("name", "factor"),
-    [*((name, factor) for name in (NAMES[0], NAMES[2]) for factor in (-1.0, 0.0, 0.1, 100.0)), (NAMES[1], 100.0)],
+    [*((name, factor) for name in (NAMES[0], NAMES[2]) for factor in (-1.0, 0.0, 100.0)), (NAMES[1], 0.1)],
 )
 def test_any_number_of_a_description_may_be_absurd_and_is_refused_or_gives_codes(name, factor, seed):
     """With the sign turned, at zero, and far from the shipped value either way: no number of either kind of camera."""

@@ -33,8 +33,8 @@ from tests.simulate.samplers import drawn_by
 
 Map = NDArray[np.float64]
 SHAPE = (72, 96)
-SCENES = 45
-DRAWN = range(15, SCENES, 15)
+SCENES = 24
+DRAWN = (15, 30)
 # By how much of itself the tolerance may be broken.
 BROKEN = 1.1
 BLOCKS = 8

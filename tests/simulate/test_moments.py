@@ -45,7 +45,7 @@ CASES = [
     for tier, levels in AFFORDED.items()
     for level in levels
     for name, shape in SHAPES.items()
-    if tier == "fast" or shape == 1.0
+    if shape == 1.0 or (tier == "fast" and level in (LEVELS[0], LEVELS[-1]))
 ]
 
 
@@ -146,9 +146,8 @@ def test_flats_have_the_moments_of_campbells_theorem(tier, level, shape, flats):
     assert not departures(found, expected, error)
 
 
-@pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-def test_single_events_have_the_moments_of_campbells_theorem(shape, level, plain, event_moments):
+@pytest.mark.parametrize(("level", "shape"), [(0.05, 1.0), (0.5, 2.0), (5.0, 1.0), (50.0, 2.0), (500.0, 1.0)])
+def test_single_events_have_the_moments_of_campbells_theorem(level, shape, plain, event_moments):
     """The two ways of the reference agree, so that neither is believed alone."""
     camera = slow.of_sensor(plain(240, 320, microchannel_plate__pulse_height_shape=shape))
     found, error = event_moments(camera, level)

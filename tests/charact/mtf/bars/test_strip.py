@@ -70,15 +70,6 @@ def test_no_bias_and_honest_intervals_at_ten_times_the_noise(name: str, blur_px:
     assert np.std(scaled) > 0.35
 
 
-@pytest.mark.parametrize("bars", [2, 5, 40])
-def test_any_number_of_bars(bars: int) -> None:
-    for frequency in (0.12, 0.3):
-        stack = frames_of(strip(CORES["tube n 1.1"], frequency, 3.0, 0.2, bars=bars), np.random.default_rng(0), snr=1e3)
-        found = read(stack, frequency, bars=bars)
-        assert found.status == "ok", (frequency, found.flags, found.reason)
-        assert found.value == pytest.approx(mtf_of(CORES["tube n 1.1"], frequency, 3.0), rel=0.015)
-
-
 @pytest.mark.parametrize("asked", [3, 5])
 def test_another_number_than_asked_for_is_told(asked: int, seed) -> None:
     """Four bars: what is asked for is never ok, and the note on three of them says how many there are."""
