@@ -118,7 +118,7 @@ class LabBench:
     def mcp_input(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons at the MCP input or in the chip, per cell and exposure, EBI included."""
         camera = self.camera
-        if not camera.has_tube:
+        if isinstance(camera, SiliconCamera):
             if kind == "dark":
                 return StageImage(values=np.zeros(camera.cells.shape, np.float32), grid=camera.cells)
             light = np.float32(self._lux(kind, conditions) * camera.lit_s(conditions))
