@@ -368,5 +368,7 @@ def _levels(camera: SolidStateCamera, levels: tuple[StackMean, ...]) -> Observat
     depends = ("video.black_level_dn",)
     if lit:
         gains = dict.fromkeys(path for conditions in lit for path in _amplification(conditions))
-        depends += (*gains, COMPRESSION, OFFSET, "ccd.quantum_efficiency", *(("ccd.pitch_x_um",) if of_lux else ()))
+        # Of one exposure the shutter's offset is as good as more light.
+        late = (OFFSET,) if len({level.gate_s for level in levels if not level.dark}) > 1 else ()
+        depends += (*gains, COMPRESSION, *late, "ccd.quantum_efficiency", *(("ccd.pitch_x_um",) if of_lux else ()))
     return Observation(name="levels", value=mean, covariance=covariance, predict=predict, speaks_of=depends)
