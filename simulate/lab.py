@@ -118,10 +118,10 @@ class LabBench:
     def mcp_input(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons at the MCP input or in the chip, per cell and exposure, EBI included."""
         camera = self.camera
-        if not camera.has_tube:
+        if isinstance(camera, SiliconCamera):
             if kind == "dark":
                 return StageImage(values=np.zeros(camera.cells.shape, np.float32), grid=camera.cells)
-            light = np.float32(self._lux(kind, conditions) * camera.lit_s(conditions))
+            light = np.float32(self._lux(kind, conditions) * camera.stage(Slot.SILICON, conditions).exposure_s)
             return StageImage(values=self._picture(kind, target) * light, grid=camera.cells)
         cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s

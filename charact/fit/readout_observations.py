@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.observation import Observation, one
+from charact.fit.observation import NOISE_MODEL_SD, Observation, one
 from charact.fit.predicted_quantities import Values
 
 Array = NDArray[np.float64]
@@ -43,6 +43,15 @@ class Interference:
     y_cy_per_px: float
     mean_square_dn2: float
     sd_dn2: float
+
+    def removed_from(self, image: Array) -> Array:
+        """Return an image (row, col) without its component of these frequencies."""
+        rows, columns = image.shape
+        down = np.exp(2j * np.pi * self.y_cy_per_px * np.arange(rows))
+        across = np.exp(2j * np.pi * self.x_cy_per_px * np.arange(columns))
+        amplitude = (down.conj() @ image @ across.conj()) / image.size
+        real = np.isclose(np.mean(down**2).real * np.mean(across**2).real, 1.0)
+        return image - (1.0 if real else 2.0) * np.real(amplitude * np.outer(down, across))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +191,8 @@ def readout_observations(
         return out
     _, rows, columns = found.shape
     out.append(
-        one("interference", peak.mean_square_dn2, peak.sd_dn2, lambda values: values[INTERFERENCE],
+        one("interference", peak.mean_square_dn2,
+            float(np.hypot(peak.sd_dn2, NOISE_MODEL_SD * peak.mean_square_dn2)), lambda values: values[INTERFERENCE],
             (INTERFERENCE,))
     )  # fmt: skip
     for path, value, pixels in ((ACROSS, peak.x_cy_per_px, columns), (DOWN, peak.y_cy_per_px, rows)):

@@ -62,8 +62,9 @@ def em_gain(values: Values, conditions: Conditions) -> Array:
 
 
 def dn_per_electron(values: Values, conditions: Conditions) -> Array:
-    """Return DN per electron behind the register, with the camera's gain in dB."""
-    return values["video.conversion_gain_dn_per_e"] * 10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0)
+    """Return DN per electron behind the register at no signal, with the camera's gain in dB."""
+    amplified = values["video.conversion_gain_dn_per_e"] * 10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0)
+    return amplified / (1.0 - EMVA_SLOPE * values[COMPRESSION])
 
 
 def register_excess(values: Values, conditions: Conditions) -> Array:
@@ -149,7 +150,8 @@ def _gain(camera: SolidStateCamera, result: Result, usual: Conditions) -> list[O
     measured = measured or [(m, 1.0) for m in admissible_measurements(result, "covariance_gain", "DN")]
 
     def predict(values: Values) -> Array:
-        return dn_per_electron(values, usual) * em_gain(values, usual) * register_excess(values, usual)
+        slope = dn_per_electron(values, usual) * (1.0 - EMVA_SLOPE * values[COMPRESSION])
+        return slope * em_gain(values, usual) * register_excess(values, usual)
 
     depends = (*_amplification(usual), HEIGHTS)
     return [
@@ -185,9 +187,9 @@ def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], resu
             * register_excess(values, flat.conditions) for flat in usable
         ]  # fmt: skip
         c = values[COMPRESSION][:, None]
-        straight = signal * (1.0 + c * signal / full)
+        straight = 2.0 * signal / (1.0 + np.sqrt(np.maximum(1.0 - 4.0 * c * signal / full, 0.0)))
         bend = (1.0 - 2.0 * c * straight / full) ** 2 * straight / signal
-        return np.stack(np.broadcast_arrays(*gains), axis=1) * bend / (1.0 - EMVA_SLOPE * c)
+        return np.stack(np.broadcast_arrays(*gains), axis=1) * bend
 
     depends = dict.fromkeys(
         path for flat in usable for path in (*_amplification(flat.conditions), HEIGHTS, COMPRESSION)
@@ -349,7 +351,7 @@ def _levels(camera: SolidStateCamera, levels: tuple[StackMean, ...]) -> Observat
         electrons = values["ccd.quantum_efficiency"][:, None] * np.where(in_lux, area_m2[:, None], 1.0) * light
         electrons = electrons * (1.0 + values[OFFSET][:, None] / exposure_us)
         c = values[COMPRESSION][:, None]
-        straight = np.stack(np.broadcast_arrays(*gains), axis=1) * electrons / (1.0 - EMVA_SLOPE * c)
+        straight = np.stack(np.broadcast_arrays(*gains), axis=1) * electrons
         return values["video.black_level_dn"][:, None] + straight * (1.0 - c * straight / full)
 
     mean = np.array([level.mean_dn for level in levels])
@@ -366,5 +368,7 @@ def _levels(camera: SolidStateCamera, levels: tuple[StackMean, ...]) -> Observat
     depends = ("video.black_level_dn",)
     if lit:
         gains = dict.fromkeys(path for conditions in lit for path in _amplification(conditions))
-        depends += (*gains, COMPRESSION, OFFSET, "ccd.quantum_efficiency", *(("ccd.pitch_x_um",) if of_lux else ()))
+        # Of one exposure the shutter's offset is as good as more light.
+        late = (OFFSET,) if len({level.gate_s for level in levels if not level.dark}) > 1 else ()
+        depends += (*gains, COMPRESSION, *late, "ccd.quantum_efficiency", *(("ccd.pitch_x_um",) if of_lux else ()))
     return Observation(name="levels", value=mean, covariance=covariance, predict=predict, speaks_of=depends)

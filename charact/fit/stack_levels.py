@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.fit.readout_observations import readout_spectrum
 from charact.noise.illumination import gathering_s
 from charact.noise.stack.components import shading
 from labdata.conditions import Conditions
@@ -95,20 +96,27 @@ def _level(session: Session, entry: StackEntry) -> StackMean | None:
 def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return temporal variance and variance of the fixed pattern with their standard errors.
 
-    Removed are the frames' offsets and, of the fixed pattern, shading of light and lens up to the fourth order.
+    Removed are the frames' offsets and, of the fixed pattern, shading of light and lens up to the fourth order, the
+    offsets of rows, and interference, whose phases of few frames do not average to their expectation.
 
     Standard errors are from the scatter over pixels, taken as independent: for white noise.
     """
     count, pixels = len(data), data[0].size
     if count < 2:
         return (np.nan, np.nan), (np.nan, np.nan)
-    total, square = np.zeros(data.shape[1:]), np.zeros(data.shape[1:])
+    sums = np.zeros((4, *data.shape[1:]))
     for frame in data:
-        away = frame - frame.mean(dtype=np.float64)
-        total += away
-        square += away**2
-    each = (square - total**2 / count) / (count - 1)
-    own = _without_shading(total / count) ** 2 - each / count
+        for place, axes in ((0, (0, 1)), (2, 1)):
+            away = frame - frame.mean(axis=axes, keepdims=True, dtype=np.float64)
+            sums[place] += away
+            sums[place + 1] += away**2
+    each, in_rows = ((square - total**2 / count) / (count - 1) for total, square in (sums[:2], sums[2:]))
+    spectrum = readout_spectrum(data)
+    peak = None if spectrum is None else spectrum.interference
+    pattern, noise_dn2 = _without_shading(sums[2] / count), in_rows
+    if peak is not None:
+        pattern, noise_dn2 = peak.removed_from(pattern), in_rows - peak.mean_square_dn2
+    own = pattern**2 - noise_dn2 / count
     root = np.sqrt(pixels)
     return (
         (float(each.mean()), float(each.std() / root)),

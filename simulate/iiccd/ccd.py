@@ -38,7 +38,9 @@ class Silicon(Stage, slot=Slot.SILICON, takes="photons", emits="photoelectrons i
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
         """Return the chip that detects."""
         efficiency = max(camera.description.silicon.quantum_efficiency)
-        return cls(quantum_efficiency=efficiency, exposure_s=camera.lit_s(conditions), grid=camera.cells)
+        # Stated exposure and offset of the shutter.
+        exposure_s = camera.open_s(conditions) + 1e-6 * float(camera.description.readout.exposure_offset_us)
+        return cls(quantum_efficiency=efficiency, exposure_s=exposure_s, grid=camera.cells)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.quantum_efficiency <= 1.0:

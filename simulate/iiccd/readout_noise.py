@@ -49,7 +49,8 @@ def draw_read_noise(rng: np.random.Generator, shape: tuple[int, ...], fine_ratio
     correlation = neighbour_correlation(fine_ratio)
     low, high = np.sqrt(1.0 + 2.0 * correlation), np.sqrt(1.0 - 2.0 * correlation)
     white = rng.standard_normal((*shape[:-1], shape[-1] + 1), dtype=np.float32)
-    return np.float32(0.5 * (low + high)) * white[..., 1:] + np.float32(0.5 * (low - high)) * white[..., :-1]
+    own, before = np.float32(0.5 * (low + high)), np.float32(0.5 * (low - high))
+    return (own * white[..., 1:] + before * white[..., :-1]).astype(np.float32)
 
 
 def neighbour_correlation(fine_ratio: float) -> float:
