@@ -7,8 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.validation.controls import PARAMETERS, ParameterControl
 from charact.validation.frame_features import Numbers, features_of
 from charact.validation.frames import MatchedFrames, MatchedStacks, VisibleCamera, simulate_frames
+from charact.validation.thresholds import VALIDATION
+from charact.validation.validation_test import ParameterChange
 from labdata.camera_description import Draws
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
@@ -68,7 +71,7 @@ class BenchSets:
                 stack("flat", label, lux, shape, Target(), 8)
                 for label, lux in zip(("low", "mid", "bright"), lights, strict=True)
             ),
-            edge=stack("edge", "edge", lights[-1], (shape[0], 72), Target(angle_deg=5.0), 16),
+            edge=stack("edge", "edge", lights[-1], (shape[0], 96), Target(angle_deg=5.0), 16),
             point=stack("point", "point", 300.0 * lights[-1], (128, 128), Target(pinhole_px=3.0), 8),
             others=(),
             measured={},
@@ -90,6 +93,28 @@ class BenchSets:
             drawn = drawn.with_values(changed)
         frames = simulate_frames(drawn, self.chosen.compared, seed=int(rng.integers(2**31)))
         return frames if defect is None else self.put(frames, defect)
+
+    def wrong(self, control: ParameterControl, error: float) -> Defect | None:
+        """Return the camera that has a parameter off by a relative error, as a defect; None without the parameter."""
+        known = self.camera.parameters()
+        path = next((path for path in control.parameters if float(known.get(path, 0.0)) != 0.0), None)
+        if path is None:
+            return None
+        return Defect(name=control.title, stacks=(), groups=(), factors={path: 1.0 + error})
+
+    def changes(self) -> tuple[ParameterChange, ...]:
+        """Return the changes of set 0 by those of the parameters that the camera has."""
+        found, error = [], VALIDATION.control_change
+        plain = self.numbers(self.frames(0))
+        for control in PARAMETERS:
+            wrong = self.wrong(control, error)
+            if wrong is not None:
+                changed = self.numbers(self.frames(0, wrong))
+                found.append(ParameterChange(
+                    title=control.title, plain=plain, changed=changed, change=error,
+                    in_quadrature=control.in_quadrature,
+                ))  # fmt: skip
+        return tuple(found)
 
     def put(self, frames: Frames, defect: Defect) -> dict[str, NDArray]:
         """Return frames with a defect, in whole DN within the digitiser's range."""
