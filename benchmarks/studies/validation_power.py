@@ -83,8 +83,8 @@ def verify(study: PowerStudy, tries: int) -> list[dict[str, Any]]:
     controls = {one.title: one for one in PARAMETERS}
     for index, change in enumerate(one for one in study.changes if one.title in VERIFIED):
         error = test.detectable(**vars(change)).relative_error
-        wrong = study.bench.wrong(controls[change.title], error)
-        numbers = [study.bench.numbers(study.bench.frames(WRONG * (index + 1) + i, wrong)) for i in range(tries)]
+        wrong = [study.bench.change(WRONG * (index + 1) + i, controls[change.title], error) for i in range(tries)]
+        numbers = [own for own, _ in (one for one in wrong if one is not None)]
         fails = [any(not one.passed for one in test.statistics(own)) for own in numbers]
         rows.append({"parameter": change.title, "error": error, "failed": sum(fails), "tries": tries})
         print(rows[-1], flush=True)
