@@ -98,17 +98,17 @@ def draw(results: Mapping[str, Any]) -> None:
     FigureCanvasAgg(figure)
     errors, seconds = figure.subplots(1, 2, width_ratios=(3, 2))
     draws = [row["draws"] for row in rows]
-    for name in rows[0]["errors"]:
-        values = [100.0 * row["errors"][name] if np.isfinite(row["errors"][name]) else np.nan for row in rows]
-        errors.plot(draws, values, "o-", markersize=3, label=name)
-    for row in results["verified"]:
-        errors.annotate(
-            f"{row['failed']}/{row['tries']}", (VALIDATION.draws, 100.0 * row["error"]), fontsize=7,
-            xytext=(3, 3), textcoords="offset points",
-        )  # fmt: skip
+    verified = {row["parameter"]: f" ({row['failed']}/{row['tries']} failed)" for row in results["verified"]}
+    for index, name in enumerate(rows[0]["errors"]):
+        values = [np.nan if (error := row["errors"][name]) is None else 100.0 * error for row in rows]
+        style = {"color": f"C{index % 10}", "linestyle": "--" if index >= 10 else "-"}
+        errors.plot(draws, values, marker="o", markersize=3, label=name + verified.get(name, ""), **style)
+    ticks = (1, 2, 5, 10, 20, 50, 100)
     errors.set(xlabel="simulated sets", ylabel="relative error found in 80 % of sessions, %", yscale="log")
+    errors.set_yticks(ticks, [str(tick) for tick in ticks])
+    errors.minorticks_off()
     errors.axvline(VALIDATION.draws, color="0.6", linewidth=0.8)
-    errors.set_title("power; fractions: frames of cameras so wrong that failed", fontsize=9)
+    errors.set_title("power, and frames with that error at the line that failed", fontsize=9)
     figure.legend(*errors.get_legend_handles_labels(), loc="outside right center", fontsize=7, frameon=False)
     seconds.plot(draws, [row["seconds"] for row in rows], "o-", color="0.2", markersize=3)
     seconds.set(xlabel="simulated sets", ylabel="processor time, s", ylim=(0.0, None))
@@ -133,8 +133,8 @@ def main() -> None:
         "chart": chart(study),
         "verified": verify(study, asked.tries),
     }
-    draw(results)
     TABLE.write_text(json.dumps(results, indent=1).replace("NaN", "null") + "\n")
+    draw(json.loads(TABLE.read_text()))
 
 
 if __name__ == "__main__":
