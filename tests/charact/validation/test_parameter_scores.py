@@ -45,9 +45,9 @@ def test_the_estimate_of_white_numbers_is_that_of_least_squares(seed: int) -> No
 
 def test_p_values_of_right_simulations_are_no_smaller_than_stated(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    p_values = np.array([_scores(rng).p_value(_sets(rng, 1)[0]) for _ in range(400)])
+    p_values = np.array([_scores(rng).p_value(_sets(rng, 1)[0]) for _ in range(200)])
     for at in (0.01, 0.05, 0.2):
-        assert np.mean(p_values < at) < at + 4.5 * np.sqrt(at * (1.0 - at) / 400)
+        assert np.mean(p_values < at) < at + 4.5 * np.sqrt(at * (1.0 - at) / 200)
     # Two estimates share one level: little of it is lost.
     assert np.mean(p_values < 0.5) > 0.3
 

@@ -57,7 +57,7 @@ def test_an_error_of_one_number_of_forty_is_found_where_chi_squared_is_usual(see
 
 def test_the_most_deviating_of_several_places_fails_no_more_often_than_stated(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    places = [rng.standard_normal((5, SIZE)) @ ROOT.T for _ in range(200)]
+    places = [rng.standard_normal((5, SIZE)) @ ROOT.T for _ in range(100)]
     p_values = np.array([_ensemble(rng).p_value(own) for own in places])
     for at in (0.05, 0.2, 0.5):
         assert np.mean(p_values < at) < at + 4.5 * np.sqrt(at * (1.0 - at) / p_values.size)
