@@ -61,6 +61,9 @@ STUDIES = {
     "temperature-settings": Study(
         module="temperature_settings", about="settings of the temperature solver: printed, figure; 1 minute"
     ),
+    "validation-power": Study(
+        module="validation_power", about="power of a validation by simulated sets: table, figure; 10 minutes"
+    ),
     "fault-campaign": Study(
         module="tests.faults.campaign",
         arguments=("--strikes", "5", "--seed", "20260", "--keep", "docs/validation/faults.md"),

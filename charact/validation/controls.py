@@ -13,10 +13,15 @@ Frames = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterControl:
-    """A parameter whose change must be noticed: `title` says what, `parameters` its paths, the first that exists."""
+    """A parameter whose change must be noticed.
+
+    `title` says what, `parameters` are its paths, of which the first counts that exists; `in_quadrature`: whether it is
+    the standard deviation of a noise, whose square the numbers follow.
+    """
 
     title: str
     parameters: tuple[str, ...]
+    in_quadrature: bool = False
 
 
 PARAMETERS = (
@@ -30,12 +35,13 @@ PARAMETERS = (
     ),
     ParameterControl(title="video bandwidth", parameters=("video.bandwidth_mhz",)),
     ParameterControl(title="slow decay of the phosphor", parameters=("phosphor.slow_decay_ms",)),
-    ParameterControl(title="read noise", parameters=("ccd.read_noise_e",)),
+    ParameterControl(title="read noise", parameters=("ccd.read_noise_e",), in_quadrature=True),
+    ParameterControl(title="noise of rows", parameters=("video.line_noise_dn",), in_quadrature=True),
     ParameterControl(
         title="dark events: EBI or dark current",
         parameters=("photocathode.ebi_lm_per_cm2", "ccd.dark_current_e_per_s"),
     ),
-    ParameterControl(title="PRNU", parameters=("ccd.prnu",)),
+    ParameterControl(title="PRNU", parameters=("ccd.prnu",), in_quadrature=True),
 )
 
 

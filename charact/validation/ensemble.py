@@ -45,15 +45,24 @@ class Ensemble:
     def p_value(self, measured: Array) -> float:
         """Return the probability of at least this deviation, at least 1/(replicates + 1).
 
+        Parameters
+        ----------
+        measured
+            Numbers of a set, shape (number,), or of several places of its frames, (place, number), of which the most
+            deviating counts.
+
         Notes
         -----
         A deviation is the larger of two, each over its 99 % quantile: chi-squared of all numbers, which finds small
         errors of many, and the largest squared z-score, which finds an error of one. The covariance is estimated from
         few sets, so that neither has a tabulated distribution: the procedure is repeated on Gaussian sets with the
-        estimated covariance (a parametric bootstrap; Davison and Hinkley 1997, section 4.2).
+        estimated covariance (a parametric bootstrap; Davison and Hinkley 1997, section 4.2), all places of a repetition
+        against the same sets.
         """
-        at_least = np.sum(self._ranked(self.null) >= self._ranked(self._deviations(measured[None]))[0])
-        return float((1 + at_least) / (len(self.null) + 1))
+        places = np.atleast_2d(measured)
+        null = self.null if len(places) == 1 else self._repeat(len(places))
+        at_least = np.sum(self._ranked(null).max(axis=1) >= self._ranked(self._deviations(places)).max())
+        return float((1 + at_least) / (len(null) + 1))
 
     def detects(self, shifts: Array, level: float) -> float:
         """Return the fraction of sets, moved by shifts (number,), whose p-value is below a level."""
@@ -61,7 +70,7 @@ class Ensemble:
         root = np.linalg.cholesky(self.covariance)
         moved = self.values.mean(axis=0) + shifts + rng.standard_normal((400, self.values.shape[1])) @ root.T
         found = self._ranked(self._deviations(moved))
-        return float(np.mean(found > np.quantile(self._ranked(self.null), 1.0 - level)))
+        return float(np.mean(found > np.quantile(self._ranked(self.null[:, 0]), 1.0 - level)))
 
     def z_scores(self, measured: Array) -> Array:
         """Return each number's deviation in standard deviations of the prediction, shape (number,)."""
@@ -73,28 +82,32 @@ class Ensemble:
 
     def _ranked(self, deviations: Array) -> Array:
         """Return the larger of both deviations, each over its 99 % quantile where the simulation is right."""
-        return (deviations / np.quantile(self.null, 0.99, axis=0)).max(axis=-1)
+        return (deviations / np.quantile(self.null[:, 0], 0.99, axis=0)).max(axis=-1)
 
     @cached_property
     def null(self) -> Array:
-        """Deviations where the simulation is right, shape (replicate, 2)."""
+        """Deviations where the simulation is right, shape (replicate, 1, 2)."""
+        return self._repeat(1)
+
+    def _repeat(self, places: int) -> Array:
+        """Return deviations of several sets from the same ensemble where it is right, shape (replicate, place, 2)."""
         rng = np.random.default_rng([self.seed, 1])
         count, size = self.values.shape
         root = np.linalg.cholesky(self.covariance)
         found = []
         for _ in range(VALIDATION.replicates // 500):
-            drawn = rng.standard_normal((500, count + 1, size)) @ root.T
-            sets, one = drawn[:, 1:], drawn[:, 0]
-            centre = sets.mean(axis=1)
-            covariance = _shrink(sets - centre[:, None], self.least_sd) * (1.0 + 1.0 / count)
-            found.append(_deviations(one - centre, covariance))
+            drawn = rng.standard_normal((500, count + places, size)) @ root.T
+            sets, own = drawn[:, places:], drawn[:, :places]
+            centre = sets.mean(axis=1, keepdims=True)
+            covariance = _shrink(sets - centre, self.least_sd) * (1.0 + 1.0 / count)
+            found.append(_deviations(own - centre, covariance))
         return np.concatenate(found)
 
 
 def _deviations(gap: Array, covariance: Array) -> Array:
-    """Return chi-squared and the largest squared z-score of gaps (n, number) by covariances, shape (n, 2)."""
-    squared = np.einsum("ni,ni->n", gap, np.linalg.solve(covariance, gap[..., None])[..., 0])
-    variance = np.einsum("...ii->...i", covariance)
+    """Return chi-squared and the largest squared z-score of gaps (..., n, number) by covariances, shape (..., n, 2)."""
+    squared = np.einsum("...ni,...in->...n", gap, np.linalg.solve(covariance, np.swapaxes(gap, -1, -2)))
+    variance = np.einsum("...ii->...i", covariance)[..., None, :]
     return np.stack([squared, (gap**2 / variance).max(axis=-1)], axis=-1)
 
 

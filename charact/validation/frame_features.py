@@ -19,12 +19,14 @@ class FeatureGroup:
     """Numbers that one statistic compares.
 
     `title`: what they are; `cause`: stages of the camera, or faults of the session, that move them; `least_sd`: least
-    standard deviation of each, for counts of which all simulated sets hold the same.
+    standard deviation of each, for counts of which all simulated sets hold the same; `over_frame`: whether they are
+    compared in all parts of the frame, as faults may lie anywhere.
     """
 
     title: str
     cause: str
     least_sd: float = 0.0
+    over_frame: bool = False
     of_stacks: Callable[[StackView, list[StackView]], Numbers] | None = None  # None: of edge or point
 
 
@@ -64,14 +66,15 @@ GROUPS: dict[str, FeatureGroup] = {
     "fixed-pattern": FeatureGroup(
         title="Fixed noise of pixels, rows and columns, and its spectrum", of_stacks=of_stacks.pattern_features,
         cause="DSNU, PRNU, fibre pattern, dust, ghost images, or interference in step with the frames", least_sd=0.001,
+        over_frame=True,
     ),
     "defects": FeatureGroup(
         title="Most deviating pixels and spots of the mean frames", of_stacks=of_stacks.defect_features,
-        cause="hot, dead or stuck pixels, dust, or blemishes", least_sd=0.05,
+        cause="hot, dead or stuck pixels, dust, or blemishes", least_sd=0.05, over_frame=True,
     ),
     "shading": FeatureGroup(
         title="Slope and curvature of the mean frames over the picture", of_stacks=of_stacks.shading_features,
-        cause="vignetting, uneven light, glow of an amplifier, or stray light",
+        cause="vignetting, uneven light, glow of an amplifier, or stray light", over_frame=True,
     ),
     "time": FeatureGroup(
         title="Correlation of frames and fields with each other, and drift", of_stacks=of_stacks.time_features,
@@ -122,3 +125,18 @@ def features_of(frames: Mapping[str, NDArray], chosen: MatchedStacks, *, context
         variance_dn2=tuple(one.variance - dark.variance for one in flats),
         covariance_dn2=tuple(float(one.covariance.sum() - dark.covariance.sum()) for one in flats),
     )
+
+
+def features_of_parts(chosen: MatchedStacks, *, context: Context) -> dict[str, Mapping[str, Numbers]]:
+    """Return the numbers of the measured frames in the other parts of the frame by place, of groups compared there."""
+    found = {}
+    for place, frames in chosen.parts.items():
+        dark, flat = (
+            StackView(shot.label, frames[shot.label], interlaced=context.interlaced)
+            for shot in (chosen.dark, chosen.flats[-1])
+        )
+        found[place] = {
+            name: group.of_stacks(dark, [flat]) for name, group in GROUPS.items()
+            if group.of_stacks is not None and group.over_frame
+        }  # fmt: skip
+    return found

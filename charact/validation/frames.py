@@ -1,6 +1,8 @@
 """Measured and simulated frames under the same conditions, cropped to the same size."""
 
-from dataclasses import dataclass, replace
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +21,8 @@ VisibleCamera = Sensor | SolidStateCamera
 
 # Size of a centred crop: sufficient for every statistic, and fast to simulate.
 SHAPE = (240, 320)
-# Size of an edge crop: pixels far from the edge add noise and little signal.
-ALONG_EDGE, ACROSS_EDGE = 192, 72
+# Size of an edge crop: pixels far from the edge add noise and little signal, a long one may be bent by the lens.
+ALONG_EDGE, ACROSS_EDGE = 384, 96
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +42,8 @@ class MatchedFrames:
 class MatchedStacks:
     """Stacks of a validation.
 
-    `others` are for display only; `measured` has the frames by label, shape (frame, row, col), DN; `notes` name
+    `others` are for display only; `measured` has the frames by label, shape (frame, row, col), DN; `parts` have those
+    of the dark and the brightest flat in other parts of the whole frame, of the same shape, by place; `notes` name
     excluded stacks. Without an edge the MTF is not compared, without a point source no halo.
     """
 
@@ -51,6 +54,7 @@ class MatchedStacks:
     others: tuple[MatchedFrames, ...]
     measured: dict[str, NDArray]
     notes: tuple[str, ...]
+    parts: Mapping[str, dict[str, NDArray]] = field(default_factory=dict)
 
     @property
     def compared(self) -> tuple[MatchedFrames, ...]:
@@ -89,6 +93,7 @@ def choose(session: Session) -> MatchedStacks:
         others=tuple(shot for shot, _ in bars[:1]),
         measured={shot.label: _cut(shot, entry) for shot, entry in (dark, *flats, *edges[:1], *brightest, *bars[:1])},
         notes=tuple(notes),
+        parts=_parts(dark, flats[-1]),
     )
 
 
@@ -162,6 +167,30 @@ def _corner(target: Target, whole: tuple[int, int], shape: tuple[int, int]) -> t
 
 def _cut(shot: MatchedFrames, entry: StackEntry) -> NDArray:
     return np.array(entry.read().region(*shot.corner, *shot.shape).data[: shot.frames])
+
+
+def _parts(*stacks: tuple[MatchedFrames, StackEntry]) -> dict[str, dict[str, NDArray]]:
+    """Return the frames of stacks in the parts of the frame that cover it besides the centred crop, by place.
+
+    Stacks of unlike frames have none. Strips below a tenth of the crop between two parts are left out.
+    """
+    sizes = {(entry.read().shape[1:], shot.shape) for shot, entry in stacks}
+    if len(sizes) > 1:
+        return {}
+    whole, shape = next(iter(sizes))
+    starts = []
+    for size, length in zip(whole, shape, strict=True):
+        count = max(1, int(np.ceil(size / length - 0.1)))
+        # An even row keeps the field parity.
+        starts.append([round(at) // 2 * 2 for at in np.linspace(0, size - length, count)])
+    corners = list(itertools.product(*starts))
+    return {
+        f"rows from {row}, columns from {col}": {
+            shot.label: _cut(replace(shot, corner=(row, col)), entry) for shot, entry in stacks
+        }
+        for row, col in corners
+        if len(corners) > 1
+    }
 
 
 def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], list[str]]:

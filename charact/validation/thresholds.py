@@ -9,7 +9,7 @@ class ValidationThresholds:
 
     # Simulated sets of frames, each from its own posterior draw: with fewer the tails of the tests grow, with more the
     # time.
-    draws: int = 16
+    draws: int = 20
     # Repetitions of the parametric bootstrap; the least p-value is one over them.
     replicates: int = 4000
     # Family-wise level of all statistics: a right sensor fails once in 100 sessions.

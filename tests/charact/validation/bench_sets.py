@@ -7,8 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.validation.controls import PARAMETERS, ParameterControl, change_parameter
 from charact.validation.frame_features import Numbers, features_of
 from charact.validation.frames import MatchedFrames, MatchedStacks, VisibleCamera, simulate_frames
+from charact.validation.thresholds import VALIDATION
+from charact.validation.validation_test import ParameterChange
 from labdata.camera_description import Draws
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
@@ -68,7 +71,7 @@ class BenchSets:
                 stack("flat", label, lux, shape, Target(), 8)
                 for label, lux in zip(("low", "mid", "bright"), lights, strict=True)
             ),
-            edge=stack("edge", "edge", lights[-1], (shape[0], 72), Target(angle_deg=5.0), 16),
+            edge=stack("edge", "edge", lights[-1], (shape[0], 96), Target(angle_deg=5.0), 16),
             point=stack("point", "point", 300.0 * lights[-1], (128, 128), Target(pinhole_px=3.0), 8),
             others=(),
             measured={},
@@ -80,16 +83,45 @@ class BenchSets:
             interlaced=self.camera.video.interlaced, full_scale_dn=self.top,
         )  # fmt: skip
 
-    def frames(self, number: int, defect: Defect | None = None) -> dict[str, NDArray]:
-        """Return the frames of a set by label, with a defect or none."""
+    def draw(self, number: int) -> tuple[VisibleCamera, int]:
+        """Return the posterior draw and the seed of the frames of a set."""
         rng = np.random.default_rng([self.seed, number])
         drawn = replace(self.sensor.draw(rng), name=f"{self.camera.name}, set {number}")
+        return drawn, int(rng.integers(2**31))
+
+    def frames(self, number: int, defect: Defect | None = None) -> dict[str, NDArray]:
+        """Return the frames of a set by label, with a defect or none."""
+        drawn, seed = self.draw(number)
         if defect is not None and defect.factors:
             known = drawn.parameters()
             changed = {path: float(known[path]) * by for path, by in defect.factors.items() if path in known}
             drawn = drawn.with_values(changed)
-        frames = simulate_frames(drawn, self.chosen.compared, seed=int(rng.integers(2**31)))
+        frames = simulate_frames(drawn, self.chosen.compared, seed=seed)
         return frames if defect is None else self.put(frames, defect)
+
+    def change(
+        self, number: int, control: ParameterControl, error: float
+    ) -> tuple[Mapping[str, Numbers], float] | None:
+        """Return the numbers of a set whose camera has a parameter off, and the error; None without the parameter."""
+        drawn, seed = self.draw(number)
+        altered = change_parameter(drawn, control, error)
+        if altered is None:
+            return None
+        camera, change = altered
+        return self.numbers(simulate_frames(camera, self.chosen.compared, seed=seed)), change
+
+    def changes(self) -> tuple[ParameterChange, ...]:
+        """Return the changes of set 0 by those of the parameters that the camera has."""
+        found, plain = [], self.numbers(self.frames(0))
+        for control in PARAMETERS:
+            altered = self.change(0, control, VALIDATION.control_change)
+            if altered is not None:
+                changed, change = altered
+                found.append(ParameterChange(
+                    title=control.title, plain=plain, changed=changed, change=change,
+                    in_quadrature=control.in_quadrature,
+                ))  # fmt: skip
+        return tuple(found)
 
     def put(self, frames: Frames, defect: Defect) -> dict[str, NDArray]:
         """Return frames with a defect, in whole DN within the digitiser's range."""

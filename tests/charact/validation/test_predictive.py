@@ -51,8 +51,20 @@ def test_an_error_of_one_number_of_forty_is_found_where_chi_squared_is_usual(see
     rng = np.random.default_rng(seed)
     one = Ensemble(values=rng.standard_normal((SETS, 40)), least_sd=np.zeros(40), seed=seed)
     moved = one.values.mean(axis=0) + 7.0 * np.eye(40)[7] * one.sd
-    assert np.mean(one.null[:, 0] >= 40.0 * one.distance(moved) ** 2) > 0.02
+    assert np.mean(one.null[:, 0, 0] >= 40.0 * one.distance(moved) ** 2) > 0.02
     assert one.p_value(moved) < 0.005
+
+
+def test_the_most_deviating_of_several_places_fails_no_more_often_than_stated(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    places = [rng.standard_normal((5, SIZE)) @ ROOT.T for _ in range(100)]
+    p_values = np.array([_ensemble(rng).p_value(own) for own in places])
+    for at in (0.05, 0.2, 0.5):
+        assert np.mean(p_values < at) < at + 4.5 * np.sqrt(at * (1.0 - at) / p_values.size)
+    # One place of five that is far outside is as plain as one of one.
+    one = _ensemble(rng)
+    moved = places[0] + 20.0 * np.eye(5)[3][:, None] * one.sd
+    assert one.p_value(moved) < 0.003
 
 
 def test_the_covariance_keeps_variances_and_half_the_correlations(seed: int) -> None:

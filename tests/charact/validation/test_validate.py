@@ -1,5 +1,6 @@
 """Frames of a specimen pass beside its own description and fail beside one whose noise is spread otherwise."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -91,6 +92,21 @@ def test_a_sensor_that_spreads_its_noise_otherwise_fails_and_the_same_seed_gives
     # The session's own description is the sheet; the specimen is known to the validation as the sensor given alone.
     assert session.sensor is not None
     assert session.sensor.name == load_sensor("pulnix-ag5745ef3").name
+
+
+def test_parts_of_the_crop_s_size_cover_the_frame(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert cut.choose(session).parts == {}
+    monkeypatch.setattr(cut, "SHAPE", (40, 50))
+    covered = np.zeros(SHAPE, bool)
+    parts = cut.choose(session).parts
+    for place, frames in parts.items():
+        row, col = (int(number) for number in re.findall(r"\d+", place))
+        assert row % 2 == 0
+        covered[row : row + 40, col : col + 50] = True
+        whole = session.stack("high").read().data
+        assert np.array_equal(frames["high"], whole[: VALIDATION.frames, row : row + 40, col : col + 50])
+    assert covered.all()
+    assert len(parts) == 9
 
 
 def test_a_session_without_darks_is_refused(session: Session, specimen: Sensor) -> None:
