@@ -9,7 +9,7 @@ from pathlib import Path
 from labdata.conditions import SWITCHES, Conditions
 from labdata.errors import BadInput
 from labdata.file_io import require_regular, write_atomically
-from labdata.serialiser import from_mapping, to_mapping, to_toml
+from labdata.serialiser import from_mapping, from_toml, to_mapping, to_toml
 from labdata.session import MANIFEST, Session, SessionFile, StackRecord, session_of, stack_record
 from labdata.target import Kind
 
@@ -92,21 +92,35 @@ def import_frames(
     files: Iterable[str | Path],
     out: str | Path,
     *,
-    kind: Kind = "scene",
+    kind: Kind | None = None,
     name_pattern: str | None = None,
+    label: str | None = None,
     axis: str | None = None,
     plane: str | None = None,
+    add: bool = False,
 ) -> Session:
     """Make a session that refers to files of frames where they are.
 
     Parameters
     ----------
+    kind
+        Kind of the stacks. None: as the header of a FITS file states, else scene.
     name_pattern
         Pattern of the file names, such as "{mcp_v}V_{gate_ns}ns_*": a condition in braces matches a number,
-        * anything. Files of equal conditions become one stack. None: one stack per file.
+        * anything. Files of equal conditions become one stack.
+    label
+        Label of one stack that has all files in the order of their names.
     axis, plane
         Frame axis of the files and plane to read, kept in the session.
+    add
+        Whether to add the stacks to the session that is there.
+
+    Notes
+    -----
+    Without pattern and label each file is a stack, but FITS files of one frame whose headers state kind or exposure:
+    those alike become one stack (`labdata.fits_conditions`).
     """
+    from labdata.fits_conditions import require_one_camera
     from labdata.importers import reader_of
 
     paths, out = sorted({Path(file) for file in files}), Path(out)
@@ -114,23 +128,63 @@ def import_frames(
         raise BadInput("a session needs at least one file of frames, got none")
     for path in paths:
         reader_of(path)
-    if name_pattern is None:
-        stems = [path.stem for path in paths]
-        labels = [path.stem if stems.count(path.stem) == 1 else path.name for path in paths]
-        named = [(label, Conditions(), _relative(path, out)) for label, path in zip(labels, paths, strict=True)]
+    if label is not None and name_pattern is not None:
+        raise BadInput("--stack gathers all files, --name those of equal conditions: give one of them")
+    if label is not None:
+        groups = [(label, kind or "scene", Conditions(), paths)]
+    elif name_pattern is not None:
+        groups = _group_files(paths, kind or "scene", name_pattern)
     else:
-        named = _group_files(paths, out, kind, name_pattern)
+        groups = _group_headers(paths, kind, plane)
     stacks = tuple(
-        stack_record(conditions, label=label, kind=kind, frames=frames, axis=axis, plane=plane)
-        for label, conditions, frames in named
+        stack_record(conditions, label=name, kind=of, frames=_frames_of(files, out), axis=axis, plane=plane)
+        for name, of, conditions, files in groups
     )
-    return _write_session(SessionFile(name=out.resolve().name, stack=stacks, notes=_findings(stacks, out)), out)
+    form = _session_to_add_to(out) if add else SessionFile(name=out.resolve().name)
+    notes = (*form.notes, *_findings(stacks, out))
+    form = replace(form, stack=(*form.stack, *stacks), notes=notes)
+    require_one_camera([(out / name).resolve() for stack in form.stack for name in _names_of(stack)])
+    return _write_session(form, out, add=add)
 
 
-def _group_files(
-    paths: list[Path], out: Path, kind: Kind, pattern: str
-) -> list[tuple[str, Conditions, tuple[str, ...]]]:
-    """Return label, conditions and files of each stack."""
+Group = tuple[str, Kind, Conditions, list[Path]]
+
+
+def _session_to_add_to(out: Path) -> SessionFile:
+    """Return the manifest of a session; a folder without one, or one whose acquisition wrote it, is BadInput."""
+    if not (out / MANIFEST).is_file():
+        raise BadInput(f"--add needs the folder of a session, got {out} without a {MANIFEST}")
+    return from_toml(out / MANIFEST, SessionFile)
+
+
+def _group_headers(paths: list[Path], kind: Kind | None, plane: str | None) -> list[Group]:
+    """Return the stacks of files by their FITS headers; a file of another form is one of its own."""
+    from labdata.fits_conditions import group_stated, read_stated_frame
+
+    stated = [read_stated_frame(path, plane) for path in paths]
+    alone = [path for path, one in zip(paths, stated, strict=True) if one is None]
+    stems = [path.stem for path in alone]
+    own = [(path.stem if stems.count(path.stem) == 1 else path.name, path) for path in alone]
+    known = [one for one in stated if one is not None]
+    return [
+        *((name, kind or "scene", Conditions(), [path]) for name, path in own),
+        *(group_stated(known, kind) if known else []),
+    ]
+
+
+def _names_of(stack: StackRecord) -> tuple[str, ...]:
+    """Return the files of a stack, relative to the session's folder."""
+    return (stack.frames,) if isinstance(stack.frames, str) else stack.frames
+
+
+def _frames_of(paths: list[Path], out: Path) -> str | tuple[str, ...]:
+    """Return the frames of a stack for the manifest: a name, or several."""
+    names = tuple(_relative(path, out) for path in paths)
+    return names[0] if len(names) == 1 else names
+
+
+def _group_files(paths: list[Path], kind: Kind, pattern: str) -> list[Group]:
+    """Return the stacks of files by the conditions in their names."""
     expression = _name_expression(pattern)
     groups: dict[tuple[tuple[str, float], ...], list[Path]] = {}
     for path in paths:
@@ -141,8 +195,9 @@ def _group_files(
     return [
         (
             f"{kind} " + " ".join(f"{name}={value:g}" for name, value in given),
+            kind,
             replace(Conditions(), **dict(given)),
-            tuple(_relative(path, out) for path in members),
+            members,
         )
         for given, members in sorted(groups.items())
     ]
@@ -169,7 +224,7 @@ def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
     notes: dict[str, list[str]] = {}
     for stack in stacks:
         sizes: dict[tuple[int, int], str] = {}
-        for name in (stack.frames,) if isinstance(stack.frames, str) else stack.frames:
+        for name in _names_of(stack):
             frames = read_frames((out / name).resolve(), stack.plane, axis=stack.axis, find_full_scale=False)
             sizes[frames.shape[1:]] = name
             for note in frames.notes:
@@ -185,9 +240,9 @@ def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _write_session(form: SessionFile, out: Path) -> Session:
-    """Check a new session, write its manifest and return it."""
-    if (out / MANIFEST).exists():
+def _write_session(form: SessionFile, out: Path, *, add: bool = False) -> Session:
+    """Check a session, write its manifest and return it; one that is there is only replaced to add to it."""
+    if (out / MANIFEST).exists() and not add:
         raise BadInput(f"a new session needs a folder without one, got {out}")
     form = from_mapping(to_mapping(form), SessionFile, where=MANIFEST)
     try:

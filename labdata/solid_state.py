@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 
 from labdata.camera_description import Description, Draws, Parameter, must_be_an_efficiency_table
-from labdata.errors import BadInput, check
+from labdata.errors import BadInput, check, check_range
 from labdata.sensor import Ccd, Optics, Video
 
 
@@ -40,6 +40,50 @@ class Register:
         return float(self.em_gain) > 1.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class Readout:
+    """Departures of a digital read-out from white noise and a straight response.
+
+    EMVA 1288 release 4 (section 8) divides temporal noise into that of rows, columns and pixels; its spectra show
+    interference as peaks. Values of 0, and a ratio of 1, are none. DN are those of the digitiser. The response is
+    y = s (1 - c s / full scale) with s the signal of the conversion gain at no signal, K / (1 - 2.1 c): K itself is the
+    slope of variance over signal from none to 70 % of full scale, as EMVA 1288 defines the system gain.
+    """
+
+    row_noise_dn2: Parameter = field(default_factory=lambda: Parameter(value=0.0))
+    #: density of the rows' offsets at 0.25 cy/row; of white offsets their variance
+    row_noise_exponent: Parameter = field(default_factory=lambda: Parameter(value=0.0))
+    #: a of the density's law f^-a down the rows; 0 is white, 1 is 1/f noise
+    fine_noise_ratio: Parameter = field(default_factory=lambda: Parameter(value=1.0))
+    #: density of read noise along a row at 0.5 cy/px over that at 0; above 1 neighbours differ more than by white noise
+    interference_dn2: Parameter = field(default_factory=lambda: Parameter(value=0.0))
+    #: variance of a sinusoid over the frame whose phase changes from frame to frame
+    interference_x_cy_per_px: Parameter = field(default_factory=lambda: Parameter(value=0.5))
+    interference_y_cy_per_px: Parameter = field(default_factory=lambda: Parameter(value=0.5))
+    compression_fraction: Parameter = field(default_factory=lambda: Parameter(value=0.0))
+    #: c, loss of response at full scale; negative where the response rises
+    exposure_offset_us: Parameter = field(default_factory=lambda: Parameter(value=0.0))
+    #: how much longer than stated the shutter is open
+
+    def __post_init__(self) -> None:
+        check(self, not_negative="row_noise_dn2 interference_dn2", positive="fine_noise_ratio")
+        check_range(self, 0.0, 2.0, "row_noise_exponent")
+        check_range(self, -0.2, 0.2, "compression_fraction")
+        check_range(self, 0.0, 1.0, "interference_x_cy_per_px", "interference_y_cy_per_px")
+
+
+# Ratio of the slope of y (1 - 3 c y) over 0 to 0.7, by least squares, to c: 3 x 0.7.
+MEAN_SLOPE = 2.1
+
+
+def gain_at_no_signal(gain: float, compression_fraction: float) -> float:
+    """Return the conversion gain at no signal, DN/e-, of a mean conversion gain; see `Readout`.
+
+    The variance of a signal y is K0 y (1 - 3 c y / full scale) to first order in c.
+    """
+    return gain / (1.0 - MEAN_SLOPE * compression_fraction)
+
+
 def excess_noise_factor(em_gain: float, stages: float = np.inf) -> float:
     """Return the excess noise factor F^2 of an electron-multiplying register of mean gain g and N stages.
 
@@ -67,6 +111,7 @@ class SolidStateCamera(Description):
     ccd: Ccd
     register: Register
     video: Video
+    readout: Readout = field(default_factory=Readout)
     draws: Draws = field(default_factory=Draws)
     notes: tuple[str, ...] = ()
 

@@ -121,7 +121,7 @@ class LabBench:
         if not camera.has_tube:
             if kind == "dark":
                 return StageImage(values=np.zeros(camera.cells.shape, np.float32), grid=camera.cells)
-            light = np.float32(self._lux(kind, conditions) * camera.open_s(conditions))
+            light = np.float32(self._lux(kind, conditions) * camera.lit_s(conditions))
             return StageImage(values=self._picture(kind, target) * light, grid=camera.cells)
         cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s

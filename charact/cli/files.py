@@ -1,6 +1,8 @@
 """The verbs `import`, `convert` and `view`: frames of other programs as sessions, sessions as files, and pictures."""
 
+from collections import Counter
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +12,7 @@ from charact.cli.options import Axis, Plane, parse_kind
 from charact.cli.output import exit_on_bad_input
 from charact.cli.outputs import Force, manifest_to_replace, require_free, require_free_session, why_other_kind
 from labdata.errors import BadInput
+from labdata.target import Kind
 
 if TYPE_CHECKING:
     from labdata.frames import FrameStack
@@ -19,6 +22,13 @@ import_app = typer.Typer(no_args_is_help=True, help="Create a session from exist
 Out = Annotated[Path, typer.Argument(help="Output session folder.")]
 
 NO_KIND_HINT = "set the kind of the stacks in {}/session.toml, or import with --kind: scene stacks are not measured"
+
+# Kinds of stacks, conditions of which measurements use one, and what for; those of a bench matter to its owner alone.
+NEEDED: tuple[tuple[tuple[Kind, ...], tuple[str, ...], str], ...] = (
+    (("dark", "flat"), ("exposure_s",), "dark current"),
+    (("flat",), ("illuminance_lux", "photons_per_px"), "sensitivity, linearity"),
+    (("dark",), ("temperature_c",), "dark current at 25 °C"),
+)
 
 
 @import_app.command()
@@ -41,38 +51,56 @@ def emva1288(
 @import_app.command()
 def frames(
     files: Annotated[list[Path], typer.Argument(help="Frames, then the session's folder: FILES... OUT")],
-    kind: Annotated[str, typer.Option(help="Kind of the stacks: dark, flat, edge, bars, point or scene.")] = "scene",
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            help="Kind of the stacks: dark, flat, edge, bars, point or scene (default: by FITS headers, else scene)."
+        ),
+    ] = None,
     name: Annotated[
         str | None, typer.Option(help="Pattern of conditions in the file names, e.g. '{mcp_v}V_{gate_ns}ns_*'.")
     ] = None,
+    stack: Annotated[str | None, typer.Option(help="Label of one stack that has all files as its frames.")] = None,
     axis: Axis = None,
     plane: Plane = None,
+    add: Annotated[bool, typer.Option("--add", help="Add the stacks to a session that exists.")] = False,
     force: Force = False,
 ) -> None:
-    """Import image files as stacks, one stack per file.
+    """Import image files as stacks: one a file; FITS files of one frame are grouped by what their headers state.
 
     Example: charact import frames 780V_*.tif mine --kind flat --name '{mcp_v}V_*'
+
+    Example: charact import frames bias*.tif mine --kind dark --stack bias --add
     """
     *sources, out = files
     with exit_on_bad_input(" ".join(map(str, sources))):
         if not sources:
             raise BadInput(f"import frames needs at least one file and the folder of the session, got only {out}")
-        require_free_session(out, "import", force=force)
+        if add and force:
+            raise BadInput("--add keeps the session that is there, --force replaces it: give one of them")
+        if not add:
+            require_free_session(out, "import", force=force)
         from labdata.session_import import import_frames
 
-        with manifest_to_replace(out):
-            session = import_frames(sources, out, kind=parse_kind(kind), name_pattern=name, axis=axis, plane=plane)
-        _summarise(session, out, NO_KIND_HINT.format(out) if kind == "scene" else f"charact measure {out}")
+        with nullcontext() if add else manifest_to_replace(out):
+            session = import_frames(
+                sources, out, kind=None if kind is None else parse_kind(kind), name_pattern=name, label=stack,
+                axis=axis, plane=plane, add=add,
+            )  # fmt: skip
+        measurable = any(one.kind != "scene" for one in session.stacks)
+        _summarise(session, out, f"charact measure {out}" if measurable else NO_KIND_HINT.format(out))
 
 
 def _summarise(session: "Session", out: Path, next_verb: str) -> None:
-    kinds: dict[str, int] = {}
-    for stack in session.stacks:
-        kinds[stack.kind] = kinds.get(stack.kind, 0) + 1
-    print(f"{out}: {len(session.stacks)} stacks ({', '.join(f'{count} {kind}' for kind, count in kinds.items())})")
-    unknown = sorted({name for s in session.stacks for name, value in vars(s.conditions).items() if value is None})
+    counts = Counter(stack.kind for stack in session.stacks)
+    print(f"{out}: {len(session.stacks)} stacks ({', '.join(f'{count} {kind}' for kind, count in counts.items())})")
+    unknown = [
+        f"{' or '.join(names)} ({use})"
+        for kinds, names, use in NEEDED
+        if any(all(getattr(one.conditions, name) is None for name in names) for one in session.of_kind(*kinds))
+    ]
     if unknown:
-        print(f"conditions unknown for some stacks: {', '.join(unknown)}")
+        print(f"unknown for some stacks: {'; '.join(unknown)}")
     for note in session.notes:
         print(f"note: {note}")
     print(f"Next: {next_verb}")

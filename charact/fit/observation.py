@@ -13,7 +13,7 @@ from labdata.measurement import Measurement, Result
 Array = NDArray[np.float64]
 
 # Relative model error of noise quantities: sampling of the sensor rows, image lag.
-NOISE_MODEL_SD = 0.01
+NOISE_MODEL_SD = 0.002
 # Flags that add no bias; any other flag excludes a measurement from the fit.
 MILD = {"defects", "drift", "flicker", "gradient", "low-signal", "not-converged", "prior-bound", "too-few-frames"}
 

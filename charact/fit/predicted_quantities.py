@@ -118,6 +118,20 @@ def mcp_load(
     return cathode_a_per_cm2 * per_pe * np.asarray(gate_s) * values["video.field_rate_hz"] / limit
 
 
+def gain_loss(values: Values, signal_dn: ArrayLike) -> Array:
+    """Return the fraction of the MCP's gain that is lost at a signal above the dark, shape (n,), dimensionless.
+
+    load/(1 + load) of `mcp_load`, from the signal instead of the light: signal/(K QE T y) electrons leave the MCP per
+    field pixel and field, y photons per electron of the screen.
+    """
+    electrons = values["taper.transmission"] * values["ccd.quantum_efficiency"]
+    electrons = electrons * values["video.conversion_gain_dn_per_e"] * values["phosphor.photons_per_electron"]
+    current_a = np.asarray(signal_dn) / electrons * ELEMENTARY_CHARGE_C * values["video.field_rate_hz"]
+    limit = values["microchannel_plate.strip_current_ua_per_cm2"] * 1e-6
+    limit = limit * values["microchannel_plate.saturation_fraction"]
+    return current_a / (_field_pixel_m2(values) * 1e4) / limit
+
+
 def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
     """Return the temporal variance of a dark frame, shape (n,), DN^2.
 

@@ -1,4 +1,4 @@
-"""Priors of sensor parameters from a description's ranges, and of their degenerate products."""
+"""Priors of sensor parameters from a description's ranges, and products that data determine."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -134,7 +134,7 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
     A value at an end of its range extends a little beyond.
     """
     low, value, high = float(parameter.low or 0.0), float(parameter.value), float(parameter.high or 0.0)
-    floor, ceiling = 0.0 if low == 0 else 0.02 * value, 1.0 if path in _AT_MOST_ONE else np.inf
+    floor, ceiling = 0.0 if low == 0 else -np.inf if low < 0 else 0.02 * value, 1.0 if path in _AT_MOST_ONE else np.inf
     scale = path in _FACTORS or high > SCALE_RATIO * low
     power = 1 if low <= 0 else -1 if path in _LIMITS else 0 if scale else 1
     if power < 1:
@@ -145,119 +145,29 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
     return power, value, below, above, floor, ceiling
 
 
-PRIOR_DRAWS = 4000
-CANDIDATES = 200
-
-
 @dataclass(frozen=True, kw_only=True)
-class Product:
-    """Product of parameters that the data determine."""
+class Combination:
+    """Product of parameters that data determine better than each of its factors."""
 
-    carrier: str  # path of the parameter that is drawn as the product
-    partners: tuple[str, ...]  # paths of the other factors
-    factor: Callable[[Values], Array]  # factor of the partners, from their values, shape (n,)
+    paths: tuple[str, ...]  # paths of the factors, first the one that the product is named after
+    product: Callable[[Values], Array]  # product of the factors, from values of shape (n,)
 
 
-PRODUCTS = (
-    Product(
-        carrier="tube.luminous_gain",
-        partners=("taper.transmission", "ccd.quantum_efficiency", "video.conversion_gain_dn_per_e"),
-        factor=lambda values: (
-            values["taper.transmission"] * values["ccd.quantum_efficiency"] * values["video.conversion_gain_dn_per_e"]
+COMBINATIONS = (
+    Combination(
+        paths=(
+            "tube.luminous_gain", "taper.transmission", "ccd.quantum_efficiency", "video.conversion_gain_dn_per_e",
+        ),
+        product=lambda values: (
+            values["tube.luminous_gain"] * values["taper.transmission"] * values["ccd.quantum_efficiency"]
+            * values["video.conversion_gain_dn_per_e"]
         ),
     ),
-    Product(
-        carrier="photocathode.luminous_sensitivity_ua_per_lm",
-        partners=("microchannel_plate.detection_probability", "microchannel_plate.pulse_height_shape"),
-        factor=lambda values: 1.0 / excess_noise_factor(values),
+    Combination(
+        paths=(
+            "photocathode.luminous_sensitivity_ua_per_lm", "microchannel_plate.detection_probability",
+            "microchannel_plate.pulse_height_shape",
+        ),
+        product=lambda values: values["photocathode.luminous_sensitivity_ua_per_lm"] / excess_noise_factor(values),
     ),
-)
-
-
-def products_of(sensor: VisibleCamera, requested: tuple[str, ...]) -> tuple[Product, ...]:
-    """Return the products whose carrier and partners are all requested and have ranges."""
-    known = sensor.parameters()
-    return tuple(
-        product
-        for product in PRODUCTS
-        if {product.carrier, *product.partners} <= set(requested)
-        and all(known[path].low is not None for path in (product.carrier, *product.partners))
-    )
-
-
-def widen_to_products(sensor: VisibleCamera, products: tuple[Product, ...]) -> VisibleCamera:
-    """Return the description in which every carrier has the range of its product."""
-    return sensor.with_parameters({product.carrier: _whole(sensor, product) for product in products})
-
-
-def distribute_product(
-    sensor: VisibleCamera, product: Product, carried: Array, rng: np.random.Generator
-) -> dict[str, Array]:
-    """Distribute drawn products over carrier and partners, shape (draw,) each.
-
-    For each product one of many prior draws of the partners is selected, with the probability of the remaining carrier
-    value under its prior.
-    """
-    partners, prior = _partners(sensor, product, rng, CANDIDATES * 20)
-    relative = _relative(sensor, product, partners)
-    own = prior_of(sensor, (product.carrier,))
-    pick = np.empty(len(carried), int)
-    for index, whole in enumerate(carried):
-        tried = rng.integers(len(relative), size=CANDIDATES)
-        left = (whole / relative[tried])[:, None]
-        weight = own.log_density(np.log(left) if own.power[0] == 0 else left)
-        weight = np.exp(weight - weight.max())
-        pick[index] = tried[rng.choice(CANDIDATES, p=weight / weight.sum())]
-    return {product.carrier: carried / relative[pick], **{path: partners[path][pick] for path in prior.names}}
-
-
-def divide_product(sensor: VisibleCamera, product: Product, whole: float) -> dict[str, float]:
-    """Return carrier and partners of a product where their joint prior is largest."""
-    from charact.posterior import find_maximum
-
-    prior, own = prior_of(sensor, product.partners), prior_of(sensor, (product.carrier,))
-
-    def carrier_of(coordinates: Array) -> Array:
-        partners = dict(zip(prior.names, prior.parameters(coordinates).T, strict=True))
-        return (whole / _relative(sensor, product, partners))[:, None]
-
-    def density(coordinates: Array) -> Array:
-        inside = np.isfinite(prior.log_density(coordinates))
-        left = carrier_of(np.where(inside[:, None], coordinates, prior.centre))
-        return np.where(inside, prior.log_density(coordinates) + own.log_density(own.coordinates(left)), -np.inf)
-
-    best = prior.centre
-    if np.isfinite(density(best[None])[0]):
-        best, _ = find_maximum(density, best, prior.bounds)
-    partners = dict(zip(prior.names, prior.parameters(best[None])[0].tolist(), strict=True))
-    return {product.carrier: float(carrier_of(best[None])[0, 0]), **partners}
-
-
-def _whole(sensor: VisibleCamera, product: Product) -> Parameter:
-    """Return the carrier with the 95 % range of its product, with the partners' values as unity."""
-    rng = np.random.default_rng(0)
-    partners, _ = _partners(sensor, product, rng, PRIOR_DRAWS)
-    carrier = prior_of(sensor, (product.carrier,))
-    own = carrier.parameters(carrier.draw(rng, PRIOR_DRAWS))[:, 0]
-    low, high = np.quantile(own * _relative(sensor, product, partners), (0.025, 0.975))
-    before = sensor.parameters()[product.carrier]
-    return Parameter(
-        value=before.value, low=min(float(low), before.value), high=max(float(high), before.value),
-        standing=before.standing, source=before.source,
-    )  # fmt: skip
-
-
-def _partners(
-    sensor: VisibleCamera, product: Product, rng: np.random.Generator, count: int
-) -> tuple[dict[str, Array], SensorPrior]:
-    """Return prior draws of the partners by path."""
-    prior = prior_of(sensor, product.partners)
-    drawn = prior.parameters(prior.draw(rng, count))
-    return dict(zip(prior.names, drawn.T, strict=True)), prior
-
-
-def _relative(sensor: VisibleCamera, product: Product, partners: dict[str, Array]) -> Array:
-    """Return the partners' factor over that of their values."""
-    known = sensor.parameters()
-    values = {path: np.array([float(known[path])]) for path in product.partners}
-    return product.factor({**values, **partners}) / product.factor(values)
+)  # fmt: skip

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +11,12 @@ from numpy.typing import NDArray
 from charact.fit.observation import Observation
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import (
-    Product,
+    COMBINATIONS,
+    Combination,
     SensorPrior,
     VisibleCamera,
-    distribute_product,
-    divide_product,
     prior_of,
-    products_of,
     values_of_description,
-    widen_to_products,
 )
 from charact.fit.silicon_observations import silicon_observations
 from charact.fit.stack_levels import levels_of
@@ -33,9 +31,12 @@ from labdata.session import Session
 
 Array = NDArray[np.float64]
 KEPT_DRAWS = 400
-# Of the importance sampling: an effective sample of 500 and more for the draws that are kept.
-SAMPLING_EFFORT = 0.5
-# Steps of the Markov chain that follows where importance sampling fails; beyond, the draws are flagged.
+# Rounds of adaptation, draws of each and freedom of its Student t.
+ROUNDS, ROUND_DRAWS, FREEDOM = 4, 3000, 8.0
+# Importance sampling: variance of the first density over the adapted one before the sampler doubles it, its draws, the
+# effective draws at which it ends, and those below which a Markov chain follows: 400 draws are kept.
+FIRST_WIDTH, FIRST_DRAWS, ENOUGH, LEAST_EFFECTIVE = 0.6, 12000, 1200.0, 500.0
+# Steps of that Markov chain; beyond, the draws are flagged.
 MOST_STEPS = 6000
 # Row pitch of pixels of known shape: it follows the column pitch.
 TIED = {"ccd.pitch_y_um": "ccd.pitch_x_um"}
@@ -46,8 +47,7 @@ class Model:
     """Prior and likelihood of the requested parameters."""
 
     sensor: VisibleCamera  # sensor description with the prior ranges and the parameters not drawn
-    products: tuple[Product, ...]  # products drawn as one, with the partners at their values
-    prior: SensorPrior  # prior of the parameters drawn; that of a product's carrier is the product's
+    prior: SensorPrior  # prior of the parameters drawn
     observed: tuple[Observation, ...]  # observations of the session
 
     def misfit(self, coordinates: Array) -> Array:
@@ -82,10 +82,7 @@ class Model:
 def model_of(sensor: VisibleCamera, observed: tuple[Observation, ...]) -> Model:
     """Return the model of the parameters that the observations depend on."""
     requested = tuple(dict.fromkeys(path for one in observed for path in one.speaks_of))
-    products = products_of(sensor, requested)
-    riding = {path for product in products for path in product.partners}
-    prior = prior_of(widen_to_products(sensor, products), tuple(path for path in requested if path not in riding))
-    return Model(sensor=sensor, products=products, prior=prior, observed=observed)
+    return Model(sensor=sensor, prior=prior_of(sensor, requested), observed=observed)
 
 
 def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
@@ -130,8 +127,11 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
 
 
 def posterior_of(model: Model, *, seed: int) -> Posterior:
-    """Draw the joint posterior in the prior's coordinates."""
-    from charact.posterior import find_maximum, sample_posterior
+    """Draw the joint posterior in the prior's coordinates.
+
+    Importance sampling from a density that was adapted to the posterior; a Markov chain where it fails.
+    """
+    from charact.posterior import find_maximum, importance_sample, sample
 
     prior = model.prior
     point, covariance = find_maximum(model.log_probability, prior.centre, prior.bounds)
@@ -140,10 +140,39 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
         well = prior.names.index(FULL_WELL)
         covariance[well, :] = covariance[:, well] = 0.0
         covariance[well, well] = prior.sd[well] ** 2
-    return sample_posterior(
-        model.log_probability, names=prior.names, units=("1",) * len(prior.names), start=point, seed=seed,
-        covariance=covariance, bounds=prior.bounds, draws=KEPT_DRAWS, effort=SAMPLING_EFFORT, max_steps=MOST_STEPS,
-    )  # fmt: skip
+    point, covariance = adapted_moments(model.log_probability, point, covariance, np.random.default_rng([seed, 2]))
+    settings: dict[str, Any] = {
+        "names": prior.names, "units": ("1",) * len(prior.names), "start": point, "seed": seed, "bounds": prior.bounds,
+        "draws": KEPT_DRAWS,
+    }  # fmt: skip
+    found = importance_sample(
+        model.log_probability, **settings, covariance=FIRST_WIDTH * covariance, enough=ENOUGH, first_draws=FIRST_DRAWS
+    )
+    if found.effective_sample_size[0] >= LEAST_EFFECTIVE:
+        return found
+    return sample(model.log_probability, **settings, covariance=covariance, max_steps=MOST_STEPS)
+
+
+def adapted_moments(
+    log_probability: Callable[[Array], Array], point: Array, covariance: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return mean and covariance of a posterior, of a maximum and the curvature there.
+
+    Population Monte Carlo: weighted draws of a Student t give the mean and covariance of the next one. Weights are cut
+    at their mean times the root of the number of draws, so that no draw decides (Ionides 2008, doi
+    10.1198/106186008X320456).
+    """
+    for _ in range(ROUNDS):
+        normal = rng.standard_normal((ROUND_DRAWS, point.size))
+        stretch = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, ROUND_DRAWS))
+        points = point + (normal * stretch[:, None]) @ np.linalg.cholesky(covariance).T
+        tail = -0.5 * (FREEDOM + point.size) * np.log1p((normal**2).sum(axis=1) * stretch**2 / FREEDOM)
+        log_weight = log_probability(points) - tail
+        weight = np.exp(log_weight - log_weight.max())
+        weight = np.minimum(weight, weight.mean() * np.sqrt(ROUND_DRAWS))
+        point = np.average(points, axis=0, weights=weight)
+        covariance = np.asarray(np.atleast_2d(np.cov(points.T, aweights=weight)), np.float64)
+    return point, covariance
 
 
 FULL_WELL = "ccd.full_well_e"
@@ -289,12 +318,12 @@ def description_from_posterior(
     values = dict(zip(posterior.names, model.prior.parameters(point[None])[0].tolist(), strict=True))
     rng = np.random.default_rng([seed, 1])
     draws = dict(zip(posterior.names, model.prior.parameters(posterior.draws).T, strict=True))
+    known = model.values(posterior.draws)
     combined = tuple(
-        _combination(product, draws[product.carrier], values[product.carrier]) for product in model.products
+        _combination(one, one.product(known), float(one.product(model.values(point[None]))[0]))
+        for one in COMBINATIONS
+        if set(one.paths) <= set(posterior.names)
     )
-    for product in model.products:
-        draws.update(distribute_product(model.sensor, product, draws[product.carrier], rng))
-        values.update(divide_product(model.sensor, product, values[product.carrier]))
     draws.update(model.tied(draws))
     values.update(
         {path: float(one[0]) for path, one in model.tied({p: np.array([v]) for p, v in values.items()}).items()}
@@ -332,13 +361,14 @@ def _typical(model: Model, draws: Array) -> Array:
     return most_probable(model, np.where(inside, point, middle), inside)
 
 
-def _combination(product: Product, carried: Array, value: float) -> str:
-    """Return the note on a product: its ratio to that of the description, and that its factors share it."""
-    low, high = (float(q) / value for q in np.quantile(carried, (0.025, 0.975)))
+def _combination(combination: Combination, drawn: Array, value: float) -> str:
+    """Return the note on a product that the data determine, and its range relative to its value."""
+    low, high = (float(q) / value for q in np.quantile(drawn, (0.025, 0.975)))
+    first, *others = combination.paths
     return (
-        f"The data determine {product.carrier} only together with {', '.join(product.partners)}: the combination is "
-        f"known to {low - 1.0:+.1%} to {high - 1.0:+.1%} (95 %), and its departure from the description is divided "
-        "over the factors as their prior ranges allow."
+        f"The data determine {first} only together with {', '.join(others)}: the combination is known to "
+        f"{low - 1.0:+.1%} to {high - 1.0:+.1%} (95 %), and its departure from the description is divided over the "
+        "factors as their prior ranges allow."
     )
 
 

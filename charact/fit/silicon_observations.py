@@ -15,6 +15,13 @@ from charact.fit.observation import (
     sd_of,
 )
 from charact.fit.predicted_quantities import ELEMENTARY_CHARGE_C, Values
+from charact.fit.readout_observations import (
+    INTERFERENCE,
+    ROW_EXPONENT,
+    ROW_NOISE,
+    coloured_variance,
+    readout_observations,
+)
 from charact.fit.stack_levels import StackMean
 from charact.method import Context
 from charact.noise.gain.emva1288 import excess_of
@@ -29,6 +36,12 @@ Array = NDArray[np.float64]
 LENS = ("optics.aberration_blur_um", "optics.f_number")
 HEIGHTS = "register.pulse_height_shape"
 READING = (HEIGHTS, "register.clock_induced_e", "ccd.dark_current_e_per_s", "ccd.read_noise_e")
+COMPRESSION, OFFSET = "readout.compression_fraction", "readout.exposure_offset_us"
+# Least squares slope of variance over signal from none to 70 % of full scale: 1 - 2.1 c of that at no signal.
+EMVA_SLOPE = 3.0 * 0.7
+# Fewest flats whose variances are observed one by one, and least signal over the dark's noise of each, variances.
+FEWEST_FLATS, LEAST_SHOT_NOISE = 3, 0.5
+COLOURED = (ROW_NOISE, ROW_EXPONENT, INTERFERENCE)
 # Dark current and DSNU are stated at this temperature.
 REFERENCE_C = 25.0
 # Variance of rounding to whole DN, DN^2.
@@ -112,12 +125,13 @@ def silicon_observations(
     flats = session.of_kind("flat")
     usual = flats[0].conditions if flats else Conditions()
     found = mtf_observations(session, camera, result, LENS)
-    found += _gain(camera, result, usual)
+    found += _photon_transfer(levels, darks, result) or _gain(camera, result, usual)
     found += _dark_noise(darks)
-    found += _patterns(darks, result)
+    found += _readout(darks)
+    found += _patterns(levels, darks, result)
     found += _saturation(result, usual)
     found += _dark_slope(result, darks)
-    known = [level for level in levels if not level.dark]
+    known = [level for level in levels if not level.dark and level.light_known]
     longest_s = max((entry.conditions.exposure_s or 0.0 for entry in flats), default=0.0)
     # The level of a longer dark contains a dark charge that a clamp need not remove.
     short = [level for level in levels if level.dark and (not flats or level.exposure_s <= longest_s or not longest_s)]
@@ -144,6 +158,48 @@ def _gain(camera: SolidStateCamera, result: Result, usual: Conditions) -> list[O
     ]
 
 
+def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], result: Result) -> list[Observation]:
+    """Observe variance over signal of every flat, where the photon transfer curve of the session is admissible.
+
+    Of a response y = s (1 - c s / full scale) shot noise has the variance K0 g F^2 s (1 - 2 c s / full scale)^2.
+    """
+    flats = [flat for flat in levels if not flat.dark and np.isfinite(flat.temporal_dn2[1])]
+    admissible = [
+        *admissible_measurements(result, "system_gain", "DN/e-"),
+        *admissible_measurements(result, "covariance_gain", "DN"),
+    ]
+    if not darks or not admissible:
+        return []
+    dark = darks[0]
+    usable = [flat for flat in flats if flat.temporal_dn2[0] > (1.0 + LEAST_SHOT_NOISE) * dark.temporal_dn2[0]]
+    if len(usable) < FEWEST_FLATS:
+        return []
+    signal = np.array([flat.mean_dn - dark.mean_dn for flat in usable])
+    ratio = np.array([flat.temporal_dn2[0] - dark.temporal_dn2[0] for flat in usable]) / signal
+    own = np.array([np.hypot(flat.temporal_dn2[1], dark.temporal_dn2[1]) for flat in usable]) / signal
+    full = usable[0].full_scale_dn
+
+    def predict(values: Values) -> Array:
+        gains = [
+            dn_per_electron(values, flat.conditions) * em_gain(values, flat.conditions)
+            * register_excess(values, flat.conditions) for flat in usable
+        ]  # fmt: skip
+        c = values[COMPRESSION][:, None]
+        straight = signal * (1.0 + c * signal / full)
+        bend = (1.0 - 2.0 * c * straight / full) ** 2 * straight / signal
+        return np.stack(np.broadcast_arrays(*gains), axis=1) * bend / (1.0 - EMVA_SLOPE * c)
+
+    depends = dict.fromkeys(
+        path for flat in usable for path in (*_amplification(flat.conditions), HEIGHTS, COMPRESSION)
+    )
+    return [
+        Observation(
+            name="photon transfer", value=ratio, predict=predict, speaks_of=tuple(depends),
+            covariance=np.diag(own**2 + (NOISE_MODEL_SD * ratio) ** 2),
+        )
+    ]  # fmt: skip
+
+
 def _dark_noise(darks: list[StackMean]) -> list[Observation]:
     """Observe the temporal variance of every dark whose rounding is additive."""
     found = []
@@ -151,26 +207,41 @@ def _dark_noise(darks: list[StackMean]) -> list[Observation]:
         variance, sd = dark.temporal_dn2
         if variance > LEAST_NOISE_DN**2:
             sd = float(np.hypot(sd, NOISE_MODEL_SD * variance))
-            depends = (*_amplification(dark.conditions), *READING, *_cooling(dark.conditions))
-            found.append(one(f"dark noise of {dark.label}", variance, sd, _of(dark_variance, dark), depends))
+            depends = (*_amplification(dark.conditions), *READING, *COLOURED, *_cooling(dark.conditions))
+            found.append(one(f"dark noise of {dark.label}", variance, sd, _variance_of(dark), depends))
     return found
 
 
-def _of(formula: Callable[[Values, Conditions, float], Array], level: StackMean) -> Callable[[Values], Array]:
-    """Return a formula under the conditions of a stack."""
-    return lambda values: formula(values, level.conditions, level.exposure_s)
+def _variance_of(dark: StackMean) -> Callable[[Values], Array]:
+    """Return the temporal variance of a pixel under the conditions of a dark, DN^2."""
+    rows = 1 if dark.entry is None else dark.entry.read().shape[1]
+
+    def predict(values: Values) -> Array:
+        return dark_variance(values, dark.conditions, dark.exposure_s) + coloured_variance(values, rows)
+
+    return predict
 
 
-def _patterns(darks: list[StackMean], result: Result) -> list[Observation]:
+def _readout(darks: list[StackMean]) -> list[Observation]:
+    """Observe rows, neighbours and interference in the dark with most frames, of these the shortest exposure."""
+    usable = [dark for dark in darks if dark.entry is not None and dark.temporal_dn2[0] > LEAST_NOISE_DN**2]
+    if not usable:
+        return []
+    dark = min(usable, key=lambda level: (-len(level.entry.read()) if level.entry else 0, level.exposure_s))
+
+    def read_noise_dn(values: Values) -> Array:
+        return dn_per_electron(values, dark.conditions) * values["ccd.read_noise_e"]
+
+    data = dark.entry.read().data if dark.entry else np.zeros((0, 0, 0))
+    return readout_observations(data, read_noise_dn, ("video.conversion_gain_dn_per_e", "ccd.read_noise_e"))
+
+
+def _patterns(levels: tuple[StackMean, ...], darks: list[StackMean], result: Result) -> list[Observation]:
     """Observe PRNU, and DSNU as the pattern of the dark with most frames and longest exposure.
 
     The error of a variance over pixels contains their kurtosis: a pattern of little dark charge is that of few pixels.
     """
-    found = []
-    for m in admissible_measurements(result, "prnu", "%"):
-        value = 0.01 * (m.value or 0.0)
-        sd = float(np.hypot(0.01 * sd_of(m), NOISE_MODEL_SD * value))
-        found.append(one("PRNU", value, sd, lambda values: values["ccd.prnu"], ("ccd.prnu",)))
+    found = _response_pattern(levels, darks) or _stated_response_pattern(result)
     if not darks:
         return found
     dark = max(darks, key=lambda level: (len(level.entry.read()) if level.entry else 0, level.exposure_s))
@@ -183,6 +254,36 @@ def _patterns(darks: list[StackMean], result: Result) -> list[Observation]:
     sd = float(np.hypot(own, 2.0 * NOISE_MODEL_SD * value))
     depends = (*_amplification(dark.conditions), "ccd.dsnu_e", *_cooling(dark.conditions))
     found.append(one("DSNU", value, sd, pattern, depends))
+    return found
+
+
+def _response_pattern(levels: tuple[StackMean, ...], darks: list[StackMean]) -> list[Observation]:
+    """Observe the squared PRNU in the flat that shows it best: (fixed pattern - that of a dark) over signal squared.
+
+    Shading of light and lens, which the PRNU of EMVA 1288 contains, is no part of it.
+    """
+    if not darks:
+        return []
+    dark, found = darks[0], []
+    for flat in levels:
+        signal = flat.mean_dn - dark.mean_dn
+        if not flat.dark and np.isfinite(flat.spatial_dn2[1]) and signal > 0.0:
+            value = (flat.spatial_dn2[0] - dark.spatial_dn2[0]) / signal**2
+            found.append((float(np.hypot(flat.spatial_dn2[1], dark.spatial_dn2[1])) / signal**2, value))
+    if not found:
+        return []
+    own, value = min(found)
+    sd = float(np.hypot(own, 2.0 * NOISE_MODEL_SD * value))
+    return [one("PRNU", value, sd, lambda values: values["ccd.prnu"] ** 2, ("ccd.prnu",))]
+
+
+def _stated_response_pattern(result: Result) -> list[Observation]:
+    """Observe the measured PRNU where no dark and flat of known light show it."""
+    found = []
+    for m in admissible_measurements(result, "prnu", "%"):
+        value = 0.01 * (m.value or 0.0)
+        sd = float(np.hypot(0.01 * sd_of(m), NOISE_MODEL_SD * value))
+        found.append(one("PRNU", value, sd, lambda values: values["ccd.prnu"], ("ccd.prnu",)))
     return found
 
 
@@ -239,11 +340,17 @@ def _levels(camera: SolidStateCamera, levels: tuple[StackMean, ...]) -> Observat
     light = np.array([electrons_per_efficiency(camera.silicon, level) for level in levels])
     in_lux = np.array([np.isfinite(level.illuminance_lux) for level in levels])
 
+    exposure_us = 1e6 * np.array([level.gate_s for level in levels])
+    full = float(2**camera.video.bit_depth - 1)
+
     def predict(values: Values) -> Array:
         gains = [dn_per_electron(values, one.conditions) * em_gain(values, one.conditions) for one in levels]
         area_m2 = values["ccd.pitch_x_um"] * values["ccd.pitch_y_um"] * 1e-12
         electrons = values["ccd.quantum_efficiency"][:, None] * np.where(in_lux, area_m2[:, None], 1.0) * light
-        return values["video.black_level_dn"][:, None] + np.stack(np.broadcast_arrays(*gains), axis=1) * electrons
+        electrons = electrons * (1.0 + values[OFFSET][:, None] / exposure_us)
+        c = values[COMPRESSION][:, None]
+        straight = np.stack(np.broadcast_arrays(*gains), axis=1) * electrons / (1.0 - EMVA_SLOPE * c)
+        return values["video.black_level_dn"][:, None] + straight * (1.0 - c * straight / full)
 
     mean = np.array([level.mean_dn for level in levels])
     black = min(float(mean.min()), *(level.mean_dn for level in levels if level.dark), np.inf)
@@ -259,5 +366,5 @@ def _levels(camera: SolidStateCamera, levels: tuple[StackMean, ...]) -> Observat
     depends = ("video.black_level_dn",)
     if lit:
         gains = dict.fromkeys(path for conditions in lit for path in _amplification(conditions))
-        depends += (*gains, "ccd.quantum_efficiency", *(("ccd.pitch_x_um",) if of_lux else ()))
+        depends += (*gains, COMPRESSION, OFFSET, "ccd.quantum_efficiency", *(("ccd.pitch_x_um",) if of_lux else ()))
     return Observation(name="levels", value=mean, covariance=covariance, predict=predict, speaks_of=depends)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.illumination import gathering_s
+from charact.noise.stack.components import shading
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.session import Session, StackEntry
@@ -26,8 +27,10 @@ class StackMean:
     exposure_s: float
     mcp_v: float
     entry: StackEntry | None = None  # the stack
-    # mean over pixels of the variance between frames, variance over pixels of the mean frame without its noise, and the
-    # standard errors of both, DN^2; nan of a single frame
+    full_scale_dn: float = np.nan  # highest code of the digitiser, DN
+    light_known: bool = True  # whether its light is stated; otherwise it shows noise alone
+    # mean over pixels of the variance between frames, variance over pixels of the mean frame without its noise and
+    # smooth shading, and the standard errors of both, DN^2; nan of a single frame
     temporal_dn2: tuple[float, float] = (np.nan, np.nan)
     spatial_dn2: tuple[float, float] = (np.nan, np.nan)
 
@@ -47,17 +50,22 @@ MOST_CLIPPED, HIGHEST_LEVEL = 1e-3, 0.85
 
 
 def levels_of(session: Session) -> tuple[StackMean, ...]:
-    """Return the means of the session's darks and flats of known light within the linear range."""
+    """Return the means of the session's darks and flats within the linear range.
+
+    Flats of unknown light are left out behind a tube; of a camera without one their noise is that of their signal.
+    """
     found = (_level(session, entry) for entry in session.of_kind("dark", "flat"))
     return tuple(level for level in found if level is not None)
 
 
 def _level(session: Session, entry: StackEntry) -> StackMean | None:
-    conditions, camera = entry.conditions, session.camera
+    conditions, camera, light_known = entry.conditions, session.camera, True
     illuminance = 0.0 if entry.kind == "dark" else conditions.illuminance_lux
     if isinstance(camera, SolidStateCamera):
         if illuminance is None and conditions.photons_per_px and conditions.wavelength_nm:
             illuminance = np.nan
+        light_known = illuminance is not None
+        illuminance = np.nan if illuminance is None else illuminance
         reference_v, field_s = 0.0, 1.0 / float(camera.video.field_rate_hz)
         shutter_s = gathering_s(conditions) or field_s
     elif isinstance(camera, Sensor):
@@ -80,11 +88,14 @@ def _level(session: Session, entry: StackEntry) -> StackMean | None:
         label=entry.label, mean_dn=float(means.mean()), sd_dn=scatter, noise_dn=_noise_dn(stack.data[0]),
         illuminance_lux=float(illuminance), gate_s=float(gate_s), exposure_s=float(shutter_s),
         mcp_v=float(conditions.mcp_v or reference_v), entry=entry, temporal_dn2=temporal, spatial_dn2=spatial,
+        light_known=light_known, full_scale_dn=top,
     )  # fmt: skip
 
 
 def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return temporal variance and variance of the fixed pattern with their standard errors, frame offsets removed.
+    """Return temporal variance and variance of the fixed pattern with their standard errors.
+
+    Removed are the frames' offsets and, of the fixed pattern, shading of light and lens up to the fourth order.
 
     Standard errors are from the scatter over pixels, taken as independent: for white noise.
     """
@@ -97,12 +108,18 @@ def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]
         total += away
         square += away**2
     each = (square - total**2 / count) / (count - 1)
-    own = (total / count) ** 2 - each / count
+    own = _without_shading(total / count) ** 2 - each / count
     root = np.sqrt(pixels)
     return (
         (float(each.mean()), float(each.std() / root)),
         (float(own.mean()), float(own.std() / root)),
     )
+
+
+def _without_shading(image: NDArray) -> NDArray:
+    """Return an image without products of polynomials along rows and columns."""
+    down, across = (np.column_stack([np.full(n, n**-0.5), shading(n)]) for n in image.shape)
+    return image - down @ (down.T @ image @ across) @ across.T
 
 
 def _noise_dn(frame: NDArray) -> float:

@@ -1,10 +1,11 @@
 """Observations of a camera with a tube: MTF, noise, halo, fixed patterns, levels."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from charact.fit import predicted_quantities
 from charact.fit.mtf_observations import SPREAD, mtf_observations
@@ -13,6 +14,7 @@ from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.tube_pattern_observations import frame_observations
+from charact.noise.rounding import QUANTISATION_DN2, variance_range_before_rounding
 from labdata.measurement import Measurement, Result
 from labdata.sensor import Sensor
 from labdata.session import Session
@@ -28,24 +30,32 @@ GAIN = (
 )
 NOISE = (*GAIN, "microchannel_plate.detection_probability", "microchannel_plate.pulse_height_shape")
 SHAPE = (*SPREAD, *NOISE, "tube.post_gain_share")
+STRIP = "microchannel_plate.strip_current_ua_per_cm2"
+LAG = ("phosphor.fast_fraction", "phosphor.fast_decay_ms", "phosphor.slow_decay_ms")
 LEVEL = (
     *GAIN,
     "photocathode.ebi_lm_per_cm2",
-    "microchannel_plate.strip_current_ua_per_cm2",
+    STRIP,
     "video.black_level_dn",
     "taper.demagnification",
 )
 # Minimum noise at which quantisation is additive, DN.
 LEAST_NOISE_DN = 0.5
+NEIGHBOUR_MODEL_SD = 0.001
+# Error of a mean that is attracted to whole numbers, DN.
+LEANING_DN = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Noise:
-    """One noise quantity, predicted from values, photoelectron gain and (blur factor, correlation)."""
+    """Noise quantities of one MCP voltage with their joint errors.
+
+    `predict`: from values, photoelectron gain, and blur factor and neighbour correlation; shape (n, k).
+    """
 
     mcp_v: float
-    value: float
-    sd: float
+    value: Array  # shape (k,)
+    covariance: Array  # shape (k, k)
     predict: Callable[[Values, Array, tuple[Array, Array]], Array]
     speaks_of: tuple[str, ...] = NOISE
 
@@ -53,22 +63,15 @@ class _Noise:
 def noise_observations(
     session: Session, sensor: Sensor, result: Result, levels: tuple[StackMean, ...]
 ) -> list[Observation]:
-    """Observe covariance gain, blur factor and dark variance, grouped by MCP voltage."""
+    """Observe noise power, variance and image lag of the flats and the variance of darks, by MCP voltage."""
     reference_v = float(sensor.microchannel_plate.reference_v)
-    known = [float(entry.conditions.mcp_v) for entry in session.of_kind("flat") if entry.conditions.mcp_v]
+    flats = session.of_kind("flat")
+    known = [float(entry.conditions.mcp_v) for entry in flats if entry.conditions.mcp_v]
     # Of several voltages, the one with most flats is the session's.
     volts = max(dict.fromkeys(known), key=known.count) if known else reference_v
-    own_volts = {entry.label: entry.conditions.mcp_v for entry in session.stacks}
-    found = []
-    for quantity, unit, predict, depends in (
-        ("covariance_gain", "DN", lambda values, gain, _: predicted_quantities.covariance_gain(values, gain), NOISE),
-        ("blur_factor", None, lambda _, __, shape: shape[0], SHAPE),
-    ):
-        for m in admissible_measurements(result, quantity, unit):
-            value = m.value or 0.0
-            sd = float(np.hypot(sd_of(m), NOISE_MODEL_SD * value))
-            at = float(own_volts.get(m.stack or "") or volts)
-            found.append(_Noise(mcp_v=at, value=value, sd=sd, predict=predict, speaks_of=depends))
+    gates_s = [level.gate_s for level in levels if not level.dark and level.mcp_v == volts]
+    found = _of_flats(result, volts, float(np.median(gates_s)) if gates_s else np.inf)
+    found = found or _separate(result, {entry.label: entry.conditions.mcp_v for entry in session.stacks}, volts)
     found += _neighbours(result, volts)
     darks = [level for level in levels if level.dark]
     # The read noise must be large against the quantisation step, so that rounding is additive.
@@ -83,6 +86,79 @@ def noise_observations(
     ]
 
 
+def _of_flats(result: Result, mcp_v: float, gate_s: float) -> list[_Noise]:
+    """Observe noise power at frequency 0 and lag factor of the pooled flats, and the variance of every flat.
+
+    All are those of single exposures, per DN of signal: image lag leaves the fraction s of power and variance, and the
+    lag factor is 1/s. Variance over signal is known far better than covariance gain and blur factor, whose errors
+    cancel in it. Power is that of the flats pooled by their information, S^2/V^2 at the signal S and variance V.
+    """
+    transfer = result.evidence.get("photon-transfer", {})
+    columns = [
+        np.asarray(transfer.get(name, ()), float)
+        for name in ("signal_dn", "variance_dn2", "dark_variance_dn2", "variance_sd_dn2", "fitted")
+    ]
+    measured = [
+        m for m in admissible_measurements(result, "covariance_gain", "DN")
+        if m.stack is None and m.posterior is not None and {"power", "lag_factor"} <= set(m.posterior.names)
+    ]  # fmt: skip
+    if not measured or measured[0].posterior is None or not columns[4].any() or not np.isfinite(gate_s):
+        return []
+    signal, variance, dark, sd = (column[columns[4] > 0] for column in columns[:4])
+    pooled_dn = float(np.average(signal, weights=(signal / variance) ** 2))
+    power, lag = (measured[0].posterior[name] for name in ("power", "lag_factor"))
+    # Without a test of image lag its factor is no measurement.
+    pooled = np.stack([power, lag], axis=1)[:, : 2 if lag.std() > 0.0 else 1]
+    # Rounding may hide the noise of a dark; mean and variance of the dark are errors of every flat.
+    ranges = np.array([variance_range_before_rounding(float(one)) for one in dark])
+    slope = (variance - QUANTISATION_DN2 - ranges.mean(axis=1)) / signal
+    value = np.concatenate([np.median(pooled, axis=0), slope])
+    hidden = np.ptp(ranges, axis=1)
+    common = [LEANING_DN * (hidden > 0.0) * slope / signal, hidden / np.sqrt(12.0) / signal]
+    own = np.diag((sd / signal) ** 2) + sum(np.outer(one, one) for one in common)
+    covariance = block_diag(np.cov(pooled.T), own) + np.diag((NOISE_MODEL_SD * value) ** 2)
+
+    def predict(values: Values, gain: Array, shape: tuple[Array, Array]) -> Array:
+        left = predicted_quantities.lag_noise_fraction(values, gate_s)
+        loss = predicted_quantities.gain_loss
+
+        def power_of(signal_dn: float) -> Array:
+            return predicted_quantities.covariance_gain(values, left * gain * (1.0 - loss(values, signal_dn)))
+
+        factor = predicted_quantities.covariance_gain(values, gain) / predicted_quantities.covariance_gain(
+            values, left * gain
+        )
+        first = [power_of(pooled_dn), factor][: value.size - slope.size]
+        return np.stack(np.broadcast_arrays(*first, *(shape[0] * power_of(one) for one in signal)), axis=1)
+
+    return [_Noise(mcp_v=mcp_v, value=value, covariance=covariance, predict=predict, speaks_of=(*SHAPE, *LAG, STRIP))]
+
+
+def _separate(result: Result, volts_of: Mapping[str, float | None], usual_v: float) -> list[_Noise]:
+    """Observe covariance gain and blur factor with independent errors."""
+    found = []
+    for quantity, unit, predict, depends in (
+        ("covariance_gain", "DN", lambda values, gain, _: predicted_quantities.covariance_gain(values, gain), NOISE),
+        ("blur_factor", None, lambda _, __, shape: shape[0], SHAPE),
+    ):
+        for m in admissible_measurements(result, quantity, unit):
+            sd = float(np.hypot(sd_of(m), NOISE_MODEL_SD * (m.value or 0.0)))
+            at = float(volts_of.get(m.stack or "") or usual_v)
+            found.append(_number(at, m.value or 0.0, sd, predict, depends))
+    return found
+
+
+def _number(
+    mcp_v: float, value: float, sd: float, predict: Callable[[Values, Array, tuple[Array, Array]], Array],
+    depends: tuple[str, ...],
+) -> _Noise:  # fmt: skip
+    """Return one noise quantity; its prediction has shape (n,)."""
+    return _Noise(
+        mcp_v=mcp_v, value=np.array([value]), covariance=np.array([[sd**2]]), speaks_of=depends,
+        predict=lambda values, gain, shape: predict(values, gain, shape)[:, None],
+    )  # fmt: skip
+
+
 def _neighbours(result: Result, volts: float) -> list[_Noise]:
     """Observe the horizontal neighbour correlation of the brightest flat that is neither clipped nor saturated."""
     measured = result.evidence.get("autocorrelation", {})
@@ -92,10 +168,9 @@ def _neighbours(result: Result, volts: float) -> list[_Noise]:
     columns = [measured.get(name, ()) for name in ("label", "neighbour_correlation", "neighbour_sd")]
     usable = [(signal[label], value, sd) for label, value, sd in zip(*columns, strict=True) if label in signal]
     return [
-        _Noise(mcp_v=volts, value=value, sd=float(np.hypot(sd, 0.004)), predict=lambda _, __, shape: shape[1],
-               speaks_of=SHAPE)
+        _number(volts, value, float(np.hypot(sd, NEIGHBOUR_MODEL_SD)), lambda _, __, shape: shape[1], SHAPE)
         for _, value, sd in sorted(usable)[-1:]
-    ]  # fmt: skip
+    ]
 
 
 def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observation:
@@ -104,11 +179,13 @@ def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observat
     def predict(values: Values) -> Array:
         gain = predicted_quantities.photoelectron_gain(values, mcp_v, reference_v)
         shape = predicted_quantities.noise_shape(values, gain)
-        return np.stack(np.broadcast_arrays(*(part.predict(values, gain, shape) for part in parts)), axis=1)
+        found = [part.predict(values, gain, shape) for part in parts]
+        count = max(len(one) for one in found)
+        return np.concatenate([np.broadcast_to(one, (count, one.shape[1])) for one in found], axis=1)
 
     return Observation(
-        name="noise", value=np.array([part.value for part in parts]),
-        covariance=np.diag([part.sd**2 for part in parts]), predict=predict,
+        name="noise", value=np.concatenate([part.value for part in parts]),
+        covariance=block_diag(*(part.covariance for part in parts)), predict=predict,
         speaks_of=tuple(dict.fromkeys(path for part in parts for path in part.speaks_of)),
     )  # fmt: skip
 
@@ -129,11 +206,9 @@ def _dark(m: Measurement, dark: StackMean, sensor: Sensor, reference_v: float) -
         own = predicted_quantities.dark_variance(values, gain, shape[0], dark.gate_s)
         return own + predicted_quantities.ion_variance(values, gain, shape[0], dark.gate_s)
 
-    return _Noise(
-        mcp_v=dark.mcp_v, value=variance,
-        sd=float(np.hypot.reduce([2.0 * (m.value or 0.0) * sd_of(m), NOISE_MODEL_SD * variance, spread])),
-        predict=predict, speaks_of=("ccd.read_noise_e", "photocathode.ebi_lm_per_cm2", *NOISE),
-    )  # fmt: skip
+    sd = float(np.hypot.reduce([2.0 * (m.value or 0.0) * sd_of(m), NOISE_MODEL_SD * variance, spread]))
+    depends = ("ccd.read_noise_e", "photocathode.ebi_lm_per_cm2", *NOISE)
+    return _number(dark.mcp_v, variance, sd, predict, depends)
 
 
 def tube_observations(
@@ -197,7 +272,7 @@ def _levels(levels: tuple[StackMean, ...], reference_v: float) -> Observation:
         return one["video.black_level_dn"] + gain * events / (1.0 + load)
 
     # With little noise the mean is attracted to whole numbers.
-    leaning = np.array([0.1 if level.noise_dn < LEAST_NOISE_DN else 0.0 for level in levels])
+    leaning = np.array([LEANING_DN if level.noise_dn < LEAST_NOISE_DN else 0.0 for level in levels])
     variance = own**2 + 0.03**2 + (0.003 * mean) ** 2 + leaning**2
     extra = ("microchannel_plate.gain_exponent",) if len(set(mcp_v.tolist())) > 1 else ()
     return Observation(

@@ -14,6 +14,7 @@ from charact.fusion.bands import Mask, lamp_pixels
 from charact.fusion.scores import CONTROL_NOISE_DN, SOBEL_X, Score, sigmoid
 from charact.fusion.thresholds import FUSION, TRUTH
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 
 Array = NDArray[np.float64]
 
@@ -58,6 +59,7 @@ class FusionTruth:
     @classmethod
     def load(cls, path: Path) -> "FusionTruth":
         """Read what `save` has written; anything else is BadInput."""
+        require_regular(path, "the truth")
         try:
             with np.load(path) as file:
                 zones = {name[5:]: file[name].astype(bool) for name in file.files if name.startswith("zone_")}

@@ -103,6 +103,8 @@ def _set_margins(figure: Any) -> None:
         if engine is not None:
             engine.execute(figure)
             figure.set_layout_engine("none")
+        for axes in figure.axes:  # An image keeps its proportions within its place.
+            axes.apply_aspect()
         return
     figure.set_layout_engine(None)
     rows, columns = specs[0].get_gridspec().get_geometry()

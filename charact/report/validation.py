@@ -1,17 +1,41 @@
-"""Validation section of the page: image pairs, overlays, and statistics with their two controls."""
+"""Validation section of the page: verdict with its power, blind pair, pictures, figures, statistics and controls."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from charact.report.figure_registry import Figure
-from charact.report.figure_svg import as_svg
-from charact.report.number_format import short_text
+from charact.report.number_format import MINUS, short_text
 from charact.report.report_images import ReportImage, as_jpeg
-from charact.report.style import DATA, INK, MODEL, WARN, has_all, panel, plot_band, report_style, subsample
-from charact.validation import FramePair, Statistic, Validation, ValidationControl
+from charact.report.validation_figures import (
+    deviations_by_statistic,
+    figures_by_name,
+    left_out,
+    named_deviations,
+    power_figure,
+    residual_figure,
+)
+from charact.validation import SAME_SESSION, FramePair, Statistic, Validation, ValidationControl
+
+# Overlays of the noise and of targets, in their order on the page.
+NOISE = (
+    "photon-transfer", "covariance", "noise-spectrum-horizontal", "noise-spectrum-vertical", "autocorrelation",
+    "histogram-dark", "histogram-flat",
+)  # fmt: skip
+TARGETS = ("mtf", "point")
+# Parameters that the sentence of power names at each end.
+NAMED = 3
+# Weakest quality of a JPEG, and most bytes of one: 40 kB are 60 kB in base64.
+LEAST_QUALITY, MOST_BYTES = 40, 40_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindPair:
+    """Measured and simulated image in a random order, and which one is measured."""
+
+    images: tuple[ReportImage, ...]
+    answer: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,40 +44,47 @@ class Section:
 
     status: str
     headline: str
+    sentence: str  # what the validation could have seen, or what deviates
+    caution: str  # the camera was fitted to the same session
     summary: str
+    blind: BlindPair | None
     pairs: tuple[tuple[ReportImage, ...], ...]
+    patterns: tuple[tuple[ReportImage, ...], ...]
+    residuals: tuple[Figure, ...]
     figures: tuple[Figure, ...]
+    deviations: tuple[Figure, ...]
+    power: tuple[Figure, ...]
     columns: tuple[str, ...]
     rows: tuple[dict[str, Any], ...]
     controls: tuple[dict[str, Any], ...]  # rows of the controls: cells and status
-    power: tuple[tuple[str, ...], ...]  # parameter, error that would have been found, statistic that finds it
+    left_out: tuple[str, ...]  # figures that the session does not give
     notes: tuple[str, ...]
 
 
 def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
     """Return the validation section; `aspect`: row pitch over column pitch of the images."""
-    good = sum(one.passed for one in validation.statistics)
-    nulls, negatives = ([one for one in validation.controls if one.name == name] for name in ("null", "negative"))
-    verdict = "agrees" if validation.passed else "does not agree"
-    seen = sum(one.passed for one in negatives)
-    held = "hold" if all(one.passed for one in nulls) else "do not hold"
+    drawn = validation.figures
     return Section(
         status=_status(validation.passed),
-        headline=f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; "
-        f"null controls {held}; {seen} of {len(negatives)} negative controls noticed",
+        headline=headline_of(validation),
+        sentence=sentence_of(validation),
+        caution=SAME_SESSION if SAME_SESSION in validation.notes else "",
         summary=_summary(validation),
-        pairs=tuple(_pictures(pair, aspect) for pair in validation.pairs),
-        figures=(*(_overlay(name, data) for name, data in validation.overlays.items()), *_pulls(validation)),
+        blind=blind_pair(drawn.blind[0], validation.seed, aspect) if drawn.blind else None,
+        pairs=tuple(_pictures(pair, aspect) for pair in drawn.pairs),
+        patterns=tuple(_pictures(pair, aspect, pattern=True) for pair in drawn.patterns),
+        residuals=tuple(residual_figure(one, aspect) for one in drawn.residuals),
+        figures=figures_by_name(drawn.overlays, (*NOISE, *TARGETS)),
+        deviations=(*named_deviations(validation), *deviations_by_statistic(validation)),
+        power=power_figure(validation),
         columns=("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", "Deviates most", "Verdict"),
         rows=tuple(_row(one) for one in validation.statistics),
         controls=tuple(_control_row(one) for one in validation.controls),
-        power=tuple(
-            (one.title, f"{100.0 * one.relative_error:.2g} %", one.statistic)
-            if one.statistic
-            else (one.title, "none below 100 %", "—")
-            for one in validation.power
+        left_out=left_out(drawn.overlays),
+        notes=(
+            *(one.note for one in validation.statistics if one.note),
+            *(note for note in validation.notes if note != SAME_SESSION),
         ),
-        notes=(*(one.note for one in validation.statistics if one.note), *validation.notes),
     )
 
 
@@ -61,10 +92,54 @@ def _status(passed: bool) -> str:
     return "ok" if passed else "refused"
 
 
+def headline_of(validation: Validation) -> str:
+    """Return how many statistics and controls came out as they must."""
+    good = sum(one.passed for one in validation.statistics)
+    nulls, negatives = ([one for one in validation.controls if one.name == name] for name in ("null", "negative"))
+    verdict = "agrees" if validation.passed else "does not agree"
+    held = "hold" if all(one.passed for one in nulls) else "do not hold"
+    return (
+        f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; null controls {held}; "
+        f"{sum(one.passed for one in negatives)} of {len(negatives)} negative controls noticed"
+    )
+
+
+def sentence_of(validation: Validation) -> str:
+    """Return what an agreement could have seen and not, or what deviates most."""
+    return _power_sentence(validation) if validation.passed else _deviation_sentence(validation)
+
+
+def _power_sentence(validation: Validation) -> str:
+    """Return the least errors that would have been found, and the largest that could have been missed."""
+    found = sorted((one for one in validation.power if one.statistic), key=lambda one: one.relative_error)
+    never = [one.title for one in validation.power if not one.statistic]
+    if not validation.power:
+        return "How large an error it would have found is not known"
+    texts = [f"{100.0 * one.relative_error:.2g} % of {one.title}" for one in found]
+    seen = "; ".join(texts[:NAMED])
+    missed = "; ".join([*(f"up to {text}" for text in texts[NAMED:][-NAMED:]), *(f"any of {title}" for title in never)])
+    share = f"{100.0 * validation.power[0].probability:g} %"
+    sentences = (
+        f"In {share} of cases it would have found an error of {seen}" if seen else "",
+        f"It could have missed one of {missed}" if missed else "",
+    )
+    return ". ".join(sentence for sentence in sentences if sentence)
+
+
+def _deviation_sentence(validation: Validation) -> str:
+    """Return what deviates most and what may cause it."""
+    failed = sorted((one for one in validation.statistics if not one.passed), key=lambda one: -one.distance)
+    if not failed:
+        return "Every statistic passes; the controls did not come out as they must"
+    first, others = failed[0], len(failed) - 1
+    more = f"; {others} more statistics differ" if others > 1 else "; one more statistic differs" if others else ""
+    return f"It differs most in {first.worst} ({first.name}), which may come from {first.cause}{more}"
+
+
 def _summary(validation: Validation) -> str:
     return (
-        f"The camera {validation.sensor} was simulated under the conditions of the session "
-        f"{validation.session}: {validation.draws} posterior draws, seed {validation.seed}, "
+        f"The camera “{validation.sensor}” was simulated under the conditions of the session "
+        f"“{validation.session}”: {validation.draws} posterior draws, seed {validation.seed}, "
         f"{validation.seconds:.0f} s. A statistic fails where its p-value is below its level, which holds all of them "
         "together to a false alarm in 100 sessions (Holm)."
     )
@@ -84,61 +159,33 @@ def _control_row(one: ValidationControl) -> dict[str, Any]:
     return {"cells": (one.title, must, noticed), "status": status}
 
 
-def _pictures(pair: FramePair, aspect: float) -> tuple[ReportImage, ...]:
-    """Return both frames with the same grey scale."""
-    caption = f"Black {pair.low_dn:.4g} DN, white {pair.high_dn:.4g} DN."
+def _pictures(pair: FramePair, aspect: float, *, pattern: bool = False) -> tuple[ReportImage, ...]:
+    """Return both images of a pair with the same grey scale."""
+    what = f"Mean of {pair.frames} frames without shading. " if pattern else ""
+    caption = f"{what}Black {pair.low_dn:.4g} DN, white {pair.high_dn:.4g} DN.".replace("-", MINUS)
     return tuple(
-        ReportImage(
-            title=f"{word}: {pair.label} ({pair.kind})", caption=caption, data=as_jpeg(frame, (0.0, 255.0)),
-            rows=frame.shape[0], cols=frame.shape[1], aspect=aspect,
-        )
+        _image(frame, f"{word}, {pair.role}: {pair.label}", caption, aspect)
         for word, frame in (("Measured", pair.measured), ("Simulated", pair.simulated))
-    )  # fmt: skip
+    )
 
 
-def _overlay(name: str, data: Mapping[str, Any]) -> Figure:
-    """Plot the measured curve over the simulated one with its 95 % band."""
-    title = str(data.get("title", name))
-    with report_style():
-        figure, axes = panel((5.6, 3.6))
-        named = isinstance(data["x"][0], str)
-        x = np.arange(len(data["x"]), dtype=float) if named else np.asarray(data["x"], float)
-        x_simulated = np.asarray(data["x_simulated"], float) if has_all(data, "x_simulated") else x
-        at, low, high = subsample(x_simulated, data["low95"], data["high95"])
-        plot_band(axes, at, low, high, MODEL)
-        axes.plot(*subsample(x_simulated, data["simulated"]), color=MODEL, label="simulated, band 95 %")
-        style = "o" if len(x) < 30 else "-"
-        axes.plot(*subsample(x, data["measured"]), style, color=DATA, markersize=4, label="measured")
-        if named:
-            axes.set_xticks(x, [str(label) for label in data["x"]], rotation=30, ha="right")
-        axes.set(xlabel=_with_unit(data.get("x_title", "")), ylabel=_with_unit(data.get("y_title", title)))
-        axes.legend()
-        return Figure(section="validation", title=title, svg=as_svg(figure, title))
+def _image(codes: Any, title: str, caption: str, aspect: float) -> ReportImage:
+    """Return an image of codes of 8 bits (row, col), with as much detail as `MOST_BYTES` hold."""
+    for quality in range(72, LEAST_QUALITY - 1, -8):
+        data = as_jpeg(codes, (0.0, 255.0), quality)
+        if len(data) * 3 / 4 <= MOST_BYTES:
+            break
+    return ReportImage(title=title, caption=caption, data=data, rows=codes.shape[0], cols=codes.shape[1], aspect=aspect)
 
 
-def _with_unit(title: str) -> str:
-    """Return an axis title "quantity, unit" as "quantity (unit)"; without unit (1)."""
-    quantity, comma, unit = title.rpartition(", ")
-    return f"{quantity} ({unit})" if comma else f"{title} (1)"
-
-
-def _pulls(validation: Validation) -> tuple[Figure, ...]:
-    """Plot the deviation of each number from its prediction, in half-widths of the 95 % interval, by statistic."""
-    named = [one for one in validation.statistics if one.measured and len(one.measured) == len(one.low95)]
-    if not named:
-        return ()
-    with report_style():
-        figure, axes = panel((5.6, 1.1 + 0.24 * len(named)))
-        axes.axvspan(-1, 1, color=MODEL, alpha=0.18, linewidth=0, label="95 % of the simulation")
-        for row, one in enumerate(named):
-            low, high, measured = (np.asarray(v, float) for v in (one.low95, one.high95, one.measured))
-            pull = (measured - (low + high) / 2) / np.maximum((high - low) / 2, 1e-300)
-            place = row + np.linspace(-0.25, 0.25, len(pull)) if len(pull) > 1 else np.array([row])
-            axes.plot(np.clip(pull, -4, 4), place, "o", color=DATA if one.passed else WARN, markersize=3)
-        axes.axvline(0, color=INK, linewidth=0.8)
-        axes.set_yticks(range(len(named)), [one.name for one in named], fontsize=7.5)
-        axes.set(xlim=(-4.2, 4.2), ylim=(len(named) - 0.5, -0.5))
-        axes.set_xlabel("measured minus predicted\n(half-widths of the 95 % interval)")
-        figure.legend(loc="outside lower center")
-        title = "Deviation of each number from its prediction"
-        return (Figure(section="validation", title=title, svg=as_svg(figure, title)),)
+def blind_pair(pair: FramePair, seed: int, aspect: float) -> BlindPair:
+    """Return both images in an order by the seed and the frame, without words that tell them apart."""
+    first = bool(np.random.default_rng([seed, int(pair.measured.sum())]).integers(2))
+    images = (pair.measured, pair.simulated) if first else (pair.simulated, pair.measured)
+    return BlindPair(
+        images=tuple(
+            _image(image, f"{name}, a frame of the {pair.role} {pair.label}", "Both have one grey scale.", aspect)
+            for name, image in zip("AB", images, strict=True)
+        ),
+        answer=f"{'A' if first else 'B'} is measured, {'B' if first else 'A'} is simulated.",
+    )

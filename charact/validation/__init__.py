@@ -3,9 +3,11 @@
 from charact.validation.side_by_side import SAME_SESSION, validate
 from charact.validation.validation_result import (
     FramePair,
+    ResidualMap,
     Statistic,
     Validation,
     ValidationControl,
+    ValidationFigures,
     as_json,
     load,
     save,
@@ -14,9 +16,11 @@ from charact.validation.validation_result import (
 __all__ = [
     "SAME_SESSION",
     "FramePair",
+    "ResidualMap",
     "Statistic",
     "Validation",
     "ValidationControl",
+    "ValidationFigures",
     "as_json",
     "load",
     "save",

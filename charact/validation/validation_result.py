@@ -1,7 +1,7 @@
 """Result of a validation: statistics, controls, overlays and frame pairs, stored as JSON and arrays."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -86,18 +86,68 @@ class ValidationControl:
 
 @dataclass(frozen=True, kw_only=True)
 class FramePair:
-    """Measured and simulated frame of a stack, shape (row, col), uint8, and the grey values of black and white, DN."""
+    """Measured and simulated image of a stack, shape (row, col), uint8, and the grey values of black and white, DN.
 
+    `role`: what the stack is among those compared, such as "dim flat"; `kind`, `label`: as in the session; `frames`:
+    number of frames compared.
+    """
+
+    role: str
     kind: str
     label: str
     measured: NDArray[np.uint8]
     simulated: NDArray[np.uint8]
     low_dn: float
     high_dn: float
+    frames: int
 
     def __post_init__(self) -> None:
         for name in ("measured", "simulated"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualMap:
+    """Measured mean frame less that of the simulated sets.
+
+    `difference_dn`: means of squares of `block_px`, DN, shape (row, col); `sd_dn`: standard deviation of one block by
+    the spread of the simulated sets, DN.
+    """
+
+    role: str
+    label: str
+    block_px: int
+    difference_dn: NDArray[np.float32]
+    sd_dn: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "difference_dn", read_only(self.difference_dn))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidationFigures:
+    """Curves and pictures of a validation.
+
+    Parameters
+    ----------
+    overlays
+        Curves by name, JSON-ready mappings: "photon-transfer", "covariance", "autocorrelation", "mtf",
+        "noise-spectrum-horizontal", "noise-spectrum-vertical", "histogram-dark", "histogram-flat", "point". Each has
+        "title", "x_title", "y_title", "y_scale" unless it is linear, and "curves", each with "name", "x", "measured",
+        "simulated", "low95" and "high95".
+    pairs
+        First frame of each stack that is shown.
+    blind
+        Frame of a stack by chance, for a reader who tells the measured one.
+    patterns, residuals
+        Fixed patterns and residuals of dark, dim and bright flat.
+    """
+
+    overlays: dict[str, dict[str, Any]] = field(default_factory=dict)
+    pairs: tuple[FramePair, ...] = ()
+    blind: tuple[FramePair, ...] = ()
+    patterns: tuple[FramePair, ...] = ()
+    residuals: tuple[ResidualMap, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,11 +178,8 @@ class Validation:
         Measured against simulated, and null and negative controls under the same statistics.
     power
         Errors of parameters that would have been found.
-    overlays
-        Figure data by name, JSON-ready mappings: "mtf", "photon-transfer", "autocorrelation", "histogram". Each has "x"
-        with "x_title", "measured", "simulated", "low95", "high95" and "title".
-    pairs, notes
-        Images for display, and notes for the reader.
+    figures, notes
+        Curves and pictures, and notes for the reader.
     """
 
     session: str
@@ -143,9 +190,13 @@ class Validation:
     statistics: tuple[Statistic, ...]
     controls: tuple[ValidationControl, ...]
     power: tuple[DetectableError, ...] = ()
-    overlays: dict[str, dict[str, Any]] = field(default_factory=dict)
-    pairs: tuple[FramePair, ...] = ()
+    figures: ValidationFigures = field(default_factory=ValidationFigures)
     notes: tuple[str, ...] = ()
+
+    @property
+    def pairs(self) -> tuple[FramePair, ...]:
+        """First frame of each stack that is shown, measured and simulated."""
+        return self.figures.pairs
 
     @property
     def passed(self) -> bool:
@@ -183,17 +234,35 @@ def as_json(validation: Validation) -> dict[str, Any]:
             }
             for c in validation.controls
         ],
-        "pairs": [
-            {name: getattr(pair, name) for name in ("kind", "label", "low_dn", "high_dn")} for pair in validation.pairs
-        ],
+        "figures": {
+            "overlays": validation.figures.overlays,
+            **{name: [_split(one)[0] for one in getattr(validation.figures, name)] for name in _PICTURES},
+        },
     }
+
+
+# Pictures of the figures by name.
+_PICTURES: dict[str, Callable[..., Any]] = {
+    "pairs": FramePair, "blind": FramePair, "patterns": FramePair, "residuals": ResidualMap,
+}  # fmt: skip
+
+
+def _split(picture: FramePair | ResidualMap) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """Return the plain fields of a picture and its arrays, by name."""
+    arrays = {name: value for name, value in vars(picture).items() if isinstance(value, np.ndarray)}
+    return {name: value for name, value in vars(picture).items() if name not in arrays}, arrays
 
 
 def save(validation: Validation, folder: str | Path) -> Path:
     """Write a validation to a session's folder; return the JSON file."""
     folder = Path(folder)
-    images = {f"{of}-{i}": getattr(p, of) for i, p in enumerate(validation.pairs) for of in ("measured", "simulated")}
-    np.savez_compressed(folder / PICTURES, **images)
+    images = {
+        f"{name}-{number}-{key}": image
+        for name in _PICTURES
+        for number, picture in enumerate(getattr(validation.figures, name))
+        for key, image in _split(picture)[1].items()
+    }
+    np.savez_compressed(folder / PICTURES, allow_pickle=False, **images)
     path = folder / NUMBERS
     path.write_text(json.dumps(as_json(validation), indent=1, allow_nan=False) + "\n")
     return path
@@ -213,24 +282,33 @@ def load(folder: str | Path) -> Validation | None:
     try:
         stored = json.loads((folder / NUMBERS).read_text())
         with np.load(folder / PICTURES) as arrays:
-            pairs = tuple(
-                FramePair(**pair, measured=arrays[f"measured-{i}"], simulated=arrays[f"simulated-{i}"])
-                for i, pair in enumerate(stored["pairs"])
-            )
+            figures = _figures(stored["figures"], dict(arrays))
         controls = tuple(
             ValidationControl(name=c["name"], title=c["title"], statistics=_statistics(c["statistics"]))
             for c in stored["controls"]
         )
-        kept = {name: stored[name] for name in ("session", "sensor", "seed", "draws", "seconds", "overlays")}
+        kept = {name: stored[name] for name in ("session", "sensor", "seed", "draws", "seconds")}
         statistics, notes = _statistics(stored["statistics"]), tuple(stored["notes"])
         power = tuple(
             DetectableError(**{**one, "relative_error": float("nan") if one["relative_error"] is None
                                else one["relative_error"]})
             for one in stored["power"]
         )  # fmt: skip
-        return Validation(**kept, statistics=statistics, controls=controls, power=power, pairs=pairs, notes=notes)
+        return Validation(**kept, statistics=statistics, controls=controls, power=power, figures=figures, notes=notes)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadInput(f"{folder / NUMBERS} must be a validation kept by charact, got {error}") from error
+
+
+def _figures(stored: dict[str, Any], arrays: dict[str, NDArray]) -> ValidationFigures:
+    pictures = {
+        name: tuple(
+            make(**plain, **{key.split("-", 2)[2]: image for key, image in arrays.items()
+                             if key.startswith(f"{name}-{number}-")})
+            for number, plain in enumerate(stored[name])
+        )
+        for name, make in _PICTURES.items()
+    }  # fmt: skip
+    return ValidationFigures(overlays=stored["overlays"], **pictures)
 
 
 def _statistics(stored: list[dict[str, Any]]) -> tuple[Statistic, ...]:

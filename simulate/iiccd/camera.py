@@ -357,6 +357,10 @@ class SiliconCamera(Camera):
             )
         return min(shortest, self.frame_s)
 
+    def lit_s(self, conditions: Conditions) -> float:
+        """Time in which light is collected, s: the stated exposure and the shutter's offset."""
+        return max(self.open_s(conditions) + 1e-6 * float(self.description.readout.exposure_offset_us), 0.0)
+
     def chain(self, conditions: Conditions, state: AutomaticState = UNTOUCHED) -> Chain:
         """Return the whole chain; automatic controls are refused, as there are none."""
         if conditions.automatic_gain or conditions.brightness_control:

@@ -11,6 +11,7 @@ from labdata.errors import BadInput
 from simulate.iiccd import pattern
 from simulate.iiccd.chain import Slot, Stage, values_of
 from simulate.iiccd.grid import CameraFrame, Grid
+from simulate.iiccd.readout_noise import draw_read_noise
 from simulate.iiccd.stage_image import StageImage
 
 # Dark current is stated at this temperature.
@@ -37,7 +38,7 @@ class Silicon(Stage, slot=Slot.SILICON, takes="photons", emits="photoelectrons i
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
         """Return the chip that detects."""
         efficiency = max(camera.description.silicon.quantum_efficiency)
-        return cls(quantum_efficiency=efficiency, exposure_s=camera.open_s(conditions), grid=camera.cells)
+        return cls(quantum_efficiency=efficiency, exposure_s=camera.lit_s(conditions), grid=camera.cells)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.quantum_efficiency <= 1.0:
@@ -194,6 +195,8 @@ class Register(Stage, slot=Slot.REGISTER, takes="charge in the wells", emits="ch
     read_noise_e: float = 0.0  # standard deviation of reading, e- behind the gain
     # Mean dark charge in a pixel, e- before the gain, which the clamp subtracts together with that of clocking.
     dark_e: float = 0.0
+    # Density of read noise along a row at 0.5 cy/px over that at 0, see `readout_noise.draw_read_noise`.
+    fine_noise_ratio: float = 1.0
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
@@ -210,7 +213,8 @@ class Register(Stage, slot=Slot.REGISTER, takes="charge in the wells", emits="ch
             raise BadInput(f"em_gain must lie between 1 and the camera's {highest:g}, got {gain:g}")
         read_noise_e = float(camera.description.ccd.read_noise_e)
         dark_e, _ = dark_charge(camera, conditions)
-        return values_of(cls, register, gain=gain, read_noise_e=read_noise_e, dark_e=dark_e)
+        ratio = float(camera.description.readout.fine_noise_ratio)
+        return values_of(cls, register, gain=gain, read_noise_e=read_noise_e, dark_e=dark_e, fine_noise_ratio=ratio)
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.gain < np.inf:
@@ -220,6 +224,8 @@ class Register(Stage, slot=Slot.REGISTER, takes="charge in the wells", emits="ch
                 f"a register must have a stage and a positive pulse_height_shape, got {self.stages} and "
                 f"{self.pulse_height_shape:g}"
             )
+        if not self.fine_noise_ratio > 0.0:
+            raise BadInput(f"fine_noise_ratio must be positive, got {self.fine_noise_ratio:g}")
         for name in ("clock_induced_e", "read_noise_e", "dark_e"):
             if not getattr(self, name) >= 0.0:
                 raise BadInput(f"{name} must not be negative, got {getattr(self, name):g}")
@@ -248,7 +254,7 @@ class Register(Stage, slot=Slot.REGISTER, takes="charge in the wells", emits="ch
         if self.gain > 1.0:
             charge += self._draw_multiplication(charge, rng)
         if self.read_noise_e > 0.0:
-            charge += np.float32(self.read_noise_e) * rng.standard_normal(charge.shape, dtype=np.float32)
+            charge += np.float32(self.read_noise_e) * draw_read_noise(rng, charge.shape, self.fine_noise_ratio)
         return light.with_values(charge - np.float32(self._clamp_level_e))
 
     def _draw_multiplication(self, charge: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:

@@ -93,6 +93,11 @@ class Grid:
         """Return the grid of the same extent whose cells are one row high."""
         return replace(self, per_row=1, shape=(self.shape[0] // self.per_row, self.shape[1]))
 
+    def one_pixel(self) -> "Grid":
+        """Return one pixel of this grid: what depends on the pitches alone is computed once for frames of any size."""
+        shape = (self.per_row, self.per_column)
+        return replace(self, rows=1, columns=1, margin_rows=0, margin_columns=0, shape=shape)
+
     def window_of(self, other: "Grid") -> tuple[slice, slice]:
         """Slices that cut this grid's extent out of an image with this grid's cells and `other`'s wider extent."""
         row = (other.margin_rows - self.margin_rows) * self.per_row

@@ -8,13 +8,19 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.solid_state import gain_at_no_signal
 from simulate.iiccd.chain import Slot, Stage, values_of
 from simulate.iiccd.grid import ACCURACY, CameraFrame
+from simulate.iiccd.readout_noise import draw_interference, draw_row_offsets
 from simulate.iiccd.stage_image import StageImage
 
 Array = NDArray[np.floating]
 
 
+_OF_READOUT = (
+    "row_noise_dn2", "row_noise_exponent", "interference_dn2", "interference_x_cy_per_px", "interference_y_cy_per_px",
+    "compression_fraction",
+)  # fmt: skip
 # Where the boost of aperture correction is stated.
 CORRECTED_MHZ = 4.5
 
@@ -90,6 +96,13 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
     gain: float = 1.0  # factor of the automatic gain, which acts on signal and noise alike, dimensionless
     sync_jitter_px: float = 0.0  # standard deviation of the start of a line, pixels
     line_noise_dn: float = 0.0  # standard deviation of an offset common to a line, DN
+    # Of a digital read-out, see `labdata.solid_state.Readout`.
+    row_noise_dn2: float = 0.0
+    row_noise_exponent: float = 0.0
+    interference_dn2: float = 0.0
+    interference_x_cy_per_px: float = 0.5
+    interference_y_cy_per_px: float = 0.5
+    compression_fraction: float = 0.0
     effects: ClassVar = {"line jitter": {"sync_jitter_px": 0.0}, "row noise": {"line_noise_dn": 0.0}}
 
     @classmethod
@@ -110,7 +123,9 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
             )
             jitter_px = float(video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz
         gain = 10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0)
-        return values_of(cls, video, low_pass=low_pass, gain=gain, sync_jitter_px=jitter_px)
+        readout = getattr(camera.description, "readout", None)
+        shared = {name: float(getattr(readout, name)) for name in _OF_READOUT if readout is not None}
+        return values_of(cls, video, low_pass=low_pass, gain=gain, sync_jitter_px=jitter_px, **shared)
 
     def __post_init__(self) -> None:
         if not 1 <= self.bit_depth <= 16:
@@ -150,10 +165,24 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
         level = self._level(signal)
         if self.line_noise_dn > 0.0:
             level += np.float32(self.line_noise_dn) * rng.standard_normal((*level.shape[:-1], 1), dtype=np.float32)
+        self._add_readout_noise(level, rng)
         return light.with_values(np.clip(np.rint(level), 0, self.full_scale_dn).astype(self.code_type))
+
+    def _add_readout_noise(self, level: NDArray[np.float32], rng: np.random.Generator) -> None:
+        """Add offsets of rows and interference to frames (..., row, col), each frame its own."""
+        rows, columns = level.shape[-2:]
+        for frame in level.reshape(-1, rows, columns):
+            if self.row_noise_dn2 > 0.0:
+                frame += draw_row_offsets(rng, rows, self.row_noise_dn2, self.row_noise_exponent)
+            if self.interference_dn2 > 0.0:
+                across, down = self.interference_x_cy_per_px, self.interference_y_cy_per_px
+                frame += draw_interference(rng, (rows, columns), self.interference_dn2, across, down)
 
     def _level(self, signal: NDArray[np.float32]) -> NDArray[np.float32]:
         signal = signal * np.float32(self.conversion_gain_dn_per_e * self.gain)
+        if self.compression_fraction != 0.0:
+            signal *= np.float32(gain_at_no_signal(1.0, self.compression_fraction))
+            signal -= np.float32(self.compression_fraction / self.full_scale_dn) * signal**2
         if self.gamma != 1.0:
             span = np.float32(self.full_scale_dn - self.black_level_dn)
             signal = span * np.sign(signal) * np.abs(signal / span) ** np.float32(self.gamma)

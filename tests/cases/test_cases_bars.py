@@ -21,14 +21,15 @@ FINE = 5
 
 
 def bars_of(
-    number: int, frequency: float, angle_deg: float, length_periods: float, *, margin_px: float = 20.0
+    number: int, frequency: float, angle_deg: float, length_periods: float, *, sigma_px: float = SIGMA_PX
 ) -> NDArray[np.float64]:
     """Bars under a Gaussian blur, integrated over square pixels, 1 on a wide bar, with ground all around."""
-    angle, step = np.deg2rad(angle_deg), SIGMA_PX * np.sqrt(2.0)
+    angle, step = np.deg2rad(angle_deg), sigma_px * np.sqrt(2.0)
+    margin_px = max(30.0, 1.5 / frequency)
     width, length = number / frequency, length_periods / frequency
     shape = (
-        int(width * abs(np.sin(angle)) + length * abs(np.cos(angle)) + 2 * max(margin_px, 1.5 / frequency)),
-        int(width * abs(np.cos(angle)) + length * abs(np.sin(angle)) + 2 * max(margin_px, 1.5 / frequency)),
+        int(width * abs(np.sin(angle)) + length * abs(np.cos(angle)) + 2 * margin_px),
+        int(width * abs(np.cos(angle)) + length * abs(np.sin(angle)) + 2 * margin_px),
     )
     row, col = (((np.arange(side * FINE) + 0.5) / FINE - 0.5) - (side - 1) / 2 - 0.3 for side in shape)
     across = col[None, :] * np.cos(angle) + row[:, None] * np.sin(angle)
@@ -113,7 +114,7 @@ def test_wings_of_a_second_gaussian_are_no_sharpening(seed: int) -> None:
     """A core and a tenth to a quarter of the light in one three times as wide: 1.7 % low, and `processed`, before."""
     rng, truth_of = np.random.default_rng(seed), np.array([0.08, 0.13])
     for frequency, share in zip(truth_of, (0.12, 0.25), strict=True):
-        core, wing = (blurred(frequency, sigma_px) for sigma_px in (0.9, 2.7))
+        core, wing = (bars_of(4, frequency, 0.0, 3.5, sigma_px=sigma_px) for sigma_px in (0.9, 2.7))
         light = (1.0 - share) * core + share * wing
         frames = np.rint(400.0 + 2500.0 * light + 20.0 * rng.standard_normal((4, *light.shape)))
         found = measured(frames.astype(np.uint16))
@@ -121,19 +122,6 @@ def test_wings_of_a_second_gaussian_are_no_sharpening(seed: int) -> None:
         pixel = np.sinc(frequency) / np.sinc(frequency / FINE)
         truth = float(pixel * ((1.0 - share) * weights[0] + share * weights[1]))
         assert holds(found, truth), (found.value, truth, found.flags)
-
-
-def blurred(frequency: float, sigma_px: float) -> NDArray[np.float64]:
-    """Four upright bars under a Gaussian, integrated over pixels."""
-    step = sigma_px * np.sqrt(2.0)
-    rows, cols = int(3.5 / frequency + 60), int(4 / frequency + 60)
-    row, col = (((np.arange(side * FINE) + 0.5) / FINE - 0.5) - (side - 1) / 2 - 0.3 for side in (rows, cols))
-
-    def slab(distance: NDArray, size: float) -> NDArray:
-        return 0.5 * (erf((distance + size / 2) / step) - erf((distance - size / 2) / step))
-
-    line = sum(slab(col - (n - 1.5) / frequency, 0.5 / frequency) for n in range(4))
-    return (slab(row, 3.5 / frequency)[:, None] * line).reshape(rows, FINE, cols, FINE).mean(axis=(1, 3))
 
 
 def test_a_wave_that_fills_its_region_a_spot_and_noise_are_no_bars(seed: int) -> None:

@@ -1,6 +1,6 @@
 """Halos and blooms of the textbook: flat and rimmed discs through a core's Gaussian, drawn by plain numpy."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,24 +8,15 @@ import pytest
 
 from charact import bloom
 from charact.method import Context
+from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
-from labdata.session import Session, StackEntry, open_session
+from labdata.session import Session, open_session
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = ROOT.parent / "shared" / "cases"
 QUICK = Context(seed=1, quick=True)
 SIDE, FINE = 160, 5
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeldStack(StackEntry):
-    """A stack in memory."""
-
-    held: FrameStack
-
-    def read(self, plane: str | None = None) -> FrameStack:
-        return self.held
 
 
 def light_of(diameter_px, fraction, core_px, *, rise=1.0, wing=0.0, row=79.3, col=80.2):
@@ -57,8 +48,8 @@ def session_of(light, rng, *, bits=12, dark_dn=20.0, electrons_per_dn=8.0, frame
         kind = "point" if times else "dark"
         conditions = Conditions(exposure_s=0.02, illuminance_lux=1e-5 * times if times else None)
         held = FrameStack(data=data, full_scale_dn=full)
-        stacks.append(HeldStack(label=f"{kind}-{index}", kind=kind, frames="", conditions=conditions, folder=Path("."),
-                                held=held))  # fmt: skip
+        own = {"label": f"{kind}-{index}", "kind": kind, "conditions": conditions, "held": held}
+        stacks.append(InMemoryStack(frames="", folder=Path("."), **own))
     return Session(folder=Path("."), name="drawn", stacks=tuple(stacks))
 
 

@@ -253,6 +253,7 @@ LOSSLESS = {
     "a.bmp": (8, _cv2),
     "pillow.bmp": (8, _pillow),
     "a.pgm": (12, _cv2),
+    "a.png": (12, _cv2),
     "b.pgm": (8, _pillow),
     "zstd.tif": (12, _tiff(compression="zstd", predictor=True)),
     "lzw.tif": (12, _tiff(compression="lzw")),
@@ -334,7 +335,8 @@ def test_frames_of_winview_are_those_that_imageio_reads(tmp_path):
 
 
 def test_a_missing_library_is_named_with_its_command(tmp_path, monkeypatch):
-    for module, name, extra in (("h5py", "a.h5", "hdf5"), ("sif_parser", "a.sif", "sif")):
+    missing = (("h5py", "a.h5", "hdf5"), ("sif_parser", "a.sif", "sif"), ("astropy.io", "a.fits", "fits"))
+    for module, name, extra in missing:
         monkeypatch.setitem(sys.modules, module, None)
         (tmp_path / name).write_bytes(b"x")
         with pytest.raises(BadInput, match=rf"pip install 'charact\[{extra}\]'"):

@@ -14,15 +14,14 @@ import numpy as np
 import pytest
 import tifffile
 import zarr
-from typer.testing import CliRunner
 
-from charact.cli.application import app
 from labdata import file_io
 from labdata.errors import BadInput
 from labdata.file_io import MOST_PICTURE_PX
 from labdata.importers import read_frames
 from labdata.lazy_stack import open_lazy_stack
 from labdata.session import open_session
+from tests.charact.cli.runner import charact
 from tests.fuzz.bounds import most_resident_mb
 from tests.labdata import dng
 
@@ -41,10 +40,6 @@ def in_time():
     yield
     signal.alarm(0)
     signal.signal(signal.SIGALRM, before)
-
-
-def charact(*arguments: object):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def one_sentence(done) -> str:
@@ -157,9 +152,8 @@ def test_a_file_that_states_or_unpacks_to_too_much_is_refused_before_it_takes_me
     assert most_resident_mb() - before_mb < 50.0
 
 
-@pytest.mark.parametrize("verb", [("mtf", "edge"), ("import", "frames")])
-@pytest.mark.parametrize("name", ["a.tif", "a.npy", "a.pgm"])
-def test_the_command_line_says_it_in_one_sentence(tmp_path, verb, name):
+@pytest.mark.parametrize(("name", "verb"), [("a.tif", ("mtf", "edge")), ("a.npy", ("import", "frames"))])
+def test_the_command_line_says_it_in_one_sentence(tmp_path, name, verb):
     write, rule = BOMBS[name]
     write(tmp_path / name)
     out = (tmp_path / "out",) * (verb[0] == "import")
@@ -231,8 +225,7 @@ def test_a_link_to_a_file_is_as_good_as_the_file(tmp_path):
 MANIFEST = 'name = "s"\n[[stack]]\nlabel = "flat"\nkind = "flat"\nframes = "{frames}"\n'
 
 
-@pytest.mark.parametrize("kind", ["a named pipe", "a device", "a socket"])
-@pytest.mark.parametrize("verb", ["measure", "noise", "bloom"])
+@pytest.mark.parametrize(("kind", "verb"), [("a named pipe", "measure"), ("a device", "noise"), ("a socket", "bloom")])
 def test_a_session_names_none_of_them(tmp_path, monkeypatch, kind, verb):
     monkeypatch.chdir(tmp_path)
     OTHERS[kind](tmp_path / "a.npy")

@@ -137,6 +137,69 @@ def test_a_pattern_that_does_not_fit_is_refused(tmp_path, pattern, rule):
         import_frames(frames(tmp_path / "in", "700V_1.npy"), tmp_path / "S", name_pattern=pattern)
 
 
+def fits_frame(path: Path, level: float, **cards: object) -> Path:
+    """Write a frame of one level with header cards, `_` for `-` in their names."""
+    fits = pytest.importorskip("astropy.io.fits", reason="FITS files need astropy")
+    header = fits.Header([(name.replace("_", "-"), value) for name, value in cards.items()])
+    fits.PrimaryHDU(np.full((3, 4), level, np.uint16), header).writeto(path)
+    return path
+
+
+def test_fits_frames_are_gathered_by_what_their_headers_state(tmp_path):
+    flat = {"IMAGETYP": "Flat Field", "EXPTIME": 0.5, "CCD_TEMP": -10.0}
+    files = [
+        fits_frame(tmp_path / "b1.fit", 100, IMAGETYP="Bias Frame", EXPTIME=0.0, CCD_TEMP=-10.1),
+        fits_frame(tmp_path / "b2.fit", 100, IMAGETYP="Bias Frame", EXPTIME=0.0, CCD_TEMP=-9.9),
+        fits_frame(tmp_path / "warm.fit", 100, IMAGETYP="Bias Frame", EXPTIME=0.0, CCD_TEMP=20.0),
+        # The same lamp within its drift, and a brighter one.
+        fits_frame(tmp_path / "f1.fit", 1000, **flat),
+        fits_frame(tmp_path / "f2.fit", 1010, **flat),
+        fits_frame(tmp_path / "f3.fit", 3000, **flat),
+        fits_frame(tmp_path / "other colour.fit", 1000, **flat, FILTER="R"),
+        # A temperature in kelvins says nothing here, and a file without kind and exposure is a stack of its own.
+        fits_frame(tmp_path / "kelvin.fit", 50, IMAGETYP="Light Frame", EXPTIME=2.0, CCD_TEMP=168.0),
+        fits_frame(tmp_path / "silent.fit", 50),
+    ]
+    session = import_frames(files, tmp_path / "S")
+    found = {tuple(path.stem for path in stack.paths): stack for stack in session.stacks}
+    assert set(found) == {
+        ("silent",), ("b1", "b2"), ("warm",), ("f1", "f2"), ("f3",), ("other colour",), ("kelvin",),
+    }  # fmt: skip
+    assert found["b1", "b2"].kind == "dark"
+    assert found["b1", "b2"].conditions == Conditions(exposure_s=0.0, temperature_c=-10.0)
+    assert found["f1", "f2"].kind == "flat"
+    assert found["f1", "f2"].read().data[:, 0, 0].tolist() == [1000, 1010]
+    assert found["kelvin",].conditions == Conditions(exposure_s=2.0)
+    assert (found["kelvin",].kind, found["silent",].kind) == ("scene", "scene")
+    told = import_frames(files[:2], tmp_path / "T", kind="flat")
+    assert [stack.kind for stack in told.stacks] == ["flat"]
+    # A gain that changes from dark to flat is in no condition: noise would compare them in silence.
+    other = fits_frame(tmp_path / "gain.fit", 1000, **flat, GAIN=2)
+    with pytest.raises(BadInput, match=r"must have one GAIN, got 'none' in f1\.fit and '2' in gain\.fit"):
+        import_frames([files[3], other], tmp_path / "U")
+    with pytest.raises(BadInput, match="must have one GAIN"):
+        import_frames([other], tmp_path / "T", label="other", add=True)
+
+
+def test_files_of_one_stack_are_named_and_added_to_a_session(tmp_path):
+    import_frames(frames(tmp_path / "in", "b.npy", "a.npy"), tmp_path / "S", kind="dark", label="dark")
+    session = import_frames(frames(tmp_path / "lit", "c.npy"), tmp_path / "S", kind="flat", label="flat", add=True)
+    assert [(stack.label, stack.kind, len(stack.read().data)) for stack in session.stacks] == [
+        ("dark", "dark", 2), ("flat", "flat", 1),
+    ]  # fmt: skip
+    before = (tmp_path / "S" / "session.toml").read_bytes()
+    for keys, rule in (
+        ({"label": "flat", "add": True}, "every stack's label must be its own, got 'flat' twice"),
+        ({"label": "flat"}, "a new session needs a folder without one"),
+        ({"label": "x", "name_pattern": "{mcp_v}*", "add": True}, "give one of them"),
+    ):
+        with pytest.raises(BadInput, match=rule):
+            import_frames([tmp_path / "lit" / "c.npy"], tmp_path / "S", kind="flat", **keys)
+    with pytest.raises(BadInput, match="--add needs the folder of a session"):
+        import_frames([tmp_path / "lit" / "c.npy"], tmp_path / "none", add=True)
+    assert (tmp_path / "S" / "session.toml").read_bytes() == before
+
+
 def test_loose_files_that_are_missing_or_of_no_known_kind_are_refused(tmp_path):
     (tmp_path / "a.xyz").write_bytes(b"x")
     for files, rule in (

@@ -117,14 +117,6 @@ def test_pixels_beyond_the_digitiser_are_refused(tmp_path):
         ),
         ('name = "s"\nbit_depth = 0\n' + FLAT, "bit_depth must lie between 1 and 32, got 0 in {folder}"),
         (
-            'name = "s"\n' + FLAT + "mcp_volt = 7.0\n",
-            "unknown key 'mcp_volt' in stack 1 (\"flat-03\") of session.toml; did you mean 'mcp_v'?",
-        ),
-        (
-            'name = "s"\n' + FLAT + "mcp_v = -7.0\n",
-            'mcp_v must not be negative, got -7, in stack 1 ("flat-03") of session.toml',
-        ),
-        (
             'name = "s"\nsensor = "none"\n' + FLAT,
             "a sensor must be one of emccd-512, gen3-digital-iccd, insb-mwir-640, machine-vision, pulnix-ag5745ef3, "
             "scanning-lwir, vox-lwir-640 or the path of a TOML file, got 'none'",

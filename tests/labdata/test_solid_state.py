@@ -8,7 +8,7 @@ import pytest
 from labdata import BadInput
 from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
-from labdata.sensors import load_camera, load_sensor, save_sensor
+from labdata.sensors import load_camera, load_sensor
 from labdata.serialiser import to_toml
 from labdata.session import open_session
 from labdata.solid_state import SolidStateCamera
@@ -25,13 +25,6 @@ def test_a_camera_with_a_tube_is_a_sensor_and_one_without_is_not(camera):
     assert isinstance(load_camera("pulnix-ag5745ef3"), Sensor)
     with pytest.raises(BadInput, match=r"must be an intensified camera, got 'EMCCD 512', which has no \[tube\]"):
         load_sensor("emccd-512")
-
-
-def test_a_solid_state_camera_written_and_read_is_the_same(camera, tmp_path):
-    plain = camera.with_values({"register.em_gain": 1.0, "register.clock_induced_e": 0.0})
-    for one in (camera, plain):
-        save_sensor(one, tmp_path / "c.toml")
-        assert load_camera("c.toml", relative_to=tmp_path) == one
 
 
 def test_the_register_fills_the_scale_and_its_dark_current_is_gone_when_cooled(camera):

@@ -180,8 +180,10 @@ def test_zero_light_and_no_dark_emission_leave_black_and_read_noise(plain, seed)
 # Size.
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (2, 3), (3, 2)])
-@pytest.mark.parametrize("interlaced", [True, False])
+@pytest.mark.parametrize(
+    ("shape", "interlaced"),
+    [((1, 1), True), ((1, 1), False), ((1, 40), True), ((40, 1), True), ((40, 1), False), ((3, 2), True)],
+)
 def test_frames_of_one_pixel_one_row_or_one_column_have_the_mean_of_any_other(shape, interlaced, plain, seed):
     sensor = plain(*shape, photocathode__ebi_lm_per_cm2=0.0)
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=interlaced)))
@@ -247,7 +249,7 @@ def test_wavelengths_that_are_none_are_refused(wavelength, sheet):
     sentence(refused.value)
 
 
-@pytest.mark.parametrize("level", [0.0, 1e-30, 1e-12, 1.0, 1e6, 1e12])
+@pytest.mark.parametrize("level", [0.0, 1e-12, 1.0, 1e12])
 def test_radiance_of_any_size_gives_codes(level, sheet, seed):
     camera = camera_from_description(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
     cube = RadianceCube(wavelength_nm=NM, radiance=np.full((len(NM), 4, 4), level))
@@ -261,7 +263,7 @@ def test_radiance_of_any_size_gives_codes(level, sheet, seed):
         assert codes.mean() > dark.mean()
 
 
-@pytest.mark.parametrize("photoelectrons", [1e-12, 1e-3, 1e3, 1e6, 1e9, 1e15])
+@pytest.mark.parametrize("photoelectrons", [1e-12, 1e3, 1e6, 1e15])
 def test_one_pixel_of_any_brightness_neither_wraps_nor_darkens_the_picture(photoelectrons, sheet, seed):
     camera = camera_from_description(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
     picture = np.zeros(camera.shape)
@@ -276,7 +278,7 @@ def test_one_pixel_of_any_brightness_neither_wraps_nor_darkens_the_picture(photo
 # Time.
 
 
-@pytest.mark.parametrize("gate_ns", [1e-3, 1.0, 1e3, 1e5, 1e6, 1e7])
+@pytest.mark.parametrize("gate_ns", [1e-3, 1e3, 1e6, 1e7])
 def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plain):
     """What lingers comes in later fields: a steady scene shows all its light, however short the gate."""
     camera = IntensifiedCamera(plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0, ccd__full_well_e=1e12))
@@ -313,7 +315,7 @@ def test_conditions_that_are_none_are_refused(name, value, bench, seed):
     sentence(refused.value)
 
 
-@pytest.mark.parametrize("temperature_c", [-273.0, -200.0, -60.0, 80.0, 150.0, 300.0, 2000.0])
+@pytest.mark.parametrize("temperature_c", [-273.0, 80.0, 300.0, 2000.0])
 def test_temperatures_from_absolute_zero_to_glowing_give_codes(temperature_c, bench, seed):
     try:
         conditions = Conditions(temperature_c=temperature_c)
@@ -349,10 +351,10 @@ def test_a_description_with_a_number_that_is_none_is_refused(name, value):
     assert not accepted
 
 
-# Both cameras with a tube have the same stages: that numbers may be too small is tried on one of them.
+# Both cameras with a tube have the same stages but for the analog video: the second is tried one way.
 @pytest.mark.parametrize(
     ("name", "factor"),
-    [(name, factor) for name in NAMES for factor in (-1.0, 0.0, 0.1, 100.0) if (name, factor) != (NAMES[1], 0.1)],
+    [*((name, factor) for name in (NAMES[0], NAMES[2]) for factor in (-1.0, 0.0, 0.1, 100.0)), (NAMES[1], 100.0)],
 )
 def test_any_number_of_a_description_may_be_absurd_and_is_refused_or_gives_codes(name, factor, seed):
     """With the sign turned, at zero, and far from the shipped value either way: no number of either kind of camera."""

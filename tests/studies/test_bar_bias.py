@@ -9,7 +9,6 @@ from benchmarks.studies.bar_bias import (
     LEAST_PAIRS,
     BarScenarioOutcome,
     measure_scenario,
-    plot_bias,
     read,
     tally,
 )
@@ -74,7 +73,3 @@ def test_upside_down_noise_is_the_same_noise():
     clean = upright.pedestal_dn + upright.level_dn * upright.light().T
     assert np.abs(both[0] - clean).max() > 200
     assert np.allclose(both[0] + both[1], 2 * clean, atol=1.01)
-
-
-def test_the_table_is_drawn(tmp_path):
-    assert plot_bias(TABLE, tmp_path / "docs" / "bias.png").stat().st_size > 10_000

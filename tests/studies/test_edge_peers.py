@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.studies.cramer_rao import least_relative_sd
-from benchmarks.studies.edge_peers import PEERS, TABLE, answers, bound, plot_peers, row, scene_of, study, without_noise
+from benchmarks.studies.edge_peers import PEERS, TABLE, answers, bound, row, scene_of, without_noise
 from charact.method.registry import methods_of_kind
 
 
@@ -38,15 +38,6 @@ def test_the_bound_of_the_curve_is_that_of_the_width():
     width_sd = least_relative_sd(scene) * half / (change(half) / -steepness)[0]
     frequency = np.linspace(0.0, 0.5, 101)
     assert bound(10.0)["rms_mtf"] == pytest.approx(abs(width_sd) * np.sqrt(np.mean(change(frequency) ** 2)), rel=1e-3)
-
-
-def test_a_small_study_is_drawn(tmp_path):
-    methods = {"edge-gradient": 2, "edge-slanted": 1}
-    found = json.loads(json.dumps(study(methods, snrs=(30.0, 1.0), workers=1)))
-    assert [(one["method"], one["frames"]) for one in found["ours"]] == 2 * list(methods.items())
-    assert found["ours"][2]["numbers"] == 0
-    assert found["ours"][2]["rms_percent"] is None
-    assert plot_peers(found, tmp_path / "docs" / "peers.png").stat().st_size > 10_000
 
 
 def test_without_noise_the_plain_methods_are_within_half_a_percent():

@@ -68,10 +68,3 @@ def test_spectra_that_one_form_alone_told_wrongly_are_not_silent():
 def test_a_curved_response_is_told_by_levels_of_few_dn():
     """An exponent of 1.8 over signals of 0.4 to 7 DN moves the MTF50 by 7 %."""
     assert spectra.measure_scenario(1551).suspect == 1
-
-
-def test_a_map_of_no_cells_is_refused_in_one_sentence(monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["map", "--cells", "0"])
-    with pytest.raises(SystemExit):
-        spectra.main()
-    assert "cells and repeats must be at least 1, got 0 and" in capsys.readouterr().err

@@ -248,11 +248,11 @@ def _effect(flag: str, edge: PreparedEdge, half: float, response: CurvatureEstim
     match flag:
         case "clipped":
             data = edge.used.data
-            top, bottom = (100.0 * float(np.mean(data == end)) for end in (data.max(), data.min()))
-            return (
-                f"{top:.0f} % of the pixels sit at {data.max():g} DN, {bottom:.0f} % at {data.min():g} DN: the "
-                "plateaus are lost, and MTF50 may be high by tens of percent"
-            )
+            shares = {float(end): 100.0 * float(np.mean(data == end)) for end in (data.max(), data.min())}
+            # The other end of the scale has a few pixels of noise.
+            ends = [f"{share:.0f} % of the pixels sit at {end:g} DN" for end, share in shares.items() if share >= 0.5]
+            said = ", ".join(ends) or "less than 1 % of the pixels sit at an end of the scale"
+            return f"{said}: the plateaus are lost, and MTF50 may be high by tens of percent"
         case "gamma":
             most = 100.0 * max_bias_of(response, profile.contrast)
             return f"a nonlinear camera response may bias MTF50 by up to {most:.1f} %"
@@ -310,7 +310,7 @@ PLAIN_EFFECTS: dict[str, str] = {
     "not-converged": CHAIN,
 }
 REMEDIES: dict[str, str] = {
-    "clipped": "less light or a shorter exposure",
+    "clipped": "light, exposure and black level at which no pixel reaches an end of the scale",
     "gamma": "--black-dn, linear frames (raw, without a gamma), or --sensor with a description",
     "model-misfit": "--method auto or edge-free, which need no blur model",
     "defects": "--roi on a part without them, or defect correction switched on",

@@ -19,7 +19,7 @@ BEYOND = 0.8
 
 
 def matches_bars(place: NDArray, rows: NDArray, frequency: float, bars: int) -> tuple[float, float, float] | None:
-    """Return how much blurred bright bars explain, their middle and their frequency, None if they are none.
+    """Return how much blurred bars explain, bright or dark, their middle and their frequency, None if they are none.
 
     Notes
     -----
@@ -32,13 +32,14 @@ def matches_bars(place: NDArray, rows: NDArray, frequency: float, bars: int) -> 
     design = _design((place - (tried[1] / frequency)[:, None]) * tried[0][:, None], bars)
     ground = np.stack([np.ones_like(place), place * frequency], axis=1)
     design = np.concatenate([np.broadcast_to(ground, (*design.shape[:2], 2)), design], axis=2)
-    normal = np.einsum("nik,nil->nkl", design, design) + 1e-9 * np.eye(4)
-    right = np.einsum("nik,i->nk", design, value - value.mean())
-    coefficient = np.linalg.solve(normal, right[..., None])[..., 0]
+    transposed = design.swapaxes(1, 2)
+    right = transposed @ (value - value.mean())
+    coefficient = np.linalg.solve(transposed @ design + 1e-9 * np.eye(4), right[..., None])[..., 0]
     variance = float(np.sum((value - value.mean()) ** 2))
-    left = variance - np.einsum("nk,nk->n", coefficient, right)
+    left = variance - np.sum(coefficient * right, axis=1)
     best = int(np.argmin(left))
-    box, wave = coefficient[best, 2:]
+    sign = -1.0 if coefficient[best, 3] < 0.0 else 1.0
+    box, wave = sign * coefficient[best, 2:]
     unexplained = float(left[best]) - min(2.0 * noise, THRESHOLDS.max_bar_noise * variance)
     if (
         not wave > THRESHOLDS.modulation_sd * np.sqrt(2.0 * noise) / value.size
@@ -48,7 +49,7 @@ def matches_bars(place: NDArray, rows: NDArray, frequency: float, bars: int) -> 
     if unexplained > (1.0 - THRESHOLDS.min_explained) * variance:
         return None
     centre, own = float(tried[1, best] / frequency), float(tried[0, best])
-    level = value - coefficient[best, 1] * place * frequency
+    level = sign * (value - coefficient[best, 1] * place * frequency)
     explained = 1.0 - float(left[best]) / variance
     return (explained, centre, own) if _has_isolated_ends((place - centre) * own, level, bars) else None
 
@@ -248,10 +249,9 @@ def _verify(picture: Array, answer: _Detection, bars: int | None) -> _Group | No
         strip = _strip(picture, at, number)
         if strip is None:
             continue
-        for sign in (1.0, -1.0):
-            fitted = matches_bars(strip[0], sign * strip[1], answer.frequency, number)
-            if fitted is not None:
-                looked.append((fitted, number, at))
+        fitted = matches_bars(*strip, answer.frequency, number)
+        if fitted is not None:
+            looked.append((fitted, number, at))
     if not looked:
         return None
     (_, centre, frequency), number, answer = max(looked, key=lambda one: one[0][0])

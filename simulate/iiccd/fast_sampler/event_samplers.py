@@ -79,7 +79,7 @@ class DenseLight:
     ) -> "DenseLight":
         """Return the light of many pulses behind the blurs that it still owes."""
         mcp = chain[Slot.MCP]
-        kernel = noise_kernel(blurs, grid, fields, chain[Slot.VIDEO].taps, ACCURACY.skewness_tolerance)
+        kernel = noise_kernel(blurs, grid.one_pixel(), fields, chain[Slot.VIDEO].taps, ACCURACY.skewness_tolerance)
         light = np.clip(_planes(_sharpen(at_mcp.values, kernel), kernel.divisions), 0.0, ACCURACY.max_pe_per_cell)
         expected = _cut(light, grid) * mcp.detection_probability
         gain = _cut(_gain(chain, at_mcp, kernel.divisions), grid)
@@ -199,7 +199,7 @@ class SparseLight:
             shape=mcp.pulse_height_shape,
             ions_per_field=mcp.ions_per_cell(at_mcp) * gain.size,
             ion_size=mcp.ion_event_size_pe,
-            kernel=pulse_kernel(blurs, grid, fields),
+            kernel=pulse_kernel(blurs, grid.one_pixel(), fields),
         )
 
     @cached_property

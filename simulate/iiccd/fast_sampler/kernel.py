@@ -145,6 +145,7 @@ def _on_lattice(
     )
 
 
+@lru_cache(maxsize=2)
 def _fine_transfer(blurs: tuple[StageBlur, ...], grid: Grid, height: int) -> NDArray[np.float64]:
     """Transfer of blurs and pixels from the finest lattice, shape (SIDE * FINEST, SIDE * FINEST)."""
     aperture = PixelAperture.of(grid, height)

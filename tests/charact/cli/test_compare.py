@@ -1,7 +1,6 @@
 """`charact compare` and `charact check`: text, JSON and exit codes."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -147,21 +146,6 @@ def test_bad_limits_are_one_sentence_and_exit_1(days: tuple[Path, Path]) -> None
     assert not (days[0] / "checked.json").exists()
 
 
-def test_the_report_shows_the_limits(days: tuple[Path, Path]) -> None:
-    from charact.report.comparison import limits_section
-
-    assert limits_section(open_session(days[0])) is None
-    file = days[0] / "limits.toml"
-    file.write_text('[[limit]]\nquantity = "mtf50"\nmin = 0.15\nmax = 0.3\n')
-    run("check", days[0], "--limits", file)
-    section = limits_section(open_session(days[0]))
-    assert section is not None and section["current"]
-    assert section["rows"] == [
-        {"name": "mtf50", "limits": "0.15 … 0.3 cy/px", "value": "0.2000 ± 0.0039 cy/px", "verdict": "pass",
-         "status": "ok", "reason": ""}
-    ]  # fmt: skip
-
-
 def test_the_page_has_a_chapter_of_limits_that_knows_a_new_result(days: tuple[Path, Path]) -> None:
     from charact.report import page
 
@@ -189,14 +173,3 @@ def test_scripts_get_the_same_differences_and_verdicts(days: tuple[Path, Path]) 
     assert charact.compare(one, other).differences == found.differences
     moved = replace(open_session(days[1]), bit_depth=12)
     assert charact.compare(days[0], moved).conditions[0].name == "bit_depth"
-
-
-def test_a_session_that_is_not_there_is_one_sentence(days: tuple[Path, Path]) -> None:
-    shutil.rmtree(days[1])
-    done = run("compare", *days)
-    assert done.exit_code == 1 and len(done.stderr.strip().splitlines()) == 1
-
-
-def test_the_schema_of_limits_is_printed() -> None:
-    schema = json.loads(run("schema", "limits").stdout)
-    assert {"quantity", "unit", "stack", "min", "max"} <= schema["$defs"]["Limit"]["properties"].keys()

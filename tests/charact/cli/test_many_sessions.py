@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from charact.cli.application import app
+from tests.charact.cli.runner import charact
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +26,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def run(*arguments: object):
-    return CliRunner().invoke(app, ["noise", *map(str, arguments), "--quick", "--method", "variance"])
+    return charact("noise", *arguments, "--quick", "--method", "variance")
 
 
 def without_times(text: str) -> dict:

@@ -157,14 +157,6 @@ def test_what_cannot_be_simulated_is_one_sentence_and_leaves_no_session(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_that_holds_a_session_is_left_alone(tmp_path, cameras, picture):
-    arguments = ("simulate", picture, tmp_path / "out", "--sensor", cameras["emccd-512"], *SCALE, "--frames", 1)
-    assert charact(*arguments).exit_code == 0
-    before = sorted(path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*"))
-    assert_one_sentence(charact(*arguments), "out-2 is free")
-    assert sorted(path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")) == before
-
-
 STAGES = {
     "pulnix-ag5745ef3": ("photoelectrons-at-the-plate", "microchannel-plate", "phosphor", "taper", "ccd", "video"),
     "gen3-digital-iccd": ("photoelectrons-at-the-plate", "microchannel-plate", "phosphor", "taper", "ccd", "video"),

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-import tifffile
 from numpy.testing import assert_allclose, assert_array_equal
 
-from charact.cli.image_figures import SHEET, save_stages
 from labdata import BadInput
 from labdata.sensors import load_camera, load_sensor
 from simulate.api import conditions_of, voltage_limit_warnings
@@ -173,21 +171,3 @@ def test_settings_of_a_tube_are_refused_where_there_is_none(emccd, options, sent
     with pytest.raises(BadInput) as error:
         conditions_of(emccd, **options)
     assert str(error.value) == sentence
-
-
-def stages():
-    rng = np.random.default_rng(0)
-    yield "photocathode", "photoelectrons per cell", rng.poisson(3.0, (20, 30)).astype(float)
-    yield "microchannel plate", "electrons per cell", rng.exponential(1e5, (20, 30))
-    yield "ccd", "a quantity whose name is so long that it stands in two lines", np.zeros((10, 15))
-
-
-def test_every_stage_is_a_file_in_the_order_of_the_light(tmp_path):
-    assert save_stages(stages(), tmp_path / "out", "a tube") == 3
-    names = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert names == ["01-photocathode.tif", "02-microchannel-plate.tif", "03-ccd.tif", SHEET]
-    for file, (name, quantity, image) in zip(names, stages(), strict=False):
-        with tifffile.TiffFile(tmp_path / "out" / file) as page:
-            assert page.pages.first.description == f"{name}: {quantity}"
-            assert page.asarray().dtype == np.float32
-            assert_array_equal(page.asarray(), image.astype(np.float32))

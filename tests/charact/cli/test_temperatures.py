@@ -109,8 +109,3 @@ def test_a_scene_that_lacks_something_is_refused_in_one_sentence(scene, small, t
     done = charact("temperatures", scene, tmp_path / "warm", "--sensor", small)
     assert done.exit_code == 1 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "warm").exists()
-
-
-def test_a_lab_bench_has_no_surface_temperatures(tmp_path):
-    done = charact("temperatures", "bench", tmp_path / "warm")
-    assert done.exit_code == 1 and "outdoor scene" in done.stderr

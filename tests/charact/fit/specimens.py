@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from charact.fit.prior import VisibleCamera, prior_of
-from charact.fit.tube_observations import LEVEL, SHAPE
+from charact.fit.tube_observations import LAG, LEVEL, SHAPE
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
@@ -19,7 +19,7 @@ SHAPE_PX = (200, 260)
 FRAMES = 16
 # Fractions of the largest linear signal.
 LEVELS = (0.02, 0.1, 0.3, 0.6, 1.0)
-DRAWN_OF_TUBE = (*SHAPE, *LEVEL, "ccd.read_noise_e", "ccd.prnu", "phosphor.gain_nonuniformity")
+DRAWN_OF_TUBE = (*SHAPE, *LEVEL, *LAG, "ccd.read_noise_e", "ccd.prnu", "phosphor.gain_nonuniformity")
 DRAWN_OF_CHIP = (
     "optics.aberration_blur_um", "optics.f_number", "ccd.pitch_x_um", "ccd.quantum_efficiency", "ccd.full_well_e",
     "ccd.read_noise_e", "ccd.dark_current_e_per_s", "ccd.prnu", "ccd.dsnu_e", "video.black_level_dn",
@@ -95,10 +95,9 @@ def session_of(name: str, seed: int) -> tuple[Session, dict[str, float]]:
     }[kind]
     conditions = Conditions(exposure_s=exposure_s, illuminance_relative_sd=0.0, **shared)
     black, full = float(specimen.video.black_level_dn), 2**specimen.video.bit_depth - 1
-    largest = 0.6 * (full - black)
-    if kind != "tube":
-        well = truth["ccd.full_well_e"] * truth["video.conversion_gain_dn_per_e"] * (conditions.em_gain or 1.0)
-        largest = min(largest, 0.6 * well)
+    # Below the wells, too: a tube's noise would reach them.
+    gain = float(specimen.video.conversion_gain_dn_per_e) * (conditions.em_gain or 1.0)
+    largest = 0.6 * min(full - black, float(specimen.ccd.full_well_e) * gain)
     per_lux = _signal_per_lux(bench, conditions, black)
     lux = [part * largest / per_lux for part in LEVELS]
     stacks: list[LoadedStackEntry] = []

@@ -164,8 +164,11 @@ def test_artefacts_are_gradients_that_no_band_has() -> None:
 def test_a_truth_that_does_not_fit_is_refused(pair: Pair, tmp_path) -> None:
     with pytest.raises(BadInput, match="the size of the truth"):
         truth_scores(np.zeros((60, 80)), pair.truth, pair.truth.bands, rng=np.random.default_rng(0))
-    with pytest.raises(BadInput, match="--truth must be an"):
+    with pytest.raises(BadInput, match="the truth must exist"):
         FusionTruth.load(tmp_path / "absent.npz")
+    (tmp_path / "text.npz").write_text("no arrays")
+    with pytest.raises(BadInput, match="--truth must be an"):
+        FusionTruth.load(tmp_path / "text.npz")
     few = np.zeros((2, 240, 320)), np.zeros((2, 2, 240, 320))
     with pytest.raises(BadInput, match="more than"):
         noise = np.random.default_rng(0).normal(size=(2, 240, 320))

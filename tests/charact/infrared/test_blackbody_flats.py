@@ -211,9 +211,9 @@ def test_a_black_body_that_does_not_fill_the_frame_is_a_gradient(rng):
     assert "gradient" in one(of(camera, rng, change=change), "sitf").flags
 
 
-@pytest.mark.parametrize("band", [(3.0, 5.0), (8.0, 12.0), (8.0, 14.0), None])
-@pytest.mark.parametrize("span", [2.0, 25.0, 60.0])
-@pytest.mark.parametrize("count", [2, 3, 6])
+@pytest.mark.parametrize("band", [(3.0, 5.0), (8.0, 14.0), None])
+@pytest.mark.parametrize("span", [2.0, 60.0])
+@pytest.mark.parametrize("count", [2, 6])
 def test_no_span_of_levels_fails_silently(rng, band, span, count):
     """Wherever the band is unknown and the levels lie, what is ok holds the truth within twice its interval."""
     camera = Camera(band_um=band, shape=(8, 32, 32), noise_k=WHITE, offset_dn=4000.0)

@@ -71,10 +71,17 @@ def flags_of(session, method):
     return {flag for name in ("system_gain", "covariance_gain") for m in result.find(name) for flag in m.flags}
 
 
-@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
-    ("camera", "flag"),
-    [(plain, None), (blurred, None), (sharpened, "processed"), (averaged, "processed"), (spared, "processed")],
+    ("method", "camera", "flag"),
+    [
+        ("covariance-sum", plain, None),
+        ("covariance-sum", blurred, None),
+        ("variance", blurred, None),
+        ("covariance-sum", sharpened, "processed"),
+        ("variance", sharpened, "processed"),
+        ("covariance-sum", averaged, "processed"),
+        ("covariance-sum", spared, "processed"),
+    ],
 )
 def test_filters_in_the_camera_are_found_and_blur_is_none(in_memory, seed, method, camera, flag):
     seen = flags_of(series(in_memory, np.random.default_rng(seed), camera), method)

@@ -1,14 +1,25 @@
 """The validation's section tells what passed, what failed, and whether the controls came out as they must."""
 
+import base64
 import re
+from dataclasses import replace
 from html import unescape
 
 import numpy as np
 import pytest
 
 from charact.report import page
-from charact.report.validation import validation_section
-from charact.validation import FramePair, Statistic, Validation, ValidationControl
+from charact.report.validation import blind_pair, headline_of, sentence_of, validation_section
+from charact.report.validation_figures import chance_limit, deviations, left_out, worst_numbers
+from charact.validation import (
+    SAME_SESSION,
+    FramePair,
+    ResidualMap,
+    Statistic,
+    Validation,
+    ValidationControl,
+    ValidationFigures,
+)
 from charact.validation.validation_result import DetectableError
 from labdata.measurement import Result
 
@@ -22,9 +33,17 @@ def _statistic(p_value: float, name: str = "noise") -> Statistic:
 
 def _validation(p_value: float = 0.4, null: float = 0.5, negative: float = 1e-6) -> Validation:
     frame = np.arange(48, dtype=np.uint8).reshape(6, 8)
-    overlay = {"title": "Edge MTF", "x_title": "frequency, cy/px", "y_title": "MTF", "x": [0.0, 0.1, 0.2]}
-    curves = {"measured": [1, 0.8, 0.5], "simulated": [1, 0.79, 0.52], "low95": [1, 0.7, 0.4], "high95": [1, 0.9, 0.6]}
-    named = {**overlay, "title": "Neighbours", "x_title": "lag, px", "x": ["row 1", "row 2", "col 1"]}
+    pair = FramePair(
+        role="dim flat", kind="flat", label="flat-1", measured=frame, simulated=frame[::-1], low_dn=3.0, high_dn=90.0,
+        frames=8,
+    )  # fmt: skip
+    curve = {"name": "", "x": [0.0, 0.1, 0.2], "measured": [1, 0.8, 0.5], "simulated": [1, 0.79, 0.52],
+             "low95": [1, 0.7, 0.4], "high95": [1, 0.9, 0.6]}  # fmt: skip
+    overlay = {"title": "Edge MTF", "x_title": "frequency, cy/px", "y_title": "MTF", "curves": [curve]}
+    named = {"title": "Neighbours", "x_title": "lag, px", "y_title": "correlation",
+             "curves": [{**curve, "x": ["row 1", "row 2", "col 1"]}]}  # fmt: skip
+    levels = {"title": "Profile", "x_title": "radius, px", "y_title": "level, DN", "y_scale": "symlog",
+              "curves": [{**curve, "name": "point-1"}, {**curve, "name": "point-2"}]}  # fmt: skip
     return Validation(
         session="day 1", sensor="fitted", seed=7, draws=16, seconds=21.0,
         statistics=(_statistic(p_value),),
@@ -32,11 +51,25 @@ def _validation(p_value: float = 0.4, null: float = 0.5, negative: float = 1e-6)
             ValidationControl(name="null", title="frames of the fitted sensor", statistics=(_statistic(null),)),
             ValidationControl(name="negative", title="blur after the gain removed", statistics=(_statistic(negative),)),
         ),
-        power=(DetectableError(title="PRNU", relative_error=0.12, probability=0.8, statistic="fixed-pattern"),),
-        overlays={"mtf": {**overlay, **curves}, "autocorrelation": {**named, **curves}},
-        pairs=(FramePair(kind="flat", label="flat-1", measured=frame, simulated=frame, low_dn=3.0, high_dn=90.0),),
+        power=(
+            DetectableError(title="PRNU", relative_error=0.12, probability=0.8, statistic="fixed-pattern"),
+            DetectableError(title="lag", relative_error=float("nan"), probability=0.8, statistic=""),
+        ),
+        figures=ValidationFigures(
+            overlays={"mtf": overlay, "autocorrelation": named, "point": levels},
+            pairs=(pair,), blind=(pair,), patterns=(pair,),
+            residuals=(
+                ResidualMap(role="dark", label="dark-1", block_px=4, difference_dn=frame.astype(np.float32) - 20.0,
+                            sd_dn=5.0),
+            ),
+        ),
         notes=("The edge was left out.",),
     )  # fmt: skip
+
+
+def _bare() -> Validation:
+    """Return a validation without figures."""
+    return replace(_validation(), figures=ValidationFigures(), power=(), statistics=(), controls=())
 
 
 def _text(html: str) -> str:
@@ -47,13 +80,15 @@ def test_the_page_shows_pictures_statistics_and_controls(made):
     html = page(made.session(), Result(), validation=_validation())
     text = _text(html)
     for piece in (
-        "Measured: flat-1", "Simulated: flat-1", "Black 3 DN, white 90 DN.", "blur after the gain removed",
+        "Measured, dim flat: flat-1", "Simulated, dim flat: flat-1", "Black 3 DN, white 90 DN.",
+        "blur after the gain removed", "Residual of the dark, dark-1", "+26.9 DN = +5.4 sd", "Mean of 8 frames",
+        "point-1, measured", "Which one is measured?",
         "Variance and covariance against the mean", "The edge was left out.", "16 posterior draws, seed 7",
-        "must pass", "must be noticed", "What this validation could not have seen", "PRNU 12 % fixed-pattern",
-        "frequency (cy/px)", "MTF (1)", "lag (px)", "half-widths of the 95 % interval",
+        "must pass", "must be noticed", "What this validation could not have seen", "12 %, fixed-pattern",
+        "none below 100 %", "frequency (cy/px)", "MTF (1)", "lag (px)", "The 2 most deviating of 2 numbers",
     ):  # fmt: skip
         assert piece in text, piece
-    assert html.count("data:image/jpeg") == 2 + len({entry.kind for entry in made.session().stacks})
+    assert html.count("data:image/jpeg") == 6 + len({entry.kind for entry in made.session().stacks})
 
 
 @pytest.mark.parametrize(
@@ -66,6 +101,70 @@ def test_the_page_shows_pictures_statistics_and_controls(made):
     ],
 )
 def test_the_headline_is_no_better_than_statistics_and_controls(validation, status, words):
-    section = validation_section(validation)
-    assert section.status == status
-    assert words in section.headline
+    assert words in headline_of(validation)
+    assert validation.passed == (status == "ok")
+
+
+def test_an_agreement_says_what_it_could_have_seen_and_a_difference_where_it_is():
+    agrees, differs = _validation(), _validation(p_value=1e-4)
+    assert sentence_of(agrees) == (
+        "In 80 % of cases it would have found an error of 12 % of PRNU. It could have missed one of any of lag"
+    )
+    where = replace(differs.statistics[0], worst="covariance", cause="hum")
+    sentence = sentence_of(replace(differs, statistics=(where,)))
+    assert sentence == "It differs most in covariance (noise), which may come from hum"
+
+
+def test_the_same_session_is_marked_on_top_and_not_among_the_notes(made):
+    section = validation_section(replace(_bare(), notes=(SAME_SESSION, "a note")))
+    assert section.caution == SAME_SESSION
+    assert section.notes == ("a note",)
+    assert validation_section(_bare()).caution == ""
+    marked = page(made.session(), Result(), validation=replace(_bare(), notes=(SAME_SESSION,)))
+    assert "agree by construction" in _text(marked).partition("Numbers to take along")[0]
+
+
+def test_the_answer_is_the_truth_and_nothing_else_tells_the_pair_apart():
+    pair = _validation().figures.blind[0]
+    answers = set()
+    for seed in range(8):
+        blind = blind_pair(pair, seed, 1.0)
+        first = base64.b64decode(blind.images[0].data)
+        shown = _decoded(first)
+        # Rows ascend in the measured frame and descend in the simulated one.
+        assert (shown[0].mean() < shown[-1].mean()) == blind.answer.startswith("A is measured")
+        words = [(image.title[1:], image.caption, image.rows, image.cols) for image in blind.images]
+        assert words[0] == words[1]
+        answers.add(blind.answer)
+    assert len(answers) == 2
+
+
+def _decoded(jpeg: bytes) -> np.ndarray:
+    import cv2
+
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    return image.astype(float)
+
+
+def test_deviations_are_in_standard_deviations_and_the_worst_come_first():
+    statistic = replace(_statistic(0.4), measured=(2.0, 3.0), low95=(-1.96, 1.02), high95=(1.96, 4.98))
+    assert deviations(statistic) == pytest.approx([2.0, 0.0])
+    unknown = replace(statistic, measured=(0.0, 0.0), worst="not measurable")
+    assert deviations(unknown).size == 0
+    worst = worst_numbers(replace(_validation(), statistics=(unknown, statistic)))
+    assert [(label, z) for label, _, z in worst] == [("variance", pytest.approx(2.0)), ("covariance", 0.0)]
+
+
+def test_the_chance_limit_is_students_quantile():
+    # Quantile .995 of Student's t with 15 degrees of freedom, by the tables: 2.947.
+    assert chance_limit(1, 16) == pytest.approx(2.947, abs=5e-4)
+    assert chance_limit(100, 16) > chance_limit(10, 16)
+
+
+def test_figures_that_a_session_cannot_give_are_named():
+    section = validation_section(_bare())
+    assert [sentence.split(":")[0] for sentence in section.left_out] == [
+        "No MTF is drawn", "No halo profile is drawn",
+    ]  # fmt: skip
+    assert left_out(_validation().figures.overlays) == ()

@@ -6,7 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.validation import FramePair, Statistic, Validation, ValidationControl, load, save
+from charact.validation import (
+    FramePair,
+    ResidualMap,
+    Statistic,
+    Validation,
+    ValidationControl,
+    ValidationFigures,
+    load,
+    save,
+)
 from labdata.errors import BadInput
 
 
@@ -27,6 +36,10 @@ def _statistic(p_value: float, name: str = "noise") -> Statistic:
 @pytest.fixture
 def good() -> Validation:
     picture = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    pair = FramePair(
+        role="dim flat", kind="flat", label="f", measured=picture, simulated=picture[::-1], low_dn=1.0, high_dn=9.0,
+        frames=8,
+    )  # fmt: skip
     return Validation(
         session="s",
         sensor="fitted",
@@ -38,8 +51,14 @@ def good() -> Validation:
             ValidationControl(name="null", title="null", statistics=(_statistic(0.7),)),
             ValidationControl(name="negative", title="negative", statistics=(_statistic(0.9), _statistic(1e-9))),
         ),
-        overlays={"mtf": {"x": [0.1], "measured": [0.9]}},
-        pairs=(FramePair(kind="flat", label="f", measured=picture, simulated=picture[::-1], low_dn=1.0, high_dn=9.0),),
+        figures=ValidationFigures(
+            overlays={"mtf": {"curves": [{"x": [0.1], "measured": [0.9]}]}},
+            pairs=(pair, replace(pair, label="g", measured=picture + 1)),
+            blind=(replace(pair, simulated=picture + 2),),
+            residuals=(
+                ResidualMap(role="dark", label="d", block_px=4, difference_dn=np.float32(picture - 0.5), sd_dn=0.3),
+            ),
+        ),
         notes=("a note",),
     )
 
@@ -57,8 +76,12 @@ def test_kept_and_read_back(good: Validation, tmp_path: Path) -> None:
     save(good, tmp_path)
     back = load(tmp_path)
     assert back is not None
-    assert replace(back, pairs=()) == replace(good, pairs=())
-    assert np.array_equal(back.pairs[0].simulated, good.pairs[0].simulated)
+    assert replace(back, figures=good.figures) == good
+    assert back.figures.overlays == good.figures.overlays
+    for name in ("pairs", "blind", "patterns", "residuals"):
+        for kept, own in zip(getattr(back.figures, name), getattr(good.figures, name), strict=True):
+            assert vars(kept).keys() == vars(own).keys()
+            assert all(np.array_equal(vars(kept)[field], value) for field, value in vars(own).items())
     assert back.passed
 
 

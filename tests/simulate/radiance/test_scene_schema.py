@@ -27,10 +27,3 @@ def test_the_schema_holds_for_a_scene_that_ships(name, kind):
     whole = schema(kind)
     assert keeps(scene, whole, whole["$defs"])
     assert not keeps(scene | {"folder": "."}, whole, whole["$defs"])
-
-
-def test_the_schema_says_what_a_lamp_may_have_and_in_which_unit():
-    lamp = schema("scene")["$defs"]["LampPlacement"]
-    assert lamp["additionalProperties"] is False
-    assert lamp["properties"]["watts"]["type"] == "number" and "W" in lamp["properties"]["watts"]["description"]
-    assert set(lamp["required"]) == {"label", "kind", "position_m"}

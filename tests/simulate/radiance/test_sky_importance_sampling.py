@@ -71,7 +71,7 @@ def test_light_of_a_glow_is_that_found_by_gathering_with_less_chance(seed, floor
     error = np.hypot(by_name.std() / np.sqrt(len(by_name)), gathered.std() / np.sqrt(len(gathered)))
     assert abs(by_name.mean() - gathered.mean()) < 3.5 * error
     assert error < 0.08 * gathered.mean()
-    print(f"standard deviation {gathered.std() / by_name.std():.1f} times less")
+
     assert gathered.std() > gain * by_name.std()
 
 

@@ -27,8 +27,9 @@ def measured(frame, **options):
     return mtf.measure("edge", FrameStack(data=frame[None]), method="edge-parametric", context=QUICK).find("mtf50")[0]
 
 
-@pytest.mark.parametrize("angle_deg", [4.0, 14.0, 35.0, 94.0, 124.0])
-@pytest.mark.parametrize("along", [False, True])
+@pytest.mark.parametrize(
+    ("angle_deg", "along"), [(4.0, False), (14.0, True), (35.0, False), (94.0, True), (124.0, False)]
+)
 def test_light_that_changes_over_the_frame_leaves_the_mtf_alone(angle_deg, along, seed):
     """Light changing by a fifth over the frame, along columns or rows, at a step of 40 standard deviations."""
     frame = frame_of(angle_deg)

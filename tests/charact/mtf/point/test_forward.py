@@ -132,8 +132,7 @@ def test_the_image_of_another_video_bandwidth_is_that_of_its_filter(ln_bandwidth
     assert np.abs(image - exact).max() < 0.1 * np.abs(described - exact).max()
 
 
-@pytest.mark.parametrize("frames", [1, 8])
-@pytest.mark.parametrize("grain", ["white", "correlated", "flashes"])
+@pytest.mark.parametrize(("frames", "grain"), [(1, "white"), (8, "correlated"), (1, "flashes"), (8, "flashes")])
 @pytest.mark.parametrize("method", [point_forward, point_spread])
 def test_frames_of_noise_hold_no_point(seed, frames, grain, method):
     from scipy.ndimage import gaussian_filter

@@ -1,0 +1,326 @@
+"""Figure data of a validation: curves with the band of the simulated sets, and measured pictures beside simulated."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.validation.frame_features import GROUPS, FrameFeatures
+from charact.validation.frames import MatchedFrames, MatchedStacks
+from charact.validation.stack_features import LAGS, StackView
+from charact.validation.target_features import FREQUENCY_CY_PER_PX, RADII_PX, point_features
+from charact.validation.thresholds import VALIDATION
+from charact.validation.validation_result import FramePair, ResidualMap, ValidationFigures
+from labdata.conditions import Conditions
+from labdata.session import Session
+
+Array = NDArray[np.float64]
+Frames = Mapping[str, NDArray]
+
+# Side of the squares over which a residual is averaged, px: structure stands out of the noise of pixels.
+BLOCK_PX = 4
+# Neighbouring frequencies of a cut of the spectrum that are averaged: one of few frames would be all noise.
+NEIGHBOURS = 4
+# Edges of the bins of temporal noise, standard deviations; the first and the last bin hold all beyond.
+BINS_SD = np.arange(-8.0, 12.01, 0.5)
+# Levels of the point source whose profile is drawn.
+POINT_LEVELS = 4
+# Half of a two-sided 95 % interval of a Gaussian, standard deviations.
+TWO_SIDED_95 = 1.96
+# Share of the pixels that are shown as black, and as white.
+EXTREME = 0.002
+# Scales on which numbers of sets are nearly Gaussian, and the way back. Frames that repeat each other have no power.
+SCALES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
+    "plain": (np.asarray, np.asarray),
+    "log": (lambda values: np.log(np.maximum(values, 1e-12)), np.exp),
+    "asinh": (np.arcsinh, np.sinh),
+    "root": (np.sqrt, lambda values: np.square(np.maximum(values, 0.0))),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FigureCurves:
+    """Curves of one set of frames, by label of the stack.
+
+    `blocks`: mean frame of a dark or flat in blocks, DN, shape (row, col); `horizontal`, `vertical`: noise power in
+    time along the axes of the spectrum without the mean, DN^2, shape (frequency,); `counts`: number of values in
+    `BINS_SD`; `rings`: level above the dark in the rings about a point source, DN, empty where none is found.
+    """
+
+    blocks: Mapping[str, Array]
+    horizontal: Mapping[str, Array]
+    vertical: Mapping[str, Array]
+    counts: Mapping[str, Array]
+    rings: Mapping[str, Array]
+
+
+def point_levels(session: Session, chosen: MatchedStacks) -> tuple[tuple[MatchedFrames, ...], dict[str, NDArray]]:
+    """Return stacks of the point source at other levels than the compared one, at most `POINT_LEVELS` - 1.
+
+    They are cut like the compared one and drawn only. Their frames come by label, shape (frame, row, col), DN.
+    """
+    if chosen.point is None:
+        return (), {}
+    compared, found = chosen.point, []
+    for entry in session.of_kind("point"):
+        light = _light(entry.conditions, like=compared.conditions)
+        if entry.label == compared.label or light is None:
+            continue
+        stack = entry.read()
+        fits = all(size <= whole - first for size, whole, first in
+                   zip(compared.shape, stack.shape[1:], compared.corner, strict=True))  # fmt: skip
+        if fits and len(stack) >= VALIDATION.fewest_frames:
+            shot = replace(compared, label=entry.label, conditions=entry.conditions, target=entry.target,
+                           frames=VALIDATION.fewest_frames)  # fmt: skip
+            found.append((light, shot, stack.region(*shot.corner, *shot.shape).data[: shot.frames]))
+    found.sort(key=lambda one: one[0])
+    most = POINT_LEVELS - 1
+    places = sorted({round(place) for place in np.linspace(0, len(found) - 1, min(most, len(found)))})
+    picked = [found[place] for place in places]
+    return tuple(shot for _, shot, _ in picked), {shot.label: np.array(data) for _, shot, data in picked}
+
+
+def _light(conditions: Conditions, *, like: Conditions) -> float | None:
+    """Return the light of a stack in the unit of another one; None where it is unknown."""
+    if like.illuminance_lux is not None:
+        return conditions.illuminance_lux
+    return None if conditions.wavelength_nm is None else conditions.photons_per_px
+
+
+def curves_of(frames: Frames, chosen: MatchedStacks, levels: tuple[MatchedFrames, ...]) -> FigureCurves:
+    """Return the curves of a set of frames; `levels`: stacks of the point source besides the compared one."""
+    horizontal, vertical, counts = {}, {}, {}
+    dark_dn = float(frames[chosen.dark.label].mean())
+    for shot in (chosen.dark, chosen.flats[-1]):
+        data = np.asarray(frames[shot.label], np.float32)
+        change = (data - data.mean(axis=0)) * np.float32(np.sqrt(len(data) / (len(data) - 1.0)))
+        horizontal[shot.label] = _cut_of_spectrum(change.sum(axis=1), change[0].size)
+        vertical[shot.label] = _cut_of_spectrum(change.sum(axis=2), change[0].size)
+        sd = max(float(change.std()), 1e-6)  # Frames that repeat each other have none.
+        deviation = np.clip(change / sd, BINS_SD[0], BINS_SD[-1])
+        counts[shot.label] = np.histogram(deviation, BINS_SD)[0].astype(float)
+    rings = {}
+    for shot in _points(chosen, levels):
+        numbers = point_features(frames[shot.label], dark_dn)
+        values = np.sinh([numbers.get(_ring(low, high), np.nan) for low, high in pairwise(RADII_PX)])
+        rings[shot.label] = values if np.isfinite(values).all() else np.array([])
+    blocks = {shot.label: _block_means(frames[shot.label].mean(axis=0)) for shot in _flat_fields(chosen).values()}
+    return FigureCurves(blocks=blocks, horizontal=horizontal, vertical=vertical, counts=counts, rings=rings)
+
+
+def figures_of(
+    chosen: MatchedStacks,
+    levels: tuple[MatchedFrames, ...],
+    measured: tuple[Frames, FrameFeatures],
+    simulated: tuple[Frames, Sequence[FrameFeatures], Sequence[FigureCurves]],
+    *,
+    seed: int,
+) -> ValidationFigures:
+    """Return curves and pictures of a validation.
+
+    Parameters
+    ----------
+    chosen, levels
+        Compared stacks, and those of the point source at other levels.
+    measured
+        Measured frames by label and their numbers.
+    simulated
+        Frames of the first simulated set by label, and numbers and curves of all sets.
+    seed
+        Chooses the stack of the blind pair.
+    """
+    (own_frames, own_features), (first, features, curves) = measured, simulated
+    own = curves_of(own_frames, chosen, levels)
+    roles = _roles(chosen)
+    compared = [(role, shot) for role, shot in roles.items() if shot not in chosen.others]
+    role, shot = compared[int(np.random.default_rng([seed, 11]).integers(len(compared)))]
+    return ValidationFigures(
+        overlays={
+            **_overlays_of_features(own_features, features, chosen),
+            **_overlays_of_curves(own, curves, chosen, levels),
+        },
+        pairs=tuple(_pair(role, shot, own_frames, first, 0) for role, shot in roles.items()),
+        # Another frame than the pairs show, so that none of them gives the answer.
+        blind=(_pair(role, shot, own_frames, first, 1),),
+        patterns=tuple(_pattern_pair(role, shot, own_frames, first) for role, shot in _flat_fields(chosen).items()),
+        residuals=tuple(
+            _residual(role, shot, own.blocks[shot.label], [one.blocks[shot.label] for one in curves])
+            for role, shot in _flat_fields(chosen).items()
+        ),
+    )
+
+
+def _flat_fields(chosen: MatchedStacks) -> dict[str, MatchedFrames]:
+    """Return the dark, the dimmest and the brightest flat by role."""
+    flats = dict(zip(("dim flat", "bright flat"), (chosen.flats[0], chosen.flats[-1]), strict=True))
+    if len(chosen.flats) == 1:
+        del flats["dim flat"]
+    return {"dark": chosen.dark, **flats}
+
+
+def _roles(chosen: MatchedStacks) -> dict[str, MatchedFrames]:
+    """Return the stacks that are shown by role."""
+    targets = {"edge": chosen.edge, "point source": chosen.point}
+    others = {shot.kind: shot for shot in chosen.others}
+    return {**_flat_fields(chosen), **{role: shot for role, shot in targets.items() if shot is not None}, **others}
+
+
+def _points(chosen: MatchedStacks, levels: tuple[MatchedFrames, ...]) -> tuple[MatchedFrames, ...]:
+    return () if chosen.point is None else (*levels, chosen.point)
+
+
+def _cut_of_spectrum(lines: NDArray, pixels: int) -> Array:
+    """Return the mean power of sums over lines (frame, place) per pixel, DN^2, at `_frequency`."""
+    return _averaged((np.abs(np.fft.rfft(lines, axis=1)) ** 2).mean(axis=0) / pixels)
+
+
+def _block_means(image: NDArray) -> Array:
+    """Return the means of blocks of an image (row, col); what does not fill a block is left out."""
+    rows, cols = (size // BLOCK_PX for size in image.shape)
+    cut = np.asarray(image, float)[: rows * BLOCK_PX, : cols * BLOCK_PX]
+    return cut.reshape(rows, BLOCK_PX, cols, BLOCK_PX).mean(axis=(1, 3))
+
+
+def _ring(low: float, high: float) -> str:
+    return f"level at {low:g} to {high:g} px of the point"
+
+
+def _residual(role: str, shot: MatchedFrames, measured: Array, simulated: list[Array]) -> ResidualMap:
+    """Return a measured mean frame less that of all sets, with the sd of a block by the sets."""
+    sets = np.array(simulated)
+    spread = float(np.sqrt(sets.var(axis=0, ddof=1).mean() * (1.0 + 1.0 / len(sets))))
+    return ResidualMap(
+        role=role, label=shot.label, block_px=BLOCK_PX, difference_dn=(measured - sets.mean(axis=0)).astype(np.float32),
+        sd_dn=spread,
+    )  # fmt: skip
+
+
+def _pair(role: str, shot: MatchedFrames, measured: Frames, simulated: Frames, number: int) -> FramePair:
+    """Return one frame of a stack, measured and simulated, with a common grey scale."""
+    both = [np.asarray(frames[shot.label][number], float) for frames in (measured, simulated)]
+    low, high = np.quantile(np.concatenate([one.ravel() for one in both]), (EXTREME, 1.0 - EXTREME))
+    return _codes(role, shot, both, float(low), float(max(high, low + 1.0)))
+
+
+def _pattern_pair(role: str, shot: MatchedFrames, measured: Frames, simulated: Frames) -> FramePair:
+    """Return the mean frames without shading, measured and simulated, with a common grey scale about zero."""
+    both = [np.asarray(StackView(shot.label, frames[shot.label]).pattern, float) for frames in (measured, simulated)]
+    high = float(np.quantile(np.abs(np.concatenate([one.ravel() for one in both])), 1.0 - EXTREME))
+    return _codes(role, shot, both, -max(high, 1e-3), max(high, 1e-3))
+
+
+def _codes(role: str, shot: MatchedFrames, both: list[Array], low: float, high: float) -> FramePair:
+    """Return two images as codes of 8 bits on one scale."""
+    shown = [np.rint(255 * np.clip((one - low) / (high - low), 0, 1)).astype(np.uint8) for one in both]
+    return FramePair(
+        role=role, kind=shot.kind, label=shot.label, measured=shown[0], simulated=shown[1], low_dn=low, high_dn=high,
+        frames=shot.frames,
+    )  # fmt: skip
+
+
+def _overlays_of_features(
+    measured: FrameFeatures, simulated: Sequence[FrameFeatures], chosen: MatchedStacks
+) -> dict[str, dict[str, Any]]:
+    """Return the overlays of compared numbers by name, JSON-ready."""
+    out = {}
+    for name, field, title in (
+        ("photon-transfer", "variance_dn2", "Temporal variance, DN²"),
+        ("covariance", "covariance_dn2", "Covariance sum within 6 px, DN²"),
+    ):
+        x = np.array([one.mean_dn for one in simulated]).mean(axis=0)
+        curve = _curve("", measured.mean_dn, getattr(measured, field), [getattr(one, field) for one in simulated], x)
+        out[name] = {"title": title, "x_title": "signal, DN", "y_title": title, "curves": [curve]}
+    flat = chosen.flats[-1].label
+    lags = [f"correlation at {row},{col} px of {flat}" for row, col in LAGS]
+    frequencies = [f"MTF at {at:.2f} cy/px" for at in FREQUENCY_CY_PER_PX]
+    for name, x, labels, x_title, y_title in (
+        ("autocorrelation", [f"{row},{col}" for row, col in LAGS], lags, "lag (row, column), px", "correlation"),
+        ("mtf", FREQUENCY_CY_PER_PX.tolist(), frequencies, "frequency, cy/px", "MTF"),
+    ):
+        own, *sets = (np.array([one.groups.get(name, {}).get(label, np.nan) for label in labels])
+                      for one in (measured, *simulated))  # fmt: skip
+        if np.isfinite(own).all() and np.isfinite(sets).all():
+            curve = _curve("", x, own, sets)
+            out[name] = {"title": GROUPS[name].title, "x_title": x_title, "y_title": y_title, "curves": [curve]}
+    return out
+
+
+def _overlays_of_curves(
+    own: FigureCurves, sets: Sequence[FigureCurves], chosen: MatchedStacks, levels: tuple[MatchedFrames, ...]
+) -> dict[str, dict[str, Any]]:
+    """Return the overlays of noise spectra, histograms and profiles by name, JSON-ready."""
+    out = {}
+    for field in ("horizontal", "vertical"):
+        power = {label: [getattr(one, field)[label] for one in sets] for label in getattr(own, field)}
+        curves = [
+            _curve(label, _frequency(chosen, field), getattr(own, field)[label], rows, scale="log")
+            for label, rows in power.items()
+        ]
+        out[f"noise-spectrum-{field}"] = {
+            "title": f"Noise spectrum, {field} cut", "x_title": "frequency, cy/px",
+            "y_title": "power of the noise in time, DN²", "y_scale": "log", "curves": curves,
+        }  # fmt: skip
+    for shot in (chosen.dark, chosen.flats[-1]):
+        rows = [one.counts[shot.label] for one in sets]
+        out[f"histogram-{shot.kind}"] = {
+            "title": f"Histogram of the noise in time of {shot.label}",
+            "x_title": "deviation from the mean frame; the ends hold all beyond, sd", "y_title": "values in half an sd",
+            "y_scale": "symlog",
+            "curves": [_curve("", (BINS_SD[1:] + BINS_SD[:-1]) / 2.0, own.counts[shot.label], rows, scale="root")],
+        }  # fmt: skip
+    found = [
+        _curve(shot.label, [(low + high) / 2.0 for low, high in pairwise(RADII_PX)], own.rings[shot.label],
+               [one.rings[shot.label] for one in sets], scale="asinh")
+        for shot in _points(chosen, levels)
+        if own.rings[shot.label].size and all(one.rings[shot.label].size for one in sets)
+    ]  # fmt: skip
+    if found:
+        out["point"] = {
+            "title": "Profile of the point source at each level", "x_title": "radius, px",
+            "y_title": "level above the dark, DN", "y_scale": "symlog", "curves": found,
+        }  # fmt: skip
+    return out
+
+
+def _frequency(chosen: MatchedStacks, direction: str) -> Array:
+    """Return the frequencies of a cut of the spectrum of darks and flats, cy/px."""
+    rows, cols = chosen.dark.shape
+    return _averaged(np.fft.rfftfreq(cols if direction == "horizontal" else rows))
+
+
+def _averaged(spectrum: NDArray) -> Array:
+    """Return means of neighbours of a spectrum without its first value, the mean; a remainder is left out."""
+    count = (len(spectrum) - 1) // NEIGHBOURS
+    return np.asarray(spectrum[1 : 1 + count * NEIGHBOURS], float).reshape(count, NEIGHBOURS).mean(axis=1)
+
+
+def _curve(
+    name: str, x: Any, measured: Any, simulated: Any, x_simulated: Any = None, *, scale: str = "plain"
+) -> dict[str, Any]:  # fmt: skip
+    """Return a measured curve with the mean of the simulated ones and the 95 % band of one more set, JSON-ready.
+
+    `simulated`: shape (set, k); `scale`: that of `SCALES` on which mean and sd are taken; the root is of counts.
+    """
+    to, back = SCALES[scale]
+    sets = to(np.asarray(simulated, float))
+    # A root of a count has a variance of 1/4 by Poisson (Anscombe 1948), also where all sets have none.
+    variance = np.maximum(sets.var(axis=0, ddof=1), 0.25 if scale == "root" else 0.0)
+    centre, half = sets.mean(axis=0), TWO_SIDED_95 * np.sqrt(variance * (1.0 + 1.0 / len(sets)))
+    out = {"name": name, "x": list(x) if isinstance(x[0], str) else _rounded(x)}
+    if x_simulated is not None:
+        out["x_simulated"] = _rounded(x_simulated)
+    values = {
+        "measured": measured,
+        "simulated": back(centre),
+        "low95": back(centre - half),
+        "high95": back(centre + half),
+    }
+    return {**out, **{key: _rounded(value) for key, value in values.items()}}
+
+
+def _rounded(values: Any) -> list[float]:
+    """Return numbers to five digits: more are invisible in a figure."""
+    return [float(f"{value:.5g}") for value in np.asarray(values, float)]
