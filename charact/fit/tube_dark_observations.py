@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from charact.fit import predicted_quantities as predicted
 from charact.fit.observation import Observation, one
 from charact.fit.predicted_quantities import Values
-from charact.fit.prior import prior_of, values_of_description
+from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.tube_darks import LEAST_QUIET, PULSE_DN, PULSE_SD, Darks, darks_of, level_and_sd, thresholds_of
 from charact.fit.tube_time_observations import (
@@ -66,12 +66,6 @@ def dark_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, .
 def _gain(values: Values, darks: Darks) -> Array:
     reference_v = float(darks.sensor.microchannel_plate.reference_v)
     return predicted.photoelectron_gain(values, darks.level.mcp_v, reference_v)
-
-
-def _conversion_sd(darks: Darks) -> float:
-    """Return the relative error of electrons stated for DN: the prior's, as darks and flats cannot tell the factor."""
-    prior = prior_of(darks.sensor, (CONVERSION,))
-    return float(prior.sd[0]) if prior.names else 0.0
 
 
 def _background(values: Values, darks: Darks) -> Array:
@@ -157,12 +151,7 @@ def _quiet(darks: Darks) -> list[Observation]:
     unsure_dn = np.hypot(WING_SD, 0.3 * np.sqrt(max(hidden - WING, 0.0))) * light
     turn = np.array([1.0, 2.0 * best[1]])
     value = np.array([best[0], best[1] ** 2])
-    reading = max(value[1] - float(sheet.get(LINE_NOISE, np.zeros(1))[0]) ** 2, 0.0)
-    spread = [
-        QUIET_SD * value[1],
-        0.5 * float(_hidden_variance(sheet, darks)[0]),
-        2.0 * _conversion_sd(darks) * reading,
-    ]
+    spread = [QUIET_SD * value[1], 0.5 * float(_hidden_variance(sheet, darks)[0])]
     model = np.diag([unsure_dn**2, float(np.sum(np.square(spread)))])
 
     def predict(values: Values) -> Array:
@@ -176,7 +165,7 @@ def _quiet(darks: Darks) -> list[Observation]:
             value=value,
             covariance=covariance,
             predict=predict,
-            speaks_of=(BLACK, READ, EBI),
+            speaks_of=(BLACK, READ, EBI, CONVERSION),
         )
     ]
 
@@ -215,9 +204,8 @@ def _pattern(darks: Darks) -> list[Observation]:
         pattern = values[CONVERSION] * values[DSNU] * _warmth(values, darks)
         return pattern**2 * filter_covariance(values, 1)[:, 0]
 
-    relative = 2.0 * np.hypot(sd / slope, _conversion_sd(darks))
-    error = float(np.hypot(scatter, relative * value)) / slope**2
-    return [one("DSNU", value / slope**2, error, predict, (DSNU,))]
+    error = float(np.hypot(scatter, 2.0 * sd / slope * value)) / slope**2
+    return [one("DSNU", value / slope**2, error, predict, (DSNU, CONVERSION))]
 
 
 def with_error(effect: Callable[[float, float], float], darks: Darks) -> tuple[float, float]:
