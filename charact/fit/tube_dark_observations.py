@@ -1,4 +1,4 @@
-"""Observations of a tube's darks: noise and level between pulses, DSNU, background illumination and ion events."""
+"""Observations of a tube's darks: noise and level between pulses, DSNU and background illumination."""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from charact.fit import predicted_quantities as predicted
 from charact.fit.observation import Observation, one
 from charact.fit.predicted_quantities import Values
-from charact.fit.prior import prior_of, values_of_description
+from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.tube_darks import LEAST_QUIET, PULSE_DN, PULSE_SD, Darks, darks_of, level_and_sd, thresholds_of
 from charact.fit.tube_time_observations import (
@@ -26,13 +26,13 @@ from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Largest fraction of the image that may be reached by ions.
-MOST_REACHED = 0.6
+# Largest fraction of the image that may be reached by ions; fewest of them whose mean charge says their size, and the
+# relative error of what the weaker ones add.
+MOST_REACHED, LEAST_IONS, WEAK_IONS_SD = 0.6, 4, 0.5
 # Mean light of a pulse outside its surroundings, and its error; relative.
 WING, WING_SD = 0.04, 0.02
-# Relative model errors: of the pulses' covariance, of fine and of coarse digitisers, of what rounding does to it, of
-# an ion's charge.
-COVARIANCE_SD, COARSE_COVARIANCE_SD, ROUNDING_SD, ION_CHARGE_SD = 0.03, 0.06, 0.25, 0.15
+# Relative model errors: of the pulses' covariance, of fine and of coarse digitisers, and of what rounding does to it.
+COVARIANCE_SD, COARSE_COVARIANCE_SD, ROUNDING_SD = 0.03, 0.06, 0.25
 # Error of the level between pulses by pulses too weak to be seen, DN.
 LEVEL_SD_DN = 0.04
 # Variance of the noise between pulses: relative model error.
@@ -41,7 +41,7 @@ QUIET_SD = 0.03
 COARSE_DN, LEAST_SLOPE = 0.6, 0.4
 
 EBI, READ, DSNU, BLACK = "photocathode.ebi_lm_per_cm2", "ccd.read_noise_e", "ccd.dsnu_e", "video.black_level_dn"
-IONS = ("microchannel_plate.ion_event_rate_per_s_cm2", "microchannel_plate.ion_event_size_pe")
+ION_SIZE = "microchannel_plate.ion_event_size_pe"
 CONVERSION = "video.conversion_gain_dn_per_e"
 SHAPE = "microchannel_plate.pulse_height_shape"
 
@@ -59,19 +59,13 @@ def dark_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, .
         return []
     found = [*_quiet(darks), *_pattern(darks)]
     if darks.reached.mean() < MOST_REACHED:
-        found += [*_events(darks), *_ions(darks)]
+        found += _events(darks)
     return found
 
 
 def _gain(values: Values, darks: Darks) -> Array:
     reference_v = float(darks.sensor.microchannel_plate.reference_v)
     return predicted.photoelectron_gain(values, darks.level.mcp_v, reference_v)
-
-
-def _conversion_sd(darks: Darks) -> float:
-    """Return the relative error of electrons stated for DN: the prior's, as darks and flats cannot tell the factor."""
-    prior = prior_of(darks.sensor, (CONVERSION,))
-    return float(prior.sd[0]) if prior.names else 0.0
 
 
 def _background(values: Values, darks: Darks) -> Array:
@@ -157,12 +151,7 @@ def _quiet(darks: Darks) -> list[Observation]:
     unsure_dn = np.hypot(WING_SD, 0.3 * np.sqrt(max(hidden - WING, 0.0))) * light
     turn = np.array([1.0, 2.0 * best[1]])
     value = np.array([best[0], best[1] ** 2])
-    reading = max(value[1] - float(sheet.get(LINE_NOISE, np.zeros(1))[0]) ** 2, 0.0)
-    spread = [
-        QUIET_SD * value[1],
-        0.5 * float(_hidden_variance(sheet, darks)[0]),
-        2.0 * _conversion_sd(darks) * reading,
-    ]
+    spread = [QUIET_SD * value[1], 0.5 * float(_hidden_variance(sheet, darks)[0])]
     model = np.diag([unsure_dn**2, float(np.sum(np.square(spread)))])
 
     def predict(values: Values) -> Array:
@@ -176,7 +165,7 @@ def _quiet(darks: Darks) -> list[Observation]:
             value=value,
             covariance=covariance,
             predict=predict,
-            speaks_of=(BLACK, READ, EBI),
+            speaks_of=(BLACK, READ, EBI, CONVERSION),
         )
     ]
 
@@ -215,9 +204,8 @@ def _pattern(darks: Darks) -> list[Observation]:
         pattern = values[CONVERSION] * values[DSNU] * _warmth(values, darks)
         return pattern**2 * filter_covariance(values, 1)[:, 0]
 
-    relative = 2.0 * np.hypot(sd / slope, _conversion_sd(darks))
-    error = float(np.hypot(scatter, relative * value)) / slope**2
-    return [one("DSNU", value / slope**2, error, predict, (DSNU,))]
+    error = float(np.hypot(scatter, 2.0 * sd / slope * value)) / slope**2
+    return [one("DSNU", value / slope**2, error, predict, (DSNU, CONVERSION))]
 
 
 def with_error(effect: Callable[[float, float], float], darks: Darks) -> tuple[float, float]:
@@ -243,20 +231,27 @@ def _events(darks: Darks) -> list[Observation]:
     value, sd = value / kept, float(np.hypot(sd, model * value)) / kept
     places = tuple((float(columns), float(rows)) for columns, rows in apart)
 
-    def predict(values: Values) -> Array:
-        shape = values[SHAPE]
-        event = _gain(values, darks) * predicted.excess_noise_factor(values)
-        limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
-        singles = moment_below(shape, 1.0, limit, 2) / (1.0 + 1.0 / shape)
-        ions = _ion_moment_below(values, darks, limit, 2) / (1.0 + 1.0 / shape)
+    def spread(values: Values) -> Array:
         products = field_products(values, darks.level.gate_s, darks.fields)[:, :: darks.step]
-        spread = pulse_covariance(values, places).sum(axis=1) * (products @ _without_mean(len(darks.data)))
-        return event * _background(values, darks) * (singles + ions) * spread
+        return pulse_covariance(values, places).sum(axis=1) * (products @ _without_mean(len(darks.data)))
 
-    found = [one("dark events", value, sd, predict, (EBI, *IONS))] if value > 3.0 * sd else []
+    ions = weak_ions(darks)[1] * float(spread(values_of_description(darks.sensor))[0])
+    value, sd = value - ions, float(np.hypot(sd, WEAK_IONS_SD * ions))
+
+    def predict(values: Values) -> Array:
+        event = _gain(values, darks) * predicted.excess_noise_factor(values)
+        small = moment_below(values[SHAPE], 1.0, _ion_limit(values, darks), 2) / (1.0 + 1.0 / values[SHAPE])
+        return event * _background(values, darks) * small * spread(values)
+
+    found = [one("dark events", value, sd, predict, (EBI,))] if value > 3.0 * sd else []
     if darks.noise_dn > COARSE_DN:
         found += _mean_of_events(darks)
     return found
+
+
+def _ion_limit(values: Values, darks: Darks) -> Array:
+    """Return the charge from which an event counts as that of an ion, in mean detected pulses, shape (n,)."""
+    return darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
 
 
 def _without_mean(count: int) -> Array:
@@ -266,19 +261,26 @@ def _without_mean(count: int) -> Array:
     return ((lag == 0) - total) * count / (count - 1.0)
 
 
-def _ion_moment_below(values: Values, darks: Darks, limit: Array, order: int) -> Array:
-    """Return the moment of ion events below a charge, in mean pulses and for each detected photoelectron."""
-    number, size = IONS
-    shape = values[SHAPE]
-    per_cm2 = predicted.background_rate(values) * values["microchannel_plate.detection_probability"]
-    ratio = values[number] / (per_cm2 / _field_pixel_cm2(values))
-    # The sum of a Poisson number m of pulses, as the gamma law of its mean m and variance m (1 + 1/shape).
-    return ratio * moment_below(values[size] / (1.0 + 1.0 / shape), values[size], limit, order)
+def weak_ions(darks: Darks) -> tuple[float, float]:
+    """Return mean and mean square light of ion events too small to be counted, by field pixel and field.
 
-
-def _field_pixel_cm2(values: Values) -> Array:
-    pitch = values["ccd.pitch_x_um"] * predicted.rows_per_pixel(values) * values["ccd.pitch_y_um"] * 1e-8
-    return pitch * values["taper.demagnification"] ** 2
+    DN and DN^2, of the described pulse heights. The charge of an event is the sum of a Poisson number m of pulses, here
+    as the gamma law of its mean m and variance m (1 + 1/shape). m is that whose counted events have the mean charge of
+    the counted, or the described one of few; the rate follows from their number.
+    """
+    values = values_of_description(darks.sensor)
+    spread = 1.0 + 1.0 / float(values[SHAPE][0])
+    height = darks.event_dn / spread
+    limit, charges = np.array(darks.least_ion_dn / height), np.array(darks.ion_charge_dn) / height
+    size = np.geomspace(3.0, 300.0, 200)
+    if charges.size < LEAST_IONS:
+        size = values[ION_SIZE]
+    weak = [moment_below(size / spread, size, limit, order) for order in (0, 1, 2)]
+    counted = np.maximum(1.0 - weak[0], 1e-6)
+    mean = (size - weak[1]) / counted
+    best = int(np.argmin(np.abs(mean - charges.mean()))) if charges.size else 0
+    rate = charges.size / counted[best] / (darks.fields * darks.reached.size / darks.step)
+    return float(rate * weak[1][best] * height), float(rate * weak[2][best] * height**2)
 
 
 def _neighbour_covariance(darks: Darks, apart: tuple[tuple[int, int], ...]) -> tuple[float, float]:
@@ -343,47 +345,12 @@ def _mean_of_events(darks: Darks) -> list[Observation]:
     used = number > 0.1 * number.max()
     each = block_sums(mean * good)[used] / number[used]
     value = float(block_sums(mean * good).sum() / number.sum())
-    sd = float(np.hypot(each.std(ddof=1) / np.sqrt(each.size), WING_SD * value))
+    ions = weak_ions(darks)[0]
+    sd = float(np.hypot.reduce([each.std(ddof=1) / np.sqrt(each.size), WING_SD * value, WEAK_IONS_SD * ions]))
+    value -= ions
 
     def predict(values: Values) -> Array:
-        shape = values[SHAPE]
-        limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
-        small = moment_below(shape, 1.0, limit, 1) + _ion_moment_below(values, darks, limit, 1)
+        small = moment_below(values[SHAPE], 1.0, _ion_limit(values, darks), 1)
         return _background(values, darks) * (small - _hidden_light(values, darks))
 
-    return [one("mean of dark events", value, sd, predict, (EBI, BLACK, *IONS))] if value > 3.0 * sd else []
-
-
-def _ions(darks: Darks) -> list[Observation]:
-    """Observe the number of ion events, whose root has the variance 1/4, and the mean charge of unclipped ones."""
-    charges = np.array(darks.ion_charge_dn)
-    fields, pixels = darks.fields, darks.reached.size / darks.step
-
-    def expected(values: Values) -> Array:
-        open_s = darks.level.gate_s
-        return _ion_tail(values, darks, 0) * values[IONS[0]] * _field_pixel_cm2(values) * open_s * fields * pixels
-
-    number = one(
-        "number of ion events", float(np.sqrt(charges.size + 0.375)), 0.5,
-        lambda values: np.sqrt(expected(values) + 0.375), IONS,
-    )  # fmt: skip
-    clipped = np.mean(darks.data >= 2**darks.sensor.video.bit_depth - 1) > 0.0
-    if charges.size < 4 or clipped:
-        return [number]
-    value = float(charges.mean())
-    sd = float(np.hypot(charges.std(ddof=1) / np.sqrt(charges.size), ION_CHARGE_SD * value))
-    return [number, one("charge of ion events", value, sd, lambda values: _ion_charge(values, darks), IONS)]
-
-
-def _ion_charge(values: Values, darks: Darks) -> Array:
-    height = _gain(values, darks) / values["microchannel_plate.detection_probability"]
-    return height * _ion_tail(values, darks, 1) / np.maximum(_ion_tail(values, darks, 0), 1e-12)
-
-
-def _ion_tail(values: Values, darks: Darks, order: int) -> Array:
-    """Return the moment of an ion event's charge, mean pulses, above the least that is counted, shape (n,)."""
-    shape, size = values[SHAPE], values[IONS[1]]
-    limit = darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
-    law = size / (1.0 + 1.0 / shape)
-    whole = moment_below(law, size, np.full_like(limit, np.inf), order)
-    return whole - moment_below(law, size, limit, order)
+    return [one("mean of dark events", value, sd, predict, (EBI, BLACK))] if value > 3.0 * sd else []

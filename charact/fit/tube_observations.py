@@ -13,8 +13,7 @@ from charact.fit.observation import NOISE_MODEL_SD, Observation, admissible_meas
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
-from charact.fit.tube_dark_observations import dark_observations
-from charact.fit.tube_time_observations import time_observations
+from charact.fit.tube_pattern_observations import frame_observations
 from charact.noise.rounding import QUANTISATION_DN2, variance_range_before_rounding
 from labdata.measurement import Measurement, Result
 from labdata.sensor import Sensor
@@ -231,7 +230,7 @@ def tube_observations(
         found.append(one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values[path], (path,)))
     found += _fixed_patterns(sensor, result)
     found += [_levels(levels, reference_v)] if levels else []
-    found += time_observations(sensor, levels) + dark_observations(sensor, result, levels)
+    found += frame_observations(sensor, result, levels)
     return tuple(found)
 
 

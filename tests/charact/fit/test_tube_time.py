@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.fit import tube_dark_observations, tube_time_observations
+from charact.fit import tube_dark_observations, tube_pattern_observations, tube_time_observations
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.tube_darks import quiet_noise
+from charact.fit.tube_pattern_observations import white_pattern
 from charact.fit.tube_time_observations import Fields
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
@@ -51,7 +52,7 @@ def glowing_fields(rng: np.random.Generator, shares: np.ndarray) -> np.ndarray:
     pulses = rng.standard_gamma(2.0, size=(2 * FRAMES + len(shares), ROWS, COLUMNS))
     # A field row is seen by two frame rows: pulses lie on pairs of rows.
     pulses = np.repeat(pulses[:, ::2], 2, axis=1)
-    shown = sum(share * pulses[len(shares) - j : len(pulses) - j] for j, share in enumerate(shares))
+    shown = np.sum([share * pulses[len(shares) - j : len(pulses) - j] for j, share in enumerate(shares)], axis=0)
     frames = np.array(shown[0::2])
     frames[:, 1::2] = shown[1::2, 1::2]
     return 20.0 * frames
@@ -163,3 +164,22 @@ def test_the_spectrum_of_a_pulse_is_computed_anew_for_other_values() -> None:
     values["tube.post_gain_share"] = np.array([0.4])
     after = tube_time_observations.pulse_covariance(values, ((0.0, 0.0),))[0, 0]
     assert after > 1.2 * before
+
+
+def test_the_white_pattern_is_parted_from_coarse_ones_and_from_noise(seed: int) -> None:
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng([seed, 8])
+    coarse = gaussian_filter(rng.standard_normal((2 * ROWS, 2 * COLUMNS)), 3.0, mode="wrap")
+    pattern = 1.0 + 0.03 * coarse / coarse.std() + 0.01 * rng.standard_normal(coarse.shape)
+    data = (400.0 * pattern + rng.normal(0.0, 8.0, (FRAMES, *coarse.shape))).astype(np.float32)
+    value, variance = white_pattern(data, 400.0, 2)
+    assert abs(value - 1e-4) < WITHIN * np.sqrt(variance)
+    assert np.sqrt(variance) < 1e-5
+
+
+def test_noise_that_hides_the_pattern_leaves_no_observation(seed: int) -> None:
+    rng = np.random.default_rng([seed, 9])
+    noisy, clean = (level_of(rng.normal(100.0, sd, (FRAMES, ROWS, COLUMNS))) for sd in (60.0, 2.0))
+    assert not tube_pattern_observations.pattern_observations(tube(), (noisy,))
+    assert len(tube_pattern_observations.pattern_observations(tube(), (clean,))) == 1
