@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from charact.fit.prior import (
     values_of_description,
 )
 from charact.fit.silicon_observations import silicon_observations
+from charact.fit.slice_sampling import slice_sample
 from charact.fit.stack_levels import levels_of
 from charact.fit.thresholds import LIMITS, SAMPLING
 from charact.fit.tube_observations import tube_observations
@@ -70,7 +70,6 @@ class Model:
         if inside.any():
             out[inside] = density[inside] - 0.5 * self.misfit(coordinates[inside])
         return out
-
 
     @cached_property
     def ridges(self) -> tuple[tuple[int, Ridge], ...]:
@@ -139,11 +138,8 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
 
 
 def posterior_of(model: Model, *, seed: int) -> Posterior:
-    """Draw the joint posterior in the prior's coordinates.
-
-    Importance sampling from a density that was adapted to the posterior; a Markov chain where it fails.
-    """
-    from charact.posterior import find_maximum, importance_sample, sample
+    """Draw the joint posterior in the prior's coordinates."""
+    from charact.posterior import find_maximum
 
     prior, bounds = model.prior, model.prior.bounds.copy()
     bounds[[place for place, _ in model.ridges]] = -np.inf, np.inf
@@ -157,41 +153,8 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
         well = prior.names.index(FULL_WELL)
         covariance[well, :] = covariance[:, well] = 0.0
         covariance[well, well] = prior.sd[well] ** 2
-    point, covariance = adapted_moments(log_probability, point, covariance, np.random.default_rng([seed, 2]))
-    settings: dict[str, Any] = {
-        "names": prior.names, "units": ("1",) * len(prior.names), "start": point, "seed": seed, "bounds": bounds,
-        "draws": SAMPLING.kept,
-    }  # fmt: skip
-    found = importance_sample(
-        log_probability, **settings, covariance=SAMPLING.first_width * covariance, enough=SAMPLING.enough,
-        first_draws=SAMPLING.first_draws,
-    )  # fmt: skip
-    if found.effective_sample_size[0] < SAMPLING.least_effective:
-        found = sample(log_probability, **settings, covariance=covariance, max_steps=SAMPLING.most_steps)
+    found = slice_sample(log_probability, names=prior.names, point=point, covariance=covariance, seed=seed)
     return replace(found, draws=model.bend(found.draws))
-
-
-def adapted_moments(
-    log_probability: Callable[[Array], Array], point: Array, covariance: Array, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Return mean and covariance of a posterior, of a maximum and the curvature there.
-
-    Population Monte Carlo: weighted draws of a Student t give the mean and covariance of the next one. Weights are cut
-    at their mean times the root of the number of draws, so that no draw decides (Ionides 2008, doi
-    10.1198/106186008X320456).
-    """
-    count, freedom = SAMPLING.round_draws, SAMPLING.freedom
-    for _ in range(SAMPLING.rounds):
-        normal = rng.standard_normal((count, point.size))
-        stretch = np.sqrt(freedom / rng.chisquare(freedom, count))
-        points = point + (normal * stretch[:, None]) @ np.linalg.cholesky(covariance).T
-        tail = -0.5 * (freedom + point.size) * np.log1p((normal**2).sum(axis=1) * stretch**2 / freedom)
-        log_weight = log_probability(points) - tail
-        weight = np.exp(log_weight - log_weight.max())
-        weight = np.minimum(weight, weight.mean() * np.sqrt(count))
-        point = np.average(points, axis=0, weights=weight)
-        covariance = np.asarray(np.atleast_2d(np.cov(points.T, aweights=weight)), np.float64)
-    return point, covariance
 
 
 FULL_WELL = "ccd.full_well_e"

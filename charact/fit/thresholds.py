@@ -53,18 +53,18 @@ class FitLimits:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Draws of the posterior: set so that a fit of 30 parameters keeps an effective sample of 500 and more."""
+    """Draws of the posterior."""
 
-    kept: int = 400  # draws of the fitted description
+    kept: int = 400  # chains, each of which gives a draw of the fitted description
     rounds: int = 4  # of the adaptation, draws of each and freedom of its Student t
     round_draws: int = 3000
     freedom: float = 8.0
-    # Variance of the first density of the importance sampling over the adapted one before the sampler doubles it.
-    first_width: float = 0.6
-    first_draws: int = 12000
-    enough: float = 1200.0  # effective draws at which the sampling ends
-    least_effective: float = 500.0  # effective draws below which a Markov chain follows
-    most_steps: int = 6000  # steps of the Markov chain; beyond, the draws are flagged
+    wider: float = 1.2  # variance of the normal law of the slice sampling over the adapted one
+    # Steps of the chains: after 10 no coordinate keeps a correlation above 0.5 with its start.
+    least_steps: int = 10
+    most_steps: int = 80
+    most_change_se: float = 5.0  # change of mean or spread over the second half of the steps, standard errors
+    least_angle: float = 1e-6  # bracket of a step, rad, below which a chain stays
     candidates: int = 400  # prior draws of a truncated parameter
 
 
