@@ -45,7 +45,7 @@ def slice_sample(
     """
     rng = np.random.default_rng(seed)
     point, covariance, chains = adapt(log_probability, point, covariance, rng)
-    root = np.linalg.cholesky(SAMPLING.wider * covariance)
+    root = np.asarray(np.linalg.cholesky(SAMPLING.wider * covariance), np.float64)
     inverse = np.linalg.inv(root)
 
     def excess(points: Array) -> Array:

@@ -68,7 +68,8 @@ def noise_observations(
     volts = max(dict.fromkeys(known), key=known.count) if known else reference_v
     gates_s = [level.gate_s for level in levels if not level.dark and level.mcp_v == volts]
     found = _of_flats(result, volts, float(np.median(gates_s)) if gates_s else np.inf)
-    found = found or _separate(result, {entry.label: entry.conditions.mcp_v for entry in session.stacks}, volts)
+    volts_of = {entry.label: entry.conditions.mcp_v for entry in session.stacks}
+    found += [one for one in _separate(result, volts_of, volts) if one.mcp_v != volts or not found]
     found += _neighbours(result, volts)
     darks = [level for level in levels if level.dark]
     # The read noise must be large against the quantisation step, so that rounding is additive.
@@ -103,9 +104,10 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float) -> list[_Noise]:
         return []
     signal, variance, dark, sd = (column[columns[4] > 0] for column in columns[:4])
     pooled_dn = float(np.average(signal, weights=(signal / variance) ** 2))
-    power, lag = (measured[0].posterior[name] for name in ("power", "lag_factor"))
-    # Without a test of image lag its factor is no measurement.
-    pooled = np.stack([power, lag], axis=1)[:, : 2 if lag.std() > 0.0 else 1]
+    pooled = np.stack([measured[0].posterior[name] for name in ("power", "lag_factor")], axis=1)
+    if pooled[:, 1].std() == 0.0:
+        # Too few frames to test image lag, which then biases their variance.
+        return []
     # Rounding may hide the noise of a dark; mean and variance of the dark are errors of every flat.
     ranges = np.array([variance_range_before_rounding(float(one)) for one in dark])
     slope = (variance - QUANTISATION_DN2 - ranges.mean(axis=1)) / signal
@@ -113,7 +115,8 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float) -> list[_Noise]:
     hidden = np.ptp(ranges, axis=1)
     common = [ERRORS.leaning_dn * (hidden > 0.0) * slope / signal, hidden / np.sqrt(12.0) / signal]
     own = np.diag((sd / signal) ** 2) + sum(np.outer(one, one) for one in common)
-    covariance = block_diag(np.cov(pooled.T), own) + np.diag((ERRORS.noise * value) ** 2)
+    measured_errors = np.asarray(block_diag(np.cov(pooled.T), own), np.float64)
+    covariance = measured_errors + np.diag((ERRORS.noise * value) ** 2)
 
     def predict(values: Values, gain: Array, shape: tuple[Array, Array]) -> Array:
         left = predicted_quantities.lag_noise_fraction(values, gate_s)
@@ -122,16 +125,16 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float) -> list[_Noise]:
         def power_of(signal_dn: float) -> Array:
             return predicted_quantities.covariance_gain(values, left * gain * (1.0 - loss(values, signal_dn)))
 
-        factor = predicted_quantities.covariance_gain(values, gain) / predicted_quantities.covariance_gain(
-            values, left * gain
-        )
-        first = [power_of(pooled_dn), factor][: value.size - slope.size]
-        return np.stack(np.broadcast_arrays(*first, *(shape[0] * power_of(one) for one in signal)), axis=1)
+        power = power_of(pooled_dn)
+        loaded = gain * (1.0 - loss(values, pooled_dn))
+        factor = predicted_quantities.covariance_gain(values, loaded) / power
+        slopes = [shape[0] * power_of(one) for one in signal]
+        return np.stack(np.broadcast_arrays(power, factor, *slopes), axis=1)
 
     return [
         _Noise(
             mcp_v=mcp_v, value=value, covariance=covariance, predict=predict, speaks_of=(*SHAPE, *LAG, STRIP),
-            ridge=len(pooled.T),
+            ridge=2,
         )
     ]  # fmt: skip
 
@@ -192,7 +195,7 @@ def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observat
         ridge = Ridge(carrier=SENSITIVITY, logarithm=lambda values: np.log(predict(values)[:, at]))
     return Observation(
         name="noise", value=np.concatenate([part.value for part in parts]),
-        covariance=block_diag(*(part.covariance for part in parts)), predict=predict,
+        covariance=np.asarray(block_diag(*(part.covariance for part in parts)), np.float64), predict=predict,
         speaks_of=tuple(dict.fromkeys(path for part in parts for path in part.speaks_of)), ridge=ridge,
     )  # fmt: skip
 
