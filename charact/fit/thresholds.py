@@ -13,14 +13,18 @@ class ModelErrors:
 
     # Noise power and variance, relative: integrals of the blur agree within 0.2 % (tests/physics).
     noise: float = 0.002
+    # Noise power at frequency 0, relative: extrapolation by blur models; 1.7 % of 24 specimens, 1.0 % stated.
+    power: float = 0.012
     # Correlation of neighbouring pixels, absolute: 0.0011 of 24 specimens.
     neighbour: float = 0.0015
     # Stack mean above the black level, relative: 0.12 % of 24 specimens at known light.
     level: float = 0.0015
-    # Black level, DN: clamp.
-    black_dn: float = 0.03
-    # Mean of a stack whose noise is below `QUANTISED_DN`, DN: attracted to whole numbers, at most exp(-2 pi^2 s^2)/pi.
-    leaning_dn: float = 0.1
+    # Level of every dark and flat, DN: clamp, ions of a dark, rounding.
+    black_dn: float = 0.05
+    # Mean, DN, and variance, DN^2, of a stack whose noise is below `least_noise_dn`: attracted to whole numbers, by up
+    # to exp(-2 pi^2 s^2)/pi, and noise hidden or raised by rounding, by -1/12 to 1/6 DN^2.
+    leaning_dn: float = 0.15
+    rounding_dn2: float = 0.1
     # MTF, absolute, and distance over which its errors are correlated, cy/px: the window of an edge of 100 px.
     mtf: float = 0.004
     mtf_correlation_cy_per_px: float = 0.08

@@ -14,7 +14,6 @@ from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.thresholds import ERRORS, LIMITS
-from charact.noise.rounding import QUANTISATION_DN2, variance_range_before_rounding
 from labdata.measurement import Measurement, Result
 from labdata.sensor import Sensor
 from labdata.session import Session
@@ -67,11 +66,12 @@ def noise_observations(
     # Of several voltages, the one with most flats is the session's.
     volts = max(dict.fromkeys(known), key=known.count) if known else reference_v
     gates_s = [level.gate_s for level in levels if not level.dark and level.mcp_v == volts]
-    found = _of_flats(result, volts, float(np.median(gates_s)) if gates_s else np.inf)
+    darks = [level for level in levels if level.dark]
+    quantised = any(level.noise_dn < LIMITS.least_noise_dn for level in darks)
+    found = _of_flats(result, volts, float(np.median(gates_s)) if gates_s else np.inf, quantised)
     volts_of = {entry.label: entry.conditions.mcp_v for entry in session.stacks}
     found += [one for one in _separate(result, volts_of, volts) if one.mcp_v != volts or not found]
     found += _neighbours(result, volts)
-    darks = [level for level in levels if level.dark]
     # The read noise must be large against the quantisation step, so that rounding is additive.
     least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
     if darks and least_e * float(sensor.video.conversion_gain_dn_per_e) > LIMITS.least_noise_dn:
@@ -84,7 +84,7 @@ def noise_observations(
     ]
 
 
-def _of_flats(result: Result, mcp_v: float, gate_s: float) -> list[_Noise]:
+def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool) -> list[_Noise]:
     """Observe noise power at frequency 0 and lag factor of the pooled flats, and the variance of every flat.
 
     All are those of single exposures, per DN of signal: image lag leaves the fraction s of power and variance, and the
@@ -108,15 +108,14 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float) -> list[_Noise]:
     if pooled[:, 1].std() == 0.0:
         # Too few frames to test image lag, which then biases their variance.
         return []
-    # Rounding may hide the noise of a dark; mean and variance of the dark are errors of every flat.
-    ranges = np.array([variance_range_before_rounding(float(one)) for one in dark])
-    slope = (variance - QUANTISATION_DN2 - ranges.mean(axis=1)) / signal
+    slope = (variance - dark) / signal
     value = np.concatenate([np.median(pooled, axis=0), slope])
-    hidden = np.ptp(ranges, axis=1)
-    common = [ERRORS.leaning_dn * (hidden > 0.0) * slope / signal, hidden / np.sqrt(12.0) / signal]
+    # Rounding may hide the noise of a dark; mean and variance of the dark are errors of every flat.
+    common = [ERRORS.leaning_dn * quantised * slope / signal, ERRORS.rounding_dn2 * quantised / signal]
     own = np.diag((sd / signal) ** 2) + sum(np.outer(one, one) for one in common)
     measured_errors = np.asarray(block_diag(np.cov(pooled.T), own), np.float64)
-    covariance = measured_errors + np.diag((ERRORS.noise * value) ** 2)
+    model = np.array([ERRORS.power, ERRORS.noise, *(ERRORS.noise for _ in signal)])
+    covariance = measured_errors + np.diag((model * value) ** 2)
 
     def predict(values: Values, gain: Array, shape: tuple[Array, Array]) -> Array:
         left = predicted_quantities.lag_noise_fraction(values, gate_s)
