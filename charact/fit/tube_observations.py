@@ -66,15 +66,15 @@ def noise_observations(
     # Of several voltages, the one with most flats is the session's.
     volts = max(dict.fromkeys(known), key=known.count) if known else reference_v
     gates_s = [level.gate_s for level in levels if not level.dark and level.mcp_v == volts]
-    darks = [level for level in levels if level.dark]
-    quantised = any(level.noise_dn < LIMITS.least_noise_dn for level in darks)
+    # The read noise must be large against the quantisation step, so that rounding of darks is additive.
+    least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
+    quantised = least_e * float(sensor.video.conversion_gain_dn_per_e) <= LIMITS.least_noise_dn
     found = _of_flats(result, volts, float(np.median(gates_s)) if gates_s else np.inf, quantised)
     volts_of = {entry.label: entry.conditions.mcp_v for entry in session.stacks}
     found += [one for one in _separate(result, volts_of, volts) if one.mcp_v != volts or not found]
     found += _neighbours(result, volts)
-    # The read noise must be large against the quantisation step, so that rounding is additive.
-    least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
-    if darks and least_e * float(sensor.video.conversion_gain_dn_per_e) > LIMITS.least_noise_dn:
+    darks = [level for level in levels if level.dark]
+    if darks and not quantised:
         own = {level.label: level for level in darks}
         reads = admissible_measurements(result, "read_noise", "DN")
         found += [_dark(m, own.get(m.stack or "", darks[0]), sensor, reference_v) for m in reads]
