@@ -105,7 +105,7 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool) -> l
     signal, variance, dark, sd = (column[columns[4] > 0] for column in columns[:4])
     pooled_dn = float(np.average(signal, weights=(signal / variance) ** 2))
     pooled = np.stack([measured[0].posterior[name] for name in ("power", "lag_factor")], axis=1)
-    if pooled[:, 1].std() == 0.0:
+    if np.ptp(pooled[:, 1]) == 0.0:
         # Too few frames to test image lag, which then biases their variance.
         return []
     slope = (variance - dark) / signal
