@@ -32,8 +32,8 @@ class Posterior:
     r_hat: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     #: Effective number of independent draws of each parameter, shape (parameter,)
     effective_sample_size: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    #: "emcee", "laplace" (curvature at the maximum) or "importance" (importance sampling). by their weight
-    sampler: Literal["emcee", "laplace", "importance"] = "emcee"
+    #: "emcee", "laplace" (curvature at the maximum), "importance" (importance sampling) or "slice"
+    sampler: Literal["emcee", "laplace", "importance", "slice"] = "emcee"
     seed: int = 0  #: Seed of the draws
     flags: tuple[str, ...] = ()  #: Reasons to distrust it
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from charact.fit import predicted_quantities
 from charact.fit.observation import Observation, admissible_measurements, one, sd_of
 from charact.fit.prior import VisibleCamera
+from charact.fit.thresholds import ERRORS, LIMITS
 from labdata.measurement import Curve, Result
 from labdata.session import Session
 
@@ -24,10 +25,6 @@ SPREAD = (
     "taper.interface_mtf_lp_per_mm",
     "video.bandwidth_mhz",
 )
-
-# Model error of the MTF, and spacing of its points; closer points are correlated.
-MTF_MODEL_SD = 0.004
-MTF_SPACING_CY_PER_PX = 0.04
 
 
 def mtf_observations(
@@ -50,7 +47,7 @@ def mtf_observations(
         if m.stack in bars and m.frequency_cy_per_px:
             angle_deg = m.orientation_deg if m.orientation_deg is not None else bars[m.stack].target.angle_deg
             fx, fy = _components(np.array([m.frequency_cy_per_px]), angle_deg or 0.0, sensor)
-            sd = float(np.hypot(sd_of(m), MTF_MODEL_SD))
+            sd = float(np.hypot(sd_of(m), ERRORS.mtf))
             predict = partial(predicted_quantities.mtf, across=fx, along=fy)
             found.append(one(f"mtf of {m.stack}", m.value or 0.0, sd, lambda v, f=predict: f(v)[:, 0], depends))
     return found
@@ -64,17 +61,17 @@ def _stack_of(name: str, line: Curve) -> str | None:
 def _curve(name: str, line: Curve, session: Session, sensor: VisibleCamera, result: Result, depends: tuple[str, ...]
            ) -> Observation:  # fmt: skip
     """Observe an MTF curve at frequencies far enough apart."""
-    wanted = np.arange(MTF_SPACING_CY_PER_PX, 0.45 + 1e-9, MTF_SPACING_CY_PER_PX)
+    wanted = np.arange(LIMITS.mtf_spacing_cy_per_px, LIMITS.mtf_highest_cy_per_px + 1e-9, LIMITS.mtf_spacing_cy_per_px)
     frequency = np.asarray(line.frequency_cy_per_px, float)
     low, high = np.asarray(line.interval68, float)
     value = np.interp(wanted, frequency, line.value)
     sd = np.interp(wanted, frequency, (high - low) / (2.0 * 0.994458))
-    used = (wanted >= frequency[0]) & (wanted <= frequency[-1]) & (value > 0.03)
+    used = (wanted >= frequency[0]) & (wanted <= frequency[-1]) & (value > LIMITS.least_mtf)
     angle_deg = _angle_deg(name, line, session, result)
     fx, fy = _components(wanted[used], angle_deg, sensor)
-    # Errors are correlated over 0.08 cy/px: closely spaced points add little information.
+    # Errors are correlated: closely spaced points add little information.
     apart, sd = np.abs(np.subtract.outer(wanted[used], wanted[used])), sd[used]
-    covariance = np.outer(sd, sd) * np.exp(-apart / 0.08) + MTF_MODEL_SD**2 * np.eye(sd.size)
+    covariance = np.outer(sd, sd) * np.exp(-apart / ERRORS.mtf_correlation_cy_per_px) + ERRORS.mtf**2 * np.eye(sd.size)
     return Observation(name=name, value=value[used], covariance=covariance, speaks_of=depends,
                        predict=partial(predicted_quantities.mtf, across=fx, along=fy))  # fmt: skip
 

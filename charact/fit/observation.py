@@ -12,8 +12,8 @@ from labdata.measurement import Measurement, Result
 
 Array = NDArray[np.float64]
 
-# Relative model error of noise quantities: sampling of the sensor rows, image lag.
-NOISE_MODEL_SD = 0.002
+# Of cameras without a tube, relative: nonlinearity of the photon transfer curve.
+NOISE_MODEL_SD = 0.01
 # Flags that add no bias; any other flag excludes a measurement from the fit.
 MILD = {"defects", "drift", "flicker", "gradient", "low-signal", "not-converged", "prior-bound", "too-few-frames"}
 
@@ -39,6 +39,17 @@ Predict = Callable[[Values], Array]
 
 
 @dataclass(frozen=True, kw_only=True)
+class Ridge:
+    """Surface on which a posterior is narrow: a product of many parameters that one number determines.
+
+    In coordinates with the number itself in place of one parameter the surface is a plane.
+    """
+
+    carrier: str  # path of the parameter, drawn as a logarithm, to which the number is inversely proportional
+    logarithm: Predict  # logarithm of the number: values of shape (n,) each -> (n,)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Observation:
     """Measured numbers with Gaussian errors and their predicted values."""
 
@@ -47,6 +58,7 @@ class Observation:
     covariance: Array  # covariance of their errors, model error included, shape (k, k)
     predict: Predict  # predictions for parameter draws: values of shape (n,) each -> (n, k)
     speaks_of: tuple[str, ...]  # paths of the sensor parameters that it depends on
+    ridge: "Ridge | None" = None  # the product that it determines far better than any of its parameters
 
     def chi_squared(self, values: Values) -> Array:
         """Return each draw's chi squared, shape (n,)."""

@@ -41,8 +41,6 @@ _FACTORS = (
 )
 # A parameter whose range spans more than this factor is a scale: drawn as its logarithm.
 SCALE_RATIO = 5.0
-# Parameters that enter as 1 + c / parameter: drawn as -1/parameter, in which the dependence is linear.
-_LIMITS = ("microchannel_plate.strip_current_ua_per_cm2",)
 # Half of a Gaussian's 95 % interval in standard deviations.
 HALF_WIDTH95_SD = 1.959964
 
@@ -52,7 +50,7 @@ class SensorPrior:
     """Independent priors: two half-Gaussians that meet at the value, so that low..high contain 95 %."""
 
     names: tuple[str, ...]  # paths of the parameters
-    # coordinate of a parameter, shape (parameter,): 1 the parameter, 0 its logarithm, -1 its negative inverse
+    # coordinate of a parameter, shape (parameter,): 1 the parameter, 0 its logarithm
     power: NDArray[np.int64]
     # centre, sd_below, sd_above: coordinate of the value and the two widths, shape (parameter,)
     centre: Array
@@ -90,16 +88,13 @@ class SensorPrior:
 
     def parameters(self, coordinates: Array) -> Array:
         """Return the parameters at coordinates, shape (n, parameter)."""
-        logarithmic, inverse = self.power == 0, self.power == -1
-        exponential = np.exp(np.where(logarithmic, coordinates, 0.0))
-        turned = -1.0 / np.where(inverse, coordinates, -1.0)
-        return np.where(logarithmic, exponential, np.where(inverse, turned, coordinates))
+        exponential = np.exp(np.where(self.power == 0, coordinates, 0.0))
+        return np.where(self.power == 0, exponential, coordinates)
 
     def coordinates(self, parameters: Array) -> Array:
         """Return the coordinates of parameters, shape (n, parameter)."""
         logarithms = np.log(np.where(self.power == 0, parameters, 1.0))
-        turned = -1.0 / np.where(self.power == -1, parameters, -1.0)
-        return np.where(self.power == 0, logarithms, np.where(self.power == -1, turned, parameters))
+        return np.where(self.power == 0, logarithms, parameters)
 
 
 def prior_of(sensor: VisibleCamera, requested: tuple[str, ...]) -> SensorPrior:
@@ -136,10 +131,10 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
     low, value, high = float(parameter.low or 0.0), float(parameter.value), float(parameter.high or 0.0)
     floor, ceiling = 0.0 if low == 0 else -np.inf if low < 0 else 0.02 * value, 1.0 if path in _AT_MOST_ONE else np.inf
     scale = path in _FACTORS or high > SCALE_RATIO * low
-    power = 1 if low <= 0 else -1 if path in _LIMITS else 0 if scale else 1
-    if power < 1:
+    power = 1 if low <= 0 else 0 if scale else 1
+    if power == 0:
         ends = np.array([floor, low, value, high, min(ceiling, 1e3 * value)])
-        floor, low, value, high, ceiling = (np.log(ends) if power == 0 else -1.0 / ends).tolist()
+        floor, low, value, high, ceiling = np.log(ends).tolist()
     least = 0.1 * (high - low) / HALF_WIDTH95_SD
     below, above = max((value - low) / HALF_WIDTH95_SD, least), max((high - value) / HALF_WIDTH95_SD, least)
     return power, value, below, above, floor, ceiling

@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.observation import Observation
+from charact.fit.observation import Observation, Ridge
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import (
     COMBINATIONS,
@@ -19,7 +18,9 @@ from charact.fit.prior import (
     values_of_description,
 )
 from charact.fit.silicon_observations import silicon_observations
+from charact.fit.slice_sampling import slice_sample
 from charact.fit.stack_levels import levels_of
+from charact.fit.thresholds import LIMITS, SAMPLING
 from charact.fit.tube_observations import tube_observations
 from charact.noise.illumination import relative_sd_of
 from labdata.camera_description import Parameter
@@ -30,14 +31,6 @@ from labdata.sensor import Draws, Sensor
 from labdata.session import Session
 
 Array = NDArray[np.float64]
-KEPT_DRAWS = 400
-# Rounds of adaptation, draws of each and freedom of its Student t.
-ROUNDS, ROUND_DRAWS, FREEDOM = 4, 3000, 8.0
-# Importance sampling: variance of the first density over the adapted one before the sampler doubles it, its draws, the
-# effective draws at which it ends, and those below which a Markov chain follows: 400 draws are kept.
-FIRST_WIDTH, FIRST_DRAWS, ENOUGH, LEAST_EFFECTIVE = 0.6, 12000, 1200.0, 500.0
-# Steps of that Markov chain; beyond, the draws are flagged.
-MOST_STEPS = 6000
 # Row pitch of pixels of known shape: it follows the column pitch.
 TIED = {"ccd.pitch_y_um": "ccd.pitch_x_um"}
 
@@ -78,6 +71,24 @@ class Model:
             out[inside] = density[inside] - 0.5 * self.misfit(coordinates[inside])
         return out
 
+    @cached_property
+    def ridges(self) -> tuple[tuple[int, Ridge], ...]:
+        """Place of the carrier among the coordinates, and the ridge, of every observation that has one."""
+        known = [one.ridge for one in self.observed if one.ridge is not None and one.ridge.carrier in self.prior.names]
+        return tuple((self.prior.names.index(one.carrier), one) for one in known)
+
+    def bend(self, points: Array) -> Array:
+        """Return the coordinates of points whose carriers are straightened, shape (n, parameter).
+
+        A carrier c of the number N(others)/c is replaced by c N(centre)/N(others): a shear, of unit determinant.
+        """
+        out, centre = points.copy(), self.prior.centre[None]
+        inside = np.clip(points, self.prior.bounds[:, 0], self.prior.bounds[:, 1])
+        for place, ridge in self.ridges:
+            inside[:, place] = centre[0, place]
+            out[:, place] += ridge.logarithm(self.values(inside)) - ridge.logarithm(self.values(centre))
+        return out
+
 
 def model_of(sensor: VisibleCamera, observed: tuple[Observation, ...]) -> Model:
     """Return the model of the parameters that the observations depend on."""
@@ -115,7 +126,7 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
     parts = {one.name: float(one.chi_squared(model.values(best[None]))[0]) for one in model.observed}
     parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])
     numbers, total = sum(one.value.size for one in model.observed), sum(parts.values())
-    if total <= chdtri(numbers, 1e-4):
+    if total <= chdtri(numbers, LIMITS.misfit):
         return model, None
     factor = float(np.sqrt(total / numbers))
     worst = max(parts, key=lambda name: parts[name])
@@ -127,57 +138,27 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
 
 
 def posterior_of(model: Model, *, seed: int) -> Posterior:
-    """Draw the joint posterior in the prior's coordinates.
+    """Draw the joint posterior in the prior's coordinates."""
+    from charact.posterior import find_maximum
 
-    Importance sampling from a density that was adapted to the posterior; a Markov chain where it fails.
-    """
-    from charact.posterior import find_maximum, importance_sample, sample
+    prior, bounds = model.prior, model.prior.bounds.copy()
+    bounds[[place for place, _ in model.ridges]] = -np.inf, np.inf
 
-    prior = model.prior
-    point, covariance = find_maximum(model.log_probability, prior.centre, prior.bounds)
+    def log_probability(points: Array) -> Array:
+        return model.log_probability(model.bend(points))
+
+    point, covariance = find_maximum(log_probability, prior.centre, bounds)
     if FULL_WELL in prior.names:
         # A lower bound alone: the curvature at the bound says nothing of the width above it.
         well = prior.names.index(FULL_WELL)
         covariance[well, :] = covariance[:, well] = 0.0
         covariance[well, well] = prior.sd[well] ** 2
-    point, covariance = adapted_moments(model.log_probability, point, covariance, np.random.default_rng([seed, 2]))
-    settings: dict[str, Any] = {
-        "names": prior.names, "units": ("1",) * len(prior.names), "start": point, "seed": seed, "bounds": prior.bounds,
-        "draws": KEPT_DRAWS,
-    }  # fmt: skip
-    found = importance_sample(
-        model.log_probability, **settings, covariance=FIRST_WIDTH * covariance, enough=ENOUGH, first_draws=FIRST_DRAWS
-    )
-    if found.effective_sample_size[0] >= LEAST_EFFECTIVE:
-        return found
-    return sample(model.log_probability, **settings, covariance=covariance, max_steps=MOST_STEPS)
-
-
-def adapted_moments(
-    log_probability: Callable[[Array], Array], point: Array, covariance: Array, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Return mean and covariance of a posterior, of a maximum and the curvature there.
-
-    Population Monte Carlo: weighted draws of a Student t give the mean and covariance of the next one. Weights are cut
-    at their mean times the root of the number of draws, so that no draw decides (Ionides 2008, doi
-    10.1198/106186008X320456).
-    """
-    for _ in range(ROUNDS):
-        normal = rng.standard_normal((ROUND_DRAWS, point.size))
-        stretch = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, ROUND_DRAWS))
-        points = point + (normal * stretch[:, None]) @ np.linalg.cholesky(covariance).T
-        tail = -0.5 * (FREEDOM + point.size) * np.log1p((normal**2).sum(axis=1) * stretch**2 / FREEDOM)
-        log_weight = log_probability(points) - tail
-        weight = np.exp(log_weight - log_weight.max())
-        weight = np.minimum(weight, weight.mean() * np.sqrt(ROUND_DRAWS))
-        point = np.average(points, axis=0, weights=weight)
-        covariance = np.asarray(np.atleast_2d(np.cov(points.T, aweights=weight)), np.float64)
-    return point, covariance
+    found = slice_sample(log_probability, names=prior.names, point=point, covariance=covariance, seed=seed)
+    return replace(found, draws=model.bend(found.draws))
 
 
 FULL_WELL = "ccd.full_well_e"
 GAIN = "video.conversion_gain_dn_per_e"
-CANDIDATES = 400
 
 
 def fills_the_scale(session: Session) -> bool:
@@ -197,17 +178,13 @@ def full_well_draws(sensor: VisibleCamera, drawn: dict[str, Array], rng: np.rand
         return None
     black = drawn.get("video.black_level_dn", np.array([float(sensor.video.black_level_dn)]))
     least = (2**sensor.video.bit_depth - 1 - black) / drawn[GAIN]
-    tried = np.sort(prior.parameters(prior.draw(rng, CANDIDATES))[:, 0])
+    tried = np.sort(prior.parameters(prior.draw(rng, SAMPLING.candidates))[:, 0])
     first = np.searchsorted(tried, least)
-    picked = first + np.floor(rng.random(least.size) * (CANDIDATES - first)).astype(int)
-    return np.where(first < CANDIDATES, tried[np.minimum(picked, CANDIDATES - 1)], least)
+    picked = first + np.floor(rng.random(least.size) * (SAMPLING.candidates - first)).astype(int)
+    return np.where(first < SAMPLING.candidates, tried[np.minimum(picked, SAMPLING.candidates - 1)], least)
 
 
 Progress = Callable[[str, float], None]
-# A parameter is identified if its posterior is narrower than this fraction of its prior, in standard deviations.
-IDENTIFIED_SHARE = 0.7
-# Quantile of its posterior below which, or above its complement, the mode is no typical value.
-EDGE = 0.1
 # Parameters that the systematic uncertainty of the light meter affects.
 _METERED = (
     "tube.luminous_gain",
@@ -357,7 +334,7 @@ def _typical(model: Model, draws: Array) -> Array:
     middle = np.median(draws, axis=0)
     point = most_probable(model, middle, np.ones(middle.size, bool))
     place = np.mean(draws < point, axis=0)
-    inside = (place > EDGE) & (place < 1.0 - EDGE)
+    inside = (place > LIMITS.edge) & (place < 1.0 - LIMITS.edge)
     return most_probable(model, np.where(inside, point, middle), inside)
 
 
@@ -380,7 +357,7 @@ def _remaining_width(sensor: VisibleCamera, path: str, drawn: Array) -> float:
 
 def _parameter(before: Parameter, value: float, draws: Array, left: float) -> Parameter:
     """Return one parameter of the fitted description; `left` is the remaining fraction of its prior's width."""
-    if left >= IDENTIFIED_SHARE:
+    if left >= LIMITS.identified:
         said = f"requested, but not identified by the session's data: {left:.0%} of the prior's width remains"
         low, high = (value if end is None else end for end in (before.low, before.high))
         source = f"{said}; prior: {before.source}"

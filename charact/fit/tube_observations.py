@@ -9,20 +9,21 @@ from scipy.linalg import block_diag
 
 from charact.fit import predicted_quantities
 from charact.fit.mtf_observations import SPREAD, mtf_observations
-from charact.fit.observation import NOISE_MODEL_SD, Observation, admissible_measurements, one, sd_of
+from charact.fit.observation import Observation, Ridge, admissible_measurements, one, sd_of
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
+from charact.fit.thresholds import ERRORS, LIMITS
 from charact.fit.tube_pattern_observations import frame_observations
-from charact.noise.rounding import QUANTISATION_DN2, variance_range_before_rounding
 from labdata.measurement import Measurement, Result
 from labdata.sensor import Sensor
 from labdata.session import Session
 
 Array = NDArray[np.float64]
 
+SENSITIVITY = "photocathode.luminous_sensitivity_ua_per_lm"
 GAIN = (
-    "photocathode.luminous_sensitivity_ua_per_lm",
+    SENSITIVITY,
     "tube.luminous_gain",
     "taper.transmission",
     "ccd.quantum_efficiency",
@@ -39,11 +40,6 @@ LEVEL = (
     "video.black_level_dn",
     "taper.demagnification",
 )
-# Minimum noise at which quantisation is additive, DN.
-LEAST_NOISE_DN = 0.5
-NEIGHBOUR_MODEL_SD = 0.001
-# Error of a mean that is attracted to whole numbers, DN.
-LEANING_DN = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +54,7 @@ class _Noise:
     covariance: Array  # shape (k, k)
     predict: Callable[[Values, Array, tuple[Array, Array]], Array]
     speaks_of: tuple[str, ...] = NOISE
+    ridge: int | None = None  # index of a number known far better than the parameters that it depends on
 
 
 def noise_observations(
@@ -70,13 +67,15 @@ def noise_observations(
     # Of several voltages, the one with most flats is the session's.
     volts = max(dict.fromkeys(known), key=known.count) if known else reference_v
     gates_s = [level.gate_s for level in levels if not level.dark and level.mcp_v == volts]
-    found = _of_flats(result, volts, float(np.median(gates_s)) if gates_s else np.inf)
-    found = found or _separate(result, {entry.label: entry.conditions.mcp_v for entry in session.stacks}, volts)
+    # The read noise must be large against the quantisation step, so that rounding of darks is additive.
+    least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
+    quantised = least_e * float(sensor.video.conversion_gain_dn_per_e) <= LIMITS.least_noise_dn
+    found = _of_flats(result, volts, float(np.median(gates_s)) if gates_s else np.inf, quantised)
+    volts_of = {entry.label: entry.conditions.mcp_v for entry in session.stacks}
+    found += [one for one in _separate(result, volts_of, volts) if one.mcp_v != volts or not found]
     found += _neighbours(result, volts)
     darks = [level for level in levels if level.dark]
-    # The read noise must be large against the quantisation step, so that rounding is additive.
-    least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
-    if darks and least_e * float(sensor.video.conversion_gain_dn_per_e) > LEAST_NOISE_DN:
+    if darks and not quantised:
         own = {level.label: level for level in darks}
         reads = admissible_measurements(result, "read_noise", "DN")
         found += [_dark(m, own.get(m.stack or "", darks[0]), sensor, reference_v) for m in reads]
@@ -86,7 +85,7 @@ def noise_observations(
     ]
 
 
-def _of_flats(result: Result, mcp_v: float, gate_s: float) -> list[_Noise]:
+def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool) -> list[_Noise]:
     """Observe noise power at frequency 0 and lag factor of the pooled flats, and the variance of every flat.
 
     All are those of single exposures, per DN of signal: image lag leaves the fraction s of power and variance, and the
@@ -106,17 +105,18 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float) -> list[_Noise]:
         return []
     signal, variance, dark, sd = (column[columns[4] > 0] for column in columns[:4])
     pooled_dn = float(np.average(signal, weights=(signal / variance) ** 2))
-    power, lag = (measured[0].posterior[name] for name in ("power", "lag_factor"))
-    # Without a test of image lag its factor is no measurement.
-    pooled = np.stack([power, lag], axis=1)[:, : 2 if lag.std() > 0.0 else 1]
-    # Rounding may hide the noise of a dark; mean and variance of the dark are errors of every flat.
-    ranges = np.array([variance_range_before_rounding(float(one)) for one in dark])
-    slope = (variance - QUANTISATION_DN2 - ranges.mean(axis=1)) / signal
+    pooled = np.stack([measured[0].posterior[name] for name in ("power", "lag_factor")], axis=1)
+    if np.ptp(pooled[:, 1]) == 0.0:
+        # Too few frames to test image lag, which then biases their variance.
+        return []
+    slope = (variance - dark) / signal
     value = np.concatenate([np.median(pooled, axis=0), slope])
-    hidden = np.ptp(ranges, axis=1)
-    common = [LEANING_DN * (hidden > 0.0) * slope / signal, hidden / np.sqrt(12.0) / signal]
+    # Rounding may hide the noise of a dark; mean and variance of the dark are errors of every flat.
+    common = [ERRORS.leaning_dn * quantised * slope / signal, ERRORS.rounding_dn2 * quantised / signal]
     own = np.diag((sd / signal) ** 2) + sum(np.outer(one, one) for one in common)
-    covariance = block_diag(np.cov(pooled.T), own) + np.diag((NOISE_MODEL_SD * value) ** 2)
+    measured_errors = np.asarray(block_diag(np.cov(pooled.T), own), np.float64)
+    model = np.array([ERRORS.power, ERRORS.noise, *(ERRORS.noise for _ in signal)])
+    covariance = measured_errors + np.diag((model * value) ** 2)
 
     def predict(values: Values, gain: Array, shape: tuple[Array, Array]) -> Array:
         left = predicted_quantities.lag_noise_fraction(values, gate_s)
@@ -125,13 +125,18 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float) -> list[_Noise]:
         def power_of(signal_dn: float) -> Array:
             return predicted_quantities.covariance_gain(values, left * gain * (1.0 - loss(values, signal_dn)))
 
-        factor = predicted_quantities.covariance_gain(values, gain) / predicted_quantities.covariance_gain(
-            values, left * gain
-        )
-        first = [power_of(pooled_dn), factor][: value.size - slope.size]
-        return np.stack(np.broadcast_arrays(*first, *(shape[0] * power_of(one) for one in signal)), axis=1)
+        power = power_of(pooled_dn)
+        loaded = gain * (1.0 - loss(values, pooled_dn))
+        factor = predicted_quantities.covariance_gain(values, loaded) / power
+        slopes = [shape[0] * power_of(one) for one in signal]
+        return np.stack(np.broadcast_arrays(power, factor, *slopes), axis=1)
 
-    return [_Noise(mcp_v=mcp_v, value=value, covariance=covariance, predict=predict, speaks_of=(*SHAPE, *LAG, STRIP))]
+    return [
+        _Noise(
+            mcp_v=mcp_v, value=value, covariance=covariance, predict=predict, speaks_of=(*SHAPE, *LAG, STRIP),
+            ridge=2,
+        )
+    ]  # fmt: skip
 
 
 def _separate(result: Result, volts_of: Mapping[str, float | None], usual_v: float) -> list[_Noise]:
@@ -142,7 +147,7 @@ def _separate(result: Result, volts_of: Mapping[str, float | None], usual_v: flo
         ("blur_factor", None, lambda _, __, shape: shape[0], SHAPE),
     ):
         for m in admissible_measurements(result, quantity, unit):
-            sd = float(np.hypot(sd_of(m), NOISE_MODEL_SD * (m.value or 0.0)))
+            sd = float(np.hypot(sd_of(m), ERRORS.noise * (m.value or 0.0)))
             at = float(volts_of.get(m.stack or "") or usual_v)
             found.append(_number(at, m.value or 0.0, sd, predict, depends))
     return found
@@ -168,7 +173,7 @@ def _neighbours(result: Result, volts: float) -> list[_Noise]:
     columns = [measured.get(name, ()) for name in ("label", "neighbour_correlation", "neighbour_sd")]
     usable = [(signal[label], value, sd) for label, value, sd in zip(*columns, strict=True) if label in signal]
     return [
-        _number(volts, value, float(np.hypot(sd, NEIGHBOUR_MODEL_SD)), lambda _, __, shape: shape[1], SHAPE)
+        _number(volts, value, float(np.hypot(sd, ERRORS.neighbour)), lambda _, __, shape: shape[1], SHAPE)
         for _, value, sd in sorted(usable)[-1:]
     ]
 
@@ -183,10 +188,15 @@ def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observat
         count = max(len(one) for one in found)
         return np.concatenate([np.broadcast_to(one, (count, one.shape[1])) for one in found], axis=1)
 
+    # The numbers of the flats stand first.
+    ridge = None
+    if parts[0].ridge is not None:
+        at = parts[0].ridge
+        ridge = Ridge(carrier=SENSITIVITY, logarithm=lambda values: np.log(predict(values)[:, at]))
     return Observation(
         name="noise", value=np.concatenate([part.value for part in parts]),
-        covariance=block_diag(*(part.covariance for part in parts)), predict=predict,
-        speaks_of=tuple(dict.fromkeys(path for part in parts for path in part.speaks_of)),
+        covariance=np.asarray(block_diag(*(part.covariance for part in parts)), np.float64), predict=predict,
+        speaks_of=tuple(dict.fromkeys(path for part in parts for path in part.speaks_of)), ridge=ridge,
     )  # fmt: skip
 
 
@@ -206,7 +216,7 @@ def _dark(m: Measurement, dark: StackMean, sensor: Sensor, reference_v: float) -
         own = predicted_quantities.dark_variance(values, gain, shape[0], dark.gate_s)
         return own + predicted_quantities.ion_variance(values, gain, shape[0], dark.gate_s)
 
-    sd = float(np.hypot.reduce([2.0 * (m.value or 0.0) * sd_of(m), NOISE_MODEL_SD * variance, spread]))
+    sd = float(np.hypot.reduce([2.0 * (m.value or 0.0) * sd_of(m), ERRORS.noise * variance, spread]))
     depends = ("ccd.read_noise_e", "photocathode.ebi_lm_per_cm2", *NOISE)
     return _number(dark.mcp_v, variance, sd, predict, depends)
 
@@ -222,8 +232,7 @@ def tube_observations(
     reference_v = float(sensor.microchannel_plate.reference_v)
     found = mtf_observations(session, sensor, result) + noise_observations(session, sensor, result, levels)
     for m in admissible_measurements(result, "halo_diameter"):
-        # The halo edge is located on pixels.
-        sd, depends = float(np.hypot(sd_of(m), 0.1)), ("photocathode.gap_mm", "taper.demagnification")
+        sd, depends = float(np.hypot(sd_of(m), ERRORS.halo_px)), ("photocathode.gap_mm", "taper.demagnification")
         found.append(one("halo diameter", m.value or 0.0, sd, predicted_quantities.halo_diameter_px, depends))
     path = "photocathode.halo_fraction"
     for m in admissible_measurements(result, "halo_fraction"):
@@ -234,21 +243,14 @@ def tube_observations(
     return tuple(found)
 
 
-# Relative model error of the variance of a tube's fixed pattern: blur of the screen's grain.
-PATTERN_MODEL_SD = 0.1
-# Variance of a hexagonal pattern of lines over its squared contrast: 2 w/P sqrt(pi)/2 of Gaussian lines of width w, a
-# fibre or two of 6 um, at the pitch P of 0.5 mm.
-LINE_AREA = 0.03
-
-
 def _fixed_patterns(sensor: Sensor, result: Result) -> list[Observation]:
     """Observe the relative variance of the fixed pattern; the lines of the multi-fibres are a systematic error."""
     plates = (sensor.taper.pattern_contrast, sensor.microchannel_plate.pattern_contrast)
-    lines = sum(LINE_AREA * (plate.high or float(plate)) ** 2 / 2.0 for plate in plates)
+    lines = sum(ERRORS.line_area * (plate.high or float(plate)) ** 2 / 2.0 for plate in plates)
     found = []
     for m in admissible_measurements(result, "prnu", "%"):
         value = 1e-4 * (m.value or 0.0) ** 2
-        sd = float(np.hypot.reduce([2e-4 * (m.value or 0.0) * sd_of(m), PATTERN_MODEL_SD * value, lines]))
+        sd = float(np.hypot.reduce([2e-4 * (m.value or 0.0) * sd_of(m), ERRORS.pattern * value, lines]))
         depends = ("ccd.prnu", "phosphor.gain_nonuniformity")
         found.append(one("fixed pattern", value, sd, predicted_quantities.spatial_variance, depends))
     return found
@@ -272,8 +274,9 @@ def _levels(levels: tuple[StackMean, ...], reference_v: float) -> Observation:
         return one["video.black_level_dn"] + gain * events / (1.0 + load)
 
     # With little noise the mean is attracted to whole numbers.
-    leaning = np.array([LEANING_DN if level.noise_dn < LEAST_NOISE_DN else 0.0 for level in levels])
-    variance = own**2 + 0.03**2 + (0.003 * mean) ** 2 + leaning**2
+    leaning = np.array([ERRORS.leaning_dn if level.noise_dn < LIMITS.least_noise_dn else 0.0 for level in levels])
+    lit = ERRORS.level * np.maximum(mean - mean.min(), 0.0)
+    variance = own**2 + ERRORS.black_dn**2 + lit**2 + leaning**2
     extra = ("microchannel_plate.gain_exponent",) if len(set(mcp_v.tolist())) > 1 else ()
     return Observation(
         name="levels", value=mean, covariance=np.diag(variance), predict=predict, speaks_of=(*LEVEL, *extra)

@@ -10,12 +10,13 @@ import pytest
 from charact.fit import fit_sensor, predicted_quantities
 from charact.fit.prior import prior_of, values_of_description
 from charact.fit.sensor import (
-    KEPT_DRAWS,
     description_from_posterior,
     inflate_errors,
     model_of,
     posterior_of,
 )
+from charact.fit.slice_sampling import adapt
+from charact.fit.thresholds import SAMPLING
 from charact.fit.tube_observations import tube_observations
 from charact.posterior import find_maximum
 from labdata.errors import BadInput
@@ -25,24 +26,21 @@ from labdata.sensors import load_sensor, save_sensor
 from labdata.session import Session
 
 SPECIMENS = 3
-POINTS, FREEDOM = 3000, 8.0
+POINTS, FREEDOM = 20000, 8.0
 
 
 def _weighed_posterior(told, seed: int) -> Posterior:
     """Draws by repeated importance sampling from a Student t: the posterior without a Markov chain."""
     model, rng = told.model, np.random.default_rng(seed)
     point, covariance = find_maximum(model.log_probability, model.prior.centre, model.prior.bounds)
-    for _ in range(4):
-        normal = rng.standard_normal((POINTS, point.size))
-        stretch = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, POINTS))
-        points = point + (normal * stretch[:, None]) @ np.linalg.cholesky(covariance).T
-        tail = -0.5 * (FREEDOM + point.size) * np.log1p((normal**2).sum(axis=1) * stretch**2 / FREEDOM)
-        weight = model.log_probability(points) - tail
-        weight = np.exp(weight - weight.max())
-        # Cut so that no lucky point is all (Ionides 2008).
-        weight = np.minimum(weight, weight.mean() * np.sqrt(POINTS))
-        point, covariance = np.average(points, axis=0, weights=weight), np.cov(points.T, aweights=weight)
-    draws = points[rng.choice(POINTS, size=KEPT_DRAWS, p=weight / weight.sum())]
+    point, covariance, _ = adapt(model.log_probability, point, covariance, rng)
+    normal = rng.standard_normal((POINTS, point.size))
+    stretch = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, POINTS))
+    points = point + (normal * stretch[:, None]) @ np.linalg.cholesky(covariance).T
+    tail = -0.5 * (FREEDOM + point.size) * np.log1p((normal**2).sum(axis=1) * stretch**2 / FREEDOM)
+    weight = model.log_probability(points) - tail
+    weight = np.exp(weight - weight.max())
+    draws = points[rng.choice(POINTS, size=SAMPLING.kept, p=weight / weight.sum())]
     names = model.prior.names
     return Posterior(names=names, units=("1",) * len(names), draws=draws, sampler="laplace")
 
@@ -154,7 +152,7 @@ def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> 
     halo = Result(measurements=told.result.find("halo_diameter"))
     model = model_of(told.session.sensor, tube_observations(told.session, told.session.sensor, halo, ()))
     posterior = posterior_of(model, seed=seed)
-    assert posterior.sampler in ("importance", "emcee")
+    assert posterior.sampler == "slice" and not posterior.flags
     sensor = description_from_posterior(model, posterior, illuminance_relative_sd=0.03, seed=seed)
     assert sensor.photocathode.gap_mm.standing == "fitted"
     assert {p for p, parameter in sensor.parameters().items() if parameter.standing in ("fitted", "prior")} == {
