@@ -10,20 +10,19 @@ from charact.report.number_format import MINUS, short_text
 from charact.report.report_images import ReportImage, as_jpeg
 from charact.report.validation_figures import (
     deviations_by_statistic,
-    figures_by_name,
     left_out,
     named_deviations,
+    overlay_figure,
     power_figure,
     residual_figure,
 )
 from charact.validation import SAME_SESSION, FramePair, Statistic, Validation, ValidationControl
 
-# Overlays of the noise and of targets, in their order on the page.
-NOISE = (
+# Overlays in their order on the page.
+OVERLAYS = (
     "photon-transfer", "covariance", "noise-spectrum-horizontal", "noise-spectrum-vertical", "autocorrelation",
-    "histogram-dark", "histogram-flat",
+    "histogram-dark", "histogram-flat", "mtf", "point",
 )  # fmt: skip
-TARGETS = ("mtf", "point")
 # Parameters that the sentence of power names at each end.
 NAMED = 3
 # Weakest quality of a JPEG, and most bytes of one: 40 kB are 60 kB in base64.
@@ -74,7 +73,7 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
         pairs=tuple(_pictures(pair, aspect) for pair in drawn.pairs),
         patterns=tuple(_pictures(pair, aspect, pattern=True) for pair in drawn.patterns),
         residuals=tuple(residual_figure(one, aspect) for one in drawn.residuals),
-        figures=figures_by_name(drawn.overlays, (*NOISE, *TARGETS)),
+        figures=tuple(overlay_figure(name, drawn.overlays[name]) for name in OVERLAYS if name in drawn.overlays),
         deviations=(*named_deviations(validation), *deviations_by_statistic(validation)),
         power=power_figure(validation),
         columns=("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", "Deviates most", "Verdict"),

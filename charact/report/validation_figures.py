@@ -1,6 +1,6 @@
 """Figures of the validation section: curves with the simulated band, residuals, deviations by name, and power."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -119,15 +119,11 @@ def _minus(text: str) -> str:
 
 def deviations(statistic: Statistic) -> NDArray[np.float64]:
     """Return the deviations of a statistic's numbers from their predictions, sd; empty where none was measurable."""
-    if not statistic.measured or len(statistic.measured) != len(statistic.low95) or not _is_known(statistic):
+    # One that was not measurable names none of its numbers as the worst.
+    if not statistic.measured or statistic.worst not in ("", *statistic.labels):
         return np.array([])
     low, high, measured = (np.asarray(v, float) for v in (statistic.low95, statistic.high95, statistic.measured))
     return TWO_SIDED_95 * (measured - (low + high) / 2) / np.maximum((high - low) / 2, 1e-300)
-
-
-def _is_known(statistic: Statistic) -> bool:
-    """Return whether the worst number is one of the statistic's: one that was not measurable names none."""
-    return not statistic.worst or statistic.worst in statistic.labels
 
 
 def chance_limit(numbers: int, draws: int) -> float:
@@ -245,8 +241,3 @@ def left_out(overlays: Mapping[str, Any]) -> tuple[str, ...]:
         "point": "No halo profile is drawn: the session has no point source that was found in all sets.",
     }
     return tuple(sentence for name, sentence in reasons.items() if name not in overlays)
-
-
-def figures_by_name(overlays: Mapping[str, Mapping[str, Any]], names: Sequence[str]) -> tuple[Figure, ...]:
-    """Plot the overlays of some names that there are."""
-    return tuple(overlay_figure(name, overlays[name]) for name in names if name in overlays)

@@ -99,7 +99,7 @@ class _Bench:
         )
         self.rng = np.random.default_rng([seed, 7])
         self.fitted = bool(sensor.draws.values)
-        self._chosen, self._sensor = chosen, sensor
+        self.chosen, self._sensor = chosen, sensor
         self._progress, self._steps, self._done = progress, steps, 0
 
     def draw_camera(self) -> VisibleCamera:
@@ -115,18 +115,18 @@ class _Bench:
         """Return a simulated set of frames by label; `others` are stacks besides the compared ones."""
         self._progress("simulating sets of frames", self._done / self._steps)
         self._done += 1
-        return simulate_frames(camera, (*self._chosen.compared, *others), seed=seed, like=self._sensor)
+        return simulate_frames(camera, (*self.chosen.compared, *others), seed=seed, like=self._sensor)
 
     def features(self, frames: Frames) -> FrameFeatures:
         """Return the numbers of a set of frames."""
-        return features_of(frames, self._chosen, context=self.context)
+        return features_of(frames, self.chosen, context=self.context)
 
     def difference_of_halves(self, frames: Frames) -> dict[str, dict[str, float]]:
         """Return the numbers of every second frame less those of the others; empty where stacks are too short."""
-        stacks = (self._chosen.dark, *self._chosen.flats)
+        stacks = (self.chosen.dark, *self.chosen.flats)
         if min(len(frames[shot.label]) for shot in stacks) < 2 * VALIDATION.fewest_frames:
             return {}
-        alone = replace(self._chosen, edge=None, point=None)
+        alone = replace(self.chosen, edge=None, point=None)
         one, other = (
             features_of({shot.label: frames[shot.label][start::2][: VALIDATION.frames // 2] for shot in stacks}, alone,
                         context=self.context).groups
@@ -136,23 +136,6 @@ class _Bench:
             name: {label: value - other[name].get(label, np.nan) for label, value in group.items()}
             for name, group in one.items()
         }
-
-    def halves_of_measured(self) -> dict[str, dict[str, float]]:
-        """Return the difference of both halves of the measured frames."""
-        return self.difference_of_halves(self._chosen.measured)
-
-    def put_fault(self, frames: Frames, name: str) -> Frames:
-        """Return frames with a fault."""
-        return put_fault(frames, self._chosen, name, self.rng)
-
-    def curves(self, frames: Frames, levels: tuple[MatchedFrames, ...]) -> FigureCurves:
-        """Return the curves of a set of frames for the figures."""
-        return curves_of(frames, self._chosen, levels)
-
-    @property
-    def pictured(self) -> tuple[MatchedFrames, ...]:
-        """Stacks for display only, one frame each."""
-        return tuple(replace(shot, frames=1) for shot in self._chosen.others)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,16 +153,17 @@ class _SimulatedSets:
 def _simulate_sets(bench: _Bench, levels: tuple[MatchedFrames, ...]) -> _SimulatedSets:
     """Simulate the ensemble, a posterior draw a set; of the levels of a point source only the curves are taken."""
     base, base_seed = bench.draw_camera(), bench.draw_seed()
+    pictured = tuple(replace(shot, frames=1) for shot in bench.chosen.others)
     first: Frames = {}
     features, halves, curves = [], [], []
     for index in range(VALIDATION.draws):
         camera = bench.draw_camera() if index else base
         seed = bench.draw_seed() if index else base_seed
-        frames = bench.simulate(camera, seed, levels if index else (*bench.pictured, *levels))
+        frames = bench.simulate(camera, seed, levels if index else (*pictured, *levels))
         first = first or frames
         features.append(bench.features(frames))
         halves.append(bench.difference_of_halves(frames))
-        curves.append(bench.curves(frames, levels))
+        curves.append(curves_of(frames, bench.chosen, levels))
     return _SimulatedSets(
         base=base, base_seed=base_seed, first=first, features=tuple(features), halves=tuple(halves),
         curves=tuple(curves),
@@ -195,7 +179,7 @@ def _null_controls(
     found = [ValidationControl(name="null", title=NULL, statistics=test.statistics(again.groups))]
     if sets.halves[0]:
         own = ValidationTest(list(sets.halves), seed=seed)
-        statistics = own.statistics(bench.halves_of_measured())
+        statistics = own.statistics(bench.difference_of_halves(bench.chosen.measured))
         found.append(ValidationControl(name="null", title=HALVES, statistics=statistics))
     return tuple(found)
 
@@ -221,6 +205,6 @@ def _put_faults(bench: _Bench, test: ValidationTest, first: Frames) -> tuple[Val
     """Return a negative control a fault of the frames."""
     found = []
     for name in FAULTS:
-        statistics = test.statistics(bench.features(bench.put_fault(first, name)).groups)
+        statistics = test.statistics(bench.features(put_fault(first, bench.chosen, name, bench.rng)).groups)
         found.append(ValidationControl(name="negative", title=name, statistics=statistics))
     return tuple(found)
