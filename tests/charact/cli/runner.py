@@ -6,6 +6,7 @@ from pathlib import Path
 from typer.testing import CliRunner, Result
 
 from charact.cli.application import app
+from labdata.infrared_imager import InfraredImager
 from labdata.sensors import load_camera, save_sensor
 
 
@@ -34,3 +35,36 @@ def small_camera(folder: Path, rows: int, columns: int, name: str = "pulnix-ag57
     camera = load_camera(name)
     save_sensor(replace(camera, ccd=replace(camera.ccd, rows=rows, columns=columns)), folder / f"{name}.toml")
     return folder / f"{name}.toml"
+
+
+# A scene of level ground and a box, whose size and place are to be added at its end; CAMERA is where the camera stands.
+LAWN = """
+name = "a box on a lawn"
+place = { latitude_deg = 43.16, longitude_deg = -77.61, time = 1998-06-24T02:00:00-04:00 }
+weather = { temperature_c = 16, relative_humidity = 0.7, wind_m_s = 1 }
+camera = { CAMERA }
+[[material]]
+label = "lawn"
+library = "green-canopy"
+[[material]]
+label = "paint"
+library = "olive-drab-paint"
+[[object]]
+label = "ground"
+shape = "ground"
+size_m = [400]
+material = "lawn"
+[[object]]
+label = "box"
+shape = "box"
+material = "paint"
+"""
+
+
+def small_imager(folder: Path, name: str, table: str, **size: int) -> Path:
+    """Write the description of a shipped thermal imager with few pixels as thermal.toml, and return its path."""
+    imager = load_camera(name)
+    assert isinstance(imager, InfraredImager)
+    few = replace(getattr(imager, table), **size)
+    save_sensor(replace(imager, **{table: few}), folder / "thermal.toml")
+    return folder / "thermal.toml"

@@ -1,59 +1,38 @@
 """`charact simulate` of a scene for thermal imagers, alone and with a camera of visible light on one rig."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from labdata.infrared_imager import InfraredImager
-from labdata.sensors import load_camera, save_sensor
+from labdata.sensors import load_camera
 from labdata.session import open_session
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.outdoor.scene import RigSensor, SceneCamera
 from simulate.radiance_files import save_view_radiance
-from tests.charact.cli.runner import assert_one_sentence, charact, done_well, small_camera
+from tests.charact.cli.runner import LAWN, assert_one_sentence, charact, done_well, small_camera, small_imager
 
-SCENE = """
-name = "a box on a lawn"
-place = { latitude_deg = 43.16, longitude_deg = -77.61, time = 1998-06-24T02:00:00-04:00 }
-weather = { temperature_c = 16, relative_humidity = 0.7 WIND }
-camera = { position_m = [0, -9, 1.5], look_at_m = [0, 0, 1] }
-[[material]]
-label = "lawn"
-library = "green-canopy"
-[[material]]
-label = "paint"
-library = "olive-drab-paint"
-[[object]]
-label = "ground"
-shape = "ground"
-size_m = [400]
-material = "lawn"
-[[object]]
-label = "box"
-shape = "box"
+SCENE = (
+    LAWN.replace("CAMERA", "position_m = [0, -9, 1.5], look_at_m = [0, 0, 1]")
+    + """
 size_m = [1.2, 1.2, 1.6]
-material = "paint"
 [rig.visible]
 offset_m = [0.2, 0, 0]
 [rig.thermal]
 pointing_deg = [4, 0]
 delay_s = 0.5
 """
+)
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """A scene with and one without wind, a small scanner and a small camera of visible light."""
     folder = tmp_path_factory.mktemp("rig")
-    (folder / "scene.toml").write_text(SCENE.replace("WIND", ", wind_m_s = 1"))
-    (folder / "still.toml").write_text(SCENE.replace("WIND", ""))
-    imager = load_camera("scanning-lwir")
-    assert isinstance(imager, InfraredImager) and imager.scanner is not None
-    few = replace(imager.scanner, lines_per_field=20, samples=48)
-    save_sensor(replace(imager, scanner=few), folder / "thermal.toml")
+    (folder / "scene.toml").write_text(SCENE)
+    (folder / "still.toml").write_text(SCENE.replace(", wind_m_s = 1", ""))
+    small_imager(folder, "scanning-lwir", "scanner", lines_per_field=20, samples=48)
     small_camera(folder, 24, 32).rename(folder / "visible.toml")
     return folder
 

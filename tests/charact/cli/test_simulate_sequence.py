@@ -1,37 +1,17 @@
 """`charact simulate` of a moving scene: a camera of visible light and a thermal imager in step."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from labdata.infrared_imager import InfraredImager
-from labdata.sensors import load_camera, save_sensor
+from labdata.sensors import load_camera
 from labdata.session import open_session
-from tests.charact.cli.runner import done_well, small_camera
+from tests.charact.cli.runner import LAWN, done_well, small_camera, small_imager
 
 # The front of the box is 10 m before the cameras. ACROSS is its velocity (east), m/s.
-SCENE = """
-name = "a box on a lawn"
-place = { latitude_deg = 43.16, longitude_deg = -77.61, time = 1998-06-24T02:00:00-04:00 }
-weather = { temperature_c = 16, relative_humidity = 0.7, wind_m_s = 1 }
-camera = { position_m = [0, -10, 1], look_at_m = [0, 0, 1] }
-[[material]]
-label = "lawn"
-library = "green-canopy"
-[[material]]
-label = "paint"
-library = "olive-drab-paint"
-[[object]]
-label = "ground"
-shape = "ground"
-size_m = [400]
-material = "lawn"
-[[object]]
-label = "box"
-shape = "box"
+SCENE = (
+    LAWN.replace("CAMERA", "position_m = [0, -10, 1], look_at_m = [0, 0, 1]")
+    + """
 size_m = [0.15, 0.15, 1.2]
-material = "paint"
 position_m = [0, 0.075, 0]
 temperature_c = 60
 KEYFRAMES
@@ -41,6 +21,7 @@ kind = "incandescent"
 lumens = 3e2
 position_m = [0, -8, 4]
 """
+)
 FRAMES = 2
 
 
@@ -48,10 +29,7 @@ FRAMES = 2
 def files(tmp_path_factory):
     """A bolometer array and a camera of visible light of few pixels."""
     folder = tmp_path_factory.mktemp("sequence")
-    imager = load_camera("vox-lwir-640")
-    assert isinstance(imager, InfraredImager) and imager.bolometer is not None
-    few = replace(imager.bolometer, rows=24, columns=64)
-    save_sensor(replace(imager, bolometer=few), folder / "thermal.toml")
+    small_imager(folder, "vox-lwir-640", "bolometer", rows=24, columns=64)
     small_camera(folder, 24, 64).rename(folder / "visible.toml")
     return folder
 

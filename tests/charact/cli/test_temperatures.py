@@ -8,35 +8,17 @@ import numpy as np
 import pytest
 
 from labdata.sensors import load_camera, save_sensor
-from tests.charact.cli.runner import charact, done_well
+from tests.charact.cli.runner import LAWN, charact, done_well
 
-SCENE = """
-name = "crate on paving"
-place = { latitude_deg = 43.16, longitude_deg = -77.61, time = 1998-06-24T02:00:00-04:00 }
-weather = { temperature_c = 16, relative_humidity = 0.7, wind_m_s = 1 }
-camera = { position_m = [0, -9, 3], look_at_m = [0, 0, 1] }
-[[material]]
-label = "paving"
-library = "concrete"
-[[material]]
-label = "paint"
-library = "olive-drab-paint"
-[[object]]
-label = "ground"
-shape = "ground"
-size_m = [400]
-material = "paving"
-[[object]]
-label = "crate"
-shape = "box"
-size_m = [2, 2, 2]
-material = "paint"
-"""
+SCENE = (
+    LAWN.replace("CAMERA", "position_m = [0, -9, 3], look_at_m = [0, 0, 1]").replace("green-canopy", "concrete")
+    + "size_m = [2, 2, 2]\n"
+)
 
 
 @pytest.fixture
 def scene(tmp_path):
-    path = tmp_path / "crate.toml"
+    path = tmp_path / "box.toml"
     path.write_text(SCENE)
     return path
 
@@ -56,15 +38,15 @@ def test_tables_map_and_pictures_agree(scene, small, tmp_path):
     done = done_well("temperatures", scene, out, "--sensor", small, "--explain")
     with open(out / "temperatures.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["hour", "air_c", "ground:paving_c", "crate:paint_c"]
+    assert list(rows[0]) == ["hour", "air_c", "ground:lawn_c", "box:paint_c"]
     assert len(rows) == 25 and float(rows[-1]["hour"]) == 2.0 and float(rows[-1]["air_c"]) == 16.0
     kelvin = np.load(out / "map.npz")["temperature_k"]
     assert kelvin.shape == (32, 48)
     warmest, coldest = np.nanmax(kelvin) - 273.15, np.nanmin(kelvin) - 273.15
-    assert coldest < 16.0 < float(rows[-1]["ground:paving_c"]) < warmest + 0.5
+    assert coldest < 16.0 < float(rows[-1]["ground:lawn_c"]) < warmest + 0.5
     assert all((out / name).stat().st_size > 10_000 for name in ("temperatures.png", "map.png"))
     document = json.loads((out / "temperatures.json").read_text())
-    conductivity = document["slabs"]["ground:paving"]["layer 1 conductivity_w_m_k"]
+    conductivity = document["slabs"]["ground:lawn"]["layer 1 conductivity_w_m_k"]
     assert conductivity["value"] == 1.4 and conductivity["standing"] == "default" and conductivity["source"]
     left = [term for term in document["terms"] if not term["kept"]]
     assert left and sum(term["changes_mk"] for term in left) < 40.0
@@ -98,7 +80,7 @@ def test_the_document_holds_the_last_row_with_intervals(scene, small, tmp_path):
         (("wind_m_s = 1", "cloud = 0"), "wind_m_s"),
         (("weather = {", "# weather = {"), "[weather]"),
         (("wind_m_s = 1", 'file = "absent.epw"'), "must exist"),
-        (('library = "concrete"', "reflectance = [0.3]"), "'paving' without one"),
+        (('library = "concrete"', "reflectance = [0.3]"), "'lawn' without one"),
         (("wind_m_s = 1", "wind = 1"), "unknown key 'wind'"),
         (('material = "paint"', 'material = "paint"\nheat_hours = [20, 30]'), "heat_hours must lie"),
         (('material = "paint"', 'material = "paint"\ntemperature_c = 5\nabove_air_k = 5'), "either a temperature_c"),
