@@ -187,7 +187,7 @@ def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], resu
     own = np.array([flat.temporal_dn2[1] for flat in usable]) / signal
     level = ratio * np.array([np.hypot(flat.sd_dn, dark.sd_dn) for flat in usable]) / signal
     shared = dark.temporal_dn2[1] / signal
-    full = usable[0].full_scale_dn
+    full, rows = usable[0].full_scale_dn, _rows_of(dark)
 
     def predict(values: Values) -> Array:
         gains = [
@@ -196,8 +196,11 @@ def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], resu
         ]  # fmt: skip
         c = values[COMPRESSION][:, None]
         straight = 2.0 * signal / (1.0 + np.sqrt(np.maximum(1.0 - 4.0 * c * signal / full, 0.0)))
-        bend = (1.0 - 2.0 * c * straight / full) ** 2 * straight / signal
-        return np.stack(np.broadcast_arrays(*gains), axis=1) * bend
+        bend = (1.0 - 2.0 * c * straight / full) ** 2
+        # Noise of reading passes the bent response, that of rows and interference does not.
+        read_dn2 = dark.temporal_dn2[0] - ROUNDING_DN2 - coloured_variance(values, rows)[:, None]
+        shot = np.stack(np.broadcast_arrays(*gains), axis=1) * straight * bend
+        return (shot + (bend - 1.0) * read_dn2) / signal
 
     depends = dict.fromkeys(
         path for flat in usable for path in (*_amplification(flat.conditions), HEIGHTS, COMPRESSION)
@@ -222,9 +225,14 @@ def _dark_noise(darks: list[StackMean]) -> list[Observation]:
     return found
 
 
+def _rows_of(level: StackMean) -> int:
+    """Return the rows of a stack's frames."""
+    return 1 if level.entry is None else level.entry.read().shape[1]
+
+
 def _variance_of(dark: StackMean) -> Callable[[Values], Array]:
     """Return the temporal variance of a pixel under the conditions of a dark, DN^2."""
-    rows = 1 if dark.entry is None else dark.entry.read().shape[1]
+    rows = _rows_of(dark)
 
     def predict(values: Values) -> Array:
         return dark_variance(values, dark.conditions, dark.exposure_s) + coloured_variance(values, rows)
