@@ -37,10 +37,12 @@ LENS = ("optics.aberration_blur_um", "optics.f_number")
 HEIGHTS = "register.pulse_height_shape"
 READING = (HEIGHTS, "register.clock_induced_e", "ccd.dark_current_e_per_s", "ccd.read_noise_e")
 COMPRESSION, OFFSET = "readout.compression_fraction", "readout.exposure_offset_us"
-# Least squares slope of variance over signal from none to 70 % of full scale: 1 - 2.1 c of that at no signal.
-EMVA_SLOPE = 3.0 * 0.7
-# Fewest flats whose variances are observed one by one, and least signal over the dark's noise of each, variances.
-FEWEST_FLATS, LEAST_SHOT_NOISE = 3, 0.5
+# Signal over full scale to which the photon transfer curve is fitted (EMVA 1288 release 4, section 6.4), and the slope
+# of variance over signal up to there, less 1 and over -c, in units of that at no signal.
+EMVA_REACH = 0.7
+EMVA_SLOPE = 3.0 * EMVA_REACH
+# Fewest flats whose variances are observed one by one, and least signal of each over the dark's noise.
+FEWEST_FLATS, LEAST_SIGNAL = 3, 0.5
 COLOURED = (ROW_NOISE, ROW_EXPONENT, INTERFERENCE)
 # Dark current and DSNU are stated at this temperature.
 REFERENCE_C = 25.0
@@ -148,12 +150,16 @@ def _gain(camera: SolidStateCamera, result: Result, usual: Conditions) -> list[O
     factor = excess_of(usual, Context(register=camera.register)).factor
     measured = [(m, factor) for m in admissible_measurements(result, "system_gain", "DN/e-")]
     measured = measured or [(m, 1.0) for m in admissible_measurements(result, "covariance_gain", "DN")]
+    curve = result.evidence.get("photon-transfer", {})
+    signal = np.array(curve.get("signal_dn", ()), float)[np.array(curve.get("fitted", ()), bool)]
+    reach = float(signal.max()) / (2.0**camera.video.bit_depth - 1.0) if signal.size else EMVA_REACH
 
     def predict(values: Values) -> Array:
-        slope = dn_per_electron(values, usual) * (1.0 - EMVA_SLOPE * values[COMPRESSION])
+        # Least squares over 0..x of y (1 - 3 c y) has the slope 1 - 3 c x.
+        slope = dn_per_electron(values, usual) * (1.0 - 3.0 * reach * values[COMPRESSION])
         return slope * em_gain(values, usual) * register_excess(values, usual)
 
-    depends = (*_amplification(usual), HEIGHTS)
+    depends = (*_amplification(usual), HEIGHTS, COMPRESSION)
     return [
         one("gain", by * (m.value or 0.0), float(by * np.hypot(sd_of(m), 0.001 * (m.value or 0.0))), predict, depends)
         for m, by in measured[:1]
@@ -173,13 +179,15 @@ def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], resu
     if not darks or not admissible:
         return []
     dark = darks[0]
-    usable = [flat for flat in flats if flat.temporal_dn2[0] > (1.0 + LEAST_SHOT_NOISE) * dark.temporal_dn2[0]]
+    usable = [flat for flat in flats if flat.mean_dn - dark.mean_dn > LEAST_SIGNAL * dark.noise_dn]
     if len(usable) < FEWEST_FLATS:
         return []
     signal = np.array([flat.mean_dn - dark.mean_dn for flat in usable])
     ratio = np.array([flat.temporal_dn2[0] - dark.temporal_dn2[0] for flat in usable]) / signal
-    own = np.array([np.hypot(flat.temporal_dn2[1], dark.temporal_dn2[1]) for flat in usable]) / signal
-    full = usable[0].full_scale_dn
+    own = np.array([flat.temporal_dn2[1] for flat in usable]) / signal
+    level = ratio * np.array([np.hypot(flat.sd_dn, dark.sd_dn) for flat in usable]) / signal
+    shared = dark.temporal_dn2[1] / signal
+    full, rows = usable[0].full_scale_dn, _rows_of(dark)
 
     def predict(values: Values) -> Array:
         gains = [
@@ -188,8 +196,11 @@ def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], resu
         ]  # fmt: skip
         c = values[COMPRESSION][:, None]
         straight = 2.0 * signal / (1.0 + np.sqrt(np.maximum(1.0 - 4.0 * c * signal / full, 0.0)))
-        bend = (1.0 - 2.0 * c * straight / full) ** 2 * straight / signal
-        return np.stack(np.broadcast_arrays(*gains), axis=1) * bend
+        bend = (1.0 - 2.0 * c * straight / full) ** 2
+        # Noise of reading passes the bent response, that of rows and interference does not.
+        read_dn2 = dark.temporal_dn2[0] - ROUNDING_DN2 - coloured_variance(values, rows)[:, None]
+        shot = np.stack(np.broadcast_arrays(*gains), axis=1) * straight * bend
+        return (shot + (bend - 1.0) * read_dn2) / signal
 
     depends = dict.fromkeys(
         path for flat in usable for path in (*_amplification(flat.conditions), HEIGHTS, COMPRESSION)
@@ -197,7 +208,7 @@ def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], resu
     return [
         Observation(
             name="photon transfer", value=ratio, predict=predict, speaks_of=tuple(depends),
-            covariance=np.diag(own**2 + (NOISE_MODEL_SD * ratio) ** 2),
+            covariance=np.diag(own**2 + level**2 + (NOISE_MODEL_SD * ratio) ** 2) + np.outer(shared, shared),
         )
     ]  # fmt: skip
 
@@ -214,9 +225,14 @@ def _dark_noise(darks: list[StackMean]) -> list[Observation]:
     return found
 
 
+def _rows_of(level: StackMean) -> int:
+    """Return the rows of a stack's frames."""
+    return 1 if level.entry is None else level.entry.read().shape[1]
+
+
 def _variance_of(dark: StackMean) -> Callable[[Values], Array]:
     """Return the temporal variance of a pixel under the conditions of a dark, DN^2."""
-    rows = 1 if dark.entry is None else dark.entry.read().shape[1]
+    rows = _rows_of(dark)
 
     def predict(values: Values) -> Array:
         return dark_variance(values, dark.conditions, dark.exposure_s) + coloured_variance(values, rows)
