@@ -40,13 +40,14 @@ Predict = Callable[[Values], Array]
 
 @dataclass(frozen=True, kw_only=True)
 class Ridge:
-    """Surface on which a posterior is narrow: a product of many parameters that one number determines.
+    """Surface on which a posterior is narrow: a number of many parameters that is known far better than any of them.
 
     In coordinates with the number itself in place of one parameter the surface is a plane.
     """
 
-    carrier: str  # path of the parameter, drawn as a logarithm, to which the number is inversely proportional
-    logarithm: Predict  # logarithm of the number: values of shape (n,) each -> (n,)
+    carrier: str  # path of the parameter
+    number: Predict  # values of shape (n,) each -> (n,)
+    slope: float  # change of the number with the coordinate of the carrier, the same everywhere
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -80,13 +80,15 @@ class Model:
     def bend(self, points: Array) -> Array:
         """Return the coordinates of points whose carriers are straightened, shape (n, parameter).
 
-        A carrier c of the number N(others)/c is replaced by c N(centre)/N(others): a shear, of unit determinant.
+        A carrier c of the number N = f(others) + a c stands for c + (f(others) - f(centre))/a: a shear, of unit
+        determinant.
         """
         out, centre = points.copy(), self.prior.centre[None]
         inside = np.clip(points, self.prior.bounds[:, 0], self.prior.bounds[:, 1])
         for place, ridge in self.ridges:
             inside[:, place] = centre[0, place]
-            out[:, place] += ridge.logarithm(self.values(inside)) - ridge.logarithm(self.values(centre))
+            apart = ridge.number(self.values(inside)) - ridge.number(self.values(centre))
+            out[:, place] -= apart / ridge.slope
         return out
 
 

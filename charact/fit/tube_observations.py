@@ -31,13 +31,14 @@ GAIN = (
 )
 NOISE = (*GAIN, "microchannel_plate.detection_probability", "microchannel_plate.pulse_height_shape")
 SHAPE = (*SPREAD, *NOISE, "tube.post_gain_share")
+BLACK = "video.black_level_dn"
 STRIP = "microchannel_plate.strip_current_ua_per_cm2"
 LAG = ("phosphor.fast_fraction", "phosphor.fast_decay_ms", "phosphor.slow_decay_ms")
 LEVEL = (
     *GAIN,
     "photocathode.ebi_lm_per_cm2",
     STRIP,
-    "video.black_level_dn",
+    BLACK,
     "taper.demagnification",
 )
 
@@ -97,26 +98,25 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool) -> l
         np.asarray(transfer.get(name, ()), float)
         for name in ("signal_dn", "variance_dn2", "dark_variance_dn2", "variance_sd_dn2", "fitted")
     ]
-    measured = [
-        m for m in admissible_measurements(result, "covariance_gain", "DN")
-        if m.stack is None and m.posterior is not None and {"power", "lag_factor"} <= set(m.posterior.names)
-    ]  # fmt: skip
-    if not measured or measured[0].posterior is None or not columns[4].any() or not np.isfinite(gate_s):
+    lags = result.evidence.get("autocorrelation", {}).get("lag_exposures", ())
+    # Too few frames to test image lag, which then biases their variance.
+    if not len(lags) or not columns[4].any() or not np.isfinite(gate_s):
         return []
     signal, variance, dark, sd = (column[columns[4] > 0] for column in columns[:4])
     pooled_dn = float(np.average(signal, weights=(signal / variance) ** 2))
-    pooled = np.stack([measured[0].posterior[name] for name in ("power", "lag_factor")], axis=1)
-    if np.ptp(pooled[:, 1]) == 0.0:
-        # Too few frames to test image lag, which then biases their variance.
-        return []
+    # A variance needs no model of the blur: it stays where that of power and lag failed.
+    drawn = [m.posterior for m in admissible_measurements(result, "covariance_gain", "DN") if m.stack is None]
+    drawn = [one for one in drawn if one is not None and {"power", "lag_factor"} <= set(one.names)]
+    pooled = np.stack([drawn[0]["power"], drawn[0]["lag_factor"]]) if drawn else np.empty((0, 2))
     slope = (variance - dark) / signal
-    value = np.concatenate([np.median(pooled, axis=0), slope])
+    value = np.concatenate([np.median(pooled, axis=1), slope])
     # Rounding may hide the noise of a dark; mean and variance of the dark are errors of every flat.
     common = [ERRORS.leaning_dn * quantised * slope / signal, ERRORS.rounding_dn2 * quantised / signal]
     own = np.diag((sd / signal) ** 2) + sum(np.outer(one, one) for one in common)
-    measured_errors = np.asarray(block_diag(np.cov(pooled.T), own), np.float64)
-    model = np.array([ERRORS.power, ERRORS.noise, *(ERRORS.noise for _ in signal)])
-    covariance = measured_errors + np.diag((model * value) ** 2)
+    errors = block_diag(np.cov(pooled), own) if drawn else own
+    model = np.full(value.size, ERRORS.noise)
+    model[: 1 if drawn else 0] = ERRORS.power
+    covariance = np.asarray(errors, np.float64) + np.diag((model * value) ** 2)
 
     def predict(values: Values, gain: Array, shape: tuple[Array, Array]) -> Array:
         left = predicted_quantities.lag_noise_fraction(values, gate_s)
@@ -129,12 +129,12 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool) -> l
         loaded = gain * (1.0 - loss(values, pooled_dn))
         factor = predicted_quantities.covariance_gain(values, loaded) / power
         slopes = [shape[0] * power_of(one) for one in signal]
-        return np.stack(np.broadcast_arrays(power, factor, *slopes), axis=1)
+        return np.stack(np.broadcast_arrays(power, factor, *slopes)[-value.size :], axis=1)
 
     return [
         _Noise(
             mcp_v=mcp_v, value=value, covariance=covariance, predict=predict, speaks_of=(*SHAPE, *LAG, STRIP),
-            ridge=2,
+            ridge=value.size - slope.size,
         )
     ]  # fmt: skip
 
@@ -192,7 +192,7 @@ def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observat
     ridge = None
     if parts[0].ridge is not None:
         at = parts[0].ridge
-        ridge = Ridge(carrier=SENSITIVITY, logarithm=lambda values: np.log(predict(values)[:, at]))
+        ridge = Ridge(carrier=SENSITIVITY, number=lambda values: np.log(predict(values)[:, at]), slope=-1.0)
     return Observation(
         name="noise", value=np.concatenate([part.value for part in parts]),
         covariance=np.asarray(block_diag(*(part.covariance for part in parts)), np.float64), predict=predict,
@@ -271,13 +271,17 @@ def _levels(levels: tuple[StackMean, ...], reference_v: float) -> Observation:
         )
         gain = predicted_quantities.photoelectron_gain(one, mcp_v, reference_v)
         load = predicted_quantities.mcp_load(one, lux, gate_s, mcp_v, reference_v)
-        return one["video.black_level_dn"] + gain * events / (1.0 + load)
+        return one[BLACK] + gain * events / (1.0 + load)
 
     # With little noise the mean is attracted to whole numbers.
     leaning = np.array([ERRORS.leaning_dn if level.noise_dn < LIMITS.least_noise_dn else 0.0 for level in levels])
     lit = ERRORS.level * np.maximum(mean - mean.min(), 0.0)
     variance = own**2 + ERRORS.black_dn**2 + lit**2 + leaning**2
     extra = ("microchannel_plate.gain_exponent",) if len(set(mcp_v.tolist())) > 1 else ()
+    # Black level and EBI together are known far better than either.
+    darkest = int(np.argmin(mean))
+    ridge = Ridge(carrier=BLACK, number=lambda values: predict(values)[:, darkest], slope=1.0)
     return Observation(
-        name="levels", value=mean, covariance=np.diag(variance), predict=predict, speaks_of=(*LEVEL, *extra)
-    )
+        name="levels", value=mean, covariance=np.diag(variance), predict=predict, speaks_of=(*LEVEL, *extra),
+        ridge=ridge,
+    )  # fmt: skip

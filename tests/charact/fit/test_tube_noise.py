@@ -39,7 +39,8 @@ def flats_of(sheet: Sensor, told, *, tested: bool = True, seed: int = 1) -> Resu
         "variance_dn2": (slope * SIGNAL_DN + 1.0).tolist(), "dark_variance_dn2": [1.0] * 3,
         "variance_sd_dn2": (VARIANCE_SD * slope * SIGNAL_DN).tolist(),
     }  # fmt: skip
-    return Result(measurements=measured, evidence={"photon-transfer": transfer})
+    lags = {"lag_exposures": [1, 2] if tested else []}
+    return Result(measurements=measured, evidence={"photon-transfer": transfer, "autocorrelation": lags})
 
 
 def test_the_loss_of_gain_is_that_of_the_load_at_the_light_of_the_signal(sheet: Sensor) -> None:
@@ -73,7 +74,7 @@ def test_the_ridge_is_a_plane(sheet: Sensor, told_of, seed: int) -> None:
     points[:, place] = model.prior.centre[place]
     ridge = observed[0].ridge
     assert ridge is not None
-    free, bent = (np.exp(ridge.logarithm(model.values(one))) for one in (points, model.bend(points)))
+    free, bent = (np.exp(ridge.number(model.values(one))) for one in (points, model.bend(points)))
     assert free.std() / free.mean() > 0.1
     # A trace of electrons per photoelectron, K, is not inversely proportional to the sensitivity.
     assert bent.std() / bent.mean() < 2e-3
