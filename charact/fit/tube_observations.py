@@ -1,6 +1,6 @@
 """Observations of a camera with a tube: MTF, noise, halo, fixed patterns, levels."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,7 @@ NOISE = (*GAIN, "microchannel_plate.detection_probability", "microchannel_plate.
 SHAPE = (*SPREAD, *NOISE, "tube.post_gain_share")
 BLACK = "video.black_level_dn"
 STRIP = "microchannel_plate.strip_current_ua_per_cm2"
+READ = "ccd.read_noise_e"
 LAG = ("phosphor.fast_fraction", "phosphor.fast_decay_ms", "phosphor.slow_decay_ms")
 LEVEL = (
     *GAIN,
@@ -59,9 +60,12 @@ class _Noise:
 
 
 def noise_observations(
-    session: Session, sensor: Sensor, result: Result, levels: tuple[StackMean, ...]
+    session: Session, sensor: Sensor, result: Result, levels: tuple[StackMean, ...], shown: Set[str] = frozenset()
 ) -> list[Observation]:
-    """Observe noise power, variance and image lag of the flats and the variance of darks, by MCP voltage."""
+    """Observe noise power, variance and image lag of the flats and the variance of darks, by MCP voltage.
+
+    `shown`: parameters that the frames have shown by themselves: image lag and darks are not observed twice.
+    """
     reference_v = float(sensor.microchannel_plate.reference_v)
     flats = session.of_kind("flat")
     known = [float(entry.conditions.mcp_v) for entry in flats if entry.conditions.mcp_v]
@@ -71,12 +75,12 @@ def noise_observations(
     # The read noise must be large against the quantisation step, so that rounding of darks is additive.
     least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
     quantised = least_e * float(sensor.video.conversion_gain_dn_per_e) <= LIMITS.least_noise_dn
-    found = _of_flats(result, volts, float(np.median(gates_s)) if gates_s else np.inf, quantised)
+    found = _of_flats(result, volts, float(np.median(gates_s)) if gates_s else np.inf, quantised, LAG[0] not in shown)
     volts_of = {entry.label: entry.conditions.mcp_v for entry in session.stacks}
     found += [one for one in _separate(result, volts_of, volts) if one.mcp_v != volts or not found]
     found += _neighbours(result, volts)
     darks = [level for level in levels if level.dark]
-    if darks and not quantised:
+    if darks and not quantised and READ not in shown:
         own = {level.label: level for level in darks}
         reads = admissible_measurements(result, "read_noise", "DN")
         found += [_dark(m, own.get(m.stack or "", darks[0]), sensor, reference_v) for m in reads]
@@ -86,7 +90,7 @@ def noise_observations(
     ]
 
 
-def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool) -> list[_Noise]:
+def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool, lag: bool) -> list[_Noise]:
     """Observe noise power at frequency 0 and lag factor of the pooled flats, and the variance of every flat.
 
     All are those of single exposures, per DN of signal: image lag leaves the fraction s of power and variance, and the
@@ -107,7 +111,8 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool) -> l
     # A variance needs no model of the blur: it stays where that of power and lag failed.
     drawn = [m.posterior for m in admissible_measurements(result, "covariance_gain", "DN") if m.stack is None]
     drawn = [one for one in drawn if one is not None and {"power", "lag_factor"} <= set(one.names)]
-    pooled = np.stack([drawn[0]["power"], drawn[0]["lag_factor"]]) if drawn else np.empty((0, 2))
+    names = ("power", "lag_factor") if lag else ("power",)
+    pooled = np.stack([drawn[0][name] for name in names]) if drawn else np.empty((0, 2))
     slope = (variance - dark) / signal
     value = np.concatenate([np.median(pooled, axis=1), slope])
     # Rounding may hide the noise of a dark; mean and variance of the dark are errors of every flat.
@@ -129,7 +134,8 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool) -> l
         loaded = gain * (1.0 - loss(values, pooled_dn))
         factor = predicted_quantities.covariance_gain(values, loaded) / power
         slopes = [shape[0] * power_of(one) for one in signal]
-        return np.stack(np.broadcast_arrays(power, factor, *slopes)[-value.size :], axis=1)
+        first = [power, factor][: len(pooled)]
+        return np.stack(np.broadcast_arrays(*first, *slopes), axis=1)
 
     return [
         _Noise(
@@ -217,7 +223,7 @@ def _dark(m: Measurement, dark: StackMean, sensor: Sensor, reference_v: float) -
         return own + predicted_quantities.ion_variance(values, gain, shape[0], dark.gate_s)
 
     sd = float(np.hypot.reduce([2.0 * (m.value or 0.0) * sd_of(m), ERRORS.noise * variance, spread]))
-    depends = ("ccd.read_noise_e", "photocathode.ebi_lm_per_cm2", *NOISE)
+    depends = (READ, "photocathode.ebi_lm_per_cm2", *NOISE)
     return _number(dark.mcp_v, variance, sd, predict, depends)
 
 
@@ -230,7 +236,9 @@ def tube_observations(
     excluded.
     """
     reference_v = float(sensor.microchannel_plate.reference_v)
-    found = mtf_observations(session, sensor, result) + noise_observations(session, sensor, result, levels)
+    frames = frame_observations(sensor, result, levels)
+    shown = {path for one in frames for path in one.speaks_of}
+    found = mtf_observations(session, sensor, result) + noise_observations(session, sensor, result, levels, shown)
     for m in admissible_measurements(result, "halo_diameter"):
         sd, depends = float(np.hypot(sd_of(m), ERRORS.halo_px)), ("photocathode.gap_mm", "taper.demagnification")
         found.append(one("halo diameter", m.value or 0.0, sd, predicted_quantities.halo_diameter_px, depends))
@@ -239,8 +247,7 @@ def tube_observations(
         found.append(one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values[path], (path,)))
     found += _fixed_patterns(sensor, result)
     found += [_levels(levels, reference_v)] if levels else []
-    found += frame_observations(sensor, result, levels)
-    return tuple(found)
+    return (*found, *frames)
 
 
 def _fixed_patterns(sensor: Sensor, result: Result) -> list[Observation]:
