@@ -17,6 +17,7 @@ VisibleCamera = Sensor | SolidStateCamera
 # Fractions and probabilities with the upper bound 1.
 _AT_MOST_ONE = (
     "photocathode.halo_fraction",
+    "phosphor.fast_fraction",
     "photocathode.halo_elastic_share",
     "microchannel_plate.detection_probability",
     "tube.post_gain_share",
