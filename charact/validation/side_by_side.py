@@ -10,11 +10,11 @@ from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from charact.validation.controls import FAULTS, PARAMETERS, ParameterControl, change_parameter, put_fault
 from charact.validation.figure_data import FigureCurves, curves_of, figures_of, point_levels
-from charact.validation.frame_features import FrameFeatures, Numbers, features_of
+from charact.validation.frame_features import FrameFeatures, Numbers, features_of, features_of_parts
 from charact.validation.frames import MatchedFrames, MatchedStacks, VisibleCamera, choose, simulate_frames
 from charact.validation.thresholds import VALIDATION
-from charact.validation.validation_result import DetectableError, Validation, ValidationControl
-from charact.validation.validation_test import ValidationTest
+from charact.validation.validation_result import Validation, ValidationControl
+from charact.validation.validation_test import ParameterChange, ValidationTest
 from labdata.session import Session
 
 Frames = Mapping[str, NDArray]
@@ -64,10 +64,11 @@ def validate(
     changes = [one for one in PARAMETERS if change_parameter(sensor, one, 0.1) is not None]
     bench = _Bench(session, chosen, sensor, seed=seed, steps=VALIDATION.draws + len(changes) + 1, progress=progress)
     sets = _simulate_sets(bench, levels)
-    test = ValidationTest([one.groups for one in sets.features], seed=seed)
+    parameters = _change_parameters(bench, sets, changes)
+    test = ValidationTest([one.groups for one in sets.features], seed=seed, changes=parameters)
     measured = bench.features(chosen.measured)
     nulls = _null_controls(bench, test, sets, seed)
-    changed, power = _change_parameters(bench, test, sets, changes)
+    changed = tuple(_parameter_control(test, one) for one in parameters)
     faulty = _put_faults(bench, test, sets.first)
     progress("validated", 1.0)
     own = {**chosen.measured, **frames_of_levels}, measured
@@ -78,9 +79,9 @@ def validate(
         seed=seed,
         draws=VALIDATION.draws,
         seconds=watch.seconds(),
-        statistics=test.statistics(measured.groups),
+        statistics=test.statistics(measured.groups, features_of_parts(chosen, context=bench.context)),
         controls=(*nulls, *changed, *faulty),
-        power=power,
+        power=tuple(test.detectable(**vars(one)) for one in parameters),
         figures=figures,
         notes=chosen.notes if bench.fitted else (*chosen.notes, NO_DRAWS),
     )
@@ -185,20 +186,27 @@ def _null_controls(
 
 
 def _change_parameters(
-    bench: _Bench, test: ValidationTest, sets: _SimulatedSets, controls: list[ParameterControl]
-) -> tuple[tuple[ValidationControl, ...], tuple[DetectableError, ...]]:
-    """Return a negative control a parameter, and the errors of parameters that would have been found."""
-    found, power = [], []
+    bench: _Bench, sets: _SimulatedSets, controls: list[ParameterControl]
+) -> tuple[ParameterChange, ...]:
+    """Return the changes of the first set, its draw and seed, by a change of each parameter."""
+    found = []
     for control in controls:
-        # The draw and seed of the first set, with the change: their difference has hardly any noise.
         altered = change_parameter(sets.base, control, VALIDATION.control_change)
         assert altered is not None
         camera, change = altered
+        # The same random numbers: the difference has hardly any noise.
         other = bench.features(bench.simulate(camera, sets.base_seed)).groups
-        title = f"{control.title} {100.0 * change:+.0f} %"
-        found.append(ValidationControl(name="negative", title=title, statistics=test.statistics(other)))
-        power.append(test.detectable(control.title, sets.features[0].groups, other, change))
-    return tuple(found), tuple(power)
+        found.append(ParameterChange(
+            title=control.title, plain=sets.features[0].groups, changed=other, change=change,
+            in_quadrature=control.in_quadrature,
+        ))  # fmt: skip
+    return tuple(found)
+
+
+def _parameter_control(test: ValidationTest, one: ParameterChange) -> ValidationControl:
+    """Return the negative control of a changed parameter."""
+    title = f"{one.title} {100.0 * one.change:+.0f} %"
+    return ValidationControl(name="negative", title=title, statistics=test.statistics(one.changed))
 
 
 def _put_faults(bench: _Bench, test: ValidationTest, first: Frames) -> tuple[ValidationControl, ...]:
