@@ -159,6 +159,16 @@ def ion_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: flo
     return rate * square * blur * lag_noise_fraction(values, gate_s)
 
 
+def ion_light(values: Values) -> Array:
+    """Return the mean light of ion pulses in photoelectrons per field pixel and second, shape (n,).
+
+    A pulse of m detected photoelectrons has the light of m/p released ones, of which the fraction p is detected.
+    """
+    plate = "microchannel_plate."
+    detected = values[plate + "ion_event_rate_per_s_cm2"] * 1e4 * _field_pixel_m2(values)
+    return detected * values[plate + "ion_event_size_pe"] / values[plate + "detection_probability"]
+
+
 def lag_noise_fraction(values: Values, gate_s: float) -> Array:
     """Return the fraction of a field's scintillation variance that remains with phosphor decay, shape (n,).
 

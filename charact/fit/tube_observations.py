@@ -246,7 +246,7 @@ def tube_observations(
     for m in admissible_measurements(result, "halo_fraction"):
         found.append(one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values[path], (path,)))
     found += _fixed_patterns(sensor, result)
-    found += [_levels(levels, reference_v)] if levels else []
+    found += [_levels(levels, sensor)] if levels else []
     return (*found, *frames)
 
 
@@ -263,8 +263,12 @@ def _fixed_patterns(sensor: Sensor, result: Result) -> list[Observation]:
     return found
 
 
-def _levels(levels: tuple[StackMean, ...], reference_v: float) -> Observation:
-    """Observe stack means: black level plus gain times photoelectrons; the clamp removes dark charge."""
+def _levels(levels: tuple[StackMean, ...], sensor: Sensor) -> Observation:
+    """Observe stack means: black level plus gain times photoelectrons; the clamp removes dark charge.
+
+    The light of ions is that of the description, with the error of its range.
+    """
+    reference_v = float(sensor.microchannel_plate.reference_v)
     lux, gate_s, mcp_v = (
         np.array([getattr(level, name) for level in levels]) for name in ("illuminance_lux", "gate_s", "mcp_v")
     )
@@ -273,9 +277,8 @@ def _levels(levels: tuple[StackMean, ...], reference_v: float) -> Observation:
 
     def predict(values: Values) -> Array:
         one = {path: value[:, None] for path, value in values.items()}
-        events = (
-            predicted_quantities.photoelectrons(one, lux, gate_s) + predicted_quantities.background_rate(one) * gate_s
-        )
+        background = predicted_quantities.background_rate(one) + predicted_quantities.ion_light(one)
+        events = predicted_quantities.photoelectrons(one, lux, gate_s) + background * gate_s
         gain = predicted_quantities.photoelectron_gain(one, mcp_v, reference_v)
         load = predicted_quantities.mcp_load(one, lux, gate_s, mcp_v, reference_v)
         return one[BLACK] + gain * events / (1.0 + load)
@@ -284,11 +287,24 @@ def _levels(levels: tuple[StackMean, ...], reference_v: float) -> Observation:
     leaning = np.array([ERRORS.leaning_dn if level.noise_dn < LIMITS.least_noise_dn else 0.0 for level in levels])
     lit = ERRORS.level * np.maximum(mean - mean.min(), 0.0)
     variance = own**2 + ERRORS.black_dn**2 + lit**2 + leaning**2
+    sheet = values_of_description(sensor)
+    gain = predicted_quantities.photoelectron_gain(sheet, mcp_v, reference_v)
+    ions = _ion_relative_sd(sensor) * gain * predicted_quantities.ion_light(sheet) * gate_s
     extra = ("microchannel_plate.gain_exponent",) if len(set(mcp_v.tolist())) > 1 else ()
     # Black level and EBI together are known far better than either.
     darkest = int(np.argmin(mean))
     ridge = Ridge(carrier=BLACK, number=lambda values: predict(values)[:, darkest], slope=1.0)
     return Observation(
-        name="levels", value=mean, covariance=np.diag(variance), predict=predict, speaks_of=(*LEVEL, *extra),
-        ridge=ridge,
+        name="levels", value=mean, covariance=np.diag(variance) + np.outer(ions, ions), predict=predict,
+        speaks_of=(*LEVEL, *extra), ridge=ridge,
     )  # fmt: skip
+
+
+def _ion_relative_sd(sensor: Sensor) -> float:
+    """Return the relative error of the light of ions by the ranges of their rate and size."""
+    plate = sensor.microchannel_plate
+    errors = []
+    for one in (plate.ion_event_rate_per_s_cm2, plate.ion_event_size_pe):
+        low, high = (float(one) if end is None else end for end in (one.low, one.high))
+        errors.append((high - low) / (4.0 * float(one)) if float(one) > 0.0 else 0.0)
+    return float(np.hypot(*errors))
