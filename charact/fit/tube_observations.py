@@ -235,7 +235,6 @@ def tube_observations(
     A mildly suspect measurement is used only if there is none with status ok; refused and otherwise flagged ones are
     excluded.
     """
-    reference_v = float(sensor.microchannel_plate.reference_v)
     frames = frame_observations(sensor, result, levels)
     shown = {path for one in frames for path in one.speaks_of}
     found = mtf_observations(session, sensor, result) + noise_observations(session, sensor, result, levels, shown)
@@ -304,7 +303,8 @@ def _ion_relative_sd(sensor: Sensor) -> float:
     """Return the relative error of the light of ions by the ranges of their rate and size."""
     plate = sensor.microchannel_plate
     errors = []
-    for one in (plate.ion_event_rate_per_s_cm2, plate.ion_event_size_pe):
-        low, high = (float(one) if end is None else end for end in (one.low, one.high))
-        errors.append((high - low) / (4.0 * float(one)) if float(one) > 0.0 else 0.0)
+    for parameter in (plate.ion_event_rate_per_s_cm2, plate.ion_event_size_pe):
+        value = float(parameter)
+        low, high = (value if end is None else end for end in (parameter.low, parameter.high))
+        errors.append((high - low) / (4.0 * value) if value > 0.0 else 0.0)
     return float(np.hypot(*errors))
