@@ -212,7 +212,7 @@ def _fuse_means(
     from charact.fusion.fuse import fuse_all
     from charact.fusion.fused import codes_of
 
-    bands, region = _cropped(aligned), aligned.region
+    bands, region = _crop(aligned), aligned.region
     progress("fusion", 0.8)
     found = fuse_all(bands, names, spans=spans, **settings)
     if colours is not None:
@@ -226,7 +226,7 @@ def _fuse_means(
     return found
 
 
-def _cropped(aligned: _Aligned) -> "list[Band]":
+def _crop(aligned: _Aligned) -> "list[Band]":
     """Return the bands cut to the region that all show, the first with a note of it."""
     from charact.fusion.alignment import crop_band
 

@@ -25,8 +25,8 @@ ACROSS, DOWN = "readout.interference_x_cy_per_px", "readout.interference_y_cy_pe
 FEWEST_FRAMES, FEWEST_PIXELS = 4, 48
 # Probability of the highest of all bins of white noise above which a peak is interference.
 CHANCE_OF_PEAK = 1e-4
-# Columns of the spectrum beside the rows' own from which the density of pixels is taken there.
-BESIDE = 12
+# Columns of the spectrum next to the rows' own from which the density of pixels is taken there.
+NEAR_COLUMNS = 12
 # Bands of the rows' spectrum, equal in the logarithm of the frequency, cy/row.
 ROW_BANDS = 6
 # Relative model error of a band of the rows' spectrum: no camera has the exact law f^-a.
@@ -44,7 +44,7 @@ class Interference:
     mean_square_dn2: float
     sd_dn2: float
 
-    def removed_from(self, image: Array) -> Array:
+    def remove_from(self, image: Array) -> Array:
         """Return an image (row, col) without its component of these frequencies."""
         rows, columns = image.shape
         down = np.exp(2j * np.pi * self.y_cy_per_px * np.arange(rows))
@@ -65,9 +65,9 @@ class ReadoutSpectrum:
     interference: Interference | None
 
     @property
-    def beside_rows(self) -> float:
-        """Density of pixels beside the horizontal frequency 0, DN^2."""
-        return float(self.power[:, 1 : 1 + BESIDE].mean())
+    def near_rows(self) -> float:
+        """Density of pixels next to the horizontal frequency 0, DN^2."""
+        return float(self.power[:, 1 : 1 + NEAR_COLUMNS].mean())
 
     @property
     def neighbour_covariance(self) -> tuple[float, float]:
@@ -75,7 +75,7 @@ class ReadoutSpectrum:
         frames, rows, columns = self.shape
         density = self.power.mean(axis=0)
         # The bin of the rows' offsets stands for the density of pixels there.
-        density = np.append(density[1 : 1 + BESIDE].mean(), density[1:])
+        density = np.append(density[1 : 1 + NEAR_COLUMNS].mean(), density[1:])
         covariance = float(np.mean(density * np.cos(2.0 * np.pi * np.fft.fftfreq(columns))))
         return covariance, float(density.mean() / np.sqrt((frames - 1) * rows * columns))
 
@@ -117,7 +117,7 @@ def _highest_peak(power: Array, whole: Array, frames: int) -> Interference | Non
 
     rows, columns = power.shape
     # Density of each column of the spectrum, from the median of its exponential numbers: peaks do not raise it.
-    level = uniform_filter1d(np.median(power[1:], axis=0), 2 * BESIDE + 1, mode="wrap")
+    level = uniform_filter1d(np.median(power[1:], axis=0), 2 * NEAR_COLUMNS + 1, mode="wrap")
     level = level * (frames - 1) / float(gammaincinv(frames - 1, 0.5))
     searched = power / level
     searched[0], searched[:, 0] = 0.0, 0.0
@@ -155,7 +155,7 @@ def row_variance(values: Values, rows: int) -> Array:
     return row_density(values, np.arange(1, rows // 2 + 1) / rows).mean(axis=1)
 
 
-def coloured_variance(values: Values, rows: int) -> Array:
+def neighbour_variance(values: Values, rows: int) -> Array:
     """Return the variance that offsets of rows and interference add to a pixel, shape (n,), DN^2."""
     return row_variance(values, rows) + values[INTERFERENCE]
 
@@ -204,7 +204,7 @@ def readout_observations(
 def _rows(found: ReadoutSpectrum) -> Observation:
     """Observe bands of the spectrum of the rows' offsets."""
     frames, _, columns = found.shape
-    frequency, ground = found.row_frequency, found.beside_rows / columns
+    frequency, ground = found.row_frequency, found.near_rows / columns
     edges = np.geomspace(frequency[0], 0.5, ROW_BANDS + 1)
     band = np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, ROW_BANDS - 1)
     # The lowest frequencies have few numbers: bands of fewer than four are joined to the next.

@@ -19,7 +19,7 @@ from charact.fit.readout_observations import (
     INTERFERENCE,
     ROW_EXPONENT,
     ROW_NOISE,
-    coloured_variance,
+    neighbour_variance,
     readout_observations,
 )
 from charact.fit.stack_levels import StackMean
@@ -198,7 +198,7 @@ def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], resu
         straight = 2.0 * signal / (1.0 + np.sqrt(np.maximum(1.0 - 4.0 * c * signal / full, 0.0)))
         bend = (1.0 - 2.0 * c * straight / full) ** 2
         # Noise of reading passes the bent response, that of rows and interference does not.
-        read_dn2 = dark.temporal_dn2[0] - ROUNDING_DN2 - coloured_variance(values, rows)[:, None]
+        read_dn2 = dark.temporal_dn2[0] - ROUNDING_DN2 - neighbour_variance(values, rows)[:, None]
         shot = np.stack(np.broadcast_arrays(*gains), axis=1) * straight * bend
         return (shot + (bend - 1.0) * read_dn2) / signal
 
@@ -235,7 +235,7 @@ def _variance_of(dark: StackMean) -> Callable[[Values], Array]:
     rows = _rows_of(dark)
 
     def predict(values: Values) -> Array:
-        return dark_variance(values, dark.conditions, dark.exposure_s) + coloured_variance(values, rows)
+        return dark_variance(values, dark.conditions, dark.exposure_s) + neighbour_variance(values, rows)
 
     return predict
 

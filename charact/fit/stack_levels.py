@@ -115,7 +115,7 @@ def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]
     peak = None if spectrum is None else spectrum.interference
     pattern, noise_dn2 = _without_shading(sums[2] / count), in_rows
     if peak is not None:
-        pattern, noise_dn2 = peak.removed_from(pattern), in_rows - peak.mean_square_dn2
+        pattern, noise_dn2 = peak.remove_from(pattern), in_rows - peak.mean_square_dn2
     own = pattern**2 - noise_dn2 / count
     root = np.sqrt(pixels)
     return (

@@ -109,10 +109,10 @@ def quiet_variance(values: Values, darks: Darks) -> Array:
     warmth = _warmth(values, darks)
     charge = values[READ] ** 2 + dark_e * warmth + (values[DSNU] * warmth) ** 2
     reading = values[CONVERSION] ** 2 * charge * filter_covariance(values, 1)[:, 0]
-    return reading + values.get(LINE_NOISE, np.zeros(1)) ** 2 + 0.5 * _hidden_variance(values, darks)
+    return reading + values.get(LINE_NOISE, np.zeros(1)) ** 2 + 0.5 * _variance_below_threshold(values, darks)
 
 
-def _hidden_variance(values: Values, darks: Darks) -> Array:
+def _variance_below_threshold(values: Values, darks: Darks) -> Array:
     """Return the variance of the pulses that are hidden by the noise, shape (n,), DN^2."""
     shape = values[SHAPE]
     hidden = moment_below(shape, 1.0, _unseen(values, darks), 2) / (1.0 + 1.0 / shape)
@@ -121,7 +121,7 @@ def _hidden_variance(values: Values, darks: Darks) -> Array:
     return hidden * event * _background(values, darks) * blur * field_products(values, darks.level.gate_s, 1)[:, 0]
 
 
-def _hidden_light(values: Values, darks: Darks) -> Array:
+def _light_below_threshold(values: Values, darks: Darks) -> Array:
     """Return the fraction of the background illumination that falls on quiet pixels, shape (n,)."""
     shape = values[SHAPE]
     return np.minimum(moment_below(shape, 1.0, _unseen(values, darks), 1) + WING, 1.0)
@@ -147,15 +147,15 @@ def _quiet(darks: Darks) -> list[Observation]:
         return []
     both = np.cov(parts.T) * (len(parts) - 1) ** 2 / len(parts)
     sheet = values_of_description(darks.sensor)
-    light, hidden = float(_background(sheet, darks)[0]), float(_hidden_light(sheet, darks)[0])
+    light, hidden = float(_background(sheet, darks)[0]), float(_light_below_threshold(sheet, darks)[0])
     unsure_dn = np.hypot(WING_SD, 0.3 * np.sqrt(max(hidden - WING, 0.0))) * light
     turn = np.array([1.0, 2.0 * best[1]])
     value = np.array([best[0], best[1] ** 2])
-    spread = [QUIET_SD * value[1], 0.5 * float(_hidden_variance(sheet, darks)[0])]
+    spread = [QUIET_SD * value[1], 0.5 * float(_variance_below_threshold(sheet, darks)[0])]
     model = np.diag([unsure_dn**2, float(np.sum(np.square(spread)))])
 
     def predict(values: Values) -> Array:
-        level = values[BLACK] + _hidden_light(values, darks) * _background(values, darks)
+        level = values[BLACK] + _light_below_threshold(values, darks) * _background(values, darks)
         return np.stack(np.broadcast_arrays(level, quiet_variance(values, darks)), axis=1)
 
     covariance = both * np.outer(turn, turn) + model
@@ -225,7 +225,7 @@ def _events(darks: Darks) -> list[Observation]:
     """Observe the background illumination by the covariance of neighbours, and of fine digitisers by its mean."""
     apart = ((0, 1), (1, 1)) if darks.sensor.video.low_pass is not None else ((1, 0), (0, 1), (1, 1))
     value, sd = _neighbour_covariance(darks, apart)
-    kept, kept_sd = with_error(partial(rounded_covariance, darks), darks)
+    kept, kept_sd = with_error(partial(covariance_after_rounding, darks), darks)
     usual = COVARIANCE_SD if darks.noise_dn > COARSE_DN else COARSE_COVARIANCE_SD
     model = np.hypot.reduce([usual, ROUNDING_SD * (kept - 1.0) / kept, kept_sd / kept])
     value, sd = value / kept, float(np.hypot(sd, model * value)) / kept
@@ -304,7 +304,7 @@ def _neighbour_covariance(darks: Darks, apart: tuple[tuple[int, int], ...]) -> t
     return mean, float(each.std(ddof=1) / np.sqrt(each.size))
 
 
-def rounded_covariance(darks: Darks, level_dn: float, noise_dn: float) -> float:
+def covariance_after_rounding(darks: Darks, level_dn: float, noise_dn: float) -> float:
     """Return what rounding leaves of the covariance of rows by pulses, as a factor.
 
     The mean of a rounded pixel with the light a of a pulse is m(a) = a + sum_k (-1)^k/(pi k) exp(-2 (pi k s)^2)
@@ -351,6 +351,6 @@ def _mean_of_events(darks: Darks) -> list[Observation]:
 
     def predict(values: Values) -> Array:
         small = moment_below(values[SHAPE], 1.0, _ion_limit(values, darks), 1)
-        return _background(values, darks) * (small - _hidden_light(values, darks))
+        return _background(values, darks) * (small - _light_below_threshold(values, darks))
 
     return [one("mean of dark events", value, sd, predict, (EBI, BLACK))] if value > 3.0 * sd else []

@@ -115,14 +115,14 @@ def depends_on(observed: Observation, sensor: Sensor, paths: tuple[str, ...]) ->
 
 def _lag(flats: list[Fields], sensor: Sensor) -> Observation:
     """Observe the mean correlations of flats of one setting: they hardly depend on the signal."""
-    measured = [measured_correlations(fields) for fields in flats]
+    measured = [measure_correlations(fields) for fields in flats]
     value = np.mean([one for one, _ in measured], axis=0)
     covariance = np.sum([one for _, one in measured], axis=0) / len(flats) ** 2
     middle = replace(flats[0], signal_dn=float(np.mean([fields.signal_dn for fields in flats])))
     reference_v = float(sensor.microchannel_plate.reference_v)
 
     def predict(values: Values) -> Array:
-        return predicted_correlations(values, middle, reference_v)
+        return predict_correlations(values, middle, reference_v)
 
     return Observation(
         name="image lag", value=value, covariance=covariance + CORRELATION_MODEL_SD**2 * np.eye(value.size),
@@ -130,7 +130,7 @@ def _lag(flats: list[Fields], sensor: Sensor) -> Observation:
     )  # fmt: skip
 
 
-def measured_correlations(fields: Fields) -> tuple[Array, Array]:
+def measure_correlations(fields: Fields) -> tuple[Array, Array]:
     """Return the correlations of a pixel with itself in later frames and, of interlaced video, with the next field.
 
     The next field's is that of a row with its neighbours of the other field. The covariance of the errors is from the
@@ -153,11 +153,11 @@ def _next_field(x: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the mean product of rows with their neighbours of the next field, shape (row, col) of a field."""
     rows = (x.shape[1] - 1) // 2
     upper, middle, lower = x[:, 0 : 2 * rows : 2], x[:, 1 : 2 * rows : 2], x[:, 2 : 2 * rows + 1 : 2]
-    beside = 0.5 * (upper[:, : len(middle[0])] + lower)
-    same = np.einsum("frc,frc->rc", beside, middle) / len(x)
+    neighbours = 0.5 * (upper[:, : len(middle[0])] + lower)
+    same = np.einsum("frc,frc->rc", neighbours, middle) / len(x)
     # Of the two fields of a frame either may be the first: the neighbour in time correlates more.
-    even_first = np.einsum("frc,frc->rc", middle[:-1], beside[1:]) / (len(x) - 1)
-    odd_first = np.einsum("frc,frc->rc", beside[:-1], middle[1:]) / (len(x) - 1)
+    even_first = np.einsum("frc,frc->rc", middle[:-1], neighbours[1:]) / (len(x) - 1)
+    odd_first = np.einsum("frc,frc->rc", neighbours[:-1], middle[1:]) / (len(x) - 1)
     return 0.5 * (same + (even_first if even_first.mean() >= odd_first.mean() else odd_first))
 
 
@@ -172,8 +172,8 @@ def _blocks(image: NDArray[np.floating]) -> Array:
     return block_sums(image) / block_sums(np.ones(image.shape))
 
 
-def predicted_correlations(values: Values, fields: Fields, reference_v: float) -> Array:
-    """Return the correlations that `measured_correlations` measures, shape (n, k), dimensionless.
+def predict_correlations(values: Values, fields: Fields, reference_v: float) -> Array:
+    """Return the correlations that `measure_correlations` measures, shape (n, k), dimensionless.
 
     Pulses of the signal s have, j fields apart, the covariance s k F^2 B c_j with the blur factor B and the products
     c_j of `field_products`; what the detector adds, s K sum w^2 and the noise of the dark, is of one field alone. The
@@ -237,7 +237,7 @@ def field_products(values: Values, gate_s: float, fields: int) -> Array:
     sum a E. Arrivals are even over the gate g at the start of the field, so that the mean of E is (tau/g) (exp(-(T -
     g)/tau) - exp(-T/tau)), and that of E E' the same with 1/tau + 1/tau'.
     """
-    share, once, twice, keep = _left_to_later(values, gate_s)
+    share, once, twice, keep = _fraction_in_later(values, gate_s)
     both = share[:, :, None] * share[:, None, :] * twice
     out = np.empty((len(share), fields))
     out[:, 0] = 1.0 - 2.0 * np.sum(share * once, axis=1) + both.sum(axis=(1, 2))
@@ -252,12 +252,12 @@ def field_products(values: Values, gate_s: float, fields: int) -> Array:
 
 def field_light(values: Values, gate_s: float, fields: int) -> Array:
     """Return the mean fractions l_0 ... of a pulse's light in its field and later ones, shape (n, fields)."""
-    share, once, _, keep = _left_to_later(values, gate_s)
+    share, once, _, keep = _fraction_in_later(values, gate_s)
     later = share[:, None, :] * once[:, None, :] * keep[:, None, :] ** np.arange(fields)[None, :, None]
     return -np.diff(later.sum(axis=2), axis=1, prepend=1.0)
 
 
-def _left_to_later(values: Values, gate_s: float) -> tuple[Array, Array, Array, Array]:
+def _fraction_in_later(values: Values, gate_s: float) -> tuple[Array, Array, Array, Array]:
     """Return the fractions a of two components, the means of E and E E', and q; shape (n, 2), but E E' (n, 2, 2)."""
     field_s = 1.0 / values["video.field_rate_hz"][:, None]
     fast = np.minimum(values["phosphor.fast_fraction"], 1.0)
@@ -266,11 +266,11 @@ def _left_to_later(values: Values, gate_s: float) -> tuple[Array, Array, Array, 
     share, rate = (light / light.sum(axis=0)).T, 1.0 / tau.T
     open_s = np.minimum(gate_s, field_s)
 
-    def left(rate: Array, open_s: Array, field_s: Array) -> Array:
+    def fraction(rate: Array, open_s: Array, field_s: Array) -> Array:
         return (np.exp(-(field_s - open_s) * rate) - np.exp(-field_s * rate)) / (open_s * rate)
 
-    twice = left(rate[:, :, None] + rate[:, None, :], open_s[:, :, None], field_s[:, :, None])
-    return share, left(rate, open_s, field_s), twice, np.exp(-field_s * rate)
+    twice = fraction(rate[:, :, None] + rate[:, None, :], open_s[:, :, None], field_s[:, :, None])
+    return share, fraction(rate, open_s, field_s), twice, np.exp(-field_s * rate)
 
 
 def detector_variance(values: Values, signal_dn: float) -> Array:
@@ -372,7 +372,7 @@ _weights = _LastCall(_video_weights, ("video.bandwidth_mhz",))
 
 def _line_noise(sensor: Sensor, levels: list[StackMean], black_dn: float) -> list[Observation]:
     """Observe the variance of an offset common to a line, from all stacks with enough noise together."""
-    parts = [measured_line_variance(fields) for level in levels if (fields := fields_of(level, sensor, black_dn))]
+    parts = [measure_line_variance(fields) for level in levels if (fields := fields_of(level, sensor, black_dn))]
     if not parts:
         return []
     value, variance = (np.array(column) for column in zip(*parts, strict=True))
@@ -381,7 +381,7 @@ def _line_noise(sensor: Sensor, levels: list[StackMean], black_dn: float) -> lis
     return [one("line noise", mean, sd, lambda values: values[LINE_NOISE] ** 2, (LINE_NOISE,))]
 
 
-def measured_line_variance(fields: Fields) -> tuple[float, float]:
+def measure_line_variance(fields: Fields) -> tuple[float, float]:
     """Return the variance of an offset common to a line and the square of its standard error, DN^2 and DN^4.
 
     Half the covariance between distant parts of the difference of a line to the next of its field: pulses are shared

@@ -10,11 +10,11 @@ from charact.report.number_format import MINUS, short_text
 from charact.report.report_images import ReportImage, as_jpeg
 from charact.report.validation_figures import (
     deviations_by_statistic,
-    left_out,
-    named_deviations,
+    missing_figures,
     overlay_figure,
     power_figure,
     residual_figure,
+    worst_deviations,
 )
 from charact.validation import SAME_SESSION, FramePair, Statistic, Validation, ValidationControl
 
@@ -56,7 +56,7 @@ class Section:
     columns: tuple[str, ...]
     rows: tuple[dict[str, Any], ...]
     controls: tuple[dict[str, Any], ...]  # rows of the controls: cells and status
-    left_out: tuple[str, ...]  # figures that the session does not give
+    missing_figures: tuple[str, ...]  # figures that the session does not give
     notes: tuple[str, ...]
 
 
@@ -74,12 +74,12 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
         patterns=tuple(_pictures(pair, aspect, pattern=True) for pair in drawn.patterns),
         residuals=tuple(residual_figure(one, aspect) for one in drawn.residuals),
         figures=tuple(overlay_figure(name, drawn.overlays[name]) for name in OVERLAYS if name in drawn.overlays),
-        deviations=(*named_deviations(validation), *deviations_by_statistic(validation)),
+        deviations=(*worst_deviations(validation), *deviations_by_statistic(validation)),
         power=power_figure(validation),
         columns=("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", "Deviates most", "Verdict"),
         rows=tuple(_row(one) for one in validation.statistics),
         controls=tuple(_control_row(one) for one in validation.controls),
-        left_out=left_out(drawn.overlays),
+        missing_figures=missing_figures(drawn.overlays),
         notes=(
             *(one.note for one in validation.statistics if one.note),
             *(note for note in validation.notes if note != SAME_SESSION),

@@ -149,7 +149,7 @@ def worst_numbers(validation: Validation) -> list[tuple[str, Statistic, float]]:
     return sorted(found, key=lambda entry: -abs(entry[2]))[:NAMED]
 
 
-def named_deviations(validation: Validation) -> tuple[Figure, ...]:
+def worst_deviations(validation: Validation) -> tuple[Figure, ...]:
     """Plot the most deviating numbers by name."""
     worst, total = worst_numbers(validation), sum(len(deviations(one)) for one in validation.statistics)
     if not worst:
@@ -234,7 +234,7 @@ def power_figure(validation: Validation) -> tuple[Figure, ...]:
         return (Figure(section="validation", title=title, svg=as_svg(figure, title), caption=caption),)
 
 
-def left_out(overlays: Mapping[str, Any]) -> tuple[str, ...]:
+def missing_figures(overlays: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a sentence for each curve that the session does not give."""
     reasons = {
         "mtf": "No MTF is drawn: the session has no edge that could be measured in all sets.",

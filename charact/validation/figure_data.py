@@ -1,4 +1,4 @@
-"""Figure data of a validation: curves with the band of the simulated sets, and measured pictures beside simulated."""
+"""Figure data of a validation: curves with the band of the simulated sets, and measured pictures and simulated."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -174,7 +174,7 @@ def _points(chosen: MatchedStacks, levels: tuple[MatchedFrames, ...]) -> tuple[M
 
 def _cut_of_spectrum(lines: NDArray, pixels: int) -> Array:
     """Return the mean power of sums over lines (frame, place) per pixel, DN^2, at `_frequency`."""
-    return _averaged((np.abs(np.fft.rfft(lines, axis=1)) ** 2).mean(axis=0) / pixels)
+    return _average((np.abs(np.fft.rfft(lines, axis=1)) ** 2).mean(axis=0) / pixels)
 
 
 def _block_means(image: NDArray) -> Array:
@@ -288,10 +288,10 @@ def _overlays_of_curves(
 def _frequency(chosen: MatchedStacks, direction: str) -> Array:
     """Return the frequencies of a cut of the spectrum of darks and flats, cy/px."""
     rows, cols = chosen.dark.shape
-    return _averaged(np.fft.rfftfreq(cols if direction == "horizontal" else rows))
+    return _average(np.fft.rfftfreq(cols if direction == "horizontal" else rows))
 
 
-def _averaged(spectrum: NDArray) -> Array:
+def _average(spectrum: NDArray) -> Array:
     """Return means of neighbours of a spectrum without its first value, the mean; a remainder is left out."""
     count = (len(spectrum) - 1) // NEIGHBOURS
     return np.asarray(spectrum[1 : 1 + count * NEIGHBOURS], float).reshape(count, NEIGHBOURS).mean(axis=1)
@@ -309,18 +309,18 @@ def _curve(
     # A root of a count has a variance of 1/4 by Poisson (Anscombe 1948), also where all sets have none.
     variance = np.maximum(sets.var(axis=0, ddof=1), 0.25 if scale == "root" else 0.0)
     centre, half = sets.mean(axis=0), TWO_SIDED_95 * np.sqrt(variance * (1.0 + 1.0 / len(sets)))
-    out = {"name": name, "x": list(x) if isinstance(x[0], str) else _rounded(x)}
+    out = {"name": name, "x": list(x) if isinstance(x[0], str) else _round(x)}
     if x_simulated is not None:
-        out["x_simulated"] = _rounded(x_simulated)
+        out["x_simulated"] = _round(x_simulated)
     values = {
         "measured": measured,
         "simulated": back(centre),
         "low95": back(centre - half),
         "high95": back(centre + half),
     }
-    return {**out, **{key: _rounded(value) for key, value in values.items()}}
+    return {**out, **{key: _round(value) for key, value in values.items()}}
 
 
-def _rounded(values: Any) -> list[float]:
+def _round(values: Any) -> list[float]:
     """Return numbers to five digits: more are invisible in a figure."""
     return [float(f"{value:.5g}") for value in np.asarray(values, float)]

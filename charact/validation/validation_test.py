@@ -85,7 +85,7 @@ class ValidationTest:
         `elsewhere` are numbers of some groups from other parts of the same frames by place; of such a group the most
         deviating part counts.
         """
-        found = list(self._compared(numbers, elsewhere or {}))
+        found = list(self._compare(numbers, elsewhere or {}))
         if self._scores is not None:
             found.append(self._score(self._scores, numbers))
         levels = holm_levels([one["p_value"] for one in found], VALIDATION.level)
@@ -118,7 +118,7 @@ class ValidationTest:
             statistic=finder,
         )  # fmt: skip
 
-    def _compared(self, numbers: Groups, elsewhere: Mapping[str, Groups]) -> Iterator[dict]:
+    def _compare(self, numbers: Groups, elsewhere: Mapping[str, Groups]) -> Iterator[dict]:
         """Yield the fields of the statistic of each group."""
         for name, (labels, ensemble) in self._ensembles.items():
             places = {"": numbers.get(name, {})} | {at: one[name] for at, one in elsewhere.items() if one.get(name)}

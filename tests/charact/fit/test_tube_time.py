@@ -65,7 +65,7 @@ def test_correlations_are_those_of_the_light_of_successive_fields(seed: int, odd
     frames = glowing_fields(rng, shares)
     if odd_first:
         frames = np.roll(frames, 1, axis=1)
-    found, covariance = tube_time_observations.measured_correlations(fields_from(frames))
+    found, covariance = tube_time_observations.measure_correlations(fields_from(frames))
     full = np.correlate(shares, shares, mode="full")[len(shares) - 1 :]
     apart = np.abs(np.subtract.outer(np.arange(2 * FRAMES), np.arange(2 * FRAMES)))
     whole = np.where(apart < len(full), full[np.minimum(apart, len(full) - 1)], 0.0)
@@ -82,7 +82,7 @@ def test_correlations_are_those_of_the_light_of_successive_fields(seed: int, odd
 
 def test_frames_without_lag_have_the_correlation_of_a_removed_mean(seed: int) -> None:
     data = np.random.default_rng([seed, 2]).normal(50.0, 4.0, (FRAMES, ROWS, COLUMNS))
-    found, covariance = tube_time_observations.measured_correlations(fields_from(data))
+    found, covariance = tube_time_observations.measure_correlations(fields_from(data))
     assert np.all(np.abs(found[:4] + 1.0 / (FRAMES - 1.0)) < WITHIN * np.sqrt(np.diag(covariance)[:4]))
 
 
@@ -91,7 +91,7 @@ def test_line_noise_is_told_from_pulses_flicker_and_fixed_lines(seed: int) -> No
     data = rng.normal(50.0, 2.0, (FRAMES, ROWS, COLUMNS + 2))
     data = (data[:, :, :-2] + data[:, :, 1:-1] + data[:, :, 2:]) + rng.normal(0.0, 5.0, (FRAMES, 1, 1))
     data += rng.normal(0.0, 3.0, (1, ROWS, 1)) + 0.8 * rng.standard_normal((FRAMES, ROWS, 1))
-    value, variance = tube_time_observations.measured_line_variance(fields_from(data))
+    value, variance = tube_time_observations.measure_line_variance(fields_from(data))
     assert abs(value - 0.64) < WITHIN * np.sqrt(variance)
     assert np.sqrt(variance) < 0.1
 

@@ -10,7 +10,7 @@ import pytest
 
 from charact.report import page
 from charact.report.validation import blind_pair, headline_of, sentence_of, validation_section
-from charact.report.validation_figures import chance_limit, deviations, left_out, worst_numbers
+from charact.report.validation_figures import chance_limit, deviations, missing_figures, worst_numbers
 from charact.validation import (
     SAME_SESSION,
     FramePair,
@@ -164,7 +164,7 @@ def test_the_chance_limit_is_students_quantile():
 
 def test_figures_that_a_session_cannot_give_are_named():
     section = validation_section(_bare())
-    assert [sentence.split(":")[0] for sentence in section.left_out] == [
+    assert [sentence.split(":")[0] for sentence in section.missing_figures] == [
         "No MTF is drawn", "No halo profile is drawn",
     ]  # fmt: skip
-    assert left_out(_validation().figures.overlays) == ()
+    assert missing_figures(_validation().figures.overlays) == ()
