@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from charact.fit.observation import NOISE_MODEL_SD, Observation, one
 from charact.fit.predicted_quantities import Values
+from charact.fit.thresholds import READOUT
 
 Array = NDArray[np.float64]
 
@@ -20,19 +21,6 @@ ROW_NOISE, ROW_EXPONENT = "readout.row_noise_dn2", "readout.row_noise_exponent"
 FINE_RATIO = "readout.fine_noise_ratio"
 INTERFERENCE = "readout.interference_dn2"
 ACROSS, DOWN = "readout.interference_x_cy_per_px", "readout.interference_y_cy_per_px"
-
-# Fewest frames and pixels along an axis from which a spectrum is taken: two frames have one phase of interference.
-FEWEST_FRAMES, FEWEST_PIXELS = 4, 48
-# Probability of the highest of all bins of white noise above which a peak is interference.
-CHANCE_OF_PEAK = 1e-4
-# Columns of the spectrum next to the rows' own from which the density of pixels is taken there.
-NEAR_COLUMNS = 12
-# Bands of the rows' spectrum, equal in the logarithm of the frequency, cy/row.
-ROW_BANDS = 6
-# Relative model error of a band of the rows' spectrum: no camera has the exact law f^-a.
-ROW_MODEL_SD = 0.05
-# Error of a frequency of interference, cycles over the frame: a clock of the camera divides its pixel clock.
-FREQUENCY_CYCLES_SD = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +55,7 @@ class ReadoutSpectrum:
     @property
     def near_rows(self) -> float:
         """Density of pixels next to the horizontal frequency 0, DN^2."""
-        return float(self.power[:, 1 : 1 + NEAR_COLUMNS].mean())
+        return float(self.power[:, 1 : 1 + READOUT.near_columns].mean())
 
     @property
     def neighbour_covariance(self) -> tuple[float, float]:
@@ -75,7 +63,7 @@ class ReadoutSpectrum:
         frames, rows, columns = self.shape
         density = self.power.mean(axis=0)
         # The bin of the rows' offsets stands for the density of pixels there.
-        density = np.append(density[1 : 1 + NEAR_COLUMNS].mean(), density[1:])
+        density = np.append(density[1 : 1 + READOUT.near_columns].mean(), density[1:])
         covariance = float(np.mean(density * np.cos(2.0 * np.pi * np.fft.fftfreq(columns))))
         return covariance, float(density.mean() / np.sqrt((frames - 1) * rows * columns))
 
@@ -89,7 +77,7 @@ def readout_spectrum(data: NDArray) -> ReadoutSpectrum | None:
     exponential numbers, one a frame: its relative standard error is 1/sqrt(frames - 1).
     """
     frames, rows, columns = data.shape
-    if frames < FEWEST_FRAMES or min(rows, columns) < FEWEST_PIXELS:
+    if frames < READOUT.fewest_frames or min(rows, columns) < READOUT.fewest_pixels:
         return None
     mean = data.mean(axis=0, dtype=np.float64)
     total = np.zeros((rows, columns))
@@ -117,14 +105,14 @@ def _highest_peak(power: Array, whole: Array, frames: int) -> Interference | Non
 
     rows, columns = power.shape
     # Density of each column of the spectrum, from the median of its exponential numbers: peaks do not raise it.
-    level = uniform_filter1d(np.median(power[1:], axis=0), 2 * NEAR_COLUMNS + 1, mode="wrap")
+    level = uniform_filter1d(np.median(power[1:], axis=0), 2 * READOUT.near_columns + 1, mode="wrap")
     level = level * (frames - 1) / float(gammaincinv(frames - 1, 0.5))
     searched = power / level
     searched[0], searched[:, 0] = 0.0, 0.0
     row, column = (int(at) for at in np.unravel_index(np.argmax(searched), power.shape))
     real = (2 * row) % rows == 0 and (2 * column) % columns == 0
     degrees = (0.5 if real else 1.0) * (frames - 1)
-    if power.size / 2 * float(gammaincc(degrees, degrees * searched[row, column])) > CHANCE_OF_PEAK:
+    if power.size / 2 * float(gammaincc(degrees, degrees * searched[row, column])) > READOUT.chance_of_peak:
         return None
     if column > columns // 2:
         row, column = -row % rows, -column % columns
@@ -196,7 +184,7 @@ def readout_observations(
             (INTERFERENCE,))
     )  # fmt: skip
     for path, value, pixels in ((ACROSS, peak.x_cy_per_px, columns), (DOWN, peak.y_cy_per_px, rows)):
-        sd = FREQUENCY_CYCLES_SD / pixels
+        sd = READOUT.frequency_cycles_sd / pixels
         out.append(one("frequency of interference", value, sd, lambda values, path=path: values[path], (path,)))
     return out
 
@@ -205,8 +193,8 @@ def _rows(found: ReadoutSpectrum) -> Observation:
     """Observe bands of the spectrum of the rows' offsets."""
     frames, _, columns = found.shape
     frequency, ground = found.row_frequency, found.near_rows / columns
-    edges = np.geomspace(frequency[0], 0.5, ROW_BANDS + 1)
-    band = np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, ROW_BANDS - 1)
+    edges = np.geomspace(frequency[0], 0.5, READOUT.row_bands + 1)
+    band = np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, READOUT.row_bands - 1)
     # The lowest frequencies have few numbers: bands of fewer than four are joined to the next.
     members = [np.flatnonzero(band == index) for index in np.unique(band)]
     while len(members) > 1 and members[0].size < 4:
@@ -221,5 +209,5 @@ def _rows(found: ReadoutSpectrum) -> Observation:
     # The logarithm of a mean of n exponential numbers has the variance 1/n and lies 1/(2n) low.
     return Observation(
         name="offsets of rows", value=np.log(power) + 0.5 / number, predict=predict,
-        covariance=np.diag(1.0 / number + ROW_MODEL_SD**2), speaks_of=(ROW_NOISE, ROW_EXPONENT),
+        covariance=np.diag(1.0 / number + READOUT.row_model_sd**2), speaks_of=(ROW_NOISE, ROW_EXPONENT),
     )  # fmt: skip

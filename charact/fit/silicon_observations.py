@@ -23,6 +23,7 @@ from charact.fit.readout_observations import (
     readout_observations,
 )
 from charact.fit.stack_levels import StackMean
+from charact.fit.thresholds import SILICON
 from charact.method import Context
 from charact.noise.gain.emva1288 import excess_of
 from charact.noise.illumination import relative_sd_of, table_sensitivity_ua_per_lm
@@ -37,25 +38,8 @@ LENS = ("optics.aberration_blur_um", "optics.f_number")
 HEIGHTS = "register.pulse_height_shape"
 READING = (HEIGHTS, "register.clock_induced_e", "ccd.dark_current_e_per_s", "ccd.read_noise_e")
 COMPRESSION, OFFSET = "readout.compression_fraction", "readout.exposure_offset_us"
-# Signal over full scale to which the photon transfer curve is fitted (EMVA 1288 release 4, section 6.4), and the slope
-# of variance over signal up to there, less 1 and over -c, in units of that at no signal.
-EMVA_REACH = 0.7
-EMVA_SLOPE = 3.0 * EMVA_REACH
-# Fewest flats whose variances are observed one by one, and least signal of each over the dark's noise.
-FEWEST_FLATS, LEAST_SIGNAL = 3, 0.5
+EMVA_SLOPE = 3.0 * SILICON.emva_reach
 COLOURED = (ROW_NOISE, ROW_EXPONENT, INTERFERENCE)
-# Dark current and DSNU are stated at this temperature.
-REFERENCE_C = 25.0
-# Variance of rounding to whole DN, DN^2.
-ROUNDING_DN2 = 1.0 / 12.0
-# Dark noise below which rounding is not additive, DN.
-LEAST_NOISE_DN = 0.4
-# Relative error of a flat's level, from linearity and the light's repeatability.
-LEVEL_MODEL_SD = 0.003
-# Relative error of the electrons per lumen of a table of quantum efficiencies; see `table_sensitivity_ua_per_lm`.
-LUMEN_MODEL_SD = 0.01
-# Relative error of the level of saturation: the variance peaks somewhat below the full well.
-SATURATION_MODEL_SD = 0.03
 
 
 def em_gain(values: Values, conditions: Conditions) -> Array:
@@ -83,7 +67,7 @@ def dark_electrons(values: Values, conditions: Conditions, seconds: float) -> Ar
 
 def _warmth(values: Values, conditions: Conditions) -> Array:
     """Return dark current over that at 25 C."""
-    warmer = 0.0 if conditions.temperature_c is None else conditions.temperature_c - REFERENCE_C
+    warmer = 0.0 if conditions.temperature_c is None else conditions.temperature_c - SILICON.reference_c
     return 2.0 ** (warmer / values["ccd.dark_current_doubling_k"])
 
 
@@ -95,7 +79,7 @@ def _amplification(conditions: Conditions) -> tuple[str, ...]:
 
 def _cooling(conditions: Conditions) -> tuple[str, ...]:
     """Return the path of the temperature law where a temperature other than the reference is stated."""
-    return () if conditions.temperature_c in (None, REFERENCE_C) else ("ccd.dark_current_doubling_k",)
+    return () if conditions.temperature_c in (None, SILICON.reference_c) else ("ccd.dark_current_doubling_k",)
 
 
 def dark_variance(values: Values, conditions: Conditions, seconds: float) -> Array:
@@ -106,7 +90,9 @@ def dark_variance(values: Values, conditions: Conditions, seconds: float) -> Arr
     """
     charge = dark_electrons(values, conditions, seconds) + values["register.clock_induced_e"]
     multiplied = em_gain(values, conditions) ** 2 * register_excess(values, conditions) * charge
-    return dn_per_electron(values, conditions) ** 2 * (values["ccd.read_noise_e"] ** 2 + multiplied) + ROUNDING_DN2
+    return (
+        dn_per_electron(values, conditions) ** 2 * (values["ccd.read_noise_e"] ** 2 + multiplied) + SILICON.rounding_dn2
+    )
 
 
 def electrons_per_efficiency(silicon: Silicon, level: StackMean) -> float:
@@ -152,7 +138,7 @@ def _gain(camera: SolidStateCamera, result: Result, usual: Conditions) -> list[O
     measured = measured or [(m, 1.0) for m in admissible_measurements(result, "covariance_gain", "DN")]
     curve = result.evidence.get("photon-transfer", {})
     signal = np.array(curve.get("signal_dn", ()), float)[np.array(curve.get("fitted", ()), bool)]
-    reach = float(signal.max()) / (2.0**camera.video.bit_depth - 1.0) if signal.size else EMVA_REACH
+    reach = float(signal.max()) / (2.0**camera.video.bit_depth - 1.0) if signal.size else SILICON.emva_reach
 
     def predict(values: Values) -> Array:
         # Least squares over 0..x of y (1 - 3 c y) has the slope 1 - 3 c x.
@@ -179,8 +165,8 @@ def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], resu
     if not darks or not admissible:
         return []
     dark = darks[0]
-    usable = [flat for flat in flats if flat.mean_dn - dark.mean_dn > LEAST_SIGNAL * dark.noise_dn]
-    if len(usable) < FEWEST_FLATS:
+    usable = [flat for flat in flats if flat.mean_dn - dark.mean_dn > SILICON.least_signal * dark.noise_dn]
+    if len(usable) < SILICON.fewest_flats:
         return []
     signal = np.array([flat.mean_dn - dark.mean_dn for flat in usable])
     ratio = np.array([flat.temporal_dn2[0] - dark.temporal_dn2[0] for flat in usable]) / signal
@@ -198,7 +184,7 @@ def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], resu
         straight = 2.0 * signal / (1.0 + np.sqrt(np.maximum(1.0 - 4.0 * c * signal / full, 0.0)))
         bend = (1.0 - 2.0 * c * straight / full) ** 2
         # Noise of reading passes the bent response, that of rows and interference does not.
-        read_dn2 = dark.temporal_dn2[0] - ROUNDING_DN2 - neighbour_variance(values, rows)[:, None]
+        read_dn2 = dark.temporal_dn2[0] - SILICON.rounding_dn2 - neighbour_variance(values, rows)[:, None]
         shot = np.stack(np.broadcast_arrays(*gains), axis=1) * straight * bend
         return (shot + (bend - 1.0) * read_dn2) / signal
 
@@ -218,7 +204,7 @@ def _dark_noise(darks: list[StackMean]) -> list[Observation]:
     found = []
     for dark in darks:
         variance, sd = dark.temporal_dn2
-        if variance > LEAST_NOISE_DN**2:
+        if variance > SILICON.least_noise_dn**2:
             sd = float(np.hypot(sd, NOISE_MODEL_SD * variance))
             depends = (*_amplification(dark.conditions), *READING, *COLOURED, *_cooling(dark.conditions))
             found.append(one(f"dark noise of {dark.label}", variance, sd, _variance_of(dark), depends))
@@ -242,7 +228,7 @@ def _variance_of(dark: StackMean) -> Callable[[Values], Array]:
 
 def _readout(darks: list[StackMean]) -> list[Observation]:
     """Observe rows, neighbours and interference in the dark with most frames, of these the shortest exposure."""
-    usable = [dark for dark in darks if dark.entry is not None and dark.temporal_dn2[0] > LEAST_NOISE_DN**2]
+    usable = [dark for dark in darks if dark.entry is not None and dark.temporal_dn2[0] > SILICON.least_noise_dn**2]
     if not usable:
         return []
     dark = min(usable, key=lambda level: (-len(level.entry.read()) if level.entry else 0, level.exposure_s))
@@ -317,13 +303,13 @@ def _saturation(result: Result, usual: Conditions) -> list[Observation]:
     means = np.array(curve.get("mean_dn", ()), float)
     for m in admissible_measurements(result, "saturation", "DN"):
         value = m.value or 0.0
-        sd = float(np.hypot(sd_of(m), SATURATION_MODEL_SD * value))
+        sd = float(np.hypot(sd_of(m), SILICON.saturation_model_sd * value))
         return [at_least("saturation", value, sd, level, depends)]
     linear = means[np.array(curve.get("fitted", ()), bool)]
     if not linear.size:
         return []
     brightest = float(linear.max())
-    return [at_least("brightest linear flat", brightest, SATURATION_MODEL_SD * brightest, level, depends)]
+    return [at_least("brightest linear flat", brightest, SILICON.saturation_model_sd * brightest, level, depends)]
 
 
 def _dark_slope(result: Result, darks: list[StackMean]) -> list[Observation]:
@@ -377,10 +363,12 @@ def _levels(camera: SolidStateCamera, levels: tuple[StackMean, ...]) -> Observat
     lit = [level.conditions for level in levels if not level.dark]
     of_lux = bool(in_lux[signal > 0.0].any())
     relative_sd = relative_sd_of(lit, "lux" if of_lux else "photons/px")[0] if lit else 0.0
-    shared = float(np.hypot(relative_sd, LUMEN_MODEL_SD if of_lux else 0.0))
+    shared = float(np.hypot(relative_sd, SILICON.lumen_model_sd if of_lux else 0.0))
     # Rounding of a level with little noise is biased by up to a tenth.
-    rounding = np.array([0.1 if level.noise_dn < LEAST_NOISE_DN else 0.03 for level in levels])
-    covariance = np.diag(own**2 + rounding**2 + (LEVEL_MODEL_SD * signal) ** 2) + shared**2 * np.outer(signal, signal)
+    rounding = np.array([0.1 if level.noise_dn < SILICON.least_noise_dn else 0.03 for level in levels])
+    covariance = np.diag(own**2 + rounding**2 + (SILICON.level_model_sd * signal) ** 2) + shared**2 * np.outer(
+        signal, signal
+    )
     depends = ("video.black_level_dn",)
     if lit:
         gains = dict.fromkeys(path for conditions in lit for path in _amplification(conditions))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fit.readout_observations import readout_spectrum
+from charact.fit.thresholds import LEVELS
 from charact.noise.illumination import gathering_s
 from charact.noise.stack.components import shading
 from labdata.conditions import Conditions
@@ -46,10 +47,6 @@ class StackMean:
         return self.illuminance_lux == 0.0
 
 
-# Fraction of pixels at an end of the scale, and level over full scale, up to which a stack is in the linear range.
-MOST_CLIPPED, HIGHEST_LEVEL = 1e-3, 0.85
-
-
 def levels_of(session: Session) -> tuple[StackMean, ...]:
     """Return the means of the session's darks and flats within the linear range.
 
@@ -80,7 +77,7 @@ def _level(session: Session, entry: StackEntry) -> StackMean | None:
     top = stack.full_scale_dn or float(2**camera.video.bit_depth - 1)
     means = stack.data.mean(axis=(1, 2), dtype=np.float64)
     clipped = max(np.mean(stack.data >= top), np.mean(stack.data <= 0))
-    if clipped > MOST_CLIPPED or means.mean() > HIGHEST_LEVEL * top:
+    if clipped > LEVELS.most_clipped or means.mean() > LEVELS.highest_level * top:
         return None
     scatter = float(means.std(ddof=1)) / np.sqrt(len(means)) if len(means) > 1 else float(stack.data.std()) / 10.0
     gate_s = shutter_s if conditions.gate_ns is None else min(conditions.gate_ns * 1e-9, shutter_s)

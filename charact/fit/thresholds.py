@@ -72,6 +72,157 @@ class Sampling:
     candidates: int = 400  # prior draws of a truncated parameter
 
 
+@dataclass(frozen=True)
+class TubeFrames:
+    """Frames of flats behind a tube: what is used of them, and model errors."""
+
+    # Frames and pixels of a stack that are used: beyond them the model error of the correlation dominates.
+    most_frames: int = 32
+    most_rows: int = 480
+    most_columns: int = 768
+    # Fewest frames that show a correlation, and largest lag, frames: slow screens have faded by then.
+    least_frames: int = 4
+    largest_lag: int = 4
+    # Flats whose frames are correlated, brightest first.
+    most_flats: int = 3
+    # Standard deviation of a pixel above which rounding adds noise of its own, DN: 1 % of the variance at most.
+    least_noise_dn: float = 0.6
+    # Blocks of an image, rows and columns, whose scatter gives the standard errors.
+    blocks: tuple[int, int] = (8, 8)
+    # Model error of a correlation: the shape of the blur enters the correlation of successive fields.
+    correlation_model_sd: float = 0.002
+    # Parts of a line whose covariance is that of the line noise: parts next to each other share pulses.
+    line_parts: int = 8
+
+
+@dataclass(frozen=True)
+class TubeDarks:
+    """Pulses, quiet pixels and ions in the darks of a tube."""
+
+    # Values that stand out of the noise by so much are pulses, standard deviations and DN; so are their surroundings,
+    # rows and columns.
+    pulse_sd: float = 4.5
+    pulse_dn: float = 1.5
+    pulse_reach: tuple[int, int] = (7, 9)
+    # Fewest values below a grey value and largest fraction of them that locate the noise of a coarse digitiser, and
+    # both fractions for a fine one.
+    least_count: int = 50
+    most_below: float = 0.9
+    fine_below: tuple[float, float] = (0.05, 0.5)
+    # Largest fraction of one grey value of a fine digitiser.
+    fine_fraction: float = 0.05
+    # Fewest quiet values, as a fraction, and fewest frames.
+    least_quiet: float = 0.05
+    least_frames: int = 4
+    # Whole charge of an ion event over k F^2, and of each pixel of its window, DN: no single pulse is as large, and no
+    # noise that rounding doubles along a line.
+    ion_charge: float = 8.0
+    ion_pixel_dn: float = 1.5
+    # Window, field rows and columns, in which the charge of a pulse is summed, and the fraction of it that it contains.
+    window: tuple[int, int] = (3, 5)
+    window_fraction: float = 0.8
+    # Least charge of an ion event over the noise of the window, and the area that its light reaches, rows and columns.
+    ion_sd: float = 7.0
+    ion_reach: tuple[int, int] = (13, 13)
+
+
+@dataclass(frozen=True)
+class DarkErrors:
+    """Observations of the darks of a tube: limits and model errors."""
+
+    # Largest fraction of the image that may be reached by ions; fewest of them whose mean charge says their size, and
+    # the relative error of what the weaker ones add.
+    most_reached: float = 0.6
+    least_ions: int = 4
+    weak_ions_sd: float = 0.5
+    # Mean light of a pulse outside its surroundings, and its error; relative.
+    wing: float = 0.04
+    wing_sd: float = 0.04
+    # Relative model errors: of the pulses' covariance, of fine and of coarse digitisers, and of what rounding does.
+    covariance_sd: float = 0.05
+    coarse_covariance_sd: float = 0.08
+    rounding_sd: float = 0.25
+    # Error of the level between pulses by pulses too weak to be seen, DN.
+    level_sd_dn: float = 0.04
+    # Variance of the noise between pulses: relative model error.
+    quiet_sd: float = 0.03
+    # Standard deviation below which rounding is no noise of its own, DN; slope below which it hides a dark pattern.
+    coarse_dn: float = 0.6
+    least_slope: float = 0.4
+
+
+@dataclass(frozen=True)
+class TubePattern:
+    """Pattern of the flats of a tube."""
+
+    # Frames left out between two halves, whose lag would correlate their noise, where there are enough.
+    gap_frames: int = 4
+    least_frames: int = 12
+    # Variance over squared contrast of what the borders of multi-fibres leave: a twentieth of their own, which is 2 w/P
+    # sqrt(pi)/2 of Gaussian lines of the width w of a fibre or two at the pitch P of 0.5 mm.
+    border_residue: float = 0.05 * 0.03
+    # Relative model error of the variance.
+    pattern_sd: float = 0.08
+
+
+@dataclass(frozen=True)
+class Readout:
+    """Noise of the read-out of a digital camera."""
+
+    # Fewest frames and pixels along an axis from which a spectrum is taken: two frames have one phase of interference.
+    fewest_frames: int = 4
+    fewest_pixels: int = 48
+    # Probability of the highest of all bins of white noise above which a peak is interference.
+    chance_of_peak: float = 0.0001
+    # Columns of the spectrum next to the rows' own from which the density of pixels is taken there.
+    near_columns: int = 12
+    # Bands of the rows' spectrum, equal in the logarithm of the frequency, cy/row.
+    row_bands: int = 6
+    # Relative model error of a band of the rows' spectrum: no camera has the exact law f^-a.
+    row_model_sd: float = 0.05
+    # Error of a frequency of interference, cycles over the frame: a clock of the camera divides its pixel clock.
+    frequency_cycles_sd: float = 0.02
+
+
+@dataclass(frozen=True)
+class SiliconErrors:
+    """Observations of a camera without a tube: limits and model errors."""
+
+    # Signal over full scale to which the photon transfer curve is fitted (EMVA 1288 release 4, section 6.4).
+    emva_reach: float = 0.7
+    # Fewest flats whose variances are observed one by one, and least signal of each over the dark's noise.
+    fewest_flats: int = 3
+    least_signal: float = 0.5
+    # Dark current and DSNU are stated at this temperature.
+    reference_c: float = 25.0
+    # Variance of rounding to whole DN, DN^2.
+    rounding_dn2: float = 1.0 / 12.0
+    # Dark noise below which rounding is not additive, DN.
+    least_noise_dn: float = 0.4
+    # Relative error of a flat's level, from linearity and the light's repeatability.
+    level_model_sd: float = 0.003
+    # Relative error of the electrons per lumen of a table of quantum efficiencies; see `table_sensitivity_ua_per_lm`.
+    lumen_model_sd: float = 0.01
+    # Relative error of the level of saturation: the variance peaks somewhat below the full well.
+    saturation_model_sd: float = 0.03
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Stacks within the linear range."""
+
+    # Fraction of pixels at an end of the scale, and level over full scale, up to which a stack is in the linear range.
+    most_clipped: float = 0.001
+    highest_level: float = 0.85
+
+
 ERRORS = ModelErrors()
 LIMITS = FitLimits()
 SAMPLING = Sampling()
+FRAMES = TubeFrames()
+DARKS = TubeDarks()
+DARK_ERRORS = DarkErrors()
+PATTERN = TubePattern()
+READOUT = Readout()
+SILICON = SiliconErrors()
+LEVELS = Levels()

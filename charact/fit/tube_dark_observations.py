@@ -11,9 +11,9 @@ from charact.fit.observation import Observation, one
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
-from charact.fit.tube_darks import LEAST_QUIET, PULSE_DN, PULSE_SD, Darks, darks_of, level_and_sd, thresholds_of
+from charact.fit.thresholds import DARK_ERRORS, DARKS, FRAMES
+from charact.fit.tube_darks import Darks, darks_of, level_and_sd, thresholds_of
 from charact.fit.tube_time_observations import (
-    BLOCKS,
     LINE_NOISE,
     block_sums,
     field_light,
@@ -26,19 +26,6 @@ from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Largest fraction of the image that may be reached by ions; fewest of them whose mean charge says their size, and the
-# relative error of what the weaker ones add.
-MOST_REACHED, LEAST_IONS, WEAK_IONS_SD = 0.6, 4, 0.5
-# Mean light of a pulse outside its surroundings, and its error; relative.
-WING, WING_SD = 0.04, 0.02
-# Relative model errors: of the pulses' covariance, of fine and of coarse digitisers, and of what rounding does to it.
-COVARIANCE_SD, COARSE_COVARIANCE_SD, ROUNDING_SD = 0.03, 0.06, 0.25
-# Error of the level between pulses by pulses too weak to be seen, DN.
-LEVEL_SD_DN = 0.04
-# Variance of the noise between pulses: relative model error.
-QUIET_SD = 0.03
-# Standard deviation below which rounding is no noise of its own, DN; slope below which it hides a dark pattern.
-COARSE_DN, LEAST_SLOPE = 0.6, 0.4
 
 EBI, READ, DSNU, BLACK = "photocathode.ebi_lm_per_cm2", "ccd.read_noise_e", "ccd.dsnu_e", "video.black_level_dn"
 ION_SIZE = "microchannel_plate.ion_event_size_pe"
@@ -58,7 +45,7 @@ def dark_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, .
     if darks is None:
         return []
     found = [*_quiet(darks), *_pattern(darks)]
-    if darks.reached.mean() < MOST_REACHED:
+    if darks.reached.mean() < DARK_ERRORS.most_reached:
         found += _events(darks)
     return found
 
@@ -81,7 +68,7 @@ def _unseen(values: Values, darks: Darks) -> Array:
         * pulse_covariance(values, ((0.0, 0.0),))[:, 0]
         * np.sqrt(field_products(values, darks.level.gate_s, 1)[:, 0])
     )
-    return max(PULSE_DN, PULSE_SD * darks.noise_dn) / np.maximum(height * peak, 1e-9)
+    return max(DARKS.pulse_dn, DARKS.pulse_sd * darks.noise_dn) / np.maximum(height * peak, 1e-9)
 
 
 def moment_below(shape: Array, mean: Array | float, limit: Array, order: int) -> Array:
@@ -124,12 +111,12 @@ def _variance_below_threshold(values: Values, darks: Darks) -> Array:
 def _light_below_threshold(values: Values, darks: Darks) -> Array:
     """Return the fraction of the background illumination that falls on quiet pixels, shape (n,)."""
     shape = values[SHAPE]
-    return np.minimum(moment_below(shape, 1.0, _unseen(values, darks), 1) + WING, 1.0)
+    return np.minimum(moment_below(shape, 1.0, _unseen(values, darks), 1) + DARK_ERRORS.wing, 1.0)
 
 
 def _quiet(darks: Darks) -> list[Observation]:
     """Observe level and variance of the pixels between pulses."""
-    levels = thresholds_of(darks.data[darks.quiet]) if darks.quiet.mean() > LEAST_QUIET else None
+    levels = thresholds_of(darks.data[darks.quiet]) if darks.quiet.mean() > DARKS.least_quiet else None
     if levels is None:
         return []
     count = block_sums(darks.quiet.sum(axis=0))
@@ -148,10 +135,10 @@ def _quiet(darks: Darks) -> list[Observation]:
     both = np.cov(parts.T) * (len(parts) - 1) ** 2 / len(parts)
     sheet = values_of_description(darks.sensor)
     light, hidden = float(_background(sheet, darks)[0]), float(_light_below_threshold(sheet, darks)[0])
-    unsure_dn = np.hypot(WING_SD, 0.3 * np.sqrt(max(hidden - WING, 0.0))) * light
+    unsure_dn = np.hypot(DARK_ERRORS.wing_sd, 0.3 * np.sqrt(max(hidden - DARK_ERRORS.wing, 0.0))) * light
     turn = np.array([1.0, 2.0 * best[1]])
     value = np.array([best[0], best[1] ** 2])
-    spread = [QUIET_SD * value[1], 0.5 * float(_variance_below_threshold(sheet, darks)[0])]
+    spread = [DARK_ERRORS.quiet_sd * value[1], 0.5 * float(_variance_below_threshold(sheet, darks)[0])]
     model = np.diag([unsure_dn**2, float(np.sum(np.square(spread)))])
 
     def predict(values: Values) -> Array:
@@ -186,7 +173,7 @@ def _pattern(darks: Darks) -> list[Observation]:
     counts = [quiet[:half].sum(axis=0), quiet[half:].sum(axis=0)]
     good = np.minimum(*counts) >= max(half // 2, 1)
     slope, sd = with_error(rounding_slope, darks)
-    if good.mean() < LEAST_QUIET or slope < LEAST_SLOPE:
+    if good.mean() < DARKS.least_quiet or slope < DARK_ERRORS.least_slope:
         return []
     away = np.where(quiet, darks.data - darks.level_dn, 0.0)
     means = [
@@ -196,7 +183,7 @@ def _pattern(darks: Darks) -> list[Observation]:
     centre = [block_sums(np.where(good, mean, 0.0)) / number for mean in means]
     product = block_sums(np.where(good, means[0] * means[1], 0.0)) / number - centre[0] * centre[1]
     product = product[number > 0.1 * good.size / number.size]
-    if product.size < BLOCKS[0]:
+    if product.size < FRAMES.blocks[0]:
         return []
     value, scatter = float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
 
@@ -213,11 +200,11 @@ def with_error(effect: Callable[[float, float], float], darks: Darks) -> tuple[f
 
     Noise well above a step is not changed by rounding.
     """
-    if darks.noise_dn > COARSE_DN:
+    if darks.noise_dn > DARK_ERRORS.coarse_dn:
         return 1.0, 0.0
     level, noise = darks.level_dn, darks.noise_dn
     usual = effect(level, noise)
-    moved = effect(level - LEVEL_SD_DN, noise), effect(level, (1.0 - darks.noise_relative_sd) * noise)
+    moved = effect(level - DARK_ERRORS.level_sd_dn, noise), effect(level, (1.0 - darks.noise_relative_sd) * noise)
     return usual, float(np.hypot(moved[0] - usual, moved[1] - usual))
 
 
@@ -226,8 +213,8 @@ def _events(darks: Darks) -> list[Observation]:
     apart = ((0, 1), (1, 1)) if darks.sensor.video.low_pass is not None else ((1, 0), (0, 1), (1, 1))
     value, sd = _neighbour_covariance(darks, apart)
     kept, kept_sd = with_error(partial(covariance_after_rounding, darks), darks)
-    usual = COVARIANCE_SD if darks.noise_dn > COARSE_DN else COARSE_COVARIANCE_SD
-    model = np.hypot.reduce([usual, ROUNDING_SD * (kept - 1.0) / kept, kept_sd / kept])
+    usual = DARK_ERRORS.covariance_sd if darks.noise_dn > DARK_ERRORS.coarse_dn else DARK_ERRORS.coarse_covariance_sd
+    model = np.hypot.reduce([usual, DARK_ERRORS.rounding_sd * (kept - 1.0) / kept, kept_sd / kept])
     value, sd = value / kept, float(np.hypot(sd, model * value)) / kept
     places = tuple((float(columns), float(rows)) for columns, rows in apart)
 
@@ -236,7 +223,7 @@ def _events(darks: Darks) -> list[Observation]:
         return pulse_covariance(values, places).sum(axis=1) * (products @ _without_mean(len(darks.data)))
 
     ions = weak_ions(darks)[1] * float(spread(values_of_description(darks.sensor))[0])
-    value, sd = value - ions, float(np.hypot(sd, WEAK_IONS_SD * ions))
+    value, sd = value - ions, float(np.hypot(sd, DARK_ERRORS.weak_ions_sd * ions))
 
     def predict(values: Values) -> Array:
         event = _gain(values, darks) * predicted.excess_noise_factor(values)
@@ -244,7 +231,7 @@ def _events(darks: Darks) -> list[Observation]:
         return event * _background(values, darks) * small * spread(values)
 
     found = [one("dark events", value, sd, predict, (EBI,))] if value > 3.0 * sd else []
-    if darks.noise_dn > COARSE_DN:
+    if darks.noise_dn > DARK_ERRORS.coarse_dn:
         found += _mean_of_events(darks)
     return found
 
@@ -273,7 +260,7 @@ def weak_ions(darks: Darks) -> tuple[float, float]:
     height = darks.event_dn / spread
     limit, charges = np.array(darks.least_ion_dn / height), np.array(darks.ion_charge_dn) / height
     size = np.geomspace(3.0, 300.0, 200)
-    if charges.size < LEAST_IONS:
+    if charges.size < DARK_ERRORS.least_ions:
         size = values[ION_SIZE]
     weak = [moment_below(size / spread, size, limit, order) for order in (0, 1, 2)]
     counted = np.maximum(1.0 - weak[0], 1e-6)
@@ -292,7 +279,7 @@ def _neighbour_covariance(darks: Darks, apart: tuple[tuple[int, int], ...]) -> t
         field = darks.data[:, parity :: darks.step]
         x[:, parity :: darks.step] = field - field[:, good[parity :: darks.step]].mean(axis=1)[:, None, None]
     x = (x - x.mean(axis=0)) * good
-    total, number = np.zeros(BLOCKS[0] * BLOCKS[1]), np.zeros(BLOCKS[0] * BLOCKS[1])
+    total, number = np.zeros(FRAMES.blocks[0] * FRAMES.blocks[1]), np.zeros(FRAMES.blocks[0] * FRAMES.blocks[1])
     for right, down in apart:
         down *= darks.step
         near, far = x[:, : rows - down, : columns - right], x[:, down:, right:]
@@ -346,7 +333,11 @@ def _mean_of_events(darks: Darks) -> list[Observation]:
     each = block_sums(mean * good)[used] / number[used]
     value = float(block_sums(mean * good).sum() / number.sum())
     ions = weak_ions(darks)[0]
-    sd = float(np.hypot.reduce([each.std(ddof=1) / np.sqrt(each.size), WING_SD * value, WEAK_IONS_SD * ions]))
+    sd = float(
+        np.hypot.reduce(
+            [each.std(ddof=1) / np.sqrt(each.size), DARK_ERRORS.wing_sd * value, DARK_ERRORS.weak_ions_sd * ions]
+        )
+    )
     value -= ions
 
     def predict(values: Values) -> Array:

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from charact.fit.observation import Observation, one
 from charact.fit.predicted_quantities import Values
 from charact.fit.stack_levels import StackMean
+from charact.fit.thresholds import FRAMES, PATTERN
 from charact.fit.tube_dark_observations import dark_observations
 from charact.fit.tube_time_observations import (
-    MOST_FLATS,
     block_sums,
     filter_covariance,
     frames_of,
@@ -19,13 +19,6 @@ from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 PRNU = "ccd.prnu"
-# Frames left out between two halves, whose lag would correlate their noise, where there are enough.
-GAP_FRAMES, LEAST_FRAMES = 4, 12
-# Variance over squared contrast of what the borders of multi-fibres leave: a twentieth of their own, which is 2 w/P
-# sqrt(pi)/2 of Gaussian lines of the width w of a fibre or two at the pitch P of 0.5 mm.
-BORDER_RESIDUE = 0.05 * 0.03
-# Relative model error of the variance.
-PATTERN_SD = 0.03
 
 
 def frame_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> list[Observation]:
@@ -40,18 +33,20 @@ def frame_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, 
 def pattern_observations(sensor: Sensor, levels: tuple[StackMean, ...]) -> list[Observation]:
     """Return the observation of the PRNU in the brightest flats, or none where their noise hides it."""
     black_dn = min((level.mean_dn for level in levels if level.dark), default=float(sensor.video.black_level_dn))
-    lit = sorted((level for level in levels if not level.dark), key=lambda level: -level.mean_dn)[:MOST_FLATS]
+    lit = sorted((level for level in levels if not level.dark), key=lambda level: -level.mean_dn)[: FRAMES.most_flats]
     flats = ((frames_of(level, sensor), level.mean_dn - black_dn) for level in lit)
     step = 2 if sensor.video.interlaced else 1
     measured = [
-        white_pattern(data, signal, step) for data, signal in flats if data is not None and len(data) >= LEAST_FRAMES
+        white_pattern(data, signal, step)
+        for data, signal in flats
+        if data is not None and len(data) >= PATTERN.least_frames
     ]
     if not measured:
         return []
     value, variance = (np.array(column) for column in zip(*measured, strict=True))
     mean, own = float(np.sum(value / variance) / np.sum(1.0 / variance)), float(1.0 / np.sum(1.0 / variance))
-    borders = BORDER_RESIDUE * (float(sensor.taper.pattern_contrast) ** 2)
-    sd = float(np.sqrt(own + (PATTERN_SD * mean) ** 2 + borders**2))
+    borders = PATTERN.border_residue * (float(sensor.taper.pattern_contrast) ** 2)
+    sd = float(np.sqrt(own + (PATTERN.pattern_sd * mean) ** 2 + borders**2))
 
     def predict(values: Values) -> Array:
         return values[PRNU] ** 2 * filter_covariance(values, 1)[:, 0]
@@ -71,7 +66,7 @@ def white_pattern(data: NDArray[np.float32], signal_dn: float, step: int) -> tup
     and smooth over rows, c(y) = c(0) (1 - a y^2): its part of the variance is (4 c(1) - c(2))/3, from the covariances
     one and two rows apart.
     """
-    half = (len(data) - min(GAP_FRAMES, len(data) // 4)) // 2
+    half = (len(data) - min(PATTERN.gap_frames, len(data) // 4)) // 2
     early, late = (_pattern(part, step) for part in (data[:half], data[-half:]))
     middle, rows = slice(2, early.shape[0] - 2), early.shape[0] - 4
 

@@ -12,24 +12,11 @@ from charact.fit.observation import Observation, one
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
+from charact.fit.thresholds import FRAMES
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Frames and pixels of a stack that are used: beyond them the model error of the correlation dominates.
-MOST_FRAMES, MOST_ROWS, MOST_COLUMNS = 32, 480, 768
-# Fewest frames that show a correlation, and largest lag, frames: slow screens have faded by then.
-LEAST_FRAMES, LARGEST_LAG = 4, 4
-# Flats whose frames are correlated, brightest first.
-MOST_FLATS = 3
-# Standard deviation of a pixel above which rounding adds noise of its own, DN: 1 % of the variance at most.
-LEAST_NOISE_DN = 0.6
-# Blocks of an image, rows and columns, whose scatter gives the standard errors.
-BLOCKS = (8, 8)
-# Model error of a correlation: the shape of the blur enters the correlation of successive fields.
-CORRELATION_MODEL_SD = 0.002
-# Parts of a line whose covariance is that of the line noise: parts next to each other share pulses.
-LINE_PARTS = 8
 
 DECAY = ("phosphor.fast_fraction", "phosphor.fast_decay_ms", "phosphor.slow_decay_ms")
 EVENT = ("tube.post_gain_share", "tube.mtf_frequency_lp_per_mm", "tube.mtf_exponent")
@@ -62,13 +49,13 @@ def frames_of(level: StackMean, sensor: Sensor) -> NDArray[np.float32] | None:
     if level.entry is None:
         return None
     stack = level.entry.read()
-    count = min(len(stack), MOST_FRAMES)
-    if count < LEAST_FRAMES or np.any(np.diff(stack.frame_number[:count]) != 1):
+    count = min(len(stack), FRAMES.most_frames)
+    if count < FRAMES.least_frames or np.any(np.diff(stack.frame_number[:count]) != 1):
         return None
     rows, columns = stack.data.shape[1:]
     # An even first row keeps the order of the fields.
-    top, left = (max(rows - MOST_ROWS, 0) // 4) * 2, max(columns - MOST_COLUMNS, 0) // 2
-    return stack.data[:count, top : top + MOST_ROWS, left : left + MOST_COLUMNS].astype(np.float32)
+    top, left = (max(rows - FRAMES.most_rows, 0) // 4) * 2, max(columns - FRAMES.most_columns, 0) // 2
+    return stack.data[:count, top : top + FRAMES.most_rows, left : left + FRAMES.most_columns].astype(np.float32)
 
 
 def fields_of(level: StackMean, sensor: Sensor, black_dn: float) -> Fields | None:
@@ -91,11 +78,13 @@ def time_observations(sensor: Sensor, levels: tuple[StackMean, ...]) -> list[Obs
     """Return the observations of image lag and line noise; a session whose flats cannot show one has none of it."""
     black_dn = min((level.mean_dn for level in levels if level.dark), default=float(sensor.video.black_level_dn))
     lit = sorted((level for level in levels if not level.dark), key=lambda level: -level.mean_dn)
-    noisy = [level for level in lit if level.noise_dn > LEAST_NOISE_DN]
+    noisy = [level for level in lit if level.noise_dn > FRAMES.least_noise_dn]
     found: list[Observation] = []
     if LINE_NOISE in sensor.parameters():
-        found += _line_noise(sensor, [level for level in levels if level.noise_dn > LEAST_NOISE_DN], black_dn)
-    flats = [fields for level in noisy[:MOST_FLATS] if (fields := fields_of(level, sensor, black_dn)) is not None]
+        found += _line_noise(sensor, [level for level in levels if level.noise_dn > FRAMES.least_noise_dn], black_dn)
+    flats = [
+        fields for level in noisy[: FRAMES.most_flats] if (fields := fields_of(level, sensor, black_dn)) is not None
+    ]
     alike = [one for one in flats if one.setting == flats[0].setting]
     found += [_lag(alike, sensor)] if alike else []
     return [observed for observed in found if depends_on(observed, sensor, (*DECAY, LINE_NOISE))]
@@ -125,7 +114,7 @@ def _lag(flats: list[Fields], sensor: Sensor) -> Observation:
         return predict_correlations(values, middle, reference_v)
 
     return Observation(
-        name="image lag", value=value, covariance=covariance + CORRELATION_MODEL_SD**2 * np.eye(value.size),
+        name="image lag", value=value, covariance=covariance + FRAMES.correlation_model_sd**2 * np.eye(value.size),
         predict=predict, speaks_of=(*DECAY, *EVENT),
     )  # fmt: skip
 
@@ -136,7 +125,7 @@ def measure_correlations(fields: Fields) -> tuple[Array, Array]:
     The next field's is that of a row with its neighbours of the other field. The covariance of the errors is from the
     scatter over blocks of the image.
     """
-    x, lags = fields.deviation, range(min(LARGEST_LAG, len(fields.deviation) // 2) + 1)
+    x, lags = fields.deviation, range(min(FRAMES.largest_lag, len(fields.deviation) // 2) + 1)
     count = len(x)
     products = [np.einsum("frc,frc->rc", x[: count - lag], x[lag:]) / (count - lag) for lag in lags]
     maps = [_blocks(product) for product in products]
@@ -163,7 +152,7 @@ def _next_field(x: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def block_sums(image: NDArray) -> Array:
     """Return the sums of the blocks of an image, shape (block,)."""
-    rows, columns = ((np.arange(parts) * n) // parts for n, parts in zip(image.shape, BLOCKS, strict=True))
+    rows, columns = ((np.arange(parts) * n) // parts for n, parts in zip(image.shape, FRAMES.blocks, strict=True))
     return np.add.reduceat(np.add.reduceat(image.astype(np.float64), rows, axis=0), columns, axis=1).ravel()
 
 
@@ -188,7 +177,7 @@ def predict_correlations(values: Values, fields: Fields, reference_v: float) -> 
     pulses = (fields.signal_dn * event)[:, None] * decay
     same = pulses[:, ::step] * shape[:, :1]
     same[:, 0] += white
-    lags = min(LARGEST_LAG, count // 2)
+    lags = min(FRAMES.largest_lag, count // 2)
     expected = same @ _diagonal_means(count, tuple(range(lags + 1))).T
     if fields.interlaced:
         later = pulses[:, 1::2] * shape[:, 1:]
@@ -391,11 +380,13 @@ def measure_line_variance(fields: Fields) -> tuple[float, float]:
     x, step = fields.deviation, fields.fields_per_frame
     count, rows, columns = x.shape
     parts = (
-        x[:, :, : columns - columns % LINE_PARTS].reshape(count, rows, LINE_PARTS, -1).mean(axis=3, dtype=np.float64)
+        x[:, :, : columns - columns % FRAMES.line_parts]
+        .reshape(count, rows, FRAMES.line_parts, -1)
+        .mean(axis=3, dtype=np.float64)
     )
     line = parts[:, step:] - parts[:, :-step]
     apart = line.sum(axis=2) ** 2 - np.sum(line**2, axis=2) - 2.0 * np.sum(line[:, :, 1:] * line[:, :, :-1], axis=2)
-    pairs = LINE_PARTS**2 - LINE_PARTS - 2 * (LINE_PARTS - 1)
+    pairs = FRAMES.line_parts**2 - FRAMES.line_parts - 2 * (FRAMES.line_parts - 1)
     each = apart / pairs / 2.0 / (1.0 - 1.0 / count)
     # Differences of overlapping lines are correlated: blocks of lines, every frame on its own.
     groups = np.array_split(each, max(rows // 25, 2), axis=1)
