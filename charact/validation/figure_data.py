@@ -104,7 +104,7 @@ def curves_of(frames: Frames, chosen: MatchedStacks, levels: tuple[MatchedFrames
         counts[shot.label] = np.histogram(deviation, BINS_SD)[0].astype(float)
     rings = {}
     for shot in _points(chosen, levels):
-        numbers = point_features(frames[shot.label], dark_dn)
+        numbers = point_features(frames[shot.label], dark_dn, None)
         values = np.sinh([numbers.get(_ring(low, high), np.nan) for low, high in pairwise(RADII_PX)])
         rings[shot.label] = values if np.isfinite(values).all() else np.array([])
     blocks = {shot.label: _block_means(frames[shot.label].mean(axis=0)) for shot in _flat_fields(chosen).values()}

@@ -118,7 +118,7 @@ def features_of(frames: Mapping[str, NDArray], chosen: MatchedStacks, *, context
         groups["mtf"] = mtf_features(edge, context)
         groups["edge"] = edge_features(edge, dark.level)
     if chosen.point is not None:
-        groups["point"] = point_features(frames[chosen.point.label], dark.level)
+        groups["point"] = point_features(frames[chosen.point.label], dark.level, context.full_scale_dn)
     return FrameFeatures(
         groups=groups,
         mean_dn=tuple(one.level - dark.level for one in flats),

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.validation.thresholds import VALIDATION
 from labdata.frames import FrameStack
 
 # Centres of bands up to 0.8 of the sampling limit, and distances from them at which an MTF is averaged: its errors at
@@ -96,9 +97,10 @@ def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
     return found
 
 
-def point_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
+def point_features(frames: NDArray, dark_dn: float, full_scale_dn: float | None) -> Mapping[str, float]:
     """Return mean levels in rings about the brightest point, above dark, as asinh(level / 1 DN), and the highest spot.
 
+    A ring that clips is NaN: it has no distribution that a few sets would show.
     The highest spot is that of the smoothed frame above the mean of its ring, outside the inner rings: a ghost image.
     """
     import cv2
@@ -113,11 +115,13 @@ def point_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
     row, col = float(light @ y[near] / light.sum()), float(light @ x[near] / light.sum())
     radius = np.hypot(y - row, x - col)
     found, highest = {}, 0.0
+    clipped = (frames >= (np.inf if full_scale_dn is None else full_scale_dn)).mean(axis=0)
     smooth = cv2.GaussianBlur(mean, (0, 0), GHOST_PX)
     for low, high in itertools.pairwise(RADII_PX):
         ring = (radius >= low) & (radius < high)
+        known = ring.any() and clipped[ring].mean() <= VALIDATION.most_clipped
         found[f"level at {low:g} to {high:g} px of the point"] = (
-            float(np.arcsinh(mean[ring].mean())) if ring.any() else np.nan
+            float(np.arcsinh(mean[ring].mean())) if known else np.nan
         )
         if ring.any() and low >= LEAST_GHOST_PX:
             highest = max(highest, float(smooth[ring].max() - smooth[ring].mean()))

@@ -22,7 +22,8 @@ class ValidationThresholds:
     edge_frames: int = 16
     # Least frames of a stack: EMVA 1288 sets have pairs.
     fewest_frames: int = 2
-    # Share of full scale above which a flat is outside the linear range, and share of clipped pixels.
+    # Share of full scale above which a flat is outside the linear range, and share of clipped pixels, of a flat and
+    # of a ring about a point source.
     highest_share: float = 0.8
     most_clipped: float = 1e-3
 

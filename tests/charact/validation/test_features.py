@@ -124,7 +124,19 @@ def test_a_ghost_of_a_point_is_the_highest_spot_beside_it(seed: int) -> None:
     frames = point + rng.standard_normal((8, 128, 128))
     ghost = frames + 0.05 * np.roll(point, 30, axis=1)
     name = "highest spot beyond 12 px of the point"
-    found = [np.sinh(target_features.point_features(one, 0.0)[name]) for one in (frames, ghost)]
+    found = [np.sinh(target_features.point_features(one, 0.0, None)[name]) for one in (frames, ghost)]
     # A Gaussian of variance 4 px², smoothed by one of variance 2.25 px², keeps 4 / 6.25 of its height.
     assert found[0] < 0.5
     assert found[1] == pytest.approx(10.0 * 4.0 / 6.25, abs=0.5)
+
+
+def test_a_ring_that_clips_has_no_level() -> None:
+    y, x = np.indices((120, 120)) - 60.0
+    frames = np.tile(np.minimum(4000.0 * np.exp(-np.hypot(y, x) / 6.0), 255.0), (2, 1, 1))
+    free, clipped = (target_features.point_features(frames, 0.0, full) for full in (None, 255.0))
+    # exp(-r/6) falls to 255/4000 at 16.5 px.
+    assert {name for name in free if np.isnan(clipped[name])} == {
+        f"level at {low:g} to {high:g} px of the point"
+        for low, high in ((0.0, 1.5), (1.5, 3.0), (3.0, 5.0), (5.0, 8.0), (8.0, 12.0), (12.0, 18.0))
+    }
+    assert clipped["level at 18 to 26 px of the point"] == free["level at 18 to 26 px of the point"]
