@@ -106,8 +106,13 @@ def point_features(frames: NDArray, dark_dn: float, full_scale_dn: float | None)
     import cv2
 
     mean = (frames.mean(axis=0, dtype=np.float64) - dark_dn).astype(np.float32)
-    _, _, _, (col, row) = cv2.minMaxLoc(cv2.GaussianBlur(mean, (0, 0), 2.0))
+    blurred = cv2.GaussianBlur(mean, (0, 0), 2.0)
+    _, peak, _, (col, row) = cv2.minMaxLoc(blurred)
     y, x = np.indices(mean.shape)
+    # The brightest pixel of a clipped point may be any of its plateau.
+    parts = np.asarray(cv2.connectedComponents((blurred >= 0.9 * peak).astype(np.uint8))[1])
+    core = parts == parts[row, col]
+    row, col = float(y[core].mean()), float(x[core].mean())
     near = np.hypot(y - row, x - col) < 6.0
     light = np.maximum(mean[near], 0.0)
     if not light.sum() > 0.0:
