@@ -129,7 +129,11 @@ def verdict(session: Session, result: Result, validation: "Validation | None") -
     reasons = tuple(_reasons(suspect))
     if validation is not None and not validation.passed:
         failed = [one.title for one in validation.statistics if not one.passed]
-        controls = [f"the {one.name} control did not hold" for one in validation.controls if not one.passed]
+        controls = [
+            f"a null control did not hold in {', '.join(one.noticed_by)}: {one.title}"
+            for one in validation.controls
+            if one.name == "null" and not one.passed
+        ] or ["no negative control was noticed"]
         why = "simulated frames of the fitted sensor differ in " + ", ".join(failed) if failed else ", ".join(controls)
         return Verdict(status="refused", heading="Do not trust the fitted sensor", reasons=(why, *reasons))
     grave = [m for m in suspect if GRAVE & set(m.flags)]

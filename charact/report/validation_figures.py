@@ -59,7 +59,7 @@ def overlay_figure(name: str, data: Mapping[str, Any]) -> Figure:
             axes.set_yscale(data["y_scale"])
         axes.set(xlabel=_with_unit(data.get("x_title", "")), ylabel=_with_unit(data.get("y_title", title)))
         if len(curves) > 1:
-            figure.legend(loc="outside lower center", ncols=len(curves))
+            figure.legend(loc="outside lower center", ncols=min(len(curves), 2))
         else:
             axes.legend()
         band = "Band: 95 % of simulated sets." if len(curves) == 1 else (

@@ -49,6 +49,21 @@ def test_the_verdict_is_no_better_than_the_numbers(result, validation, status, w
     assert found.status == status and words in found.heading
 
 
+def test_a_validation_that_fails_by_its_controls_names_the_null_control_alone():
+    def control(name: str, *noticed: str, passed: bool) -> SimpleNamespace:
+        return SimpleNamespace(name=name, title=f"{name} frames", passed=passed, noticed_by=noticed)
+
+    statistics = (SimpleNamespace(title="blur", passed=True),)
+    # A negative control that nothing notices is a limit of the validation, no failure.
+    unnoticed = control("negative", passed=False)
+    failed = SimpleNamespace(
+        passed=False, statistics=statistics, controls=(control("null", "point", passed=False), unnoticed)
+    )
+    assert verdict(SESSION, numbers(), failed).reasons == ("a null control did not hold in point: null frames",)
+    blind = SimpleNamespace(passed=False, statistics=statistics, controls=(control("null", passed=True), unnoticed))
+    assert verdict(SESSION, numbers(), blind).reasons == ("no negative control was noticed",)
+
+
 def test_a_reason_names_quantity_finding_and_flag():
     noted = numbers(prnu=("drift",)).measurements[-1].with_(notes=("drift: 3 DN a frame; what settles it: a lamp",))
     (reason,) = verdict(SESSION, Result(measurements=(*numbers().measurements[:3], noted)), None).reasons
