@@ -155,7 +155,9 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
         well = prior.names.index(FULL_WELL)
         covariance[well, :] = covariance[:, well] = 0.0
         covariance[well, well] = prior.sd[well] ** 2
-    found = slice_sample(log_probability, names=prior.names, point=point, covariance=covariance, seed=seed)
+    found = slice_sample(
+        log_probability, names=prior.names, point=point, covariance=covariance, bounds=bounds, seed=seed
+    )
     return replace(found, draws=model.bend(found.draws))
 
 

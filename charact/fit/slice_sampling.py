@@ -16,7 +16,13 @@ LogProbability = Callable[[Array], Array]
 
 
 def slice_sample(
-    log_probability: LogProbability, *, names: tuple[str, ...], point: Array, covariance: Array, seed: int
+    log_probability: LogProbability,
+    *,
+    names: tuple[str, ...],
+    point: Array,
+    covariance: Array,
+    bounds: Array,
+    seed: int,
 ) -> Posterior:
     """Return one draw of each of many independent chains.
 
@@ -28,6 +34,8 @@ def slice_sample(
         Name of each parameter.
     point, covariance
         The peak, shape (parameter,), and covariance there, shape (parameter, parameter).
+    bounds
+        Lowest and highest value of each parameter, shape (parameter, 2).
     seed
         Seed of every draw.
 
@@ -39,17 +47,23 @@ def slice_sample(
 
     Notes
     -----
-    Generalised elliptical slice sampling (Nishihara, Murray & Adams, JMLR 15, 2087 (2014)): with the normal law N of
-    mean m and covariance C, a proposal m + (x - m) cos t + v sin t with v ~ N(0, C) is accepted above the slice of
-    p(x)/N(x); the bracket of t shrinks towards 0 until one is. Chains start from weighted draws of the adaptation.
+    The density is continued beyond each bound by reflection, since of many parameters at a bound hardly any proposal
+    were inside; the draws are reflected back. Generalised elliptical slice sampling (Nishihara, Murray & Adams, JMLR
+    15, 2087 (2014)): with the normal law N of mean m and covariance C, a proposal m + (x - m) cos t + v sin t with v ~
+    N(0, C) is accepted above the slice of p(x)/N(x); the bracket of t shrinks towards 0 until one is. Chains start
+    from weighted draws of the adaptation.
     """
     rng = np.random.default_rng(seed)
-    point, covariance, chains = adapt(log_probability, point, covariance, rng)
-    root = np.asarray(np.linalg.cholesky(SAMPLING.wider * covariance), np.float64)
+
+    def unfolded(points: Array) -> Array:
+        return log_probability(_reflect(points, bounds))
+
+    point, covariance, chains = adapt(unfolded, point, covariance, rng)
+    root = root_of(SAMPLING.wider * covariance)
     inverse = np.linalg.inv(root)
 
     def excess(points: Array) -> Array:
-        return log_probability(points) + 0.5 * np.sum(((points - point) @ inverse.T) ** 2, axis=1)
+        return unfolded(points) + 0.5 * np.sum(((points - point) @ inverse.T) ** 2, axis=1)
 
     height, before, steps, flags = excess(chains), chains, 0, ("not-converged",)
     while steps < SAMPLING.most_steps:
@@ -62,7 +76,7 @@ def slice_sample(
             break
         before = chains
     return Posterior(
-        names=names, units=("1",) * len(names), draws=chains, sampler="slice", seed=seed, flags=flags,
+        names=names, units=("1",) * len(names), draws=_reflect(chains, bounds), sampler="slice", seed=seed, flags=flags,
         effective_sample_size=np.full(len(names), float(len(chains))),
     )  # fmt: skip
 
@@ -74,14 +88,13 @@ def adapt(
 
     Population Monte Carlo: weighted draws of a Student t give the mean and covariance of the next one. Weights are cut
     at their mean times the root of the number of draws, so that no draw decides (Ionides 2008, doi
-    10.1198/106186008X320456).
-    """
+    10.1198/106186008X320456)."""
     count, freedom = SAMPLING.round_draws, SAMPLING.freedom
     points, weight = point[None], np.ones(1)
     for _ in range(SAMPLING.rounds):
         normal = rng.standard_normal((count, point.size))
         stretch = np.sqrt(freedom / rng.chisquare(freedom, count))
-        points = point + (normal * stretch[:, None]) @ np.linalg.cholesky(covariance).T
+        points = point + (normal * stretch[:, None]) @ root_of(covariance).T
         tail = -0.5 * (freedom + point.size) * np.log1p((normal**2).sum(axis=1) * stretch**2 / freedom)
         log_weight = log_probability(points) - tail
         weight = np.exp(log_weight - log_weight.max())
@@ -89,6 +102,27 @@ def adapt(
         point = np.average(points, axis=0, weights=weight)
         covariance = np.asarray(np.atleast_2d(np.cov(points.T, aweights=weight)), np.float64)
     return point, covariance, points[rng.choice(len(points), SAMPLING.kept, p=weight / weight.sum())]
+
+
+def _reflect(points: Array, bounds: Array) -> Array:
+    """Return points (n, parameter) with those beyond a bound reflected at it."""
+    low, high = bounds.T
+    points = np.where(points < low, 2.0 * low - points, points)
+    return np.where(points > high, 2.0 * high - points, points)
+
+
+def root_of(covariance: Array) -> Array:
+    """Return a root of a covariance; a direction of less than the least relative variance, as by rounding, gets that.
+
+    Examples
+    --------
+    >>> root = root_of(np.array([[4.0, 2.0], [2.0, 1.0]]))
+    >>> np.allclose(root @ root.T, [[4.0, 2.0], [2.0, 1.0]])
+    True
+    """
+    scale = np.sqrt(np.diag(covariance))
+    value, vector = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vector * np.sqrt(np.maximum(value, SAMPLING.least_variance)), np.float64)
 
 
 def _step(

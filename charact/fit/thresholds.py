@@ -68,6 +68,7 @@ class Sampling:
     least_steps: int = 10
     most_steps: int = 80
     most_change_se: float = 5.0  # change of mean or spread over the second half of the steps, standard errors
+    least_variance: float = 1e-8  # of a direction of the parameters, each over its own
     least_angle: float = 1e-6  # bracket of a step, rad, below which a chain stays
     candidates: int = 400  # prior draws of a truncated parameter
 
