@@ -88,7 +88,8 @@ def adapt(
 
     Population Monte Carlo: weighted draws of a Student t give the mean and covariance of the next one. Weights are cut
     at their mean times the root of the number of draws, so that no draw decides (Ionides 2008, doi
-    10.1198/106186008X320456)."""
+    10.1198/106186008X320456).
+    """
     count, freedom = SAMPLING.round_draws, SAMPLING.freedom
     points, weight = point[None], np.ones(1)
     for _ in range(SAMPLING.rounds):
