@@ -16,7 +16,6 @@ from charact.fit.observation import (
 )
 from charact.fit.predicted_quantities import ELEMENTARY_CHARGE_C, Values
 from charact.fit.readout_observations import (
-    INTERFERENCE,
     ROW_EXPONENT,
     ROW_NOISE,
     neighbour_variance,
@@ -39,7 +38,8 @@ HEIGHTS = "register.pulse_height_shape"
 READING = (HEIGHTS, "register.clock_induced_e", "ccd.dark_current_e_per_s", "ccd.read_noise_e")
 COMPRESSION, OFFSET = "readout.compression_fraction", "readout.exposure_offset_us"
 EMVA_SLOPE = 3.0 * SILICON.emva_reach
-COLOURED = (ROW_NOISE, ROW_EXPONENT, INTERFERENCE)
+# Interference is asked where a dark shows its peak.
+COLOURED = (ROW_NOISE, ROW_EXPONENT)
 
 
 def em_gain(values: Values, conditions: Conditions) -> Array:

@@ -203,7 +203,7 @@ class SiliconErrors:
     # Relative error of a flat's level, from linearity and the light's repeatability.
     level_model_sd: float = 0.003
     # Relative error of the electrons per lumen of a table of quantum efficiencies; see `table_sensitivity_ua_per_lm`.
-    lumen_model_sd: float = 0.01
+    lumen_model_sd: float = 0.002
     # Relative error of the level of saturation: the variance peaks somewhat below the full well.
     saturation_model_sd: float = 0.03
 
