@@ -51,7 +51,7 @@ def slice_sample(
     were inside; the draws are reflected back. Generalised elliptical slice sampling (Nishihara, Murray & Adams, JMLR
     15, 2087 (2014)): with the normal law N of mean m and covariance C, a proposal m + (x - m) cos t + v sin t with v ~
     N(0, C) is accepted above the slice of p(x)/N(x); the bracket of t shrinks towards 0 until one is. Chains start
-    from weighted draws of the adaptation.
+    from weighted draws of the adaptation; each doubling of the steps begins with their own mean and covariance.
     """
     rng = np.random.default_rng(seed)
 
@@ -59,18 +59,11 @@ def slice_sample(
         return log_probability(_reflect(points, bounds))
 
     point, covariance, chains = adapt(unfolded, point, covariance, rng)
-    root = root_of(SAMPLING.wider * covariance)
-    inverse = np.linalg.inv(root)
-
-    def excess(points: Array) -> Array:
-        return unfolded(points) + 0.5 * np.sum(((points - point) @ inverse.T) ** 2, axis=1)
-
-    height, before, steps, flags = excess(chains), chains, 0, ("not-converged",)
+    before, steps, flags = chains, 0, ("not-converged",)
     while steps < SAMPLING.most_steps:
         target = max(SAMPLING.least_steps, 2 * steps)
-        for _ in range(target - steps):
-            chains, height = _step(excess, point, root, chains, height, rng)
-        steps = target
+        chains = _run(unfolded, point, SAMPLING.wider * covariance, chains, target - steps, rng)
+        steps, point, covariance = target, chains.mean(axis=0), np.atleast_2d(np.cov(chains.T))
         if steps > SAMPLING.least_steps and not _differ(before, chains):
             flags = ()
             break
@@ -101,7 +94,10 @@ def adapt(
         weight = np.exp(log_weight - log_weight.max())
         weight = np.minimum(weight, weight.mean() * np.sqrt(count))
         point = np.average(points, axis=0, weights=weight)
-        covariance = np.asarray(np.atleast_2d(np.cov(points.T, aweights=weight)), np.float64)
+        # Few effective draws change the covariance by little.
+        effective = weight.sum() ** 2 / (weight**2).sum()
+        share = effective / (effective + SAMPLING.prior_draws * point.size)
+        covariance = (1.0 - share) * covariance + share * np.atleast_2d(np.cov(points.T, aweights=weight))
     return point, covariance, points[rng.choice(len(points), SAMPLING.kept, p=weight / weight.sum())]
 
 
@@ -124,6 +120,27 @@ def root_of(covariance: Array) -> Array:
     scale = np.sqrt(np.diag(covariance))
     value, vector = np.linalg.eigh(covariance / np.outer(scale, scale))
     return np.asarray(scale[:, None] * vector * np.sqrt(np.maximum(value, SAMPLING.least_variance)), np.float64)
+
+
+def _run(
+    log_probability: LogProbability,
+    point: Array,
+    covariance: Array,
+    chains: Array,
+    steps: int,
+    rng: np.random.Generator,
+) -> Array:
+    """Return the chains after so many steps with a normal law of a mean and covariance."""
+    root = root_of(covariance)
+    inverse = np.linalg.inv(root)
+
+    def excess(points: Array) -> Array:
+        return log_probability(points) + 0.5 * np.sum(((points - point) @ inverse.T) ** 2, axis=1)
+
+    height = excess(chains)
+    for _ in range(steps):
+        chains, height = _step(excess, point, root, chains, height, rng)
+    return chains
 
 
 def _step(

@@ -63,6 +63,7 @@ class Sampling:
     rounds: int = 4  # of the adaptation, draws of each and freedom of its Student t
     round_draws: int = 3000
     freedom: float = 8.0
+    prior_draws: float = 5.0  # effective draws a parameter that the covariance before counts for
     wider: float = 1.2  # variance of the normal law of the slice sampling over the adapted one
     # Steps of the chains: after 10 no coordinate keeps a correlation above 0.5 with its start.
     least_steps: int = 10
