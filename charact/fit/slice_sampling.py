@@ -55,14 +55,14 @@ def slice_sample(
     """
     rng = np.random.default_rng(seed)
 
-    def unfolded(points: Array) -> Array:
+    def continuation(points: Array) -> Array:
         return log_probability(_reflect(points, bounds))
 
-    point, covariance, chains = adapt(unfolded, point, covariance, rng)
+    point, covariance, chains = adapt(continuation, point, covariance, rng)
     before, steps, flags = chains, 0, ("not-converged",)
     while steps < SAMPLING.most_steps:
         target = max(SAMPLING.least_steps, 2 * steps)
-        chains = _run(unfolded, point, SAMPLING.wider * covariance, chains, target - steps, rng)
+        chains = _run(continuation, point, SAMPLING.wider * covariance, chains, target - steps, rng)
         steps, point, covariance = target, chains.mean(axis=0), np.atleast_2d(np.cov(chains.T))
         if steps > SAMPLING.least_steps and not _differ(before, chains):
             flags = ()
