@@ -93,9 +93,13 @@ def adapt(
         log_weight = log_probability(points) - tail
         weight = np.exp(log_weight - log_weight.max())
         weight = np.minimum(weight, weight.mean() * np.sqrt(count))
+        effective = weight.sum() ** 2 / (weight**2).sum()
+        if effective < SAMPLING.least_effective:
+            # The normal law is too wide to hit the posterior: its mean, the peak, stays.
+            covariance = covariance / 4.0
+            continue
         point = np.average(points, axis=0, weights=weight)
         # Few effective draws change the covariance by little.
-        effective = weight.sum() ** 2 / (weight**2).sum()
         share = effective / (effective + SAMPLING.prior_draws * point.size)
         covariance = (1.0 - share) * covariance + share * np.atleast_2d(np.cov(points.T, aweights=weight))
     return point, covariance, points[rng.choice(len(points), SAMPLING.kept, p=weight / weight.sum())]

@@ -63,11 +63,12 @@ class Sampling:
     rounds: int = 4  # of the adaptation, draws of each and freedom of its Student t
     round_draws: int = 3000
     freedom: float = 8.0
+    least_effective: float = 2.0  # effective draws of a round, below which its moments say nothing
     prior_draws: float = 5.0  # effective draws a parameter that the covariance before counts for
     wider: float = 1.2  # variance of the normal law of the slice sampling over the adapted one
     # Steps of the chains: after 10 no coordinate keeps a correlation above 0.5 with its start.
     least_steps: int = 10
-    most_steps: int = 80
+    most_steps: int = 320
     most_change_se: float = 5.0  # change of mean or spread over the second half of the steps, standard errors
     least_variance: float = 1e-8  # of a direction of the parameters, each over its own
     least_angle: float = 1e-6  # bracket of a step, rad, below which a chain stays
