@@ -153,10 +153,15 @@ def ion_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: flo
     A pulse of a Poisson number of detected photoelectrons, mean m, has the mean square (k/p)^2 (m^2 + m + m/shape).
     """
     plate = "microchannel_plate."
-    rate = values[plate + "ion_event_rate_per_s_cm2"] * 1e4 * _field_pixel_m2(values) * gate_s
+    rate = ion_rate(values) * gate_s
     size, shape = values[plate + "ion_event_size_pe"], values[plate + "pulse_height_shape"]
     square = (gain_dn_per_pe / values[plate + "detection_probability"]) ** 2 * (size**2 + size + size / shape)
     return rate * square * blur * lag_noise_fraction(values, gate_s)
+
+
+def ion_rate(values: Values) -> Array:
+    """Return the number of ion events per field pixel and second, shape (n,)."""
+    return values["microchannel_plate.ion_event_rate_per_s_cm2"] * 1e4 * _field_pixel_m2(values)
 
 
 def ion_light(values: Values) -> Array:
@@ -165,8 +170,7 @@ def ion_light(values: Values) -> Array:
     A pulse of m detected photoelectrons has the light of m/p released ones, of which the fraction p is detected.
     """
     plate = "microchannel_plate."
-    detected = values[plate + "ion_event_rate_per_s_cm2"] * 1e4 * _field_pixel_m2(values)
-    return detected * values[plate + "ion_event_size_pe"] / values[plate + "detection_probability"]
+    return ion_rate(values) * values[plate + "ion_event_size_pe"] / values[plate + "detection_probability"]
 
 
 def lag_noise_fraction(values: Values, gate_s: float) -> Array:

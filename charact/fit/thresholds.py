@@ -117,27 +117,33 @@ class TubeDarks:
     # Fewest quiet values, as a fraction, and fewest frames.
     least_quiet: float = 0.05
     least_frames: int = 4
-    # Whole charge of an ion event over k F^2, and of each pixel of its window, DN: no single pulse is as large, and no
-    # noise that rounding doubles along a line.
+    # Charge of an ion event over k F^2, and of each pixel of its window, DN: hardly a pulse is as large, and no noise
+    # that rounding doubles along a line.
     ion_charge: float = 8.0
     ion_pixel_dn: float = 1.5
-    # Window, field rows and columns, in which the charge of a pulse is summed, and the fraction of it that it contains.
+    # Window, field rows and columns, in which the charge of a pulse is summed.
     window: tuple[int, int] = (3, 5)
-    window_fraction: float = 0.8
     # Least charge of an ion event over the noise of the window, and the area that its light reaches, rows and columns.
     ion_sd: float = 7.0
     ion_reach: tuple[int, int] = (13, 13)
 
 
 @dataclass(frozen=True)
+class IonErrors:
+    """Ion events in the darks of a tube: limits and model errors."""
+
+    # Fewest events whose mean charge is observed; relative model errors of the root of their number and of the charge.
+    least_events: int = 4
+    number: float = 0.05
+    charge: float = 0.1
+
+
+@dataclass(frozen=True)
 class DarkErrors:
     """Observations of the darks of a tube: limits and model errors."""
 
-    # Largest fraction of the image that may be reached by ions; fewest of them whose mean charge says their size, and
-    # the relative error of what the weaker ones add.
+    # Largest fraction of the image that may be reached by ions.
     most_reached: float = 0.6
-    least_ions: int = 4
-    weak_ions_sd: float = 0.5
     # Mean light of a pulse outside its surroundings, and its error; relative.
     wing: float = 0.04
     wing_sd: float = 0.04
@@ -145,10 +151,11 @@ class DarkErrors:
     covariance_sd: float = 0.05
     coarse_covariance_sd: float = 0.08
     rounding_sd: float = 0.25
-    # Error of the level between pulses by pulses too weak to be seen, DN.
+    # Error of the level between pulses by pulses too weak to be seen by a coarse digitiser, DN.
     level_sd_dn: float = 0.04
-    # Variance of the noise between pulses: relative model error.
+    # Variance of the noise between pulses: relative model error, of fine and of coarse digitisers.
     quiet_sd: float = 0.03
+    coarse_quiet_sd: float = 0.07
     # Standard deviation below which rounding is no noise of its own, DN; slope below which it hides a dark pattern.
     coarse_dn: float = 0.6
     least_slope: float = 0.4
@@ -225,6 +232,7 @@ SAMPLING = Sampling()
 FRAMES = TubeFrames()
 DARKS = TubeDarks()
 DARK_ERRORS = DarkErrors()
+ION_ERRORS = IonErrors()
 PATTERN = TubePattern()
 READOUT = Readout()
 SILICON = SiliconErrors()

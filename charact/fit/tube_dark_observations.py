@@ -13,12 +13,14 @@ from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.thresholds import DARK_ERRORS, DARKS, FRAMES
 from charact.fit.tube_darks import Darks, darks_of, level_and_sd, thresholds_of
+from charact.fit.tube_ions import IONS, find_ions, ion_observation, moment_below, single_pulse_limit, weak_ions
 from charact.fit.tube_time_observations import (
     LINE_NOISE,
     block_sums,
     field_light,
     field_products,
     filter_covariance,
+    frames_of,
     pulse_covariance,
 )
 from labdata.measurement import Result
@@ -28,7 +30,6 @@ Array = NDArray[np.float64]
 
 
 EBI, READ, DSNU, BLACK = "photocathode.ebi_lm_per_cm2", "ccd.read_noise_e", "ccd.dsnu_e", "video.black_level_dn"
-ION_SIZE = "microchannel_plate.ion_event_size_pe"
 CONVERSION = "video.conversion_gain_dn_per_e"
 SHAPE = "microchannel_plate.pulse_height_shape"
 
@@ -41,12 +42,14 @@ def dark_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, .
     if not stacks or not gains:
         return []
     level = max(stacks, key=lambda level: len(level.entry.read()) if level.entry else 0)
-    darks = darks_of(level, sensor, gains[0])
-    if darks is None:
+    data = frames_of(level, sensor)
+    if data is None or len(data) < DARKS.least_frames:
         return []
-    found = [*_quiet(darks), *_pattern(darks)]
-    if darks.reached.mean() < DARK_ERRORS.most_reached:
-        found += _events(darks)
+    ions = find_ions(data, level, sensor, gains[0])
+    darks, sparse = darks_of(data, ions), ions.reached.mean() < DARK_ERRORS.most_reached
+    found = [ion_observation(ions)] if sparse else []
+    if darks is not None:
+        found += [*_quiet(darks), *_pattern(darks), *(_events(darks) if sparse else [])]
     return found
 
 
@@ -69,14 +72,6 @@ def _unseen(values: Values, darks: Darks) -> Array:
         * np.sqrt(field_products(values, darks.level.gate_s, 1)[:, 0])
     )
     return max(DARKS.pulse_dn, DARKS.pulse_sd * darks.noise_dn) / np.maximum(height * peak, 1e-9)
-
-
-def moment_below(shape: Array, mean: Array | float, limit: Array, order: int) -> Array:
-    """Return the part of the moment of an order of gamma distributed charges below a limit."""
-    from scipy.special import gammainc, poch
-
-    shape, scale = np.asarray(shape, float), np.asarray(mean) / shape
-    return scale**order * poch(shape, order) * gammainc(shape + order, np.maximum(limit, 0.0) / scale)
 
 
 def _warmth(values: Values, darks: Darks) -> Array:
@@ -138,8 +133,11 @@ def _quiet(darks: Darks) -> list[Observation]:
     unsure_dn = np.hypot(DARK_ERRORS.wing_sd, 0.3 * np.sqrt(max(hidden - DARK_ERRORS.wing, 0.0))) * light
     turn = np.array([1.0, 2.0 * best[1]])
     value = np.array([best[0], best[1] ** 2])
-    spread = [DARK_ERRORS.quiet_sd * value[1], 0.5 * float(_variance_below_threshold(sheet, darks)[0])]
-    model = np.diag([unsure_dn**2, float(np.sum(np.square(spread)))])
+    coarse = darks.noise_dn <= DARK_ERRORS.coarse_dn
+    quiet_sd = DARK_ERRORS.coarse_quiet_sd if coarse else DARK_ERRORS.quiet_sd
+    level_sd = [unsure_dn, DARK_ERRORS.level_sd_dn * coarse]
+    variance_sd = [quiet_sd * value[1], 0.5 * float(_variance_below_threshold(sheet, darks)[0])]
+    model = np.diag([float(np.sum(np.square(one))) for one in (level_sd, variance_sd)])
 
     def predict(values: Values) -> Array:
         level = values[BLACK] + _light_below_threshold(values, darks) * _background(values, darks)
@@ -222,23 +220,17 @@ def _events(darks: Darks) -> list[Observation]:
         products = field_products(values, darks.level.gate_s, darks.fields)[:, :: darks.step]
         return pulse_covariance(values, places).sum(axis=1) * (products @ _without_mean(len(darks.data)))
 
-    ions = weak_ions(darks)[1] * float(spread(values_of_description(darks.sensor))[0])
-    value, sd = value - ions, float(np.hypot(sd, DARK_ERRORS.weak_ions_sd * ions))
-
     def predict(values: Values) -> Array:
         event = _gain(values, darks) * predicted.excess_noise_factor(values)
-        small = moment_below(values[SHAPE], 1.0, _ion_limit(values, darks), 2) / (1.0 + 1.0 / values[SHAPE])
-        return event * _background(values, darks) * small * spread(values)
+        small = moment_below(values[SHAPE], 1.0, single_pulse_limit(values, darks.ions), 2) / (
+            1.0 + 1.0 / values[SHAPE]
+        )
+        return (event * _background(values, darks) * small + weak_ions(values, darks.ions)[1]) * spread(values)
 
-    found = [one("dark events", value, sd, predict, (EBI,))] if value > 3.0 * sd else []
+    found = [one("dark events", value, sd, predict, (EBI, *IONS))] if value > 3.0 * sd else []
     if darks.noise_dn > DARK_ERRORS.coarse_dn:
         found += _mean_of_events(darks)
     return found
-
-
-def _ion_limit(values: Values, darks: Darks) -> Array:
-    """Return the charge from which an event counts as that of an ion, in mean detected pulses, shape (n,)."""
-    return darks.least_ion_dn * values["microchannel_plate.detection_probability"] / _gain(values, darks)
 
 
 def _without_mean(count: int) -> Array:
@@ -248,31 +240,9 @@ def _without_mean(count: int) -> Array:
     return ((lag == 0) - total) * count / (count - 1.0)
 
 
-def weak_ions(darks: Darks) -> tuple[float, float]:
-    """Return mean and mean square light of ion events too small to be counted, by field pixel and field.
-
-    DN and DN^2, of the described pulse heights. The charge of an event is the sum of a Poisson number m of pulses, here
-    as the gamma law of its mean m and variance m (1 + 1/shape). m is that whose counted events have the mean charge of
-    the counted, or the described one of few; the rate follows from their number.
-    """
-    values = values_of_description(darks.sensor)
-    spread = 1.0 + 1.0 / float(values[SHAPE][0])
-    height = darks.event_dn / spread
-    limit, charges = np.array(darks.least_ion_dn / height), np.array(darks.ion_charge_dn) / height
-    size = np.geomspace(3.0, 300.0, 200)
-    if charges.size < DARK_ERRORS.least_ions:
-        size = values[ION_SIZE]
-    weak = [moment_below(size / spread, size, limit, order) for order in (0, 1, 2)]
-    counted = np.maximum(1.0 - weak[0], 1e-6)
-    mean = (size - weak[1]) / counted
-    best = int(np.argmin(np.abs(mean - charges.mean()))) if charges.size else 0
-    rate = charges.size / counted[best] / (darks.fields * darks.reached.size / darks.step)
-    return float(rate * weak[1][best] * height), float(rate * weak[2][best] * height**2)
-
-
 def _neighbour_covariance(darks: Darks, apart: tuple[tuple[int, int], ...]) -> tuple[float, float]:
     """Return the sum of the covariances of neighbours in time, and its standard error by the scatter over blocks."""
-    good = ~darks.reached
+    good = ~darks.ions.reached
     count, rows, columns = darks.data.shape
     x = np.empty_like(darks.data)
     for parity in range(darks.step):
@@ -300,7 +270,7 @@ def covariance_after_rounding(darks: Darks, level_dn: float, noise_dn: float) ->
     values = values_of_description(darks.sensor)
     blur = pulse_covariance(values, ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))[0]
     wide, high = (1.0 / np.sqrt(4.0 * np.log(blur[0] / near)) for near in blur[1:])
-    height = darks.event_dn / (1.0 + 1.0 / float(values[SHAPE][0]))
+    height = darks.ions.event_dn / (1.0 + 1.0 / float(values[SHAPE][0]))
     node, weight = np.polynomial.laguerre.laggauss(16)
     light = (field_light(values, darks.level.gate_s, 3)[0, :, None] * node * height).ravel()[:, None, None]
     x, y = np.arange(-4.0 * wide, 4.0 * wide, 0.25), np.arange(-4.0 * high, 4.0 * high + 1.0, 0.2)[:, None]
@@ -326,22 +296,17 @@ def covariance_after_rounding(darks: Darks, level_dn: float, noise_dn: float) ->
 
 def _mean_of_events(darks: Darks) -> list[Observation]:
     """Observe the mean of all pixels that no ion reaches above the level between pulses."""
-    good = ~darks.reached
+    good = ~darks.ions.reached
     mean = darks.data.mean(axis=0, dtype=np.float64) - darks.level_dn
     number = block_sums(good)
     used = number > 0.1 * number.max()
     each = block_sums(mean * good)[used] / number[used]
     value = float(block_sums(mean * good).sum() / number.sum())
-    ions = weak_ions(darks)[0]
-    sd = float(
-        np.hypot.reduce(
-            [each.std(ddof=1) / np.sqrt(each.size), DARK_ERRORS.wing_sd * value, DARK_ERRORS.weak_ions_sd * ions]
-        )
-    )
-    value -= ions
+    sd = float(np.hypot(each.std(ddof=1) / np.sqrt(each.size), DARK_ERRORS.wing_sd * value))
 
     def predict(values: Values) -> Array:
-        small = moment_below(values[SHAPE], 1.0, _ion_limit(values, darks), 1)
-        return _background(values, darks) * (small - _light_below_threshold(values, darks))
+        small = moment_below(values[SHAPE], 1.0, single_pulse_limit(values, darks.ions), 1)
+        pulses = _background(values, darks) * (small - _light_below_threshold(values, darks))
+        return pulses + weak_ions(values, darks.ions)[0]
 
-    return [one("mean of dark events", value, sd, predict, (EBI, BLACK))] if value > 3.0 * sd else []
+    return [one("mean of dark events", value, sd, predict, (EBI, BLACK, *IONS))] if value > 3.0 * sd else []

@@ -1,15 +1,13 @@
-"""Darks of a camera with a tube: the noise between pulses, and the events that are larger than pulses."""
+"""Darks of a camera with a tube: the noise between pulses."""
 
 from dataclasses import dataclass
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.thresholds import DARKS
-from charact.fit.tube_time_observations import field_products, frames_of
+from charact.fit.tube_ions import IonEvents
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
@@ -27,10 +25,7 @@ class Darks:
     noise_dn: float  # their standard deviation before rounding, DN
     noise_relative_sd: float  # relative error of that by the pulses among them
     quiet: Mask  # pixels without a pulse near by, shape (frame, row, col)
-    event_dn: float  # k F^2 as measured, DN
-    reached: Mask  # pixels that the light of an ion event may reach in any frame, shape (row, col)
-    ion_charge_dn: tuple[float, ...]  # whole charge of each ion event, DN
-    least_ion_dn: float  # whole charge from which an event counts as that of an ion, DN
+    ions: IonEvents
 
     @property
     def step(self) -> int:
@@ -43,13 +38,10 @@ class Darks:
         return len(self.data) * self.step
 
 
-def darks_of(level: StackMean, sensor: Sensor, event_dn: float) -> Darks | None:
+def darks_of(data: NDArray[np.float32], ions: IonEvents) -> Darks | None:
     """Return the frames of a dark and what is quiet in them, or None where its noise cannot be located."""
     from scipy.ndimage import maximum_filter
 
-    data = frames_of(level, sensor)
-    if data is None or len(data) < DARKS.least_frames:
-        return None
     first = quiet_noise(data.ravel())
     if first is None:
         return None
@@ -58,10 +50,9 @@ def darks_of(level: StackMean, sensor: Sensor, event_dn: float) -> Darks | None:
     noise = quiet_noise(data[quiet]) if quiet.mean() > DARKS.least_quiet else None
     # Pulses among all pixels raise their noise by up to a seventh, among quiet ones by some percent.
     noise, relative_sd = (noise, 0.03) if noise else (first, 0.15)
-    reached, charges, least = _find_ions(data, level, sensor, event_dn)
     return Darks(
-        data=data, level=level, sensor=sensor, level_dn=noise[0], noise_dn=noise[1], noise_relative_sd=relative_sd,
-        quiet=quiet, event_dn=event_dn, reached=reached, ion_charge_dn=charges, least_ion_dn=least,
+        data=data, level=ions.level, sensor=ions.sensor, level_dn=noise[0], noise_dn=noise[1],
+        noise_relative_sd=relative_sd, quiet=quiet, ions=ions,
     )  # fmt: skip
 
 
@@ -95,27 +86,3 @@ def level_and_sd(below: Array, levels: tuple[float, float]) -> tuple[float, floa
     low, high = ndtri(below)
     sd = (levels[1] - levels[0]) / (high - low)
     return float(levels[0] - low * sd), float(sd)
-
-
-def _find_ions(
-    data: NDArray[np.float32], level: StackMean, sensor: Sensor, event_dn: float
-) -> tuple[Mask, tuple[float, ...], float]:
-    """Return the pixels that ion events reach, each event's whole charge and the least charge of one, DN."""
-    from scipy.ndimage import label, maximum, maximum_filter, uniform_filter
-
-    step = 2 if sensor.video.interlaced else 1
-    charge, window = np.empty_like(data), cast(Any, (0, *DARKS.window))
-    for parity in range(step):
-        charge[:, parity::step] = uniform_filter(data[:, parity::step], size=window) - data.mean()
-    charge *= DARKS.window[0] * DARKS.window[1]
-    in_field = field_products(values_of_description(sensor), level.gate_s, 1)[0, 0]
-    share = DARKS.window_fraction * float(np.sqrt(in_field))
-    low, middle = np.quantile(charge[0], (0.16, 0.5))
-    noise_dn = max(DARKS.ion_sd * float(middle - low), DARKS.ion_pixel_dn * DARKS.window[0] * DARKS.window[1])
-    least = max(DARKS.ion_charge * event_dn, noise_dn / share)
-    seed = charge > least * share
-    # An event is seen in both fields and in later frames: what touches is one event.
-    parts, count = cast(Any, label(maximum_filter(seed, size=(1, 5, 5)), structure=np.ones((3, 3, 3))))
-    largest = np.atleast_1d(maximum(charge, parts, np.arange(1, count + 1))) if count else np.empty(0)
-    reached = maximum_filter(seed.any(axis=0), size=DARKS.ion_reach) > 0
-    return reached, tuple(float(one) / share for one in largest), least

@@ -11,9 +11,9 @@ from charact.fit import predicted_quantities
 from charact.fit.mtf_observations import SPREAD, mtf_observations
 from charact.fit.observation import Observation, Ridge, admissible_measurements, one, sd_of
 from charact.fit.predicted_quantities import Values
-from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.thresholds import ERRORS, LIMITS
+from charact.fit.tube_ions import IONS
 from charact.fit.tube_pattern_observations import frame_observations
 from labdata.measurement import Measurement, Result
 from labdata.sensor import Sensor
@@ -41,6 +41,7 @@ LEVEL = (
     STRIP,
     BLACK,
     "taper.demagnification",
+    *IONS,
 )
 
 
@@ -83,7 +84,7 @@ def noise_observations(
     if darks and not quantised and READ not in shown:
         own = {level.label: level for level in darks}
         reads = admissible_measurements(result, "read_noise", "DN")
-        found += [_dark(m, own.get(m.stack or "", darks[0]), sensor, reference_v) for m in reads]
+        found += [_dark(m, own.get(m.stack or "", darks[0]), reference_v) for m in reads]
     return [
         _together([one for one in found if one.mcp_v == mcp_v], mcp_v, reference_v)
         for mcp_v in dict.fromkeys(one.mcp_v for one in found)
@@ -206,24 +207,16 @@ def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observat
     )  # fmt: skip
 
 
-def _dark(m: Measurement, dark: StackMean, sensor: Sensor, reference_v: float) -> _Noise:
-    """Observe the temporal noise of darks: read noise and EBI; ion feedback enters by its prior range."""
-    ions = sensor.microchannel_plate.ion_event_rate_per_s_cm2
-    sheet = values_of_description(sensor)
-    gain = predicted_quantities.photoelectron_gain(sheet, dark.mcp_v, reference_v)
-    usual = float(
-        predicted_quantities.ion_variance(sheet, gain, predicted_quantities.blur_factor(sheet, gain), dark.gate_s)[0]
-    )
-    low, high = (float(ions) if end is None else end for end in (ions.low, ions.high))
-    spread = usual * (high - low) / (4.0 * float(ions)) if float(ions) > 0 else 0.0
+def _dark(m: Measurement, dark: StackMean, reference_v: float) -> _Noise:
+    """Observe the temporal noise of darks: read noise, EBI and ions."""
     variance = (m.value or 0.0) ** 2
 
     def predict(values: Values, gain: Array, shape: tuple[Array, Array]) -> Array:
         own = predicted_quantities.dark_variance(values, gain, shape[0], dark.gate_s)
         return own + predicted_quantities.ion_variance(values, gain, shape[0], dark.gate_s)
 
-    sd = float(np.hypot.reduce([2.0 * (m.value or 0.0) * sd_of(m), ERRORS.noise * variance, spread]))
-    depends = (READ, "photocathode.ebi_lm_per_cm2", *NOISE)
+    sd = float(np.hypot.reduce([2.0 * (m.value or 0.0) * sd_of(m), ERRORS.noise * variance]))
+    depends = (READ, "photocathode.ebi_lm_per_cm2", *IONS, *NOISE)
     return _number(dark.mcp_v, variance, sd, predict, depends)
 
 
@@ -263,10 +256,7 @@ def _fixed_patterns(sensor: Sensor, result: Result) -> list[Observation]:
 
 
 def _levels(levels: tuple[StackMean, ...], sensor: Sensor) -> Observation:
-    """Observe stack means: black level plus gain times photoelectrons; the clamp removes dark charge.
-
-    The light of ions is that of the description, with the error of its range.
-    """
+    """Observe stack means: black level plus gain times photoelectrons; the clamp removes dark charge."""
     reference_v = float(sensor.microchannel_plate.reference_v)
     lux, gate_s, mcp_v = (
         np.array([getattr(level, name) for level in levels]) for name in ("illuminance_lux", "gate_s", "mcp_v")
@@ -286,25 +276,11 @@ def _levels(levels: tuple[StackMean, ...], sensor: Sensor) -> Observation:
     leaning = np.array([ERRORS.leaning_dn if level.noise_dn < LIMITS.least_noise_dn else 0.0 for level in levels])
     lit = ERRORS.level * np.maximum(mean - mean.min(), 0.0)
     variance = own**2 + ERRORS.black_dn**2 + lit**2 + leaning**2
-    sheet = values_of_description(sensor)
-    gain = predicted_quantities.photoelectron_gain(sheet, mcp_v, reference_v)
-    ions = _ion_relative_sd(sensor) * gain * predicted_quantities.ion_light(sheet) * gate_s
     extra = ("microchannel_plate.gain_exponent",) if len(set(mcp_v.tolist())) > 1 else ()
     # Black level and EBI together are known far better than either.
     darkest = int(np.argmin(mean))
     ridge = Ridge(carrier=BLACK, number=lambda values: predict(values)[:, darkest], slope=1.0)
     return Observation(
-        name="levels", value=mean, covariance=np.diag(variance) + np.outer(ions, ions), predict=predict,
+        name="levels", value=mean, covariance=np.diag(variance), predict=predict,
         speaks_of=(*LEVEL, *extra), ridge=ridge,
     )  # fmt: skip
-
-
-def _ion_relative_sd(sensor: Sensor) -> float:
-    """Return the relative error of the light of ions by the ranges of their rate and size."""
-    plate = sensor.microchannel_plate
-    errors = []
-    for parameter in (plate.ion_event_rate_per_s_cm2, plate.ion_event_size_pe):
-        value = float(parameter)
-        low, high = (value if end is None else end for end in (parameter.low, parameter.high))
-        errors.append((high - low) / (4.0 * value) if value > 0.0 else 0.0)
-    return float(np.hypot(*errors))
