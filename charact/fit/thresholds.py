@@ -132,10 +132,12 @@ class TubeDarks:
 class IonErrors:
     """Ion events in the darks of a tube: limits and model errors."""
 
-    # Fewest events whose mean charge is observed; relative model errors of the root of their number and of the charge.
+    # Fewest events whose mean charge is observed; relative model errors of the root of their number, of the charge, and
+    # of the number of pulses that coincide.
     least_events: int = 4
     number: float = 0.05
     charge: float = 0.1
+    coincidences: float = 0.3
 
 
 @dataclass(frozen=True)

@@ -106,25 +106,38 @@ def ion_observation(events: IonEvents) -> Observation:
     charges = np.array(events.charge_dn)
     number = charges.size
     value = [float(np.sqrt(number + 0.375))]
-    sd = [float(np.hypot(0.5, ION_ERRORS.number * value[0]))]
+    # At the charge of pulses as measured: the described gain may be far from it.
+    sheet = values_of_description(events.sensor)
+    pulse_dn = events.event_dn / (1.0 + 1.0 / sheet[SHAPE])
+    limit = single_pulse_limit(sheet, events) * _pulse_dn(sheet, events) / pulse_dn
+    groups = float(_coincidences(sheet, limit, events.level.gate_s)[0]) * _exposed_s(events)
+    unsure = ION_ERRORS.number * value[0], 0.5 * ION_ERRORS.coincidences * groups / value[0]
+    sd = [float(np.hypot.reduce([0.5, *unsure]))]
     if number >= ION_ERRORS.least_events:
         value.append(float(np.log(charges.mean())))
         sd.append(float(np.hypot(charges.std(ddof=1) / charges.mean() / np.sqrt(number), ION_ERRORS.charge)))
 
     def predict(values: Values) -> Array:
-        exposures = events.level.gate_s * events.exposures
-        ions = predicted.ion_rate(values) * exposures
+        ions = predicted.ion_rate(values) * _exposed_s(events)
         counted = ions * (1.0 - _uncounted(values, events, 0))
         above = ions * (values[SIZE] - _uncounted(values, events, 1))
-        pulses = _coincidences(values, events) * exposures
+        limit = single_pulse_limit(values, events)
+        pulses = _coincidences(values, limit, events.level.gate_s) * _exposed_s(events)
         found = counted + pulses
-        charge = (above + pulses * (single_pulse_limit(values, events) + 1.0)) / np.maximum(found, 1e-12)
+        # Where none is expected, an event is one at the limit.
+        few = 1e-9
+        charge = (above + (pulses + few) * (limit + 1.0)) / (found + few)
         columns = [np.sqrt(found + 0.375), np.log(charge * _in_window(values, events))][: len(value)]
         return np.stack(np.broadcast_arrays(*columns), axis=1)
 
     return Observation(
         name="ion events", value=np.array(value), covariance=np.diag(np.square(sd)), predict=predict, speaks_of=IONS
     )
+
+
+def _exposed_s(events: IonEvents) -> float:
+    """Return the time that all pixels of all fields were exposed, s."""
+    return events.level.gate_s * events.exposures
 
 
 def _pulse_dn(values: Values, events: IonEvents) -> Array:
@@ -149,8 +162,8 @@ def _uncounted(values: Values, events: IonEvents, order: int) -> Array:
     return moment_below(size / spread, size, single_pulse_limit(values, events), order)
 
 
-def _coincidences(values: Values, events: IonEvents) -> Array:
-    """Return the number of pulses and groups of pulses above the limit, by field pixel and second, shape (n,).
+def _coincidences(values: Values, limit: Array, gate_s: float) -> Array:
+    """Return the number of pulses and groups of pulses above a limit, by field pixel and second, shape (n,).
 
     Of k pulses besides one in its window, a Poisson number, the charge is gamma distributed of the shape (1 + k) a; the
     group is one event.
@@ -158,10 +171,10 @@ def _coincidences(values: Values, events: IonEvents) -> Array:
     from scipy.special import gammaincc
     from scipy.stats import poisson
 
-    rate, limit = predicted.background_rate(values) * values[DETECTED], single_pulse_limit(values, events)
-    besides = rate * events.level.gate_s * DARKS.window[0] * DARKS.window[1]
+    rate = predicted.background_rate(values) * values[DETECTED]
+    besides = rate * gate_s * DARKS.window[0] * DARKS.window[1]
     total = np.zeros(np.broadcast(rate, limit).shape)
-    for k in range(6):
+    for k in range(12):
         above = gammaincc((1 + k) * values[SHAPE], limit * values[SHAPE])
         total = total + poisson.pmf(k, besides) * above / (1 + k)
     return rate * total

@@ -115,6 +115,8 @@ def test_what_is_observed_in_frames_lies_where_the_camera_predicts_it(seed: int,
             assert np.abs(away).max() < 4.5, (one.name, away)
             seen[one.name] = seen.get(one.name, 0) + 1
     always = (
-        ("image lag", "line noise") if name == NAMES[0] else ("noise between pulses", "DSNU", "mean of dark events")
+        ("image lag", "line noise", "ion events")
+        if name == NAMES[0]
+        else ("noise between pulses", "DSNU", "mean of dark events", "ion events")
     )
     assert all(seen.get(each) == 2 for each in always)

@@ -101,10 +101,8 @@ def _levels(values: Values, rng: np.random.Generator) -> tuple[StackMean, ...]:
     gain = predicted_quantities.photoelectron_gain(values, MCP_V, 800.0)
     out = []
     for lux in LUX:
-        events = (
-            predicted_quantities.photoelectrons(values, lux, GATE_S)
-            + predicted_quantities.background_rate(values) * GATE_S
-        )
+        background = predicted_quantities.background_rate(values) + predicted_quantities.ion_light(values)
+        events = predicted_quantities.photoelectrons(values, lux, GATE_S) + background * GATE_S
         load = predicted_quantities.mcp_load(values, lux, GATE_S, MCP_V, 800.0)
         mean = float((values["video.black_level_dn"] + gain * events / (1.0 + load))[0])
         out.append(

@@ -15,34 +15,14 @@ from charact.fit.sensor import (
     model_of,
     posterior_of,
 )
-from charact.fit.slice_sampling import adapt
-from charact.fit.thresholds import SAMPLING
 from charact.fit.tube_observations import tube_observations
-from charact.posterior import find_maximum
 from labdata.errors import BadInput
-from labdata.measurement import Posterior, Result, measurement_from_sd
+from labdata.measurement import Result, measurement_from_sd
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import Session
 
 SPECIMENS = 3
-POINTS, FREEDOM = 20000, 8.0
-
-
-def _weighed_posterior(told, seed: int) -> Posterior:
-    """Draws by repeated importance sampling from a Student t: the posterior without a Markov chain."""
-    model, rng = told.model, np.random.default_rng(seed)
-    point, covariance = find_maximum(model.log_probability, model.prior.centre, model.prior.bounds)
-    point, covariance, _ = adapt(model.log_probability, point, covariance, rng)
-    normal = rng.standard_normal((POINTS, point.size))
-    stretch = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, POINTS))
-    points = point + (normal * stretch[:, None]) @ np.linalg.cholesky(covariance).T
-    tail = -0.5 * (FREEDOM + point.size) * np.log1p((normal**2).sum(axis=1) * stretch**2 / FREEDOM)
-    weight = model.log_probability(points) - tail
-    weight = np.exp(weight - weight.max())
-    draws = points[rng.choice(POINTS, size=SAMPLING.kept, p=weight / weight.sum())]
-    names = model.prior.names
-    return Posterior(names=names, units=("1",) * len(names), draws=draws, sampler="laplace")
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +30,7 @@ def fits(told_of: Callable, seed: int):
     out = []
     for number in range(SPECIMENS):
         told = told_of(seed + number)
-        posterior = _weighed_posterior(told, seed + number)
+        posterior = posterior_of(told.model, seed=seed + number)
         out.append(
             (told, posterior, description_from_posterior(told.model, posterior, illuminance_relative_sd=0.0, seed=seed))
         )

@@ -4,8 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
-from charact.fit import tube_dark_observations, tube_pattern_observations, tube_time_observations
+from charact.fit import (
+    predicted_quantities,
+    tube_dark_observations,
+    tube_ions,
+    tube_pattern_observations,
+    tube_time_observations,
+)
+from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.tube_darks import quiet_noise
@@ -183,3 +191,47 @@ def test_noise_that_hides_the_pattern_leaves_no_observation(seed: int) -> None:
     noisy, clean = (level_of(rng.normal(100.0, sd, (FRAMES, ROWS, COLUMNS))) for sd in (60.0, 2.0))
     assert not tube_pattern_observations.pattern_observations(tube(), (noisy,))
     assert len(tube_pattern_observations.pattern_observations(tube(), (clean,))) == 1
+
+
+PULSE_DN = 400.0
+
+
+def frames_with_ions(rng: np.random.Generator, values: Values, shape: tuple[int, int, int]) -> np.ndarray:
+    """Return frames of single pulses of a mean charge of 400 DN and of ion events of Poisson numbers of them."""
+    frames = rng.normal(600.0, 5.0, shape)
+    charges = np.zeros(shape)
+    ions, pulses = (
+        rng.poisson(float(rate[0]) * GATE_S * frames.size)
+        for rate in (
+            predicted_quantities.ion_rate(values),
+            predicted_quantities.background_rate(values) * values[tube_ions.DETECTED],
+        )
+    )
+    for heights in (np.ones(pulses), rng.poisson(values[tube_ions.SIZE], ions)):
+        place = tuple(rng.integers(0, n, heights.size) for n in shape)
+        np.add.at(charges, place, PULSE_DN * rng.standard_gamma(np.maximum(heights, 1e-9)))
+    return frames + gaussian_filter(charges, (0.0, 0.6, 0.6))
+
+
+def values_of_ions(camera: Sensor, rate: float, pulses: float) -> Values:
+    """Return parameters of pulses of exponential heights and a mean charge of 400 DN, so many a pixel and frame."""
+    values = {**values_of_description(camera), tube_ions.RATE: np.array([rate]), tube_ions.SHAPE: np.ones(1)}
+    gain = predicted_quantities.photoelectron_gain(values, 800.0, float(camera.microchannel_plate.reference_v))
+    conversion, background = "video.conversion_gain_dn_per_e", "photocathode.ebi_lm_per_cm2"
+    values[conversion] = values[conversion] * PULSE_DN * values[tube_ions.DETECTED] / gain
+    usual = predicted_quantities.background_rate(values) * values[tube_ions.DETECTED] * GATE_S
+    values[background] = values[background] * pulses / usual
+    return values
+
+
+@pytest.mark.parametrize(("rate", "pulses"), [(0.0, 0.005), (400.0, 0.005), (9000.0, 0.005), (400.0, 0.08)])
+def test_number_and_charge_of_ion_events_are_those_put_into_the_frames(seed: int, rate: float, pulses: float) -> None:
+    """Also where so many pulses share a window that groups of them pass for ions."""
+    camera, rng = tube("gen3-digital-iccd"), np.random.default_rng([seed, 11, round(rate)])
+    values = values_of_ions(camera, rate, pulses)
+    data = frames_with_ions(rng, values, (FRAMES, 200, 300)).astype(np.float32)
+    observed = tube_ions.ion_observation(tube_ions.find_ions(data, level_of(data, lux=0.0), camera, 2.0 * PULSE_DN))
+    away = (observed.predict(values)[0] - observed.value) / np.sqrt(np.diag(observed.covariance))
+    assert np.abs(away).max() < WITHIN
+    wrong = {**values, tube_ions.RATE: np.array([0.5 * rate + 2000.0])}
+    assert observed.chi_squared(wrong)[0] > observed.chi_squared(values)[0] + 4.0
