@@ -93,7 +93,8 @@ def frames(
 
 def _summarise(session: "Session", out: Path, next_verb: str) -> None:
     counts = Counter(stack.kind for stack in session.stacks)
-    print(f"{out}: {len(session.stacks)} stacks ({', '.join(f'{count} {kind}' for kind, count in counts.items())})")
+    number, kinds = len(session.stacks), ", ".join(f"{count} {kind}" for kind, count in counts.items())
+    print(f"{out}: {number} stack{'s' if number != 1 else ''} ({kinds})")
     unknown = [
         f"{' or '.join(names)} ({use})"
         for kinds, names, use in NEEDED

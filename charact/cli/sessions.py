@@ -322,8 +322,7 @@ def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bo
         print_message(sentence, events=events)
     with progress_bar(events=events) as progress:
         done = validation.validate(session, fitted, seed=seed, progress=progress)
-    if Path(sensor).resolve().parent == session.folder.resolve():
-        done = replace(done, notes=(*done.notes, validation.SAME_SESSION))
+    done = replace(done, same_session=Path(sensor).resolve().parent == session.folder.resolve())
     validation.save(done, session.folder)
     return done
 
@@ -347,7 +346,7 @@ def _lines(validation: "Validation") -> Iterator[str]:
     if found:
         share = f"{100.0 * validation.power[0].probability:g} %"
         yield f"errors that would have been found in {share} of cases: {', '.join(found)}"
-    yield from (f"note: {note}" for note in validation.notes)
+    yield from (f"note: {note}" for note in (validation.origin, *validation.notes))
     yield f"validation: {'passed' if validation.passed else 'FAILED'}"
 
 

@@ -16,7 +16,7 @@ from charact.report.validation_figures import (
     residual_figure,
     worst_deviations,
 )
-from charact.validation import SAME_SESSION, FramePair, Statistic, Validation, ValidationControl
+from charact.validation import FramePair, Statistic, Validation, ValidationControl
 
 # Overlays in their order on the page.
 OVERLAYS = (
@@ -44,7 +44,8 @@ class Section:
     status: str
     headline: str
     sentence: str  # what the validation could have seen, or what deviates
-    caution: str  # the camera was fitted to the same session
+    origin: str  # what the camera was fitted to
+    same_session: bool
     summary: str
     blind: BlindPair | None
     pairs: tuple[tuple[ReportImage, ...], ...]
@@ -67,7 +68,8 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
         status=_status(validation.passed),
         headline=headline_of(validation),
         sentence=sentence_of(validation),
-        caution=SAME_SESSION if SAME_SESSION in validation.notes else "",
+        origin=validation.origin,
+        same_session=validation.same_session,
         summary=_summary(validation),
         blind=blind_pair(drawn.blind[0], validation.seed, aspect) if drawn.blind else None,
         pairs=tuple(_pictures(pair, aspect) for pair in drawn.pairs),
@@ -82,7 +84,7 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
         missing_figures=missing_figures(drawn.overlays),
         notes=(
             *(one.note for one in validation.statistics if one.note),
-            *(note for note in validation.notes if note != SAME_SESSION),
+            *validation.notes,
         ),
     )
 

@@ -1,6 +1,7 @@
 """Figures of the validation section: curves with the simulated band, residuals, deviations by name, and power."""
 
 from collections.abc import Mapping
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -221,7 +222,7 @@ def power_figure(validation: Validation) -> tuple[Figure, ...]:
             words = f"{length:.2g} %, {one.statistic}" if one.statistic else "none below 100 %"
             axes.text(1.12 * length, row, words, va="center", fontsize=7.5)
         axes.set_xscale("log")
-        axes.set_yticks(range(len(rows)), [one.title for one in rows], fontsize=7.5)
+        axes.set_yticks(range(len(rows)), [fill(one.title, 34) for one in rows], fontsize=7.5)
         axes.set(xlim=(least, 1500.0), ylim=(len(rows) - 0.5, -0.5), xlabel="least error that would be found (%)")
         ticks = 10.0 ** np.arange(np.log10(least), 2.01)
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])

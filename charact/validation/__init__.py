@@ -1,6 +1,6 @@
 """Validation of a fitted sensor by comparison of simulated with measured frames."""
 
-from charact.validation.side_by_side import SAME_SESSION, validate
+from charact.validation.side_by_side import validate
 from charact.validation.validation_result import (
     FramePair,
     ResidualMap,
@@ -14,7 +14,6 @@ from charact.validation.validation_result import (
 )
 
 __all__ = [
-    "SAME_SESSION",
     "FramePair",
     "ResidualMap",
     "Statistic",

@@ -23,10 +23,6 @@ Progress = Callable[[str, float], None]
 NULL = "Frames of one more posterior draw in place of the measured ones"
 HALVES = "Every second measured frame against the others"
 NO_DRAWS = "the camera has no posterior draws: simulated at its values"
-SAME_SESSION = (
-    "the camera was fitted to frames of this session: its fitted numbers agree by construction; a second session, as "
-    "in charact validate DAY2 --sensor DAY1/fitted.toml, tests them"
-)
 
 
 def validate(

@@ -180,6 +180,8 @@ class Validation:
         Errors of parameters that would have been found.
     figures, notes
         Curves and pictures, and notes for the reader.
+    same_session
+        Whether the camera was fitted to frames of this session, so that its fitted numbers agree by construction.
     """
 
     session: str
@@ -192,6 +194,17 @@ class Validation:
     power: tuple[DetectableError, ...] = ()
     figures: ValidationFigures = field(default_factory=ValidationFigures)
     notes: tuple[str, ...] = ()
+    same_session: bool = False
+
+    @property
+    def origin(self) -> str:
+        """Sentence on what the camera was fitted to."""
+        if not self.same_session:
+            return f"the camera, {self.sensor}, was not fitted to frames of this session"
+        return (
+            "the camera was fitted to frames of this session: its fitted numbers agree by construction; a second "
+            "session, as in charact validate DAY2 --sensor DAY1/fitted.toml, tests them"
+        )
 
     @property
     def pairs(self) -> tuple[FramePair, ...]:
@@ -294,7 +307,10 @@ def load(folder: str | Path) -> Validation | None:
                                else one["relative_error"]})
             for one in stored["power"]
         )  # fmt: skip
-        return Validation(**kept, statistics=statistics, controls=controls, power=power, figures=figures, notes=notes)
+        return Validation(
+            **kept, statistics=statistics, controls=controls, power=power, figures=figures, notes=notes,
+            same_session=stored.get("same_session", False),
+        )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadInput(f"{folder / NUMBERS} must be a validation kept by charact, got {error}") from error
 

@@ -90,8 +90,10 @@ def _axes(header, prefix: str) -> tuple[list[int], int]:
 
 
 def _number(header, card: str, default: int | None = None) -> int:
-    """Return the integer of a card; a missing one without a default is a KeyError."""
-    return int(header[card] if default is None else header.get(card, default))
+    """Return the integer of a card; a missing one without a default is BadInput."""
+    if card not in header and default is None:
+        raise BadInput(f"a FITS header must have the card {card}, got none")
+    return int(header.get(card, default))
 
 
 def _header_text(file: BufferedIOBase, path: Path) -> bytes:

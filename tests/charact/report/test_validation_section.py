@@ -12,7 +12,6 @@ from charact.report import page
 from charact.report.validation import blind_pair, headline_of, sentence_of, validation_section
 from charact.report.validation_figures import chance_limit, deviations, missing_figures, worst_numbers
 from charact.validation import (
-    SAME_SESSION,
     FramePair,
     ResidualMap,
     Statistic,
@@ -115,13 +114,13 @@ def test_an_agreement_says_what_it_could_have_seen_and_a_difference_where_it_is(
     assert sentence == "It differs most in covariance (noise), which may come from hum"
 
 
-def test_the_same_session_is_marked_on_top_and_not_among_the_notes(made):
-    section = validation_section(replace(_bare(), notes=(SAME_SESSION, "a note")))
-    assert section.caution == SAME_SESSION
-    assert section.notes == ("a note",)
-    assert validation_section(_bare()).caution == ""
-    marked = page(made.session(), Result(), validation=replace(_bare(), notes=(SAME_SESSION,)))
+def test_the_page_says_whether_the_camera_was_fitted_to_the_same_session(made):
+    marked = page(made.session(), Result(), validation=replace(_bare(), same_session=True))
     assert "agree by construction" in _text(marked).partition("Numbers to take along")[0]
+    assert "▲ Same session" in _text(marked)
+    other = _text(page(made.session(), Result(), validation=_bare()))
+    assert "agree by construction" not in other
+    assert "was not fitted to frames of this session" in other
 
 
 def test_the_answer_is_the_truth_and_nothing_else_tells_the_pair_apart():
