@@ -10,21 +10,17 @@ from charact.fit import predicted_quantities as predicted
 from charact.fit.observation import Observation, one
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
-from charact.fit.stack_levels import StackMean
 from charact.fit.thresholds import DARK_ERRORS, DARKS, FRAMES
 from charact.fit.tube_darks import Darks, darks_of, level_and_sd, thresholds_of
-from charact.fit.tube_ions import IONS, find_ions, ion_observation, moment_below, single_pulse_limit, weak_ions
+from charact.fit.tube_ions import IONS, IonEvents, ion_observation, moment_below, single_pulse_limit, weak_ions
 from charact.fit.tube_time_observations import (
     LINE_NOISE,
     block_sums,
     field_light,
     field_products,
     filter_covariance,
-    frames_of,
     pulse_covariance,
 )
-from labdata.measurement import Result
-from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
@@ -34,19 +30,11 @@ CONVERSION = "video.conversion_gain_dn_per_e"
 SHAPE = "microchannel_plate.pulse_height_shape"
 
 
-def dark_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> list[Observation]:
-    """Return the observations of the dark with most frames, one of each that its frames can show."""
-    stacks = [level for level in levels if level.dark and level.entry is not None]
-    # A scale of the charge of pulses, for which any estimate will do.
-    gains = [m.value for m in result.find("covariance_gain") if m.value]
-    if not stacks or not gains:
+def dark_observations(ions: IonEvents | None) -> list[Observation]:
+    """Return the observations of a dark, one of each that its frames can show."""
+    if ions is None:
         return []
-    level = max(stacks, key=lambda level: len(level.entry.read()) if level.entry else 0)
-    data = frames_of(level, sensor)
-    if data is None or len(data) < DARKS.least_frames:
-        return []
-    ions = find_ions(data, level, sensor, gains[0])
-    darks, sparse = darks_of(data, ions), ions.reached.mean() < DARK_ERRORS.most_reached
+    darks, sparse = darks_of(ions), ions.reached.mean() < DARK_ERRORS.most_reached
     found = [ion_observation(ions)] if sparse else []
     if darks is not None:
         found += [*_quiet(darks), *_pattern(darks), *(_events(darks) if sparse else [])]

@@ -38,10 +38,11 @@ class Darks:
         return len(self.data) * self.step
 
 
-def darks_of(data: NDArray[np.float32], ions: IonEvents) -> Darks | None:
+def darks_of(ions: IonEvents) -> Darks | None:
     """Return the frames of a dark and what is quiet in them, or None where its noise cannot be located."""
     from scipy.ndimage import maximum_filter
 
+    data = ions.data
     first = quiet_noise(data.ravel())
     if first is None:
         return None

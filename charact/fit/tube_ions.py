@@ -12,7 +12,8 @@ from charact.fit.predicted_quantities import Values
 from charact.fit.prior import values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.thresholds import DARKS, ION_ERRORS
-from charact.fit.tube_time_observations import field_products, pulse_covariance
+from charact.fit.tube_time_observations import field_products, frames_of, pulse_covariance
+from labdata.measurement import Result
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
@@ -28,12 +29,13 @@ class IonEvents:
 
     level: StackMean
     sensor: Sensor
-    exposures: int  # field pixels of all fields of the frames
+    data: NDArray[np.float32]  # frames of the dark, shape (frame, row, col), DN
     reached: NDArray[np.bool_]  # pixels that the light of an event may reach in any frame, shape (row, col)
     charge_dn: tuple[float, ...]  # charge of each event in its window and brightest field, DN
     least_dn: float  # charge in the window from which an event counts as that of an ion, DN
     in_window: float  # fraction of a pulse's light in a field that its window contains
     event_dn: float  # k F^2 as measured, DN
+    variance_dn2: float  # what the events add to the variance of a pixel, DN^2
 
 
 def light_in_window(values: Values) -> float:
@@ -45,6 +47,20 @@ def light_in_window(values: Values) -> float:
     sizes = [1.0 / np.sqrt(4.0 * np.log(blur[0] / near)) for near in blur[1:]]
     sides = [erf(wide / (2.0 * np.sqrt(2.0) * size)) for wide, size in zip(DARKS.window, sizes, strict=True)]
     return float(np.prod(sides))
+
+
+def ions_of(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> IonEvents | None:
+    """Return the ion events of the dark with most frames, or None without one of enough frames or a measured gain."""
+    stacks = [level for level in levels if level.dark and level.entry is not None]
+    # A scale of the charge of pulses, for which any estimate will do.
+    gains = [m.value for m in result.find("covariance_gain") if m.value]
+    if not stacks or not gains:
+        return None
+    level = max(stacks, key=lambda level: len(level.entry.read()) if level.entry else 0)
+    data = frames_of(level, sensor)
+    if data is None or len(data) < DARKS.least_frames:
+        return None
+    return find_ions(data, level, sensor, gains[0])
 
 
 def find_ions(data: NDArray[np.float32], level: StackMean, sensor: Sensor, event_dn: float) -> IonEvents:
@@ -63,12 +79,14 @@ def find_ions(data: NDArray[np.float32], level: StackMean, sensor: Sensor, event
     least = max(DARKS.ion_charge * event_dn * in_field, noise_dn)
     seed = charge > least
     # An event is seen in both fields and in later frames: what touches is one event.
-    parts, count = cast(Any, label(maximum_filter(seed, size=(1, 5, 5)), structure=np.ones((3, 3, 3))))
+    near = maximum_filter(seed, size=(1, 5, 5))
+    parts, count = cast(Any, label(near, structure=np.ones((3, 3, 3))))
     largest = np.atleast_1d(maximum(charge, parts, np.arange(1, count + 1))) if count else np.empty(0)
     reached = maximum_filter(seed.any(axis=0), size=DARKS.ion_reach) > 0
     return IonEvents(
-        level=level, sensor=sensor, exposures=data.size, reached=reached, least_dn=least, in_window=in_window,
-        event_dn=event_dn, charge_dn=tuple(float(one) for one in largest),
+        level=level, sensor=sensor, data=data, reached=reached, least_dn=least, in_window=in_window,
+        event_dn=event_dn, variance_dn2=float(np.sum((data[near] - data.mean()) ** 2)) / data.size,
+        charge_dn=tuple(float(one) for one in largest),
     )  # fmt: skip
 
 
@@ -137,7 +155,7 @@ def ion_observation(events: IonEvents) -> Observation:
 
 def _exposed_s(events: IonEvents) -> float:
     """Return the time that all pixels of all fields were exposed, s."""
-    return events.level.gate_s * events.exposures
+    return events.level.gate_s * events.data.size
 
 
 def _pulse_dn(values: Values, events: IonEvents) -> Array:

@@ -13,7 +13,7 @@ from charact.fit.observation import Observation, Ridge, admissible_measurements,
 from charact.fit.predicted_quantities import Values
 from charact.fit.stack_levels import StackMean
 from charact.fit.thresholds import ERRORS, LIMITS
-from charact.fit.tube_ions import IONS
+from charact.fit.tube_ions import IONS, IonEvents, ions_of
 from charact.fit.tube_pattern_observations import frame_observations
 from labdata.measurement import Measurement, Result
 from labdata.sensor import Sensor
@@ -61,11 +61,17 @@ class _Noise:
 
 
 def noise_observations(
-    session: Session, sensor: Sensor, result: Result, levels: tuple[StackMean, ...], shown: Set[str] = frozenset()
+    session: Session,
+    sensor: Sensor,
+    result: Result,
+    levels: tuple[StackMean, ...],
+    shown: Set[str] = frozenset(),
+    ions: IonEvents | None = None,
 ) -> list[Observation]:
     """Observe noise power, variance and image lag of the flats and the variance of darks, by MCP voltage.
 
-    `shown`: parameters that the frames have shown by themselves: image lag and darks are not observed twice.
+    `shown`: parameters that the frames have shown by themselves: image lag and darks are not observed twice. `ions`:
+    ion events of the dark.
     """
     reference_v = float(sensor.microchannel_plate.reference_v)
     flats = session.of_kind("flat")
@@ -76,7 +82,9 @@ def noise_observations(
     # The read noise must be large against the quantisation step, so that rounding of darks is additive.
     least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
     quantised = least_e * float(sensor.video.conversion_gain_dn_per_e) <= LIMITS.least_noise_dn
-    found = _of_flats(result, volts, float(np.median(gates_s)) if gates_s else np.inf, quantised, LAG[0] not in shown)
+    found = _of_flats(
+        result, volts, float(np.median(gates_s)) if gates_s else np.inf, quantised, LAG[0] not in shown, ions
+    )
     volts_of = {entry.label: entry.conditions.mcp_v for entry in session.stacks}
     found += [one for one in _separate(result, volts_of, volts) if one.mcp_v != volts or not found]
     found += _neighbours(result, volts)
@@ -91,7 +99,9 @@ def noise_observations(
     ]
 
 
-def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool, lag: bool) -> list[_Noise]:
+def _of_flats(
+    result: Result, mcp_v: float, gate_s: float, quantised: bool, lag: bool, ions: IonEvents | None
+) -> list[_Noise]:
     """Observe noise power at frequency 0 and lag factor of the pooled flats, and the variance of every flat.
 
     All are those of single exposures, per DN of signal: image lag leaves the fraction s of power and variance, and the
@@ -118,6 +128,9 @@ def _of_flats(result: Result, mcp_v: float, gate_s: float, quantised: bool, lag:
     value = np.concatenate([np.median(pooled, axis=1), slope])
     # Rounding may hide the noise of a dark; mean and variance of the dark are errors of every flat.
     common = [ERRORS.leaning_dn * quantised * slope / signal, ERRORS.rounding_dn2 * quantised / signal]
+    if ions is not None:
+        # Of few large events, which are removed from one stack and not from another, the variance is unsure by itself.
+        common.append(ions.variance_dn2 / signal)
     own = np.diag((sd / signal) ** 2) + sum(np.outer(one, one) for one in common)
     errors = block_diag(np.cov(pooled), own) if drawn else own
     model = np.full(value.size, ERRORS.noise)
@@ -228,9 +241,10 @@ def tube_observations(
     A mildly suspect measurement is used only if there is none with status ok; refused and otherwise flagged ones are
     excluded.
     """
-    frames = frame_observations(sensor, result, levels)
+    ions = ions_of(sensor, result, levels)
+    frames = frame_observations(sensor, levels, ions)
     shown = {path for one in frames for path in one.speaks_of}
-    found = mtf_observations(session, sensor, result) + noise_observations(session, sensor, result, levels, shown)
+    found = mtf_observations(session, sensor, result) + noise_observations(session, sensor, result, levels, shown, ions)
     for m in admissible_measurements(result, "halo_diameter"):
         sd, depends = float(np.hypot(sd_of(m), ERRORS.halo_px)), ("photocathode.gap_mm", "taper.demagnification")
         found.append(one("halo diameter", m.value or 0.0, sd, predicted_quantities.halo_diameter_px, depends))

@@ -8,24 +8,24 @@ from charact.fit.predicted_quantities import Values
 from charact.fit.stack_levels import StackMean
 from charact.fit.thresholds import FRAMES, PATTERN
 from charact.fit.tube_dark_observations import dark_observations
+from charact.fit.tube_ions import IonEvents
 from charact.fit.tube_time_observations import (
     block_sums,
     filter_covariance,
     frames_of,
     time_observations,
 )
-from labdata.measurement import Result
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 PRNU = "ccd.prnu"
 
 
-def frame_observations(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> list[Observation]:
+def frame_observations(sensor: Sensor, levels: tuple[StackMean, ...], ions: IonEvents | None) -> list[Observation]:
     """Return what the frames of darks and flats show in time and space, each only where it shows."""
     return [
         *time_observations(sensor, levels),
-        *dark_observations(sensor, result, levels),
+        *dark_observations(ions),
         *pattern_observations(sensor, levels),
     ]
 

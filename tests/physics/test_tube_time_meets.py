@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.fit import tube_dark_observations, tube_time_observations
+from charact.fit import tube_dark_observations, tube_ions, tube_time_observations
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import prior_of, values_of_description
 from charact.fit.stack_levels import levels_of
@@ -102,7 +102,7 @@ def observed_of(name: str, seed: int) -> tuple[list, Values]:
     levels, sheet = levels_of(session), load_camera(name)
     assert isinstance(sheet, Sensor)
     found = tube_time_observations.time_observations(sheet, levels)
-    return found + tube_dark_observations.dark_observations(sheet, told, levels), values
+    return found + tube_dark_observations.dark_observations(tube_ions.ions_of(sheet, told, levels)), values
 
 
 @pytest.mark.parametrize("name", NAMES)

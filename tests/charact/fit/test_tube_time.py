@@ -142,7 +142,7 @@ def test_the_noise_of_rounded_darks_is_located_below_their_pulses(seed: int, lev
 def test_a_dark_of_one_grey_value_has_no_noise_to_locate() -> None:
     assert quiet_noise(np.full(1000, 12.0)) is None
     data = np.full((FRAMES, ROWS, COLUMNS), 12.0)
-    assert not tube_dark_observations.dark_observations(tube(), Result(), (level_of(data, lux=0.0),))
+    assert tube_ions.ions_of(tube(), Result(), (level_of(data, lux=0.0),)) is None
 
 
 @pytest.mark.parametrize(("level", "noise"), [(10.0, 0.2), (10.2, 0.3), (10.5, 0.25)])
