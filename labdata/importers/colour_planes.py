@@ -8,6 +8,10 @@ from labdata.frames import FrameStack
 from labdata.importers.thresholds import MOSAIC_LEVEL, MOSAIC_SIGNIFICANCE
 
 LUMINANCE_NOTE = "colour picture: the luminance 0.2125 R + 0.7154 G + 0.0721 B was taken"
+PLANE_NOTE = (
+    "one plane of a mosaic: lengths and frequencies count its samples, which lie two pixels of the camera apart; its "
+    "pitch is twice that of the pixels"
+)
 SITES = ("r", "g1", "g2", "b")
 
 
@@ -48,7 +52,7 @@ def require_monochrome(
 def _of_mosaic(data: NDArray, plane: str, site: tuple[int, int], notes: tuple[str, ...] = ()) -> FrameStack:
     """Return every second row and column from a site on."""
     row, col = site
-    return FrameStack(data=data[:, row::2, col::2], plane=plane, sample_pitch_px=2, notes=notes)
+    return FrameStack(data=data[:, row::2, col::2], plane=plane, sample_pitch_px=2, notes=(PLANE_NOTE, *notes))
 
 
 def site_of(pattern: str, plane: str | None, name: str) -> tuple[int, int]:
