@@ -3,6 +3,7 @@
 import hashlib
 import os
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -215,8 +216,9 @@ class Session:
                 return entry
         raise BadInput(f"a stack must be one of {[s.label for s in self.stacks]}, got {label!r}")
 
+    @cached_property
     def sampling(self) -> tuple[str, int]:
-        """Return the plane that all stacks show, and the distance of its samples in pixels of the camera.
+        """Plane that all stacks show, and distance of its samples in pixels of the camera.
 
         Stacks of several planes are a BadInput, and so is a plane of a mosaic behind an image tube.
         """

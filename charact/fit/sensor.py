@@ -235,7 +235,7 @@ def fit_sensor(
         If the session names no camera, one of the thermal infrared, has no measurement of it, or stacks of several
         colour planes.
     """
-    plane, pitch_px = session.sampling()
+    plane, pitch_px = session.sampling
     camera = _camera_of(session, pitch_px)
     result = _per_pixel(result, pitch_px)
     progress("levels of darks and flats", 0.0)

@@ -163,7 +163,7 @@ def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
 
 def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry]]:
     """Return the stacks of a kind with enough frames and known light."""
-    out, (_, pitch_px) = [], session.sampling()
+    out, (_, pitch_px) = [], session.sampling
     whole_shape, along_edge = (SHAPE, ALONG_EDGE) if pitch_px == 1 else (SHAPE_OF_PLANE, ALONG_EDGE_OF_PLANE)
     for entry in session.of_kind(kind):
         frames, rows, columns = entry.read().shape

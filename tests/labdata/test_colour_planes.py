@@ -108,9 +108,9 @@ def test_a_session_knows_the_plane_of_its_files_and_how_far_its_samples_lie_apar
     np.save(tmp_path / "a.npy", dark())
     np.save(tmp_path / "b.npy", dark())
     session = import_frames([tmp_path / "a.npy"], tmp_path / "s", kind="dark", plane="rggb:g2")
-    assert session.sampling() == ("g2", 2)
+    assert session.sampling == ("g2", 2)
     session = import_frames([tmp_path / "b.npy"], tmp_path / "s", kind="flat", plane="rggb:b", add=True)
     with pytest.raises(BadInput, match="one colour plane, got g2 in 'a' and b in 'b' of session 's'"):
-        session.sampling()
+        _ = session.sampling
     grey = import_frames([tmp_path / "a.npy"], tmp_path / "t", kind="dark")
-    assert grey.sampling() == ("mono", 1)
+    assert grey.sampling == ("mono", 1)
