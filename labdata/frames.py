@@ -42,6 +42,7 @@ class FrameStack:
     full_scale_dn: float | None = None  #: Full scale of the digitiser, DN; None if unknown
     #: Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b", "luminance"), or "mono"
     plane: str = "mono"
+    sample_pitch_px: int = 1  #: Distance of neighbouring samples in pixels of the camera: 2 in a plane of a mosaic
     notes: tuple[str, ...] = ()  #: Remarks on how the frames were read
     origin: tuple[int, int] = (0, 0)  #: First row and column in the file: a non-finite border is cut off
 

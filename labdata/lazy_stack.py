@@ -54,7 +54,7 @@ class View(Protocol):
 
 
 def open_lazy_stack(entry: StackEntry) -> LazyStack:
-    """Open a stack: a Zarr array or .npy file lazily, any other file read completely; then apply its view."""
+    """Open a stack: a Zarr array or .npy file lazily, any other file or plane read completely; then apply its view."""
     stack = _as_they_are(entry)
     return stack if entry.view is None else entry.view.through(stack)
 
@@ -65,7 +65,7 @@ def _as_they_are(entry: StackEntry) -> LazyStack:
     from labdata.importers.axes import FRAME, UNNAMED, names_of_shape
 
     path = entry.paths[0] if isinstance(entry.frames, str) else None
-    if path is not None and is_ours(path):
+    if path is not None and is_ours(path) and entry.plane is None:
         return _of_store(entry, path)
     array = None if path is None or entry.plane or entry.axis not in (None, FRAME) else _map_array(path)
     if (

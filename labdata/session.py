@@ -3,6 +3,7 @@
 import hashlib
 import os
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +41,9 @@ class StackRecord(Conditions):
     kind: Kind  #: Kind of target
     frames: str | tuple[str, ...]  #: File or files of the frames, or a Zarr array, relative to the session's folder
     axis: str | None = None  #: Number (from 0) or name of the frame axis of the files; by default the first
-    plane: str | None = None  #: Plane to read of colour images, mosaics and files with more axes
+    #: Plane to read of colour images, mosaics and files with more axes. Regions, lengths and frequencies of targets
+    #: count its own samples
+    plane: str | None = None
     asked: Conditions | None = None  #: Requested conditions, where they differ from those in force
     target: Target = field(default_factory=Target)  #: Target in front of the camera
     sensor: str | None = None  #: Its sensor description, where a session has stacks of several; as the session's
@@ -123,6 +126,15 @@ class StackEntry:
             notes=tuple(dict.fromkeys((*stack.notes, *self.notes, *broken_off))),
         )
 
+    def sampling(self) -> tuple[str, int]:
+        """Return the plane that the frames show, and the distance of its samples in pixels of the camera."""
+        if self.plane is None:
+            return "mono", 1
+        from labdata.importers import read_frames
+
+        first = read_frames(self.paths[0], self.plane, axis=self.axis, find_full_scale=False)
+        return first.plane, first.sample_pitch_px
+
     def _full_scale_dn(self, stack: FrameStack) -> float | None:
         if self.bit_depth is None:
             return stack.full_scale_dn
@@ -144,6 +156,10 @@ class LoadedStackEntry(StackEntry):
     def read(self, plane: str | None = None) -> FrameStack:
         """Return the frames; `plane` has no effect."""
         return self.kept
+
+    def sampling(self) -> tuple[str, int]:
+        """Return the plane of the frames, and the distance of its samples in pixels of the camera."""
+        return self.kept.plane, self.kept.sample_pitch_px
 
 
 def _concatenate(parts: list[FrameStack], label: str) -> FrameStack:
@@ -199,6 +215,28 @@ class Session:
             if entry.label == label:
                 return entry
         raise BadInput(f"a stack must be one of {[s.label for s in self.stacks]}, got {label!r}")
+
+    @cached_property
+    def sampling(self) -> tuple[str, int]:
+        """Plane that all stacks show, and distance of its samples in pixels of the camera.
+
+        Stacks of several planes are a BadInput, and so is a plane of a mosaic behind an image tube.
+        """
+        found: dict[tuple[str, int], str] = {}
+        for entry in self.stacks:
+            if entry.kind != "scene":
+                plane, pitch_px = entry.sampling()
+                found.setdefault(("mono" if plane == "luminance" else plane, pitch_px), entry.label)
+        if len(found) > 1:
+            shown = " and ".join(f"{plane} in {label!r}" for (plane, _), label in found.items())
+            raise BadInput(f"one camera description is of one colour plane, got {shown} of session {self.name!r}")
+        plane, pitch_px = next(iter(found), ("mono", 1))
+        if pitch_px > 1 and not isinstance(self.camera, SolidStateCamera | None):
+            raise BadInput(
+                f"a plane of a mosaic must be that of a camera without an image tube, got {plane} of session "
+                f"{self.name!r}, camera {self.camera.name!r}"
+            )
+        return plane, pitch_px
 
     def dark_like(self, conditions: Conditions) -> StackEntry | None:
         """Return the dark whose settings agree best with some conditions; None without darks."""

@@ -163,6 +163,10 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
 
 FULL_WELL = "ccd.full_well_e"
 GAIN = "video.conversion_gain_dn_per_e"
+PLANE_NOTE = (
+    "Fitted to the plane {} of a mosaic: lengths, charges and gain are those of the camera's pixels, the quantum "
+    "efficiency that behind their colour filter; rows, neighbours and interference of the read-out are the plane's."
+)
 
 
 def fills_the_scale(session: Session) -> bool:
@@ -223,14 +227,17 @@ def fit_sensor(
         departs from the prior's only as a factor of a combination that the data determine. The rest is unchanged.
         `draws` contains the joint posterior of all requested parameters, with a tube without the systematic uncertainty
         of the light meter: products of parameters are better known than each of them. Frame size and bit depth are the
-        session's.
+        session's; those of a plane of a mosaic are of the camera that has it, see `PLANE_NOTE`.
 
     Raises
     ------
     BadInput
-        If the session names no camera, one of the thermal infrared, or has no measurement of it.
+        If the session names no camera, one of the thermal infrared, has no measurement of it, or stacks of several
+        colour planes.
     """
-    camera = _camera_of(session)
+    plane, pitch_px = session.sampling
+    camera = _camera_of(session, pitch_px)
+    result = _per_pixel(result, pitch_px)
     progress("levels of darks and flats", 0.0)
     levels = levels_of(session)
     observed = (
@@ -250,14 +257,13 @@ def fit_sensor(
         model, posterior, illuminance_relative_sd=relative_sd_of(lit, "lux")[0] if metered else 0.0,
         scale_filled=metered and fills_the_scale(session), seed=seed,
     )  # fmt: skip
-    if doubt:
-        fitted = replace(fitted, notes=(*fitted.notes, doubt))
+    notes = [*fitted.notes, *([PLANE_NOTE.format(plane)] if pitch_px > 1 else []), *([doubt] if doubt else [])]
     progress("fitted", 1.0)
-    return fitted
+    return replace(fitted, notes=tuple(notes))
 
 
-def _camera_of(session: Session) -> VisibleCamera:
-    """Return the session's camera with the size and bit depth of its frames; BadInput without one."""
+def _camera_of(session: Session, pitch_px: int) -> VisibleCamera:
+    """Return the session's camera of the bit depth of its frames, and a size by their samples so many pixels apart."""
     camera = session.camera
     if camera is None:
         raise BadInput(
@@ -270,7 +276,26 @@ def _camera_of(session: Session) -> VisibleCamera:
         return camera
     _, rows, columns = open_lazy_stack(session.stacks[0]).shape
     video = replace(camera.video, bit_depth=session.bit_depth or camera.video.bit_depth)
-    return replace(camera, ccd=replace(camera.ccd, rows=rows, columns=columns), video=video)
+    return replace(camera, ccd=replace(camera.ccd, rows=rows * pitch_px, columns=columns * pitch_px), video=video)
+
+
+def _per_pixel(result: Result, pitch_px: int) -> Result:
+    """Return measurements whose frequencies count the pixels of the camera instead of samples so many pixels apart.
+
+    The transfer at a frequency of a plane is that of the whole camera at the same frequency: its samples lie farther
+    apart, its apertures are those of the pixels.
+    """
+    if pitch_px == 1:
+        return result
+    curves = {
+        name: replace(line, frequency_cy_per_px=np.asarray(line.frequency_cy_per_px) / pitch_px)
+        for name, line in result.curves.items()
+    }
+    measurements = tuple(
+        m.with_(frequency_cy_per_px=m.frequency_cy_per_px / pitch_px) if m.frequency_cy_per_px else m
+        for m in result.measurements
+    )
+    return replace(result, curves=curves, measurements=measurements)
 
 
 def proposed_description(session: Session) -> str:

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,18 @@ from labdata.session import Kind, Session, StackEntry
 from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
 
+if TYPE_CHECKING:
+    from simulate.lab import LabBench
+
 VisibleCamera = Sensor | SolidStateCamera
 
 # Size of a centred crop: sufficient for every statistic, and fast to simulate.
 SHAPE = (240, 320)
 # Size of an edge crop: pixels far from the edge add noise and little signal, a long one may be bent by the lens.
 ALONG_EDGE, ACROSS_EDGE = 384, 96
+# Samples of a plane of a mosaic lie two pixels apart: a crop of as many pixels of the camera along the edge, and of a
+# dark or flat 1.7 times as many as of another camera, for the statistics of fewer samples.
+SHAPE_OF_PLANE, ALONG_EDGE_OF_PLANE = (160, 200), 192
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +42,7 @@ class MatchedFrames:
     frames: int
     corner: tuple[int, int]
     shape: tuple[int, int]
+    pitch_px: int = 1  # distance of the samples, pixels of the camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,17 +130,41 @@ def simulate_frames(
 
     out, benches = {}, {}
     for index, shot in enumerate(shots):
-        if shot.shape not in benches:
-            benches[shot.shape] = bench_of(camera, shot.shape, like=like and bench_of(like, shot.shape))
-        bench, target = benches[shot.shape], replace(shot.target, region=None)
-        own = seed + 1000 * index
-        out[shot.label] = bench.expose(shot.kind, target, shot.conditions, frames=shot.frames, seed=own).data
+        size = shot.shape[0] * shot.pitch_px, shot.shape[1] * shot.pitch_px
+        if size not in benches:
+            benches[size] = bench_of(camera, size, like=like and bench_of(like, size))
+        out[shot.label] = _expose(benches[size], shot, seed + 1000 * index)
     return out
+
+
+def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
+    """Return the frames of a stack, shape (frame, row, col), DN.
+
+    Of a plane of a mosaic the light is that of pixels `pitch_px` apart, read as the rows and columns of the plane.
+    """
+    from simulate.iiccd.chain import Slot
+
+    apart, target, conditions = shot.pitch_px, replace(shot.target, region=None), shot.conditions
+    if apart == 1:
+        return bench.expose(shot.kind, target, conditions, frames=shot.frames, seed=seed).data
+    target = replace(
+        target,
+        frequency_cy_per_px=None if target.frequency_cy_per_px is None else target.frequency_cy_per_px / apart,
+        pinhole_px=None if target.pinhole_px is None else target.pinhole_px * apart,
+    )
+    chain = bench.camera.chain(conditions)
+    pixels = chain[Slot.PIXELS].mean(bench.mcp_input(shot.kind, target, conditions))
+    pixels = pixels.with_values(pixels.values[::apart, ::apart])
+    reading = chain.between(Slot.CCD, Slot.VIDEO)
+    return np.stack([
+        reading.draw(pixels, np.random.default_rng([seed, 1, frame])).values for frame in range(shot.frames)
+    ])  # fmt: skip
 
 
 def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry]]:
     """Return the stacks of a kind with enough frames and known light."""
-    out = []
+    out, (_, pitch_px) = [], session.sampling
+    whole_shape, along_edge = (SHAPE, ALONG_EDGE) if pitch_px == 1 else (SHAPE_OF_PLANE, ALONG_EDGE_OF_PLANE)
     for entry in session.of_kind(kind):
         frames, rows, columns = entry.read().shape
         conditions = entry.conditions
@@ -142,16 +173,16 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
         )
         if frames < VALIDATION.fewest_frames or (kind != "dark" and not lit):
             continue
-        height, width = SHAPE
+        height, width = whole_shape
         if kind == "edge":
             upright = abs(np.cos(np.deg2rad(entry.target.angle_deg or 0.0))) > np.sqrt(0.5)
-            height, width = (ALONG_EDGE, ACROSS_EDGE) if upright else (ACROSS_EDGE, ALONG_EDGE)
+            height, width = (along_edge, ACROSS_EDGE) if upright else (ACROSS_EDGE, along_edge)
         shape = (min(height, rows - rows % 2), min(width, columns))
         most = VALIDATION.edge_frames if kind == "edge" else VALIDATION.frames
         shot = MatchedFrames(
             label=entry.label, kind=entry.kind, conditions=entry.conditions, target=entry.target,
             frames=min(frames, most), corner=_corner(entry.target, (rows, columns), shape),
-            shape=shape,
+            shape=shape, pitch_px=pitch_px,
         )  # fmt: skip
         out.append((shot, entry))
     return out

@@ -13,6 +13,7 @@ from labdata.errors import BadInput
 from labdata.file_io import require_regular
 from labdata.frames import FrameStack
 from labdata.importers.axes import Recorded, frames_of, names_of_shape
+from labdata.importers.colour_planes import planes_of, require_monochrome
 from labdata.importers.full_scale import byte_order_note, with_full_scale
 
 __all__ = ["KINDS", "list_kinds", "module_of", "read_array", "read_frames"]
@@ -48,7 +49,8 @@ def read_frames(
     ----------
     plane
         Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB image, "r", "g1",
-        "g2" or "b" of a mosaic. None: the luminance of an RGB image (noted); a mosaic needs a plane. A number, from
+        "g2" or "b" of a mosaic, with the colours of its first 2x2 pixels before it, "rggb:g1", where neither the file
+        nor its pixels show them. None: the luminance of an RGB image (noted); a mosaic needs a plane. A number, from
         0, is the plane along an axis that does not count frames.
     axis
         Number or name of the frame axis, where the file does not state it or states another; "frame": the
@@ -116,9 +118,11 @@ def _read_recorded(path: Path) -> Recorded | FrameStack:
 def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, name: str) -> FrameStack:
     """Return the frames of a reader's result."""
     if isinstance(found, FrameStack):
-        if plane not in (None, "mono"):
-            raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
-        return found
+        if plane in (None, "mono"):
+            return found
+        one = require_monochrome(found.data, plane, name)
+        return replace(found, data=one.data, plane=one.plane, sample_pitch_px=one.sample_pitch_px,
+                       notes=(*found.notes, *one.notes))  # fmt: skip
     data = found.data.astype(found.data.dtype.newbyteorder("="), copy=False)
     stack = frames_of(data, found.names, plane=plane, axis=axis, name=name, pattern=found.pattern)
     black_dn = _black_dn(found, stack.plane)
@@ -135,9 +139,7 @@ def _black_dn(found: Recorded, plane: str) -> float | None:
     """Return the black level of the selected plane."""
     if len(found.black_dn) < 2 or found.pattern is None:
         return found.black_dn[0] if found.black_dn else None
-    from labdata.importers.colour_planes import planes_of
-
-    row, col = planes_of(np.arange(4).reshape(2, 2), found.pattern)[plane]
+    row, col = planes_of(found.pattern)[plane]
     return found.black_dn[2 * row + col]
 
 

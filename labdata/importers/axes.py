@@ -190,7 +190,7 @@ def frames_of(
         stack = (
             FrameStack(data=data, plane=f"plane {plane}")
             if others
-            else colour_planes.require_monochrome(data, plane, name, pattern)
+            else colour_planes.require_monochrome(data, plane, name, pattern, origin)
         )
     return replace(stack, origin=origin, notes=(*notes, *stack.notes))
 

@@ -8,26 +8,39 @@ from labdata.frames import FrameStack
 from labdata.importers.thresholds import MOSAIC_LEVEL, MOSAIC_SIGNIFICANCE
 
 LUMINANCE_NOTE = "colour picture: the luminance 0.2125 R + 0.7154 G + 0.0721 B was taken"
+PLANE_NOTE = (
+    "one plane of a mosaic: lengths and frequencies count its samples, which lie two pixels of the camera apart; its "
+    "pitch is twice that of the pixels"
+)
 SITES = ("r", "g1", "g2", "b")
 
 
-def require_monochrome(data: NDArray, plane: str | None, name: str, pattern: str | None = None) -> FrameStack:
+def require_monochrome(
+    data: NDArray, plane: str | None, name: str, pattern: str | None = None, origin: tuple[int, int] = (0, 0)
+) -> FrameStack:
     """Return frames of one sample per pixel, shape (frame, row, col), or one plane of a mosaic.
 
-    `pattern` is the file's; None: a mosaic is detected from the data.
+    `pattern` is the file's; `plane` may state one before its name, "rggb:g1". With neither the mosaic is detected from
+    the data. `origin`: row and column of the pattern at which the data begin.
     """
-    if pattern is not None:
-        return _of_mosaic(data, planes_of(np.arange(4).reshape(2, 2), pattern), plane, name)
+    stated, _, plane = (plane or "").rpartition(":")
+    if stated and pattern not in (None, stated):
+        raise BadInput(f"the mosaic of {name} is {pattern} by the file itself, got the plane {stated}:{plane}")
+    if pattern := pattern or stated:
+        row, col = site_of(pattern, plane or None, name)
+        return _of_mosaic(data, plane, ((row - origin[0]) % 2, (col - origin[1]) % 2))
     greens = green_diagonal(data)
     if plane in SITES:
         if greens is None:
-            raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
-        stack = _of_mosaic(data, planes_of(np.arange(4).reshape(2, 2), ("grbg", "rggb")[greens]), plane, name)
-        return FrameStack(data=stack.data, plane=stack.plane, notes=(
+            raise BadInput(
+                f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}; a mosaic "
+                f"that does not show is stated with the colours of its first 2x2 pixels, --plane rggb:{plane}"
+            )
+        return _of_mosaic(data, plane, site_of(("grbg", "rggb")[greens], plane, name), (
             "the greens of the mosaic are those of its alike diagonal; red is taken to lie in its first row, which the "
             "file does not say",
         ))  # fmt: skip
-    if plane not in (None, "mono"):
+    if plane not in ("", "mono"):
         raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
     notes = () if greens is None else (
         "the pixels alternate in a 2x2 pattern like a colour mosaic that was taken for grey: --plane r, g1, g2 or b "
@@ -36,27 +49,27 @@ def require_monochrome(data: NDArray, plane: str | None, name: str, pattern: str
     return FrameStack(data=data, notes=notes)
 
 
-def _of_mosaic(data: NDArray, sites: dict[str, tuple[int, int]], plane: str | None, name: str) -> FrameStack:
-    row, col = site_of(sites, plane, name)
-    return FrameStack(data=data[:, row::2, col::2], plane=plane or "mono")
+def _of_mosaic(data: NDArray, plane: str, site: tuple[int, int], notes: tuple[str, ...] = ()) -> FrameStack:
+    """Return every second row and column from a site on."""
+    row, col = site
+    return FrameStack(data=data[:, row::2, col::2], plane=plane, sample_pitch_px=2, notes=(PLANE_NOTE, *notes))
 
 
-def site_of(sites: dict[str, tuple[int, int]], plane: str | None, name: str) -> tuple[int, int]:
-    """Return the row and column of a plane in a mosaic's pattern; a mosaic needs a plane."""
+def site_of(pattern: str, plane: str | None, name: str) -> tuple[int, int]:
+    """Return the row and column of a plane in a mosaic's first 2x2 pixels; a mosaic needs a plane."""
+    sites = planes_of(pattern)
     if plane not in sites:
         raise BadInput(f"the plane of this mosaic must be one of {', '.join(sites)}, got {plane} for {name}")
     return sites[plane]
 
 
-def planes_of(pattern: NDArray, description: str) -> dict[str, tuple[int, int]]:
-    """Return the planes of a mosaic by name with the row and column of each in the pattern."""
-    if pattern.shape != (2, 2):
-        raise BadInput(f"the mosaic of a raw file must repeat every 2x2 pixels, got {pattern.shape}")
-    names = [description[index].lower() for index in pattern.ravel()]
+def planes_of(pattern: str) -> dict[str, tuple[int, int]]:
+    """Return the planes of a mosaic by name with the row and column of each in its first 2x2 pixels."""
+    if not (len(pattern) == 4 and pattern.isalpha() and pattern.islower()):
+        raise BadInput(f"a mosaic must be stated by the colours of its first 2x2 pixels, as rggb, got {pattern!r}")
     sites: dict[str, tuple[int, int]] = {}
-    for place, name in enumerate(names):
-        several = names.count(name) > 1
-        full = f"{name}{names[:place].count(name) + 1}" if several else name
+    for place, name in enumerate(pattern):
+        full = f"{name}{pattern[:place].count(name) + 1}" if pattern.count(name) > 1 else name
         sites[full] = divmod(place, 2)
     return dict(sorted(sites.items()))
 

@@ -45,14 +45,26 @@ def _image_of(file, path: Path) -> Recorded:
         packed = getattr(unit, "compression_type", None)
         # Integers are packed without loss; reals are rounded to a fraction of their noise first.
         lossy = (lossy_note(packed),) if packed is not None and unit.header["BITPIX"] < 0 else ()
-        pattern = str(unit.header.get("BAYERPAT", "")).strip().lower()
         return Recorded(
             data=np.asarray(unit.data),
             names=_names(unit.header, axes),
-            pattern=pattern if len(pattern) == 4 and set(pattern) <= set("rgb") else None,
+            pattern=_mosaic(unit.header),
             notes=lossy,
         )
     raise BadInput(f"a FITS file must hold an image, got none in {path}")
+
+
+def _mosaic(header) -> str | None:
+    """Return the colours of the first 2x2 pixels of a mosaic; None without one.
+
+    `BAYERPAT` is read from the row and column on that `YBAYROFF` and `XBAYROFF` state, as by Siril
+    (free-astro.org, Siril:FITS orientation).
+    """
+    pattern = str(header.get("BAYERPAT", "")).strip().lower()
+    if len(pattern) != 4 or not set(pattern) <= set("rgb"):
+        return None
+    down, across = (int(header.get(f"{axis}BAYROFF", 0)) for axis in "YX")
+    return "".join(pattern[2 * ((row + down) % 2) + (col + across) % 2] for row in (0, 1) for col in (0, 1))
 
 
 def _check_headers(path: Path) -> None:
