@@ -66,7 +66,10 @@ def known_transfer(picture: OrientedFrame, angle_rad: float, context: Context) -
         (rows_summed, picture.pitch_ratio) if picture.transposed else (1.0, rows_summed * picture.pitch_ratio)
     )
     video = None if picture.transposed else VideoFilter.of(context.sensor)
-    return KnownTransfer(angle_rad=angle_rad, along_px=along, across_px=across, video=video, mirrored=picture.mirrored)
+    return KnownTransfer(
+        angle_rad=angle_rad, along_px=along / picture.sample_pitch_px, across_px=across / picture.sample_pitch_px,
+        video=video, mirrored=picture.mirrored,
+    )  # fmt: skip
 
 
 def halo_of(picture: OrientedFrame, half_width_px: float, context: Context) -> tuple[ExtendedComponent | None, bool]:

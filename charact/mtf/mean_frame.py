@@ -35,6 +35,8 @@ class OrientedFrame:
         Row pitch over column pitch of the oriented frame.
     interlaced
         Whether odd and even rows of the original frame are two fields.
+    sample_pitch_px
+        Distance of neighbouring samples in pixels of the camera, see `labdata.frames.FrameStack`.
     """
 
     value: Array
@@ -46,6 +48,7 @@ class OrientedFrame:
     black_dn: float | None
     pitch_ratio: float
     interlaced: bool = False
+    sample_pitch_px: int = 1
 
     @property
     def field_axis(self) -> int | None:
@@ -85,6 +88,7 @@ def mean_oriented_frame(stack: FrameStack, pitch_ratio: float, *, interlaced: bo
         black_dn=stack.black_level_dn,
         pitch_ratio=pitch_ratio,
         interlaced=interlaced,
+        sample_pitch_px=stack.sample_pitch_px,
     )
 
 

@@ -202,7 +202,13 @@ class CameraFrame(ABC):
     @cached_property
     def scene_cells(self) -> Grid:
         """Cells on which the scene arrives, four per pixel."""
-        return self._grid(4, ACCURACY.scene_margin_px)
+        grid, margin_px = self._grid(4, ACCURACY.scene_margin_px), ACCURACY.scene_margin_px - ACCURACY.draw_margin_px
+        # Both extents are rounded up to lengths that transform fast; this one must contain that of the cells.
+        rows, columns = (
+            fast_length(max(size, 4 * margin_px + 2 * own))
+            for size, own in zip(grid.shape, self.cells.shape, strict=True)
+        )
+        return replace(grid, shape=(rows, columns))
 
     @property
     def field_pixel_area_cm2(self) -> float:

@@ -128,6 +128,18 @@ def test_the_mtf_of_a_simulated_plane_is_that_of_its_pixels(seed: int) -> None:
     assert measured / measured[0] == pytest.approx(expected / expected[0], abs=0.01)
 
 
+def test_the_edge_of_a_plane_is_measured_with_the_aperture_of_a_pixel(seed: int) -> None:
+    frames = simulate_frames(camera(2, 2), (shot("edge", EDGE, shape=(192, 96), frames=16),), seed=seed)["edge"]
+    stack = FrameStack(data=frames, black_level_dn=60.0, plane="g1", sample_pitch_px=2)
+    found = measure("edge", stack, context=Context(quick=True, full_scale_dn=4095.0))
+    (half,) = found.find("mtf50")
+    fine = np.arange(0.01, 1.2, 0.001)
+    low, high = half.interval95 or (0.0, 0.0)
+    assert half.status == "ok"
+    assert low < np.interp(-0.5, -mtf_of_plane(fine), fine) < high
+    assert not any("model-misfit" in one.flags for one in found.measurements)
+
+
 def test_a_simulated_plane_is_every_second_pixel_of_the_camera(seed: int) -> None:
     even = camera(128, 128, **{"ccd.prnu": 0.0, "ccd.dsnu_e": 0.0})
     count = 32
