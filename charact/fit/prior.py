@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fit.predicted_quantities import Values, excess_noise_factor
+from charact.fit.thresholds import LIMITS
 from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
 from labdata.solid_state import SolidStateCamera
@@ -122,6 +123,12 @@ def values_of_description(sensor: VisibleCamera) -> Values:
         counts["register.stages"] = sensor.register.stages
     numbers = sensor.parameters() | {path: count for path, count in counts.items() if count is not None}
     return {path: np.array([float(number)]) for path, number in numbers.items()}
+
+
+def rounds_its_darks(sensor: Sensor) -> bool:
+    """Whether the read noise may be too small against a quantisation step for rounding to be additive noise."""
+    least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
+    return least_e * float(sensor.video.conversion_gain_dn_per_e) <= LIMITS.least_noise_dn
 
 
 def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, float, float]:

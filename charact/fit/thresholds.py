@@ -158,6 +158,8 @@ class DarkErrors:
     # Variance of the noise between pulses: relative model error, of fine and of coarse digitisers.
     quiet_sd: float = 0.03
     coarse_quiet_sd: float = 0.07
+    # Fixed pattern that rounding and few pulses leave in a coarse digitiser's quiet pixels, DN.
+    coarse_pattern_dn: float = 0.03
     # Standard deviation below which rounding is no noise of its own, DN; slope below which it hides a dark pattern.
     coarse_dn: float = 0.6
     least_slope: float = 0.4

@@ -177,7 +177,8 @@ def _pattern(darks: Darks) -> list[Observation]:
         pattern = values[CONVERSION] * values[DSNU] * _warmth(values, darks)
         return pattern**2 * filter_covariance(values, 1)[:, 0]
 
-    error = float(np.hypot(scatter, 2.0 * sd / slope * value)) / slope**2
+    coarse = DARK_ERRORS.coarse_pattern_dn**2 * (darks.noise_dn <= DARK_ERRORS.coarse_dn)
+    error = float(np.hypot.reduce([scatter, 2.0 * sd / slope * value, coarse])) / slope**2
     return [one("DSNU", value / slope**2, error, predict, (DSNU, CONVERSION))]
 
 

@@ -11,6 +11,7 @@ from charact.fit import predicted_quantities
 from charact.fit.mtf_observations import SPREAD, mtf_observations
 from charact.fit.observation import Observation, Ridge, admissible_measurements, one, sd_of
 from charact.fit.predicted_quantities import Values
+from charact.fit.prior import rounds_its_darks
 from charact.fit.stack_levels import StackMean
 from charact.fit.thresholds import ERRORS, LIMITS
 from charact.fit.tube_ions import IONS, IonEvents, ions_of
@@ -79,9 +80,7 @@ def noise_observations(
     # Of several voltages, the one with most flats is the session's.
     volts = max(dict.fromkeys(known), key=known.count) if known else reference_v
     gates_s = [level.gate_s for level in levels if not level.dark and level.mcp_v == volts]
-    # The read noise must be large against the quantisation step, so that rounding of darks is additive.
-    least_e = sensor.ccd.read_noise_e.low or float(sensor.ccd.read_noise_e)
-    quantised = least_e * float(sensor.video.conversion_gain_dn_per_e) <= LIMITS.least_noise_dn
+    quantised = rounds_its_darks(sensor)
     found = _of_flats(
         result, volts, float(np.median(gates_s)) if gates_s else np.inf, quantised, LAG[0] not in shown, ions
     )

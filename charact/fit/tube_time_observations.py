@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from charact.fit import predicted_quantities as predicted
 from charact.fit.observation import Observation, one
 from charact.fit.predicted_quantities import Values
-from charact.fit.prior import values_of_description
+from charact.fit.prior import rounds_its_darks, values_of_description
 from charact.fit.stack_levels import StackMean
 from charact.fit.thresholds import FRAMES
 from labdata.sensor import Sensor
@@ -79,9 +79,11 @@ def time_observations(sensor: Sensor, levels: tuple[StackMean, ...]) -> list[Obs
     black_dn = min((level.mean_dn for level in levels if level.dark), default=float(sensor.video.black_level_dn))
     lit = sorted((level for level in levels if not level.dark), key=lambda level: -level.mean_dn)
     noisy = [level for level in lit if level.noise_dn > FRAMES.least_noise_dn]
+    darks = [level for level in levels if level.dark]
     found: list[Observation] = []
     if LINE_NOISE in sensor.parameters():
-        found += _line_noise(sensor, [level for level in levels if level.noise_dn > FRAMES.least_noise_dn], black_dn)
+        # Rounding multiplies the offset of a line where the noise of its pixels is small.
+        found += _line_noise(sensor, noisy if rounds_its_darks(sensor) else noisy + darks, black_dn)
     flats = [
         fields for level in noisy[: FRAMES.most_flats] if (fields := fields_of(level, sensor, black_dn)) is not None
     ]
