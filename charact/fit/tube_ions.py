@@ -79,7 +79,7 @@ def find_ions(data: NDArray[np.float32], level: StackMean, sensor: Sensor, event
     least = max(DARKS.ion_charge * event_dn * in_field, noise_dn)
     seed = charge > least
     # An event is seen in both fields and in later frames: what touches is one event.
-    near = maximum_filter(seed, size=(1, 5, 5))
+    near = np.asarray(maximum_filter(seed, size=(1, 5, 5)), bool)
     parts, count = cast(Any, label(near, structure=np.ones((3, 3, 3))))
     largest = np.atleast_1d(maximum(charge, parts, np.arange(1, count + 1))) if count else np.empty(0)
     reached = maximum_filter(seed.any(axis=0), size=DARKS.ion_reach) > 0

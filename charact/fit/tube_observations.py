@@ -211,7 +211,12 @@ def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observat
     ridge = None
     if parts[0].ridge is not None:
         at = parts[0].ridge
-        ridge = Ridge(carrier=SENSITIVITY, number=lambda values: np.log(predict(values)[:, at]), slope=-1.0)
+
+        def number(values: Values) -> Array:
+            # A plate that cannot give the signal has no variance: far outside all bounds.
+            return np.log(np.maximum(predict(values)[:, at], 1e-300))
+
+        ridge = Ridge(carrier=SENSITIVITY, number=number, slope=-1.0)
     return Observation(
         name="noise", value=np.concatenate([part.value for part in parts]),
         covariance=np.asarray(block_diag(*(part.covariance for part in parts)), np.float64), predict=predict,
