@@ -93,7 +93,7 @@ class TubeFrames:
     # Blocks of an image, rows and columns, whose scatter gives the standard errors.
     blocks: tuple[int, int] = (8, 8)
     # Model error of a correlation: the shape of the blur enters the correlation of successive fields.
-    correlation_model_sd: float = 0.002
+    correlation_model_sd: float = 0.001
     # Parts of a line whose covariance is that of the line noise: parts next to each other share pulses.
     line_parts: int = 8
 
