@@ -177,8 +177,8 @@ def _measure_file(
     description, region = _sensor(sensor), options.parse_region(roi)
     stack = frames_of(file, plane=plane, axis=axis, black_dn=black_dn)
     frequency = FrequencyUnit.of(
-        description, rows=stack.shape[1], unit=units, pitch_um=pitch_um, demagnification=demagnification,
-        focal_length_mm=focal_length_mm,
+        description, rows=stack.shape[1], sample_pitch_px=stack.sample_pitch_px, unit=units, pitch_um=pitch_um,
+        demagnification=demagnification, focal_length_mm=focal_length_mm,
     )  # fmt: skip
     with progress_bar(events=events) as progress:
         result = mtf(

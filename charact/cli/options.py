@@ -25,8 +25,8 @@ Roi = Annotated[str | None, typer.Option("--roi", help="Region of interest ROW,C
 Plane = Annotated[
     str | None,
     typer.Option(
-        help="Colour plane: r, g, b or luminance (RGB), r, g1, g2 or b (raw); or an index from 0 along an axis that is "
-        "not the frame axis. Default: luminance."
+        help="Colour plane: r, g, b or luminance (RGB), r, g1, g2 or b (raw; rggb:g1 states the mosaic); or an index "
+        "from 0 along an axis that is not the frame axis. Default: luminance."
     ),
 ]
 Axis = Annotated[str | None, typer.Option(help="Frame axis, index from 0 or name, if the file does not state it.")]

@@ -190,9 +190,11 @@ def measure(
         from labdata.lazy_stack import open_lazy_stack
 
         given = open_session_only(session)
+        first = given.stacks[0] if given.stacks else None
         frequency = FrequencyUnit.of(
-            given.sensor or given.imager, rows=open_lazy_stack(given.stacks[0]).shape[1] if given.stacks else None,
-            unit=units, pitch_um=pitch_um, demagnification=demagnification, focal_length_mm=focal_length_mm,
+            given.camera, rows=open_lazy_stack(first).shape[1] if first else None,
+            sample_pitch_px=first.sampling()[1] if first else 1, unit=units, pitch_um=pitch_um,
+            demagnification=demagnification, focal_length_mm=focal_length_mm,
         )  # fmt: skip
         result = measure_folder(session, events=events, **settings)
         print_result(

@@ -9,6 +9,7 @@ from labdata.infrared_imager import InfraredImager
 from labdata.measurement import Measurement
 from labdata.quantity import ARCMIN_MRAD, FREQUENCY_UNITS, convert_frequency
 from labdata.sensor import Sensor
+from labdata.solid_state import SolidStateCamera
 
 # Lengths that a unit needs.
 NEEDS: dict[str, tuple[str, ...]] = {
@@ -64,10 +65,11 @@ class FrequencyUnit:
 
     @classmethod
     def of(
-        cls, sensor: Sensor | InfraredImager | None, *, unit: str, rows: int | None = None,
-        pitch_um: float | None = None, demagnification: float | None = None, focal_length_mm: float | None = None,
+        cls, sensor: Sensor | SolidStateCamera | InfraredImager | None, *, unit: str, rows: int | None = None,
+        sample_pitch_px: int = 1, pitch_um: float | None = None, demagnification: float | None = None,
+        focal_length_mm: float | None = None,
     ) -> "FrequencyUnit":  # fmt: skip
-        """Return a unit whose missing lengths come from a sensor description."""
+        """Return a unit whose missing lengths come from a description; samples lie `sample_pitch_px` pixels apart."""
         pitch_y_um = pitch_um
         if isinstance(sensor, InfraredImager):
             array, lens_mm = sensor.array, sensor.optics.focal_length_mm
@@ -80,12 +82,13 @@ class FrequencyUnit:
         if sensor is not None:
             if pitch_um is None:
                 pitch_um, pitch_y_um = float(sensor.ccd.pitch_x_um), float(sensor.ccd.pitch_y_um)
-            if demagnification is None:
+            if demagnification is None and isinstance(sensor, Sensor):
                 demagnification = float(sensor.taper.demagnification) / float(sensor.tube.magnification)
             if focal_length_mm is None:
                 focal_length_mm = float(sensor.optics.focal_length_mm)
+        pitch_x_um, pitch_y_um = (None if one is None else sample_pitch_px * one for one in (pitch_um, pitch_y_um))
         return cls(
-            unit=unit, pitch_x_um=pitch_um, pitch_y_um=pitch_y_um, rows=rows, focal_length_mm=focal_length_mm,
+            unit=unit, pitch_x_um=pitch_x_um, pitch_y_um=pitch_y_um, rows=rows, focal_length_mm=focal_length_mm,
             demagnification=demagnification,
         )  # fmt: skip
 

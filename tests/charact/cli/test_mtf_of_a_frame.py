@@ -15,6 +15,8 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Result as Measured
 from labdata.measurement import make_measurement, make_refusal
+from labdata.sensors import load_camera
+from labdata.solid_state import SolidStateCamera
 from tests.charact.cli.runner import charact
 
 
@@ -98,6 +100,17 @@ def test_an_edge_along_rows_counts_their_pitch() -> None:
     lines = FrequencyUnit(unit="tvl/ph", pitch_x_um=11.0, pitch_y_um=13.0, rows=493)
     assert lines(0.5, lying)[0] == pytest.approx(493)
     assert lines(0.5, standing)[0] == pytest.approx(493 * 13 / 11)
+
+
+@pytest.mark.parametrize("pitch_um", [None, 5.0])
+def test_samples_of_a_plane_lie_two_pixels_apart(pitch_um: float | None) -> None:
+    """0.5 cycles per sample of a plane are 0.25 per pixel of the camera, stated or described."""
+    camera = load_camera("machine-vision")
+    assert isinstance(camera, SolidStateCamera)
+    own_um = float(camera.ccd.pitch_x_um) if pitch_um is None else pitch_um
+    plane = FrequencyUnit.of(camera, unit="lp/mm", sample_pitch_px=2, pitch_um=pitch_um)
+    assert plane(0.5)[0] == pytest.approx(1e3 * 0.25 / own_um)
+    assert FrequencyUnit.of(camera, unit="lp/mm", pitch_um=pitch_um)(0.25)[0] == pytest.approx(1e3 * 0.25 / own_um)
 
 
 @pytest.mark.parametrize(
