@@ -347,6 +347,7 @@ def _lines(validation: "Validation") -> Iterator[str]:
     if found:
         share = f"{100.0 * validation.power[0].probability:g} %"
         yield f"errors that would have been found in {share} of cases: {', '.join(found)}"
+    yield from (f"likely cause: {one.note}" for one in validation.likely_causes)
     yield from (f"note: {note}" for note in validation.notes)
     yield f"validation: {'passed' if validation.passed else 'FAILED'}"
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.flags import Finding
 from labdata.frames import read_only
 
 NUMBERS, PICTURES = "validation.json", "validation.npz"
@@ -199,6 +200,13 @@ class Validation:
         return self.figures.pairs
 
     @property
+    def likely_causes(self) -> tuple[Finding, ...]:
+        """Faults of camera or session that the failing statistics show, the likeliest first."""
+        from charact.validation.likely_causes import likely_causes
+
+        return likely_causes(self.statistics)
+
+    @property
     def passed(self) -> bool:
         """Whether every statistic and every null control passed, and any negative control was noticed.
 
@@ -218,6 +226,7 @@ def as_json(validation: Validation) -> dict[str, Any]:
     return {
         **vars(validation),
         "passed": validation.passed,
+        "likely_causes": [asdict(one) for one in validation.likely_causes],
         "notes": list(validation.notes),
         "statistics": plain(validation.statistics),
         "power": [
