@@ -255,7 +255,16 @@ def fit(
         for path, p in fitted.parameters().items():
             if p.standing in ("fitted", "prior"):
                 print(f"{path} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] 95 %, {p.standing}")
+        for note in _findings_in(fitted):
+            print(f"note: {note}")
         print(f"{sensor_out}\nNext: charact validate {session} --sensor {sensor_out}")
+
+
+def _findings_in(fitted: "VisibleCamera") -> tuple[str, ...]:
+    """Return the notes of a fitted camera that are findings of its fit."""
+    from labdata.flags import FLAGS
+
+    return tuple(note for note in fitted.notes if note.partition(":")[0] in FLAGS)
 
 
 def _why_no_fit(path: Path, session: Path) -> str | None:
@@ -322,6 +331,7 @@ def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bo
         print_message(sentence, events=events)
     with progress_bar(events=events) as progress:
         done = validation.validate(session, fitted, seed=seed, progress=progress)
+    done = replace(done, notes=(*done.notes, *(f"fit of {fitted.name}: {note}" for note in _findings_in(fitted))))
     if Path(sensor).resolve().parent == session.folder.resolve():
         done = replace(done, notes=(*done.notes, validation.SAME_SESSION))
     validation.save(done, session.folder)

@@ -45,8 +45,8 @@ GROUPS: dict[str, FeatureGroup] = {
         cause="a nonlinear response, saturation of the microchannel plate, automatic gain, or light other than stated",
     ),
     "covariance": FeatureGroup(
-        title="Covariance summed within 6 px over signal, of each flat", of_stacks=of_stacks.covariance_features,
-        cause="gain and excess noise",
+        title="Covariance summed within 6 px over signal, and of dimmer flats over the brightest",
+        of_stacks=of_stacks.covariance_features, cause="gain and excess noise",
     ),
     "autocorrelation": FeatureGroup(
         title="Correlation of neighbouring pixels in time", of_stacks=of_stacks.correlation_features,

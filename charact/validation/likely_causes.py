@@ -74,9 +74,9 @@ SIGNATURES = (
         remedy="the camera's mode of full depth, or bit_depth of session.toml",
     ),
     Signature(
-        flag="nonlinear", statistic="linearity", numbers="ln ", shows=_either,
-        stage="a nonlinear response or gamma of amplifier, digitiser or grabber, saturation of the microchannel plate, or "
-        "light other than stated",
+        flag="nonlinear", statistic="linearity", numbers="", shows=_either,
+        stage="a nonlinear response or gamma of amplifier, digitiser or grabber, saturation of the microchannel plate, "
+        "or light other than stated",
         remedy="a gamma of 1, flats of the linear range only, and the light of each as it was",
     ),
     Signature(
@@ -107,8 +107,8 @@ def likely_causes(statistics: Iterable[Statistic]) -> tuple[Finding, ...]:
 
     Notes
     -----
-    That a statistic fails is decided by its p-value alone. Of its numbers, one belongs to a signature if it deviates the
-    signature's way by more than Student's quantile of `VALIDATION.level` for the simulated sets.
+    That a statistic fails is decided by its p-value alone. Of its numbers, one belongs to a signature if it deviates
+    the signature's way by more than Student's quantile of `VALIDATION.level` for the simulated sets.
     """
     failing = {one.name: one for one in statistics if not one.passed}
     found: dict[str, Finding] = {}

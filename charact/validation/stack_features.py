@@ -105,7 +105,7 @@ def transfer_features(dark: StackView, flats: list[StackView]) -> Mapping[str, f
 
 
 def linearity_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return logarithms of signal, and of variance over signal, of each dimmer flat over that of the brightest.
+    """Return signal, and variance over signal, of each dimmer flat over that of the brightest.
 
     Neither depends on gain or sensitivity where the response is linear.
     """
@@ -113,10 +113,9 @@ def linearity_features(dark: StackView, flats: list[StackView]) -> Mapping[str, 
     found = {}
     for one in dimmer:
         of = f"of {one.label} over {brightest.label}"
-        found[f"ln signal {of}"] = _log(one.level - dark.level) - _log(brightest.level - dark.level)
-        found[f"ln variance/signal {of}"] = _log(_variance_over_signal(one, dark)) - _log(
-            _variance_over_signal(brightest, dark)
-        )
+        found[f"signal {of}"] = (one.level - dark.level) / (brightest.level - dark.level)
+        ratio = _variance_over_signal(one, dark) / _variance_over_signal(brightest, dark)
+        found[f"variance/signal {of}"] = ratio
     return found
 
 
@@ -148,11 +147,15 @@ def field_features(dark: StackView, flats: list[StackView]) -> Mapping[str, floa
 
 
 def covariance_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return the logarithm of the summed covariance over signal of each flat."""
-    found = {}
-    for one in flats:
-        total = float(one.covariance.sum() - dark.covariance.sum())
-        found[f"ln covariance/signal of {one.label}"] = _log(total / (one.level - dark.level))
+    """Return the logarithm of the brightest flat's summed covariance over signal, and that of dimmer ones over it.
+
+    Of a dim flat the sum may be negative by chance, so that it has no logarithm.
+    """
+    *dimmer, brightest = flats
+    highest = _covariance_over_signal(brightest, dark)
+    found = {f"ln covariance/signal of {brightest.label}": _log(highest)}
+    for one in dimmer:
+        found[f"covariance/signal of {one.label} over {brightest.label}"] = _covariance_over_signal(one, dark) / highest
     return found
 
 
@@ -313,6 +316,11 @@ def _correlations(images: Frames, lags: tuple[int, ...], what: str) -> dict[str,
 def _variance_over_signal(flat: StackView, dark: StackView) -> float:
     """Return the variance of a flat above the dark's over its signal, DN."""
     return (flat.variance - dark.variance) / (flat.level - dark.level)
+
+
+def _covariance_over_signal(flat: StackView, dark: StackView) -> float:
+    """Return the summed covariance of a flat above the dark's over its signal, DN."""
+    return float(flat.covariance.sum() - dark.covariance.sum()) / (flat.level - dark.level)
 
 
 def _highest(values: Frames, count: int) -> float:
