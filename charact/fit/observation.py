@@ -42,9 +42,16 @@ SPREAD = Cause(
     remedy="frames without processing (raw)",
 )
 AUTOMATIC = Cause(stage="automatic gain or brightness control", remedy="both switched off")
-# Flags by which a measurement speaks of a stage of the camera that the fit does not know. Others are of the target, the
-# number of frames or the method.
-CAUSES = {"agc": AUTOMATIC, "nonlinear": CURVED, "gamma": CURVED, "processed": PROCESSING, "correlated-noise": SPREAD}
+UNSTEADY = Cause(
+    stage="drift or a step of lamp or gain within a stack, as of automatic gain",
+    remedy="automatic gain off, and a lamp that has settled",
+)
+# Flags by which a measurement speaks of a stage of the camera or bench that the fit does not know. Others are of the
+# target, the number of frames or the method.
+CAUSES = {
+    "agc": AUTOMATIC, "nonlinear": CURVED, "gamma": CURVED, "processed": PROCESSING, "correlated-noise": SPREAD,
+    "drift": UNSTEADY, "flicker": UNSTEADY,
+}  # fmt: skip
 # What an observation that no parameters explain may come from, by its name.
 CAUSES_OF_MISFIT = {
     "levels": CURVED,
@@ -70,8 +77,8 @@ def has_automatic_gain(conditions: Conditions) -> bool:
 def findings_of(result: Result) -> tuple[Finding, ...]:
     """Return what flags of measurements say of the camera's stages: one finding a flag.
 
-    The fit leaves such measurements out, but not the levels and the noise of the same frames. Flags of the whole
-    session, which are of its flats, count before those of single targets.
+    The fit leaves measurements with most of these flags out, but not the levels and the noise of the same frames. Flags
+    of the whole session, which are of its flats, count before those of single targets.
     """
     kept = [m for m in result.measurements if m.status != "refused"]
     whole = _findings_among([m for m in kept if m.stack is None])

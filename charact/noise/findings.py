@@ -32,7 +32,7 @@ def flags_of(findings: Sequence[Finding]) -> tuple[str, ...]:
 def notes_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     """Return the notes without repetition; that of a flag begins with it."""
     named = (
-        f"{one.flag}: {one.note}" if one.flag and not one.note.startswith(f"{one.flag}: ") else one.note
+        f"{one.flag}: {one.note}" if one.flag and one.note and not one.note.startswith(f"{one.flag}: ") else one.note
         for one in findings
     )
     return tuple(dict.fromkeys(named))

@@ -74,6 +74,11 @@ SIGNATURES = (
         remedy="the camera's mode of full depth, or bit_depth of session.toml",
     ),
     Signature(
+        flag="processed", statistic="autocorrelation", numbers="correlation at", shows=_below,
+        stage="sharpening in camera or grabber, or a wider video band than described",
+        remedy="frames with sharpening switched off (raw)",
+    ),
+    Signature(
         flag="nonlinear", statistic="linearity", numbers="", shows=_either,
         stage="a nonlinear response or gamma of amplifier, digitiser or grabber, saturation of the microchannel plate, "
         "or light other than stated",
@@ -88,11 +93,6 @@ SIGNATURES = (
         flag="model-misfit", statistic="edge", numbers="step over 0.5 to 1.5 px of the edge, ends", shows=_below,
         stage="blur of lens or tube that grows off axis",
         remedy="edges of which each lies at one distance from the axis",
-    ),
-    Signature(
-        flag="processed", statistic="autocorrelation", numbers="correlation at", shows=_below,
-        stage="sharpening in camera or grabber, or a wider video band than described",
-        remedy="frames with sharpening switched off (raw)",
     ),
     Signature(
         flag="drift", statistic="time", numbers="drift of", shows=_either,

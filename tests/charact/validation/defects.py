@@ -223,6 +223,59 @@ def _truncation(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Fra
     return 2.0 * (frames // 2.0)
 
 
+def bend(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Lower the signal s to s (1 - 0.1 s / full), before the digitiser rounds."""
+    signal = frames + rng.uniform(-0.5, 0.5, frames.shape) - adc.black
+    return adc.black + signal * (1.0 - 0.1 * signal / (adc.top - adc.black))
+
+
+def gamma_of_codes(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Raise the code over full scale to the power 0.8, before the digitiser rounds."""
+    return adc.top * (np.maximum(frames + rng.uniform(-0.5, 0.5, frames.shape), 0.0) / adc.top) ** 0.8
+
+
+def average_pairs(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Replace each frame by its mean with the one before."""
+    return _averaged_frames(frames, adc, rng)
+
+
+def sharpen(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Mask unsharply by 30 % of 1 px."""
+    return _sharpening(frames, adc, rng)
+
+
+def keep_eight_bits(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Leave out all but the highest 8 bits, or the two lowest of 8."""
+    step = max(4.0, (adc.top + 1.0) / 256.0)
+    return step * np.floor(frames / step)
+
+
+def blur_off_axis(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Blur by a Gaussian of 0 px at the centre to 1.5 px standard deviation in the corner."""
+    x, y = _coordinates(frames)
+    place = np.hypot(x, y) / np.sqrt(2.0) * 10.0
+    low = np.minimum(place.astype(int), 9)
+    out = np.empty_like(frames)
+    for index, one in enumerate(frames):
+        steps = np.stack([one, *(cv2.GaussianBlur(one, (15, 15), 0.15 * sd) for sd in range(1, 11))])
+        inner, outer = (np.take_along_axis(steps, (low + more)[None], axis=0)[0] for more in (0, 1))
+        out[index] = inner + (place - low) * (outer - inner)
+    return out
+
+
+def blur_lens_off_axis(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Blur the mean frame off axis as a lens does, which leaves the noise of photons as it is."""
+    mean = frames.mean(axis=0, keepdims=True)
+    return frames + blur_off_axis(mean, adc, rng) - mean
+
+
+def step_gain(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Raise the gain by 2 % in the middle of the stack."""
+    half = len(frames) // 2
+    frames[half:] = _scale(frames[half:], 1.02, adc)
+    return frames
+
+
 def _hot_pixels(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     return _deviating_pixels(frames, adc, rng, 12.0)
 
