@@ -11,7 +11,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from charact.cli.sessions import _lines as lines_of
 from charact.fit import fit_sensor
+from charact.report.validation import sentence_of
 from charact.session_measurement import measure
 from charact.validation import side_by_side as command
 from charact.validation.controls import FAULTS, PARAMETERS
@@ -207,9 +209,12 @@ def test_causes_are_named_by_the_way_that_their_numbers_go_and_only_where_a_stat
     assert {one.flag for one in SIGNATURES} <= set(FLAGS)
 
 
-def test_likely_causes_are_part_of_the_document() -> None:
+def test_likely_causes_are_part_of_the_document_of_the_page_and_of_the_printed_lines() -> None:
     validation = Validation(
         session="s", sensor="c", seed=0, draws=20, seconds=0.0, controls=(),
         statistics=(statistic_of("linearity", "signal of low over high", 5.0),),
     )  # fmt: skip
     assert [one["flag"] for one in as_json(validation)["likely_causes"]] == ["nonlinear"]
+    cause = validation.likely_causes[0].note
+    assert sentence_of(validation).startswith(f"Likely cause: {cause}. It differs most in ")
+    assert f"likely cause: {cause}" in list(lines_of(validation))
