@@ -64,11 +64,6 @@ SIGNATURES = (
         remedy="frames without averaging or noise reduction",
     ),
     Signature(
-        flag="lag", statistic="time", numbers="correlation of frames of", shows=_above,
-        stage="image lag, or frames averaged with earlier ones",
-        remedy="frames without averaging, or a description of the phosphor's decay",
-    ),
-    Signature(
         flag="quantised", statistic="histogram", numbers="share of ones of bit", shows=_constant,
         stage="a digitiser of fewer bits than the session says, or a bit that is stuck",
         remedy="the camera's mode of full depth, or bit_depth of session.toml",
@@ -79,12 +74,6 @@ SIGNATURES = (
         remedy="frames with sharpening switched off (raw)",
     ),
     Signature(
-        flag="nonlinear", statistic="linearity", numbers="", shows=_either,
-        stage="a nonlinear response or gamma of amplifier, digitiser or grabber, saturation of the microchannel plate, "
-        "or light other than stated",
-        remedy="a gamma of 1, flats of the linear range only, and the light of each as it was",
-    ),
-    Signature(
         flag="correlated-noise", statistic="field", numbers="correlation at", shows=_above,
         stage="blur after the gain that grows off axis, or a correction of distortion in the camera",
         remedy="frames without correction of distortion; the description of a fibre taper",
@@ -93,6 +82,17 @@ SIGNATURES = (
         flag="model-misfit", statistic="edge", numbers="step over 0.5 to 1.5 px of the edge, ends", shows=_below,
         stage="blur of lens or tube that grows off axis",
         remedy="edges of which each lies at one distance from the axis",
+    ),
+    Signature(
+        flag="nonlinear", statistic="linearity", numbers="", shows=_either,
+        stage="a nonlinear response or gamma of amplifier, digitiser or grabber, saturation of the microchannel plate, "
+        "or light other than stated",
+        remedy="a gamma of 1, flats of the linear range only, and the light of each as it was",
+    ),
+    Signature(
+        flag="lag", statistic="time", numbers="correlation of frames of", shows=_above,
+        stage="image lag, or frames averaged with earlier ones",
+        remedy="frames without averaging, or a description of the phosphor's decay",
     ),
     Signature(
         flag="drift", statistic="time", numbers="drift of", shows=_either,
