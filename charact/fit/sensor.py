@@ -23,6 +23,7 @@ from charact.fit.stack_levels import levels_of
 from charact.fit.thresholds import LIMITS, SAMPLING
 from charact.fit.tube_observations import tube_observations
 from charact.noise.illumination import relative_sd_of
+from charact.noise.rounding import step_finding
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.flags import Finding
@@ -251,7 +252,8 @@ def fit_sensor(
         model, posterior, illuminance_relative_sd=relative_sd_of(lit, "lux")[0] if metered else 0.0,
         scale_filled=metered and fills_the_scale(session), seed=seed,
     )  # fmt: skip
-    findings = {one.flag: one for one in (*findings_of(result), left_out, doubt) if one is not None}
+    known = (step_finding(session), left_out, doubt)
+    findings = {one.flag: one for one in (*findings_of(result), *known) if one is not None}
     fitted = replace(fitted, notes=(*fitted.notes, *(one.note for one in findings.values())))
     progress("fitted", 1.0)
     return fitted

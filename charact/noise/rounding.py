@@ -1,6 +1,12 @@
-"""Bias of mean and variance by rounding if the noise is smaller than the quantisation step."""
+"""Bias of mean and variance by rounding: noise smaller than the quantisation step, and a step of several DN."""
 
 import numpy as np
+from numpy.typing import NDArray
+
+from charact.noise.thresholds import SWEEP
+from labdata.flags import Finding
+from labdata.lazy_stack import open_lazy_stack
+from labdata.session import Session
 
 # Variance of rounding, DN^2.
 QUANTISATION_DN2 = 1.0 / 12.0
@@ -9,6 +15,9 @@ EVEN_DN2 = 0.45
 # Below this variance rounding is not independent noise: at the 0.24 DN^2 of EMVA 1288, 6.6, the noise is wrong by up to
 # 7 %, here by 1.5 %.
 QUANTISED_DN2 = 0.32
+# Fewest grey values of a frame whose common step is that of the digitiser: of n values whose differences are arbitrary
+# all n - 1 are multiples of a number with a chance below 2^-(n - 1), for n = 16 of 3e-5.
+FEWEST_CODES = 16
 
 
 def flags_of_rounding(variance_dn2: float) -> tuple[str, ...]:
@@ -45,3 +54,35 @@ def _variance_before_rounding(variance_dn2: float, place: float) -> float:
         return float(chance @ codes**2 - (chance @ codes) ** 2) - variance_dn2
 
     return 0.0 if excess(1e-4) >= 0.0 else root_scalar(excess, bracket=(1e-4, 1.0)).root ** 2
+
+
+def step_of_codes(frame: NDArray) -> int | None:
+    """Return the largest number of which all differences of grey values are multiples, DN; None of too few values."""
+    codes = np.unique(frame)
+    if codes.size < FEWEST_CODES or codes.dtype.kind not in "iu":
+        return None
+    return int(np.gcd.reduce(np.diff(codes.astype(np.int64))))
+
+
+def step_finding(session: Session) -> Finding | None:
+    """Return the finding of darks and flats whose grey values are multiples of a step that adds to their noise.
+
+    A digitiser of fewer bits than its frames rounds to steps of s DN, whose variance is s^2/12 where 1/12 is counted.
+    The finding is raised where the difference exceeds `SWEEP.max_quantisation` of the least variance.
+    """
+    stacks = [open_lazy_stack(entry) for entry in session.of_kind("dark", "flat")]
+    steps = [step for stack in stacks if (step := step_of_codes(stack.frames(0, 1)[0])) is not None]
+    step = int(np.gcd.reduce(steps)) if steps else 1
+    pairs = [stack.frames(0, 2).astype(float) for stack in stacks if len(stack) > 1] if step > 1 else []
+    if not pairs:
+        return None
+    least = min(float(np.var(pair[1] - pair[0])) / 2.0 for pair in pairs)
+    added = (step**2 - 1.0) * QUANTISATION_DN2
+    if added <= SWEEP.max_quantisation * least:
+        return None
+    return Finding(
+        flag="quantised",
+        effect=f"all grey values are multiples of {step} DN: rounding adds {added:.3g} DN2 to a least variance of "
+        f"{least:.3g} DN2, and levels of a digitiser that cuts off are {(step - 1.0) / 2.0:g} DN low",
+        remedy="the camera's mode of full depth, or frames divided by the step and their bit_depth",
+    )

@@ -2,13 +2,16 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.validation.thresholds import VALIDATION
-from charact.validation.validation_result import Statistic
 from labdata.flags import Finding
+
+if TYPE_CHECKING:
+    from charact.validation.validation_result import Statistic
 
 Array = NDArray[np.float64]
 # Half of a two-sided 95 % interval of a Gaussian, standard deviations.
@@ -102,7 +105,7 @@ SIGNATURES = (
 )  # fmt: skip
 
 
-def likely_causes(statistics: Iterable[Statistic]) -> tuple[Finding, ...]:
+def likely_causes(statistics: Iterable["Statistic"]) -> tuple[Finding, ...]:
     """Return the faults whose signatures failing statistics show, the likeliest first; empty where none fails.
 
     Notes
@@ -122,7 +125,7 @@ def likely_causes(statistics: Iterable[Statistic]) -> tuple[Finding, ...]:
     return tuple(found.values())
 
 
-def _number_of(signature: Signature, statistic: Statistic) -> str | None:
+def _number_of(signature: Signature, statistic: "Statistic") -> str | None:
     """Return the number that shows a signature most, with its prediction, in words; None where none does."""
     own = [place for place, label in enumerate(statistic.labels) if label.startswith(signature.numbers)]
     if not own or statistic.worst == "not measurable":

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.validation.likely_causes import likely_causes
 from labdata.errors import BadInput
 from labdata.flags import Finding
 from labdata.frames import read_only
@@ -202,8 +203,6 @@ class Validation:
     @property
     def likely_causes(self) -> tuple[Finding, ...]:
         """Faults of camera or session that the failing statistics show, the likeliest first."""
-        from charact.validation.likely_causes import likely_causes
-
         return likely_causes(self.statistics)
 
     @property
