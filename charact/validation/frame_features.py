@@ -45,7 +45,7 @@ GROUPS: dict[str, FeatureGroup] = {
         cause="a nonlinear response, saturation of the microchannel plate, automatic gain, or light other than stated",
     ),
     "covariance": FeatureGroup(
-        title="Covariance summed within 6 px over signal, and of dimmer flats over the brightest",
+        title="Covariance summed within 6 px over signal, of each flat",
         of_stacks=of_stacks.covariance_features, cause="gain and excess noise",
     ),
     "autocorrelation": FeatureGroup(

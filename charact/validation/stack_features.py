@@ -147,16 +147,15 @@ def field_features(dark: StackView, flats: list[StackView]) -> Mapping[str, floa
 
 
 def covariance_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return the logarithm of the brightest flat's summed covariance over signal, and that of dimmer ones over it.
+    """Return the summed covariance over signal of each flat, DN.
 
     Of a dim flat the sum may be negative by chance, so that it has no logarithm.
     """
-    *dimmer, brightest = flats
-    highest = _covariance_over_signal(brightest, dark)
-    found = {f"ln covariance/signal of {brightest.label}": _log(highest)}
-    for one in dimmer:
-        found[f"covariance/signal of {one.label} over {brightest.label}"] = _covariance_over_signal(one, dark) / highest
-    return found
+    return {
+        f"covariance/signal of {one.label}, DN": float(one.covariance.sum() - dark.covariance.sum())
+        / (one.level - dark.level)
+        for one in flats
+    }
 
 
 def correlation_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
@@ -316,11 +315,6 @@ def _correlations(images: Frames, lags: tuple[int, ...], what: str) -> dict[str,
 def _variance_over_signal(flat: StackView, dark: StackView) -> float:
     """Return the variance of a flat above the dark's over its signal, DN."""
     return (flat.variance - dark.variance) / (flat.level - dark.level)
-
-
-def _covariance_over_signal(flat: StackView, dark: StackView) -> float:
-    """Return the summed covariance of a flat above the dark's over its signal, DN."""
-    return float(flat.covariance.sum() - dark.covariance.sum()) / (flat.level - dark.level)
 
 
 def _highest(values: Frames, count: int) -> float:
