@@ -1,5 +1,7 @@
 """Bias of mean and variance by rounding: noise smaller than the quantisation step, and a step of several DN."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +17,9 @@ EVEN_DN2 = 0.45
 # Below this variance rounding is not independent noise: at the 0.24 DN^2 of EMVA 1288, 6.6, the noise is wrong by up to
 # 7 %, here by 1.5 %.
 QUANTISED_DN2 = 0.32
-# Fewest grey values of a frame whose common step is that of the digitiser: of n values whose differences are arbitrary
-# all n - 1 are multiples of a number with a chance below 2^-(n - 1), for n = 16 of 3e-5.
-FEWEST_CODES = 16
+# Fewest differences of successive grey values whose common divisor is the step of the digitiser: of 8 arbitrary ones all
+# are even with a chance of 2^-8, and within the noise of a finer digitiser most are 1.
+FEWEST_DIFFERENCES = 8
 
 
 def flags_of_rounding(variance_dn2: float) -> tuple[str, ...]:
@@ -56,12 +58,15 @@ def _variance_before_rounding(variance_dn2: float, place: float) -> float:
     return 0.0 if excess(1e-4) >= 0.0 else root_scalar(excess, bracket=(1e-4, 1.0)).root ** 2
 
 
-def step_of_codes(frame: NDArray) -> int | None:
-    """Return the largest number of which all differences of grey values are multiples, DN; None of too few values."""
-    codes = np.unique(frame)
-    if codes.size < FEWEST_CODES or codes.dtype.kind not in "iu":
-        return None
-    return int(np.gcd.reduce(np.diff(codes.astype(np.int64))))
+def step_of_codes(frames: Sequence[NDArray]) -> int:
+    """Return the largest number of which the differences of each frame's grey values are multiples, DN.
+
+    1 where there are too few values, or other than whole ones.
+    """
+    if any(frame.dtype.kind not in "iu" for frame in frames):
+        return 1
+    gaps = np.concatenate([np.diff(np.unique(frame).astype(np.int64)) for frame in frames] or [np.zeros(0, np.int64)])
+    return int(np.gcd.reduce(gaps)) if gaps.size >= FEWEST_DIFFERENCES else 1
 
 
 def step_finding(session: Session) -> Finding | None:
@@ -71,8 +76,7 @@ def step_finding(session: Session) -> Finding | None:
     The finding is raised where the difference exceeds `SWEEP.max_quantisation` of the least variance.
     """
     stacks = [open_lazy_stack(entry) for entry in session.of_kind("dark", "flat")]
-    steps = [step for stack in stacks if (step := step_of_codes(stack.frames(0, 1)[0])) is not None]
-    step = int(np.gcd.reduce(steps)) if steps else 1
+    step = step_of_codes([stack.frames(0, 1)[0] for stack in stacks])
     pairs = [stack.frames(0, 2).astype(float) for stack in stacks if len(stack) > 1] if step > 1 else []
     if not pairs:
         return None
