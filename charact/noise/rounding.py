@@ -17,8 +17,8 @@ EVEN_DN2 = 0.45
 # Below this variance rounding is not independent noise: at the 0.24 DN^2 of EMVA 1288, 6.6, the noise is wrong by up to
 # 7 %, here by 1.5 %.
 QUANTISED_DN2 = 0.32
-# Fewest differences of successive grey values whose common divisor is the step of the digitiser: of 8 arbitrary ones all
-# are even with a chance of 2^-8, and within the noise of a finer digitiser most are 1.
+# Fewest differences of successive grey values whose common divisor is the step of the digitiser: of 8 arbitrary ones
+# all are even with a chance of 2^-8, and within the noise of a finer digitiser most are 1.
 FEWEST_DIFFERENCES = 8
 
 

@@ -11,10 +11,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from charact.cli.sessions import _findings_in as findings_in
 from charact.cli.sessions import _lines as lines_of
 from charact.fit import fit_sensor
 from charact.report.validation import sentence_of
-from charact.session_measurement import measure
+from charact.session_measurement import measure, measure_noise, method_context
 from charact.validation import side_by_side as command
 from charact.validation.controls import FAULTS, PARAMETERS
 from charact.validation.likely_causes import SIGNATURES, likely_causes
@@ -118,6 +119,23 @@ def test_a_session_without_defects_passes_and_has_no_finding(name: str, seed: in
     assert all(statistic.passed for statistic in validation.statistics)
 
 
+def test_grey_values_of_eight_bits_add_their_rounding_to_the_read_noise_and_are_named(seed: int) -> None:
+    session, black_dn = specimen_session("machine-vision", seed)
+    coarse = put_into(session, black_dn, defects.keep_eight_bits, ("dark", *LIT), seed)
+    plain, found = (
+        next(m for m in measure_noise(one, context=method_context(one, quick=True, seed=seed)).find("read_noise")
+             if m.unit == "DN")
+        for one in (session, coarse)
+    )  # fmt: skip
+    assert plain.flags == ()
+    assert found.flags == ("quantised",)
+    assert plain.value is not None
+    assert found.value is not None
+    # Of a noise beyond half a step, s^2 / 12 of a step s of 16 DN where 1/12 was; 16 frames of 52,000 pixels.
+    expected = plain.value**2 + (16.0**2 - 1.0) / 12.0
+    assert found.value**2 == pytest.approx(expected, rel=2.0 * 4.5 * np.sqrt(2.0 / (15 * 52000)))
+
+
 def test_a_step_of_gain_in_the_middle_of_the_flats_is_drift_of_the_fit_and_of_the_validation(seed: int) -> None:
     session, black_dn = specimen_session("machine-vision", seed)
     short = replace(session, stacks=tuple(
@@ -146,7 +164,7 @@ def test_stacks_of_automatic_gain_take_no_part_in_a_fit_and_are_named(seed: int)
     alone = replace(session, stacks=tuple(entry for entry in session.stacks if entry.label != "flat 4"))
     expected = fit_sensor(alone, measure(changed, quick=True), seed=seed)
     assert fitted.draws == expected.draws
-    assert any(note.startswith("agc: ") and "flat 4" in note for note in fitted.notes)
+    assert any(note.startswith("agc: ") and "flat 4" in note for note in findings_in(fitted))
     assert not any(note.startswith("agc: ") and "flat 4" in note for note in expected.notes)
     with pytest.raises(BadInput, match="needs a flat of fixed gain"):
         fit_sensor(with_automatic_gain(session, tuple(f"flat {i}" for i in range(5))), Result(), seed=seed)
