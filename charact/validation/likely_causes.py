@@ -67,6 +67,11 @@ SIGNATURES = (
         remedy="frames without averaging or noise reduction",
     ),
     Signature(
+        flag="drift", statistic="time", numbers="drift of", shows=_either,
+        stage="drift or a step of lamp or gain within a stack, as of automatic gain",
+        remedy="automatic gain off, and a lamp that has settled",
+    ),
+    Signature(
         flag="quantised", statistic="histogram", numbers="share of ones of bit", shows=_constant,
         stage="a digitiser of fewer bits than the session says, or a bit that is stuck",
         remedy="the camera's mode of full depth, or bit_depth of session.toml",
@@ -96,11 +101,6 @@ SIGNATURES = (
         flag="lag", statistic="time", numbers="correlation of frames of", shows=_above,
         stage="image lag, or frames averaged with earlier ones",
         remedy="frames without averaging, or a description of the phosphor's decay",
-    ),
-    Signature(
-        flag="drift", statistic="time", numbers="drift of", shows=_either,
-        stage="drift or a step of lamp or gain within a stack, as of automatic gain",
-        remedy="automatic gain off, and a lamp that has settled",
     ),
 )  # fmt: skip
 

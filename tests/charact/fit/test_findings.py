@@ -8,6 +8,7 @@ import pytest
 from charact.fit.observation import CAUSES, CAUSES_OF_MISFIT, findings_of, misfit_finding
 from charact.noise.findings import Finding, notes_of
 from charact.noise.rounding import step_finding, step_of_codes
+from charact.session_measurement import measure_noise, method_context
 from labdata.conditions import Conditions
 from labdata.flags import FLAGS
 from labdata.frames import FrameStack
@@ -77,3 +78,20 @@ def test_few_grey_values_show_no_step() -> None:
     assert step_of_codes([frame, frame, frame]) == 16
     assert step_of_codes([np.arange(0.0, 64.0, 4.0)]) == 1
     assert step_of_codes([]) == 1
+
+
+def test_coarse_grey_values_add_their_rounding_to_the_read_noise_and_are_named(seed: int) -> None:
+    """Of a noise beyond half a step s the variance is larger by s^2 / 12."""
+    values = 2000.0 + 20.0 * np.random.default_rng(seed).standard_normal((16, 64, 80))
+    plain, found = (
+        next(m for m in measure_noise(one, context=method_context(one, quick=True, seed=seed)).find("read_noise")
+             if m.unit == "DN")
+        for one in (session_of_codes((step * np.floor(values / step)).astype(np.uint16)) for step in (1, 16))
+    )  # fmt: skip
+    assert plain.flags == ()
+    assert found.flags == ("quantised",)
+    assert plain.value is not None
+    assert found.value is not None
+    error = 4.5 * np.sqrt(2.0 / (15 * 64 * 80))
+    assert plain.value**2 == pytest.approx(400.0 + 1.0 / 12.0, rel=error)
+    assert found.value**2 == pytest.approx(400.0 + 16.0**2 / 12.0, rel=error)

@@ -15,7 +15,7 @@ from charact.cli.sessions import _findings_in as findings_in
 from charact.cli.sessions import _lines as lines_of
 from charact.fit import fit_sensor
 from charact.report.validation import sentence_of
-from charact.session_measurement import measure, measure_noise, method_context
+from charact.session_measurement import measure
 from charact.validation import side_by_side as command
 from charact.validation.controls import FAULTS, PARAMETERS
 from charact.validation.likely_causes import SIGNATURES, likely_causes
@@ -24,6 +24,7 @@ from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import Statistic, Validation, as_json
 from labdata.errors import BadInput
 from labdata.flags import FLAGS
+from labdata.frames import FrameStack
 from labdata.measurement import Result
 from labdata.session import LoadedStackEntry, Session
 from tests.charact.fit.specimens import draw_specimen, session_of
@@ -53,6 +54,11 @@ BEFORE_FIT = {
     "gamma of 0.8": DefectBeforeFit(put=defects.gamma_of_codes, flags=("nonlinear", "gamma")),
 }
 NAMES = ("machine-vision", "pulnix-ag5745ef3")
+# A tube costs three times the processor time: it has those that any grabber may put into frames.
+CASES = [
+    *(("machine-vision", defect) for defect in BEFORE_FIT),
+    *(("pulnix-ag5745ef3", x) for x in ("bend of 10 %", "mean of two frames", "blur off axis", "sharpening")),
+]
 
 
 @cache
@@ -99,8 +105,7 @@ def examine(session: Session, seed: int) -> tuple[set[str], Validation]:
     return {note.partition(":")[0] for note in new} & set(FLAGS), validation
 
 
-@pytest.mark.parametrize("defect", BEFORE_FIT)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "defect"), CASES)
 def test_a_defect_before_the_fit_is_named(name: str, defect: str, seed: int) -> None:
     session, black_dn = specimen_session(name, seed)
     one = BEFORE_FIT[defect]
@@ -115,38 +120,23 @@ def test_a_defect_before_the_fit_is_named(name: str, defect: str, seed: int) -> 
 def test_a_session_without_defects_passes_and_has_no_finding(name: str, seed: int) -> None:
     found, validation = examine(specimen_session(name, seed)[0], seed)
     assert found == set()
-    assert validation.likely_causes == ()
-    assert all(statistic.passed for statistic in validation.statistics)
-
-
-def test_grey_values_of_eight_bits_add_their_rounding_to_the_read_noise_and_are_named(seed: int) -> None:
-    session, black_dn = specimen_session("machine-vision", seed)
-    coarse = put_into(session, black_dn, defects.keep_eight_bits, ("dark", *LIT), seed)
-    plain, found = (
-        next(m for m in measure_noise(one, context=method_context(one, quick=True, seed=seed)).find("read_noise")
-             if m.unit == "DN")
-        for one in (session, coarse)
-    )  # fmt: skip
-    assert plain.flags == ()
-    assert found.flags == ("quantised",)
-    assert plain.value is not None
-    assert found.value is not None
-    # Of a noise beyond half a step, s^2 / 12 of a step s of 16 DN where 1/12 was; 16 frames of 52,000 pixels.
-    expected = plain.value**2 + (16.0**2 - 1.0) / 12.0
-    assert found.value**2 == pytest.approx(expected, rel=2.0 * 4.5 * np.sqrt(2.0 / (15 * 52000)))
+    # Chance alone refuses a right camera once in 100 runs: seeds that nobody chose are held to less than that.
+    failing = [one for one in validation.statistics if not one.passed]
+    assert len(failing) <= 1
+    assert len(validation.likely_causes) <= len(failing)
 
 
 def test_a_step_of_gain_in_the_middle_of_the_flats_is_drift_of_the_fit_and_of_the_validation(seed: int) -> None:
     session, black_dn = specimen_session("machine-vision", seed)
     short = replace(session, stacks=tuple(
-        replace(entry, kept=replace(entry.kept, data=entry.kept.data[: VALIDATION.frames]))
+        replace(entry, kept=FrameStack(data=entry.kept.data[: VALIDATION.frames]))
         for entry in session.stacks if isinstance(entry, LoadedStackEntry)
     ))  # fmt: skip
     found, validation = examine(put_into(short, black_dn, defects.step_gain, ("flat",), seed), seed)
     failing = {one.name for one in validation.statistics if not one.passed}
     assert "drift" in found
     assert failing & {"time", "rows-and-columns"}
-    assert "drift" in {cause.flag for cause in validation.likely_causes}
+    assert validation.likely_causes[0].flag == "drift"
 
 
 def with_automatic_gain(session: Session, labels: tuple[str, ...]) -> Session:
