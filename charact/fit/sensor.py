@@ -7,7 +7,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.observation import AUTOMATIC, Observation, Ridge, findings_of, has_automatic_gain, misfit_finding
+from charact.fit.findings import findings_of, has_automatic_gain, misfit_finding
+from charact.fit.observation import Observation, Ridge
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import (
     COMBINATIONS,
@@ -22,6 +23,7 @@ from charact.fit.slice_sampling import slice_sample
 from charact.fit.stack_levels import levels_of
 from charact.fit.thresholds import LIMITS, SAMPLING
 from charact.fit.tube_observations import tube_observations
+from charact.method.causes import AUTOMATIC
 from charact.noise.illumination import relative_sd_of
 from charact.noise.rounding import step_finding
 from labdata.camera_description import Parameter
@@ -292,8 +294,7 @@ def _of_fixed_gain(session: Session) -> tuple[Session, Finding | None]:
     if not changed:
         return session, None
     labels = ", ".join(one.label for one in changed)
-    effect = f"automatic gain or brightness control was on in {labels}, left out of the fit: their gain is unknown"
-    return fixed, Finding(flag="agc", effect=effect, remedy=AUTOMATIC.remedy)
+    return fixed, AUTOMATIC.finding("agc", f"on in {labels}, left out of the fit as their gain is unknown")
 
 
 def proposed_description(session: Session) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.method.causes import COARSE
 from charact.noise.thresholds import SWEEP
 from labdata.flags import Finding
 from labdata.lazy_stack import open_lazy_stack
@@ -84,9 +85,8 @@ def step_finding(session: Session) -> Finding | None:
     added = (step**2 - 1.0) * QUANTISATION_DN2
     if added <= SWEEP.max_quantisation * least:
         return None
-    return Finding(
-        flag="quantised",
-        effect=f"all grey values are multiples of {step} DN: rounding adds {added:.3g} DN2 to a least variance of "
+    return COARSE.finding(
+        "quantised",
+        f"all grey values are multiples of {step} DN: rounding adds {added:.3g} DN2 to a least variance of "
         f"{least:.3g} DN2, and levels of a digitiser that cuts off are {(step - 1.0) / 2.0:g} DN low",
-        remedy="the camera's mode of full depth, or frames divided by the step and their bit_depth",
     )

@@ -7,6 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.method.causes import (
+    AVERAGED,
+    COARSE,
+    CURVED,
+    LAGGING,
+    LENS_OFF_AXIS,
+    OFF_AXIS,
+    SHARPENED,
+    UNSTEADY,
+    Cause,
+)
 from charact.validation.thresholds import VALIDATION
 from labdata.flags import Finding
 
@@ -23,16 +34,14 @@ class Signature:
     """What a fault does to the numbers of one statistic.
 
     `flag`: key of `labdata.flags.FLAGS`; `statistic`, `numbers`: the statistic and how the labels of its numbers begin;
-    `shows`: which of them show it, by their deviation in standard deviations and their value; `stage`: stage of the
-    camera, or fault; `remedy`: what settles it.
+    `shows`: which of them show it, by their deviation in standard deviations and their value.
     """
 
     flag: str
     statistic: str
     numbers: str
     shows: Callable[[Array, Array], NDArray[np.bool_]]
-    stage: str
-    remedy: str
+    cause: Cause
 
 
 def _limit() -> float:
@@ -62,46 +71,20 @@ def _constant(z: Array, value: Array) -> NDArray[np.bool_]:
 # From the most special to the most general: one of the first also moves numbers of the last.
 SIGNATURES = (
     Signature(
-        flag="processed", statistic="time", numbers="correlation of dark frames of", shows=_above,
-        stage="frames averaged with earlier ones, in the grabber or by noise reduction in time",
-        remedy="frames without averaging or noise reduction",
+        flag="processed", statistic="time", numbers="correlation of dark frames of", shows=_above, cause=AVERAGED
     ),
+    Signature(flag="drift", statistic="time", numbers="drift of", shows=_either, cause=UNSTEADY),
+    Signature(flag="quantised", statistic="histogram", numbers="share of ones of bit", shows=_constant, cause=COARSE),
     Signature(
-        flag="drift", statistic="time", numbers="drift of", shows=_either,
-        stage="drift or a step of lamp or gain within a stack, as of automatic gain",
-        remedy="automatic gain off, and a lamp that has settled",
+        flag="processed", statistic="autocorrelation", numbers="correlation at", shows=_below, cause=SHARPENED
     ),
-    Signature(
-        flag="quantised", statistic="histogram", numbers="share of ones of bit", shows=_constant,
-        stage="a digitiser of fewer bits than the session says, or a bit that is stuck",
-        remedy="the camera's mode of full depth, or bit_depth of session.toml",
-    ),
-    Signature(
-        flag="processed", statistic="autocorrelation", numbers="correlation at", shows=_below,
-        stage="sharpening in camera or grabber, or a wider video band than described",
-        remedy="frames with sharpening switched off (raw)",
-    ),
-    Signature(
-        flag="correlated-noise", statistic="field", numbers="correlation at", shows=_above,
-        stage="blur after the gain that grows off axis, or a correction of distortion in the camera",
-        remedy="frames without correction of distortion; the description of a fibre taper",
-    ),
+    Signature(flag="correlated-noise", statistic="field", numbers="correlation at", shows=_above, cause=OFF_AXIS),
     Signature(
         flag="model-misfit", statistic="edge", numbers="step over 0.5 to 1.5 px of the edge, ends", shows=_below,
-        stage="blur of lens or tube that grows off axis",
-        remedy="edges of which each lies at one distance from the axis",
+        cause=LENS_OFF_AXIS,
     ),
-    Signature(
-        flag="nonlinear", statistic="linearity", numbers="", shows=_either,
-        stage="a nonlinear response or gamma of amplifier, digitiser or grabber, saturation of the microchannel plate, "
-        "or light other than stated",
-        remedy="a gamma of 1, flats of the linear range only, and the light of each as it was",
-    ),
-    Signature(
-        flag="lag", statistic="time", numbers="correlation of frames of", shows=_above,
-        stage="image lag, or frames averaged with earlier ones",
-        remedy="frames without averaging, or a description of the phosphor's decay",
-    ),
+    Signature(flag="nonlinear", statistic="linearity", numbers="", shows=_either, cause=CURVED),
+    Signature(flag="lag", statistic="time", numbers="correlation of frames of", shows=_above, cause=LAGGING),
 )  # fmt: skip
 
 
@@ -119,9 +102,7 @@ def likely_causes(statistics: Iterable["Statistic"]) -> tuple[Finding, ...]:
         statistic = failing.get(signature.statistic)
         number = None if statistic is None else _number_of(signature, statistic)
         if number is not None:
-            found.setdefault(signature.flag, Finding(
-                flag=signature.flag, effect=f"{signature.stage}: {number}", remedy=signature.remedy
-            ))  # fmt: skip
+            found.setdefault(signature.flag, signature.cause.finding(signature.flag, number))
     return tuple(found.values())
 
 
