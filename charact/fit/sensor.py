@@ -7,8 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.findings import findings_of, has_automatic_gain, misfit_finding
-from charact.fit.observation import Observation, Ridge
+from charact.fit.observation import Observation, Ridge, findings_of, has_automatic_gain, misfit_finding
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import (
     COMBINATIONS,
@@ -23,7 +22,7 @@ from charact.fit.slice_sampling import slice_sample
 from charact.fit.stack_levels import levels_of
 from charact.fit.thresholds import LIMITS, SAMPLING
 from charact.fit.tube_observations import tube_observations
-from charact.method.causes import AUTOMATIC
+from charact.noise.findings import AUTOMATIC
 from charact.noise.illumination import relative_sd_of
 from charact.noise.rounding import step_finding
 from labdata.camera_description import Parameter

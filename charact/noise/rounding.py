@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.method.causes import COARSE
+from charact.noise.findings import COARSE
 from charact.noise.thresholds import SWEEP
 from labdata.flags import Finding
 from labdata.lazy_stack import open_lazy_stack

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.method.causes import (
+from charact.noise.findings import (
     AVERAGED,
     COARSE,
     CURVED,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.fit.findings import CAUSES, CAUSES_OF_MISFIT, findings_of, misfit_finding
+from charact.fit.observation import CAUSES, CAUSES_OF_MISFIT, findings_of, misfit_finding
 from charact.noise.findings import Finding, notes_of
 from charact.noise.rounding import step_finding, step_of_codes
 from charact.session_measurement import measure_noise, method_context
