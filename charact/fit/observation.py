@@ -162,6 +162,6 @@ def misfit_finding(parts: dict[str, float], numbers: int, factor: float) -> Find
     )
     return Finding(
         flag="model-misfit",
-        effect=said if cause is None else f"{said}; likely {cause.stage}",
+        effect=said if cause is None else f"{said}; it may come from {cause.stage}",
         remedy="a description that fits the camera" if cause is None else cause.remedy,
     )

@@ -55,6 +55,11 @@ def _above(z: Array, value: Array) -> NDArray[np.bool_]:
     return z > _limit()
 
 
+def _positive(z: Array, value: Array) -> NDArray[np.bool_]:
+    """Whether a correlation is above its prediction and no anticorrelation, which the mean of few frames leaves."""
+    return _above(z, value) & (value > 0.0)
+
+
 def _below(z: Array, value: Array) -> NDArray[np.bool_]:
     return z < -_limit()
 
@@ -70,11 +75,11 @@ def _constant(z: Array, value: Array) -> NDArray[np.bool_]:
 
 # From the most special to the most general: one of the first also moves numbers of the last.
 SIGNATURES = (
+    Signature(flag="quantised", statistic="histogram", numbers="share of ones of bit", shows=_constant, cause=COARSE),
     Signature(
-        flag="processed", statistic="time", numbers="correlation of dark frames of", shows=_above, cause=AVERAGED
+        flag="processed", statistic="time", numbers="correlation of dark frames of", shows=_positive, cause=AVERAGED
     ),
     Signature(flag="drift", statistic="time", numbers="drift of", shows=_either, cause=UNSTEADY),
-    Signature(flag="quantised", statistic="histogram", numbers="share of ones of bit", shows=_constant, cause=COARSE),
     Signature(
         flag="processed", statistic="autocorrelation", numbers="correlation at", shows=_below, cause=SHARPENED
     ),
@@ -97,13 +102,8 @@ def likely_causes(statistics: Iterable["Statistic"]) -> tuple[Finding, ...]:
     the signature's way by more than Student's quantile of `VALIDATION.level` for the simulated sets.
     """
     failing = {one.name: one for one in statistics if not one.passed}
-    found: dict[str, Finding] = {}
-    for signature in SIGNATURES:
-        statistic = failing.get(signature.statistic)
-        number = None if statistic is None else _number_of(signature, statistic)
-        if number is not None:
-            found.setdefault(signature.flag, signature.cause.finding(signature.flag, number))
-    return tuple(found.values())
+    numbers = {one: _number_of(one, failing[one.statistic]) for one in SIGNATURES if one.statistic in failing}
+    return tuple(one.cause.finding(one.flag, number) for one, number in numbers.items() if number is not None)
 
 
 def _number_of(signature: Signature, statistic: "Statistic") -> str | None:

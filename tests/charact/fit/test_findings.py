@@ -40,7 +40,7 @@ def test_a_misfit_names_its_observation_and_what_that_speaks_of() -> None:
     assert found.flag == "model-misfit"
     assert "chi-squared 93 for 12 numbers, 90 of it from image lag" in found.effect
     assert CAUSES_OF_MISFIT["image lag"].stage in found.effect
-    assert "likely" not in misfit_finding({"halo diameter": 90.0}, 12, 2.8).effect
+    assert "may come from" not in misfit_finding({"halo diameter": 90.0}, 12, 2.8).effect
 
 
 def test_a_note_begins_with_its_flag_once() -> None:

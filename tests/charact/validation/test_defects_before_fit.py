@@ -211,8 +211,11 @@ def test_causes_are_named_by_the_way_that_their_numbers_go_and_only_where_a_stat
     assert likely_causes([replace(sharpened, p_value=0.5)]) == ()
     # Frames averaged are named before what they do to the noise.
     both = likely_causes([sharpened, averaged, statistic_of("linearity", "signal of low over high", 5.0)])
-    assert [one.flag for one in both] == ["processed", "nonlinear"]
+    assert [one.flag for one in both] == ["processed", "processed", "nonlinear"]
     assert "averaged" in both[0].effect
+    # Less anticorrelated than predicted is no average.
+    less = replace(averaged, measured=(-0.1,), low95=(-0.15,), high95=(-0.14,))
+    assert likely_causes([less]) == ()
     assert "is 6, not -1.96 to 1.96" in both[0].effect
     assert {one.flag for one in SIGNATURES} <= set(FLAGS)
 
