@@ -78,6 +78,8 @@ def test_few_grey_values_show_no_step() -> None:
     assert step_of_codes([frame, frame, frame]) == 16
     assert step_of_codes([np.arange(0.0, 64.0, 4.0)]) == 1
     assert step_of_codes([]) == 1
+    # Differences of 2 and 3 have no divisor in common.
+    assert step_of_codes([np.cumsum([2, 3] * 6)]) == 1
 
 
 def test_coarse_grey_values_add_their_rounding_to_the_read_noise_and_are_named(seed: int) -> None:
