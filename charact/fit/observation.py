@@ -106,7 +106,7 @@ CAUSES_OF_MISFIT = {
     "levels": CURVED,
     "photon transfer": CURVED,
     "noise": Cause(
-        stage=f"{CURVED.stage}, or sharpening or interpolation in camera or grabber",
+        stage=f"{CURVED.stage}, or sharpening, interpolation or averaging of frames in camera or grabber",
         remedy="raw frames of a gamma of 1, of the linear range only",
     ),
     "image lag": LAGGING,
