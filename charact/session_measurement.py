@@ -162,12 +162,28 @@ def measure_noise(session: Session, *, method: str = "auto", within_percent: flo
     result = Result()
     if others.of_kind("dark", "flat") or not heated:
         run = partial(noise.measure, others, method=method, within_percent=within_percent, context=context)
-        result += attempt(run, NOISE)
+        result += _with_step(attempt(run, NOISE), others)
     if heated:
         result += attempt(partial(infrared.measure, session, context=context), (("sitf", "DN/K"), ("netd", "mK")))
     return result
 
 
+def _with_step(result: Result, session: Session) -> Result:
+    """Return the result with the finding of a coarse digitiser at the quantities that contain dark noise or level."""
+    from charact.noise.rounding import step_finding
+
+    found = step_finding(session)
+    if found is None:
+        return result
+    return replace(result, measurements=tuple(
+        m.with_(findings=(found,)) if m.quantity in OF_DARK and m.status != "refused" else m
+        for m in result.measurements
+    ))  # fmt: skip
+
+
+OF_DARK = (
+    "read_noise", "dark_signal", "dynamic_range", "minimum_illumination", "minimum_illumination_area", "snr",
+)  # fmt: skip
 NOISE = (("system_gain", "DN/e-"), ("read_noise", "DN"))
 BLOOM = (("halo_diameter", "px"), ("bloom_diameter", "px"))
 

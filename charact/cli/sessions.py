@@ -257,7 +257,16 @@ def fit(
         for path, p in fitted.parameters().items():
             if p.standing in ("fitted", "prior"):
                 print(f"{path} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] 95 %, {p.standing}")
+        for note in _findings_in(fitted):
+            print(f"note: {note}")
         print(f"{sensor_out}\nNext: charact validate {session} --sensor {sensor_out}")
+
+
+def _findings_in(fitted: "VisibleCamera") -> tuple[str, ...]:
+    """Return the notes of a fitted camera that are findings of its fit."""
+    from labdata.flags import FLAGS
+
+    return tuple(note for note in fitted.notes if note.partition(":")[0] in FLAGS)
 
 
 def _why_no_fit(path: Path, session: Path) -> str | None:
@@ -324,7 +333,9 @@ def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bo
         print_message(sentence, events=events)
     with progress_bar(events=events) as progress:
         done = validation.validate(session, fitted, seed=seed, progress=progress)
-    done = replace(done, same_session=Path(sensor).resolve().parent == session.folder.resolve())
+    notes = (*done.notes, *(f"fit of {fitted.name}: {note}" for note in _findings_in(fitted)))
+    same = Path(sensor).resolve().parent == session.folder.resolve()
+    done = replace(done, notes=notes, same_session=same)
     validation.save(done, session.folder)
     return done
 
@@ -348,6 +359,7 @@ def _lines(validation: "Validation") -> Iterator[str]:
     if found:
         share = f"{100.0 * validation.power[0].probability:g} %"
         yield f"errors that would have been found in {share} of cases: {', '.join(found)}"
+    yield from (f"likely cause: {one.note}" for one in validation.likely_causes)
     yield from (f"note: {note}" for note in (validation.origin, *validation.notes))
     yield f"validation: {'passed' if validation.passed else 'FAILED'}"
 

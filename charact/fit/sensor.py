@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.observation import Observation, Ridge
+from charact.fit.observation import Observation, Ridge, findings_of, has_automatic_gain, misfit_finding
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import (
     COMBINATIONS,
@@ -22,9 +22,12 @@ from charact.fit.slice_sampling import slice_sample
 from charact.fit.stack_levels import levels_of
 from charact.fit.thresholds import LIMITS, SAMPLING
 from charact.fit.tube_observations import tube_observations
+from charact.noise.findings import AUTOMATIC
 from charact.noise.illumination import relative_sd_of
+from charact.noise.rounding import step_finding
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
+from labdata.flags import Finding
 from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Posterior, Result
 from labdata.sensor import Draws, Sensor
@@ -115,8 +118,8 @@ def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
     return found
 
 
-def inflate_errors(model: Model) -> tuple[Model, str | None]:
-    """Return the model with errors scaled to its misfit, and the note that reports it.
+def inflate_errors(model: Model) -> tuple[Model, Finding | None]:
+    """Return the model with errors scaled to its misfit, and the finding that reports it.
 
     At the most probable point chi squared of data and prior has as many degrees of freedom as there are data. A p-value
     below 1e-4 is a misfit: all errors are then scaled by the root of the reduced chi squared (Birge's ratio), so that
@@ -131,12 +134,9 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
     if total <= chdtri(numbers, LIMITS.misfit):
         return model, None
     factor = float(np.sqrt(total / numbers))
-    worst = max(parts, key=lambda name: parts[name])
-    said = (
-        f"model-misfit: chi-squared {total:.0f} for {numbers} numbers, {parts[worst]:.0f} of it from {worst}; "
-        f"all errors were multiplied by {factor:.1f}"
+    return replace(model, observed=tuple(one.scale_errors(factor) for one in model.observed)), misfit_finding(
+        parts, numbers, factor
     )
-    return replace(model, observed=tuple(one.scale_errors(factor) for one in model.observed)), said
 
 
 def posterior_of(model: Model, *, seed: int) -> Posterior:
@@ -173,7 +173,8 @@ def fills_the_scale(session: Session) -> bool:
     """Whether a point source's frames reach full scale, so that the full well is at least as large."""
     if session.bit_depth is None:
         return False
-    return any(int(entry.read().data.max()) >= 2**session.bit_depth - 1 for entry in session.of_kind("point"))
+    fixed = [entry for entry in session.of_kind("point") if not has_automatic_gain(entry.conditions)]
+    return any(int(entry.read().data.max()) >= 2**session.bit_depth - 1 for entry in fixed)
 
 
 def full_well_draws(sensor: VisibleCamera, drawn: dict[str, Array], rng: np.random.Generator) -> Array | None:
@@ -233,10 +234,11 @@ def fit_sensor(
     ------
     BadInput
         If the session names no camera, one of the thermal infrared, has no measurement of it, or stacks of several
-        colour planes.
+        colour planes, or an automatic gain or brightness control was on in every dark or in every flat.
     """
     plane, pitch_px = session.sampling
     camera = _camera_of(session, pitch_px)
+    session, left_out = _of_fixed_gain(session)
     result = _per_pixel(result, pitch_px)
     progress("levels of darks and flats", 0.0)
     levels = levels_of(session)
@@ -257,9 +259,12 @@ def fit_sensor(
         model, posterior, illuminance_relative_sd=relative_sd_of(lit, "lux")[0] if metered else 0.0,
         scale_filled=metered and fills_the_scale(session), seed=seed,
     )  # fmt: skip
-    notes = [*fitted.notes, *([PLANE_NOTE.format(plane)] if pitch_px > 1 else []), *([doubt] if doubt else [])]
+    known = (step_finding(session), left_out, doubt)
+    findings = {one.flag: one for one in (*findings_of(result), *known) if one is not None}
+    sampled = [PLANE_NOTE.format(plane)] if pitch_px > 1 else []
+    notes = (*fitted.notes, *sampled, *(one.note for one in findings.values()))
     progress("fitted", 1.0)
-    return replace(fitted, notes=tuple(notes))
+    return replace(fitted, notes=notes)
 
 
 def _camera_of(session: Session, pitch_px: int) -> VisibleCamera:
@@ -296,6 +301,25 @@ def _per_pixel(result: Result, pitch_px: int) -> Result:
         for m in result.measurements
     )
     return replace(result, curves=curves, measurements=measurements)
+
+
+def _of_fixed_gain(session: Session) -> tuple[Session, Finding | None]:
+    """Return the session without darks and flats of an automatic gain or brightness control, and the finding of them.
+
+    Their gain is unknown, and another than that of the other stacks; an MTF does not depend on it.
+    """
+    changed = [one for one in session.of_kind("dark", "flat") if has_automatic_gain(one.conditions)]
+    fixed = replace(session, stacks=tuple(one for one in session.stacks if one not in changed))
+    for kind in ("dark", "flat"):
+        if session.of_kind(kind) and not fixed.of_kind(kind):
+            raise BadInput(
+                f"a fit needs a {kind} of fixed gain, but an automatic gain or brightness control was on in all of "
+                f"{session.name!r}: record it with both off"
+            )
+    if not changed:
+        return session, None
+    labels = ", ".join(one.label for one in changed)
+    return fixed, AUTOMATIC.finding("agc", f"on in {labels}, left out of the fit as their gain is unknown")
 
 
 def proposed_description(session: Session) -> str:

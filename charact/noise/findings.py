@@ -1,6 +1,7 @@
-"""Findings of checks, and the method and provenance of every measurement of noise."""
+"""Findings of checks and their likely causes, and the method and provenance of every measurement of noise."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from charact.method import Context
@@ -30,8 +31,12 @@ def flags_of(findings: Sequence[Finding]) -> tuple[str, ...]:
 
 
 def notes_of(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """Return the notes without repetition."""
-    return tuple(dict.fromkeys(one.note for one in findings))
+    """Return the notes without repetition; that of a flag begins with it."""
+    named = (
+        f"{one.flag}: {one.note}" if one.flag and one.note and not one.note.startswith(f"{one.flag}: ") else one.note
+        for one in findings
+    )
+    return tuple(dict.fromkeys(named))
 
 
 def provenance(context: Context, **settings) -> Provenance:
@@ -45,3 +50,59 @@ def provenance(context: Context, **settings) -> Provenance:
 def fields_of(method: str, context: Context, **settings) -> dict[str, Any]:
     """Return the fields common to all measurements of a method."""
     return {"method": method, "provenance": provenance(context, **settings)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """Stage of the camera, or fault of its frames, that may be the cause of a deviation, and what settles it."""
+
+    stage: str
+    remedy: str
+
+    def finding(self, flag: str, seen: str) -> flags.Finding:
+        """Return the finding of a flag by what was seen."""
+        return flags.Finding(flag=flag, effect=f"{self.stage}: {seen}", remedy=self.remedy)
+
+
+AVERAGED = Cause(
+    stage="frames averaged with earlier ones, in the grabber or by noise reduction in time",
+    remedy="frames without averaging or noise reduction",
+)
+LAGGING = Cause(
+    stage="image lag, as of a phosphor unlike its description, or frames averaged with earlier ones",
+    remedy="frames without averaging, or a description of the phosphor's decay",
+)
+UNSTEADY = Cause(
+    stage="drift or a step of lamp or gain within a stack, as of automatic gain",
+    remedy="automatic gain off, and a lamp that has settled",
+)
+AUTOMATIC = Cause(stage="automatic gain or brightness control", remedy="both switched off")
+COARSE = Cause(
+    stage="a digitiser of fewer bits than the session says, or a bit that is stuck",
+    remedy="the camera's mode of full depth, or frames divided by the step and their bit_depth",
+)
+CURVED = Cause(
+    stage="a nonlinear response or gamma of amplifier, digitiser or grabber, saturation of the microchannel plate, or "
+    "light other than stated",
+    remedy="a gamma of 1, flats of the linear range only, and the light of each as it was",
+)
+PROCESSING = Cause(
+    stage="sharpening, noise reduction or averaging of frames in camera or grabber",
+    remedy="frames with processing switched off (raw)",
+)
+SHARPENED = Cause(
+    stage="sharpening in camera or grabber, or a wider video band than described",
+    remedy="frames with sharpening switched off (raw)",
+)
+SPREAD = Cause(
+    stage="blur, interpolation or a correction of distortion in camera or grabber, or noise of rows",
+    remedy="frames without processing (raw)",
+)
+OFF_AXIS = Cause(
+    stage="blur after the gain that grows off axis, or a correction of distortion in the camera",
+    remedy="frames without correction of distortion; the description of a fibre taper",
+)
+LENS_OFF_AXIS = Cause(
+    stage="blur of lens or tube that grows off axis",
+    remedy="edges of which each lies at one distance from the axis",
+)

@@ -128,13 +128,14 @@ def _power_sentence(validation: Validation) -> str:
 
 
 def _deviation_sentence(validation: Validation) -> str:
-    """Return what deviates most and what may cause it."""
+    """Return the likely causes, what deviates most and what may cause it."""
+    likely = "".join(f"Likely cause: {one.note}. " for one in validation.likely_causes)
     failed = sorted((one for one in validation.statistics if not one.passed), key=lambda one: -one.distance)
     if not failed:
         return "Every statistic passes; the controls did not come out as they must"
     first, others = failed[0], len(failed) - 1
     more = f"; {others} more statistics differ" if others > 1 else "; one more statistic differs" if others else ""
-    return f"It differs most in {first.worst} ({first.name}), which may come from {first.cause}{more}"
+    return f"{likely}It differs most in {first.worst} ({first.name}), which may come from {first.cause}{more}"
 
 
 def _summary(validation: Validation) -> str:

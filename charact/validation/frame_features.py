@@ -32,20 +32,30 @@ class FeatureGroup:
 
 GROUPS: dict[str, FeatureGroup] = {
     "level": FeatureGroup(
-        title="Level of the dark, and signal of each flat", of_stacks=of_stacks.level_features,
+        title="Level of the dark, and signal of the brightest flat", of_stacks=of_stacks.level_features,
         cause="sensitivity, gain, black level, EBI, dark current, or the light meter",
     ),
     "photon-transfer": FeatureGroup(
-        title="Variance of the dark, and variance over signal of each flat", of_stacks=of_stacks.transfer_features,
-        cause="gain, excess noise, read noise, or blur after the gain",
+        title="Variance of the dark, and variance over signal of the brightest flat",
+        of_stacks=of_stacks.transfer_features, cause="gain, excess noise, read noise, or blur after the gain",
+    ),
+    "linearity": FeatureGroup(
+        title="Signal, and variance over signal, of dimmer flats over the brightest",
+        of_stacks=of_stacks.linearity_features,
+        cause="a nonlinear response, saturation of the microchannel plate, automatic gain, or light other than stated",
     ),
     "covariance": FeatureGroup(
-        title="Covariance summed within 6 px over signal, of each flat", of_stacks=of_stacks.covariance_features,
-        cause="gain and excess noise",
+        title="Covariance summed within 6 px over signal, of each flat",
+        of_stacks=of_stacks.covariance_features, cause="gain and excess noise",
     ),
     "autocorrelation": FeatureGroup(
         title="Correlation of neighbouring pixels in time", of_stacks=of_stacks.correlation_features,
-        cause="blur after the gain, video bandwidth, sharpening, or interpolation",
+        cause="blur after the gain, video bandwidth, sharpening, or interpolation", over_frame=True,
+    ),
+    "field": FeatureGroup(
+        title="Noise near the corners of the brightest flat against that near its centre",
+        of_stacks=of_stacks.field_features,
+        cause="blur after the gain that grows off axis, or interpolation such as a correction of distortion",
     ),
     "noise-spectrum": FeatureGroup(
         title="Horizontal and vertical cuts of the noise spectrum, and its peak", of_stacks=of_stacks.spectrum_features,

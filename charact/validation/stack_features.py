@@ -12,6 +12,9 @@ Frames = NDArray[np.floating]
 # Lags (row, col) whose correlation is compared, and the range of the summed covariance, px.
 LAGS = ((0, 1), (0, 2), (0, 3), (1, 0), (2, 0), (3, 0), (1, 1))
 REACH = 6
+# Squared distance from the centre over that of a corner, below and above which noise is that of the centre and of the
+# corners: each some fifth of the picture.
+CENTRE_SQUARE, CORNER_SQUARE = 0.12, 0.58
 # Shares of the values whose mean describes a tail of the temporal noise.
 TAILS = (0.001, 0.01, 0.1)
 # Lowest bits of a value whose share of ones is compared.
@@ -87,27 +90,72 @@ class StackView:
 
 
 def level_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return the level of the dark, DN, and the logarithm of each flat's signal above it."""
-    found = {f"level of {dark.label}, DN": dark.level}
-    return found | {f"ln signal of {one.label}": _log(one.level - dark.level) for one in flats}
+    """Return the level of the dark, DN, and the logarithm of the brightest flat's signal above it."""
+    flat = flats[-1]
+    return {f"level of {dark.label}, DN": dark.level, f"ln signal of {flat.label}": _log(flat.level - dark.level)}
 
 
 def transfer_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return logarithms of the dark's variance, and of variance and summed covariance over signal of each flat."""
-    found = {f"ln variance of {dark.label}": _log(dark.variance)}
-    for one in flats:
-        signal = one.level - dark.level
-        found[f"ln variance/signal of {one.label}"] = _log((one.variance - dark.variance) / signal)
+    """Return logarithms of the dark's variance, and of variance over signal of the brightest flat."""
+    flat = flats[-1]
+    return {
+        f"ln variance of {dark.label}": _log(dark.variance),
+        f"ln variance/signal of {flat.label}": _log(_variance_over_signal(flat, dark)),
+    }
+
+
+def linearity_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return signal, and variance over signal, of each dimmer flat over that of the brightest.
+
+    Neither depends on gain or sensitivity where the response is linear.
+    """
+    *dimmer, brightest = flats
+    found = {}
+    for one in dimmer:
+        of = f"of {one.label} over {brightest.label}"
+        found[f"signal {of}"] = (one.level - dark.level) / (brightest.level - dark.level)
+        ratio = _variance_over_signal(one, dark) / _variance_over_signal(brightest, dark)
+        found[f"variance/signal {of}"] = ratio
+    return found
+
+
+def field_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
+    """Return how noise near the corners of the brightest flat differs from that near its centre.
+
+    The correlation of neighbours in time, and the logarithm of variance over signal: a blur that grows with the
+    distance from the centre raises the first and lowers the second.
+    """
+    flat = flats[-1]
+    rows, cols = flat.mean.shape
+    y, x = (np.linspace(-1.0, 1.0, size) for size in (rows, cols))
+    square = (y[:, None] ** 2 + x[None, :] ** 2) / 2.0
+    places = [square < CENTRE_SQUARE, square > CORNER_SQUARE]
+    power = np.mean(flat.change**2, axis=0)
+    variance = [max(float(power[place].mean()), 1e-12) for place in places]
+    found = {}
+    for row, col in ((0, 1), (1, 0)):
+        product = np.mean(flat.change[:, row:, col:] * flat.change[:, : rows - row, : cols - col], axis=0)
+        middle, corner = (
+            float(product[place[row:, col:]].mean()) / own for place, own in zip(places, variance, strict=True)
+        )
+        found[f"correlation at {row},{col} px near the corners less the centre of {flat.label}"] = corner - middle
+    signal = [max(float(flat.mean[place].mean()) - dark.level, 1e-12) for place in places]
+    found[f"ln variance/signal near the corners over the centre of {flat.label}"] = float(
+        np.log(variance[1] / signal[1]) - np.log(variance[0] / signal[0])
+    )
     return found
 
 
 def covariance_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return the logarithm of the summed covariance over signal of each flat."""
-    found = {}
-    for one in flats:
-        total = float(one.covariance.sum() - dark.covariance.sum())
-        found[f"ln covariance/signal of {one.label}"] = _log(total / (one.level - dark.level))
-    return found
+    """Return the summed covariance over signal of each flat, DN.
+
+    Of a dim flat the sum may be negative by chance, so that it has no logarithm.
+    """
+    return {
+        f"covariance/signal of {one.label}, DN": float(one.covariance.sum() - dark.covariance.sum())
+        / (one.level - dark.level)
+        for one in flats
+    }
 
 
 def correlation_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
@@ -242,7 +290,7 @@ def time_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float
     for one in (dark, flats[-1]):
         limit = EVENT_SD[0] * one.robust_sd
         change = np.clip(one.change, -limit, limit)
-        found |= _correlations(change, (1, 2), f"frames of {one.label}")
+        found |= _correlations(change, (1, 2), f"{'dark ' if one is dark else ''}frames of {one.label}")
         if one.interlaced:
             count, rows, cols = change.shape
             fields = change[:, : rows - rows % 2].reshape(count, rows // 2, 2, cols).swapaxes(1, 2)
@@ -262,6 +310,11 @@ def _correlations(images: Frames, lags: tuple[int, ...], what: str) -> dict[str,
     gram = gram / max(float(np.trace(gram)) / len(gram), 1e-12)
     found = {f"correlation of {what}, {lag} apart": float(np.diag(gram, lag).mean()) for lag in lags if lag < len(gram)}
     return found | {f"largest correlation of two {what}": float(gram[np.triu_indices(len(gram), 1)].max())}
+
+
+def _variance_over_signal(flat: StackView, dark: StackView) -> float:
+    """Return the variance of a flat above the dark's over its signal, DN."""
+    return (flat.variance - dark.variance) / (flat.level - dark.level)
 
 
 def _highest(values: Frames, count: int) -> float:

@@ -88,6 +88,13 @@ def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
         else:
             found[f"bright level at {low:g} to {high:g} px of the edge"] = upper
             found[f"dark level at {low:g} to {high:g} px of the edge"] = lower
+    # A blur that grows off axis is larger at the ends of an edge through the centre.
+    outer = np.abs(np.linspace(-1.0, 1.0, len(mean)))[:, None] > 0.5
+    upper, lower = ((sign * distance > DISTANCES_PX[0]) & (sign * distance <= DISTANCES_PX[1]) for sign in (1.0, -1.0))
+    steps = [float(mean[upper & part].mean() - mean[lower & part].mean()) for part in (outer, ~outer)]
+    found[f"step over {DISTANCES_PX[0]:g} to {DISTANCES_PX[1]:g} px of the edge, ends less middle"] = (
+        steps[0] - steps[1]
+    ) / contrast
     bright = distance > 0.0
     places = {"dark side": far & ~bright, "edge itself": np.abs(distance) < 1.5, "bright side": far & bright}
     for name, own in places.items():

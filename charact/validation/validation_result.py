@@ -9,7 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.validation.likely_causes import likely_causes
 from labdata.errors import BadInput
+from labdata.flags import Finding
 from labdata.frames import read_only
 
 NUMBERS, PICTURES = "validation.json", "validation.npz"
@@ -212,6 +214,11 @@ class Validation:
         return self.figures.pairs
 
     @property
+    def likely_causes(self) -> tuple[Finding, ...]:
+        """Faults of camera or session that the failing statistics show, the likeliest first."""
+        return likely_causes(self.statistics)
+
+    @property
     def passed(self) -> bool:
         """Whether every statistic and every null control passed, and any negative control was noticed.
 
@@ -231,6 +238,7 @@ def as_json(validation: Validation) -> dict[str, Any]:
     return {
         **vars(validation),
         "passed": validation.passed,
+        "likely_causes": [asdict(one) for one in validation.likely_causes],
         "notes": list(validation.notes),
         "statistics": plain(validation.statistics),
         "power": [

@@ -269,8 +269,16 @@ def drift_and_flicker(level: StackStatistics) -> tuple[float, float]:
     rest = means - means.mean() - slope * time
     rms = float(np.sqrt(rest @ rest / (len(means) - 2)))
     significant = rms > noise * (1 + CHECKS.significant_sd / np.sqrt(2 * len(means)))
-    drift = slope if abs(slope) > CHECKS.significant_sd * max(slope_sd, rms / np.sqrt(time @ time)) else 0.0
+    # A step in the middle, as of automatic gain, leaves a residual of its own about a line.
+    scatter = min([rms, *_scatter_about_steps(means)])
+    drift = slope if abs(slope) > CHECKS.significant_sd * max(slope_sd, scatter / np.sqrt(time @ time)) else 0.0
     return drift, rms if significant else 0.0
+
+
+def _scatter_about_steps(means: Array) -> list[float]:
+    """Return the rms of frame means about their means before and after a frame, of three frames or more each, DN."""
+    parts = [(means[:at], means[at:]) for at in range(3, len(means) - 2)]
+    return [float(np.sqrt(sum(len(part) * part.var() for part in both) / (len(means) - 3))) for both in parts]
 
 
 def light_of(conditions: Conditions) -> float | None:

@@ -103,7 +103,8 @@ def _repeated_frame(frames: Frames, adc: Digitiser, rng: np.random.Generator) ->
     return frames
 
 
-def _averaged_frames(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+def average_pairs(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Replace each frame by its mean with the one before."""
     frames[1:] = (frames[1:] + frames[:-1]) / 2.0
     return frames
 
@@ -140,7 +141,8 @@ def _gamma(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     return adc.black + span * np.maximum((frames - adc.black) / span, 0.0) ** 0.95
 
 
-def _sharpening(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+def sharpen(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Mask unsharply by 30 % of 1 px."""
     return np.stack([one + 0.3 * (one - cv2.GaussianBlur(one, (0, 0), 1.0)) for one in frames])
 
 
@@ -223,6 +225,49 @@ def _truncation(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Fra
     return 2.0 * (frames // 2.0)
 
 
+def bend(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Lower the signal s to s (1 - 0.1 s / full), before the digitiser rounds."""
+    signal = frames + rng.uniform(-0.5, 0.5, frames.shape) - adc.black
+    return adc.black + signal * (1.0 - 0.1 * signal / (adc.top - adc.black))
+
+
+def gamma_of_codes(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Raise the code over full scale to the power 0.8, before the digitiser rounds."""
+    return adc.top * (np.maximum(frames + rng.uniform(-0.5, 0.5, frames.shape), 0.0) / adc.top) ** 0.8
+
+
+def keep_eight_bits(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Leave out all but the highest 8 bits, or the two lowest of 8."""
+    step = max(4.0, (adc.top + 1.0) / 256.0)
+    return step * np.floor(frames / step)
+
+
+def blur_off_axis(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Blur by a Gaussian of 0 px at the centre to 1.5 px standard deviation in the corner."""
+    x, y = _coordinates(frames)
+    place = np.hypot(x, y) / np.sqrt(2.0) * 10.0
+    low = np.minimum(place.astype(int), 9)
+    out = np.empty_like(frames)
+    for index, one in enumerate(frames):
+        steps = np.stack([one, *(cv2.GaussianBlur(one, (15, 15), 0.15 * sd) for sd in range(1, 11))])
+        inner, outer = (np.take_along_axis(steps, (low + more)[None], axis=0)[0] for more in (0, 1))
+        out[index] = inner + (place - low) * (outer - inner)
+    return out
+
+
+def blur_lens_off_axis(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Blur the mean frame off axis as a lens does, which leaves the noise of photons as it is."""
+    mean = frames.mean(axis=0, keepdims=True)
+    return frames + blur_off_axis(mean, adc, rng) - mean
+
+
+def step_gain(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
+    """Raise the gain by 2 % in the middle of the stack."""
+    half = len(frames) // 2
+    frames[half:] = _scale(frames[half:], 1.02, adc)
+    return frames
+
+
 def _hot_pixels(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     return _deviating_pixels(frames, adc, rng, 12.0)
 
@@ -252,7 +297,7 @@ OF_FRAMES = (
     Defect(name="row noise, 0.2 of the noise", stacks=FLAT, groups=(*SPACE, *TIME), put=_row_noise),
     Defect(name="gain of odd rows, 1 %", stacks=FLATS, groups=PATTERN, put=_field_gain),
     Defect(name="a repeated frame", stacks=FLAT, groups=("time",), put=_repeated_frame),
-    Defect(name="mean of two frames", stacks=FLATS, groups=("time", "photon-transfer"), put=_averaged_frames),
+    Defect(name="mean of two frames", stacks=FLATS, groups=("time", "photon-transfer"), put=average_pairs),
     Defect(name="a field interpolated from the other", stacks=FLAT, groups=("time", *SPACE), put=_dropped_field),
     Defect(name="dark shading, 0.5 sd or 1 DN", stacks=DARK, groups=("shading",), put=_dark_shading),
     Defect(name="amplifier glow, 5 sd", stacks=DARK, groups=("shading", *PATTERN), put=_amplifier_glow),
@@ -262,8 +307,12 @@ OF_FRAMES = (
         name="clipping at the black level", stacks=DARK,
         groups=("histogram", "photon-transfer", "dark-events"), put=_black_clipping,
     ),
-    Defect(name="gamma of 0.95", stacks=LIT, groups=("level", "photon-transfer", "edge", "covariance"), put=_gamma),
-    Defect(name="sharpening, 30 % of 1 px", stacks=LIT, groups=("mtf", "edge", *SPACE), put=_sharpening),
+    Defect(
+        name="gamma of 0.95", stacks=LIT, groups=("level", "photon-transfer", "linearity", "edge", "covariance"),
+        put=_gamma,
+    ),
+    Defect(name="blur of 1.5 px in the corners", stacks=FLAT, groups=("field", *SPACE), put=blur_off_axis),
+    Defect(name="sharpening, 30 % of 1 px", stacks=LIT, groups=("mtf", "edge", *SPACE), put=sharpen),
     Defect(name="interpolation of 0.25 px", stacks=FLAT, groups=SPACE, put=_interpolation),
     Defect(name="salt noise, 5e-5", stacks=DARK, groups=("histogram", "dark-events"), put=_salt),
     Defect(name="3 cosmic rays a frame, 40 sd", stacks=DARK, groups=("histogram", "dark-events"), put=_cosmic_rays),

@@ -18,8 +18,10 @@ DRAWS = VALIDATION.draws
 OF_GROUP = {
     "level": "gamma of 0.95",
     "photon-transfer": "mean of two frames",
+    "linearity": "gamma of 0.95",
     "covariance": "mean of two frames",
     "autocorrelation": "interpolation of 0.25 px",
+    "field": "blur of 1.5 px in the corners",
     "noise-spectrum": "rolling hum, 0.2 of the noise",
     "rows-and-columns": "row noise, 0.2 of the noise",
     "histogram": "lowest bit left out",
