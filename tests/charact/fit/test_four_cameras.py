@@ -22,7 +22,7 @@ from simulate.lab import LabBench
 from tests.charact.fit.specimens import session_of
 
 # Both intensified cameras are of one class.
-SPECIMENS = {"pulnix-ag5745ef3": 2, "gen3-digital-iccd": 1, "emccd-512": 2, "machine-vision": 2}
+SPECIMENS = {"pulnix-ag5745ef3": 1, "gen3-digital-iccd": 1, "emccd-512": 2, "machine-vision": 2}
 CHIPS = ("emccd-512", "machine-vision")
 LEAST_FITTED = 6
 
