@@ -28,10 +28,10 @@ def test_the_map_is_as_large_as_promised(table):
     assert {one["axis"] for one in kept} == {"none", *BREAKING}
 
 
-def test_three_cells_are_what_the_method_still_does(table, seed):
+def test_five_cells_are_what_the_method_still_does(table, seed):
     """Statuses within three of twenty drawings, the median width within a tenth."""
     kept = cells(table["quick"])
-    for number in np.random.default_rng(seed).choice(len(kept), 3, replace=False):
+    for number in np.random.default_rng(seed).choice(len(kept), 5, replace=False):
         before, again = kept[number], measure_scenario(kept[number]["number"])
         assert abs(again.ok - before["ok"]) <= 3, (before, again)
         assert abs(again.refused - before["refused"]) <= 3, (before, again)
