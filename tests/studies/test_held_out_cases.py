@@ -11,6 +11,7 @@ from charact.method import Method
 from charact.method.registry import chart_table, choose
 from charact.study.point.cases import chart_cases
 from charact.study.study_registry import POINT
+from labdata.frames import FrameStack
 from labdata.measurement import Result, make_measurement
 
 
@@ -52,7 +53,8 @@ def test_what_is_off_is_told_by_a_flag_or_by_an_interval_beyond_the_tolerance(va
         return Result(measurements=(found,))
 
     fake = Method(kind="point", name="fake", quantities=("mtf50",), scope="none", function=function)
-    case = replace(chart_cases(1, 1)[0], truth=0.2)
+    nothing = FrameStack(data=np.zeros((1, 4, 4)))
+    case = replace(chart_cases(1, 1)[0], truth=0.2, draw=lambda rng: nothing)
     monkeypatch.setattr("benchmarks.studies.held_out_cases.choose", lambda *asked, **more: fake)
     monkeypatch.setattr(
         "benchmarks.studies.held_out_cases.studies_of",
