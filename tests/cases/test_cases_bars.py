@@ -82,7 +82,6 @@ def test_a_region_alone_is_enough() -> None:
     [
         (3, 0.06, 0.0, 2.5, True),
         (3, 0.11, 17.0, 2.5, True),
-        (5, 0.14, -12.0, 5.0, False),
         (7, 0.2, 4.0, 7.0, True),
         (11, 0.17, 115.0, 6.0, False),
     ],
@@ -103,11 +102,11 @@ def test_any_number_of_dark_or_bright_bars_of_any_length(
 
 @pytest.mark.parametrize(("dark", "kind"), [(False, np.uint16), (True, float)], ids=["bright codes", "dark"])
 def test_the_plateau_of_a_picture_without_noise_is_no_clipping(dark: bool, kind: type) -> None:
-    light = bars_of(3, 0.03, 5.0, 2.5)
+    light = bars_of(3, 0.05, 5.0, 2.5)
     light = 300.0 + 2000.0 * (1.0 - light if dark else light)
     found = measured((np.rint(light) if kind is np.uint16 else light)[None].astype(kind))
     assert "clipped" not in found.flags
-    assert found.value == pytest.approx(mtf_of(0.03, 5.0), rel=0.005)
+    assert found.value == pytest.approx(mtf_of(0.05, 5.0), rel=0.005)
 
 
 def test_wings_of_a_second_gaussian_are_no_sharpening(seed: int) -> None:

@@ -94,7 +94,7 @@ def test_with_brightness_control_the_charge_stays_constant_above_the_threshold(c
 def _noise_over_signal(camera: IntensifiedCamera, conditions: Conditions, light, seed: int) -> tuple[float, float]:
     """Settled mean above black, and temporal variance over mean."""
     stream = camera.frames(light, conditions, seed=seed)
-    settled = np.stack(list(islice(stream, 60))[36:]).astype(float)
+    settled = np.stack(list(islice(stream, 32))[16:]).astype(float)
     signal = float(settled.mean()) - float(camera.sensor.video.black_level_dn)
     return signal, float(settled.var(axis=0, ddof=1).mean()) / signal
 

@@ -163,9 +163,9 @@ def test_sparse_frames_follow_from_seed_and_number_whoever_draws_them(sparse, mo
 def test_sparse_frames_average_to_the_mean_frame(sparse, seed):
     camera, light = sparse
     stream = camera.frames(light, Conditions(), seed=seed)
-    frames = np.stack(list(islice(stream, 2000))).astype(float) - camera.mean_frame(light, Conditions())
+    frames = np.stack(list(islice(stream, 1000))).astype(float) - camera.mean_frame(light, Conditions())
     assert isinstance(_made(camera, light).light, SparseLight)
-    blocks = frames.mean(axis=1).reshape(40, 50, -1).mean(axis=1)
+    blocks = frames.mean(axis=1).reshape(40, 25, -1).mean(axis=1)
     error = blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
     assert np.all(np.abs(blocks.mean(axis=0)) < 5.0 * error + 5e-3)
 
@@ -190,7 +190,7 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
     expected[42:44, 42:44] = 0.01
     alone = replace(light, expected=expected, ions_per_field=0.0)
     screen, near_e, found = _screen(camera, alone, seed), alone.near_e(camera.shape), []
-    for frame in range(12000):
+    for frame in range(8000):
         screen.expose(frame, [alone], 1.0, lambda work, rows, block: work(0, rows))
         image = screen.shown[0, 0] + near_e
         if image.max() > 1e-3 * light.gain.mean():
@@ -200,7 +200,7 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
     levels = np.quantile(brightest, [0.2, 0.4, 0.6, 0.8]) * 1.0001
     seen = (np.array(found)[:, None] < levels).mean(axis=0)
     due = (brightest[:, None] < levels).mean(axis=0)
-    assert len(found) > 300
+    assert len(found) > 200
     assert np.all(np.abs(seen - due) < 4.5 * np.sqrt(due * (1.0 - due) / len(found)) + 0.02)
 
 

@@ -74,11 +74,11 @@ def test_the_engine_is_calibrated_for_a_mean_and_a_scale_from_twelve_numbers(see
         lambda truth, rng: rng.normal(truth[0], np.exp(truth[1]), 12),
         posterior,
         names=("mean", "log sd"),
-        trials=30,
+        trials=20,
         seed=seed,
     )
     assert result.probability > 1e-4
     # A uniform rank has mean 1/2 and variance 1/12.
     place = (result.ranks + 0.5) / 120
-    assert np.all(np.abs(place.mean(0) - 0.5) < 4.5 / np.sqrt(12 * 30))
-    assert np.all(np.abs(((place - 0.5) ** 2).mean(0) - 1 / 12) < 4.5 * np.sqrt(1 / 180 / 30))
+    assert np.all(np.abs(place.mean(0) - 0.5) < 4.5 / np.sqrt(12 * 20))
+    assert np.all(np.abs(((place - 0.5) ** 2).mean(0) - 1 / 12) < 4.5 * np.sqrt(1 / 180 / 20))

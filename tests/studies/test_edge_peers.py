@@ -22,10 +22,13 @@ def test_the_table_is_what_the_method_still_does():
     (kept,) = [
         one for one in json.loads(TABLE.read_text())["ours"] if one["method"] == "edge-gradient" and one["snr"] == 10.0
     ]
-    again = row([one for seed in range(kept["frames"]) for one in answers(seed, 10.0, {"edge-gradient": 1000})], 10.0)
-    assert again["numbers"] == kept["numbers"]
-    assert again["rms_percent"] == pytest.approx(kept["rms_percent"], rel=0.05)
-    assert again["rms_mtf"] == pytest.approx(kept["rms_mtf"], rel=0.05)
+    count = 120
+    again = row([one for seed in range(count) for one in answers(seed, 10.0, {"edge-gradient": count})], 10.0)
+    assert again["numbers"] == count and kept["numbers"] == kept["frames"]
+    # An RMS of n errors scatters by 1/sqrt(2 n) of it; the first frames are among those of the table.
+    within = 4.0 * np.sqrt(0.5 / count - 0.5 / kept["frames"])
+    assert again["rms_percent"] == pytest.approx(kept["rms_percent"], rel=within)
+    assert again["rms_mtf"] == pytest.approx(kept["rms_mtf"], rel=within)
 
 
 def test_the_bound_of_the_curve_is_that_of_the_width():

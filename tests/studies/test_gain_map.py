@@ -24,10 +24,10 @@ def test_the_map_is_as_large_as_promised(table):
     assert {one["axis"] for one in kept} == {"none", *BREAKING}
 
 
-def test_five_cells_are_what_the_method_still_does(table, seed):
+def test_three_cells_are_what_the_method_still_does(table, seed):
     """Every drawing has its own seed: the verdicts are the same, and the widths within a tenth."""
     kept = cells(table["quick"])
-    for number in np.random.default_rng(seed).choice(len(kept), 5, replace=False):
+    for number in np.random.default_rng(seed).choice(len(kept), 3, replace=False):
         before, again = kept[number], measure_scenario(kept[number]["number"])
         assert again.ok == before["ok"], (before, again)
         assert again.refused == before["refused"], (before, again)

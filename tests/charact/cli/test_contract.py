@@ -1,5 +1,6 @@
 """The JSON of every measuring verb keeps the contract, as a checker outside the project sees it."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -25,9 +26,7 @@ def holds(checker: Path, *arguments: object, expect: int | None = None) -> None:
     assert done.stdout.strip() == "contract holds", done.stdout
 
 
-@pytest.mark.parametrize(
-    ("method", "file"), [("auto", "h_edge.tif"), ("edge-slanted", "v_edge.tif"), ("edge-forward", "v_edge.tif")]
-)
+@pytest.mark.parametrize(("method", "file"), [("auto", "h_edge.tif"), ("edge-slanted", "v_edge.tif")])
 def test_edge(check_contract: Path, shared_data: Path, method: str, file: str) -> None:
     path = shared_data / "burns_sfrmat3" / file
     holds(check_contract, "mtf", "edge", path, "--quick", "--method", method, expect=0)
@@ -39,13 +38,18 @@ def test_a_target_that_is_not_there(check_contract: Path, shared_data: Path, kin
 
 
 def test_noise_of_a_real_camera(check_contract: Path, shared_data: Path, tmp_path: Path) -> None:
-    descriptor = shared_data / "emva001_basler_ccd12" / "EMVA1288_Data.txt"
-    subprocess.run([CHARACT, "import", "emva1288", descriptor, tmp_path / "s"], check=True, capture_output=True)
+    """Every fifth exposure of EMVA 1288 reference set 001: 26 of light, then 26 in the dark."""
+    whole = shared_data / "emva001_basler_ccd12" / "EMVA1288_Data.txt"
+    head, *exposures = re.split("^(?=[bd] )", whole.read_text(), flags=re.MULTILINE)
+    part = "".join([head, *exposures[:26:5], *exposures[26::5]])
+    (tmp_path / "part.txt").write_text(re.sub("^i ", f"i {whole.parent}/", part, flags=re.MULTILINE))
+    importing = [CHARACT, "import", "emva1288", tmp_path / "part.txt", tmp_path / "s"]
+    subprocess.run(importing, check=True, capture_output=True)
     holds(check_contract, "noise", tmp_path / "s", "--quick", expect=0)
     holds(check_contract, "measure", tmp_path / "s", "--quick", expect=0)
     holds(check_contract, "bloom", tmp_path / "s", "--quick", expect=1)
 
 
 def test_missing_input(check_contract: Path, tmp_path: Path) -> None:
-    for verb in (("mtf", "edge"), ("mtf", "point"), ("noise",), ("bloom",), ("measure",)):
+    for verb in (("mtf", "edge"), ("measure",)):
         holds(check_contract, *verb, tmp_path / "missing.tif", expect=1)

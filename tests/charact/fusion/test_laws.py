@@ -95,7 +95,7 @@ def test_a_third_band_of_noise_costs_little(pair: Pair, redraw) -> None:
     mask = pair.objects[0][2] > 0.5
     outputs = {2: [], 3: []}
     absent = Pair(seed=pair.seed, visible_pe=0.0, thermal_k=0.0)
-    for _ in range(30):
+    for _ in range(16):
         for sign, scene in ((1.0, pair), (-1.0, absent)):
             bands = redraw(scene, rng)
             noise = band("third", rng.normal(size=bands[0].image.shape))

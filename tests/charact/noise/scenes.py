@@ -64,7 +64,8 @@ class Pulses:
         """Frames of `level` photoelectrons (or electrons) per pixel."""
         rows, cols = (length + 2 * MARGIN for length in self.shape)
         before = len(self.memory) - 1
-        light = [self._light(rng, level * self.light_of_frame(max(0, n - before)), rows, cols)
+        blur = self._transfer(rows, cols)
+        light = [self._light(rng, level * self.light_of_frame(max(0, n - before)), (rows, cols), blur)
                  for n in range(count + before)]  # fmt: skip
         mixed = [sum(w * light[n + before - j] for j, w in enumerate(self.memory)) for n in range(count)]
         gains = 1.0 + self.pattern * np.random.default_rng(7).standard_normal(self.shape)
@@ -72,21 +73,25 @@ class Pulses:
         data = np.stack([self._read(rng, image[inner] * gains) for image in mixed])
         return FrameStack(data=data, full_scale_dn=self.full_scale_dn)
 
-    def _light(self, rng: np.random.Generator, level: float, rows: int, cols: int):
-        if not self.gain_dn:
-            return np.full((rows, cols), level * self.electron_gain_dn)
-        count = rng.poisson(level, (rows, cols))
-        heights = np.zeros((rows, cols))
-        heights[count > 0] = rng.gamma(count[count > 0], self.gain_dn)
-        if self.transfer is None:
-            return heights
+    def _transfer(self, rows: int, cols: int) -> Any:
+        """Transfer of the blur at the frequencies of a frame with its margin."""
         radius = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(cols)[None, :])
-        return np.fft.irfft2(np.fft.rfft2(heights) * self.transfer(radius), s=(rows, cols))
+        return None if self.transfer is None else self.transfer(radius)
+
+    def _light(self, rng: np.random.Generator, level: float, shape: tuple[int, int], blur: Any):
+        if not self.gain_dn:
+            return np.full(shape, level * self.electron_gain_dn)
+        count = rng.poisson(level, shape)
+        heights = np.zeros(shape)
+        heights[count > 0] = rng.gamma(count[count > 0], self.gain_dn)
+        return heights if blur is None else np.fft.irfft2(np.fft.rfft2(heights) * blur, s=shape)
 
     def _read(self, rng: np.random.Generator, dn):
         charge = rng.poisson(np.clip(dn / self.electron_gain_dn, 0, None)) * self.electron_gain_dn
         bent = charge * (1.0 - self.bend_per_dn * charge)
-        level = self.black_dn + self.offset_dn * np.random.default_rng(11).standard_normal(dn.shape)
+        level = self.black_dn
+        if self.offset_dn:
+            level = level + self.offset_dn * np.random.default_rng(11).standard_normal(dn.shape)
         read = level + bent + self.read_noise_dn * rng.standard_normal(dn.shape)
         if self.smoothing_px:
             read = gaussian_filter(read, self.smoothing_px, mode="wrap")

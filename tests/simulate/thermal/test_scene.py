@@ -161,8 +161,16 @@ def test_walls_receive_what_the_ground_before_them_sends():
     assert neighbours[:, ground].max() < 2.0
 
 
-def test_the_hangar_at_night_is_as_the_paper_has_it():
+@pytest.fixture(scope="module")
+def hangar() -> tuple[Temperatures, float]:
+    """Temperatures of the hangar, and the processor's seconds that they took."""
+    began = time.process_time()
     found = temperatures_of(load_scene("hangar"))
+    return found, time.process_time() - began
+
+
+def test_the_hangar_at_night_is_as_the_paper_has_it(hangar):
+    found, _ = hangar
     air = float(found.balance.weather.air_k[-1] - ZERO_C)
     tops = {name: air - last_c(found, name) for name in ("truck:olive", "fighter:grey", "hangar:", "truck:canvas")}
     paving = last_c(found, "apron") - air
@@ -180,11 +188,8 @@ def test_the_hangar_at_night_is_as_the_paper_has_it():
     assert sum(effect.influence for effect in found.solution.left_out) < 40.0
 
 
-def test_a_map_of_640_by_480_pixels_of_the_hangar_takes_less_than_a_minute_of_two_cores():
-    scene = load_scene("hangar")
-    began = time.process_time()
-    found = temperatures_of(scene)
-    solved = time.process_time() - began
+def test_a_map_of_640_by_480_pixels_of_the_hangar_takes_less_than_a_minute_of_two_cores(hangar):
+    scene, (found, solved) = load_scene("hangar"), hangar
     ahead = np.subtract(scene.camera.look_at_m, scene.camera.position_m)
     towards = tuple(ahead / np.linalg.norm(ahead))
     few = Viewpoint(position_m=scene.camera.position_m, forward=towards, shape=(60, 80), focal_px=(125.0, 125.0))
@@ -238,7 +243,7 @@ def test_a_point_of_the_map_is_what_its_place_has_by_itself(hours, error_k):
     view = Viewpoint(position_m=(0.0, 0.0, 30.0), forward=(0.0, 0.0, -1.0), shape=(60, 60), focal_px=(100.0, 100.0))
     pixels = whole.map_k(view)
     height = 29.99
-    for x, y in ((0.0, 4.95), (2.0, 3.4), (-2.9, 6.5), (5.0, 4.0)):
+    for x, y in ((0.0, 4.95), (-2.9, 6.5)):
         patch = plane("patch", 0.2, position_m=[x, y], height=0.01)
         alone = temperatures_of(scene_of(plane("ground", 60.0), wall, patch, place=place))
         row, col, _ = view.project(np.array([[x, y, -height]]))

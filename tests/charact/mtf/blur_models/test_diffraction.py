@@ -48,7 +48,7 @@ def test_a_pupil_with_a_hole_has_the_transform_of_its_spread():
 
 
 @pytest.mark.parametrize("obscuration", [0.0, 0.35])
-@pytest.mark.parametrize("defocus", [0.0, 0.3, 0.9])
+@pytest.mark.parametrize("defocus", [0.0, 0.9])
 def test_it_is_what_prysm_propagates(obscuration, defocus):
     ratio, line = sampled(obscuration, defocus)
     assert np.abs(pupil(ratio, 1.0, obscuration, defocus)[0] - line).max() < 2e-3

@@ -61,10 +61,9 @@ def test_without_noise_the_forms_have_no_bias(form, rms, angle_deg):
     assert np.sqrt(np.mean(away**2)) < rms
 
 
-@pytest.mark.parametrize(("share", "diameter_px"), [(0.05, 22.0), (0.25, 30.0)])
-def test_a_halo_lowers_the_mtf_by_the_light_it_takes(share, diameter_px):
+def test_a_halo_lowers_the_mtf_by_the_light_it_takes():
     """All light that entered is in the normalisation: RMS of the MTF up to Nyquist within 2e-3."""
-    form = with_disc(gaussian(0.8), share, diameter_px)
+    form = with_disc(gaussian(0.8), 0.05, 22.0)
     frame = 1000.0 + 2000.0 * edges.frame_of(form, 150, 150, angle_deg=6.0, offset_px=-0.2)
     result = measured(frame, "edge-parametric")
     curve = result.curves["mtf"]
@@ -82,7 +81,7 @@ def test_the_bound_is_the_one_the_peers_were_held_against():
 @pytest.mark.parametrize("snr", [30.0, 5.0])
 def test_errors_are_at_the_bound(snr, seed):
     """Sampling error of an RMS of n errors is 1/sqrt(2 n) of it: 2.5 of that are allowed over 1.15 and 1.5."""
-    count, limits = 12, {"edge-parametric": 1.15, "edge-free": 1.5}
+    count, limits = 8, {"edge-parametric": 1.15, "edge-free": 1.5}
     wanted = dict.fromkeys(limits, seed + count)
     given = [one for each in range(count) for one in answers(seed + each, snr, wanted)]
     for method, limit in limits.items():
@@ -92,12 +91,12 @@ def test_errors_are_at_the_bound(snr, seed):
 
 
 def test_intervals_hold_as_often_as_they_say(seed):
-    """Mixed blurs, noises and light; 3 standard errors of a share of 30 are 25 points at 68 % and 12 at 95 %."""
-    trials = [trial for one in range(30) for trial in measure_mixed_scene(seed + one, ("edge-parametric",))]
+    """Mixed blurs, noises and light; 3 standard errors of a share of 20 are 31 points at 68 % and 15 at 95 %."""
+    trials = [trial for one in range(20) for trial in measure_mixed_scene(seed + one, ("edge-parametric",))]
     sure = [trial for trial in trials if trial.status == "ok"]
-    assert len(sure) > 18
-    assert abs(np.mean([trial.covers68 for trial in sure]) - 0.68) < 0.25
-    assert np.mean([trial.covers95 for trial in sure]) > 0.95 - 0.12
+    assert len(sure) > 12
+    assert abs(np.mean([trial.covers68 for trial in sure]) - 0.68) < 0.31
+    assert np.mean([trial.covers95 for trial in sure]) > 0.95 - 0.15
     assert sum(trial.silent for trial in sure) <= 1
 
 

@@ -89,12 +89,12 @@ def test_noise_says_nothing_where_it_may_be_something_else(unknown, seed):
 
 
 @pytest.mark.parametrize(
-    ("gamma", "frames", "told"), [(1.0, 16, 0), (1.25, 16, 4), (0.8, 16, 4), (1.0, 1, 0), (0.5, 1, 4), (2.0, 1, 4)]
+    ("gamma", "frames", "told"), [(1.0, 16, 0), (1.25, 16, 3), (0.8, 16, 3), (1.0, 1, 0), (0.5, 1, 3), (2.0, 1, 3)]
 )
 def test_pulses_tell_a_curved_response(gamma, frames, told, seed):
     """What neighbours share grows as the light, neither more nor less, whatever the fixed pattern and the flicker."""
     more = {"pattern": 0.1, "flicker": 0.1} if frames > 1 else {}
-    found = [edge.noise_growth for edge in edges(replace(PULSES, gamma=gamma, frames=frames, **more), seed, count=4)]
+    found = [edge.noise_growth for edge in edges(replace(PULSES, gamma=gamma, frames=frames, **more), seed, count=3)]
     # A response that steepens may leave the dark side too little for that; the variance tells it then.
     assert all(one.of_light for one in found) or gamma > 1.0
     assert abs(sum(noise_flags(one) == ("gamma",) for one in found) - told) <= 1

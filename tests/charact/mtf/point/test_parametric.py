@@ -275,9 +275,13 @@ def test_the_noise_of_all_pixels_together_is_told_of_pulses_that_rows_share(seed
     """Variance of the sum of the core of a frame, over that of the pixels alone: pulses several pixels wide."""
     scene = PointScene(blur=TrueBlur(sigma_px=0.7), pulse_px=0.8, peak_dn=2500.0, full_scale_dn=4095.0)
     sites = []
-    monkeypatch.setattr(
-        parametric, "fit_sources", lambda *asked: sites.append(fit_sources(*asked)[0][0]) or fit_sources(*asked)
-    )
+
+    def fit_and_keep(*asked):
+        found = fit_sources(*asked)
+        sites.append(found[0][0])
+        return found
+
+    monkeypatch.setattr(parametric, "fit_sources", fit_and_keep)
     point_parametric(scene.frames_drawn(np.random.default_rng(seed)), context=QUICK)
     site = sites[-1]
     core = site.window.core
