@@ -85,12 +85,15 @@ def _pattern(page) -> str | None:
 
 
 def _check_whole(file, path: Path) -> None:
-    """Require all strips to lie within the file, since the decoder fills missing data silently."""
+    """Require pages that end, and all strips within the file, since the decoder fills missing data silently."""
     if not file.pages:
         raise BadInput(f"a TIFF file must hold at least one page, got none in {path}")
-    size = path.stat().st_size
+    size, offsets = path.stat().st_size, set()
     for page in file.pages:
         page = page.aspage()
+        if page.offset in offsets:
+            raise BadInput(f"the pages of a TIFF file must end, got one that leads back to an earlier one in {path}")
+        offsets.add(page.offset)
         end = max((o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=0)
         if end > size:
             raise BadInput(f"a TIFF file must be whole, got {path} of {size} bytes where its pixels end at {end}")

@@ -16,12 +16,16 @@ MOST_GROWTH_MB = 300.0
 """Memory by which a process may grow over one small file or answer, MB."""
 
 
+class TookTooLong(BaseException):
+    """No reader takes this one for a damaged file."""
+
+
 @contextmanager
 def in_time(longest_s: float = LONGEST_S) -> Iterator[None]:
-    """Raise TimeoutError in what takes longer, s of the processor."""
+    """Raise TookTooLong in what takes longer, s of the processor."""
 
     def late(*_: Any) -> None:
-        raise TimeoutError(f"what is read must be read within {longest_s:g} s")
+        raise TookTooLong(f"what is read must be read within {longest_s:g} s")
 
     before = signal.signal(signal.SIGPROF, late)
     signal.setitimer(signal.ITIMER_PROF, longest_s)

@@ -76,6 +76,22 @@ def test_no_way_of_laying_out_a_tiff_hides_that_its_end_is_missing(tmp_path, opt
         read_frames(tmp_path / "a.tif")
 
 
+@pytest.mark.parametrize("to", [0, 2])
+def test_a_last_page_that_leads_back_to_an_earlier_one_is_refused(tmp_path, to):
+    path, data = tmp_path / "a.tif", pixels("u2", (3, 16, 16))
+    tifffile.imwrite(path, data, photometric="minisblack", metadata=None)
+    with tifffile.TiffFile(path) as file:
+        pages = [page.aspage().offset for page in file.pages]
+    content = bytearray(path.read_bytes())
+    # The offset of the next page follows the number of entries and the entries, 12 bytes each.
+    entries = int.from_bytes(content[pages[-1] : pages[-1] + 2], "little")
+    end = pages[-1] + 2 + 12 * entries
+    content[end : end + 4] = pages[to].to_bytes(4, "little")
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match="must end"):
+        read_frames(path)
+
+
 def test_pages_of_several_sizes_are_refused(tmp_path):
     with tifffile.TiffWriter(tmp_path / "a.tif") as file:
         file.write(np.zeros((5, 7), np.uint8), metadata=None)
