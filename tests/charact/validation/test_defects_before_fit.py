@@ -86,7 +86,7 @@ def put_into(session: Session, black_dn: float, put: Put, kinds: tuple[str, ...]
 
 @pytest.fixture(autouse=True)
 def few_controls(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "VALIDATION", replace(VALIDATION, draws=14))
+    monkeypatch.setattr(command, "VALIDATION", replace(VALIDATION, draws=10))
     monkeypatch.setattr(command, "PARAMETERS", PARAMETERS[-1:])
     monkeypatch.setattr(command, "FAULTS", {"a repeated frame": FAULTS["a repeated frame"]})
 
