@@ -107,6 +107,9 @@ def _highest_peak(power: Array, whole: Array, frames: int) -> Interference | Non
     # Density of each column of the spectrum, from the median of its exponential numbers: peaks do not raise it.
     level = uniform_filter1d(np.median(power[1:], axis=0), 2 * READOUT.near_columns + 1, mode="wrap")
     level = level * (frames - 1) / float(gammaincinv(frames - 1, 0.5))
+    if not np.all(level > 0.0):
+        # Frames of a digitiser too coarse for their noise repeat each other.
+        return None
     searched = power / level
     searched[0], searched[:, 0] = 0.0, 0.0
     row, column = (int(at) for at in np.unravel_index(np.argmax(searched), power.shape))

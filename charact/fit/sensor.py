@@ -249,6 +249,7 @@ def fit_sensor(
     )
     if not observed:
         raise BadInput(f"a fit needs at least one measurement that was not refused, got none in {session.name!r}")
+    _require_noise(session, observed)
     model, doubt = inflate_errors(model_of(camera, observed))
     progress("posterior of the sensor", 0.2)
     posterior = posterior_of(model, seed=seed)
@@ -301,6 +302,15 @@ def _per_pixel(result: Result, pitch_px: int) -> Result:
         for m in result.measurements
     )
     return replace(result, curves=curves, measurements=measurements)
+
+
+def _require_noise(session: Session, observed: tuple[Observation, ...]) -> None:
+    """Raise BadInput where frames repeat each other, so that a number of them has no error."""
+    silent = [one.name for one in observed if not np.all(np.diag(one.covariance) > 0.0)]
+    if silent:
+        step = step_finding(session)
+        why = "" if step is None else f": {step.effect}"
+        raise BadInput(f"a fit needs noise in the frames of {session.name!r}, got none in {', '.join(silent)}{why}")
 
 
 def _of_fixed_gain(session: Session) -> tuple[Session, Finding | None]:

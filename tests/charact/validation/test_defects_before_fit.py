@@ -86,7 +86,7 @@ def put_into(session: Session, black_dn: float, put: Put, kinds: tuple[str, ...]
 
 @pytest.fixture(autouse=True)
 def few_controls(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "VALIDATION", replace(VALIDATION, draws=14))
+    monkeypatch.setattr(command, "VALIDATION", replace(VALIDATION, draws=10))
     monkeypatch.setattr(command, "PARAMETERS", PARAMETERS[-1:])
     monkeypatch.setattr(command, "FAULTS", {"a repeated frame": FAULTS["a repeated frame"]})
 
@@ -109,7 +109,12 @@ def examine(session: Session, seed: int) -> tuple[set[str], Validation]:
 def test_a_defect_before_the_fit_is_named(name: str, defect: str, seed: int) -> None:
     session, black_dn = specimen_session(name, seed)
     one = BEFORE_FIT[defect]
-    found, validation = examine(put_into(session, black_dn, one.put, one.kinds, seed), seed)
+    try:
+        found, validation = examine(put_into(session, black_dn, one.put, one.kinds, seed), seed)
+    except BadInput as refusal:
+        # A specimen of less noise than a step of 8 bits has darks that repeat each other.
+        assert defect == "8 bits" and "needs noise" in str(refusal) and "fewer bits" in str(refusal)
+        return
     causes = {cause.flag for cause in validation.likely_causes}
     assert set(one.flags) & (found | causes)
     # A misfit of the fit names no cause of its own.
