@@ -10,7 +10,7 @@ from charact.fit.observation import Observation, admissible_measurements, one, s
 from charact.fit.prior import VisibleCamera
 from charact.fit.thresholds import ERRORS, LIMITS
 from labdata.measurement import Curve, Result
-from labdata.session import Session
+from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,9 @@ def mtf_observations(
             angle_deg = m.orientation_deg if m.orientation_deg is not None else bars[m.stack].target.angle_deg
             fx, fy = _components(np.array([m.frequency_cy_per_px]), angle_deg or 0.0, sensor)
             sd = float(np.hypot(sd_of(m), ERRORS.mtf))
-            predict = partial(predicted_quantities.mtf, across=fx, along=fy)
+            predict = partial(
+                predicted_quantities.mtf, across=fx, along=fy, wavelength_nm=_wavelength_nm(bars[m.stack])
+            )
             found.append(one(f"mtf of {m.stack}", m.value or 0.0, sd, lambda v, f=predict: f(v)[:, 0], depends))
     return found
 
@@ -72,8 +74,9 @@ def _curve(name: str, line: Curve, session: Session, sensor: VisibleCamera, resu
     # Errors are correlated: closely spaced points add little information.
     apart, sd = np.abs(np.subtract.outer(wanted[used], wanted[used])), sd[used]
     covariance = np.outer(sd, sd) * np.exp(-apart / ERRORS.mtf_correlation_cy_per_px) + ERRORS.mtf**2 * np.eye(sd.size)
-    return Observation(name=name, value=value[used], covariance=covariance, speaks_of=depends,
-                       predict=partial(predicted_quantities.mtf, across=fx, along=fy))  # fmt: skip
+    entry = next((entry for entry in session.stacks if entry.label == _stack_of(name, line)), None)
+    predict = partial(predicted_quantities.mtf, across=fx, along=fy, wavelength_nm=_wavelength_nm(entry))
+    return Observation(name=name, value=value[used], covariance=covariance, speaks_of=depends, predict=predict)
 
 
 def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> float:
@@ -88,6 +91,12 @@ def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> floa
         return entry.target.angle_deg
     angles = [m.orientation_deg for m in result.find("mtf50") if m.orientation_deg is not None and m.stack == stack]
     return angles[0] if angles else 0.0
+
+
+def _wavelength_nm(entry: StackEntry | None) -> float:
+    """Return the wavelength of a stack's light, nm: the stated one, else the centre of broadband light."""
+    stated = None if entry is None else entry.conditions.wavelength_nm
+    return stated or predicted_quantities.BROADBAND_NM
 
 
 def _components(frequency: Array, angle_deg: float, sensor: VisibleCamera) -> tuple[Array, Array]:

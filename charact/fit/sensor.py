@@ -1,6 +1,6 @@
 """Fit of a sensor description: model, posterior and the resulting parameters."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -354,7 +354,7 @@ def description_from_posterior(
         model.sensor.with_parameters(changes),
         name=f"{model.sensor.name}, fitted",
         draws=Draws(names=tuple(draws), values=tuple(tuple(float(f"{x:.7g}") for x in row) for row in table)),
-        notes=(*model.sensor.notes, _how(model, posterior, point), *combined),
+        notes=(*model.sensor.notes, _how(model, posterior, point), *combined, *_out_of_range(before, changes)),
     )
 
 
@@ -394,6 +394,19 @@ def _parameter(before: Parameter, value: float, draws: Array, left: float) -> Pa
     low, high = (float(q) for q in np.quantile(draws, (0.025, 0.975)))
     source = f"fitted to the session's data; {left:.0%} of the prior's width remains"
     return Parameter(value=value, low=min(low, value), high=max(high, value), standing="fitted", source=source)
+
+
+def _out_of_range(before: dict[str, Parameter], fitted: dict[str, Parameter]) -> Iterator[str]:
+    """Yield a note on each fitted value outside the description's range, which its interval does not reach."""
+    for path, p in fitted.items():
+        low, high = before[path].low, before[path].high
+        if low is None or high is None or p.low is None or p.high is None or p.standing != "fitted":
+            continue
+        if p.high < low or p.low > high:
+            yield (
+                f"{path} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] is outside the description's {low:g} to {high:g}: "
+                "another description, or conditions other than stated"
+            )
 
 
 def _how(model: Model, posterior: Posterior, point: Array) -> str:

@@ -89,6 +89,8 @@ def choose(session: Session) -> MatchedStacks:
     edges, bars, points = (_shots(session, kind) for kind in ("edge", "bars", "point"))
     if not edges:
         notes.append("no edge: the MTF is not compared")
+    elif edges[0][0].target.contrast is None:
+        notes.append(f"{edges[0][0].label} states no contrast (target = {{ contrast = ... }}): its dark side is opaque")
     if not points:
         notes.append("no point source: halo and bloom are not compared")
     brightest = points[-1:]
@@ -232,7 +234,10 @@ def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], li
         frames = _cut(shot, entry)
         clipped = float(np.mean((frames >= full) | (frames <= 0)))
         if frames.mean() > VALIDATION.highest_share * full or clipped > VALIDATION.most_clipped:
-            notes.append(f"{shot.label} is outside the linear range")
+            notes.append(
+                f"{shot.label} is not compared: above {VALIDATION.highest_share:.0%} of full scale, or more than "
+                f"{VALIDATION.most_clipped:.1%} of its pixels clip"
+            )
         else:
             usable.append((float(frames.mean()), (shot, entry)))
     if not usable:
