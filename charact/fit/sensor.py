@@ -150,11 +150,10 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
         return model.log_probability(model.bend(points))
 
     point, covariance = find_maximum(log_probability, prior.centre, bounds)
-    if FULL_WELL in prior.names:
-        # A lower bound alone: the curvature at the bound says nothing of the width above it.
-        well = prior.names.index(FULL_WELL)
-        covariance[well, :] = covariance[:, well] = 0.0
-        covariance[well, well] = prior.sd[well] ** 2
+    if any(one.is_bound for one in model.observed):
+        # At a bound, where the most probable point often lies, finite differences find no curvature.
+        smooth = replace(model, observed=tuple(one for one in model.observed if not one.is_bound))
+        _, covariance = find_maximum(lambda points: smooth.log_probability(model.bend(points)), point, bounds)
     found = slice_sample(
         log_probability, names=prior.names, point=point, covariance=covariance, bounds=bounds, seed=seed
     )
