@@ -19,7 +19,7 @@ from charact.fit.prior import (
 )
 from charact.fit.silicon_observations import silicon_observations
 from charact.fit.slice_sampling import slice_sample
-from charact.fit.stack_levels import levels_of
+from charact.fit.stack_levels import dark_rise_dn_per_s, left_out_note, levels_of
 from charact.fit.thresholds import LIMITS, SAMPLING
 from charact.fit.tube_observations import tube_observations
 from charact.noise.illumination import relative_sd_of
@@ -168,6 +168,12 @@ PLANE_NOTE = (
 )
 
 
+RISE_NOTE = (
+    "The dark level rises by {:.3g} DN/s of exposure. The description subtracts dark charge (a clamp): its black level is "
+    "that of the shortest dark, and simulated darks do not rise."
+)
+
+
 def fills_the_scale(session: Session) -> bool:
     """Whether a point source's frames reach full scale, so that the full well is at least as large."""
     if session.bit_depth is None:
@@ -256,7 +262,12 @@ def fit_sensor(
         model, posterior, illuminance_relative_sd=relative_sd_of(lit, "lux")[0] if metered else 0.0,
         scale_filled=metered and fills_the_scale(session), seed=seed,
     )  # fmt: skip
-    notes = [*fitted.notes, *([PLANE_NOTE.format(plane)] if pitch_px > 1 else []), *([doubt] if doubt else [])]
+    rise = 0.0 if metered else dark_rise_dn_per_s(levels)
+    noted = (
+        PLANE_NOTE.format(plane) if pitch_px > 1 else None, doubt, left_out_note(session, levels),
+        RISE_NOTE.format(rise) if rise else None,
+    )  # fmt: skip
+    notes = [*fitted.notes, *(note for note in noted if note)]
     progress("fitted", 1.0)
     return replace(fitted, notes=tuple(notes))
 
@@ -275,7 +286,19 @@ def _camera_of(session: Session, pitch_px: int) -> VisibleCamera:
         return camera
     _, rows, columns = open_lazy_stack(session.stacks[0]).shape
     video = replace(camera.video, bit_depth=session.bit_depth or camera.video.bit_depth)
+    if session.bit_depth is None:
+        _check_codes(session, 2**video.bit_depth - 1)
     return replace(camera, ccd=replace(camera.ccd, rows=rows * pitch_px, columns=columns * pitch_px), video=video)
+
+
+def _check_codes(session: Session, highest: int) -> None:
+    """Refuse frames of a session without a bit depth whose codes exceed those of the description."""
+    for entry in session.of_kind("dark", "flat"):
+        if (found := float(entry.read().data.max())) > highest:
+            raise BadInput(
+                f"bit_depth must be in the session.toml where codes exceed the description's {highest}, got {found:g} in "
+                f"{entry.label!r} and no bit_depth"
+            )
 
 
 def _per_pixel(result: Result, pitch_px: int) -> Result:
