@@ -169,8 +169,8 @@ PLANE_NOTE = (
 
 
 RISE_NOTE = (
-    "The dark level rises by {:.3g} DN/s of exposure. The description subtracts dark charge (a clamp): its black level is "
-    "that of the shortest dark, and simulated darks do not rise."
+    "The dark level rises by {:.3g} DN/s of exposure. The description subtracts dark charge (a clamp): its black level "
+    "is that of the shortest dark, and simulated darks do not rise."
 )
 
 
@@ -296,8 +296,8 @@ def _check_codes(session: Session, highest: int) -> None:
     for entry in session.of_kind("dark", "flat"):
         if (found := float(entry.read().data.max())) > highest:
             raise BadInput(
-                f"bit_depth must be in the session.toml where codes exceed the description's {highest}, got {found:g} in "
-                f"{entry.label!r} and no bit_depth"
+                f"bit_depth must be in the session.toml where codes exceed the description's {highest}, got none and "
+                f"{found:g} in {entry.label!r}"
             )
 
 

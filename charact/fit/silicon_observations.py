@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.mtf_observations import mtf_observations
+from charact.fit.mtf_observations import glare_observations, mtf_observations
 from charact.fit.observation import (
     NOISE_MODEL_SD,
     Observation,
@@ -114,6 +114,7 @@ def silicon_observations(
     flats = session.of_kind("flat")
     usual = flats[0].conditions if flats else Conditions()
     found = mtf_observations(session, camera, result, LENS)
+    found += glare_observations(session, darks[0].mean_dn) if darks else []
     found += _photon_transfer(levels, darks, result) or _gain(camera, result, usual)
     found += _dark_noise(darks)
     found += _readout(darks)

@@ -127,6 +127,8 @@ def simulate_frames(
     """
     from simulate.lab import LabBench
 
+    camera = _slow_enough(camera, shots)
+
     def bench_of(one: VisibleCamera, shape: tuple[int, int], **more: Any) -> LabBench:
         return LabBench(replace(one, ccd=replace(one.ccd, rows=shape[0], columns=shape[1])), **more)
 
@@ -137,6 +139,15 @@ def simulate_frames(
             benches[size] = bench_of(camera, size, like=like and bench_of(like, size))
         out[shot.label] = _expose(benches[size], shot, seed + 1000 * index)
     return out
+
+
+def _slow_enough(camera: VisibleCamera, shots: tuple[MatchedFrames, ...]) -> VisibleCamera:
+    """Return the camera with frames as long as the exposures: without a tube nothing else depends on their rate."""
+    longest_s = max((shot.conditions.exposure_s or 0.0 for shot in shots), default=0.0)
+    rate = camera.video.field_rate_hz
+    if isinstance(camera, Sensor) or longest_s * float(rate) <= 1.0:
+        return camera
+    return camera.with_parameters({"video.field_rate_hz": replace(rate, value=1.0 / longest_s, low=None, high=None)})
 
 
 def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
