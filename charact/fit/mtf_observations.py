@@ -78,7 +78,7 @@ def glare_observations(session: Session, dark_dn: float) -> list[Observation]:
 
 
 def _sides_dn(entry: StackEntry, dark_dn: float) -> tuple[float, float, float] | None:
-    """Return levels above dark of the sides far from an edge, and of the frame, DN; None of a side that is too small."""
+    """Return levels above dark of the sides far from an edge, and of the frame, DN; None of too small a side."""
     import cv2
 
     stack = entry.read()
