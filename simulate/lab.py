@@ -68,7 +68,7 @@ class LabBench:
         )
         self.scene = scene if isinstance(scene, LabScene) else load_bench(scene or "bench")
         self._like = like
-        self._pictures: OrderedDict[tuple[Kind, Target], NDArray[np.float32]] = OrderedDict()
+        self._pictures: OrderedDict[tuple[Kind, Target, float | None], NDArray[np.float32]] = OrderedDict()
 
     def expose(
         self, kind: Kind, target: Target, conditions: Conditions, *, frames: int, seed: int, first_frame: int = 0
@@ -122,12 +122,12 @@ class LabBench:
             if kind == "dark":
                 return StageImage(values=np.zeros(camera.cells.shape, np.float32), grid=camera.cells)
             light = np.float32(self._lux(kind, conditions) * camera.stage(Slot.SILICON, conditions).exposure_s)
-            return StageImage(values=self._picture(kind, target) * light, grid=camera.cells)
+            return StageImage(values=self._picture(kind, target, conditions) * light, grid=camera.cells)
         cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s
         if kind == "dark":
             return StageImage(values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells)
-        lit = self._picture(kind, target) * np.float32(self._lux(kind, conditions) * cathode.open_s)
+        lit = self._picture(kind, target, conditions) * np.float32(self._lux(kind, conditions) * cathode.open_s)
         return StageImage(values=lit + np.float32(dark), grid=camera.cells)
 
     def without(self, left_out: frozenset[str]) -> "LabBench":
@@ -142,12 +142,15 @@ class LabBench:
         lux = np.float32(self._lux(kind, conditions))
         return self.camera.photoelectrons(StageImage(values=self._photons(kind, target) * lux, grid=cells), conditions)
 
-    def _picture(self, kind: Kind, target: Target) -> NDArray[np.float32]:
-        """Photoelectrons at the MCP input, or in the chip, per s and cell at 1 lux, shape of the camera's cells."""
-        key = (kind, target)
+    def _picture(self, kind: Kind, target: Target, conditions: Conditions) -> NDArray[np.float32]:
+        """Photoelectrons at the MCP input, or in the chip, per s and cell at 1 lux, shape of the camera's cells.
+
+        The wavelength of narrow light, where conditions state it, is that of diffraction.
+        """
+        key = (kind, target, conditions.wavelength_nm)
         if key not in self._pictures:
             scene_light = StageImage(values=self._photons(kind, target), grid=self.camera.scene_cells)
-            chain = self.camera.chain(Conditions())
+            chain = self.camera.chain(Conditions(wavelength_nm=conditions.wavelength_nm))
             if self.camera.has_tube:
                 front = chain.between(Slot.OPTICS, Slot.GAP)
                 one_second = replace(front[Slot.PHOTOCATHODE], gate_s=1.0, ebi_per_s_cm2=0.0)

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -257,7 +258,8 @@ def fit(
         for path, p in fitted.parameters().items():
             if p.standing in ("fitted", "prior"):
                 print(f"{path} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] 95 %, {p.standing}")
-        for note in _findings_in(fitted):
+        described = open_session_only(session).camera
+        for note in fitted.notes[len(described.notes) if described else 0 :]:
             print(f"note: {note}")
         print(f"{sensor_out}\nNext: charact validate {session} --sensor {sensor_out}")
 
@@ -288,8 +290,27 @@ def fit_and_save(folder: Path, result: "Result", out: Path, *, seed: int, events
 
     with progress_bar(events=events) as progress:
         fitted = fit_sensor(open_session_only(folder), result, seed=seed, progress=progress)
+    fitted = replace(fitted, notes=(*fitted.notes, _frames_note(folder.name, result)))
     save_sensor(fitted, out)
     return fitted
+
+
+def _frames_note(name: str, result: "Result") -> str:
+    """Return the note by which validate knows the frames that a sensor was fitted to: a digest of their digests."""
+    known = [m.provenance.inputs for m in result.measurements if m.provenance is not None]
+    digests = sorted({digest for inputs in known for digest in inputs.values()})
+    return f"Fitted to the frames of {name}, digest {sha256(''.join(digests).encode()).hexdigest()[:16]}."
+
+
+def _of_same_frames(fitted: "VisibleCamera", session: "Session") -> bool:
+    """Whether a sensor was fitted to the frames of a session, as they were when it was measured."""
+    from labdata import result_io
+
+    result = result_io.load(session.folder)
+    if result is None:
+        return False
+    digest = _frames_note("", result).rpartition(", ")[2]
+    return any(note.startswith("Fitted to the frames of ") and note.endswith(digest) for note in fitted.notes)
 
 
 def validate(
@@ -334,8 +355,8 @@ def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bo
     with progress_bar(events=events) as progress:
         done = validation.validate(session, fitted, seed=seed, progress=progress)
     notes = (*done.notes, *(f"fit of {fitted.name}: {note}" for note in _findings_in(fitted)))
-    same = Path(sensor).resolve().parent == session.folder.resolve()
-    done = replace(done, notes=notes, same_session=same)
+    own = Path(sensor).resolve().parent == session.folder.resolve()
+    done = replace(done, notes=notes, same_session=own or _of_same_frames(fitted, session))
     validation.save(done, session.folder)
     return done
 

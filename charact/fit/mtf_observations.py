@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from charact.fit import predicted_quantities
 from charact.fit.observation import Observation, admissible_measurements, one, sd_of
 from charact.fit.prior import VisibleCamera
-from charact.fit.thresholds import ERRORS, LIMITS
+from charact.fit.thresholds import ERRORS, LEVELS, LIMITS
 from labdata.measurement import Curve, Result
-from labdata.session import Session
+from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,7 @@ SPREAD = (
     "taper.interface_mtf_lp_per_mm",
     "video.bandwidth_mhz",
 )
+GLARE = "optics.veiling_glare_fraction"
 
 
 def mtf_observations(
@@ -48,9 +49,51 @@ def mtf_observations(
             angle_deg = m.orientation_deg if m.orientation_deg is not None else bars[m.stack].target.angle_deg
             fx, fy = _components(np.array([m.frequency_cy_per_px]), angle_deg or 0.0, sensor)
             sd = float(np.hypot(sd_of(m), ERRORS.mtf))
-            predict = partial(predicted_quantities.mtf, across=fx, along=fy)
+            predict = partial(
+                predicted_quantities.mtf, across=fx, along=fy, wavelength_nm=_wavelength_nm(bars[m.stack])
+            )
             found.append(one(f"mtf of {m.stack}", m.value or 0.0, sd, lambda v, f=predict: f(v)[:, 0], depends))
     return found
+
+
+def glare_observations(session: Session, dark_dn: float) -> list[Observation]:
+    """Observe the veiling glare at edges of stated contrast, of a camera without a tube; `dark_dn`: level of the dark.
+
+    With the fraction v of the light spread evenly over the frame, of mean M, sides of the levels B and D far from the
+    edge obey D - v M = d (B - v M), d the target's dark side over its bright one (ISO 9358 spreads the light alike).
+    """
+    found = []
+    for entry in session.of_kind("edge"):
+        sides = _sides_dn(entry, dark_dn)
+        if entry.target.contrast is None or sides is None:
+            continue
+        contrast = entry.target.contrast
+        (lower, upper, whole), ratio = sides, (1.0 - contrast) / (1.0 + contrast)
+        value = (lower - ratio * upper) / (whole * (1.0 - ratio))
+        of_contrast = 2.0 * ERRORS.contrast_sd / (1.0 + contrast) ** 2
+        ratio_sd = ERRORS.opaque_transmittance if contrast == 1.0 else of_contrast
+        sd = float(np.hypot(ERRORS.glare * value, ratio_sd * upper / (whole * (1.0 - ratio))))
+        found.append(one(f"glare of {entry.label}", value, sd, lambda values: values[GLARE], (GLARE,)))
+    return found
+
+
+def _sides_dn(entry: StackEntry, dark_dn: float) -> tuple[float, float, float] | None:
+    """Return levels above dark of the sides far from an edge, and of the frame, DN; None of too small a side."""
+    import cv2
+
+    stack = entry.read()
+    if stack.full_scale_dn and np.mean(stack.data >= stack.full_scale_dn) > LEVELS.most_clipped:
+        return None
+    whole = stack.data.mean(axis=0, dtype=np.float64) - dark_dn
+    row, col, height, width = entry.target.region or (0, 0, *whole.shape)
+    mean = whole[row : row + height, col : col + width]
+    smooth = cv2.GaussianBlur(mean, (0, 0), 2.0)
+    bright = (smooth > np.quantile(smooth, (0.02, 0.98)).mean()).astype(np.uint8)
+    far = [cv2.distanceTransform(side, cv2.DIST_L2, 5) > LIMITS.glare_px for side in (1 - bright, bright)]
+    if min(int(side.sum()) for side in far) < LIMITS.glare_pixels:
+        return None
+    lower, upper = (float(mean[side].mean()) for side in far)
+    return lower, upper, float(whole.mean())
 
 
 def _stack_of(name: str, line: Curve) -> str | None:
@@ -72,8 +115,9 @@ def _curve(name: str, line: Curve, session: Session, sensor: VisibleCamera, resu
     # Errors are correlated: closely spaced points add little information.
     apart, sd = np.abs(np.subtract.outer(wanted[used], wanted[used])), sd[used]
     covariance = np.outer(sd, sd) * np.exp(-apart / ERRORS.mtf_correlation_cy_per_px) + ERRORS.mtf**2 * np.eye(sd.size)
-    return Observation(name=name, value=value[used], covariance=covariance, speaks_of=depends,
-                       predict=partial(predicted_quantities.mtf, across=fx, along=fy))  # fmt: skip
+    entry = next((entry for entry in session.stacks if entry.label == _stack_of(name, line)), None)
+    predict = partial(predicted_quantities.mtf, across=fx, along=fy, wavelength_nm=_wavelength_nm(entry))
+    return Observation(name=name, value=value[used], covariance=covariance, speaks_of=depends, predict=predict)
 
 
 def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> float:
@@ -88,6 +132,12 @@ def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> floa
         return entry.target.angle_deg
     angles = [m.orientation_deg for m in result.find("mtf50") if m.orientation_deg is not None and m.stack == stack]
     return angles[0] if angles else 0.0
+
+
+def _wavelength_nm(entry: StackEntry | None) -> float:
+    """Return the wavelength of a stack's light, nm: the stated one, else the centre of broadband light."""
+    stated = None if entry is None else entry.conditions.wavelength_nm
+    return stated or predicted_quantities.BROADBAND_NM
 
 
 def _components(frequency: Array, angle_deg: float, sensor: VisibleCamera) -> tuple[Array, Array]:

@@ -61,6 +61,7 @@ class Observation:
     value: Array  # measured numbers, shape (k,)
     covariance: Array  # covariance of their errors, model error included, shape (k, k)
     predict: Predict  # predictions for parameter draws: values of shape (n,) each -> (n, k)
+    is_bound: bool = False  # whether a prediction beyond the value agrees
     speaks_of: tuple[str, ...]  # paths of the sensor parameters that it depends on
     ridge: "Ridge | None" = None  # the product that it determines far better than any of its parameters
 
@@ -92,7 +93,8 @@ def one(
 def at_least(name: str, value: float, sd: float, predict: Callable[[Values], Array], speaks_of: tuple[str, ...]
              ) -> Observation:  # fmt: skip
     """Return the observation of a lower bound: a prediction above it agrees."""
-    return one(name, value, sd, lambda values: np.minimum(predict(values), value), speaks_of)
+    bound = one(name, value, sd, lambda values: np.minimum(predict(values), value), speaks_of)
+    return replace(bound, is_bound=True)
 
 
 # Flags by which a measurement speaks of a stage of the camera or bench that the fit does not know. Others are of the

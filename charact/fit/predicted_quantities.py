@@ -11,11 +11,16 @@ Values = Mapping[str, NDArray[np.float64]]
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 
 
-def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0) -> Array:
+# Central wavelength of light of 2856 K on a photocathode or silicon, nm.
+BROADBAND_NM = 700.0
+
+
+def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0, wavelength_nm: float = BROADBAND_NM) -> Array:
     """Return the system MTF.
 
     `across`: horizontal frequencies, shape (m,), cycles per column pitch; `along`: vertical frequencies, shape (m,),
-    cycles per row pitch of the sensor; a field row of interlaced video is the sum of two sensor rows.
+    cycles per row pitch of the sensor; a field row of interlaced video is the sum of two sensor rows;
+    `wavelength_nm`: wavelength of the light, nm, of which diffraction depends.
 
     Returns Array, shape (n, m).
 
@@ -25,13 +30,13 @@ def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0) -> Array:
     fx, fy = np.broadcast_arrays(np.atleast_1d(np.asarray(across, float)), np.asarray(along, float))
     detector = _per_mm_at_detector(values, fx, fy)
     if not has_tube(values):
-        return _lens(values, detector) * _readout(values, fx, fy)
+        return _lens(values, detector, wavelength_nm) * _readout(values, fx, fy)
     cathode = detector / _column(values, "taper.demagnification")
     share = _column(values, "photocathode.halo_fraction")
     halo = halo_transfer(
         cathode, _column(values, "photocathode.gap_mm"), _column(values, "photocathode.halo_elastic_share")
     )
-    before = _lens(values, cathode) * ((1.0 - share) + share * halo)
+    before = _lens(values, cathode, wavelength_nm) * ((1.0 - share) + share * halo)
     return before * _tube(values, cathode, 1.0) * _coupling(values, detector) * _readout(values, fx, fy)
 
 
@@ -232,8 +237,9 @@ def _per_mm_at_detector(values: Values, fx: Array, fy: Array) -> Array:
     return np.hypot(across, along)
 
 
-def _lens(values: Values, image_plane: Array) -> Array:
-    return lens_transfer(image_plane, _column(values, "optics.aberration_blur_um"), _column(values, "optics.f_number"))
+def _lens(values: Values, image_plane: Array, wavelength_nm: float) -> Array:
+    blur_um, f_number = _column(values, "optics.aberration_blur_um"), _column(values, "optics.f_number")
+    return lens_transfer(image_plane, blur_um, f_number, wavelength_nm)
 
 
 def _tube(values: Values, cathode: Array, share: Array | float) -> Array:
@@ -291,13 +297,13 @@ _ACROSS, _ACROSS_WEIGHT = _nodes((0.0, 0.2, 0.8, 2.5), (5, 7, 10))
 _ALONG, _ALONG_WEIGHT = _nodes((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))
 
 
-def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> Array:
+def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array, wavelength_nm: float) -> Array:
     """Return diffraction times exp(-2 (pi f s)^2), a lens with Gaussian aberration blur of width s.
 
     Diffraction of a circular pupil, (2/pi)(acos x - x sqrt(1 - x^2)) with x = f wavelength N, falls as 1 - 4x/pi: by 3
     % for a fast lens at the central wavelength of the photocathode.
     """
-    x = np.minimum(frequency_per_mm * 0.7e-3 * f_number, 1.0)
+    x = np.minimum(frequency_per_mm * 1e-6 * wavelength_nm * f_number, 1.0)
     diffraction = (2.0 / np.pi) * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
     return diffraction * np.exp(-2.0 * (np.pi * frequency_per_mm * blur_um * 1e-3) ** 2)
 

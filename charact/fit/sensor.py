@@ -1,6 +1,6 @@
 """Fit of a sensor description: model, posterior and the resulting parameters."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,7 +19,7 @@ from charact.fit.prior import (
 )
 from charact.fit.silicon_observations import silicon_observations
 from charact.fit.slice_sampling import slice_sample
-from charact.fit.stack_levels import levels_of
+from charact.fit.stack_levels import dark_rise_dn_per_s, left_out_note, levels_of
 from charact.fit.thresholds import LIMITS, SAMPLING
 from charact.fit.tube_observations import tube_observations
 from charact.noise.findings import AUTOMATIC
@@ -150,11 +150,10 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
         return model.log_probability(model.bend(points))
 
     point, covariance = find_maximum(log_probability, prior.centre, bounds)
-    if FULL_WELL in prior.names:
-        # A lower bound alone: the curvature at the bound says nothing of the width above it.
-        well = prior.names.index(FULL_WELL)
-        covariance[well, :] = covariance[:, well] = 0.0
-        covariance[well, well] = prior.sd[well] ** 2
+    if any(one.is_bound for one in model.observed):
+        # At a bound, where the most probable point often lies, finite differences find no curvature.
+        smooth = replace(model, observed=tuple(one for one in model.observed if not one.is_bound))
+        _, covariance = find_maximum(lambda points: smooth.log_probability(model.bend(points)), point, bounds)
     found = slice_sample(
         log_probability, names=prior.names, point=point, covariance=covariance, bounds=bounds, seed=seed
     )
@@ -166,6 +165,12 @@ GAIN = "video.conversion_gain_dn_per_e"
 PLANE_NOTE = (
     "Fitted to the plane {} of a mosaic: lengths, charges and gain are those of the camera's pixels, the quantum "
     "efficiency that behind their colour filter; rows, neighbours and interference of the read-out are the plane's."
+)
+
+
+RISE_NOTE = (
+    "The dark level rises by {:.3g} DN/s of exposure. The description subtracts dark charge (a clamp): its black level "
+    "is that of the shortest dark, and simulated darks do not rise."
 )
 
 
@@ -262,8 +267,12 @@ def fit_sensor(
     )  # fmt: skip
     known = (step_finding(session), left_out, doubt)
     findings = {one.flag: one for one in (*findings_of(result), *known) if one is not None}
-    sampled = [PLANE_NOTE.format(plane)] if pitch_px > 1 else []
-    notes = (*fitted.notes, *sampled, *(one.note for one in findings.values()))
+    rise = 0.0 if metered else dark_rise_dn_per_s(levels)
+    noted = (
+        PLANE_NOTE.format(plane) if pitch_px > 1 else None, left_out_note(session, levels),
+        RISE_NOTE.format(rise) if rise else None, *(one.note for one in findings.values()),
+    )  # fmt: skip
+    notes = (*fitted.notes, *(note for note in noted if note))
     progress("fitted", 1.0)
     return replace(fitted, notes=notes)
 
@@ -282,7 +291,19 @@ def _camera_of(session: Session, pitch_px: int) -> VisibleCamera:
         return camera
     _, rows, columns = open_lazy_stack(session.stacks[0]).shape
     video = replace(camera.video, bit_depth=session.bit_depth or camera.video.bit_depth)
+    if session.bit_depth is None:
+        _check_codes(session, 2**video.bit_depth - 1)
     return replace(camera, ccd=replace(camera.ccd, rows=rows * pitch_px, columns=columns * pitch_px), video=video)
+
+
+def _check_codes(session: Session, highest: int) -> None:
+    """Refuse frames of a session without a bit depth whose codes exceed those of the description."""
+    for entry in session.of_kind("dark", "flat"):
+        if (found := float(entry.read().data.max())) > highest:
+            raise BadInput(
+                f"bit_depth must be in the session.toml where codes exceed the description's {highest}, got none and "
+                f"{found:g} in {entry.label!r}"
+            )
 
 
 def _per_pixel(result: Result, pitch_px: int) -> Result:
@@ -388,7 +409,7 @@ def description_from_posterior(
         model.sensor.with_parameters(changes),
         name=f"{model.sensor.name}, fitted",
         draws=Draws(names=tuple(draws), values=tuple(tuple(float(f"{x:.7g}") for x in row) for row in table)),
-        notes=(*model.sensor.notes, _how(model, posterior, point), *combined),
+        notes=(*model.sensor.notes, _how(model, posterior, point), *combined, *_out_of_range(before, changes)),
     )
 
 
@@ -428,6 +449,19 @@ def _parameter(before: Parameter, value: float, draws: Array, left: float) -> Pa
     low, high = (float(q) for q in np.quantile(draws, (0.025, 0.975)))
     source = f"fitted to the session's data; {left:.0%} of the prior's width remains"
     return Parameter(value=value, low=min(low, value), high=max(high, value), standing="fitted", source=source)
+
+
+def _out_of_range(before: dict[str, Parameter], fitted: dict[str, Parameter]) -> Iterator[str]:
+    """Yield a note on each fitted value outside the description's range, which its interval does not reach."""
+    for path, p in fitted.items():
+        low, high = before[path].low, before[path].high
+        if low is None or high is None or p.low is None or p.high is None or p.standing != "fitted":
+            continue
+        if p.high < low or p.low > high:
+            yield (
+                f"{path} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] is outside the description's {low:g} to {high:g}: "
+                "another description, or conditions other than stated"
+            )
 
 
 def _how(model: Model, posterior: Posterior, point: Array) -> str:

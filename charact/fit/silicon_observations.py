@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.mtf_observations import mtf_observations
+from charact.fit.mtf_observations import glare_observations, mtf_observations
 from charact.fit.observation import (
     NOISE_MODEL_SD,
     Observation,
@@ -21,7 +21,7 @@ from charact.fit.readout_observations import (
     neighbour_variance,
     readout_observations,
 )
-from charact.fit.stack_levels import StackMean
+from charact.fit.stack_levels import StackMean, dark_rise_dn_per_s
 from charact.fit.thresholds import SILICON
 from charact.method import Context
 from charact.noise.gain.emva1288 import excess_of
@@ -114,6 +114,7 @@ def silicon_observations(
     flats = session.of_kind("flat")
     usual = flats[0].conditions if flats else Conditions()
     found = mtf_observations(session, camera, result, LENS)
+    found += glare_observations(session, darks[0].mean_dn) if darks else []
     found += _photon_transfer(levels, darks, result) or _gain(camera, result, usual)
     found += _dark_noise(darks)
     found += _readout(darks)
@@ -125,7 +126,7 @@ def silicon_observations(
     # The level of a longer dark contains a dark charge that a clamp need not remove.
     short = [level for level in levels if level.dark and (not flats or level.exposure_s <= longest_s or not longest_s)]
     if known or short:
-        found.append(_levels(camera, (*short, *known)))
+        found.append(_levels(camera, (*short, *known), dark_rise_dn_per_s(levels)))
     if not known:
         found += _efficiency(result)
     return tuple(found)
@@ -338,8 +339,11 @@ def _efficiency(result: Result) -> list[Observation]:
     ]  # fmt: skip
 
 
-def _levels(camera: SolidStateCamera, levels: tuple[StackMean, ...]) -> Observation:
-    """Observe stack means: black level plus gain times photoelectrons; an error of the light is common to all flats."""
+def _levels(camera: SolidStateCamera, levels: tuple[StackMean, ...], rise_dn_per_s: float) -> Observation:
+    """Observe stack means: black level plus gain times photoelectrons; an error of the light is common to all flats.
+
+    The black level is that of the shortest exposure; `rise_dn_per_s` is the rise of the dark level with exposure.
+    """
 
     light = np.array([electrons_per_efficiency(camera.silicon, level) for level in levels])
     in_lux = np.array([np.isfinite(level.illuminance_lux) for level in levels])
@@ -358,9 +362,12 @@ def _levels(camera: SolidStateCamera, levels: tuple[StackMean, ...]) -> Observat
         straight = np.stack(np.broadcast_arrays(*gains), axis=1) * electrons
         return values["video.black_level_dn"][:, None] + straight * (1.0 - c * straight / full)
 
-    mean = np.array([level.mean_dn for level in levels])
-    black = min(float(mean.min()), *(level.mean_dn for level in levels if level.dark), np.inf)
-    signal = np.array([0.0 if level.dark else level.mean_dn - black for level in levels])
+    # The level of every stack less the dark signal that its exposure has beyond the shortest one's: EMVA 1288 takes the
+    # dark of the same exposure.
+    exposure_s = np.array([level.exposure_s for level in levels])
+    mean = np.array([level.mean_dn for level in levels]) - rise_dn_per_s * (exposure_s - exposure_s.min())
+    black = float(mean.min())
+    signal = np.where([level.dark for level in levels], 0.0, mean - black)
     own = np.array([level.sd_dn for level in levels])
     lit = [level.conditions for level in levels if not level.dark]
     of_lux = bool(in_lux[signal > 0.0].any())

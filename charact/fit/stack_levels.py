@@ -56,6 +56,44 @@ def levels_of(session: Session) -> tuple[StackMean, ...]:
     return tuple(level for level in found if level is not None)
 
 
+def left_out_note(session: Session, levels: tuple[StackMean, ...]) -> str | None:
+    """Return the note on darks and flats that are out of the linear range, None where there are none."""
+    used = {level.label for level in levels}
+    labels = [
+        entry.label
+        for entry in session.of_kind("dark", "flat")
+        if entry.label not in used and (entry.kind == "dark" or _is_lit(entry.conditions))
+    ]
+    if not labels:
+        return None
+    return (
+        f"Left out of levels and noise: {', '.join(labels)}; more than {LEVELS.most_clipped:.1%} of the pixels clip at "
+        f"an end of the scale, or the level is above {LEVELS.highest_level:.0%} of it"
+    )
+
+
+def _is_lit(conditions: Conditions) -> bool:
+    return bool(conditions.illuminance_lux or (conditions.photons_per_px and conditions.wavelength_nm))
+
+
+def dark_rise_dn_per_s(levels: tuple[StackMean, ...]) -> float:
+    """Return the rise of the dark level between the shortest and the longest exposure of equal conditions, DN/s.
+
+    0 where a clamp removes the dark charge, or where it is below three standard errors or a rounding step.
+    """
+    stated = [level for level in levels if level.dark and level.conditions.exposure_s]
+    if len(stated) < 2:
+        return 0.0
+    short, long = (pick(stated, key=lambda level: level.exposure_s) for pick in (min, max))
+    alike = (short.conditions.temperature_c, short.conditions.em_gain, short.conditions.camera_gain_db) == (
+        long.conditions.temperature_c, long.conditions.em_gain, long.conditions.camera_gain_db,
+    )  # fmt: skip
+    rise = long.mean_dn - short.mean_dn
+    if not alike or rise < max(3.0 * float(np.hypot(short.sd_dn, long.sd_dn)), 1.0):
+        return 0.0
+    return rise / (long.exposure_s - short.exposure_s)
+
+
 def _level(session: Session, entry: StackEntry) -> StackMean | None:
     conditions, camera, light_known = entry.conditions, session.camera, True
     illuminance = 0.0 if entry.kind == "dark" else conditions.illuminance_lux

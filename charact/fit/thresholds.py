@@ -28,6 +28,12 @@ class ModelErrors:
     # MTF, absolute, and distance over which its errors are correlated, cy/px: the window of an edge of 100 px.
     mtf: float = 0.004
     mtf_correlation_cy_per_px: float = 0.08
+    # Veiling glare, relative: it follows the mean of the field of view, which is larger than the frame.
+    glare: float = 0.1
+    # Contrast of a target, as two decimals are stated: 0.01/sqrt(12); transmittance of an opaque one: chrome of optical
+    # density 3.
+    contrast_sd: float = 0.003
+    opaque_transmittance: float = 0.001
     # Halo diameter, px: its edge is located on pixels.
     halo_px: float = 0.1
     # Variance of a tube's fixed pattern, relative: blur of the screen's grain.
@@ -47,6 +53,10 @@ class FitLimits:
     mtf_spacing_cy_per_px: float = 0.04
     mtf_highest_cy_per_px: float = 0.45
     least_mtf: float = 0.03
+    # Distance from an edge beyond which its sides show glare alone, px: more than three widths of the widest lens blur
+    # of 20 um on pixels of 4 um; fewest pixels of a side.
+    glare_px: float = 15.0
+    glare_pixels: int = 500
     # p-value of a misfit, at which all errors are scaled.
     misfit: float = 1e-4
     # A parameter is identified if its posterior is narrower than this fraction of its prior, in standard deviations.

@@ -89,6 +89,8 @@ def choose(session: Session) -> MatchedStacks:
     edges, bars, points = (_shots(session, kind) for kind in ("edge", "bars", "point"))
     if not edges:
         notes.append("no edge: the MTF is not compared")
+    elif edges[0][0].target.contrast is None:
+        notes.append(f"{edges[0][0].label} states no contrast (target = {{ contrast = ... }}): its dark side is opaque")
     if not points:
         notes.append("no point source: halo and bloom are not compared")
     brightest = points[-1:]
@@ -125,6 +127,8 @@ def simulate_frames(
     """
     from simulate.lab import LabBench
 
+    camera = _slow_enough(camera, shots)
+
     def bench_of(one: VisibleCamera, shape: tuple[int, int], **more: Any) -> LabBench:
         return LabBench(replace(one, ccd=replace(one.ccd, rows=shape[0], columns=shape[1])), **more)
 
@@ -135,6 +139,15 @@ def simulate_frames(
             benches[size] = bench_of(camera, size, like=like and bench_of(like, size))
         out[shot.label] = _expose(benches[size], shot, seed + 1000 * index)
     return out
+
+
+def _slow_enough(camera: VisibleCamera, shots: tuple[MatchedFrames, ...]) -> VisibleCamera:
+    """Return the camera with frames as long as the exposures: without a tube nothing else depends on their rate."""
+    longest_s = max((shot.conditions.exposure_s or 0.0 for shot in shots), default=0.0)
+    rate = camera.video.field_rate_hz
+    if isinstance(camera, Sensor) or longest_s * float(rate) <= 1.0:
+        return camera
+    return camera.with_parameters({"video.field_rate_hz": replace(rate, value=1.0 / longest_s, low=None, high=None)})
 
 
 def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
@@ -232,7 +245,10 @@ def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], li
         frames = _cut(shot, entry)
         clipped = float(np.mean((frames >= full) | (frames <= 0)))
         if frames.mean() > VALIDATION.highest_share * full or clipped > VALIDATION.most_clipped:
-            notes.append(f"{shot.label} is outside the linear range")
+            notes.append(
+                f"{shot.label} is not compared: above {VALIDATION.highest_share:.0%} of full scale, or more than "
+                f"{VALIDATION.most_clipped:.1%} of its pixels clip"
+            )
         else:
             usable.append((float(frames.mean()), (shot, entry)))
     if not usable:

@@ -79,7 +79,9 @@ class Ccd(Stage, slot=Slot.CCD):
     prnu: float = 0.0  # relative standard deviation of the pixels' response, dimensionless
     # Charge that a spot one tenth of the image high adds to its whole column, as a fraction of the spot's.
     smear_fraction: float = 0.0
-    dsnu_e: float = 0.0  # standard deviation over pixels of the mean dark charge, e-; see `pattern.dark_signal_map`
+    # Standard deviation over pixels of the level without light, e-. That of the dark charge is its mean at most, as of
+    # an exponential law (`pattern.dark_signal_map`); the rest are offsets of amplifiers (`pattern.offset_map`).
+    dsnu_e: float = 0.0
     clamped: bool = True  # whether the clamp acts here; False where a register follows, behind which it does
     interlaced: bool = False  # whether odd and even rows are separate fields, which overflow each on their own
     pattern_seed: int = 0  # seed of the pixels' responses
@@ -114,7 +116,7 @@ class Ccd(Stage, slot=Slot.CCD):
         charge = self.mean_charge(light.values)
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
             charge = charge + (self.dark(charge.shape[-2:]) - np.float32(self.dark_e))
-        held = self.limit_to_full_well(charge)
+        held = self.limit_to_full_well(charge) + self.offsets(charge.shape[-2:])
         return light.with_values(held if self.clamped else held + np.float32(self.dark_e))
 
     def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
@@ -124,6 +126,7 @@ class Ccd(Stage, slot=Slot.CCD):
         expected = self.mean_charge(light.values)
         expected += self.dark(expected.shape[-2:])
         held = self.limit_to_full_well(poisson_numbers(rng.integers(2**64, dtype=np.uint64), expected))
+        held = held + self.offsets(expected.shape[-2:])
         if self.read_noise_e > 0.0:
             held = held + np.float32(self.read_noise_e) * rng.standard_normal(held.shape, dtype=np.float32)
         return light.with_values(held - np.float32(self.dark_e) if self.clamped else held)
@@ -131,8 +134,17 @@ class Ccd(Stage, slot=Slot.CCD):
     def dark(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
         """Return the mean dark charge of each pixel, e-; one number where all are alike."""
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
-            return pattern.dark_signal_map(shape, self.dark_e, self.dsnu_e, self.pattern_seed)
+            return pattern.dark_signal_map(shape, self.dark_e, min(self.dsnu_e, self.dark_e), self.pattern_seed)
         return np.float32(self.dark_e)
+
+    @property
+    def offset_sd_e(self) -> float:
+        """Standard deviation of the pixels' offsets, e-: the part of DSNU that dark charge does not have."""
+        return float(np.sqrt(max(self.dsnu_e**2 - self.dark_e**2, 0.0))) if self.dark_e > 0.0 else 0.0
+
+    def offsets(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
+        """Return the offset of each pixel, e-; 0 where there are none."""
+        return pattern.offset_map(shape, self.offset_sd_e, self.pattern_seed) if self.offset_sd_e else np.float32(0.0)
 
     def mean_charge(self, photons: NDArray) -> NDArray[np.float32]:
         """Return the mean charge of the light, e-, with smear; negative values of an image count as zero."""

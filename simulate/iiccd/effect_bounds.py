@@ -211,15 +211,16 @@ class NoiseBudget:
 
     @cached_property
     def hottest_e(self) -> float:
-        """Largest deviation of a pixel's dark charge from the mean, e-: extremes of a gamma distribution."""
+        """Largest deviation of a pixel's level without light, e-: extremes of a gamma law and of the offsets."""
         from scipy.special import gammainccinv, gammaincinv
 
         missed = ACCURACY.extreme_probability / self.mean_pe.size
         if self.ccd.dsnu_e == 0.0 or self.ccd.dark_e == 0.0:
             return 0.0
-        shape = (self.ccd.dark_e / self.ccd.dsnu_e) ** 2
+        shape = max((self.ccd.dark_e / self.ccd.dsnu_e) ** 2, 1.0)
+        offset_e = self.extreme(float(self.mean_pe.size)) * self.ccd.offset_sd_e
         hottest, coldest = gammainccinv(shape, missed) / shape, gammaincinv(shape, missed) / shape
-        return self.ccd.dark_e * float(max(hottest - 1.0, 1.0 - coldest))
+        return offset_e + self.ccd.dark_e * float(max(hottest - 1.0, 1.0 - coldest))
 
     @cached_property
     def running(self) -> NDArray[np.bool_]:

@@ -36,7 +36,7 @@ class Accuracy:
     sparse_pe_per_px: float = 0.8  # below this mean per pixel single pulses are resolved, and drawn one by one
     # Skewness of the shot noise of the charge, over all noise, above which electrons are counted.
     counted_skewness: float = 0.01
-    # Above this mean the electrons of a pixel are drawn from a normal law, whose skewness is below 0.04.
+    # Above this mean the electrons of a pixel are drawn from a normal law with the skewness of a Poisson law.
     max_counted_e: float = 1000.0
     # More photoelectrons in a cell have the noise of this number, so that values stay finite.
     max_pe_per_cell: float = 1e9

@@ -27,7 +27,8 @@ class Optics(Stage, slot=Slot.OPTICS, takes="photons", emits="photons"):
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
         """Return the lens of a camera for light stated at the photocathode."""
         optics = camera.description.optics
-        return values_of(cls, optics, blur=values_of(Lens, optics))
+        stated = {} if conditions.wavelength_nm is None else {"wavelength_um": conditions.wavelength_nm * 1e-3}
+        return values_of(cls, optics, blur=values_of(Lens, optics, **stated))
 
     def mean(self, light: StageImage) -> StageImage:
         """Return (1 - v) E + v mean(E), with the blur pending; the sum over cells is conserved."""

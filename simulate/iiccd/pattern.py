@@ -83,6 +83,13 @@ def dark_signal_map(shape: tuple[int, int], mean_e: float, sd_e: float, pattern_
 
 
 @lru_cache(maxsize=4)
+def offset_map(shape: tuple[int, int], sd_e: float, pattern_seed: int) -> NDArray[np.float32]:
+    """Return each pixel's offset, e-, mean 0, independent from pixel to pixel."""
+    rng = np.random.default_rng([pattern_seed, 5])
+    return read_only((sd_e * rng.standard_normal(shape)).astype(np.float32))
+
+
+@lru_cache(maxsize=4)
 def multifibre_offsets(grid: Grid, pitch_mm: float, rms_mm: float, pattern_seed: int) -> NDArray[np.float32]:
     """Return how far each multi-fibre is shifted, (x, y) on cells, shape (2, row, col), at the photocathode, mm.
 

@@ -70,10 +70,11 @@ def _fill_poisson(key, mean, out, most):
         if expected <= 0.0:
             out[i] = 0.0
         elif expected > most:
-            # Box and Muller's normal number, rounded.
+            # Box and Muller's normal number with the skewness of a Poisson law (Cornish and Fisher 1938), rounded: the
+            # variances of the square, 1/18, and of rounding, 1/12, are taken off.
             radius = np.sqrt(-2.0 * np.log(_uniform(place, 1)))
             normal = radius * np.cos(2.0 * np.pi * _uniform(place, 2))
-            out[i] = np.floor(expected + np.sqrt(expected) * normal + 0.5)
+            out[i] = np.floor(expected + np.sqrt(expected - 5.0 / 36.0) * normal + (normal * normal - 1.0) / 6.0 + 0.5)
         elif expected < 12.0:
             # Means that differ by rounding alone share one exponential function.
             if abs(expected - last) > 1e-6 * expected:

@@ -99,6 +99,14 @@ def test_charge_is_poisson(level, seed):
     assert chi2 < stats.chi2.isf(3.4e-6, len(expected) - 1)
 
 
+def test_large_charge_has_the_skewness_of_a_poisson_law(seed):
+    level, count = 2000.0, 1_000_000
+    away = poisson_numbers(key_of(seed, 1, 7), np.full(count, level, np.float32)).astype(float) - level
+    assert away.var() / level == pytest.approx(1.0, abs=4.5 * np.sqrt(2.0 / count))
+    skewness = np.mean(away**3) / level**1.5
+    assert skewness == pytest.approx(level**-0.5, abs=4.5 * np.sqrt(15.0 / count))
+
+
 @pytest.mark.parametrize("level", [0.5, 4.0, 11.0, 20.0])
 def test_exponential_pulse_sums_follow_the_compound_law(level, seed):
     """P(S <= x) = sum_n Poisson(n) gamma cdf(n, x), the probability of none included."""

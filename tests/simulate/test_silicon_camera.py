@@ -157,3 +157,11 @@ def test_exposure_and_gain_out_of_reach_are_refused(description):
 def test_impossible_registers_are_refused(change):
     with pytest.raises(BadInput):
         Register(**change)
+
+
+def test_a_pattern_beyond_the_dark_charge_is_of_offsets_without_hot_pixels():
+    ccd = Ccd(quantum_efficiency=0.5, full_well_e=1e5, dark_e=0.6, dsnu_e=1.2, pattern_seed=2)
+    level = ccd.mean(StageImage(values=np.zeros((300, 400), np.float32))).values.astype(float)
+    assert level.std() == pytest.approx(1.2, rel=0.02)
+    # Exponential charge of 0.6 e- has an excess kurtosis of 6, offsets none: 6 (0.6 / 1.2)^4 together.
+    assert np.mean((level - level.mean()) ** 4) / level.var() ** 2 - 3.0 == pytest.approx(6.0 / 16.0, abs=0.15)

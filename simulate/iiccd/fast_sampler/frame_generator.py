@@ -61,7 +61,7 @@ class FrameGenerator:
         """Make the phosphor and the patterns of the frame that an exposure has."""
         shape, ccd = exposure.light_e.shape, self._ccd
         self._screen: Any = exposure.light.screen(self._decay, self._fields, self._seed, shape)
-        dark = ccd.dark(shape) - np.float32(ccd.dark_e)
+        dark = ccd.dark(shape) + ccd.offsets(shape) - np.float32(ccd.dark_e)
         self._dark_pattern = np.ascontiguousarray(dark) if np.ndim(dark) == 2 else EMPTY
         self._response = EMPTY if ccd.prnu == 0.0 else pattern.prnu_map(shape, ccd.prnu, ccd.pattern_seed)
         self._charge = np.empty(shape, np.float32)
