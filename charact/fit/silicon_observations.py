@@ -185,7 +185,9 @@ def _photon_transfer(levels: tuple[StackMean, ...], darks: list[StackMean], resu
         straight = 2.0 * signal / (1.0 + np.sqrt(np.maximum(1.0 - 4.0 * c * signal / full, 0.0)))
         bend = (1.0 - 2.0 * c * straight / full) ** 2
         # Noise of reading passes the bent response, that of rows and interference does not.
-        read_dn2 = dark.temporal_dn2[0] - SILICON.rounding_dn2 - neighbour_variance(values, rows)[:, None]
+        read_dn2 = (
+            dark.temporal_dn2[0] - SILICON.rounding_dn2 * dark.step_dn**2 - neighbour_variance(values, rows)[:, None]
+        )
         shot = np.stack(np.broadcast_arrays(*gains), axis=1) * straight * bend
         return (shot + (bend - 1.0) * read_dn2) / signal
 
@@ -205,7 +207,7 @@ def _dark_noise(darks: list[StackMean]) -> list[Observation]:
     found = []
     for dark in darks:
         variance, sd = dark.temporal_dn2
-        if variance > SILICON.least_noise_dn**2:
+        if variance > (SILICON.least_noise_dn * dark.step_dn) ** 2:
             sd = float(np.hypot(sd, NOISE_MODEL_SD * variance))
             depends = (*_amplification(dark.conditions), *READING, *COLOURED, *_cooling(dark.conditions))
             found.append(one(f"dark noise of {dark.label}", variance, sd, _variance_of(dark), depends))
@@ -219,17 +221,20 @@ def _rows_of(level: StackMean) -> int:
 
 def _variance_of(dark: StackMean) -> Callable[[Values], Array]:
     """Return the temporal variance of a pixel under the conditions of a dark, DN^2."""
-    rows = _rows_of(dark)
+    rows, coarser_dn2 = _rows_of(dark), SILICON.rounding_dn2 * (dark.step_dn**2 - 1.0)
 
     def predict(values: Values) -> Array:
-        return dark_variance(values, dark.conditions, dark.exposure_s) + neighbour_variance(values, rows)
+        return dark_variance(values, dark.conditions, dark.exposure_s) + neighbour_variance(values, rows) + coarser_dn2
 
     return predict
 
 
 def _readout(darks: list[StackMean]) -> list[Observation]:
     """Observe rows, neighbours and interference in the dark with most frames, of these the shortest exposure."""
-    usable = [dark for dark in darks if dark.entry is not None and dark.temporal_dn2[0] > SILICON.least_noise_dn**2]
+    usable = [
+        dark for dark in darks
+        if dark.entry is not None and dark.temporal_dn2[0] > (SILICON.least_noise_dn * dark.step_dn) ** 2
+    ]  # fmt: skip
     if not usable:
         return []
     dark = min(usable, key=lambda level: (-len(level.entry.read()) if level.entry else 0, level.exposure_s))

@@ -30,6 +30,7 @@ class StackMean:
     mcp_v: float
     entry: StackEntry | None = None  # the stack
     full_scale_dn: float = np.nan  # highest code of the digitiser, DN
+    step_dn: float = 1.0  # step of its codes, DN: above 1 of codes shifted left
     light_known: bool = True  # whether its light is stated; otherwise it shows noise alone
     # mean over pixels of the variance between frames, variance over pixels of the mean frame without its noise and
     # smooth shading, and the standard errors of both, DN^2; nan of a single frame
@@ -124,8 +125,16 @@ def _level(session: Session, entry: StackEntry) -> StackMean | None:
         label=entry.label, mean_dn=float(means.mean()), sd_dn=scatter, noise_dn=_noise_dn(stack.data[0]),
         illuminance_lux=float(illuminance), gate_s=float(gate_s), exposure_s=float(shutter_s),
         mcp_v=float(conditions.mcp_v or reference_v), entry=entry, temporal_dn2=temporal, spatial_dn2=spatial,
-        light_known=light_known, full_scale_dn=top,
+        light_known=light_known, full_scale_dn=top, step_dn=_step_dn(stack.data[0]),
     )  # fmt: skip
+
+
+def _step_dn(frame: NDArray) -> float:
+    """Return the greatest common divisor of the differences of codes, DN; 1 of codes that are no whole numbers."""
+    if not np.issubdtype(frame.dtype, np.integer):
+        return 1.0
+    codes = np.unique(frame).astype(np.int64)
+    return float(max(np.gcd.reduce(codes - codes[0]), 1))
 
 
 def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]:

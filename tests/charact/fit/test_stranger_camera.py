@@ -128,3 +128,20 @@ def test_validation_fails_on_a_gain_of_20_percent_more(tmp_path, fitted):
     flat = ("flat", "flat", camera.expose(12_000.0, SHORT_S, 8), SHORT_S, 12_000.0, "")
     done = validation.validate(session_of(tmp_path, [dark, flat]), fitted)
     assert {"level", "photon-transfer"} & {one.name for one in done.statistics if not one.passed}
+
+
+def test_codes_shifted_left_round_to_their_steps(tmp_path):
+    # 8 bits in 12: steps of 16 DN add 256/12 DN^2 of rounding to (0.21 x 60 e-)^2 = 159 DN^2 of read noise, 6 % of it.
+    camera = LinearCamera(3)
+    noise_e = 60.0
+    stacks = []
+    for place, level in enumerate((0.0, 4000.0, 9000.0, 15_000.0)):
+        frames = camera.expose(level, SHORT_S, 8) + camera.gain * noise_e * camera.rng.standard_normal(
+            (8, ROWS, COLUMNS)
+        )
+        codes = 16 * np.rint((frames + 200.0) / 16.0).astype(np.uint16)
+        stacks.append(("flat" if level else "dark", f"stack-{place}", codes, SHORT_S, level, ""))
+    session = session_of(tmp_path, stacks)
+    p = fit_sensor(session, measure(session, quick=True)).parameters()["ccd.read_noise_e"]
+    truth = np.hypot(noise_e, TRUTH["ccd.read_noise_e"])
+    assert abs(p.value - truth) < 3.0 / 1.96 * (p.high - p.low) / 2.0 and p.high - p.low < 0.1 * truth
