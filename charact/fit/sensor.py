@@ -19,7 +19,7 @@ from charact.fit.prior import (
 )
 from charact.fit.silicon_observations import silicon_observations
 from charact.fit.slice_sampling import slice_sample
-from charact.fit.stack_levels import dark_rise_dn_per_s, left_out_note, levels_of
+from charact.fit.stack_levels import dark_rise_dn_per_s, note_on_exclusions, levels_of
 from charact.fit.thresholds import LIMITS, SAMPLING
 from charact.fit.tube_observations import tube_observations
 from charact.noise.findings import AUTOMATIC
@@ -269,7 +269,7 @@ def fit_sensor(
     findings = {one.flag: one for one in (*findings_of(result), *known) if one is not None}
     rise = 0.0 if metered else dark_rise_dn_per_s(levels)
     noted = (
-        PLANE_NOTE.format(plane) if pitch_px > 1 else None, left_out_note(session, levels),
+        PLANE_NOTE.format(plane) if pitch_px > 1 else None, note_on_exclusions(session, levels),
         RISE_NOTE.format(rise) if rise else None, *(one.note for one in findings.values()),
     )  # fmt: skip
     notes = (*fitted.notes, *(note for note in noted if note))

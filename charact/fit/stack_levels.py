@@ -57,7 +57,7 @@ def levels_of(session: Session) -> tuple[StackMean, ...]:
     return tuple(level for level in found if level is not None)
 
 
-def left_out_note(session: Session, levels: tuple[StackMean, ...]) -> str | None:
+def note_on_exclusions(session: Session, levels: tuple[StackMean, ...]) -> str | None:
     """Return the note on darks and flats that are out of the linear range, None where there are none."""
     used = {level.label for level in levels}
     labels = [

@@ -109,7 +109,7 @@ def weak_ions(values: Values, events: IonEvents) -> tuple[Array, Array]:
     Shapes (n,), DN and DN^2.
     """
     rate, height = predicted.ion_rate(values) * events.level.gate_s, _pulse_dn(values, events)
-    mean, square = (_uncounted(values, events, order) for order in (1, 2))
+    mean, square = (_moment_of_weak(values, events, order) for order in (1, 2))
     return rate * mean * height, rate * square * height**2
 
 
@@ -128,7 +128,7 @@ def ion_observation(events: IonEvents) -> Observation:
     sheet = values_of_description(events.sensor)
     pulse_dn = events.event_dn / (1.0 + 1.0 / sheet[SHAPE])
     limit = single_pulse_limit(sheet, events) * _pulse_dn(sheet, events) / pulse_dn
-    groups = float(_coincidences(sheet, limit, events.level.gate_s)[0]) * _exposed_s(events)
+    groups = float(_coincidences(sheet, limit, events.level.gate_s)[0]) * _exposure_of_pixels_s(events)
     unsure = ION_ERRORS.number * value[0], 0.5 * ION_ERRORS.coincidences * groups / value[0]
     sd = [float(np.hypot.reduce([0.5, *unsure]))]
     if number >= ION_ERRORS.least_events:
@@ -136,11 +136,11 @@ def ion_observation(events: IonEvents) -> Observation:
         sd.append(float(np.hypot(charges.std(ddof=1) / charges.mean() / np.sqrt(number), ION_ERRORS.charge)))
 
     def predict(values: Values) -> Array:
-        ions = predicted.ion_rate(values) * _exposed_s(events)
-        counted = ions * (1.0 - _uncounted(values, events, 0))
-        above = ions * (values[SIZE] - _uncounted(values, events, 1))
+        ions = predicted.ion_rate(values) * _exposure_of_pixels_s(events)
+        counted = ions * (1.0 - _moment_of_weak(values, events, 0))
+        above = ions * (values[SIZE] - _moment_of_weak(values, events, 1))
         limit = single_pulse_limit(values, events)
-        pulses = _coincidences(values, limit, events.level.gate_s) * _exposed_s(events)
+        pulses = _coincidences(values, limit, events.level.gate_s) * _exposure_of_pixels_s(events)
         found = counted + pulses
         # Where none is expected, an event is one at the limit.
         few = 1e-9
@@ -153,7 +153,7 @@ def ion_observation(events: IonEvents) -> Observation:
     )
 
 
-def _exposed_s(events: IonEvents) -> float:
+def _exposure_of_pixels_s(events: IonEvents) -> float:
     """Return the time that all pixels of all fields were exposed, s."""
     return events.level.gate_s * events.data.size
 
@@ -170,7 +170,7 @@ def _in_window(values: Values, events: IonEvents) -> Array:
     return _pulse_dn(values, events) * events.in_window * in_field
 
 
-def _uncounted(values: Values, events: IonEvents, order: int) -> Array:
+def _moment_of_weak(values: Values, events: IonEvents, order: int) -> Array:
     """Return the part of a moment of the charge of ion events that is below the limit, in mean detected pulses.
 
     The charge of an event is the sum of a Poisson number of pulses, here as the gamma distribution of its mean m and
