@@ -19,7 +19,7 @@ from charact.fit.prior import (
 )
 from charact.fit.silicon_observations import silicon_observations
 from charact.fit.slice_sampling import slice_sample
-from charact.fit.stack_levels import dark_rise_dn_per_s, note_on_exclusions, levels_of
+from charact.fit.stack_levels import dark_rise_dn_per_s, levels_of, note_on_exclusions
 from charact.fit.thresholds import LIMITS, SAMPLING
 from charact.fit.tube_observations import tube_observations
 from charact.noise.findings import AUTOMATIC

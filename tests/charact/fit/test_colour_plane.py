@@ -47,7 +47,7 @@ def camera(rows: int, columns: int, **values: float) -> SolidStateCamera:
 def mtf_of_plane(frequency_cy_per_px: np.ndarray) -> np.ndarray:
     """Return the MTF at cycles per sample of a plane: optics at f/(2 pitch), aperture sinc(f/2)."""
     per_mm = frequency_cy_per_px / (2e-3 * PITCH_UM)
-    x = per_mm * 0.7e-3 * F_NUMBER
+    x = per_mm * 0.53e-3 * F_NUMBER
     diffraction = 2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
     blur = np.exp(-2.0 * (np.pi * per_mm * 1e-3 * BLUR_UM) ** 2)
     return diffraction * blur * np.sinc(frequency_cy_per_px / 2.0)
