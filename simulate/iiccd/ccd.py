@@ -80,7 +80,8 @@ class Ccd(Stage, slot=Slot.CCD):
     # Charge that a spot one tenth of the image high adds to its whole column, as a fraction of the spot's.
     smear_fraction: float = 0.0
     # Standard deviation over pixels of the level without light, e-. That of the dark charge is its mean at most, as of
-    # an exponential law (`pattern.dark_signal_map`); the rest are offsets of amplifiers (`pattern.offset_map`).
+    # an exponential law (`pattern.dark_signal_map`); the rest are offsets of amplifiers (`pattern.offset_map`). Where a
+    # register follows, all of it is dark charge: offsets are behind it.
     dsnu_e: float = 0.0
     clamped: bool = True  # whether the clamp acts here; False where a register follows, behind which it does
     interlaced: bool = False  # whether odd and even rows are separate fields, which overflow each on their own
@@ -134,13 +135,18 @@ class Ccd(Stage, slot=Slot.CCD):
     def dark(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
         """Return the mean dark charge of each pixel, e-; one number where all are alike."""
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
-            return pattern.dark_signal_map(shape, self.dark_e, min(self.dsnu_e, self.dark_e), self.pattern_seed)
+            return pattern.dark_signal_map(shape, self.dark_e, self.dark_pattern_sd_e, self.pattern_seed)
         return np.float32(self.dark_e)
+
+    @property
+    def dark_pattern_sd_e(self) -> float:
+        """Standard deviation over pixels of the mean dark charge, e-."""
+        return min(self.dsnu_e, self.dark_e) if self.clamped else self.dsnu_e
 
     @property
     def offset_sd_e(self) -> float:
         """Standard deviation of the pixels' offsets, e-: the part of DSNU that dark charge does not have."""
-        return float(np.sqrt(max(self.dsnu_e**2 - self.dark_e**2, 0.0))) if self.dark_e > 0.0 else 0.0
+        return float(np.sqrt(self.dsnu_e**2 - self.dark_pattern_sd_e**2)) if self.dark_e > 0.0 else 0.0
 
     def offsets(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
         """Return the offset of each pixel, e-; 0 where there are none."""

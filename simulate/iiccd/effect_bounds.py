@@ -217,7 +217,7 @@ class NoiseBudget:
         missed = ACCURACY.extreme_probability / self.mean_pe.size
         if self.ccd.dsnu_e == 0.0 or self.ccd.dark_e == 0.0:
             return 0.0
-        shape = max((self.ccd.dark_e / self.ccd.dsnu_e) ** 2, 1.0)
+        shape = (self.ccd.dark_e / self.ccd.dark_pattern_sd_e) ** 2
         offset_e = self.extreme(float(self.mean_pe.size)) * self.ccd.offset_sd_e
         hottest, coldest = gammainccinv(shape, missed) / shape, gammaincinv(shape, missed) / shape
         return offset_e + self.ccd.dark_e * float(max(hottest - 1.0, 1.0 - coldest))

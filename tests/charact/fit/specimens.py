@@ -55,7 +55,8 @@ def _is_usable(sheet: VisibleCamera, truth: dict[str, float]) -> bool:
     black = truth["video.black_level_dn"]
     if name_of_class(sheet) == "register":
         return fitting
-    return fitting and gain * truth["ccd.read_noise_e"] > 0.6 and 8.0 * noise_dn < black < 0.1 * full
+    least_dn = max(8.0 * noise_dn, 4.0 * gain * truth["ccd.dsnu_e"])
+    return fitting and gain * truth["ccd.read_noise_e"] > 0.6 and least_dn < black < 0.1 * full
 
 
 def _signal_per_lux(bench: LabBench, conditions: Conditions, black: float) -> float:
