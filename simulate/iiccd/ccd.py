@@ -80,10 +80,11 @@ class Ccd(Stage, slot=Slot.CCD):
     # Charge that a spot one tenth of the image high adds to its whole column, as a fraction of the spot's.
     smear_fraction: float = 0.0
     # Standard deviation over pixels of the level without light, e-. That of the dark charge is its mean at most, as of
-    # an exponential law (`pattern.dark_signal_map`); the rest are offsets of amplifiers (`pattern.offset_map`). Where a
-    # register follows, all of it is dark charge: offsets are behind it.
+    # an exponential law (`pattern.dark_signal_map`); the rest are offsets of amplifiers (`pattern.offset_map`). Of a
+    # charge that is multiplied all of it is dark charge: offsets are behind the register.
     dsnu_e: float = 0.0
     clamped: bool = True  # whether the clamp acts here; False where a register follows, behind which it does
+    multiplied: bool = False  # whether a register multiplies the charge
     interlaced: bool = False  # whether odd and even rows are separate fields, which overflow each on their own
     pattern_seed: int = 0  # seed of the pixels' responses
     takes: str = "screen photons as read"
@@ -106,7 +107,7 @@ class Ccd(Stage, slot=Slot.CCD):
         if camera.has_tube:
             return values_of(cls, ccd, interlaced=camera.is_interlaced, **shared)
         places = {"takes": "photoelectrons in the wells", "emits": "charge in the wells"}
-        return values_of(cls, ccd, quantum_efficiency=1.0, read_noise_e=0.0, clamped=False, **shared, **places)
+        return values_of(cls, ccd, quantum_efficiency=1.0, read_noise_e=0.0, clamped=False, multiplied=camera.description.register.multiplies, **shared, **places)
 
     def __post_init__(self) -> None:
         if not self.full_well_e > 0.0:
@@ -141,7 +142,7 @@ class Ccd(Stage, slot=Slot.CCD):
     @property
     def dark_pattern_sd_e(self) -> float:
         """Standard deviation over pixels of the mean dark charge, e-."""
-        return min(self.dsnu_e, self.dark_e) if self.clamped else self.dsnu_e
+        return self.dsnu_e if self.multiplied else min(self.dsnu_e, self.dark_e)
 
     @property
     def offset_sd_e(self) -> float:
