@@ -107,7 +107,10 @@ class Ccd(Stage, slot=Slot.CCD):
         if camera.has_tube:
             return values_of(cls, ccd, interlaced=camera.is_interlaced, **shared)
         places = {"takes": "photoelectrons in the wells", "emits": "charge in the wells"}
-        return values_of(cls, ccd, quantum_efficiency=1.0, read_noise_e=0.0, clamped=False, multiplied=camera.description.register.multiplies, **shared, **places)
+        return values_of(
+            cls, ccd, quantum_efficiency=1.0, read_noise_e=0.0, clamped=False,
+            multiplied=camera.description.register.multiplies, **shared, **places,
+        )  # fmt: skip
 
     def __post_init__(self) -> None:
         if not self.full_well_e > 0.0:
