@@ -126,10 +126,10 @@ def findings_of(result: Result) -> tuple[Finding, ...]:
     """Return what flags of measurements say of the camera's stages: one finding a flag.
 
     The fit leaves measurements with most of these flags out, but not the levels and the noise of the same frames. Flags
-    of the whole session, which are of its flats, count before those of single targets. The MTF behind the gain is left
-    out: ions change the shape of its noise power from level to level as a bend would.
+    of the whole session, which are of its flats, count before those of single targets. The noise spectrum is left
+    out: ions change its shape from level to level as a bend would.
     """
-    kept = [m for m in result.measurements if m.status != "refused" and not m.quantity.startswith("post_gain")]
+    kept = [m for m in result.measurements if m.status != "refused" and m.method != "noise-spectrum"]
     whole = _findings_among([m for m in kept if m.stack is None])
     return whole or _findings_among(kept)
 
