@@ -376,7 +376,7 @@ def _lines(validation: "Validation") -> Iterator[str]:
     yield f"negative controls: {len(negative) - len(unseen)} of {len(negative)} noticed" + (
         f"; not seen: {', '.join(unseen)}" if unseen else ""
     )
-    found = [f"{one.title} {100.0 * one.relative_error:.2g} %" for one in validation.power if one.statistic]
+    found = [f"{one.title} {one.percent}" for one in validation.power if one.statistic]
     if found:
         share = f"{100.0 * validation.power[0].probability:g} %"
         yield f"errors that would have been found in {share} of cases: {', '.join(found)}"

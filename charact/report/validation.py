@@ -116,7 +116,7 @@ def _power_sentence(validation: Validation) -> str:
     never = [one.title for one in validation.power if not one.statistic]
     if not validation.power:
         return "How large an error it would have found is not known"
-    texts = [f"{100.0 * one.relative_error:.2g} % of {one.title}" for one in found]
+    texts = [f"{one.percent} of {one.title}" for one in found]
     seen = "; ".join(texts[:NAMED])
     missed = "; ".join([*(f"up to {text}" for text in texts[NAMED:][-NAMED:]), *(f"any of {title}" for title in never)])
     share = f"{100.0 * validation.power[0].probability:g} %"

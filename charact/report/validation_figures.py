@@ -219,7 +219,7 @@ def power_figure(validation: Validation) -> tuple[Figure, ...]:
         figure, axes = panel((6.4, 0.9 + 0.26 * len(rows)))
         for row, (one, length) in enumerate(zip(rows, percent, strict=True)):
             axes.barh(row, length - least, left=least, height=0.62, color=DATA if one.statistic else WARN, alpha=0.75)
-            words = f"{length:.2g} %, {one.statistic}" if one.statistic else "none below 100 %"
+            words = f"{one.percent}, {one.statistic}" if one.statistic else "none below 100 %"
             axes.text(1.12 * length, row, words, va="center", fontsize=7.5)
         axes.set_xscale("log")
         axes.set_yticks(range(len(rows)), [fill(one.title, 34) for one in rows], fontsize=7.5)

@@ -165,6 +165,12 @@ class DetectableError:
     probability: float
     statistic: str
 
+    @property
+    def percent(self) -> str:
+        """Error in percent with two digits."""
+        percent = 100.0 * self.relative_error
+        return f"{percent:.2g} %" if percent < 99.5 else f"{percent:.0f} %"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Validation:
