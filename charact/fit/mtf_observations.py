@@ -104,8 +104,12 @@ def _stack_of(name: str, line: Curve) -> str | None:
 def _curve(name: str, line: Curve, session: Session, sensor: VisibleCamera, result: Result, depends: tuple[str, ...]
            ) -> Observation:  # fmt: skip
     """Observe an MTF curve at frequencies far enough apart."""
-    wanted = np.arange(LIMITS.mtf_spacing_cy_per_px, LIMITS.mtf_highest_cy_per_px + 1e-9, LIMITS.mtf_spacing_cy_per_px)
     frequency = np.asarray(line.frequency_cy_per_px, float)
+    # A curve of a wide blur has fallen at the usual spacing.
+    low = np.asarray(line.value) < 0.5
+    half = float(frequency[np.argmax(low)]) if low.any() else np.inf
+    spacing = min(LIMITS.mtf_spacing_cy_per_px, half / 2.0)
+    wanted = np.arange(spacing, LIMITS.mtf_highest_cy_per_px + 1e-9, spacing)
     low, high = np.asarray(line.interval68, float)
     value = np.interp(wanted, frequency, line.value)
     sd = np.interp(wanted, frequency, (high - low) / (2.0 * 0.994458))
