@@ -47,34 +47,15 @@ def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
     side shows veiling glare and ghost images. Noise that is larger on the edge than on both sides shows jitter of
     lines, or motion.
     """
-    import cv2
-
     mean = frames.mean(axis=0, dtype=np.float64) - dark_dn
     # The difference of successive frames leaves drift out.
     variance = np.diff(frames.astype(np.float32), axis=0).var(axis=0) / 2.0
     steps = [np.abs(np.diff(mean, axis=axis)).sum() for axis in (0, 1)]
     if steps[0] > steps[1]:
         mean, variance = mean.T, variance.T
-    gradient = np.diff(mean, axis=1)
-    gradient *= np.sign(gradient.sum())
-    rows, columns = np.arange(len(mean)), np.arange(gradient.shape[1]) + 0.5
-    # Noise far from the edge would pull the centres of gravity: they start at the steepest place of the smoothed rows.
-    steepest = columns[np.argmax(cv2.GaussianBlur(gradient, (0, 0), 3.0), axis=1)]
-    slope, at = np.polyfit(rows, steepest, 1)
-    for _ in range(4):
-        away = columns[None, :] - (at + slope * rows[:, None])
-        near = np.where(np.abs(away) < NEAR_PX, gradient, 0.0)
-        if not near.sum() > 0.0:
-            return {}
-        # Moments of all rows together, as the gradient of a single one may cancel.
-        shift, turn = (
-            float((near * away * weight[:, None]).sum() / (near * weight[:, None] ** 2).sum())
-            for weight in (np.ones(len(rows)), rows - rows.mean())
-        )
-        slope, at = slope + turn, at + shift - turn * rows.mean()
-    distance = (np.arange(mean.shape[1])[None, :] - (at + slope * rows[:, None])) / np.hypot(1.0, slope)
-    if mean[distance > NEAR_PX].mean() < mean[distance < -NEAR_PX].mean():
-        distance = -distance
+    distance = _distance_from_edge(mean)
+    if distance is None:
+        return {}
     near, far = (np.abs(distance) > SIDE_PX[0]) & (np.abs(distance) <= SIDE_PX[1]), np.abs(distance) > SIDE_PX[1]
     contrast = float(mean[near & (distance > 0.0)].mean() - mean[near & (distance < 0.0)].mean())
     found = {}
@@ -102,6 +83,33 @@ def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
             float(np.log(max(variance[own].mean(), 1e-12))) if own.sum() > 50 else np.nan
         )
     return found
+
+
+def _distance_from_edge(mean: NDArray) -> NDArray | None:
+    """Return the distance of each pixel from an upright edge, px, positive on the bright side; None without an edge."""
+    import cv2
+
+    gradient = np.diff(mean, axis=1)
+    gradient *= np.sign(gradient.sum())
+    rows, columns = np.arange(len(mean)), np.arange(gradient.shape[1]) + 0.5
+    # Noise far from the edge would pull the centres of gravity: they start at the steepest place of the smoothed rows.
+    steepest = columns[np.argmax(cv2.GaussianBlur(gradient, (0, 0), 3.0), axis=1)]
+    slope, at = np.polyfit(rows, steepest, 1)
+    for _ in range(4):
+        away = columns[None, :] - (at + slope * rows[:, None])
+        near = np.where(np.abs(away) < NEAR_PX, gradient, 0.0)
+        if not near.sum() > 0.0:
+            return None
+        # Moments of all rows together, as the gradient of a single one may cancel.
+        shift, turn = (
+            float((near * away * weight[:, None]).sum() / (near * weight[:, None] ** 2).sum())
+            for weight in (np.ones(len(rows)), rows - rows.mean())
+        )
+        slope, at = slope + turn, at + shift - turn * rows.mean()
+    distance = (np.arange(mean.shape[1])[None, :] - (at + slope * rows[:, None])) / np.hypot(1.0, slope)
+    if mean[distance > NEAR_PX].mean() < mean[distance < -NEAR_PX].mean():
+        return -distance
+    return distance
 
 
 def point_features(frames: NDArray, dark_dn: float, full_scale_dn: float | None) -> Mapping[str, float]:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from charact.fit import fit_sensor, silicon_observations
+from charact.fit.fitted_session import proposed_description
 from charact.fit.prior import values_of_description
-from charact.fit.sensor import proposed_description
 from charact.fit.stack_levels import levels_of
 from charact.session_measurement import measure
 from labdata.conditions import Conditions
