@@ -1,7 +1,8 @@
-"""`python -m benchmarks.acquisition`: what acquisition loses, how fast it can store, and what it adds to each step.
+"""`python -m benchmarks.acquisition`: what acquisition loses, how fast it can store, and what it
+adds to each step.
 
-Three promises, each printed with its figure; exit code 1 if one is broken. The first takes ten minutes:
-`--minutes` makes it shorter.
+Three promises, each printed with its figure; exit code 1 if one is broken. The first takes ten
+minutes: `--minutes` makes it shorter.
 """
 
 import argparse
@@ -38,8 +39,12 @@ STEPS, STEP_FRAMES = 60, 5
 def main() -> int:
     """Run all three and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0, help="length of the run at the camera's rate")
-    parser.add_argument("--folder", type=Path, help="disk to write to; default: the temporary folder's")
+    parser.add_argument(
+        "--minutes", type=float, default=10.0, help="length of the run at the camera's rate"
+    )
+    parser.add_argument(
+        "--folder", type=Path, help="disk to write to; default: the temporary folder's"
+    )
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=asked.folder) as folder:
         checks: tuple[Callable[[Path], bool], ...] = (
@@ -55,7 +60,9 @@ def at_the_cameras_rate(folder: Path, minutes: float) -> bool:
     """A camera of 768 x 493 pixels and 16 bits at 30 frames/s: none lost, and memory that stays."""
     frames = round(minutes * 60.0 * RATE_HZ)
     memory = _Memory()
-    session = _taken(folder / "rate", [_step("flat", frames)], PacedCamera(rate_hz=RATE_HZ), look=memory.look)
+    session = _taken(
+        folder / "rate", [_step("flat", frames)], PacedCamera(rate_hz=RATE_HZ), look=memory.look
+    )
     entry = session.stack("flat")
     stored = sum(1 for line in (folder / "rate/frames/flat.zarr/journal.jsonl").open())
     kept = stored == frames and entry.lost_frames == 0 and memory.growth_bytes < MOST_GROWTH_BYTES
@@ -71,8 +78,12 @@ def at_the_cameras_rate(folder: Path, minutes: float) -> bool:
 
 
 def writing(folder: Path) -> bool:
-    """Frames stored as fast as they are handed over, and plain files of the same frames, turn by turn."""
-    frames = np.random.default_rng(1).integers(0, 4096, (ROUND_FRAMES, ROWS, COLUMNS), dtype=np.uint16)
+    """Frames stored as fast as they are handed over, and plain files of the same frames, turn by
+    turn.
+    """
+    frames = np.random.default_rng(1).integers(
+        0, 4096, (ROUND_FRAMES, ROWS, COLUMNS), dtype=np.uint16
+    )
     ours = files = 0.0
     for number in range(ROUNDS):
         ours += _seconds(lambda place: _store(place, frames), folder / f"ours-{number}")
@@ -90,14 +101,23 @@ def writing(folder: Path) -> bool:
 
 
 def overhead(folder: Path) -> bool:
-    """Time of each step that is neither settling nor on the wire, with instruments that take 20 ms to answer."""
+    """Time of each step that is neither settling nor on the wire, with instruments that take 20 ms
+    to answer.
+    """
     steps = [_step(f"step-{number}", STEP_FRAMES) for number in range(STEPS)]
     _taken(folder / "steps", steps, PacedCamera(rate_hz=RATE_HZ), answer_s=0.02)
-    spent_ms = [each["overhead_ms"] for each in read_events(folder / "steps" / LOG) if each["event"] == "step finished"]
+    spent_ms = [
+        each["overhead_ms"]
+        for each in read_events(folder / "steps" / LOG)
+        if each["event"] == "step finished"
+    ]
     mean_ms, kept = float(np.mean(spent_ms)), float(np.mean(spent_ms)) <= MOST_OVERHEAD_MS
     _tell(
         f"{STEPS} steps of {STEP_FRAMES} frames",
-        f"overhead {mean_ms:.1f} ms a step, median {np.median(spent_ms):.1f}, worst {max(spent_ms):.1f}",
+        (
+            f"overhead {mean_ms:.1f} ms a step, median {np.median(spent_ms):.1f}, worst "
+            f"{max(spent_ms):.1f}"
+        ),
         f"at most {MOST_OVERHEAD_MS:g} ms",
         kept,
     )
@@ -129,7 +149,10 @@ def _step(label: str, frames: int) -> Step:
 
 
 def _store(folder: Path, frames: np.ndarray) -> None:
-    with SessionWriter.create(folder, name="benchmark") as writer, Storage(writer, patience_s=60.0) as storage:
+    with (
+        SessionWriter.create(folder, name="benchmark") as writer,
+        Storage(writer, patience_s=60.0) as storage,
+    ):
         stack = storage.begin_stack("flat", "flat", frames.shape[1:], frames.dtype, Conditions())
         for number, pixels in enumerate(frames):
             stack.enqueue(Frame(pixels=pixels, number=number, time_s=number / RATE_HZ))

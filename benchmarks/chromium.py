@@ -1,4 +1,6 @@
-"""A headless Chromium driven over its own pipe: enough to open a page, ask it something and take its picture."""
+"""A headless Chromium driven over its own pipe: enough to open a page, ask it something and take
+its picture.
+"""
 
 import base64
 import json
@@ -14,9 +16,17 @@ from typing import Any, Self
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 QUIET = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--disable-extensions", "--disable-dev-shm-usage", "--mute-audio",
-)  # fmt: skip
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-extensions",
+    "--disable-dev-shm-usage",
+    "--mute-audio",
+)
 ANSWER_S = 30.0
 
 
@@ -35,8 +45,9 @@ class Chromium:
 
     Notes
     -----
-    Speaks the DevTools protocol over --remote-debugging-pipe: JSON ended by zero bytes, the browser's file descriptor 3
-    to hear and 4 to speak (https://chromedevtools.github.io/devtools-protocol/).
+    Speaks the DevTools protocol over --remote-debugging-pipe: JSON ended by zero bytes, the
+    browser's file descriptor 3 to hear and 4 to speak
+    (https://chromedevtools.github.io/devtools-protocol/).
     """
 
     def __init__(self, *options: str) -> None:
@@ -51,13 +62,22 @@ class Chromium:
         self._folder = TemporaryDirectory(prefix="charact-chromium-", ignore_cleanup_errors=True)
         heard, self._to = os.pipe()
         self._from, spoken = os.pipe()
-        command = [path, *QUIET, *self._options, f"--user-data-dir={self._folder.name}", "--remote-debugging-pipe"]
+        command = [
+            path,
+            *QUIET,
+            *self._options,
+            f"--user-data-dir={self._folder.name}",
+            "--remote-debugging-pipe",
+        ]
         # The shell puts the pipes where the browser expects them.
         placed = ["sh", "-c", f'exec "$@" 3<&{heard} 4>&{spoken}', "sh", *command, "about:blank"]
         self._process = subprocess.Popen(
-            placed, pass_fds=(heard, spoken), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            placed,
+            pass_fds=(heard, spoken),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+        )
         os.close(heard)
         os.close(spoken)
         targets = self._ask("Target.getTargets")["targetInfos"]
@@ -67,7 +87,10 @@ class Chromium:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._process.terminate()
         self._process.wait(timeout=ANSWER_S)
@@ -83,14 +106,24 @@ class Chromium:
     def size(self, width_px: int, height_px: int) -> None:
         """Set the size of the page."""
         self._ask(
-            "Emulation.setDeviceMetricsOverride", width=width_px, height=height_px, deviceScaleFactor=1, mobile=False
+            "Emulation.setDeviceMetricsOverride",
+            width=width_px,
+            height=height_px,
+            deviceScaleFactor=1,
+            mobile=False,
         )
 
     def evaluate(self, script: str) -> Any:
         """Return what a script in the page comes to, awaited where it is a promise."""
-        answer = self._ask("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        answer = self._ask(
+            "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
+        )
         if "exceptionDetails" in answer:
-            raise RuntimeError(answer["exceptionDetails"].get("exception", {}).get("description", "the script failed"))
+            raise RuntimeError(
+                answer["exceptionDetails"]
+                .get("exception", {})
+                .get("description", "the script failed")
+            )
         return answer["result"].get("value")
 
     def screenshot(self, out: Path) -> None:

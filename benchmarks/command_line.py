@@ -1,4 +1,6 @@
-"""How long a user waits for the command line, against starting Python with what any such tool imports."""
+"""How long a user waits for the command line, against starting Python with what any such tool
+imports.
+"""
 
 import subprocess
 import sys

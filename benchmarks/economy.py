@@ -1,7 +1,8 @@
 """What economy saves: random scenes as planned against everything kept, and what each effect costs.
 
-`python -m benchmarks.economy` times random scenes, `--costs` the effects of the case study one by one: with all of them
-minus without that one. Both time the set-up, from the photoelectrons of a picture on, and frames after it.
+`python -m benchmarks.economy` times random scenes, `--costs` the effects of the case study one by
+one: with all of them minus without that one. Both time the set-up, from the photoelectrons of a
+picture on, and frames after it.
 """
 
 import argparse
@@ -18,7 +19,12 @@ from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from simulate.iiccd import pattern, stage_image
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.effect_bounds import NoiseBudget, bound_effects, per_pixel, select_camera_effects
+from simulate.iiccd.effect_bounds import (
+    NoiseBudget,
+    bound_effects,
+    per_pixel,
+    select_camera_effects,
+)
 from simulate.iiccd.fast_sampler import charge_distribution
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
 from tests.simulate.random_scenes import Scene, random_scene
@@ -62,7 +68,11 @@ class Timing:
 
 
 def timed(
-    camera: Callable[[], IntensifiedCamera], freed: Any, conditions: Conditions, *, chain: bool = False
+    camera: Callable[[], IntensifiedCamera],
+    freed: Any,
+    conditions: Conditions,
+    *,
+    chain: bool = False,
 ) -> Timing:
     """Time a camera that is made, or planned, in the set-up."""
     for worked_out in KEPT:
@@ -80,7 +90,9 @@ def timed(
 
 
 def compared(scene: Scene) -> tuple[Timing, Timing, int]:
-    """Time a scene as planned and with everything kept by cell; and count what the plan left out."""
+    """Time a scene as planned and with everything kept by cell; and count what the plan left
+    out.
+    """
     freed = photoelectrons_from_image(scene.camera, scene.image_pe)
 
     def thinned() -> IntensifiedCamera:
@@ -91,11 +103,16 @@ def compared(scene: Scene) -> tuple[Timing, Timing, int]:
     return as_planned, exact, len(thinned().left_out)
 
 
-def speed_ups(scenes: int, first: int, shape: tuple[int, int] | None = None) -> Iterator[tuple[float, float]]:
-    """Print a line for each random scene and yield how many times as fast it was, with its set-up and each frame."""
+def speed_ups(
+    scenes: int, first: int, shape: tuple[int, int] | None = None
+) -> Iterator[tuple[float, float]]:
+    """Print a line for each random scene and yield how many times as fast it was, with its set-up
+    and each frame.
+    """
     compared(random_scene(first, (48, 64)))
     print(
-        f"{'scene':26} {'tolerance':>9} {'left out':>8} {'planned':>20} {'everything':>20} {'times':>6} {'a frame':>8}"
+        f"{'scene':26} {'tolerance':>9} {'left out':>8} {'planned':>20} {'everything':>20} "
+        f"{'times':>6} {'a frame':>8}"
     )
     for number in range(first, first + scenes):
         scene = random_scene(number, shape)
@@ -103,7 +120,9 @@ def speed_ups(scenes: int, first: int, shape: tuple[int, int] | None = None) -> 
         ratio, of_frame = all_kept.run_s / ours.run_s, all_kept.frame_s / ours.frame_s
         row = f"{number} {scene.kind}, {scene.camera.sensor.phosphor.name}"
         times = "".join(f"{t.setup_s:9.2f} s +{1e3 * t.frame_s:6.1f} ms" for t in (ours, all_kept))
-        line = f"{row:26.26} {scene.tolerance:9.3f} {left_out:8} {times} {ratio:6.1f} {of_frame:8.1f}"
+        line = (
+            f"{row:26.26} {scene.tolerance:9.3f} {left_out:8} {times} {ratio:6.1f} {of_frame:8.1f}"
+        )
         print(line, flush=True)
         yield ratio, of_frame
 
@@ -121,12 +140,18 @@ def costs(repeats: int) -> None:
     for effect in bound_effects(NoiseBudget(camera, per_pixel(camera, freed), conditions)):
         without = replace(camera, left_out=frozenset({effect.name}))
         pairs = [
-            (timed(lambda: camera, freed, conditions), timed(lambda c=without: c, freed, conditions))
+            (
+                timed(lambda: camera, freed, conditions),
+                timed(lambda c=without: c, freed, conditions),
+            )
             for _ in range(repeats)
         ]
         once = max(median(kept.setup_s - left.setup_s for kept, left in pairs), 0.0) / millions
         frame = max(median(kept.frame_s - left.frame_s for kept, left in pairs), 0.0) / millions
-        print(f"{effect.name:26} {once:6.2f} s once {1e3 * frame:7.2f} ms a frame, a million pixels", flush=True)
+        print(
+            f"{effect.name:26} {once:6.2f} s once {1e3 * frame:7.2f} ms a frame, a million pixels",
+            flush=True,
+        )
 
 
 def main() -> None:
@@ -136,14 +161,19 @@ def main() -> None:
     asked.add_argument("--repeats", type=int, default=REPEATS)
     asked.add_argument("--scenes", type=int, default=SCENES)
     asked.add_argument("--first", type=int, default=0)
-    asked.add_argument("--small", action="store_true", help="frames of 96 x 128 instead of the cameras' own")
+    asked.add_argument(
+        "--small", action="store_true", help="frames of 96 x 128 instead of the cameras' own"
+    )
     given = asked.parse_args()
     if given.costs:
         costs(given.repeats)
         return
     shape = (96, 128) if given.small else None
     whole, of_frame = zip(*speed_ups(given.scenes, given.first, shape), strict=True)
-    print(f"medians: set-up and {FRAMES} frames {median(whole):.1f}, a frame {median(of_frame):.1f} times as fast")
+    print(
+        f"medians: set-up and {FRAMES} frames {median(whole):.1f}, a frame {median(of_frame):.1f} "
+        "times as fast"
+    )
 
 
 if __name__ == "__main__":

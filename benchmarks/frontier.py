@@ -1,9 +1,11 @@
-"""Fidelity against speed: the worst moment error of every tier of the simulator and its frames a second.
+"""Fidelity against speed: the worst moment error of every tier of the simulator and its frames a
+second.
 
-`make study NAME=frontier` measures both and writes chart and tables into docs/simulator. Errors are those of flats
-of a camera
-like the case study's, without fixed patterns and finely digitised, against Campbell's theorem for pulses that fall
-anywhere; speed is that of the case study itself, 768 x 493, every stage on, an uneven scene, one thread.
+`make study NAME=frontier` measures both and writes chart and tables into docs/simulator. Errors are
+those of flats of a camera
+like the case study's, without fixed patterns and finely digitised, against Campbell's theorem for
+pulses that fall anywhere; speed is that of the case study itself, 768 x 493, every stage on, an
+uneven scene, one thread.
 """
 
 import re
@@ -36,7 +38,9 @@ COLOURS = {"chain": "#4477aa", "fast": "#ee6677", "normal": "#228833"}
 
 @dataclass(frozen=True)
 class Point:
-    """A tier at a light level: its moments' errors with standard errors, in per cent, and the worst in tolerances."""
+    """A tier at a light level: its moments' errors with standard errors, in per cent, and the worst
+    in tolerances.
+    """
 
     level: float
     errors: dict[str, tuple[float, float]]
@@ -63,27 +67,42 @@ def measured(tier: Sampler) -> list[Point]:
                 {
                     name: tuple(
                         100.0 * part / abs(getattr(expected, name))
-                        for part in (getattr(found, name) - getattr(expected, name), getattr(error, name))
+                        for part in (
+                            getattr(found, name) - getattr(expected, name),
+                            getattr(error, name),
+                        )
                     )
                     for name in TOLERANCES
                 },
             )
-        )  # fmt: skip
+        )
     return points
 
 
 def _camera() -> Sensor:
     sheet = load_sensor("pulnix-ag5745ef3")
-    small = replace(sheet, ccd=replace(sheet.ccd, rows=240, columns=320), video=replace(sheet.video, bit_depth=16))
+    small = replace(
+        sheet,
+        ccd=replace(sheet.ccd, rows=240, columns=320),
+        video=replace(sheet.video, bit_depth=16),
+    )
     return small.with_values(PLAIN)
 
 
 def speeds() -> dict[tuple[str, float], float]:
-    """Frames a second of every tier at low, middling and high light, and of plain NumPy and OpenCV."""
-    found = {(tier, level): 1.0 / seconds_a_frame(level, sampler=tier, frames=4 if tier == "chain" else 60)
-             for tier in SAMPLERS for level in (0.1, 1.0, 10.0, 100.0)}  # fmt: skip
-    plain = {("plain NumPy and OpenCV", level): 1.0 / median_seconds(PlainChain(uneven(level)).frame, 20)
-             for level in (0.1, 1.0, 10.0, 100.0)}  # fmt: skip
+    """Frames a second of every tier at low, middling and high light, and of plain NumPy and
+    OpenCV.
+    """
+    found = {
+        (tier, level): 1.0
+        / seconds_a_frame(level, sampler=tier, frames=4 if tier == "chain" else 60)
+        for tier in SAMPLERS
+        for level in (0.1, 1.0, 10.0, 100.0)
+    }
+    plain = {
+        ("plain NumPy and OpenCV", level): 1.0 / median_seconds(PlainChain(uneven(level)).frame, 20)
+        for level in (0.1, 1.0, 10.0, 100.0)
+    }
     return found | plain
 
 
@@ -93,7 +112,9 @@ def table(points: Mapping[Sampler, list[Point]], fps: dict[tuple[str, float], fl
         "| frames a second, one thread | 0.1 pe/px | 1 pe/px | 10 pe/px | 100 pe/px |",
         "|---|---|---|---|---|",
         *(
-            f"| {name} | " + " | ".join(f"{fps[name, level]:.3g}" for level in (0.1, 1.0, 10.0, 100.0)) + " |"
+            f"| {name} | "
+            + " | ".join(f"{fps[name, level]:.3g}" for level in (0.1, 1.0, 10.0, 100.0))
+            + " |"
             for name in (*points, "plain NumPy and OpenCV")
         ),
         "",
@@ -104,17 +125,24 @@ def table(points: Mapping[Sampler, list[Point]], fps: dict[tuple[str, float], fl
     ]
     for tier, measured_points in points.items():
         for point in measured_points:
-            cells = " | ".join(f"{error:+.2f} ± {sigma:.2f}" for error, sigma in point.errors.values())
+            cells = " | ".join(
+                f"{error:+.2f} ± {sigma:.2f}" for error, sigma in point.errors.values()
+            )
             lines.append(f"| {tier} | {point.level:g} | {cells} | {point.worst:.2g} |")
     allowed = ", ".join(f"{WORDS[name]} {100.0 * share:g} %" for name, share in TOLERANCES.items())
-    lines += ["", f"Tolerances: {allowed}; ± is one standard error, and two are taken off before the worst is counted. "
-              f"Each flat has {240 * 320 * BLOCKS * AFFORDED['fast'] / 1e6:.0f} million pixels "
-              f"({240 * 320 * BLOCKS * AFFORDED['chain'] / 1e6:.0f} million stage by stage)."]  # fmt: skip
+    lines += [
+        "",
+        f"Tolerances: {allowed}; ± is one standard error, and two are taken off before the worst "
+        f"is counted. Each flat has {240 * 320 * BLOCKS * AFFORDED['fast'] / 1e6:.0f} million "
+        f"pixels ({240 * 320 * BLOCKS * AFFORDED['chain'] / 1e6:.0f} million stage by stage).",
+    ]
     return "\n".join(lines)
 
 
 def draw(points: Mapping[Sampler, list[Point]], fps: dict[tuple[str, float], float]) -> None:
-    """Draw the chart: one point for each tier, its speed at ten photoelectrons and its worst error at each level."""
+    """Draw the chart: one point for each tier, its speed at ten photoelectrons and its worst error
+    at each level.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -125,24 +153,44 @@ def draw(points: Mapping[Sampler, list[Point]], fps: dict[tuple[str, float], flo
     for tier, measured_points in points.items():
         speed, worst = fps[tier, 10.0], [max(point.worst, floor) for point in measured_points]
         axes.plot([speed] * len(worst), worst, "o", color=COLOURS[tier], alpha=0.45)
-        axes.plot(speed, max(worst), "D", color=COLOURS[tier], label=f"{tier}: {speed:.3g} frames/s")
+        axes.plot(
+            speed, max(worst), "D", color=COLOURS[tier], label=f"{tier}: {speed:.3g} frames/s"
+        )
         below = 0.0
-        for point, height in sorted(zip(measured_points, worst, strict=True), key=lambda pair: pair[1]):
+        for point, height in sorted(
+            zip(measured_points, worst, strict=True), key=lambda pair: pair[1]
+        ):
             if np.log10(height) - below > 0.11 or below == 0.0:
                 axes.annotate(
-                    f"{point.level:g} pe/px", (speed, height), (6, -3), textcoords="offset points", fontsize=7
+                    f"{point.level:g} pe/px",
+                    (speed, height),
+                    (6, -3),
+                    textcoords="offset points",
+                    fontsize=7,
                 )
                 below = np.log10(height)
     plain = fps["plain NumPy and OpenCV", 10.0]
     axes.axvline(plain, color="0.5", lw=1, ls=":")
-    axes.text(plain, 0.028, " plain NumPy and OpenCV\n (errors not comparable)", fontsize=7, color="0.35")
+    axes.text(
+        plain, 0.028, " plain NumPy and OpenCV\n (errors not comparable)", fontsize=7, color="0.35"
+    )
     axes.axhline(1.0, color="0.3", lw=1, ls="--")
     axes.text(0.99, 1.08, "tolerance", fontsize=8, ha="right", transform=axes.get_yaxis_transform())
     fastest = max(fps[tier, 10.0] for tier in points)
     axes.set(xscale="log", yscale="log", ylim=(0.6 * floor, None), xlim=(None, 1.8 * fastest))
-    axes.text(0.5, floor, "no error beyond two standard errors", fontsize=7, va="center", color="0.35",
-              transform=axes.get_yaxis_transform())  # fmt: skip
-    axes.set(xlabel="frames a second, 768 x 493, 10 pe/px, one thread", ylabel="worst moment error, in tolerances")
+    axes.text(
+        0.5,
+        floor,
+        "no error beyond two standard errors",
+        fontsize=7,
+        va="center",
+        color="0.35",
+        transform=axes.get_yaxis_transform(),
+    )
+    axes.set(
+        xlabel="frames a second, 768 x 493, 10 pe/px, one thread",
+        ylabel="worst moment error, in tolerances",
+    )
     axes.set_title("Fidelity against speed: lower right is better")
     axes.legend(fontsize=8)
     axes.grid(which="major", alpha=0.3)

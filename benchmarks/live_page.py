@@ -1,4 +1,6 @@
-"""The live page in a real browser: how often it updates, who is refused, and its pictures to be looked at."""
+"""The live page in a real browser: how often it updates, who is refused, and its pictures to be
+looked at.
+"""
 
 import http.server
 import json
@@ -22,7 +24,8 @@ EVERYWHERE = "0.0.0.0"
 READ = """
 (async () => {
   const tried = {};
-  try { tried.fetch = (await fetch("%(page)s/view.json")).status; } catch (error) { tried.fetch = "refused"; }
+  try { tried.fetch = (await fetch("%(page)s/view.json")).status; }
+  catch (error) { tried.fetch = "refused"; }
   try { await fetch("%(page)s/view.json", {mode: "no-cors"}); tried.opaque = "sent"; }
   catch (error) { tried.opaque = "refused"; }
   tried.events = await new Promise((done) => {
@@ -77,7 +80,10 @@ def _strangers(address: str) -> Iterator[bool]:
     """Whether a page of another origin, and one whose name was made to lead to us, are refused."""
     page = address.rstrip("/")
     port = int(page.rsplit(":", 1)[1])
-    with _other_origin() as elsewhere, Chromium(f"--host-resolver-rules=MAP {NAMES_ITSELF_AS_US} 127.0.0.1") as browser:
+    with (
+        _other_origin() as elsewhere,
+        Chromium(f"--host-resolver-rules=MAP {NAMES_ITSELF_AS_US} 127.0.0.1") as browser,
+    ):
         browser.open(elsewhere)
         tried = browser.evaluate(READ % {"page": page})
         refused = tried["fetch"] == "refused" and tried["events"] == tried["script"] == "refused"
@@ -86,7 +92,10 @@ def _strangers(address: str) -> Iterator[bool]:
         browser.open(f"http://{NAMES_ITSELF_AS_US}:{port}/view.json")
         text = browser.evaluate("document.body.innerText")
         refused = "mean_dn" not in text and NAMES_ITSELF_AS_US in text
-        print(f"under a name made to lead here (DNS rebinding): {text!r} {'ok' if refused else 'WRONG'}")
+        print(
+            f"under a name made to lead here (DNS rebinding): {text!r} "
+            f"{'ok' if refused else 'WRONG'}"
+        )
         yield refused
 
 
@@ -103,20 +112,30 @@ def _pictures(address: str, out: Path) -> None:
 
 
 def _tokens() -> Iterator[bool]:
-    """Whether a page that others could reach is read with its token and not without, asked from this machine itself."""
+    """Whether a page that others could reach is read with its token and not without, asked from
+    this machine itself.
+    """
     with _live("live", "--host", EVERYWHERE) as printed, Chromium() as browser:
         address = re.sub(r"//[^:]+:", "//127.0.0.1:", printed)
         page, _, token = address.partition("?token=")
         answers = {}
-        for name, asked in {"none": page, "wrong": f"{page}?token={'x' * len(token)}", "right": address}.items():
+        for name, asked in {
+            "none": page,
+            "wrong": f"{page}?token={'x' * len(token)}",
+            "right": address,
+        }.items():
             browser.open(asked)
-            answers[name] = browser.evaluate("document.title + '|' + document.body.innerText.slice(0, 60)")
+            answers[name] = browser.evaluate(
+                "document.title + '|' + document.body.innerText.slice(0, 60)"
+            )
         seen = _until(browser, "document.body.dataset.pictures > 3")
         hidden = token not in browser.evaluate("location.href + document.cookie")
     good = seen and hidden and all("needs the token" in answers[name] for name in ("none", "wrong"))
-    print(f"not on the loopback: without token {answers['none']!r}, wrong {answers['wrong']!r}, "
-          f"right: {'pictures' if seen else 'NO pictures'}, token {'gone from' if hidden else 'STILL IN'} the address "
-          f"{'ok' if good else 'WRONG'}")  # fmt: skip
+    print(
+        f"not on the loopback: without token {answers['none']!r}, wrong {answers['wrong']!r}, "
+        f"right: {'pictures' if seen else 'NO pictures'}, token "
+        f"{'gone from' if hidden else 'STILL IN'} the address {'ok' if good else 'WRONG'}"
+    )
     yield good
 
 
@@ -130,9 +149,12 @@ def _until(browser: Chromium, condition: str, *, timeout_s: float = READY_S) -> 
 
 
 def _counts(browser: Chromium) -> dict[str, int]:
-    return {name: int(value) for name, value in json.loads(
-        browser.evaluate("JSON.stringify(Object.assign({}, document.body.dataset))")
-    ).items()}  # fmt: skip
+    return {
+        name: int(value)
+        for name, value in json.loads(
+            browser.evaluate("JSON.stringify(Object.assign({}, document.body.dataset))")
+        ).items()
+    }
 
 
 @contextmanager
@@ -140,7 +162,9 @@ def _live(verb: str, *options: str) -> Iterator[str]:
     """Yield the address of `charact live` or `charact focus` on the virtual bench."""
     code = "from charact.cli import main; main()"
     command = [sys.executable, "-c", code, verb, "--port", "0", *options]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+    )
     try:
         yield _printed_address(process)
     finally:

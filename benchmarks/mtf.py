@@ -1,6 +1,8 @@
-"""What the MTF of an edge costs: the most probable form, its whole posterior, a frame of twenty edges.
+"""What the MTF of an edge costs: the most probable form, its whole posterior, a frame of twenty
+edges.
 
-Held against what one would write with SciPy and emcee: a Gaussian edge fitted to the pixels, and a chain on them.
+Held against what one would write with SciPy and emcee: a Gaussian edge fitted to the pixels, and a
+chain on them.
 """
 
 from collections.abc import Iterator
@@ -21,7 +23,8 @@ NOISE_DN = 5.0
 POINT_S, FULL_S, FRAME_S = 0.010, 2.0, 5.0
 # A chain as its handbook has it: walkers, steps.
 WALKERS, STEPS = 32, 500
-# Edges of squares, five by four to a frame of the case study's size: height and width of a square's place, px.
+# Edges of squares, five by four to a frame of the case study's size: height and width of a square's
+# place, px.
 FRAME, PLACE = (493, 768), (98, 192)
 EDGES = 20
 
@@ -53,10 +56,14 @@ def rows() -> Iterator[Row]:
     frame = FrameStack(data=frame_of_edges(np.random.default_rng(2))[None], full_scale_dn=1e9)
     found = measure_all("edge", frame, max_targets=EDGES, context=Context(quick=True)).find("mtf50")
     if len(found) != EDGES or any(one.value is None for one in found):
-        raise AssertionError(f"{EDGES} edges must be measured, got {sum(one.value is not None for one in found)}")
+        raise AssertionError(
+            f"{EDGES} edges must be measured, got {sum(one.value is not None for one in found)}"
+        )
     yield Row(
         name=f"frame 768 x 493, {EDGES} edges, --quick",
-        seconds=best_seconds(lambda: measure_all("edge", frame, max_targets=EDGES, context=Context(quick=True)), 3),
+        seconds=best_seconds(
+            lambda: measure_all("edge", frame, max_targets=EDGES, context=Context(quick=True)), 3
+        ),
         peer=f"{EDGES} such fits, places known",
         peer_seconds=EDGES * fitted_s,
         limit_seconds=FRAME_S,
@@ -64,7 +71,9 @@ def rows() -> Iterator[Row]:
 
 
 def most_probable_form(stack: "FrameStack") -> "EvidenceWeightedModels":
-    """Find an edge and the form that it asks for, which is the point estimate of `edge-parametric`."""
+    """Find an edge and the form that it asks for, which is the point estimate of
+    `edge-parametric`.
+    """
     from charact.method import Context
     from charact.mtf.edge.parametric import fit_edge_models
     from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
@@ -74,11 +83,15 @@ def most_probable_form(stack: "FrameStack") -> "EvidenceWeightedModels":
     edge = prepare_edge(stack, None, context, quickly=True, fields_apart=True)
     if isinstance(edge, EdgeRefusal):
         raise AssertionError(edge.reason)
-    return fit_edge_models(edge, known_transfer(edge.picture, edge.profile.angle_rad, context), context)[1][0]
+    return fit_edge_models(
+        edge, known_transfer(edge.picture, edge.profile.angle_rad, context), context
+    )[1][0]
 
 
 def plain_edge(rng: np.random.Generator) -> Array:
-    """An edge at 5 degrees, 150 DN high, Gaussian of 0.8 px, in white noise, shape (row, col), DN."""
+    """An edge at 5 degrees, 150 DN high, Gaussian of 0.8 px, in white noise, shape (row, col),
+    DN.
+    """
     return _edge((0.3, 1100.0, 150.0, 0.8, TILT)) + NOISE_DN * rng.standard_normal((ROWS, COLS))
 
 
@@ -96,7 +109,9 @@ def plain_fit(edge: Array) -> Array:
     from scipy.optimize import curve_fit
 
     start = (0.0, float(edge.min()), float(np.ptp(edge)), 1.0, TILT)
-    return curve_fit(lambda _, *parameters: _edge(parameters).ravel(), np.arange(edge.size), edge.ravel(), start)[0]
+    return curve_fit(
+        lambda _, *parameters: _edge(parameters).ravel(), np.arange(edge.size), edge.ravel(), start
+    )[0]
 
 
 def plain_chain(edge: Array) -> Array:
@@ -116,7 +131,9 @@ def plain_chain(edge: Array) -> Array:
 
 
 def frame_of_edges(rng: np.random.Generator) -> Array:
-    """Bright tilted squares on dark ground, two long edges of each, blurred by 0.8 px, in white noise, DN."""
+    """Bright tilted squares on dark ground, two long edges of each, blurred by 0.8 px, in white
+    noise, DN.
+    """
     import cv2
 
     over = 8

@@ -1,4 +1,6 @@
-"""Noise statistics of a long photon-transfer series, beyond the reading of its frames, and the memory they take."""
+"""Noise statistics of a long photon-transfer series, beyond the reading of its frames, and the
+memory they take.
+"""
 
 import resource
 import tempfile
@@ -17,7 +19,9 @@ MEMORY_GIB = 1.0
 
 
 def rows() -> Iterator[Row]:
-    """A series of 100 pairs of 12 bits and a pair of darks: statistics alone, with spectra, and the whole verb."""
+    """A series of 100 pairs of 12 bits and a pair of darks: statistics alone, with spectra, and the
+    whole verb.
+    """
     from charact import noise
     from charact.noise.gain.series import read_levels
     from charact.session_measurement import method_context
@@ -33,16 +37,29 @@ def rows() -> Iterator[Row]:
         promised = 1e-3 * MS_PER_PAIR * PAIRS
         for name, limit, work in (
             ("statistics", promised, lambda: read_levels(session, context=context, spectra=False)),
-            ("statistics with spectra", promised, lambda: read_levels(session, context=context, spectra=True)),
-            ("variance --quick", promised, lambda: noise.measure(session, method="variance", context=context)),
+            (
+                "statistics with spectra",
+                promised,
+                lambda: read_levels(session, context=context, spectra=True),
+            ),
+            (
+                "variance --quick",
+                promised,
+                lambda: noise.measure(session, method="variance", context=context),
+            ),
             (
                 "covariance-sum --quick",
                 promised,
                 lambda: noise.measure(session, method="covariance-sum", context=context),
             ),
         ):
-            yield Row(name=f"{name}, {PAIRS} pairs, CPU", seconds=_cpu_seconds(work) - reading,
-                      peer="variance of differences in NumPy", peer_seconds=plain, limit_seconds=limit)  # fmt: skip
+            yield Row(
+                name=f"{name}, {PAIRS} pairs, CPU",
+                seconds=_cpu_seconds(work) - reading,
+                peer="variance of differences in NumPy",
+                peer_seconds=plain,
+                limit_seconds=limit,
+            )
     peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     if peak_gib > MEMORY_GIB:
         raise MemoryError(f"a series must be measured in {MEMORY_GIB:g} GiB, took {peak_gib:.2f}")
@@ -54,7 +71,11 @@ def _series(folder: Path) -> None:
     lines = ['name = "series"', "bit_depth = 12"]
     for number in range(PAIRS + 1):
         label, kind = (f"flat-{number}", "flat") if number else ("dark", "dark")
-        frames = 64.0 + 0.5 * rng.poisson(60.0 * number, (2, *SHAPE)) + 3.0 * rng.standard_normal((2, *SHAPE))
+        frames = (
+            64.0
+            + 0.5 * rng.poisson(60.0 * number, (2, *SHAPE))
+            + 3.0 * rng.standard_normal((2, *SHAPE))
+        )
         np.save(folder / f"{label}.npy", np.clip(np.rint(frames), 0, 4095).astype(np.uint16))
         lines += ["[[stack]]", f'label = "{label}"', f'kind = "{kind}"', f'frames = "{label}.npy"']
     (folder / "session.toml").write_text("\n".join(lines) + "\n")

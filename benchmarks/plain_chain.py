@@ -1,4 +1,6 @@
-"""The intensified chain as one would write it in plain NumPy and OpenCV: what our speed is held against."""
+"""The intensified chain as one would write it in plain NumPy and OpenCV: what our speed is held
+against.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +30,18 @@ class PlainChain:
         self._shown = np.zeros(scene.shape, np.float32)
 
     def frame(self) -> NDArray[np.uint8]:
-        """Detected photoelectrons, exponential pulses, blur, decay, charge noise, well, filter, noise, digitiser."""
+        """Detected photoelectrons, exponential pulses, blur, decay, charge noise, well, filter,
+        noise, digitiser.
+        """
         import cv2
 
         rng = self._rng
         events = rng.poisson(0.62 * self._mean)
-        pulses = rng.standard_gamma(events, dtype=np.float32) if events.any() else events.astype(np.float32)
+        pulses = (
+            rng.standard_gamma(events, dtype=np.float32)
+            if events.any()
+            else events.astype(np.float32)
+        )
         light = cv2.GaussianBlur(pulses * np.float32(self._charge_e / 0.62), (0, 0), AFTER_PX)
         self._shown = np.float32(0.64) * light + np.float32(0.36) * self._shown
         charge = self._shown + np.sqrt(self._shown) * rng.standard_normal(light.shape, np.float32)

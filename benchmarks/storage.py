@@ -34,7 +34,9 @@ def _store(folder: Path, frames: np.ndarray) -> None:
     from labdata.target import Target
 
     writer = SessionWriter.create(folder, name="benchmark")
-    stack = writer.begin_stack("flat", "flat", frames.shape[1:], frames.dtype, Conditions(), None, Target())
+    stack = writer.begin_stack(
+        "flat", "flat", frames.shape[1:], frames.dtype, Conditions(), None, Target()
+    )
     for number, frame in enumerate(frames):
         stack.append(frame, number / 30, number)
     stack.finish()

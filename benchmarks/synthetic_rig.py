@@ -1,4 +1,6 @@
-"""A rig that costs nothing: a camera that keeps its pace whoever reads it, instruments that take their time."""
+"""A rig that costs nothing: a camera that keeps its pace whoever reads it, instruments that take
+their time.
+"""
 
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +18,7 @@ from labdata.target import Target
 
 ROWS, COLUMNS = 493, 768
 BUFFERS = 64
-"""Frames that the camera's driver holds for a reader who is late; older ones are lost, as with Aravis."""
+"""Frames that the camera's driver holds for a late reader; older ones are lost, as with Aravis."""
 
 
 class _Opened:
@@ -40,10 +42,17 @@ class PacedCamera(_Opened):
 
     def __init__(self, *, rate_hz: float = 30.0) -> None:
         self.settings = CameraSettings(
-            rows=ROWS, columns=COLUMNS, pixel_format="Mono16", exposure_s=0.0166, gain_db=0.0, frame_rate_hz=rate_hz
+            rows=ROWS,
+            columns=COLUMNS,
+            pixel_format="Mono16",
+            exposure_s=0.0166,
+            gain_db=0.0,
+            frame_rate_hz=rate_hz,
         )
         rng = np.random.default_rng(1)
-        self.pictures = tuple(rng.integers(0, 4096, (ROWS, COLUMNS), dtype=np.uint16) for _ in range(8))
+        self.pictures = tuple(
+            rng.integers(0, 4096, (ROWS, COLUMNS), dtype=np.uint16) for _ in range(8)
+        )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Keep all settings but the exposure."""
@@ -54,14 +63,18 @@ class PacedCamera(_Opened):
     def capture(
         self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
     ) -> "PacedCapture":
-        """Return a capture; its frames come at the camera's rate, 10 Hz or more, from its beginning on."""
+        """Return a capture; its frames come at the camera's rate, 10 Hz or more, from its beginning
+        on.
+        """
         return PacedCapture(self, frames=frames, discard=discard, while_waiting=while_waiting)
 
 
 class PacedCapture(_Opened):
     """A capture whose frames are due at fixed times."""
 
-    def __init__(self, camera: PacedCamera, *, frames: int, discard: int, while_waiting: Callable[[], None]) -> None:
+    def __init__(
+        self, camera: PacedCamera, *, frames: int, discard: int, while_waiting: Callable[[], None]
+    ) -> None:
         self._camera, self._frames, self._discard = camera, frames, discard
         self._while_waiting = while_waiting
         self.losses: tuple[LostFrames, ...] = ()
@@ -79,13 +92,19 @@ class PacedCapture(_Opened):
             number += 1
             late = int((time.monotonic() - began_s) / period_s) - BUFFERS - number
             if late > 0:
-                self.losses += lost_frames_with_reason("overrun: all buffers were full", range(number, number + late))
+                self.losses += lost_frames_with_reason(
+                    "overrun: all buffers were full", range(number, number + late)
+                )
                 number += late
             time.sleep(max(0.0, began_s + number * period_s - time.monotonic()))
             if number > self._discard:
                 handed_out += 1
                 # A frame of its own, as a driver copies it out of its buffer.
-                yield Frame(pixels=self._camera.pictures[number % 8].copy(), number=number, time_s=time.time())
+                yield Frame(
+                    pixels=self._camera.pictures[number % 8].copy(),
+                    number=number,
+                    time_s=time.time(),
+                )
 
 
 class SlowBench(_Opened):
@@ -151,7 +170,12 @@ class NoOperator:
         """Nothing shines."""
 
     def place(
-        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+        self,
+        *,
+        kind: Kind,
+        target: Target,
+        illuminance_lux: float,
+        filter_density: float | None = None,
     ) -> Conditions:
         """Read back what was asked."""
         return Conditions(illuminance_lux=illuminance_lux)

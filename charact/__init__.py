@@ -1,9 +1,10 @@
-"""Characterize image-intensified cameras: measurements with posteriors, validation against simulation, reports.
+"""Characterize image-intensified cameras: measurements with posteriors, validation against
+simulation, reports.
 
 import charact
 
-result = charact.mtf("edge.tif", quick=True)       # an array, a file or a stack
-print(result)                                      # result.mtf50.value, .interval95, .status; result.plot()
+result = charact.mtf("edge.tif", quick=True)  # an array, a file or a stack
+print(result)  # result.mtf50.value, .interval95, .status; result.plot()
 for measurement in charact.measure("day1").find("mtf50"):
     print(measurement.value, measurement.interval95, measurement.status)
 """
@@ -36,9 +37,22 @@ if TYPE_CHECKING:
     from labdata.errors import BadInput
 
 __all__ = [
-    "Analysis", "BadInput", "bloom", "check", "compare", "fit", "frames_of", "measure", "mtf", "noise", "report",
-    "session", "simulate", "stack", "validate",
-]  # fmt: skip
+    "Analysis",
+    "BadInput",
+    "bloom",
+    "check",
+    "compare",
+    "fit",
+    "frames_of",
+    "measure",
+    "mtf",
+    "noise",
+    "report",
+    "session",
+    "simulate",
+    "stack",
+    "validate",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -12,7 +12,9 @@ class CallablePackage(ModuleType):
         """Call the function of this name in `charact.api`; `help(charact.api)` describes it."""
         from importlib import import_module
 
-        return getattr(import_module("charact.api"), self.__name__.rpartition(".")[2])(*args, **settings)
+        return getattr(import_module("charact.api"), self.__name__.rpartition(".")[2])(
+            *args, **settings
+        )
 
 
 def make_callable(package: str) -> None:

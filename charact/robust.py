@@ -8,7 +8,9 @@ NORMAL = 1.4826
 
 
 def median(values: NDArray[np.floating] | NDArray[np.integer]) -> float:
-    """Return the median of at least one value, NaN if any value is; four times faster than NumPy on small arrays."""
+    """Return the median of at least one value, NaN if any value is; four times faster than NumPy on
+    small arrays.
+    """
     flat = values.ravel()
     middle = flat.size // 2
     parted = np.partition(flat, middle)

@@ -17,13 +17,16 @@ from labdata.session import MANIFEST, Session, StackEntry, open_session, sha256_
 
 Quantities = tuple[tuple[str, str], ...]
 METHOD = "session"
-# Height and width that an image must have for a spot with its surroundings, px: twice the 8 px of an edge's region.
+# Height and width that an image must have for a spot with its surroundings, px: twice the 8 px of
+# an edge's region.
 LEAST_PX = 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class Analysis:
-    """One analysis of a session: its sentence of progress, and the quantities that it gives, by name and unit."""
+    """One analysis of a session: its sentence of progress, and the quantities that it gives, by
+    name and unit.
+    """
 
     sentence: str
     run: Callable[[Context], Result]
@@ -32,7 +35,11 @@ class Analysis:
 
 
 def attempt(
-    run: Callable[[], Result], quantities: Quantities, *, stack: str | None = None, before: Result | None = None
+    run: Callable[[], Result],
+    quantities: Quantities,
+    *,
+    stack: str | None = None,
+    before: Result | None = None,
 ) -> Result:
     """Return the result of an analysis; a numerical failure becomes a refusal of its quantities.
 
@@ -55,7 +62,11 @@ def attempt(
 
 
 def _refusals(quantities: Quantities, reason: str, stack: str | None) -> Result:
-    return Result(measurements=tuple(make_refusal(*one, reason, method=METHOD, stack=stack) for one in quantities))
+    return Result(
+        measurements=tuple(
+            make_refusal(*one, reason, method=METHOD, stack=stack) for one in quantities
+        )
+    )
 
 
 def _require_size(entries: tuple[StackEntry, ...]) -> None:
@@ -64,8 +75,8 @@ def _require_size(entries: tuple[StackEntry, ...]) -> None:
         _, rows, columns = open_lazy_stack(entry).shape
         if min(rows, columns) < LEAST_PX:
             raise BadInput(
-                f"images of a bloom must have at least {LEAST_PX} x {LEAST_PX} pixels, got {rows} x {columns} in "
-                f"stack {entry.label!r}"
+                f"images of a bloom must have at least {LEAST_PX} x {LEAST_PX} pixels, got {rows} "
+                f"x {columns} in stack {entry.label!r}"
             )
 
 
@@ -78,7 +89,8 @@ def measure(
     progress: Progress = ignore_progress,
     spread: Spread = map,
 ) -> Result:
-    """Measure everything the stacks of a session support: noise and gain, MTF of every target, halo and blooming.
+    """Measure everything the stacks of a session support: noise and gain, MTF of every target, halo
+    and blooming.
 
     Parameters
     ----------
@@ -98,8 +110,8 @@ def measure(
     Returns
     -------
     Result
-        Measurements (refused ones with the reason), curves and figure data; the name of a curve ends in ":label" of
-        its stack.
+        Measurements (refused ones with the reason), curves and figure data; the name of a curve
+        ends in ":label" of its stack.
 
     Raises
     ------
@@ -108,15 +120,15 @@ def measure(
 
     Notes
     -----
-    An analysis that fails numerically, or that the session's frames do not suit, becomes a refusal of its quantities
-    with the reason; the others go on.
+    An analysis that fails numerically, or that the session's frames do not suit, becomes a refusal
+    of its quantities with the reason; the others go on.
     """
     session = session if isinstance(session, Session) else open_session(session)
     tasks = _tasks(session, within_percent)
     if not tasks:
         raise BadInput(
-            "a session must have a stack of kind dark, flat, edge, bars or point to be measured, got only kind "
-            f"'scene': say in {session.folder / MANIFEST} what the frames show"
+            "a session must have a stack of kind dark, flat, edge, bars or point to be measured, "
+            f"got only kind 'scene': say in {session.folder / MANIFEST} what the frames show"
         )
     from charact.infrared import is_linear
 
@@ -137,7 +149,9 @@ def measure(
     return _combine_targets(session, result, context)
 
 
-def measure_noise(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
+def measure_noise(
+    session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context
+) -> Result:
     """Measure the noise of darks and flats, of flats of a black body in kelvin.
 
     Parameters
@@ -161,34 +175,50 @@ def measure_noise(session: Session, *, method: str = "auto", within_percent: flo
     heated, others = bool(infrared.blackbody_flats(session)), _of_light(session)
     result = Result()
     if others.of_kind("dark", "flat") or not heated:
-        run = partial(noise.measure, others, method=method, within_percent=within_percent, context=context)
+        run = partial(
+            noise.measure, others, method=method, within_percent=within_percent, context=context
+        )
         result += _with_step(attempt(run, NOISE), others)
     if heated:
-        result += attempt(partial(infrared.measure, session, context=context), (("sitf", "DN/K"), ("netd", "mK")))
+        result += attempt(
+            partial(infrared.measure, session, context=context), (("sitf", "DN/K"), ("netd", "mK"))
+        )
     return result
 
 
 def _with_step(result: Result, session: Session) -> Result:
-    """Return the result with the finding of a coarse digitiser at the quantities that contain dark noise or level."""
+    """Return the result with the finding of a coarse digitiser at the quantities that contain dark
+    noise or level.
+    """
     from charact.noise.rounding import step_finding
 
     found = step_finding(session)
     if found is None:
         return result
-    return replace(result, measurements=tuple(
-        m.with_(findings=(found,)) if m.quantity in OF_DARK and m.status != "refused" else m
-        for m in result.measurements
-    ))  # fmt: skip
+    return replace(
+        result,
+        measurements=tuple(
+            m.with_(findings=(found,)) if m.quantity in OF_DARK and m.status != "refused" else m
+            for m in result.measurements
+        ),
+    )
 
 
 OF_DARK = (
-    "read_noise", "dark_signal", "dynamic_range", "minimum_illumination", "minimum_illumination_area", "snr",
-)  # fmt: skip
+    "read_noise",
+    "dark_signal",
+    "dynamic_range",
+    "minimum_illumination",
+    "minimum_illumination_area",
+    "snr",
+)
 NOISE = (("system_gain", "DN/e-"), ("read_noise", "DN"))
 BLOOM = (("halo_diameter", "px"), ("bloom_diameter", "px"))
 
 
-def measure_bloom(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
+def measure_bloom(
+    session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context
+) -> Result:
     """Measure halo and blooming of point sources; arguments as for `charact.bloom.measure`.
 
     Raises
@@ -200,7 +230,10 @@ def measure_bloom(session: Session, *, method: str = "auto", within_percent: flo
 
     _require_size(session.of_kind("point") or session.of_kind("edge"))
     return attempt(
-        partial(bloom.measure, session, method=method, within_percent=within_percent, context=context), BLOOM
+        partial(
+            bloom.measure, session, method=method, within_percent=within_percent, context=context
+        ),
+        BLOOM,
     )
 
 
@@ -209,20 +242,25 @@ def _of_light(session: Session) -> Session:
     from charact.infrared import blackbody_flats
 
     heated = {entry.label for entry in blackbody_flats(session)}
-    return replace(session, stacks=tuple(entry for entry in session.stacks if entry.label not in heated))
+    return replace(
+        session, stacks=tuple(entry for entry in session.stacks if entry.label not in heated)
+    )
 
 
 def with_inputs(result: Result, session: Session) -> Result:
     """Return the result with SHA-256 digests of the frames in the provenance of every measurement.
 
-    A measurement of one stack has the digests of that stack; a measurement of the session has those of all stacks.
+    A measurement of one stack has the digests of that stack; a measurement of the session has those
+    of all stacks.
     """
     digests = {entry.label: _digests(entry) for entry in session.stacks if entry.kind != "scene"}
     everything = {name: digest for one in digests.values() for name, digest in one.items()}
     measurements = tuple(
         m
         if m.provenance is None
-        else m.with_(provenance=replace(m.provenance, inputs=digests.get(m.stack or "", everything)))
+        else m.with_(
+            provenance=replace(m.provenance, inputs=digests.get(m.stack or "", everything))
+        )
         for m in result.measurements
     )
     return replace(result, measurements=measurements)
@@ -240,7 +278,9 @@ def _within(progress: Progress, done: int, tasks: int, sentence: str, share: flo
 
 
 def _combine_targets(session: Session, result: Result, context: Context) -> Result:
-    """Add the joint MTF of all targets, its consistency, uniformity and budget, and the MRTD of an infrared camera."""
+    """Add the joint MTF of all targets, its consistency, uniformity and budget, and the MRTD of an
+    infrared camera.
+    """
     from charact.infrared import add_mrtd, blackbody_flats
     from charact.mtf.bars.group_curve import session_curves
     from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
@@ -262,29 +302,48 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
     whole = attempt(partial(add_mtf_budget, whole, kinds, context=context), joint, before=whole)
     flats = blackbody_flats(session)
     if flats:
-        return attempt(partial(add_mrtd, session, flats, whole, context=context), (("mrtd", "K"),), before=whole)
+        return attempt(
+            partial(add_mrtd, session, flats, whole, context=context),
+            (("mrtd", "K"),),
+            before=whole,
+        )
     known = {entry.label: entry.conditions for entry in session.stacks}
     resolution = (("limiting_resolution", "lp/mm"),)
     return attempt(partial(add_resolution, whole, known, context=context), resolution, before=whole)
 
 
 def _with_measured_gap(context: Context, result: Result) -> Context:
-    """Return the context with the proximity gap measured by the session's own halo, diameter = 4 gaps.
+    """Return the context with the proximity gap measured by the session's own halo, diameter = 4
+    gaps.
 
-    A point series constrains the gap better than the description; a single edge often fits several gaps.
+    A point series constrains the gap better than the description; a single edge often fits several
+    gaps.
     """
-    found = [m for m in result.find("halo_diameter") if m.status == "ok" and m.interval95 is not None]
+    found = [
+        m for m in result.find("halo_diameter") if m.status == "ok" and m.interval95 is not None
+    ]
     if context.sensor is None or not found or found[0].value is None or found[0].interval95 is None:
         return context
     sensor = context.sensor
     mm_per_px = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
     value, low, high = (x * mm_per_px / 4.0 for x in (found[0].value, *found[0].interval95))
-    gap = Parameter(value=value, low=low, high=high, standing="fitted", source="halo of the session's point sources")
+    gap = Parameter(
+        value=value,
+        low=low,
+        high=high,
+        standing="fitted",
+        source="halo of the session's point sources",
+    )
     return replace(context, sensor=sensor.with_parameters({"photocathode.gap_mm": gap}))
 
 
 def method_context(
-    session: Session, *, quick: bool, seed: int, progress: Progress = ignore_progress, spread: Spread = map
+    session: Session,
+    *,
+    quick: bool,
+    seed: int,
+    progress: Progress = ignore_progress,
+    spread: Spread = map,
 ) -> Context:
     """Return the context of the methods that measure a session."""
     full_scale_dn = None if session.bit_depth is None else float(2**session.bit_depth - 1)
@@ -305,25 +364,33 @@ def _tasks(session: Session, within_percent: float) -> list[Analysis]:
     """Every analysis that the session has stacks for; the halo precedes the MTF, which uses it."""
     from charact import mtf
 
-    def of(analysis: Callable[..., Result], stacks: Session = session) -> Callable[[Context], Result]:
+    def of(
+        analysis: Callable[..., Result], stacks: Session = session
+    ) -> Callable[[Context], Result]:
         return lambda context: analysis(stacks, within_percent=within_percent, context=context)
 
     tasks: list[Analysis] = []
     lit, points = _of_light(session), session.of_kind("point")
     mtf50 = (("mtf50", "cy/px"),)
     if session.of_kind("dark", "flat"):
-        tasks.append(Analysis(sentence="noise against gain", run=of(measure_noise), quantities=NOISE))
+        tasks.append(
+            Analysis(sentence="noise against gain", run=of(measure_noise), quantities=NOISE)
+        )
     if lit.of_kind("flat"):
         spectrum, after = of(mtf.measure_flats, lit), (("post_gain_mtf50", "cy/px"),)
-        tasks.append(Analysis(sentence="post-gain MTF from the noise of flats", run=spectrum, quantities=after))
+        tasks.append(
+            Analysis(
+                sentence="post-gain MTF from the noise of flats", run=spectrum, quantities=after
+            )
+        )
     if points:
-        tasks.append(Analysis(sentence="halo and blooming", run=of(measure_bloom), quantities=BLOOM))
+        tasks.append(
+            Analysis(sentence="halo and blooming", run=of(measure_bloom), quantities=BLOOM)
+        )
     for entry in session.of_kind("edge", "bars"):
         run = partial(_target, session, entry, within_percent)
         sentence = f"MTF of {entry.label}"
-        tasks.append(
-            Analysis(sentence=sentence, run=run, quantities=mtf50, stack=entry.label)
-        )  # fmt: skip
+        tasks.append(Analysis(sentence=sentence, run=run, quantities=mtf50, stack=entry.label))
     if points:
         run = partial(_best_point, session, within_percent)
         tasks.append(Analysis(sentence="MTF of a point source", run=run, quantities=mtf50))
@@ -344,15 +411,21 @@ def _target(session: Session, entry: StackEntry, within_percent: float, context:
     }[entry.kind]
     result = Result()
     for direction, part, region, own in scan_directions(stack, target.region, context=context):
-        found = mtf.measure(entry.kind, part, region=region, within_percent=within_percent, context=own, **arguments)
-        result += with_stack_label(found, f"{entry.label}, lines {direction}" if direction else entry.label)
+        found = mtf.measure(
+            entry.kind, part, region=region, within_percent=within_percent, context=own, **arguments
+        )
+        result += with_stack_label(
+            found, f"{entry.label}, lines {direction}" if direction else entry.label
+        )
     return result
 
 
 def _best_point(session: Session, within_percent: float, context: Context) -> Result:
-    """Measure point sources from the brightest on; return the first MTF with the fewest refusals and flags.
+    """Measure point sources from the brightest on; return the first MTF with the fewest refusals
+    and flags.
 
-    The narrowest interval would select a halo that is too small by chance, with an MTF that is too high.
+    The narrowest interval would select a halo that is too small by chance, with an MTF that is too
+    high.
     """
     from charact.mtf.point.source import source_signal
 
@@ -368,7 +441,9 @@ def _best_point(session: Session, within_percent: float, context: Context) -> Re
 
 
 def with_stack_label(result: Result, label: str) -> Result:
-    """Return the result of one stack with the stack's label on measurements, curves and figure data."""
+    """Return the result of one stack with the stack's label on measurements, curves and figure
+    data.
+    """
     return Result(
         measurements=tuple(m.with_(stack=label) for m in result.measurements),
         curves={f"{name}:{label}": curve for name, curve in result.curves.items()},

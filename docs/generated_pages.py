@@ -1,4 +1,6 @@
-"""Pages of the reference that are written from the code: command line, methods, file schemas, measured tables."""
+"""Pages of the reference that are written from the code: command line, methods, file schemas,
+measured tables.
+"""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -72,9 +74,15 @@ def _paragraphs(text: str) -> str:
 
 def _parameter(parameter: Any) -> tuple[str, str, str]:
     argument = parameter.param_type_name == "argument"
-    name = parameter.name.upper() if argument else ", ".join([*parameter.opts, *parameter.secondary_opts])
+    name = (
+        parameter.name.upper()
+        if argument
+        else ", ".join([*parameter.opts, *parameter.secondary_opts])
+    )
     default = parameter.default
-    shown = "required" if parameter.required else "" if default in (None, False, ()) else f"`{default}`"
+    shown = (
+        "required" if parameter.required else "" if default in (None, False, ()) else f"`{default}`"
+    )
     meaning = " ".join((getattr(parameter, "help", "") or "").split())
     return f"`{name}`", meaning, shown
 
@@ -94,20 +102,31 @@ def methods() -> str:
 
     parts = [
         "# Methods\n",
-        "Error is the 95th percentile of |value − truth| / truth over the cases of `charact chart`; a refusal counts "
-        "as 100 %. Time is the median over the cases. `auto` takes the fastest method whose upper 95 % limit of the "
-        "error is below `--within`.\n",
+        "Error is the 95th percentile of |value − truth| / truth over the cases of `charact "
+        "chart`; a refusal counts as 100 %. Time is the median over the cases. `auto` takes the "
+        "fastest method whose upper 95 % limit of the error is below `--within`.\n",
     ]
     for kind in MODULES:
         rows = []
         for method in methods_of_kind(kind).values():
-            charted = [(q, r) for q in method.quantities for r in chart_table(q) if r["method"] == method.name]
+            charted = [
+                (q, r)
+                for q in method.quantities
+                for r in chart_table(q)
+                if r["method"] == method.name
+            ]
             for quantity, row in charted:
-                error, limit = (f"{row[key]:.2g}" for key in ("error_percent", "error_limit_percent"))
+                error, limit = (
+                    f"{row[key]:.2g}" for key in ("error_percent", "error_limit_percent")
+                )
                 cost = (time_text(row["seconds"]), f"{100 * row['ok_fraction']:.0f}")
-                rows.append((f"`{method.name}`", f"`{quantity}`", error, limit, *cost, method.scope))
+                rows.append(
+                    (f"`{method.name}`", f"`{quantity}`", error, limit, *cost, method.scope)
+                )
             if not charted:
-                rows.append((f"`{method.name}`", f"`{method.quantities[0]}`", "", "", "", "", method.scope))
+                rows.append(
+                    (f"`{method.name}`", f"`{method.quantities[0]}`", "", "", "", "", method.scope)
+                )
         head = ("method", "quantity", "error, %", "upper limit, %", "time", "ok, %", "scope")
         parts.append(f"## {kind}\n\n{_table(head, rows)}")
     return "\n".join(parts)
@@ -121,7 +140,9 @@ def measured_tables() -> str:
         return json.loads((folder / f"{name}.json").read_text())
 
     columns = ("method", "regions", "ok", "covers68", "covers95", "silent", "rms_percent")
-    coverage = [tuple(_digits(row[key]) for key in columns) for row in table("edge_coverage")["coverage"]]
+    coverage = [
+        tuple(_digits(row[key]) for key in columns) for row in table("edge_coverage")["coverage"]
+    ]
     columns = ("method", "snr", "rms_percent", "ratio", "bias_percent", "covers95")
     peers = [tuple(_digits(row[key]) for key in columns) for row in table("edge_peers")["ours"]]
     columns = ("kind", "within_percent", "method", "cases", "right", "told")
@@ -133,21 +154,52 @@ def measured_tables() -> str:
     ]
     parts = [
         "# Measured tables\n",
-        "## Coverage of edge intervals\n\nRegions of mixed blur, noise and light (`edge-coverage`).\n",
+        (
+            "## Coverage of edge intervals\n\nRegions of mixed blur, noise and light "
+            "(`edge-coverage`).\n"
+        ),
         _table(
-            ("method", "regions", "ok", "68 % interval holds", "95 % interval holds", "silent", "RMS error, %"),
+            (
+                "method",
+                "regions",
+                "ok",
+                "68 % interval holds",
+                "95 % interval holds",
+                "silent",
+                "RMS error, %",
+            ),
             coverage,
         ),
         f"## Edges under white noise\n\n{table('edge_peers')['edge']} (`edge-peers`).\n",
-        _table(("method", "step / noise", "RMS error, %", "over the bound", "bias, %", "95 % interval holds"), peers),
-        "## Choice of `auto` on cases that no chart used\n\nRight: within the tolerance. Flagged: of the others, those "
-        "with a flag or an interval wider than the tolerance (`held-out`).\n",
+        _table(
+            (
+                "method",
+                "step / noise",
+                "RMS error, %",
+                "over the bound",
+                "bias, %",
+                "95 % interval holds",
+            ),
+            peers,
+        ),
+        "## Choice of `auto` on cases that no chart used\n\nRight: within the tolerance. Flagged: "
+        "of the others, those with a flag or an interval wider than the tolerance (`held-out`).\n",
         _table(("quantity", "kind", "tolerance, %", "method", "cases", "right", "flagged"), held),
     ]
-    for name, title in (("edge_map", "edges"), ("gain_map", "gains"), ("spectrum_map", "noise spectra")):
+    for name, title in (
+        ("edge_map", "edges"),
+        ("gain_map", "gains"),
+        ("spectrum_map", "noise spectra"),
+    ):
         axes = table(name)["quick"]["summary"]["by_axis"]
-        rows = [(axis.replace("none", "within scope"), *(one[key] for key in RESULTS)) for axis, one in axes.items()]
-        parts.append(f"## Breaking points of {title}\n\nResults by defect; missed: 95 % intervals of ok results.\n")
+        rows = [
+            (axis.replace("none", "within scope"), *(one[key] for key in RESULTS))
+            for axis, one in axes.items()
+        ]
+        parts.append(
+            f"## Breaking points of {title}\n\nResults by defect; missed: 95 % intervals of ok "
+            f"results.\n"
+        )
         parts.append(_table(("defect", *RESULTS), rows))
     return "\n".join(parts)
 
@@ -159,7 +211,10 @@ def file_schemas() -> str:
     from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import LabScene
 
-    parts = ["# File formats\n", "`charact schema KIND` prints the JSON Schema of a kind, for editors.\n"]
+    parts = [
+        "# File formats\n",
+        "`charact schema KIND` prints the JSON Schema of a kind, for editors.\n",
+    ]
     for kind, title in SCHEMAS.items():
         schema = file_schema(kind, {"limits": Limits, "scene": OutdoorScene, "bench": LabScene})
         parts.append(f"## {kind}\n\n{title[0].upper()}{title[1:]}.\n\n{_keys(schema)}")
@@ -175,13 +230,23 @@ def _keys(schema: dict[str, Any]) -> str:
     for key, one in schema.get("properties", {}).items():
         default = json.dumps(one["default"]) if "default" in one else ""
         meaning = " ".join(str(one.get("description", "")).split())
-        rows.append((f"`{key}`", _type(one), meaning, "required" if key in schema.get("required", ()) else default))
+        rows.append(
+            (
+                f"`{key}`",
+                _type(one),
+                meaning,
+                "required" if key in schema.get("required", ()) else default,
+            )
+        )
     return _table(("key", "type", "meaning", "default"), rows)
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(_cell(str(cell)) for cell in line) + " |" for line in lines) + "\n"
+    return (
+        "\n".join("| " + " | ".join(_cell(str(cell)) for cell in line) + " |" for line in lines)
+        + "\n"
+    )
 
 
 def _type(one: dict[str, Any]) -> str:
@@ -190,7 +255,9 @@ def _type(one: dict[str, Any]) -> str:
     if "enum" in one or "const" in one:
         return " or ".join(json.dumps(value) for value in one.get("enum", [one.get("const")]))
     if "anyOf" in one:
-        return " or ".join(dict.fromkeys(_type(each) for each in one["anyOf"] if each.get("type") != "null"))
+        return " or ".join(
+            dict.fromkeys(_type(each) for each in one["anyOf"] if each.get("type") != "null")
+        )
     if one.get("type") == "array":
         inside = one.get("items") or (one.get("prefixItems") or [{}])[0]
         return f"list of {_type(inside)}" if inside else "list"

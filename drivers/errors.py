@@ -4,7 +4,9 @@ from typing import Any, Self
 
 
 class BenchError(Exception):
-    """An instrument failed; one sentence with instrument, rule and value. Use it to catch any error of the bench."""
+    """An instrument failed; one sentence with instrument, rule and value. Use it to catch any error
+    of the bench.
+    """
 
     def __init__(self, sentence: str, *, instrument: str = "bench") -> None:
         super().__init__(sentence)
@@ -12,12 +14,16 @@ class BenchError(Exception):
 
     @classmethod
     def of(cls, instrument: str, rule: str, got: object, **details: Any) -> Self:
-        """Return the error of an instrument that broke a rule; `details` are further arguments of the class."""
+        """Return the error of an instrument that broke a rule; `details` are further arguments of
+        the class.
+        """
         return cls(f"the {instrument} must {rule}, got {got}", instrument=instrument, **details)
 
 
 class InstrumentTimeout(BenchError):
-    """No complete reply within the time limit: the line is open, the instrument off, hung or late."""
+    """No complete reply within the time limit: the line is open, the instrument off, hung or
+    late.
+    """
 
 
 class InstrumentDisconnected(BenchError):
@@ -25,15 +31,21 @@ class InstrumentDisconnected(BenchError):
 
 
 class InstrumentRejected(BenchError):
-    """The instrument did not obey a command, or reads back another value; `code` is its error code."""
+    """The instrument did not obey a command, or reads back another value; `code` is its error
+    code.
+    """
 
-    def __init__(self, sentence: str, *, instrument: str = "bench", code: int | None = None) -> None:
+    def __init__(
+        self, sentence: str, *, instrument: str = "bench", code: int | None = None
+    ) -> None:
         super().__init__(sentence, instrument=instrument)
         self.code = code
 
 
 class InstrumentTripped(BenchError):
-    """The high-voltage supply switched itself off: find the cause before the voltage is raised again."""
+    """The high-voltage supply switched itself off: find the cause before the voltage is raised
+    again.
+    """
 
 
 class InstrumentReplyError(BenchError):

@@ -14,7 +14,9 @@ from labdata.target import Kind, Target
 
 
 class Capture(Iterable[Frame], AbstractContextManager["Capture"], Protocol):
-    """A running capture: iterate it for complete frames; incomplete frames are counted and never returned."""
+    """A running capture: iterate it for complete frames; incomplete frames are counted and never
+    returned.
+    """
 
     @property
     def lost_frames(self) -> int:
@@ -39,10 +41,14 @@ class Camera(Protocol):
         """Apply the settings that are not None and return the read-back of all."""
         ...
 
-    def capture(self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None) -> Capture:
-        """Start exposing, discard the first `discard` complete frames, return the next `frames`, and stop.
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> Capture:
+        """Start exposing, discard the first `discard` complete frames, return the next `frames`,
+        and stop.
 
-        `while_waiting` is called at least every 0.1 s while no frame comes; an exception ends the capture.
+        `while_waiting` is called at least every 0.1 s while no frame comes; an exception ends the
+        capture.
         """
         ...
 
@@ -66,20 +72,28 @@ class Bench(Protocol):
     """Gate, gain and light of the tube; leaving its `with` block makes the tube safe."""
 
     def set_conditions(self, conditions: Conditions) -> Conditions:
-        """Set gate and gain behind a shut gate, and return the read-backs; `gate_ns` None or 0 leaves it shut."""
+        """Set gate and gain behind a shut gate, and return the read-backs; `gate_ns` None or 0
+        leaves it shut.
+        """
         ...
 
     def guard(self, operator: "Operator") -> "Operator":
-        """Return the operator and the bench's lamp behind the interlock; only what is returned may be used."""
+        """Return the operator and the bench's lamp behind the interlock; only what is returned may
+        be used.
+        """
         ...
 
     def read_meters(self) -> tuple[Conditions, tuple[str, ...]]:
-        """Read the auxiliary meters; return a sentence for each optional one that does not answer."""
+        """Read the auxiliary meters; return a sentence for each optional one that does not
+        answer.
+        """
         ...
 
     @property
     def dark_seen(self) -> bool:
-        """Whether a dark frame was verified through the open gate since the bench was opened; required before light."""
+        """Whether a dark frame was verified through the open gate since the bench was opened;
+        required before light.
+        """
         ...
 
     def dark_frame_seen(self, levels: FrameLevels) -> bool:
@@ -91,7 +105,9 @@ class Bench(Protocol):
         ...
 
     def verify(self) -> None:
-        """Compare gate and supply with their settings; a difference is a BenchError and makes the tube safe."""
+        """Compare gate and supply with their settings; a difference is a BenchError and makes the
+        tube safe.
+        """
         ...
 
     def check(self) -> None:
@@ -112,7 +128,9 @@ class Bench(Protocol):
 
     @property
     def last_words(self) -> str:
-        """Final state of the tube, with manual steps if it may be hot; empty before the safe action."""
+        """Final state of the tube, with manual steps if it may be hot; empty before the safe
+        action.
+        """
         ...
 
 
@@ -132,11 +150,17 @@ class Operator(Protocol):
         ...
 
     def place(
-        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+        self,
+        *,
+        kind: Kind,
+        target: Target,
+        illuminance_lux: float,
+        filter_density: float | None = None,
     ) -> Conditions:
-        """Place a target and set the light behind the filter, lux (0: dark); return the reading of the light meter.
+        """Place a target and set the light behind the filter, lux (0: dark); return the reading of
+        the light meter.
 
-        `filter_density` None: any suitable filter. Returns `illuminance_lux` as read, and `illuminance_relative_sd` of
-        the meter's calibration, where known.
+        `filter_density` None: any suitable filter. Returns `illuminance_lux` as read, and
+        `illuminance_relative_sd` of the meter's calibration, where known.
         """
         ...

@@ -12,8 +12,9 @@ T = TypeVar("T")
 class BackgroundWriter(Generic[T]):
     """Writes items one by one in a daemon thread; the write may block, fail or never return.
 
-    `begin` and `finish` run in the thread before the first item and after the last. At most `capacity` items wait. The
-    thread starts in the constructor, so that a process that later can start none still has it.
+    `begin` and `finish` run in the thread before the first item and after the last. At most
+    `capacity` items wait. The thread starts in the constructor, so that a process that later can
+    start none still has it.
     """
 
     def __init__(
@@ -49,12 +50,18 @@ class BackgroundWriter(Generic[T]):
             self._turn.notify_all()
 
     def flush(self, timeout_s: float | None) -> bool:
-        """Wait until the thread has begun and no item waits, at most `timeout_s` (None: for ever); return whether."""
+        """Wait until the thread has begun and no item waits, at most `timeout_s` (None: for ever);
+        return whether.
+        """
         with self._turn:
-            return self._turn.wait_for(lambda: self._begun and not self._items and not self._writing, timeout_s)
+            return self._turn.wait_for(
+                lambda: self._begun and not self._items and not self._writing, timeout_s
+            )
 
     def close(self, timeout_s: float | None) -> int:
-        """Write what waits, for at most `timeout_s` (None: for ever), and end; return how many were not written."""
+        """Write what waits, for at most `timeout_s` (None: for ever), and end; return how many were
+        not written.
+        """
         with self._turn:
             self._closed = True
             self._turn.notify_all()

@@ -8,7 +8,8 @@ import numpy as np
 
 from labdata.errors import BadInput, check
 
-# sheet: data sheet. default: typical of the type, not of this device. derived: computed from others.
+# sheet: data sheet. default: typical of the type, not of this device. derived: computed from
+# others.
 # fitted: identified by a session's data. prior: fitted, but not identified by the data.
 Standing = Literal["sheet", "default", "derived", "fitted", "prior"]
 
@@ -27,9 +28,14 @@ class Parameter:
         check(self, of=" of a parameter", finite="value low high")
         if (self.low is None) != (self.high is None):
             raise BadInput(f"low and high must be given together, got {self.low} and {self.high}")
-        if self.low is not None and self.high is not None and not self.low <= self.value <= self.high:
+        if (
+            self.low is not None
+            and self.high is not None
+            and not self.low <= self.value <= self.high
+        ):
             raise BadInput(
-                f"a value must lie between its low and high, got {self.value:g} for {self.low:g}..{self.high:g}"
+                f"a value must lie between its low and high, got {self.value:g} for "
+                f"{self.low:g}..{self.high:g}"
             )
 
     def __float__(self) -> float:
@@ -37,7 +43,11 @@ class Parameter:
 
     def times(self, factor: float, words: str = "") -> "Parameter":
         """Return the parameter times a positive factor, derived, with words added to its source."""
-        ends = None if self.low is None or self.high is None else (self.low * factor, self.high * factor)
+        ends = (
+            None
+            if self.low is None or self.high is None
+            else (self.low * factor, self.high * factor)
+        )
         return Parameter(
             value=self.value * factor,
             low=ends[0] if ends else None,
@@ -50,8 +60,8 @@ class Parameter:
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema
 
-        # The reference must name this validator: one to the bare table would accept a plain number only in the first
-        # field of its kind.
+        # The reference must name this validator: one to the bare table would accept a plain number
+        # only in the first field of its kind.
         table: Any = dict(handler.resolve_ref_schema(handler(source)))
         reference = table.pop("ref", None)
         return core_schema.no_info_before_validator_function(_of_number, table, ref=reference)
@@ -68,7 +78,9 @@ class Draws:
     """Joint posterior draws of the fitted parameters, by path such as "tube.post_gain_share"."""
 
     names: tuple[str, ...] = ()  #: Paths of the parameters
-    values: tuple[tuple[float, ...], ...] = ()  #: Draws, one tuple per draw in the order of the names
+    values: tuple[
+        tuple[float, ...], ...
+    ] = ()  #: Draws, one tuple per draw in the order of the names
 
     def __post_init__(self) -> None:
         if any(len(row) != len(self.names) for row in self.values):
@@ -80,7 +92,9 @@ class Draws:
         scale = [factors.get(self.names[i], 1.0) for i in kept]
         return Draws(
             names=tuple(self.names[i] for i in kept),
-            values=tuple(tuple(row[i] * by for i, by in zip(kept, scale, strict=True)) for row in self.values),
+            values=tuple(
+                tuple(row[i] * by for i, by in zip(kept, scale, strict=True)) for row in self.values
+            ),
         )
 
 
@@ -103,27 +117,42 @@ class Description:
     def with_parameters(self, changes: dict[str, Parameter]) -> Self:
         """Return a copy with parameters replaced by path."""
         if unknown := changes.keys() - self.parameters().keys():
-            raise BadInput(f"a sensor parameter must be one of its stages' own, got {sorted(unknown)}")
+            raise BadInput(
+                f"a sensor parameter must be one of its stages' own, got {sorted(unknown)}"
+            )
         stages: dict[str, dict[str, Parameter]] = {}
         for path, parameter in changes.items():
             stage, name = path.split(".")
             stages.setdefault(stage, {})[name] = parameter
-        return replace(self, **{stage: replace(getattr(self, stage), **named) for stage, named in stages.items()})
+        return replace(
+            self,
+            **{stage: replace(getattr(self, stage), **named) for stage, named in stages.items()},
+        )
 
     def with_values(self, values: dict[str, float]) -> Self:
         """Return a copy in which parameters have other values, exact, by path."""
         known = self.parameters()
         if unknown := values.keys() - known.keys():
-            raise BadInput(f"a sensor parameter must be one of its stages' own, got {sorted(unknown)}")
+            raise BadInput(
+                f"a sensor parameter must be one of its stages' own, got {sorted(unknown)}"
+            )
         return self.with_parameters(
-            {path: replace(known[path], value=float(value), low=None, high=None) for path, value in values.items()}
+            {
+                path: replace(known[path], value=float(value), low=None, high=None)
+                for path, value in values.items()
+            }
         )
 
     def draw(self, rng: np.random.Generator) -> Self:
-        """Return the camera of one joint posterior draw; a description without draws is a BadInput."""
+        """Return the camera of one joint posterior draw; a description without draws is a
+        BadInput.
+        """
         draws: Draws = getattr(self, "draws", Draws())
         if not draws.values:
-            raise BadInput("a camera to draw must be a fitted one with posterior draws, got a description without")
+            raise BadInput(
+                "a camera to draw must be a fitted one with posterior draws, got a description "
+                "without"
+            )
         row = draws.values[int(rng.integers(len(draws.values)))]
         return self.with_values(dict(zip(draws.names, row, strict=True)))
 
@@ -143,7 +172,9 @@ def must_be_a_share(stage: Any, *names: str) -> None:
     check(stage, fraction=names)
 
 
-def must_be_an_efficiency_table(wavelength_nm: tuple[float, ...], efficiency: tuple[float, ...]) -> None:
+def must_be_an_efficiency_table(
+    wavelength_nm: tuple[float, ...], efficiency: tuple[float, ...]
+) -> None:
     """Require an efficiency table to rise in wavelength and to stay within 0 to 1."""
     if len(wavelength_nm) != len(efficiency) or len(wavelength_nm) < 2:
         raise BadInput(
@@ -151,6 +182,10 @@ def must_be_an_efficiency_table(wavelength_nm: tuple[float, ...], efficiency: tu
             f"got {len(wavelength_nm)} and {len(efficiency)}"
         )
     if any(after <= before for before, after in pairwise(wavelength_nm)):
-        raise BadInput(f"the wavelengths of an efficiency table must rise, got {list(wavelength_nm)}")
+        raise BadInput(
+            f"the wavelengths of an efficiency table must rise, got {list(wavelength_nm)}"
+        )
     if not all(0.0 <= one <= 1.0 for one in efficiency) or not max(efficiency) > 0.0:
-        raise BadInput(f"efficiencies must lie between 0 and 1 and not all be 0, got {list(efficiency)}")
+        raise BadInput(
+            f"efficiencies must lie between 0 and 1 and not all be 0, got {list(efficiency)}"
+        )

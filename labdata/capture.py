@@ -20,7 +20,9 @@ PIXEL_BITS = {
     "Mono10Packed": 10,
     "Mono12p": 12,
     "Mono12Packed": 12,
-    **dict.fromkeys(("YUYV", "YVYU", "UYVY", "VYUY", "NV12", "NV21", "NV16", "YU12", "YV12", "422P"), 8),
+    **dict.fromkeys(
+        ("YUYV", "YVYU", "UYVY", "VYUY", "NV12", "NV21", "NV16", "YU12", "YV12", "422P"), 8
+    ),
 }
 
 # Rows of a frame exposed first: all at once, the top field (rows 0, 2, ...), or the bottom field
@@ -39,7 +41,9 @@ class CameraSettings:
     exposure_s: float | None = None  #: Exposure of one field or frame, s
     gain_db: float | None = None  #: Camera gain, dB (of a camera with a raw gain: its own steps)
     frame_rate_hz: float | None = None  #: Frames per second, Hz
-    trigger: str | None = None  #: "off": free-running; else the camera's name of the trigger source, such as "Line1"
+    trigger: str | None = (
+        None  #: "off": free-running; else the camera's name of the trigger source, such as "Line1"
+    )
     field_order: FieldOrder | None = None  #: Order of the two fields of a frame
     notes: tuple[str, ...] = ()  #: Remarks of the camera on its frames; read back, never set
 
@@ -55,7 +59,9 @@ class Frame:
     pixels: NDArray  #: Pixel values, shape (row, col), DN. Made read-only
     number: int  #: The camera's own running number; a gap is a lost frame
     time_s: float  #: The camera's own time stamp, s
-    field_order: FieldOrder | None = None  #: Order of its two fields; None where the camera does not report it
+    field_order: FieldOrder | None = (
+        None  #: Order of its two fields; None where the camera does not report it
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", read_only(self.pixels))
@@ -71,7 +77,10 @@ class LostFrames:
 
     def __post_init__(self) -> None:
         if self.last < self.first:
-            raise BadInput(f"the last lost frame must not come before the first, got {self.first} to {self.last}")
+            raise BadInput(
+                f"the last lost frame must not come before the first, got {self.first} to "
+                f"{self.last}"
+            )
         if not self.reason:
             raise BadInput(f"a lost frame must have a reason, got none for frame {self.first}")
 
@@ -82,8 +91,12 @@ class LostFrames:
 NEVER_ARRIVED = "never arrived"
 
 
-def losses_before(number: int, *, expected: int, faults: Mapping[int, str]) -> tuple[LostFrames, ...]:
-    """Return the frames missing before the complete frame `number`; `faults` are of incomplete frames, by number."""
+def losses_before(
+    number: int, *, expected: int, faults: Mapping[int, str]
+) -> tuple[LostFrames, ...]:
+    """Return the frames missing before the complete frame `number`; `faults` are of incomplete
+    frames, by number.
+    """
     return _merge_adjacent(_stretches_before(number, expected=expected, faults=faults))
 
 
@@ -92,8 +105,12 @@ def lost_frames_with_reason(reason: str, numbers: Iterable[int]) -> tuple[LostFr
     return _merge_adjacent((number, number, reason) for number in numbers)
 
 
-def _stretches_before(number: int, *, expected: int, faults: Mapping[int, str]) -> Iterator[tuple[int, int, str]]:
-    """Yield missing stretches as first, last and reason; a camera may skip more than 1e9 numbers."""
+def _stretches_before(
+    number: int, *, expected: int, faults: Mapping[int, str]
+) -> Iterator[tuple[int, int, str]]:
+    """Yield missing stretches as first, last and reason; a camera may skip more than 1e9
+    numbers.
+    """
     missing = expected
     for faulty in sorted(one for one in faults if expected <= one < number):
         if missing < faulty:

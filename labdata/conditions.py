@@ -18,35 +18,60 @@ class Conditions:
     gate_ns: float | None = None  #: Time that the gate is open in one exposure, ns
     #: Illuminance on the photocathode from the brightest large area of the target, 2856 K, lux
     illuminance_lux: float | None = None
-    #: Relative standard uncertainty of the illuminance, or of the photons on a pixel, dimensionless; one meter for the
-    #: whole session, so the error is common to all its stacks
+    # : Relative standard uncertainty of the illuminance, or of the photons on a pixel,
+    # dimensionless; one meter for the : whole session, so the error is common to all its stacks
     illuminance_relative_sd: float | None = None
     photons_per_px: float | None = None  #: Photons that fall on one pixel in one exposure
     camera_gain_db: float | None = None  #: Gain of the camera after the intensifier, dB
     temperature_c: float | None = None  #: Temperature of the camera or tube, degrees Celsius
     wavelength_nm: float | None = None  #: Wavelength of the light where it is narrow, nm
     automatic_gain: bool | None = None  #: Whether the camera's automatic gain was on
-    brightness_control: bool | None = None  #: Whether automatic brightness control was lowering the MCP voltage
-    em_gain: float | None = None  #: Multiplication of an electron-multiplying register, dimensionless, at least 1
+    brightness_control: bool | None = (
+        None  #: Whether automatic brightness control was lowering the MCP voltage
+    )
+    em_gain: float | None = (
+        None  #: Multiplication of an electron-multiplying register, dimensionless, at least 1
+    )
     gain_control: float | None = None  #: Control word of the tube's gain, counts
     lamp_a: float | None = None  #: Current through the lamp of the bench, A
-    metered_w: float | None = None  #: Power on the head of the auxiliary light meter, W, zero offset not subtracted
-    metered_lux: float | None = None  #: Illuminance on the photocathode by that meter, lux, zero offset not subtracted
+    metered_w: float | None = (
+        None  #: Power on the head of the auxiliary light meter, W, zero offset not subtracted
+    )
+    metered_lux: float | None = (
+        None  #: Illuminance on the photocathode by that meter, lux, zero offset not subtracted
+    )
     metered_time_s: float | None = None  #: When meter and thermometer were read, s since 1970
     temperature_time_s: float | None = None  #: When meter and thermometer were read, s since 1970
     luminous_gain: float | None = None  #: Luminous gain of the tube by its calibration, lm/lm
-    #: Relative standard uncertainty of that calibration, dimensionless; its error is common to all stacks
+    # : Relative standard uncertainty of that calibration, dimensionless; its error is common to all
+    # stacks
     luminous_gain_relative_sd: float | None = None
-    #: Optical density (base 10) of the neutral filter in the beam; the illuminance is that behind the filter
+    # : Optical density (base 10) of the neutral filter in the beam; the illuminance is that behind
+    # the filter
     filter_density: float | None = None
-    blackbody_c: float | None = None  #: Temperature of the black body that fills the field of view, degrees Celsius
-    #: Temperature of the background of a black body or target: the room, or the plate around it, degrees Celsius
+    blackbody_c: float | None = (
+        None  #: Temperature of the black body that fills the field of view, degrees Celsius
+    )
+    # : Temperature of the background of a black body or target: the room, or the plate around it,
+    # degrees Celsius
     background_c: float | None = None
 
     def __post_init__(self) -> None:
         names = [item.name for item in fields(Conditions)]
-        free = {"camera_gain_db", "temperature_c", "metered_w", "metered_lux", "blackbody_c", "background_c"}
-        check(self, finite=names, not_negative=[name for name in names if name not in free], one_or_more="em_gain")
+        free = {
+            "camera_gain_db",
+            "temperature_c",
+            "metered_w",
+            "metered_lux",
+            "blackbody_c",
+            "background_c",
+        }
+        check(
+            self,
+            finite=names,
+            not_negative=[name for name in names if name not in free],
+            one_or_more="em_gain",
+        )
         check_range(self, -200.0, 200.0, "camera_gain_db")
         check_range(self, -200.0, 150.0, "temperature_c")  # plausible for a camera
         check_range(self, -200.0, 3000.0, "blackbody_c", "background_c")

@@ -6,7 +6,9 @@ from typing import Any
 
 
 class BadInput(ValueError):
-    """Invalid files, settings or parameters from outside; one sentence with rule and value, exit code 1."""
+    """Invalid files, settings or parameters from outside; one sentence with rule and value, exit
+    code 1.
+    """
 
 
 _RULES: dict[str, tuple[Callable[[float], bool], str]] = {
@@ -19,10 +21,11 @@ _RULES: dict[str, tuple[Callable[[float], bool], str]] = {
 
 
 def check(record: Any, *, of: str = "", **rules: str | Iterable[str]) -> None:
-    """Require numbers of a record to obey rules, each with the names of its fields; None is no number.
+    """Require numbers of a record to obey rules, each with the names of its fields; None is no
+    number.
 
-    check(self, positive="rows columns", fraction="gate_duty") names the first field that breaks a rule; `of` is the
-    record.
+    check(self, positive="rows columns", fraction="gate_duty") names the first field that breaks a
+    rule; `of` is the record.
     """
     for kind, names in rules.items():
         holds, words = _RULES[kind]
@@ -38,4 +41,6 @@ def check_range(record: Any, low: float, high: float, *names: str, of: str = "")
     for name in names:
         value = getattr(record, name)
         if value is not None and not low <= float(value) <= high:
-            raise BadInput(f"{name} must lie between {low:g} and {high:g}, got {float(value):g}{of}")
+            raise BadInput(
+                f"{name} must lie between {low:g} and {high:g}, got {float(value):g}{of}"
+            )

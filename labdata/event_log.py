@@ -17,9 +17,9 @@ OPENING_S = 1.0  # Longest wait for the file to open, s; commands to the tube wa
 class EventLog:
     """A log, open for appending; an incomplete last line is ended first.
 
-    A file that blocks, or a full disk, delays no caller. Lines that could not be written are counted, and the next line
-    that can be written carries the count as `lines_missed_before`. A file that cannot be opened is BadInput; one that
-    is still opening after `OPENING_S` is no error.
+    A file that blocks, or a full disk, delays no caller. Lines that could not be written are
+    counted, and the next line that can be written carries the count as `lines_missed_before`. A
+    file that cannot be opened is BadInput; one that is still opening after `OPENING_S` is no error.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -27,7 +27,9 @@ class EventLog:
         self._file: int | None = None
         self._mid_line = False
         self._reported = 0
-        self._writer = BackgroundWriter(self._write, name="event log", begin=self._open, finish=self._close_file)
+        self._writer = BackgroundWriter(
+            self._write, name="event log", begin=self._open, finish=self._close_file
+        )
         self._writer.flush(OPENING_S)
         if (failure := self._writer.failure) is not None:
             self._writer.close(0.0)
@@ -35,8 +37,15 @@ class EventLog:
             raise BadInput(f"an event log must be a file that can be written, got {path}: {why}")
 
     def __call__(self, event: str, **details: object) -> None:
-        """Record an event with its times, s, without waiting or raising. The details must not change after the call."""
-        line = {"time": datetime.now(UTC), "monotonic_s": round(time.monotonic(), 4), "event": event, **details}
+        """Record an event with its times, s, without waiting or raising. The details must not
+        change after the call.
+        """
+        line = {
+            "time": datetime.now(UTC),
+            "monotonic_s": round(time.monotonic(), 4),
+            "event": event,
+            **details,
+        }
         self._writer.enqueue((line, self._writer.dropped))
 
     def flush(self, timeout_s: float = 1.0) -> bool:
@@ -44,7 +53,9 @@ class EventLog:
         return self._writer.flush(timeout_s)
 
     def close(self, timeout_s: float = 1.0) -> int:
-        """Write what waits, for at most `timeout_s`, and close the file; return the number of lines never written."""
+        """Write what waits, for at most `timeout_s`, and close the file; return the number of lines
+        never written.
+        """
         return self._writer.close(timeout_s)
 
     # In the thread

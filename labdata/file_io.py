@@ -1,4 +1,6 @@
-"""Atomic writes, and requirements of files named by a user: regular, and of a size that fits into memory."""
+"""Atomic writes, and requirements of files named by a user: regular, and of a size that fits into
+memory.
+"""
 
 import os
 import stat
@@ -9,7 +11,9 @@ from labdata.errors import BadInput
 
 
 def write_atomically(path: str | Path, data: bytes | bytearray | memoryview) -> None:
-    """Write a file in an existing folder; after a crash or power cut it has its old or its new content."""
+    """Write a file in an existing folder; after a crash or power cut it has its old or its new
+    content.
+    """
     path = Path(path)
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
     try:
@@ -60,14 +64,18 @@ _KINDS = {
 
 
 def require_regular(path: str | Path, what: str = "a file") -> None:
-    """Require a path to be a regular file, or a link to one, before it is opened; `what` names it in the message."""
+    """Require a path to be a regular file, or a link to one, before it is opened; `what` names it
+    in the message.
+    """
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):  # ValueError: a name that no file system accepts
         raise BadInput(f"{what} must exist to be read, got {path}") from None
     if not stat.S_ISREG(mode):
         kind = _KINDS.get(stat.S_IFMT(mode), "something else")
-        raise BadInput(f"{what} must be a regular file, got {kind}, {path}: copy its content into a file first")
+        raise BadInput(
+            f"{what} must be a regular file, got {kind}, {path}: copy its content into a file first"
+        )
 
 
 def require_regular_parts(folder: Path, what: str) -> None:
@@ -79,8 +87,11 @@ def require_regular_parts(folder: Path, what: str) -> None:
 
 # A file of a megabyte may unpack to gigabytes, and a header of a few bytes may state any size.
 MOST_EXPANSION = 5000  # Largest compression ratio: deflate reaches 1032, LZW about 2700
-MOST_PICTURE_PX = 2**28  # Largest image, px: the largest camera sensors have 247 million pixels (Sony IMX811)
-# Largest fraction of the memory for the frames of a file; a measurement makes a copy as real numbers
+MOST_PICTURE_PX = (
+    2**28
+)  # Largest image, px: the largest camera sensors have 247 million pixels (Sony IMX811)
+# Largest fraction of the memory for the frames of a file; a measurement makes a copy as real
+# numbers
 MOST_OF_MEMORY = 0.5
 
 
@@ -88,8 +99,8 @@ def require_picture(rows: int, cols: int, name: str) -> None:
     """Require an image to have no more pixels than a camera can have."""
     if rows * cols > MOST_PICTURE_PX:
         raise BadInput(
-            f"a picture must have at most {MOST_PICTURE_PX} pixels, got {rows} rows x {cols} columns = {rows * cols} "
-            f"in {name}: cut out the part that is to be measured"
+            f"a picture must have at most {MOST_PICTURE_PX} pixels, got {rows} rows x {cols} "
+            f"columns = {rows * cols} in {name}: cut out the part that is to be measured"
         )
 
 
@@ -98,19 +109,23 @@ def require_memory(pixels: int, pixel_bytes: int, name: str) -> None:
     most_bytes = memory_bytes() * MOST_OF_MEMORY
     if pixels * pixel_bytes > most_bytes:
         raise BadInput(
-            f"the frames of a file must take at most {most_bytes / 1e9:.3g} GB, {MOST_OF_MEMORY:.0%} of this machine's "
-            f"memory, got {pixels} pixels of {pixel_bytes} bytes in {name}: write fewer frames to a file, or save them "
-            "as .npy, which is read part by part"
+            f"the frames of a file must take at most {most_bytes / 1e9:.3g} GB, "
+            f"{MOST_OF_MEMORY:.0%} of this machine's memory, got {pixels} pixels of {pixel_bytes} "
+            f"bytes in {name}: write fewer frames to a file, or save them as .npy, which is read "
+            "part by part"
         )
 
 
 def require_room(path: Path, *, pixels: int, pixel_bytes: int) -> None:
-    """Require the pixels that a header states to fit into memory and to be possible for the size of the file."""
+    """Require the pixels that a header states to fit into memory and to be possible for the size of
+    the file.
+    """
     require_memory(pixels, pixel_bytes, path.name)
     files = [path] if path.is_file() else path.rglob("*")
     if pixels * pixel_bytes > MOST_EXPANSION * sum(file.stat().st_size for file in files):
         raise BadInput(
-            f"a picture must fit into its file, got {pixels * pixel_bytes} bytes of pixels stated by {path.name}"
+            f"a picture must fit into its file, got {pixels * pixel_bytes} bytes of pixels stated "
+            f"by {path.name}"
         )
 
 
@@ -124,14 +139,18 @@ def names_of_shipped(kind: str) -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in (Path(__file__).parent / kind).glob("*.toml")))
 
 
-def path_of_shipped(kind: str, name_or_path: str | Path, relative_to: str | Path | None = None) -> Path:
-    """Return a shipped TOML file by its name, or any other by its path; one that is not there is BadInput."""
+def path_of_shipped(
+    kind: str, name_or_path: str | Path, relative_to: str | Path | None = None
+) -> Path:
+    """Return a shipped TOML file by its name, or any other by its path; one that is not there is
+    BadInput.
+    """
     if str(name_or_path) in names_of_shipped(kind):
         return Path(__file__).parent / kind / f"{name_or_path}.toml"
     path = Path(relative_to or ".") / Path(name_or_path).expanduser()
     if not os.path.isfile(path):  # Path.is_file raises on invalid names
         raise BadInput(
-            f"a {kind[:-1]} must be one of {', '.join(names_of_shipped(kind))} or the path of a TOML file, "
-            f"got {str(name_or_path)!r}"
+            f"a {kind[:-1]} must be one of {', '.join(names_of_shipped(kind))} or the path of a "
+            f"TOML file, got {str(name_or_path)!r}"
         )
     return path

@@ -1,4 +1,6 @@
-"""Kind and conditions of frames by the headers of FITS files, which camera software writes one file a frame."""
+"""Kind and conditions of frames by the headers of FITS files, which camera software writes one file
+a frame.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,20 +14,27 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.target import Kind
 
-# Cards of the kind, the exposure in seconds and the temperature of the sensor in degrees Celsius, the usual one first;
-# SBFITSEXT 1.0 and its followers.
+# Cards of the kind, the exposure in seconds and the temperature of the sensor in degrees Celsius,
+# the usual one first; SBFITSEXT 1.0 and its followers.
 KIND_CARDS = ("IMAGETYP", "IMAGETYPE", "OBSTYPE", "FRAMETYP")
 EXPOSURE_CARDS = ("EXPTIME", "EXPOSURE")
 TEMPERATURE_CARDS = ("CCD-TEMP", "CCDTEMP", "DET-TEMP")
-# Settings that change gain and level by amounts that no condition states: all frames of a session must share them.
+# Settings that change gain and level by amounts that no condition states: all frames of a session
+# must share them.
 CAMERA_CARDS = ("INSTRUME", "READOUTM", "GAIN", "OFFSET", "XBINNING", "YBINNING")
 # Settings that all frames of a stack must share.
 SETTING_CARDS = (*CAMERA_CARDS, "FILTER")
 # A dark of a flat is a dark.
 KIND_WORDS: dict[str, Kind] = {
-    "dark": "dark", "bias": "dark", "zero": "dark", "flat": "flat", "light": "scene", "object": "scene",
-}  # fmt: skip
-# Temperatures further apart are those of different stacks, K: regulation and readings differ by some tenths.
+    "dark": "dark",
+    "bias": "dark",
+    "zero": "dark",
+    "flat": "flat",
+    "light": "scene",
+    "object": "scene",
+}
+# Temperatures further apart are those of different stacks, K: regulation and readings differ by
+# some tenths.
 SAME_TEMPERATURE_K = 1.0
 # Flats whose mean levels differ by more are those of different light; a lamp drifts less.
 SAME_LEVEL = 0.02
@@ -35,8 +44,8 @@ SAME_LEVEL = 0.02
 class StatedFrame:
     """What the header of a file with a single frame states.
 
-    `kind`: None unless stated; `conditions`: exposure and temperature; `settings`: the cards of `SETTING_CARDS` as
-    text; `mean_dn`: mean level.
+    `kind`: None unless stated; `conditions`: exposure and temperature; `settings`: the cards of
+    `SETTING_CARDS` as text; `mean_dn`: mean level.
     """
 
     path: Path
@@ -47,7 +56,8 @@ class StatedFrame:
 
 
 def read_stated_frame(path: Path, plane: str | None = None) -> StatedFrame | None:
-    """Return what a FITS file of one frame states; None for other files, and where it states neither kind nor exposure.
+    """Return what a FITS file of one frame states; None for other files, and where it states
+    neither kind nor exposure.
 
     A file that cannot be read is BadInput; `plane`: colour plane to read.
     """
@@ -59,16 +69,22 @@ def read_stated_frame(path: Path, plane: str | None = None) -> StatedFrame | Non
     header = _header_of(path)
     word = str(next((header[card] for card in KIND_CARDS if card in header), "")).lower()
     kind: Kind | None = next((of for name, of in KIND_WORDS.items() if name in word), None)
-    exposure_s, temperature_c = (_number(header, cards) for cards in (EXPOSURE_CARDS, TEMPERATURE_CARDS))
+    exposure_s, temperature_c = (
+        _number(header, cards) for cards in (EXPOSURE_CARDS, TEMPERATURE_CARDS)
+    )
     if len(frames.data) > 1 or (kind is None and exposure_s is None):
         return None
     # Observatories state kelvins, or a number such as -999 for none.
-    plausible = temperature_c if temperature_c is not None and -150.0 < temperature_c < 100.0 else None
+    plausible = (
+        temperature_c if temperature_c is not None and -150.0 < temperature_c < 100.0 else None
+    )
     return StatedFrame(
-        path=path, kind=kind, conditions=Conditions(exposure_s=exposure_s, temperature_c=plausible),
+        path=path,
+        kind=kind,
+        conditions=Conditions(exposure_s=exposure_s, temperature_c=plausible),
         settings={card: str(header[card]).strip() for card in SETTING_CARDS if card in header},
         mean_dn=float(frames.data.mean(dtype=np.float64)),
-    )  # fmt: skip
+    )
 
 
 def _header_of(path: Path) -> Mapping[str, Any]:
@@ -93,7 +109,9 @@ def _number(header: Mapping[str, Any], cards: Sequence[str]) -> float | None:
 
 
 def require_one_camera(paths: Sequence[Path]) -> None:
-    """Require every FITS file of a session to have the same settings of `CAMERA_CARDS`; another is BadInput."""
+    """Require every FITS file of a session to have the same settings of `CAMERA_CARDS`; another is
+    BadInput.
+    """
     from labdata.importers import module_of
 
     headers = {path: _header_of(path) for path in paths if module_of(path) == "fits.read"}
@@ -104,15 +122,18 @@ def require_one_camera(paths: Sequence[Path]) -> None:
         if len(first) > 1:
             shown = " and ".join(f"{value!r} in {name}" for value, name in list(first.items())[:2])
             raise BadInput(
-                f"all frames of a session must have one {card}, got {shown}: import each into its own session"
+                f"all frames of a session must have one {card}, got {shown}: import each into its "
+                "own session"
             )
 
 
-def group_stated(frames: Sequence[StatedFrame], kind: Kind | None) -> list[tuple[str, Kind, Conditions, list[Path]]]:
+def group_stated(
+    frames: Sequence[StatedFrame], kind: Kind | None
+) -> list[tuple[str, Kind, Conditions, list[Path]]]:
     """Return label, kind, conditions and files of each stack.
 
-    Frames of a stack share kind, exposure and filter, temperatures within `SAME_TEMPERATURE_K` and, of flats, levels
-    within `SAME_LEVEL`. Its temperature is the mean.
+    Frames of a stack share kind, exposure and filter, temperatures within `SAME_TEMPERATURE_K` and,
+    of flats, levels within `SAME_LEVEL`. Its temperature is the mean.
 
     Parameters
     ----------
@@ -124,22 +145,40 @@ def group_stated(frames: Sequence[StatedFrame], kind: Kind | None) -> list[tuple
     stacks: dict[tuple, list[StatedFrame]] = {}
     for one in frames:
         own = kind or one.kind or "scene"
-        stacks.setdefault((own, one.conditions.exposure_s, tuple(one.settings.items())), []).append(one)
-    differing = [card for card in SETTING_CARDS if len({one.settings.get(card) for one in frames}) > 1]
+        stacks.setdefault((own, one.conditions.exposure_s, tuple(one.settings.items())), []).append(
+            one
+        )
+    differing = [
+        card for card in SETTING_CARDS if len({one.settings.get(card) for one in frames}) > 1
+    ]
     found = []
     for (own, exposure_s, _), alike in stacks.items():
-        for warm in _split(alike, lambda one: one.conditions.temperature_c or 0.0, lambda _: SAME_TEMPERATURE_K):
+        for warm in _split(
+            alike, lambda one: one.conditions.temperature_c or 0.0, lambda _: SAME_TEMPERATURE_K
+        ):
             levels = (
                 _split(warm, lambda one: one.mean_dn, lambda one: SAME_LEVEL * abs(one.mean_dn))
                 if own == "flat"
                 else [warm]
             )
             for level in levels:
-                known = [one.conditions.temperature_c for one in level if one.conditions.temperature_c is not None]
+                known = [
+                    one.conditions.temperature_c
+                    for one in level
+                    if one.conditions.temperature_c is not None
+                ]
                 temperature_c = round(float(np.mean(known)), 2) if known else None
                 conditions = Conditions(exposure_s=exposure_s, temperature_c=temperature_c)
-                parts = [f"{name}={value:g}" for name, value in vars(conditions).items() if value is not None]
-                parts += [f"{card}={level[0].settings[card]}" for card in differing if card in level[0].settings]
+                parts = [
+                    f"{name}={value:g}"
+                    for name, value in vars(conditions).items()
+                    if value is not None
+                ]
+                parts += [
+                    f"{card}={level[0].settings[card]}"
+                    for card in differing
+                    if card in level[0].settings
+                ]
                 parts += [f"level={level[0].mean_dn:.4g}"] if len(levels) > 1 else []
                 paths = sorted(one.path for one in level)
                 found.append((" ".join([own, *parts]).replace("/", "-"), own, conditions, paths))

@@ -1,7 +1,8 @@
-"""The closed vocabulary of flags, and a finding: a flag with the size of its effect and what settles it.
+"""The closed vocabulary of flags, and a finding: a flag with the size of its effect and what
+settles it.
 
-A flag is evidence in the data at hand that a number may be off by more than its interval. What is merely unknown widens
-the interval or is a note.
+A flag is evidence in the data at hand that a number may be off by more than its interval. What is
+merely unknown widens the interval or is a note.
 """
 
 from collections.abc import Iterable
@@ -10,7 +11,10 @@ from dataclasses import dataclass
 FLAGS: dict[str, str] = {
     "correlated-noise": "Noise is correlated between pixels; this method assumes white noise.",
     "lag": "Image lag: signal from earlier exposures contributes to this one.",
-    "agc": "An automatic gain or brightness control changed during the series; the mean is not proportional to light.",
+    "agc": (
+        "An automatic gain or brightness control changed during the series; the mean is not "
+        "proportional to light."
+    ),
     "flicker": "The light varies periodically between exposures.",
     "drift": "The signal level or the target position drifts through the stack.",
     "clipped": "Pixels are at 0 DN or at full scale.",
@@ -28,12 +32,16 @@ FLAGS: dict[str, str] = {
     "several-targets": "More than one target lies in the region of interest.",
     "curved-edge": "The edge is curved or rough along its length.",
     "gradient": "The illumination is non-uniform across the region.",
-    "tilt-too-small": "The edge or bar is nearly parallel to the pixel grid, so it cannot be oversampled.",
+    "tilt-too-small": (
+        "The edge or bar is nearly parallel to the pixel grid, so it cannot be oversampled."
+    ),
     "window-too-small": "The region truncates the target or its blur.",
     "aliased": "The frequency is too close to Nyquist to be separated from its alias.",
     "interlace-motion": "The two fields of the frame disagree: the target moved between them.",
     "model-misfit": "The residuals of the fitted model exceed their noise.",
-    "not-converged": "The Markov chain did not converge; the interval is from the Laplace approximation.",
+    "not-converged": (
+        "The Markov chain did not converge; the interval is from the Laplace approximation."
+    ),
     "prior-bound": "The posterior is truncated by a prior bound.",
     "several-modes": "The posterior is multimodal.",
     "extrapolated": "The value lies outside the measured range and depends on the fitted law.",
@@ -49,7 +57,9 @@ class Finding:
 
     flag: str  #: A key of `FLAGS`
     effect: str  #: Size of the effect, with quantity and unit: "MTF50 may be up to 1.3 % high"
-    remedy: str  #: Option, frames or description that removes it: "--black-dn, or darks in the session"
+    remedy: (
+        str  #: Option, frames or description that removes it: "--black-dn, or darks in the session"
+    )
 
     def __post_init__(self) -> None:
         order_flags((self.flag,))

@@ -19,8 +19,9 @@ def write_frames(stack: FrameStack, path: str | Path) -> Path:
     Parameters
     ----------
     stack
-        Frames, written with their values and type: .tif, .npy, .fits (axes col, row, frame) or .h5 (data set
-        "frames"). A .png holds the mean frame as a picture of 8 bits between two percentiles, for looking at only.
+        Frames, written with their values and type: .tif, .npy, .fits (axes col, row, frame) or .h5
+        (data set "frames"). A .png holds the mean frame as a picture of 8 bits between two
+        percentiles, for looking at only.
     path
         The file.
 
@@ -41,7 +42,9 @@ def write_frames(stack: FrameStack, path: str | Path) -> Path:
     write = WRITERS.get(path.suffix.lower())
     if write is None:
         raise BadInput(f"a file of frames must end in {', '.join(WRITERS)}, got {path.name!r}")
-    half = path.with_name(f".{path.stem}.half{path.suffix}")  # a full disk leaves no half a file under the name
+    half = path.with_name(
+        f".{path.stem}.half{path.suffix}"
+    )  # a full disk leaves no half a file under the name
     try:
         write(stack, half)
         half.replace(path)
@@ -51,7 +54,9 @@ def write_frames(stack: FrameStack, path: str | Path) -> Path:
 
 
 def picture_of(frame: NDArray) -> NDArray[np.uint8]:
-    """Return a frame (row, col) as a grey picture of 8 bits between percentiles `BLACK` and `WHITE`."""
+    """Return a frame (row, col) as a grey picture of 8 bits between percentiles `BLACK` and
+    `WHITE`.
+    """
     low, high = np.percentile(frame, (BLACK, WHITE))
     scaled = (np.asarray(frame, float) - low) / max(high - low, 1e-12)
     return np.clip(255.0 * scaled + 0.5, 0, 255).astype(np.uint8)
@@ -89,5 +94,10 @@ def _hdf5(stack: FrameStack, path: Path) -> None:
 
 
 WRITERS: dict[str, Callable[[FrameStack, Path], None]] = {
-    ".tif": _tiff, ".tiff": _tiff, ".npy": _npy, ".fits": _fits, ".h5": _hdf5, ".png": _png,
-}  # fmt: skip
+    ".tif": _tiff,
+    ".tiff": _tiff,
+    ".npy": _npy,
+    ".fits": _fits,
+    ".h5": _hdf5,
+    ".png": _png,
+}

@@ -19,7 +19,9 @@ def read_only(array: NDArray) -> NDArray:
 
 
 def blocks(data: NDArray) -> Iterator[NDArray]:
-    """Yield blocks of at most 64 MB of frames, so that an array on the disk need not fit into memory."""
+    """Yield blocks of at most 64 MB of frames, so that an array on the disk need not fit into
+    memory.
+    """
     frame_bytes = max(1, data[:1].nbytes)
     run = max(1, BLOCK_BYTES // frame_bytes)
     for first in range(0, len(data), run):
@@ -28,9 +30,12 @@ def blocks(data: NDArray) -> Iterator[NDArray]:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameStack:
-    """A stack of frames taken under one set of conditions; empty ones, or pixels that are not finite, are BadInput."""
+    """A stack of frames taken under one set of conditions; empty ones, or pixels that are not
+    finite, are BadInput.
+    """
 
-    data: NDArray  #: Pixel values, shape (frame, row, col), DN (or another unit, see `unit`). Made read-only
+    # : Pixel values, shape (frame, row, col), DN (or another unit, see `unit`). Made read-only
+    data: NDArray
     unit: str = "DN"  #: Unit of the pixel values
     #: Time stamp of each frame, shape (frame,), s; empty if unknown
     time_s: NDArray = field(default_factory=lambda: np.empty(0))
@@ -40,27 +45,42 @@ class FrameStack:
     #: Black level recorded with the frames, DN; None if unknown. Never subtracted on reading
     black_level_dn: float | None = None
     full_scale_dn: float | None = None  #: Full scale of the digitiser, DN; None if unknown
-    #: Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b", "luminance"), or "mono"
+    # : Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b",
+    # "luminance"), or "mono"
     plane: str = "mono"
-    sample_pitch_px: int = 1  #: Distance of neighbouring samples in pixels of the camera: 2 in a plane of a mosaic
+    sample_pitch_px: int = (
+        1  #: Distance of neighbouring samples in pixels of the camera: 2 in a plane of a mosaic
+    )
     notes: tuple[str, ...] = ()  #: Remarks on how the frames were read
-    origin: tuple[int, int] = (0, 0)  #: First row and column in the file: a non-finite border is cut off
+    origin: tuple[int, int] = (
+        0,
+        0,
+    )  #: First row and column in the file: a non-finite border is cut off
 
     def __post_init__(self) -> None:
         data = np.asarray(self.data)
         if data.ndim != 3:
-            raise BadInput(f"a frame stack must have the axes (frame, row, col), got shape {data.shape}")
+            raise BadInput(
+                f"a frame stack must have the axes (frame, row, col), got shape {data.shape}"
+            )
         if data.size == 0:
             raise BadInput(f"a frame stack must hold at least one pixel, got shape {data.shape}")
-        if data.dtype.kind == "f" and (bad := sum(int(np.count_nonzero(~np.isfinite(b))) for b in blocks(data))):
-            raise BadInput(f"every pixel must be finite, got {bad} that are NaN or infinite of {data.size}")
+        if data.dtype.kind == "f" and (
+            bad := sum(int(np.count_nonzero(~np.isfinite(b))) for b in blocks(data))
+        ):
+            raise BadInput(
+                f"every pixel must be finite, got {bad} that are NaN or infinite of {data.size}"
+            )
         if data.dtype.kind not in "uif":
             raise BadInput(f"pixels must be whole or real numbers, got the type {data.dtype}")
         object.__setattr__(self, "data", read_only(data))
         for name in ("time_s", "frame_number"):
             stamps = np.asarray(getattr(self, name))
             if stamps.shape not in ((0,), (len(data),)):
-                raise BadInput(f"{name} must be empty or one for each of {len(data)} frames, got shape {stamps.shape}")
+                raise BadInput(
+                    f"{name} must be empty or one for each of {len(data)} frames, got shape "
+                    f"{stamps.shape}"
+                )
             object.__setattr__(self, name, read_only(stamps))
 
     def __len__(self) -> int:
@@ -84,11 +104,18 @@ class FrameStack:
     def region(self, row: int, col: int, height: int, width: int) -> "FrameStack":
         """Return the frames cut to a rectangle; one that leaves the image is a BadInput."""
         _, rows, cols = self.shape
-        inside = row >= 0 and col >= 0 and height > 0 and width > 0 and row + height <= rows and col + width <= cols
+        inside = (
+            row >= 0
+            and col >= 0
+            and height > 0
+            and width > 0
+            and row + height <= rows
+            and col + width <= cols
+        )
         if not inside:
             raise BadInput(
-                f"a region ROW,COL,HEIGHT,WIDTH must lie inside the image of {rows} rows and {cols} columns, "
-                f"got {row},{col},{height},{width}"
+                f"a region ROW,COL,HEIGHT,WIDTH must lie inside the image of {rows} rows and "
+                f"{cols} columns, got {row},{col},{height},{width}"
             )
         first = self.origin[0] + row, self.origin[1] + col
         return replace(self, data=self.data[:, row : row + height, col : col + width], origin=first)

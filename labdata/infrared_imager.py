@@ -22,7 +22,10 @@ class Band:
     def __post_init__(self) -> None:
         check(self, positive="short_um long_um")
         if not float(self.short_um) < float(self.long_um):
-            raise BadInput(f"short_um must lie below long_um, got {float(self.short_um):g} and {float(self.long_um):g}")
+            raise BadInput(
+                f"short_um must lie below long_um, got {float(self.short_um):g} and "
+                f"{float(self.long_um):g}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,26 +34,34 @@ class InfraredOptics:
 
     f_number: Parameter
     transmission: Parameter  #: of lens, window and filter within the band
-    blur_mrad: Parameter  #: standard deviation of a Gaussian blur; beyond diffraction where diffraction_um is given
-    diffraction_um: Parameter | None = None  #: wavelength of the diffraction; absent: blur_mrad holds it
+    # : standard deviation of a Gaussian blur; beyond diffraction where diffraction_um is given
+    blur_mrad: Parameter
+    diffraction_um: Parameter | None = (
+        None  #: wavelength of the diffraction; absent: blur_mrad holds it
+    )
     focal_length_mm: Parameter | None = None  #: of an array; a scanner has fields of view
 
     def __post_init__(self) -> None:
         check(
-            self, positive="f_number transmission diffraction_um focal_length_mm", fraction="transmission",
+            self,
+            positive="f_number transmission diffraction_um focal_length_mm",
+            fraction="transmission",
             not_negative="blur_mrad",
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scanner:
-    """One cooled detector behind a resonant mirror that scans lines both ways and a mirror that scans fields."""
+    """One cooled detector behind a resonant mirror that scans lines both ways and a mirror that
+    scans fields.
+    """
 
     lines_per_field: int  #: active lines
     samples: int  #: of an active line
     horizontal_field_deg: Parameter
     vertical_field_deg: Parameter
-    ifov_mrad: Parameter  #: side of the detector's square footprint, the width of its slit response at 50 %
+    # : side of the detector's square footprint, the width of its slit response at 50 %
+    ifov_mrad: Parameter
     detector_um: Parameter  #: side of the detector
     detectivity_cm_hz_per_w: Parameter  #: specific detectivity D*, cm Hz^(1/2) W^-1
     mirror_hz: Parameter  #: frequency of the resonant mirror; each half period is a line
@@ -60,18 +71,23 @@ class Scanner:
     bandwidth_mhz: Parameter  #: 3 dB frequency of the electronics, one pole
     coupling_hz: Parameter  #: high-pass frequency of the coupling
     knee_hz: Parameter  #: frequency below which 1/f noise exceeds white noise
-    clamp_samples: int  #: samples of the turn whose mean sets the zero of the next line; 0 is a perfect zero
+    clamp_samples: (
+        int  #: samples of the turn whose mean sets the zero of the next line; 0 is a perfect zero
+    )
     reference_c: Parameter  #: temperature of the black body seen in the turn
-    narcissus_k: Parameter | None = None  #: by how much the detector, seeing itself, cools the axis over the corners
+    narcissus_k: Parameter | None = (
+        None  #: by how much the detector, seeing itself, cools the axis over the corners
+    )
     averaged_frames: int = 1  #: frames of which the imager gives the mean, one after the other
 
     def __post_init__(self) -> None:
         check(
-            self, one_or_more="lines_per_field samples averaged_frames",
-            positive="horizontal_field_deg vertical_field_deg ifov_mrad detector_um detectivity_cm_hz_per_w mirror_hz "
-            "active_fraction bandwidth_mhz",
+            self,
+            one_or_more="lines_per_field samples averaged_frames",
+            positive="horizontal_field_deg vertical_field_deg ifov_mrad detector_um "
+            "detectivity_cm_hz_per_w mirror_hz active_fraction bandwidth_mhz",
             not_negative="coupling_hz knee_hz clamp_samples",
-        )  # fmt: skip
+        )
         check_range(self, 0.05, 0.98, "active_fraction")
         check_range(self, 0.0, 90.0, "horizontal_field_deg", "vertical_field_deg")
         check_range(self, 1.0, 2e4, "mirror_hz")
@@ -96,7 +112,9 @@ class PixelArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Bolometer(PixelArray):
-    """Uncooled array of microbolometers with a shutter; noise terms are standard deviations over the netd."""
+    """Uncooled array of microbolometers with a shutter; noise terms are standard deviations over
+    the netd.
+    """
 
     netd_mk: Parameter  #: temporal noise of one pixel against a black body of 300 K
     time_constant_ms: Parameter  #: thermal time constant of a pixel
@@ -113,10 +131,11 @@ class Bolometer(PixelArray):
     def __post_init__(self) -> None:
         super().__post_init__()
         check(
-            self, positive="netd_mk time_constant_ms shutter_interval_s",
-            not_negative="pixel_pattern_after_shutter pixel_pattern_before_shutter column_pattern row_pattern "
-            "row_noise column_noise frame_noise",
-        )  # fmt: skip
+            self,
+            positive="netd_mk time_constant_ms shutter_interval_s",
+            not_negative="pixel_pattern_after_shutter pixel_pattern_before_shutter column_pattern "
+            "row_pattern row_noise column_noise frame_noise",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,20 +148,24 @@ class CooledArray(PixelArray):
     read_noise_e: Parameter
     correction_low_c: Parameter  #: lower black body of the two-point correction
     correction_high_c: Parameter
-    correction_residual: Parameter  #: fixed pattern midway between the two, over the temporal noise there
+    correction_residual: (
+        Parameter  #: fixed pattern midway between the two, over the temporal noise there
+    )
     pixel_pattern: Parameter  #: fixed pattern that no correction removes, over the temporal noise
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check(
-            self, positive="quantum_efficiency integration_ms full_well_e", fraction="quantum_efficiency",
+            self,
+            positive="quantum_efficiency integration_ms full_well_e",
+            fraction="quantum_efficiency",
             not_negative="read_noise_e correction_residual pixel_pattern",
-        )  # fmt: skip
+        )
         check_range(self, *_BODY_C, "correction_low_c", "correction_high_c")
         if not float(self.correction_low_c) < float(self.correction_high_c):
             raise BadInput(
-                f"correction_low_c must lie below correction_high_c, got {float(self.correction_low_c):g} "
-                f"and {float(self.correction_high_c):g}"
+                "correction_low_c must lie below correction_high_c, got "
+                f"{float(self.correction_low_c):g} and {float(self.correction_high_c):g}"
             )
 
 
@@ -154,7 +177,9 @@ class InfraredVideo:
     field_rate_hz: Parameter  #: a progressive imager has one field a frame
     bit_depth: int
     level_c: Parameter | None = None  #: temperature in the middle of the span
-    span_k: Parameter | None = None  #: from black to full scale; both absent: full scale is 98 % of the full well
+    span_k: Parameter | None = (
+        None  #: from black to full scale; both absent: full scale is 98 % of the full well
+    )
 
     automatic_gain: ClassVar[bool] = False
 
@@ -166,11 +191,13 @@ class InfraredVideo:
         if (self.level_c is None) != (self.span_k is None):
             raise BadInput("level_c and span_k must be given together, got one of them")
         if self.level_c is not None and self.span_k is not None:
-            black_c, full_c = (float(self.level_c) + side * float(self.span_k) for side in (-0.5, 0.5))
+            black_c, full_c = (
+                float(self.level_c) + side * float(self.span_k) for side in (-0.5, 0.5)
+            )
             if not _BODY_C[0] <= black_c < full_c <= _BODY_C[1]:
                 raise BadInput(
-                    f"level_c less and plus half of span_k must lie within {_BODY_C[0]:g} to {_BODY_C[1]:g} C, "
-                    f"got {black_c:g} to {full_c:g} C"
+                    f"level_c less and plus half of span_k must lie within {_BODY_C[0]:g} to "
+                    f"{_BODY_C[1]:g} C, got {black_c:g} to {full_c:g} C"
                 )
 
 
@@ -179,7 +206,9 @@ KINDS = ("scanner", "bolometer", "cooled_array")
 
 @dataclass(frozen=True, kw_only=True)
 class InfraredImager(Description):
-    """A thermal imager; the one of [scanner], [bolometer] and [cooled_array] that it has says of which kind it is."""
+    """A thermal imager; the one of [scanner], [bolometer] and [cooled_array] that it has says of
+    which kind it is.
+    """
 
     name: str
     band: Band
@@ -195,18 +224,23 @@ class InfraredImager(Description):
     def __post_init__(self) -> None:
         given = [name for name in KINDS if getattr(self, name) is not None]
         if len(given) != 1:
-            raise BadInput(f"a thermal imager must have one of {', '.join(KINDS)}, got {', '.join(given) or 'none'}")
+            raise BadInput(
+                f"a thermal imager must have one of {', '.join(KINDS)}, got "
+                f"{', '.join(given) or 'none'}"
+            )
         if self.video.interlaced != (self.scanner is not None):
             raise BadInput("a scanner must be interlaced and an array progressive, got the reverse")
         if self.scanner is not None:
             lines = 2.0 * float(self.scanner.mirror_hz) / float(self.video.field_rate_hz)
             if not self.scanner.lines_per_field <= lines:
                 raise BadInput(
-                    f"a mirror must scan all lines_per_field within a field, got {self.scanner.lines_per_field} of "
-                    f"{lines:.4g} lines"
+                    "a mirror must scan all lines_per_field within a field, got "
+                    f"{self.scanner.lines_per_field} of {lines:.4g} lines"
                 )
         if (self.video.span_k is None) != (self.cooled_array is not None):
-            raise BadInput("a cooled array must have no level_c and span_k, and other imagers must have both")
+            raise BadInput(
+                "a cooled array must have no level_c and span_k, and other imagers must have both"
+            )
         if (self.optics.focal_length_mm is None) != (self.scanner is not None):
             raise BadInput("an array must have a focal_length_mm, and a scanner none")
 
@@ -220,8 +254,13 @@ class InfraredImager(Description):
         """Angle between rows and between columns, mrad."""
         rows, columns = self.shape
         if self.scanner is not None:
-            fields = float(self.scanner.vertical_field_deg), float(self.scanner.horizontal_field_deg)
-            return float(np.radians(fields[0])) * 1e3 / rows, float(np.radians(fields[1])) * 1e3 / columns
+            fields = (
+                float(self.scanner.vertical_field_deg),
+                float(self.scanner.horizontal_field_deg),
+            )
+            return float(np.radians(fields[0])) * 1e3 / rows, float(
+                np.radians(fields[1])
+            ) * 1e3 / columns
         assert self.array is not None and self.optics.focal_length_mm is not None
         pitch = float(self.array.pitch_um) / float(self.optics.focal_length_mm)
         return pitch, pitch
@@ -234,7 +273,9 @@ class InfraredImager(Description):
     @property
     def frame_rate_hz(self) -> float:
         """Frames per second, of averaged ones where the imager averages."""
-        return float(self.video.field_rate_hz) / (1.0 if self.scanner is None else 2.0 * self.scanner.averaged_frames)
+        return float(self.video.field_rate_hz) / (
+            1.0 if self.scanner is None else 2.0 * self.scanner.averaged_frames
+        )
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -24,8 +24,12 @@ class LazyStack:
     dtype: np.dtype  #: Type of the pixels
     time_s: NDArray  #: As in `labdata.frames.FrameStack`
     frame_number: NDArray  #: As in `labdata.frames.FrameStack`
-    full_scale_dn: float | None  #: Full scale where it is stated, DN; None where only the frames could show it
-    block: Callable[[int, int], NDArray]  #: Returns the frames first..last-1, shape (frame, row, col)
+    full_scale_dn: (
+        float | None
+    )  #: Full scale where it is stated, DN; None where only the frames could show it
+    block: Callable[
+        [int, int], NDArray
+    ]  #: Returns the frames first..last-1, shape (frame, row, col)
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -36,7 +40,9 @@ class LazyStack:
         return int(np.prod(self.shape)) * self.dtype.itemsize
 
     def frames(self, first: int, last: int) -> NDArray:
-        """Read the frames first..last-1; an invalid pixel, or a frame that differs from its digest, is BadInput."""
+        """Read the frames first..last-1; an invalid pixel, or a frame that differs from its digest,
+        is BadInput.
+        """
         return self.block(first, last)
 
     def in_memory(self) -> "LazyStack":
@@ -54,7 +60,9 @@ class View(Protocol):
 
 
 def open_lazy_stack(entry: StackEntry) -> LazyStack:
-    """Open a stack: a Zarr array or .npy file lazily, any other file or plane read completely; then apply its view."""
+    """Open a stack: a Zarr array or .npy file lazily, any other file or plane read completely; then
+    apply its view.
+    """
     stack = _as_they_are(entry)
     return stack if entry.view is None else entry.view.through(stack)
 
@@ -67,7 +75,9 @@ def _as_they_are(entry: StackEntry) -> LazyStack:
     path = entry.paths[0] if isinstance(entry.frames, str) else None
     if path is not None and is_ours(path) and entry.plane is None:
         return _of_store(entry, path)
-    array = None if path is None or entry.plane or entry.axis not in (None, FRAME) else _map_array(path)
+    array = (
+        None if path is None or entry.plane or entry.axis not in (None, FRAME) else _map_array(path)
+    )
     if (
         array is not None
         and array.ndim == 3
@@ -77,9 +87,15 @@ def _as_they_are(entry: StackEntry) -> LazyStack:
         require_picture(array.shape[1], array.shape[2], entry.label)
         return _lazy_stack(entry, array, lambda first, last: np.asarray(array[first:last]))
     stack = entry.read()
-    return LazyStack(label=entry.label, shape=stack.shape, dtype=stack.data.dtype, time_s=stack.time_s,
-                     frame_number=stack.frame_number, full_scale_dn=stack.full_scale_dn,
-                     block=lambda first, last: stack.data[first:last])  # fmt: skip
+    return LazyStack(
+        label=entry.label,
+        shape=stack.shape,
+        dtype=stack.data.dtype,
+        time_s=stack.time_s,
+        frame_number=stack.frame_number,
+        full_scale_dn=stack.full_scale_dn,
+        block=lambda first, last: stack.data[first:last],
+    )
 
 
 def _of_store(entry: StackEntry, path: Path) -> LazyStack:
@@ -90,24 +106,35 @@ def _of_store(entry: StackEntry, path: Path) -> LazyStack:
         "time_s": np.array([frame.time_s for frame in frames]),
         "frame_number": np.array([frame.frame_number for frame in frames], np.int64),
     }
-    found = _lazy_stack(entry, array, lambda first, last: read_frames(path, array, frames[first:last]), **stamps)
+    found = _lazy_stack(
+        entry, array, lambda first, last: read_frames(path, array, frames[first:last]), **stamps
+    )
     return replace(found, shape=(len(frames), *found.shape[1:]))
 
 
-def _lazy_stack(entry: StackEntry, array, block: Callable[[int, int], NDArray], **stamps: NDArray) -> LazyStack:
+def _lazy_stack(
+    entry: StackEntry, array, block: Callable[[int, int], NDArray], **stamps: NDArray
+) -> LazyStack:
     stated = None if entry.bit_depth is None else float(2**entry.bit_depth - 1)
-    return LazyStack(label=entry.label, shape=tuple(array.shape), dtype=np.dtype(array.dtype),
-                     time_s=stamps.get("time_s", np.empty(0)),
-                     frame_number=stamps.get("frame_number", np.empty(0, np.int64)),
-                     full_scale_dn=255.0 if stated is None and array.dtype == np.uint8 else stated,
-                     block=lambda first, last: _require_valid(entry, block(first, last)))  # fmt: skip
+    return LazyStack(
+        label=entry.label,
+        shape=tuple(array.shape),
+        dtype=np.dtype(array.dtype),
+        time_s=stamps.get("time_s", np.empty(0)),
+        frame_number=stamps.get("frame_number", np.empty(0, np.int64)),
+        full_scale_dn=255.0 if stated is None and array.dtype == np.uint8 else stated,
+        block=lambda first, last: _require_valid(entry, block(first, last)),
+    )
 
 
 def _require_valid(entry: StackEntry, data: NDArray) -> NDArray:
     """Return frames whose pixels are finite and within full scale."""
     if data.dtype.kind == "f" and not np.isfinite(data).all():
         bad = int(data.size - np.count_nonzero(np.isfinite(data)))
-        raise BadInput(f"every pixel must be finite, got {bad} that are NaN or infinite in stack {entry.label!r}")
+        raise BadInput(
+            f"every pixel must be finite, got {bad} that are NaN or infinite in stack "
+            f"{entry.label!r}"
+        )
     if entry.bit_depth is not None and data.max() > 2**entry.bit_depth - 1:
         raise BadInput(
             f"pixels must not exceed the {2**entry.bit_depth - 1} DN of {entry.bit_depth} bits, "
@@ -125,6 +152,10 @@ def _map_array(path: Path):
             require_regular_parts(path, "a Zarr array")
             return zarr.open_array(path, mode="r")
         require_regular(path)
-        return np.load(path, mmap_mode="r", allow_pickle=False) if path.suffix.lower() == ".npy" else None
+        return (
+            np.load(path, mmap_mode="r", allow_pickle=False)
+            if path.suffix.lower() == ".npy"
+            else None
+        )
     except (OSError, ValueError, EOFError):  # BadInput too: the reader reports it
         return None

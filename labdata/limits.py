@@ -20,7 +20,9 @@ _SIDES_95 = 2 * 1.96
 class TubeLoad:
     """Current through photocathode and MCP."""
 
-    luminous_sensitivity_ua_per_lm: float  #: Luminous sensitivity of the photocathode at 2856 K, uA/lm
+    luminous_sensitivity_ua_per_lm: (
+        float  #: Luminous sensitivity of the photocathode at 2856 K, uA/lm
+    )
     electron_gain: float  #: Electron gain of the MCP at reference_v
     reference_v: float  #: Voltage of that gain, V
     gain_exponent: float  #: m of G = G0 (V / V0)^m
@@ -38,9 +40,13 @@ class TubeLoad:
             electron_gain=float(plate.electron_gain),
             reference_v=float(plate.reference_v),
             gain_exponent=float(plate.gain_exponent),
-            saturated_na_per_cm2=float(plate.saturation_fraction) * float(plate.strip_current_ua_per_cm2) * NA_PER_UA,
+            saturated_na_per_cm2=float(plate.saturation_fraction)
+            * float(plate.strip_current_ua_per_cm2)
+            * NA_PER_UA,
             ebi_lux=float(cathode.ebi_lm_per_cm2) * CM2_PER_M2,
-            relative_sd=math.hypot(_log_sd(cathode.luminous_sensitivity_ua_per_lm), _log_sd(plate.electron_gain)),
+            relative_sd=math.hypot(
+                _log_sd(cathode.luminous_sensitivity_ua_per_lm), _log_sd(plate.electron_gain)
+            ),
             exponent_sd=_sd(plate.gain_exponent),
         )
 
@@ -51,14 +57,16 @@ class TubeLoad:
     def anode_na_per_cm2(self, illuminance_lux: float, mcp_v: float, duty: float) -> float:
         """Return the MCP output current density j = E S G d without saturation, nA/cm2.
 
-        E is the illuminance on the photocathode, lux, S the luminous sensitivity, G the electron gain at `mcp_v` and d
-        the fraction of the time that the gate is open.
+        E is the illuminance on the photocathode, lux, S the luminous sensitivity, G the electron
+        gain at `mcp_v` and d the fraction of the time that the gate is open.
         """
         cathode_ua_per_cm2 = illuminance_lux * self.luminous_sensitivity_ua_per_lm / CM2_PER_M2
         return cathode_ua_per_cm2 * NA_PER_UA * self.gain(mcp_v) * duty
 
     def screen_na_per_cm2(self, illuminance_lux: float, mcp_v: float, duty: float) -> float:
-        """Return the current density at the phosphor, nA/cm2: j / (1 + j / j_s) with dark current at an open gate."""
+        """Return the current density at the phosphor, nA/cm2: j / (1 + j / j_s) with dark current
+        at an open gate.
+        """
         open_now = self.anode_na_per_cm2(illuminance_lux + self.ebi_lux, mcp_v, 1.0)
         return duty * open_now / (1.0 + open_now / self.saturated_na_per_cm2)
 
@@ -66,7 +74,9 @@ class TubeLoad:
         """Return the standard uncertainty of the logarithm of the current at a voltage, V."""
         if not mcp_v > 0.0:
             return self.relative_sd
-        return math.hypot(self.relative_sd, self.exponent_sd * (math.log(mcp_v) - math.log(self.reference_v)))
+        return math.hypot(
+            self.relative_sd, self.exponent_sd * (math.log(mcp_v) - math.log(self.reference_v))
+        )
 
 
 def _log_sd(parameter: Parameter) -> float:
@@ -100,34 +110,48 @@ _UNKNOWN = "nothing is known of this tube: "
 
 def _cautious(value: float, reason: str) -> Any:
     """Return the field of a limit of an unknown tube."""
-    return field(default_factory=lambda: Parameter(value=value, standing="default", source=_UNKNOWN + reason))
+    return field(
+        default_factory=lambda: Parameter(value=value, standing="default", source=_UNKNOWN + reason)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class TubeLimits:
-    """Limits of a tube; the source of each parameter gives the reason. The defaults suit an unknown tube."""
+    """Limits of a tube; the source of each parameter gives the reason. The defaults suit an unknown
+    tube.
+    """
 
     #: Highest voltage across the microchannel plate, V
     mcp_v: Parameter = _cautious(900.0, "a single plate works at 500 to 900 V, never above 1000 V")
     #: Fastest rise of that voltage, V/s
-    ramp_v_per_s: Parameter = _cautious(50.0, "small steps let a plate outgas; slower after storage")
+    ramp_v_per_s: Parameter = _cautious(
+        50.0, "small steps let a plate outgas; slower after storage"
+    )
     gate_ns: Parameter = _cautious(2e7, "one field of 50 Hz video")  #: Longest gate, ns
     #: Largest fraction of the time that the gate may be open
     gate_duty: Parameter = _cautious(0.999, "a gate unit needs to recover between pulses")
     #: Brightest large area on the photocathode, lux, whatever the gain
-    illuminance_lux: Parameter = _cautious(1e-2, "night sky with a moon; a supply protects its tube above this")
+    illuminance_lux: Parameter = _cautious(
+        1e-2, "night sky with a moon; a supply protects its tube above this"
+    )
     #: Brightest image of a pinhole on the photocathode, lux, whatever the gain
     point_illuminance_lux: Parameter = _cautious(
         10.0, "too small an area to strain the tube, but the cathode ages there"
     )
-    #: Largest mean MCP output current density at the present gain and duty, without saturation, nA/cm2
-    anode_na_per_cm2: Parameter = _cautious(100.0, "a tenth of a strip current of 1 uA/cm2 keeps the plate linear")
+    # : Largest mean MCP output current density at the present gain and duty, without saturation,
+    # nA/cm2
+    anode_na_per_cm2: Parameter = _cautious(
+        100.0, "a tenth of a strip current of 1 uA/cm2 keeps the plate linear"
+    )
     #: The same inside the image of a pinhole, where the MCP saturates far below it
     point_anode_na_per_cm2: Parameter = _cautious(
         3e6, "what 10 lux ask of a gain of 1000; the plate gives its strip current"
     )
-    #: Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only a warning
-    screen_charge_c_per_cm2: Parameter = _cautious(0.1, "uncoated plates age their cathodes within 0.1 to 1 C/cm2")
+    # : Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only
+    # a warning
+    screen_charge_c_per_cm2: Parameter = _cautious(
+        0.1, "uncoated plates age their cathodes within 0.1 to 1 C/cm2"
+    )
 
     def __post_init__(self) -> None:
         check(self, positive=(item.name for item in fields(self)), fraction="gate_duty")
@@ -135,7 +159,9 @@ class TubeLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits of a plan, named as in `TubeLimits`; None: the tube's limit, which a plan can only tighten."""
+    """Limits of a plan, named as in `TubeLimits`; None: the tube's limit, which a plan can only
+    tighten.
+    """
 
     mcp_v: float | None = None
     ramp_v_per_s: float | None = None
@@ -152,7 +178,9 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class Override:
-    """A limit of the tube that a plan overrides, with its reason; kept in the session and printed in its report."""
+    """A limit of the tube that a plan overrides, with its reason; kept in the session and printed
+    in its report.
+    """
 
     limit: str  #: Name of the limit, see `TubeLimits`
     value: float  #: Value in force instead, in the unit of the name
@@ -193,7 +221,9 @@ class LimitsInForce:
 
 
 OVERRIDDEN = "The tube's limit"  # First words of the sentence on an overridden limit
-LIMITS = tuple(item.name for item in fields(Limits))  # Names of the limits that a plan can tighten or override
+LIMITS = tuple(
+    item.name for item in fields(Limits)
+)  # Names of the limits that a plan can tighten or override
 
 
 def limits_in_force(
@@ -206,24 +236,34 @@ def limits_in_force(
     asked
         Limits of the plan. Without a sensor description they are not compared with the tube's.
     sensor
-        Sensor description; None: unknown, and the cautious defaults apply where the plan has no limit.
+        Sensor description; None: unknown, and the cautious defaults apply where the plan has no
+        limit.
     overrides
-        Limits of the tube that the plan overrides; any other plan above the tube's limit is BadInput.
+        Limits of the tube that the plan overrides; any other plan above the tube's limit is
+        BadInput.
     """
     if len({one.limit for one in overrides}) < len(overrides):
         raise BadInput(f"a limit can be overridden once, got {[one.limit for one in overrides]}")
     tube = TubeLimits() if sensor is None else sensor.limits
     instead = {one.limit: one for one in overrides}
-    values = {name: _in_force(name, getattr(asked, name), tube, instead, known=sensor is not None) for name in LIMITS}
+    values = {
+        name: _in_force(name, getattr(asked, name), tube, instead, known=sensor is not None)
+        for name in LIMITS
+    }
     load = CAUTIOUS_LOAD if sensor is None else TubeLoad.of(sensor)
     overridden = tuple(
-        f"{OVERRIDDEN} {one.limit} of {own.value:g} ({own.source}) was overridden to {one.value:g}: {one.reason}."
+        (
+            f"{OVERRIDDEN} {one.limit} of {own.value:g} ({own.source}) was overridden to "
+            f"{one.value:g}: {one.reason}."
+        )
         for one, own in ((one, getattr(tube, one.limit)) for one in overrides)
     )
     return LimitsInForce(**values, load=load, overridden=overridden, known=sensor is not None)
 
 
-def _in_force(name: str, asked: float | None, tube: TubeLimits, instead: dict[str, Override], *, known: bool) -> float:
+def _in_force(
+    name: str, asked: float | None, tube: TubeLimits, instead: dict[str, Override], *, known: bool
+) -> float:
     if name in instead:
         return min(instead[name].value, asked or instead[name].value)
     own = float(getattr(tube, name))
@@ -231,7 +271,7 @@ def _in_force(name: str, asked: float | None, tube: TubeLimits, instead: dict[st
         return own
     if known and asked > own:
         raise BadInput(
-            f"limits.{name} must not exceed the tube's {own:g} ({getattr(tube, name).source}), got {asked:g}; "
-            f"an [[override]] with a reason sets it aside"
+            f"limits.{name} must not exceed the tube's {own:g} ({getattr(tube, name).source}), "
+            f"got {asked:g}; an [[override]] with a reason sets it aside"
         )
     return asked

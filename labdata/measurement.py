@@ -13,8 +13,8 @@ from labdata.quantity import QUANTITIES
 
 Status = Literal["ok", "suspect", "refused"]
 Interval = tuple[float, float]
-# Why there is no number: the attempt failed, frames or a description are missing, or the camera or frames have no such
-# quantity
+# Why there is no number: the attempt failed, frames or a description are missing, or the camera or
+# frames have no such quantity
 Refusal = Literal["failed", "missing", "not-applicable"]
 
 
@@ -39,8 +39,14 @@ class Posterior:
 
     def __post_init__(self) -> None:
         draws = np.asarray(self.draws, float)
-        if draws.ndim != 2 or draws.shape[1] != len(self.names) or len(self.names) != len(self.units):
-            raise ValueError(f"draws must be (draw, {len(self.names)}) with a unit each, got shape {draws.shape}")
+        if (
+            draws.ndim != 2
+            or draws.shape[1] != len(self.names)
+            or len(self.names) != len(self.units)
+        ):
+            raise ValueError(
+                f"draws must be (draw, {len(self.names)}) with a unit each, got shape {draws.shape}"
+            )
         object.__setattr__(self, "draws", read_only(draws))
         object.__setattr__(self, "flags", vocabulary.order_flags(self.flags))
 
@@ -77,7 +83,9 @@ class Provenance:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """One measured quantity; made by `make_measurement`, `measurement_from_draws` or `make_refusal`."""
+    """One measured quantity; made by `make_measurement`, `measurement_from_draws` or
+    `make_refusal`.
+    """
 
     quantity: str  #: A name of `labdata.quantity.QUANTITIES` and one of its units
     unit: str  #: A name of `labdata.quantity.QUANTITIES` and one of its units
@@ -91,7 +99,8 @@ class Measurement:
     notes: tuple[str, ...] = ()
     reason: str | None = None
     refusal: Refusal = "failed"  #: Of a refused measurement, its kind
-    #: Where applicable: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`; direction in degrees
+    # : Where applicable: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`;
+    # direction in degrees
     stack: str | None = None
     region: tuple[int, int, int, int] | None = None
     frequency_cy_per_px: float | None = None
@@ -103,7 +112,9 @@ class Measurement:
         object.__setattr__(self, "flags", vocabulary.order_flags(self.flags))
         known = QUANTITIES.get(self.quantity)
         if known is None or self.unit not in known.units:
-            raise ValueError(f"no quantity {self.quantity!r} with the unit {self.unit!r} in labdata.quantity")
+            raise ValueError(
+                f"no quantity {self.quantity!r} with the unit {self.unit!r} in labdata.quantity"
+            )
         if self.status == "refused" and (self.value is not None or not self.reason):
             raise ValueError(f"a refused {self.quantity} carries a reason and no value")
         if self.status != "refused" and (self.value is None or not np.isfinite(self.value)):
@@ -111,10 +122,16 @@ class Measurement:
         if self.status != "refused" and (self.status == "ok") == bool(self.flags):
             raise ValueError(f"{self.quantity} is {self.status} with flags {self.flags}")
 
-    def with_(self, *, findings: Iterable[vocabulary.Finding] = (), **changes: Any) -> "Measurement":
-        """Return a copy with fields changed; flags and findings are added and change the status to suspect."""
+    def with_(
+        self, *, findings: Iterable[vocabulary.Finding] = (), **changes: Any
+    ) -> "Measurement":
+        """Return a copy with fields changed; flags and findings are added and change the status to
+        suspect.
+        """
         found = tuple(findings)
-        flags = vocabulary.order_flags((*self.flags, *(each.flag for each in found), *changes.pop("flags", ())))
+        flags = vocabulary.order_flags(
+            (*self.flags, *(each.flag for each in found), *changes.pop("flags", ()))
+        )
         if found:
             changes["notes"] = (*changes.get("notes", self.notes), *(each.note for each in found))
         status = self.status if self.status == "refused" else ("suspect" if flags else "ok")
@@ -146,8 +163,12 @@ def make_measurement(
     )
 
 
-def measurement_from_draws(quantity: str, unit: str, draws: ArrayLike, *, method: str, **fields: Any) -> Measurement:
-    """Return a measurement whose value is the median of draws and whose intervals are their quantiles."""
+def measurement_from_draws(
+    quantity: str, unit: str, draws: ArrayLike, *, method: str, **fields: Any
+) -> Measurement:
+    """Return a measurement whose value is the median of draws and whose intervals are their
+    quantiles.
+    """
     value, interval68, interval95 = intervals_of(draws)
     return make_measurement(quantity, unit, value, interval68, interval95, method=method, **fields)
 
@@ -155,13 +176,17 @@ def measurement_from_draws(quantity: str, unit: str, draws: ArrayLike, *, method
 def measurement_from_sd(
     quantity: str, unit: str, value: float, sd: float, *, method: str, **fields: Any
 ) -> Measurement:
-    """Return a measurement with Gaussian intervals of a standard deviation in the unit of the value."""
+    """Return a measurement with Gaussian intervals of a standard deviation in the unit of the
+    value.
+    """
     half68, half95 = 0.994458 * sd, 1.959964 * sd
     interval68, interval95 = (value - half68, value + half68), (value - half95, value + half95)
     return make_measurement(quantity, unit, value, interval68, interval95, method=method, **fields)
 
 
-def make_refusal(quantity: str, unit: str, reason: str, *, method: str, **fields: Any) -> Measurement:
+def make_refusal(
+    quantity: str, unit: str, reason: str, *, method: str, **fields: Any
+) -> Measurement:
     """Return a measurement without a value, with the reason for it."""
     given = {"value": None, "interval68": None, "interval95": None, "status": "refused", **fields}
     return Measurement(quantity=quantity, unit=unit, reason=reason, method=method, **given)
@@ -177,8 +202,8 @@ class Curve:
     interval68: NDArray[np.float64] | None = None  #: Lower and upper bounds, shape (2, n), or None
     interval95: NDArray[np.float64] | None = None  #: Lower and upper bounds, shape (2, n), or None
     stack: str | None = None  #: Label of the measured stack
-    #: Curves drawn from the posterior, shape (draw, n), for the correlation of errors between frequencies; None where
-    #: there are none. Not written to files
+    # : Curves drawn from the posterior, shape (draw, n), for the correlation of errors between
+    # frequencies; None where : there are none. Not written to files
     draws: NDArray[np.float64] | None = None
 
 
@@ -187,7 +212,8 @@ class Result:
     """Result of one analysis."""
 
     measurements: tuple[Measurement, ...] = ()  #: The quantities
-    #: Curves by name ("mtf", "mtf_vertical", ...). Curves of several stacks of a session have a suffix ":label"
+    # : Curves by name ("mtf", "mtf_vertical", ...). Curves of several stacks of a session have a
+    # suffix ":label"
     curves: dict[str, Curve] = field(default_factory=dict)
     #: Figure data by name: JSON-ready mappings of lists and numbers (profiles, fits, residuals)
     evidence: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -204,5 +230,6 @@ class Result:
         return tuple(
             m
             for m in self.measurements
-            if m.quantity == quantity and all(getattr(m, key) == value for key, value in where.items())
+            if m.quantity == quantity
+            and all(getattr(m, key) == value for key, value in where.items())
         )

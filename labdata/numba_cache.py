@@ -13,19 +13,29 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("labdata", "drivers", "simulate", "charact")
-IMPORT = re.compile(rf"^\s*from ((?:{'|'.join(PACKAGES)})[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
-LOCATORS = ",".join(f"labdata.numba_cache_locators.{name}" for name in ("Provided", "NextToSources", "OfTheUser"))
+IMPORT = re.compile(
+    rf"^\s*from ((?:{'|'.join(PACKAGES)})[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE
+)
+LOCATORS = ",".join(
+    f"labdata.numba_cache_locators.{name}" for name in ("Provided", "NextToSources", "OfTheUser")
+)
 
 
 def keep_loops() -> None:
     """Configure numba to validate cached loops by all sources that may be compiled into them."""
-    os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", f"{LOCATORS},IPythonCacheLocator,ZipCacheLocator")
+    os.environ.setdefault(
+        "NUMBA_CACHE_LOCATOR_CLASSES", f"{LOCATORS},IPythonCacheLocator,ZipCacheLocator"
+    )
     if "numba" in sys.modules:
-        sys.modules["numba"].config.CACHE_LOCATOR_CLASSES = os.environ["NUMBA_CACHE_LOCATOR_CLASSES"]
+        sys.modules["numba"].config.CACHE_LOCATOR_CLASSES = os.environ[
+            "NUMBA_CACHE_LOCATOR_CLASSES"
+        ]
 
 
 def stamp_of(file: Path) -> str | None:
-    """Return a digest of a file and its imports from these packages; None for files of other packages."""
+    """Return a digest of a file and its imports from these packages; None for files of other
+    packages.
+    """
     source = file.resolve()
     inside = source.parts[len(ROOT.parts) :] if source.is_relative_to(ROOT) else ()
     if len(inside) < 2 or inside[0] not in PACKAGES:

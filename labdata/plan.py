@@ -26,20 +26,32 @@ class FrameFormat:
     columns: int | None = None  #: Size of the image, px; by default the full sensor
     first_row: int | None = None  #: First row and column of the image on the sensor, px
     first_column: int | None = None  #: First row and column of the image on the sensor, px
-    pixel_format: str | None = None  #: Such as "Mono12" or "Mono12p"; by default "Mono8" or "Mono16"
-    trigger: str | None = None  #: "off": free-running; else the camera's name of the trigger source, such as "Line1"
+    pixel_format: str | None = (
+        None  #: Such as "Mono12" or "Mono12p"; by default "Mono8" or "Mono16"
+    )
+    trigger: str | None = (
+        None  #: "off": free-running; else the camera's name of the trigger source, such as "Line1"
+    )
 
     def __post_init__(self) -> None:
-        check(self, of=" of a picture", one_or_more="rows columns", not_negative="first_row first_column")
+        check(
+            self,
+            of=" of a picture",
+            one_or_more="rows columns",
+            not_negative="first_row first_column",
+        )
         if self.pixel_format is not None and self.pixel_format not in PIXEL_BITS:
-            raise BadInput(f"pixel_format must be one of {', '.join(PIXEL_BITS)}, got {self.pixel_format!r}")
+            raise BadInput(
+                f"pixel_format must be one of {', '.join(PIXEL_BITS)}, got {self.pixel_format!r}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class StopCriterion:
     """Criterion by which a step stops before it has all its frames."""
 
-    mean_within_dn: float  #: Largest half-width of the 95 % interval of the stack's mean at which the step stops, DN
+    # : Largest half-width of the 95 % interval of the stack's mean at which the step stops, DN
+    mean_within_dn: float
     least_frames: int = 8  #: Smallest number of frames
 
     def __post_init__(self) -> None:
@@ -60,17 +72,27 @@ class SaturationSearch:
         check(self, positive="most_illuminance_lux within_percent")
 
     def next_lux(self, begin_lux: float, seen: Sequence[tuple[float, bool]]) -> float | None:
-        """Return the light to try next, lux, after levels and whether each saturated; None when the search is over."""
+        """Return the light to try next, lux, after levels and whether each saturated; None when the
+        search is over.
+        """
         dark = max((lux for lux, saturated in seen if not saturated), default=None)
         bright = min((lux for lux, saturated in seen if saturated), default=None)
         if not seen:
             return begin_lux
         if bright is None:
-            return None if dark == self.most_illuminance_lux else min(2.0 * (dark or 0.0), self.most_illuminance_lux)
+            return (
+                None
+                if dark == self.most_illuminance_lux
+                else min(2.0 * (dark or 0.0), self.most_illuminance_lux)
+            )
         if dark is None:
             # No lamp can be set further below its first light.
             return bright / 2.0 if bright > begin_lux / 1024.0 else None
-        return None if bright <= dark * (1.0 + self.within_percent / 100.0) else math.sqrt(dark * bright)
+        return (
+            None
+            if bright <= dark * (1.0 + self.within_percent / 100.0)
+            else math.sqrt(dark * bright)
+        )
 
     def verdict(self, seen: Sequence[tuple[float, bool]]) -> str:
         """Return the result in one sentence."""
@@ -86,7 +108,11 @@ class SaturationSearch:
     def most_levels(self, begin_lux: float) -> int:
         """Return the largest number of levels of a search whose first level does not saturate."""
         doublings = max(0, math.ceil(math.log2(self.most_illuminance_lux / begin_lux)))
-        return 1 + doublings + max(0, math.ceil(math.log2(math.log(2.0) / math.log1p(self.within_percent / 100.0))))
+        return (
+            1
+            + doublings
+            + max(0, math.ceil(math.log2(math.log(2.0) / math.log1p(self.within_percent / 100.0))))
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,20 +124,24 @@ class Step:
     frames: int  #: Frames to acquire; with `until`, the largest number
     conditions: Conditions  #: Set-points of the instruments
     target: Target = field(default_factory=Target)  #: Target in front of the camera
-    until: StopCriterion | None = None  #: Criterion to stop before all frames are acquired; None: no criterion
+    until: StopCriterion | None = (
+        None  #: Criterion to stop before all frames are acquired; None: no criterion
+    )
     #: Search for the light that saturates, one stack per level; None: a single stack
     search: SaturationSearch | None = None
-    #: Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends the run. None: 0,
-    #: for a point 0.3, for a search 1
+    # : Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends
+    # the run. None: 0, : for a point 0.3, for a search 1
     saturated_fraction: float | None = None
 
     def __post_init__(self) -> None:
         if self.frames < 1:
-            raise BadInput(f"a step must take at least one frame, got {self.frames} in {self.label!r}")
+            raise BadInput(
+                f"a step must take at least one frame, got {self.frames} in {self.label!r}"
+            )
         if self.until is not None and self.until.least_frames > self.frames:
             raise BadInput(
-                f"least_frames must not exceed the frames of its step, got {self.until.least_frames} of {self.frames} "
-                f"in {self.label!r}"
+                "least_frames must not exceed the frames of its step, got "
+                f"{self.until.least_frames} of {self.frames} in {self.label!r}"
             )
         check_range(self, 0.0, 1.0, "saturated_fraction", of=f" in {self.label!r}")
         if self.search is not None:
@@ -120,11 +150,13 @@ class Step:
     def _check_search(self, search: SaturationSearch) -> None:
         begin_lux = self.conditions.illuminance_lux
         if self.kind != "flat":
-            raise BadInput(f"a search for saturation must be on a flat, got a {self.kind} in {self.label!r}")
+            raise BadInput(
+                f"a search for saturation must be on a flat, got a {self.kind} in {self.label!r}"
+            )
         if not begin_lux or begin_lux > search.most_illuminance_lux:
             raise BadInput(
-                f"a search for saturation must begin with light up to {search.most_illuminance_lux:g} lux, "
-                f"got {begin_lux} in {self.label!r}"
+                "a search for saturation must begin with light up to "
+                f"{search.most_illuminance_lux:g} lux, got {begin_lux} in {self.label!r}"
             )
 
     @property
@@ -145,7 +177,11 @@ class Step:
         """Return one level of a search: a stack at one illuminance."""
         conditions = replace(self.conditions, illuminance_lux=illuminance_lux)
         return replace(
-            self, label=label, conditions=conditions, search=None, saturated_fraction=self.max_saturated_fraction
+            self,
+            label=label,
+            conditions=conditions,
+            search=None,
+            saturated_fraction=self.max_saturated_fraction,
         )
 
     @property
@@ -153,7 +189,8 @@ class Step:
         """Fraction of a frame's pixels that may be saturated."""
         if self.saturated_fraction is not None:
             return self.saturated_fraction
-        # Fraction of pixels that a bright point, its halo and streaks may saturate; room light saturates all pixels
+        # Fraction of pixels that a bright point, its halo and streaks may saturate; room light
+        # saturates all pixels
         return 1.0 if self.search is not None else 0.3 if self.kind == "point" else 0.0
 
 
@@ -182,8 +219,12 @@ class PlanHead:
     tube: str | None = None  #: Name of the tube, such as its serial number; names its dose ledger
     seed: int = 0  #: Seed of the virtual bench
     scene: str | None = None  #: Lab scene of the virtual bench
-    wires: InstrumentConfig = field(default_factory=InstrumentConfig)  #: Models and ports of the instruments
-    limits: Limits = field(default_factory=Limits)  #: Limits of the plan, where tighter than those of the tube
+    wires: InstrumentConfig = field(
+        default_factory=InstrumentConfig
+    )  #: Models and ports of the instruments
+    limits: Limits = field(
+        default_factory=Limits
+    )  #: Limits of the plan, where tighter than those of the tube
     settle: SettleTimes = field(default_factory=SettleTimes)  #: Settle times after a change
     meters: Meters = field(default_factory=Meters)  #: Use of the auxiliary meters
     #: Trigger of the gate, and its synchronisation with the camera's fields
@@ -202,7 +243,8 @@ class Plan(PlanHead):
     """An acquisition plan."""
 
     overrides: tuple[Override, ...] = ()  #: Overridden limits of the tube, with reasons
-    #: Gain calibration of the tube, needed for steps with a luminous gain; None: that of the sensor, if any
+    # : Gain calibration of the tube, needed for steps with a luminous gain; None: that of the
+    # sensor, if any
     gain_table: GainTable | None = None
     #: Calibration of the light source and its filters; required if the wires name a light source
     lamp: LampCalibration | None = None
@@ -213,14 +255,20 @@ class Plan(PlanHead):
         if not labels:
             raise BadInput("a plan must have at least one step, got none")
         if self.seed < 0:
-            raise BadInput(f"a seed must not be negative, got {self.seed} in the plan {self.name!r}")
+            raise BadInput(
+                f"a seed must not be negative, got {self.seed} in the plan {self.name!r}"
+            )
         self._check_meters()
         if (self.lamp is None) != (self.wires.light is None):
             there = "none" if self.lamp is None else "one"
-            raise BadInput(f"a plan must have a lamp where its wires name a light, got {there} for {self.wires.light}")
+            raise BadInput(
+                f"a plan must have a lamp where its wires name a light, got {there} for "
+                f"{self.wires.light}"
+            )
         if len(set(labels)) != len(labels):
             raise BadInput(f"every step's label must be its own, got {labels}")
-        # The limits of a named sensor are checked by drivers.acquisition.plan_check, which has read the sensor.
+        # The limits of a named sensor are checked by drivers.acquisition.plan_check, which has read
+        # the sensor.
         if self.sensor is None:
             known = limits_in_force(self.limits, None, self.overrides)
             for step in self.steps:
@@ -245,7 +293,9 @@ def _check_against(limits: LimitsInForce, step: Step) -> None:
     for name, limit in bounds.items():
         asked = getattr(step.conditions, name)
         if asked is not None and asked > limit:
-            raise BadInput(f"{name} of step {step.label!r} must not exceed the limit {limit:g}, got {asked:g}")
+            raise BadInput(
+                f"{name} of step {step.label!r} must not exceed the limit {limit:g}, got {asked:g}"
+            )
 
 
 class Watcher(Protocol):
@@ -272,12 +322,16 @@ class Judge(Protocol):
     """Factory of watchers; passed in from a higher layer."""
 
     def watch(self, step: Step, full_scale_dn: float) -> Watcher:
-        """Return the watcher of one stack; `full_scale_dn` is the full scale of the digitiser, DN."""
+        """Return the watcher of one stack; `full_scale_dn` is the full scale of the digitiser,
+        DN.
+        """
         ...
 
 
 SETTABLE_V = 1.0  # Voltage step that every supply can set, V
-READ_V = 2.0  # Settling tolerance of a supply: a read-back may exceed the end of the table by this, V
+READ_V = (
+    2.0  # Settling tolerance of a supply: a read-back may exceed the end of the table by this, V
+)
 
 
 def gain_table_of(plan: Plan, sensor: Sensor | None) -> GainTable | None:
@@ -293,17 +347,21 @@ def in_volts(plan: Plan, sensor: Sensor | None) -> Plan:
     Raises
     ------
     BadInput
-        If a step asks for a luminous gain without a table, for volts or gain outside it, or for both and they differ;
-        or if the table is of another tube.
+        If a step asks for a luminous gain without a table, for volts or gain outside it, or for
+        both and they differ; or if the table is of another tube.
     """
     table = gain_table_of(plan, sensor)
     if table is not None and None not in (table.tube, plan.tube) and table.tube != plan.tube:
-        raise BadInput(f"a gain table must be of the plan's tube {plan.tube!r}, got one of {table.tube!r}")
+        raise BadInput(
+            f"a gain table must be of the plan's tube {plan.tube!r}, got one of {table.tube!r}"
+        )
     return replace(plan, steps=tuple(_resolve_gain(step, table) for step in plan.steps))
 
 
 def by_calibration(table: GainTable | None, mcp_v: float | None) -> Conditions:
-    """Return the luminous gain at a read-back voltage, V; empty without a table or with the MCP off."""
+    """Return the luminous gain at a read-back voltage, V; empty without a table or with the MCP
+    off.
+    """
     if table is None or not mcp_v or mcp_v < table.mcp_v[0] - READ_V:
         return Conditions()
     gain, relative_sd = table.gain_at(mcp_v, beyond_v=READ_V)
@@ -315,7 +373,8 @@ def _resolve_gain(step: Step, table: GainTable | None) -> Step:
     if table is None:
         if asked.luminous_gain is not None:
             raise BadInput(
-                f"luminous_gain must have a gain table in the plan or its sensor, got none in step {step.label!r}"
+                f"luminous_gain must have a gain table in the plan or its sensor, got none in "
+                f"step {step.label!r}"
             )
         return step
     try:
@@ -325,7 +384,9 @@ def _resolve_gain(step: Step, table: GainTable | None) -> Step:
 
 
 def _both(asked: Conditions, table: GainTable) -> Conditions:
-    """Return conditions with the voltage that gives the luminous gain; a given voltage must lie in the table."""
+    """Return conditions with the voltage that gives the luminous gain; a given voltage must lie in
+    the table.
+    """
     if asked.luminous_gain is None:
         if asked.mcp_v:
             table.gain_at(asked.mcp_v)
@@ -333,7 +394,7 @@ def _both(asked: Conditions, table: GainTable) -> Conditions:
     volts = round(table.volts_for(asked.luminous_gain) / SETTABLE_V) * SETTABLE_V
     if asked.mcp_v is not None and asked.mcp_v != volts:
         raise BadInput(
-            f"mcp_v must be left out or be what luminous_gain {asked.luminous_gain:g} needs by the gain table, "
-            f"{volts:g}, got {asked.mcp_v:g}"
+            f"mcp_v must be left out or be what luminous_gain {asked.luminous_gain:g} needs by "
+            f"the gain table, {volts:g}, got {asked.mcp_v:g}"
         )
     return replace(asked, mcp_v=volts)

@@ -28,35 +28,45 @@ _SHORT = {
     "filter_density": "nd{:g}",
     "illuminance_lux": "{:g}lux",
 }
-AXES = ("target", *_SHORT)  # Settings that can be swept; the outermost is the slowest and stresses the tube most
+AXES = (
+    "target",
+    *_SHORT,
+)  # Settings that can be swept; the outermost is the slowest and stresses the tube most
 MOST_STEPS = 20_000  # Largest number of steps of a plan; more are an error of input
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepRecord:
-    """One [[sweep]] of a plan file: every combination of the settings that are lists, nested in the order of `AXES`."""
+    """One [[sweep]] of a plan file: every combination of the settings that are lists, nested in the
+    order of `AXES`.
+    """
 
     kind: Kind  #: Kind of target
     frames: int  #: Number of frames per stack
-    #: Prefix of every label; the varied values and the number of the repeat follow. Default: the kind
+    # : Prefix of every label; the varied values and the number of the repeat follow. Default: the
+    # kind
     label: str | None = None
     target: Target | tuple[Target, ...] = field(default_factory=Target)  #: The target, or several
     mcp_v: Numbers | None = None  #: Voltage across the MCP, V; one or several
-    #: Luminous gain, lm/lm, converted to volts by the gain table of the plan or its sensor; one or several
+    # : Luminous gain, lm/lm, converted to volts by the gain table of the plan or its sensor; one or
+    # several
     luminous_gain: Numbers | None = None
     gate_ns: Numbers | None = None  #: Gate, ns; one or several
     exposure_s: Numbers | None = None  #: Exposure, s; one or several
     camera_gain_db: Numbers | None = None  #: Camera gain, dB; one or several
-    filter_density: Numbers | None = None  #: Optical density of the neutral filter in front of the lamp; one or several
+    filter_density: Numbers | None = (
+        None  #: Optical density of the neutral filter in front of the lamp; one or several
+    )
     illuminance_lux: Numbers | None = None  #: Light, lux; one or several
     illuminance_relative_sd: float | None = None  #: Relative standard uncertainty of the light
     repeats: int = 1  #: Number of passes through the sweep
-    #: "as-written": order of the lists, the last axis fastest. "boustrophedon": every inner list alternately forwards
-    #: and backwards, so that no setting jumps. "randomised": every repeat shuffled separately
+    # : "as-written": order of the lists, the last axis fastest. "boustrophedon": every inner list
+    # alternately forwards : and backwards, so that no setting jumps. "randomised": every repeat
+    # shuffled separately
     order: Order = "as-written"
     seed: int = 0  #: Seed of the shuffle
-    #: Number of stacks between darks, with one before the first and one after the last stack, at the settings of the
-    #: adjacent stack; 0: no darks
+    # : Number of stacks between darks, with one before the first and one after the last stack, at
+    # the settings of the : adjacent stack; 0: no darks
     dark_every: int = 0
     dark_frames: int | None = None  #: Frames per dark; None: as many as per stack
     #: Criterion to stop each stack but the darks before it has all its frames; None: no criterion
@@ -67,17 +77,25 @@ class SweepRecord:
     def __post_init__(self) -> None:
         name = self.label or self.kind
         if not 1 <= self.repeats <= MOST_STEPS:
-            raise BadInput(f"repeats must lie between 1 and {MOST_STEPS}, got {self.repeats} in the sweep {name!r}")
+            raise BadInput(
+                f"repeats must lie between 1 and {MOST_STEPS}, got {self.repeats} in the sweep "
+                f"{name!r}"
+            )
         if self.dark_every < 0 or (self.dark_every and self.kind == "dark"):
             raise BadInput(
-                f"dark_every must be 0, or positive in a sweep with light, got {self.dark_every} in {name!r}"
+                f"dark_every must be 0, or positive in a sweep with light, got {self.dark_every} "
+                f"in {name!r}"
             )
         if self.seed < 0:
             raise BadInput(f"a seed must not be negative, got {self.seed} in the sweep {name!r}")
         if empty := [axis for axis in AXES if getattr(self, axis) == ()]:
-            raise BadInput(f"a list must hold a value, got none for {empty[0]} in the sweep {name!r}")
+            raise BadInput(
+                f"a list must hold a value, got none for {empty[0]} in the sweep {name!r}"
+            )
         if self.count > MOST_STEPS:
-            raise BadInput(f"a sweep must have at most {MOST_STEPS} steps, got {self.count} in {name!r}")
+            raise BadInput(
+                f"a sweep must have at most {MOST_STEPS} steps, got {self.count} in {name!r}"
+            )
 
     @property
     def count(self) -> int:
@@ -87,7 +105,11 @@ class SweepRecord:
 
     def steps(self) -> tuple[Step, ...]:
         """Return the steps, in order."""
-        return tuple(self._with_darks([step for repeat in range(self.repeats) for step in self._pass(repeat)]))
+        return tuple(
+            self._with_darks(
+                [step for repeat in range(self.repeats) for step in self._pass(repeat)]
+            )
+        )
 
     def _pass(self, repeat: int) -> Iterator[Step]:
         points = list(self._points(snake=self.order == "boustrophedon"))
@@ -122,7 +144,11 @@ class SweepRecord:
         parts = [self.label or self.kind]
         if len(_as_tuple(self.target)) > 1:
             parts.append(f"target{point['target'] + 1}")
-        parts += [text.format(values[axis]) for axis, text in _SHORT.items() if len(_as_tuple(getattr(self, axis))) > 1]
+        parts += [
+            text.format(values[axis])
+            for axis, text in _SHORT.items()
+            if len(_as_tuple(getattr(self, axis))) > 1
+        ]
         if self.repeats > 1:
             parts.append(f"r{repeat + 1}")
         return "-".join(parts)
@@ -171,7 +197,9 @@ class StepRecord(Conditions):
     frames: int  #: Number of frames to acquire; with `until`, the largest number
     target: Target = field(default_factory=Target)  #: The target, with the keys of its kind
     until: StopCriterion | None = None  #: Criterion to stop before all frames are acquired
-    search: SaturationSearch | None = None  #: A search for the light that saturates; it starts at the step's own light
+    search: SaturationSearch | None = (
+        None  #: A search for the light that saturates; it starts at the step's own light
+    )
     saturated_fraction: float | None = None  #: Fraction of a frame's pixels that may be saturated
 
     def step(self) -> Step:
@@ -184,12 +212,15 @@ class PlanFile(PlanHead):
     """A plan file."""
 
     override: tuple[Override, ...] = ()  #: Overridden limits of the tube, with reasons
-    #: Gain calibration of the tube, needed for steps with a luminous gain, or the path of its TOML file
+    # : Gain calibration of the tube, needed for steps with a luminous gain, or the path of its TOML
+    # file
     gain_table: GainTable | str | None = None
     #: Calibration of the light source and its filters, or the path of its TOML file
     lamp: LampCalibration | str | None = None
     step: tuple[StepRecord, ...] = ()  #: The stacks to acquire, in order
-    sweep: tuple[SweepRecord, ...] = ()  #: Series of stacks, acquired after the single steps, in order
+    sweep: tuple[
+        SweepRecord, ...
+    ] = ()  #: Series of stacks, acquired after the single steps, in order
 
     def built(self) -> Plan:
         """Return the plan that this file describes."""
@@ -200,13 +231,19 @@ class PlanFile(PlanHead):
             overrides=self.override,
             gain_table=self._read("gain_table", GainTable),
             lamp=self._read("lamp", LampCalibration),
-            steps=(*(step.step() for step in self.step), *(step for sweep in self.sweep for step in sweep.steps())),
+            steps=(
+                *(step.step() for step in self.step),
+                *(step for sweep in self.sweep for step in sweep.steps()),
+            ),
         )
 
     @classmethod
     def from_plan(cls, plan: Plan) -> "PlanFile":
         """Return the file form of a plan."""
-        steps = (StepRecord(**flat_conditions(step.conditions), **own_keys(step, StepRecord)) for step in plan.steps)
+        steps = (
+            StepRecord(**flat_conditions(step.conditions), **own_keys(step, StepRecord))
+            for step in plan.steps
+        )
         return cls(
             **plan.head,
             override=plan.overrides,
@@ -222,7 +259,9 @@ class PlanFile(PlanHead):
 
 
 def read_plan(path: str | Path) -> Plan:
-    """Read a plan file; a file that is missing or no TOML, an unknown key or an invalid value is BadInput."""
+    """Read a plan file; a file that is missing or no TOML, an unknown key or an invalid value is
+    BadInput.
+    """
     return plan_of(read_toml(path), where=Path(path).name)
 
 

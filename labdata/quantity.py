@@ -23,11 +23,15 @@ QUANTITIES: dict[str, Quantity] = {
     "mtf": _entry("MTF at the stated frequency", "1"),
     "post_gain_mtf50": _entry("Post-gain MTF50", "cy/px"),
     "post_gain_mtf": _entry("Post-gain MTF at the stated frequency", "1"),
-    "white_noise_fraction": _entry("White-noise fraction of the light-induced noise power at zero frequency", "1"),
+    "white_noise_fraction": _entry(
+        "White-noise fraction of the light-induced noise power at zero frequency", "1"
+    ),
     "edge_angle": _entry("Edge angle relative to the pixel grid", "deg"),
     "system_gain": _entry("System gain K (variance method)", "DN/e-"),
     "photoelectron_gain": _entry("Photoelectron gain k", "DN/pe"),
-    "detected_photoelectron_gain": _entry("Mean pulse height of detected photoelectrons, k/p", "DN"),
+    "detected_photoelectron_gain": _entry(
+        "Mean pulse height of detected photoelectrons, k/p", "DN"
+    ),
     "covariance_gain": _entry("Covariance gain K + kF²", "DN"),
     "blur_factor": _entry("Blur factor: temporal variance / summed covariance", "1"),
     "read_noise": _entry("Read noise", "DN", "e-"),
@@ -43,7 +47,9 @@ QUANTITIES: dict[str, Quantity] = {
     "mrc": _entry("Minimum resolvable contrast at the stated frequency", "1"),
     "conversion_gain": _entry("Conversion gain K (white-noise floor)", "DN/e-"),
     "pulse_gain": _entry("Pulse gain kF²", "DN"),
-    "pulse_height_factor": _entry("Normalised second moment of the pulse-height distribution, pF²", "1"),
+    "pulse_height_factor": _entry(
+        "Normalised second moment of the pulse-height distribution, pF²", "1"
+    ),
     "snr_max": _entry("Largest signal-to-noise ratio", "1"),
     "dynamic_range": _entry("Dynamic range", "1"),
     "noise_t": _entry("3-D noise σ_t: frame bounce", "DN", "K"),
@@ -65,9 +71,13 @@ QUANTITIES: dict[str, Quantity] = {
     "gain_exponent": _entry("Exponent of gain against the control variable", "1"),
     "gain_doubling": _entry("Control-word increment that doubles the gain", "count"),
     "gain_slope": _entry("Slope of measured against stated gain", "dB/dB"),
-    "gain_knee": _entry("Gain at which scintillation noise equals read noise", "V", "count", "dB", "1", "DN"),
+    "gain_knee": _entry(
+        "Gain at which scintillation noise equals read noise", "V", "count", "dB", "1", "DN"
+    ),
     "mcp_saturation": _entry("MCP saturation: asymptotic signal (strip-current limit)", "DN"),
-    "relative_excess_noise_factor": _entry("Excess noise factor F² relative to the reference setting", "1"),
+    "relative_excess_noise_factor": _entry(
+        "Excess noise factor F² relative to the reference setting", "1"
+    ),
     "responsivity": _entry("Responsivity", "DN/photon", "DN/lx s", "DN/lx"),
     "saturation_capacity": _entry("Saturation capacity", "e-"),
     "dsnu": _entry("Dark signal non-uniformity", "e-", "DN"),
@@ -77,7 +87,9 @@ QUANTITIES: dict[str, Quantity] = {
     "halo_fraction": _entry("Halo fraction of the total signal", "1"),
     "halo_plateau": _entry("Halo plateau per unit source signal", "1/px2"),
     "halo_rim": _entry("Halo rim-to-plateau ratio", "1"),
-    "mcp_saturation_density": _entry("Recorded signal per pixel at which the MCP gain has halved", "DN"),
+    "mcp_saturation_density": _entry(
+        "Recorded signal per pixel at which the MCP gain has halved", "DN"
+    ),
     "core_compression": _entry("Core compression: signal relative to an unsaturated MCP", "1"),
     "veiling_glare": _entry("Veiling glare: uniformly spread fraction of the source signal", "%"),
     "encircled_radius_50": _entry("Encircled-energy radius, 50 %", "px"),
@@ -90,17 +102,36 @@ QUANTITIES: dict[str, Quantity] = {
     "streak_length": _entry("Blooming streak length", "px"),
     "streak_level": _entry("Blooming streak signal above dark", "DN"),
     "smear_fraction": _entry("Smear fraction of the column signal", "1"),
-    "background_depression": _entry("Background depression relative to the lowest source level", "dB"),
+    "background_depression": _entry(
+        "Background depression relative to the lowest source level", "dB"
+    ),
     "recovery_time_10": _entry("Recovery time to 10 % after source-off", "s"),
     "recovery_time_1": _entry("Recovery time to 1 % after source-off", "s"),
-    "surface_temperature": _entry("Surface temperature: mean over the area of one object and material", "C"),
-    "fused_noise": _entry("Noise of the fused picture: median standard deviation over the display range", "1"),
-    "fused_share": _entry("Share of a band in the contrast of objects of the fused picture, median", "1"),
+    "surface_temperature": _entry(
+        "Surface temperature: mean over the area of one object and material", "C"
+    ),
+    "fused_noise": _entry(
+        "Noise of the fused picture: median standard deviation over the display range", "1"
+    ),
+    "fused_share": _entry(
+        "Share of a band in the contrast of objects of the fused picture, median", "1"
+    ),
     "fused_filled_area": _entry("Area of the fused picture that lacks a band", "1"),
-    "fusion_error": _entry("Restoration error of the fused picture over the spread of the truth", "%"),
+    "fusion_error": _entry(
+        "Restoration error of the fused picture over the spread of the truth", "%"
+    ),
 }
 
-FREQUENCY_UNITS = ("cy/px", "lp/mm", "lp/mm-cathode", "tvl/ph", "lw/ph", "cy/in", "cy/mrad", "cy/arcmin")
+FREQUENCY_UNITS = (
+    "cy/px",
+    "lp/mm",
+    "lp/mm-cathode",
+    "tvl/ph",
+    "lw/ph",
+    "cy/in",
+    "cy/mrad",
+    "cy/arcmin",
+)
 
 
 ARCMIN_MRAD = 0.2908882  # One arc minute, mrad
@@ -120,14 +151,17 @@ def convert_frequency(
     Parameters
     ----------
     pitch_um
-        Pixel pitch along the frequency's direction, um; for lp/mm at detector and cathode, cy/in and angles.
+        Pixel pitch along the frequency's direction, um; for lp/mm at detector and cathode, cy/in
+        and angles.
     picture_height_px
-        Picture height in the same pitches, px; for television lines and line widths per picture height, two a cycle.
+        Picture height in the same pitches, px; for television lines and line widths per picture
+        height, two a cycle.
     focal_length_mm
         Focal length, mm; for cy/mrad and cy/arcmin.
     demagnification
-        Length at the photocathode over its image's at the detector, dimensionless; for lp/mm at the cathode,
-        and for angles of a camera that has one. None: the lens forms its image on the detector.
+        Length at the photocathode over its image's at the detector, dimensionless; for lp/mm at the
+        cathode, and for angles of a camera that has one. None: the lens forms its image on the
+        detector.
     """
 
     def need(name: str) -> float:
@@ -135,8 +169,12 @@ def convert_frequency(
             raise BadInput(f"{unit} needs a positive {name}, got {length}")
         return length
 
-    lengths = {"pitch_um": pitch_um, "picture_height_px": picture_height_px, "focal_length_mm": focal_length_mm,
-               "demagnification": demagnification}  # fmt: skip
+    lengths = {
+        "pitch_um": pitch_um,
+        "picture_height_px": picture_height_px,
+        "focal_length_mm": focal_length_mm,
+        "demagnification": demagnification,
+    }
     if unit == "cy/px":
         return frequency_cy_per_px
     if unit == "lp/mm":

@@ -21,11 +21,23 @@ FORMAT = 1
 
 # Fields of a measurement written to the JSON only if set.
 WHERE_THEY_APPLY = ("stack", "region", "frequency_cy_per_px", "orientation_deg", "notes", "reason")
-ALWAYS = ("quantity", "unit", "value", "interval68", "interval95", "status", "flags", "method", "seconds")
+ALWAYS = (
+    "quantity",
+    "unit",
+    "value",
+    "interval68",
+    "interval95",
+    "status",
+    "flags",
+    "method",
+    "seconds",
+)
 
 
 def to_json(result: Result, *, given: str, version: str) -> dict[str, Any]:
-    """Return a result as the JSON object of a measuring verb; `given` is the input as named on the command line."""
+    """Return a result as the JSON object of a measuring verb; `given` is the input as named on the
+    command line.
+    """
     return {
         "charact": version,
         "input": given,
@@ -35,18 +47,23 @@ def to_json(result: Result, *, given: str, version: str) -> dict[str, Any]:
 
 
 def save(result: Result, folder: str | Path) -> Path:
-    """Save a full result, with posterior draws and figure data, in a session folder, and return its document."""
+    """Save a full result, with posterior draws and figure data, in a session folder, and return its
+    document.
+    """
     folder = Path(folder)
     arrays: dict[str, NDArray] = {}
     document = {
         "format": FORMAT,
-        "measurements": [_full_measurement(m, f"m{i}", arrays) for i, m in enumerate(result.measurements)],
+        "measurements": [
+            _full_measurement(m, f"m{i}", arrays) for i, m in enumerate(result.measurements)
+        ],
         "curves": {name: _curve(curve) for name, curve in result.curves.items()},
         "evidence": _value(result.evidence),
     }
     packed = io.BytesIO()
     np.savez_compressed(packed, allow_pickle=False, **arrays)
-    # The file name of the draws contains their digest, so that old document and old draws match until the rename.
+    # The file name of the draws contains their digest, so that old document and old draws match
+    # until the rename.
     draws = folder / DRAWS.format(hashlib.sha256(packed.getvalue()).hexdigest()[:16])
     text = json.dumps({**document, "draws": draws.name}, allow_nan=False)
     write_atomically(draws, packed.getvalue())
@@ -62,14 +79,17 @@ def save_into(result: Result, folder: str | Path) -> Path:
     kept = load(folder) or Result()
     anew = {m.quantity for m in result.measurements}
     others = Result(
-        measurements=tuple(m for m in kept.measurements if m.quantity not in anew), curves=kept.curves,
+        measurements=tuple(m for m in kept.measurements if m.quantity not in anew),
+        curves=kept.curves,
         evidence=kept.evidence,
-    )  # fmt: skip
+    )
     return save(others + result, folder)
 
 
 def load(folder: str | Path) -> Result | None:
-    """Load the result saved in a session folder; None if there is none, BadInput if it cannot be read."""
+    """Load the result saved in a session folder; None if there is none, BadInput if it cannot be
+    read.
+    """
     path = Path(folder) / RESULTS
     if not path.exists():
         return None
@@ -78,7 +98,9 @@ def load(folder: str | Path) -> Result | None:
         with np.load(path.parent / document["draws"], allow_pickle=False) as packed:
             arrays = {name: packed[name] for name in packed.files}
         if document["format"] != FORMAT:
-            raise BadInput(f"a kept result must have format {FORMAT}, got {document['format']} in {path}")
+            raise BadInput(
+                f"a kept result must have format {FORMAT}, got {document['format']} in {path}"
+            )
         return Result(
             measurements=tuple(_read_measurement(one, arrays) for one in document["measurements"]),
             curves={name: _read_curve(one) for name, one in document["curves"].items()},
@@ -87,22 +109,35 @@ def load(folder: str | Path) -> Result | None:
     except BadInput:
         raise
     except (OSError, ValueError, KeyError, TypeError):
-        raise BadInput(f"a kept result must be whole and readable, got {path}; measure the session again") from None
+        raise BadInput(
+            f"a kept result must be whole and readable, got {path}; measure the session again"
+        ) from None
 
 
 def _measurement(measurement: Measurement) -> dict[str, Any]:
     always = {name: _value(getattr(measurement, name)) for name in ALWAYS}
     applying = {name: _value(getattr(measurement, name)) for name in WHERE_THEY_APPLY}
-    return {**always, **{name: value for name, value in applying.items() if value not in (None, [])}}
+    return {
+        **always,
+        **{name: value for name, value in applying.items() if value not in (None, [])},
+    }
 
 
 def _curve(curve: Curve) -> dict[str, Any]:
-    whole = {item.name: _value(getattr(curve, item.name)) for item in fields(curve) if item.name != "draws"}
+    whole = {
+        item.name: _value(getattr(curve, item.name))
+        for item in fields(curve)
+        if item.name != "draws"
+    }
     return {name: value for name, value in whole.items() if value is not None or name != "stack"}
 
 
-def _full_measurement(measurement: Measurement, key: str, arrays: dict[str, NDArray]) -> dict[str, Any]:
-    """Return a measurement with provenance and posterior; its arrays are replaced by names, equal ones by one."""
+def _full_measurement(
+    measurement: Measurement, key: str, arrays: dict[str, NDArray]
+) -> dict[str, Any]:
+    """Return a measurement with provenance and posterior; its arrays are replaced by names, equal
+    ones by one.
+    """
     whole = _measurement(measurement)
     if measurement.value is None:
         whole["refusal"] = measurement.refusal
@@ -132,17 +167,23 @@ def _read_measurement(document: dict[str, Any], arrays: dict[str, NDArray]) -> M
         keys["provenance"] = Provenance(**keys["provenance"])
     if "posterior" in keys:
         parts = _with_tuples(keys["posterior"])
-        parts |= {name: arrays[value["array"]] for name, value in parts.items() if isinstance(value, dict)}
+        parts |= {
+            name: arrays[value["array"]] for name, value in parts.items() if isinstance(value, dict)
+        }
         keys["posterior"] = Posterior(**parts)
     return Measurement(**keys)
 
 
 def _with_tuples(document: dict[str, Any]) -> dict[str, Any]:
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in document.items()}
+    return {
+        name: tuple(value) if isinstance(value, list) else value for name, value in document.items()
+    }
 
 
 def _read_curve(document: dict[str, Any]) -> Curve:
-    lists = {name: np.array(value, float) for name, value in document.items() if isinstance(value, list)}
+    lists = {
+        name: np.array(value, float) for name, value in document.items() if isinstance(value, list)
+    }
     keys: dict[str, Any] = {**document, **lists}
     return Curve(**keys)
 

@@ -17,11 +17,16 @@ from labdata.solid_state import SolidStateCamera
 
 
 def file_schema(kind: str, more: Mapping[str, type] | None = None) -> dict[str, Any]:
-    """Return the JSON Schema of a kind of file: a session, a sensor of three kinds, a plan, or one of more kinds."""
+    """Return the JSON Schema of a kind of file: a session, a sensor of three kinds, a plan, or one
+    of more kinds.
+    """
     kinds = {
-        "session": SessionFile, "sensor": Sensor, "solid-state": SolidStateCamera, "infrared": InfraredImager,
+        "session": SessionFile,
+        "sensor": Sensor,
+        "solid-state": SolidStateCamera,
+        "infrared": InfraredImager,
         "plan": PlanFile,
-    }  # fmt: skip
+    }
     kinds |= more or {}
     if kind not in kinds:
         raise BadInput(f"a schema must be of one of {', '.join(kinds)}, got {kind!r}")
@@ -29,7 +34,9 @@ def file_schema(kind: str, more: Mapping[str, type] | None = None) -> dict[str, 
 
 
 def json_schema(type_: type) -> dict[str, Any]:
-    """Return the JSON Schema of the file form of a dataclass, for editors that complete and check TOML."""
+    """Return the JSON Schema of the file form of a dataclass, for editors that complete and check
+    TOML.
+    """
     schema = adapter(type_).json_schema()
     definitions = schema["$defs"]
     whole = definitions.pop(type_.__name__)
@@ -45,7 +52,9 @@ def json_schema(type_: type) -> dict[str, Any]:
 
 
 def with_descriptions(schema: dict[str, Any], types: dict[str, type]) -> dict[str, Any]:
-    """Return a schema with the descriptions of its tables and keys; `types` are its dataclasses by name."""
+    """Return a schema with the descriptions of its tables and keys; `types` are its dataclasses by
+    name.
+    """
     return {
         **_table(schema, types.get(schema["title"])),
         "$defs": {name: _table(table, types.get(name)) for name, table in schema["$defs"].items()},
@@ -65,7 +74,11 @@ def _table(table: dict[str, Any], type_: type | None) -> dict[str, Any]:
 def _key(key: dict[str, Any], words: str | None) -> dict[str, Any]:
     """Return the schema of one key without null, which TOML does not have."""
     kinds = [kind for kind in key.get("anyOf", []) if kind != {"type": "null"}]
-    kept = {name: part for name, part in key.items() if name not in ("anyOf", "title") and part is not None}
+    kept = {
+        name: part
+        for name, part in key.items()
+        if name not in ("anyOf", "title") and part is not None
+    }
     kept |= kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {}
     return kept | ({"description": words} if words else {})
 

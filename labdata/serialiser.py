@@ -1,4 +1,6 @@
-"""Serialisers: convert TOML and JSON to frozen dataclasses and back; invalid input raises BadInput."""
+"""Serialisers: convert TOML and JSON to frozen dataclasses and back; invalid input raises
+BadInput.
+"""
 
 import dataclasses
 import difflib
@@ -28,8 +30,15 @@ EXPECTED = {
 }
 
 
-def sentence(errors: Sequence[Mapping[str, Any]], mapping: Mapping[str, Any], where: str, known: Sequence[str]) -> str:
-    """Return one sentence on the first of several validation errors of pydantic; `known` are the valid keys."""
+def sentence(
+    errors: Sequence[Mapping[str, Any]],
+    mapping: Mapping[str, Any],
+    where: str,
+    known: Sequence[str],
+) -> str:
+    """Return one sentence on the first of several validation errors of pydantic; `known` are the
+    valid keys.
+    """
     error = errors[0]
     steps = tuple(error["loc"])[1:]
     kind = error["type"]
@@ -43,17 +52,26 @@ def sentence(errors: Sequence[Mapping[str, Any]], mapping: Mapping[str, Any], wh
     if kind in ("value_error", "assertion_error"):
         return f"{error['ctx']['error']}{_place(', in ', steps, mapping, where)}"
     # Each member of a union reports its own error.
-    rules = [_rule(one) for one in errors if _steps_in(tuple(one["loc"])[1:], mapping) == steps] or [_rule(error)]
+    rules = [
+        _rule(one) for one in errors if _steps_in(tuple(one["loc"])[1:], mapping) == steps
+    ] or [_rule(error)]
     rule = " or ".join(dict.fromkeys(rules))
     *outer, key = steps or ("the file",)
     if isinstance(key, int) and outer:
         place = _place(", in ", outer[:-1], mapping, where)
         return f"every item of {outer[-1]} must be {rule}, got {_display(error['input'])}{place}"
-    return f"{key} must be {rule}, got {_display(error['input'])}{_place(', in ', outer, mapping, where)}"
+    return (
+        f"{key} must be {rule}, got "
+        f"{_display(error['input'])}{_place(', in ', outer, mapping, where)}"
+    )
 
 
 def _about_a_key(
-    kind: str, steps: Sequence[str | int], mapping: Mapping[str, Any], where: str, known: Sequence[str]
+    kind: str,
+    steps: Sequence[str | int],
+    mapping: Mapping[str, Any],
+    where: str,
+    known: Sequence[str],
 ) -> str:
     *outer, key = steps
     outer = _steps_in(outer, mapping)
@@ -95,7 +113,9 @@ def _place(joint: str, steps: Sequence[str | int], mapping: Any, where: str) -> 
         at = at[step]
         if isinstance(step, int) and places:
             label = at.get("label") if isinstance(at, Mapping) else None
-            places[-1] += f" {step + 1}" + (f" ({json.dumps(label, ensure_ascii=False, default=str)})" if label else "")
+            places[-1] += f" {step + 1}" + (
+                f" ({json.dumps(label, ensure_ascii=False, default=str)})" if label else ""
+            )
         else:
             places.append(str(step))
     words = places[::-1] + ([where] if where else [])
@@ -113,13 +133,16 @@ T = TypeVar("T")
 def from_toml(path: str | Path, type_: type[T]) -> T:
     """Read a TOML file into a dataclass.
 
-    A file that is missing or no TOML, an unknown key or an invalid value is BadInput with key and place.
+    A file that is missing or no TOML, an unknown key or an invalid value is BadInput with key and
+    place.
     """
     return from_mapping(read_toml(path), type_, where=Path(path).name)
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file into a mapping of plain values; one that is missing or no TOML is BadInput."""
+    """Read a TOML file into a mapping of plain values; one that is missing or no TOML is
+    BadInput.
+    """
     path = Path(path)
     require_regular(path)
     try:
@@ -131,16 +154,23 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise BadInput(f"{path} must be a TOML file: {_lower_first(str(error))}") from None
     except ValueError:
-        raise BadInput(f"{path} must have numbers of ordinary length, got one of thousands of digits") from None
+        raise BadInput(
+            f"{path} must have numbers of ordinary length, got one of thousands of digits"
+        ) from None
     except RecursionError:
-        raise BadInput(f"{path} must be a TOML file, got brackets nested too deep to be read") from None
+        raise BadInput(
+            f"{path} must be a TOML file, got brackets nested too deep to be read"
+        ) from None
 
 
 def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") -> T:
-    """Build a dataclass from a mapping of TOML or JSON values, checked as by `from_toml`; `where` names its file."""
+    """Build a dataclass from a mapping of TOML or JSON values, checked as by `from_toml`; `where`
+    names its file.
+    """
     from pydantic import ValidationError
 
-    # Strict JSON accepts a list for a tuple, strict Python values do not; neither accepts "780" as a number.
+    # Strict JSON accepts a list for a tuple, strict Python values do not; neither accepts "780" as
+    # a number.
     text = json.dumps([dict(mapping)], default=lambda date: {"date": str(date)})
     try:
         return adapter(type_).validate_json(text)[0]
@@ -165,7 +195,10 @@ def dataclasses_in(type_: Any) -> dict[str, type]:
     """Return a dataclass and all dataclasses inside it, by name."""
     if dataclasses.is_dataclass(type_) and isinstance(type_, type):
         inner = [dataclasses_in(hint) for hint in get_type_hints(type_).values()]
-        return {type_.__name__: type_, **{name: found for one in inner for name, found in one.items()}}
+        return {
+            type_.__name__: type_,
+            **{name: found for one in inner for name, found in one.items()},
+        }
     return {name: found for one in get_args(type_) for name, found in dataclasses_in(one).items()}
 
 
@@ -180,7 +213,9 @@ def _plain(value: Any) -> Any:
 
 
 def _plain_number(value: Any) -> Any:
-    """Return a NumPy number as a Python one; a non-finite one, which cannot be read back, is BadInput."""
+    """Return a NumPy number as a Python one; a non-finite one, which cannot be read back, is
+    BadInput.
+    """
     number = value.item() if hasattr(value, "item") else value
     if isinstance(number, float) and not math.isfinite(number):
         raise BadInput(f"a file holds finite numbers only, got {number}")
@@ -192,7 +227,9 @@ def _plain_fields(value: Any) -> dict[str, Any]:
     plain = {}
     for item in sorted(dataclasses.fields(value), key=lambda item: item.name not in own):
         written = _plain(getattr(value, item.name))
-        required = item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
+        required = (
+            item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
+        )
         empty = isinstance(written, list | dict) and not written
         if written is not None and (required or not empty):
             plain[item.name] = written
@@ -204,14 +241,23 @@ def adapter(type_: type) -> Any:
     """Return the strict reader of a dataclass and of all dataclasses inside it."""
     from pydantic import ConfigDict, TypeAdapter
 
-    # Around a bare dataclass pydantic ignores the configuration; inside a tuple it reaches every depth.
+    # Around a bare dataclass pydantic ignores the configuration; inside a tuple it reaches every
+    # depth.
     wrapped: Any = tuple.__class_getitem__(type_)
     return TypeAdapter(wrapped, config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
 
 
 @cache
 def _valid_keys(type_: type) -> tuple[str, ...]:
-    return tuple(sorted({key.name for table in dataclasses_in(type_).values() for key in dataclasses.fields(table)}))
+    return tuple(
+        sorted(
+            {
+                key.name
+                for table in dataclasses_in(type_).values()
+                for key in dataclasses.fields(table)
+            }
+        )
+    )
 
 
 def _lower_first(text: str) -> str:

@@ -39,19 +39,30 @@ class StackRecord(Conditions):
 
     label: str  #: Name of the stack, unique in the session
     kind: Kind  #: Kind of target
-    frames: str | tuple[str, ...]  #: File or files of the frames, or a Zarr array, relative to the session's folder
-    axis: str | None = None  #: Number (from 0) or name of the frame axis of the files; by default the first
-    #: Plane to read of colour images, mosaics and files with more axes. Regions, lengths and frequencies of targets
-    #: count its own samples
+    frames: (
+        str | tuple[str, ...]
+    )  #: File or files of the frames, or a Zarr array, relative to the session's folder
+    axis: str | None = (
+        None  #: Number (from 0) or name of the frame axis of the files; by default the first
+    )
+    # : Plane to read of colour images, mosaics and files with more axes. Regions, lengths and
+    # frequencies of targets : count its own samples
     plane: str | None = None
     asked: Conditions | None = None  #: Requested conditions, where they differ from those in force
     target: Target = field(default_factory=Target)  #: Target in front of the camera
-    sensor: str | None = None  #: Its sensor description, where a session has stacks of several; as the session's
+    sensor: str | None = (
+        None  #: Its sensor description, where a session has stacks of several; as the session's
+    )
     bit_depth: int | None = None  #: Bits of its digitiser, in place of the session's
-    finished: bool | None = None  #: False while the stack is being acquired, and after an interrupted acquisition
-    lost_frames: int | None = None  #: Number of frames that the camera numbered and that were not recorded
+    finished: bool | None = (
+        None  #: False while the stack is being acquired, and after an interrupted acquisition
+    )
+    lost_frames: int | None = (
+        None  #: Number of frames that the camera numbered and that were not recorded
+    )
     lost: tuple[LostFrames, ...] = ()  #: Their numbers and causes, where known
-    #: Reason to doubt its frames, such as a bench that went to the safe state while they were acquired
+    # : Reason to doubt its frames, such as a bench that went to the safe state while they were
+    # acquired
     doubt: str | None = None
     notes: tuple[str, ...] = ()  #: Remarks
 
@@ -64,7 +75,9 @@ class SessionFile:
     #: Name of a shipped sensor description, or the path of one relative to the session's folder
     sensor: str | None = None
     bit_depth: int | None = None  #: Bits of the digitiser; full scale is 2^bits - 1
-    interlaced: bool | None = None  #: Whether the two fields of a frame were exposed one after the other
+    interlaced: bool | None = (
+        None  #: Whether the two fields of a frame were exposed one after the other
+    )
     notes: tuple[str, ...] = ()  #: Remarks
     stack: tuple[StackRecord, ...] = ()  #: The stacks
 
@@ -80,7 +93,8 @@ class StackEntry:
 
     label: str  #: Name, unique in the session
     kind: Kind  #: Kind of target
-    #: Path of the frames relative to the session folder: a file, an array of the session's store, or several
+    # : Path of the frames relative to the session folder: a file, an array of the session's store,
+    # or several
     #: consecutive files
     frames: str | tuple[str, ...]
     #: Conditions in force: read-backs where an instrument can be read, else the set-points
@@ -93,11 +107,20 @@ class StackEntry:
     notes: tuple[str, ...] = ()  #: Remarks of the manifest
     record_notes: tuple[str, ...] = ()  #: Damage and gaps in the record of the frames
     bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
-    sensor: str | None = None  #: Name of its sensor description, or a path relative to the folder; None: the session's
-    axis: str | None = None  #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
-    plane: str | None = None  #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
+    sensor: str | None = (
+        # : Name of its sensor description, or a path relative to the folder; None: the session's
+        None
+    )
+    axis: str | None = (
+        None  #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
+    )
+    plane: str | None = (
+        None  #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
+    )
     folder: Path  #: The session's folder
-    view: "View | None" = None  #: How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are
+    view: "View | None" = (
+        None  #: How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are
+    )
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -106,18 +129,26 @@ class StackEntry:
         return tuple(self.folder / name for name in names)
 
     def read(self, plane: str | None = None) -> FrameStack:
-        """Read the frames, or one colour plane; damaged files, and frames that break a rule, are BadInput."""
+        """Read the frames, or one colour plane; damaged files, and frames that break a rule, are
+        BadInput.
+        """
         from labdata.importers import read_frames
 
         unknown = self.bit_depth is None
-        parts = [read_frames(path, plane or self.plane, axis=self.axis, find_full_scale=unknown) for path in self.paths]
+        parts = [
+            read_frames(path, plane or self.plane, axis=self.axis, find_full_scale=unknown)
+            for path in self.paths
+        ]
         stack = _concatenate(parts, self.label)
         if stack.origin != (0, 0) and self.target.region is not None:
             raise BadInput(
-                f"a region must count from the first pixel that is read, got frames whose border is not finite up to "
-                f"{stack.origin} in stack {self.label!r}: cut the border off in the files"
+                "a region must count from the first pixel that is read, got frames whose border "
+                f"is not finite up to {stack.origin} in stack {self.label!r}: cut the border off "
+                "in the files"
             )
-        broken_off = () if self.finished else (f"the stack was broken off after {len(stack)} frames",)
+        broken_off = (
+            () if self.finished else (f"the stack was broken off after {len(stack)} frames",)
+        )
         return replace(
             stack,
             # Frames lost in the record were counted when the session was opened.
@@ -127,7 +158,9 @@ class StackEntry:
         )
 
     def sampling(self) -> tuple[str, int]:
-        """Return the plane that the frames show, and the distance of its samples in pixels of the camera."""
+        """Return the plane that the frames show, and the distance of its samples in pixels of the
+        camera.
+        """
         if self.plane is None:
             return "mono", 1
         from labdata.importers import read_frames
@@ -158,7 +191,9 @@ class LoadedStackEntry(StackEntry):
         return self.kept
 
     def sampling(self) -> tuple[str, int]:
-        """Return the plane of the frames, and the distance of its samples in pixels of the camera."""
+        """Return the plane of the frames, and the distance of its samples in pixels of the
+        camera.
+        """
         return self.kept.plane, self.kept.sample_pitch_px
 
 
@@ -169,7 +204,8 @@ def _concatenate(parts: list[FrameStack], label: str) -> FrameStack:
         return first
     if shapes := {part.shape[1:] for part in parts} - {first.shape[1:]}:
         raise BadInput(
-            f"all files of a stack must have one picture size, got {first.shape[1:]} and {min(shapes)} in {label!r}"
+            f"all files of a stack must have one picture size, got {first.shape[1:]} and "
+            f"{min(shapes)} in {label!r}"
         )
     return replace(
         first,
@@ -177,7 +213,9 @@ def _concatenate(parts: list[FrameStack], label: str) -> FrameStack:
         time_s=_all_or_none([part.time_s for part in parts], parts),
         frame_number=_all_or_none([part.frame_number for part in parts], parts),
         lost_frames=sum(part.lost_frames for part in parts),
-        full_scale_dn=max((known for part in parts if (known := part.full_scale_dn) is not None), default=None),
+        full_scale_dn=max(
+            (known for part in parts if (known := part.full_scale_dn) is not None), default=None
+        ),
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
 
@@ -199,9 +237,12 @@ class Session:
     folder: Path  #: The session's folder
     name: str  #: Its name
     stacks: tuple[StackEntry, ...]  #: Its stacks in the order of the manifest
-    camera: Camera | None = None  #: Description of the camera named in the manifest; None without a name
+    camera: Camera | None = (
+        None  #: Description of the camera named in the manifest; None without a name
+    )
     bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
-    #: Whether the two fields of a frame were exposed one after the other; None: as in the sensor description
+    # : Whether the two fields of a frame were exposed one after the other; None: as in the sensor
+    # description
     interlaced: bool | None = None
     notes: tuple[str, ...] = ()
 
@@ -229,22 +270,31 @@ class Session:
                 found.setdefault(("mono" if plane == "luminance" else plane, pitch_px), entry.label)
         if len(found) > 1:
             shown = " and ".join(f"{plane} in {label!r}" for (plane, _), label in found.items())
-            raise BadInput(f"one camera description is of one colour plane, got {shown} of session {self.name!r}")
+            raise BadInput(
+                f"one camera description is of one colour plane, got {shown} of session "
+                f"{self.name!r}"
+            )
         plane, pitch_px = next(iter(found), ("mono", 1))
         if pitch_px > 1 and not isinstance(self.camera, SolidStateCamera | None):
             raise BadInput(
-                f"a plane of a mosaic must be that of a camera without an image tube, got {plane} of session "
-                f"{self.name!r}, camera {self.camera.name!r}"
+                f"a plane of a mosaic must be that of a camera without an image tube, got {plane} "
+                f"of session {self.name!r}, camera {self.camera.name!r}"
             )
         return plane, pitch_px
 
     def dark_like(self, conditions: Conditions) -> StackEntry | None:
         """Return the dark whose settings agree best with some conditions; None without darks."""
         darks = self.of_kind("dark")
-        return max(darks, key=lambda dark: len(_agreeing(dark.conditions, conditions))) if darks else None
+        return (
+            max(darks, key=lambda dark: len(_agreeing(dark.conditions, conditions)))
+            if darks
+            else None
+        )
 
     def black_dn(self, entry: StackEntry) -> float | None:
-        """Return the mean of the dark with the settings of a stack, DN; None where there is none."""
+        """Return the mean of the dark with the settings of a stack, DN; None where there is
+        none.
+        """
         dark = self.dark_like(entry.conditions)
         if dark is None or len(_agreeing(dark.conditions, entry.conditions)) < len(DARK_SETTINGS):
             return None
@@ -264,7 +314,11 @@ class Session:
     def register(self) -> Register | None:
         """Electron-multiplying register of a camera without intensifier; None where it has none."""
         camera = self.camera
-        return camera.register if isinstance(camera, SolidStateCamera) and camera.register.multiplies else None
+        return (
+            camera.register
+            if isinstance(camera, SolidStateCamera) and camera.register.multiplies
+            else None
+        )
 
     @property
     def is_interlaced(self) -> bool:
@@ -280,7 +334,8 @@ def open_session(path: str | Path) -> Session:
     Raises
     ------
     BadInput
-        If there is no session, it has no stacks, a key is unknown, a condition breaks a rule, or frames are missing.
+        If there is no session, it has no stacks, a key is unknown, a condition breaks a rule, or
+        frames are missing.
     """
     path = Path(path)
     folder = path.parent if path.name == MANIFEST else path
@@ -305,14 +360,26 @@ def session_of(folder: Path, form: SessionFile) -> Session:
         camera=camera,
         bit_depth=form.bit_depth,
         interlaced=form.interlaced,
-        notes=(*form.notes, *_superfluous_targets(stacks), *(note for entry in stacks for note in entry.record_notes)),
+        notes=(
+            *form.notes,
+            *_superfluous_targets(stacks),
+            *(note for entry in stacks for note in entry.record_notes),
+        ),
     )
 
 
 def _superfluous_targets(stacks: tuple[StackEntry, ...]) -> tuple[str, ...]:
-    """Return notes on target fields that do not apply: a wrong kind, or a target of another stack."""
-    superfluous = ((entry, " and ".join(entry.target.superfluous_names(entry.kind))) for entry in stacks)
-    return tuple(f"stack {entry.label!r} of kind {entry.kind!r} {UNUSED} {them}" for entry, them in superfluous if them)
+    """Return notes on target fields that do not apply: a wrong kind, or a target of another
+    stack.
+    """
+    superfluous = (
+        (entry, " and ".join(entry.target.superfluous_names(entry.kind))) for entry in stacks
+    )
+    return tuple(
+        f"stack {entry.label!r} of kind {entry.kind!r} {UNUSED} {them}"
+        for entry, them in superfluous
+        if them
+    )
 
 
 def _check(form: SessionFile, folder: Path) -> None:
@@ -320,7 +387,9 @@ def _check(form: SessionFile, folder: Path) -> None:
     if not labels:
         raise BadInput(f"a session must have at least one stack, got none in {folder}")
     if repeated := {label for label in labels if labels.count(label) > 1}:
-        raise BadInput(f"every stack's label must be its own, got {min(repeated)!r} twice in {folder}")
+        raise BadInput(
+            f"every stack's label must be its own, got {min(repeated)!r} twice in {folder}"
+        )
     if form.bit_depth is not None and not 1 <= form.bit_depth <= 32:
         raise BadInput(f"bit_depth must lie between 1 and 32, got {form.bit_depth} in {folder}")
     if empty := [stack.label for stack in form.stack if not stack.frames]:
@@ -364,10 +433,14 @@ def _record(stack: StackRecord, folder: Path) -> tuple[int, tuple[str, ...]]:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the `sha256sum` output for a folder's files, sorted by relative name."""
+    """Return the SHA-256 of a file, or of the `sha256sum` output for a folder's files, sorted by
+    relative name.
+    """
     if not path.is_dir():
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    files = sorted((part.relative_to(path).as_posix(), part) for part in path.rglob("*") if part.is_file())
+    files = sorted(
+        (part.relative_to(path).as_posix(), part) for part in path.rglob("*") if part.is_file()
+    )
     lines = "".join(f"{sha256_of(part)}  {name}\n" for name, part in files)
     return hashlib.sha256(lines.encode()).hexdigest()

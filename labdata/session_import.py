@@ -1,4 +1,6 @@
-"""Sessions that refer to existing frames: an EMVA 1288 series, or separate files with conditions in their names."""
+"""Sessions that refer to existing frames: an EMVA 1288 series, or separate files with conditions in
+their names.
+"""
 
 import os
 import re
@@ -20,8 +22,9 @@ NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 def import_emva1288(file: str | Path, out: str | Path) -> Session:
     """Make a session that refers to the images of an EMVA 1288 descriptor file.
 
-    The descriptor has the lines `v` version, `n` bits width height, `b` exposure photons, `d` exposure (ns), `i` image.
-    One that breaks its format, lacks an image, or a folder with a session is BadInput.
+    The descriptor has the lines `v` version, `n` bits width height, `b` exposure photons, `d`
+    exposure (ns), `i` image. One that breaks its format, lacks an image, or a folder with a session
+    is BadInput.
     """
     from labdata.importers import read_frames
 
@@ -30,7 +33,10 @@ def import_emva1288(file: str | Path, out: str | Path) -> Session:
     for image in levels[0][1][:1]:
         _, there, across = read_frames(file.parent / image).shape
         if (across, there) != (columns, rows):
-            raise BadInput(f"images must be the {columns}x{rows} px of {file.name}, got {across}x{there} px in {image}")
+            raise BadInput(
+                f"images must be the {columns}x{rows} px of {file.name}, got {across}x{there} px "
+                f"in {image}"
+            )
     stacks = []
     for number, (stack, images) in enumerate(levels):
         if len(images) < 2:
@@ -51,7 +57,9 @@ def import_emva1288(file: str | Path, out: str | Path) -> Session:
     return _write_session(form, out)
 
 
-def _read_descriptor(file: Path) -> tuple[str, tuple[int, ...], list[tuple[StackRecord, list[str]]]]:
+def _read_descriptor(
+    file: Path,
+) -> tuple[str, tuple[int, ...], list[tuple[StackRecord, list[str]]]]:
     """Return version, bits and size of the images, and stacks with the names of their images."""
     require_regular(file, "a descriptor file")
     try:
@@ -84,7 +92,9 @@ def _read_descriptor(file: Path) -> tuple[str, tuple[int, ...], list[tuple[Stack
                 f"got {' '.join((key, *values))!r} in line {number} of {file.name}"
             ) from None
     if len(size) < 3 or not levels:
-        raise BadInput(f"an EMVA 1288 descriptor must hold a line n and at least one of b or d, got {file}")
+        raise BadInput(
+            f"an EMVA 1288 descriptor must hold a line n and at least one of b or d, got {file}"
+        )
     return version, size, levels
 
 
@@ -106,7 +116,8 @@ def import_frames(
     kind
         Kind of the stacks. None: as the header of a FITS file states, else scene.
     name_pattern
-        Pattern of the file names, such as "{mcp_v}V_{gate_ns}ns_*": a condition in braces matches a number,
+        Pattern of the file names, such as "{mcp_v}V_{gate_ns}ns_*": a condition in braces matches a
+        number,
         * anything. Files of equal conditions become one stack.
     label
         Label of one stack that has all files in the order of their names.
@@ -117,8 +128,8 @@ def import_frames(
 
     Notes
     -----
-    Without pattern and label each file is a stack, but FITS files of one frame whose headers state kind or exposure:
-    those alike become one stack (`labdata.fits_conditions`).
+    Without pattern and label each file is a stack, but FITS files of one frame whose headers state
+    kind or exposure: those alike become one stack (`labdata.fits_conditions`).
     """
     from labdata.fits_conditions import require_one_camera
     from labdata.importers import reader_of
@@ -129,7 +140,9 @@ def import_frames(
     for path in paths:
         reader_of(path)
     if label is not None and name_pattern is not None:
-        raise BadInput("--stack gathers all files, --name those of equal conditions: give one of them")
+        raise BadInput(
+            "--stack gathers all files, --name those of equal conditions: give one of them"
+        )
     if label is not None:
         groups = [(label, kind or "scene", Conditions(), paths)]
     elif name_pattern is not None:
@@ -137,13 +150,17 @@ def import_frames(
     else:
         groups = _group_headers(paths, kind, plane)
     stacks = tuple(
-        stack_record(conditions, label=name, kind=of, frames=_frames_of(files, out), axis=axis, plane=plane)
+        stack_record(
+            conditions, label=name, kind=of, frames=_frames_of(files, out), axis=axis, plane=plane
+        )
         for name, of, conditions, files in groups
     )
     form = _session_to_add_to(out) if add else SessionFile(name=out.resolve().name)
     notes = (*form.notes, *_findings(stacks, out))
     form = replace(form, stack=(*form.stack, *stacks), notes=notes)
-    require_one_camera([(out / name).resolve() for stack in form.stack for name in _names_of(stack)])
+    require_one_camera(
+        [(out / name).resolve() for stack in form.stack for name in _names_of(stack)]
+    )
     return _write_session(form, out, add=add)
 
 
@@ -151,14 +168,18 @@ Group = tuple[str, Kind, Conditions, list[Path]]
 
 
 def _session_to_add_to(out: Path) -> SessionFile:
-    """Return the manifest of a session; a folder without one, or one whose acquisition wrote it, is BadInput."""
+    """Return the manifest of a session; a folder without one, or one whose acquisition wrote it, is
+    BadInput.
+    """
     if not (out / MANIFEST).is_file():
         raise BadInput(f"--add needs the folder of a session, got {out} without a {MANIFEST}")
     return from_toml(out / MANIFEST, SessionFile)
 
 
 def _group_headers(paths: list[Path], kind: Kind | None, plane: str | None) -> list[Group]:
-    """Return the stacks of files by their FITS headers; a file of another form is one of its own."""
+    """Return the stacks of files by their FITS headers; a file of another form is one of its
+    own.
+    """
     from labdata.fits_conditions import group_stated, read_stated_frame
 
     stated = [read_stated_frame(path, plane) for path in paths]
@@ -191,7 +212,9 @@ def _group_files(paths: list[Path], kind: Kind, pattern: str) -> list[Group]:
         match = expression.fullmatch(path.stem) or expression.fullmatch(path.name)
         if match is None:
             raise BadInput(f"every file name must match the pattern {pattern!r}, got {path.name!r}")
-        groups.setdefault(tuple((name, float(text)) for name, text in match.groupdict().items()), []).append(path)
+        groups.setdefault(
+            tuple((name, float(text)) for name, text in match.groupdict().items()), []
+        ).append(path)
     return [
         (
             f"{kind} " + " ".join(f"{name}={value:g}" for name, value in given),
@@ -209,15 +232,22 @@ def _name_expression(pattern: str) -> re.Pattern[str]:
     parts = re.split(r"(\{[^{}]*\}|\*)", pattern)
     names = [part[1:-1] for part in parts if part.startswith("{")]
     if unknown := [name for name in names if name not in known]:
-        raise BadInput(f"a name in the braces of a pattern must be one of {', '.join(known)}, got {unknown[0]!r}")
+        raise BadInput(
+            f"a name in the braces of a pattern must be one of {', '.join(known)}, got "
+            f"{unknown[0]!r}"
+        )
     if not names or len(set(names)) < len(names):
-        raise BadInput(f"a pattern must name one condition or more, each once, in braces, got {pattern!r}")
+        raise BadInput(
+            f"a pattern must name one condition or more, each once, in braces, got {pattern!r}"
+        )
     forms = {"*": ".*?", **{f"{{{name}}}": f"(?P<{name}>{NUMBER})" for name in names}}
     return re.compile("".join(forms.get(part, re.escape(part)) for part in parts))
 
 
 def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
-    """Read every file once; return notes of the readers and on stacks of different sizes. A stack has one size."""
+    """Read every file once; return notes of the readers and on stacks of different sizes. A stack
+    has one size.
+    """
     from labdata.importers import read_frames
 
     found: dict[tuple[int, int], str] = {}
@@ -225,15 +255,24 @@ def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
     for stack in stacks:
         sizes: dict[tuple[int, int], str] = {}
         for name in _names_of(stack):
-            frames = read_frames((out / name).resolve(), stack.plane, axis=stack.axis, find_full_scale=False)
+            frames = read_frames(
+                (out / name).resolve(), stack.plane, axis=stack.axis, find_full_scale=False
+            )
             sizes[frames.shape[1:]] = name
             for note in frames.notes:
                 notes.setdefault(note, []).append(Path(name).name)
         if len(sizes) > 1:
-            shown = " and ".join(f"{size[0]} x {size[1]} in {Path(name).name}" for size, name in sizes.items())
-            raise BadInput(f"all files of a stack must have one picture size, got {shown} for {stack.label!r}")
+            shown = " and ".join(
+                f"{size[0]} x {size[1]} in {Path(name).name}" for size, name in sizes.items()
+            )
+            raise BadInput(
+                f"all files of a stack must have one picture size, got {shown} for {stack.label!r}"
+            )
         found |= {size: stack.label for size in sizes if size not in found}
-    said = [f"{files[0]}{f' and {len(files) - 1} more' if files[1:] else ''}: {note}" for note, files in notes.items()]
+    said = [
+        f"{files[0]}{f' and {len(files) - 1} more' if files[1:] else ''}: {note}"
+        for note, files in notes.items()
+    ]
     if len(found) > 1:
         shown = ", ".join(f"{rows} x {cols} ({label})" for (rows, cols), label in found.items())
         said.append(f"pictures of several sizes, rows x columns: {shown}")
@@ -241,7 +280,9 @@ def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
 
 
 def _write_session(form: SessionFile, out: Path, *, add: bool = False) -> Session:
-    """Check a session, write its manifest and return it; one that is there is only replaced to add to it."""
+    """Check a session, write its manifest and return it; one that is there is only replaced to add
+    to it.
+    """
     if (out / MANIFEST).exists() and not add:
         raise BadInput(f"a new session needs a folder without one, got {out}")
     form = from_mapping(to_mapping(form), SessionFile, where=MANIFEST)
@@ -250,11 +291,15 @@ def _write_session(form: SessionFile, out: Path, *, add: bool = False) -> Sessio
         session = session_of(out, form)
         write_atomically(out / MANIFEST, to_toml(form).encode())
     except OSError as error:
-        raise BadInput(f"a session must be a folder that can be written, got {out}: {error.strerror}") from None
+        raise BadInput(
+            f"a session must be a folder that can be written, got {out}: {error.strerror}"
+        ) from None
     return session
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """Return a path for the manifest of a folder: relative inside the parent folder, absolute elsewhere."""
+    """Return a path for the manifest of a folder: relative inside the parent folder, absolute
+    elsewhere.
+    """
     path, folder = path.resolve(), folder.resolve()
     return os.path.relpath(path, folder) if path.is_relative_to(folder.parent) else str(path)

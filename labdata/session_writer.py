@@ -28,7 +28,9 @@ class StackWriter:
     Leaving the `with` without `finish` leaves the stack readable and marked as broken off.
     """
 
-    def __init__(self, array: ArrayWriter, entry: StackRecord, enter: Callable[[StackRecord], None]) -> None:
+    def __init__(
+        self, array: ArrayWriter, entry: StackRecord, enter: Callable[[StackRecord], None]
+    ) -> None:
         self._array = array
         self._entry = entry
         self._enter = enter
@@ -68,16 +70,28 @@ class StackWriter:
         notes: tuple[str, ...] = (),
         conditions: Conditions | None = None,
     ) -> None:
-        """Mark the stack as complete, with further losses and notes, and conditions read back at the end, if any."""
+        """Mark the stack as complete, with further losses and notes, and conditions read back at
+        the end, if any.
+        """
         if not len(self._array):
-            raise BadInput(f"a finished stack must hold at least one frame, got none in {self.label!r}")
-        entry = self._entry if conditions is None else stack_record(conditions, **own_keys(self._entry, StackRecord))
-        self._entry = _with_losses(replace(entry, finished=None, notes=(*entry.notes, *notes)), losses)
+            raise BadInput(
+                f"a finished stack must hold at least one frame, got none in {self.label!r}"
+            )
+        entry = (
+            self._entry
+            if conditions is None
+            else stack_record(conditions, **own_keys(self._entry, StackRecord))
+        )
+        self._entry = _with_losses(
+            replace(entry, finished=None, notes=(*entry.notes, *notes)), losses
+        )
         self._enter(self._entry)
         self.close()
 
     def lose(self, losses: tuple[LostFrames, ...]) -> None:
-        """Record lost frames; a stack without frames is not part of the session and records nothing."""
+        """Record lost frames; a stack without frames is not part of the session and records
+        nothing.
+        """
         if losses and len(self._array):
             self._entry = _with_losses(self._entry, losses)
             self._enter(self._entry)
@@ -104,7 +118,9 @@ LOCK = ".lock"
 
 
 class SessionWriter:
-    """A session during acquisition; make it with `create` or `resume` and use it in a `with` block."""
+    """A session during acquisition; make it with `create` or `resume` and use it in a `with`
+    block.
+    """
 
     def __init__(self, folder: Path, form: SessionFile) -> None:
         self.folder = folder
@@ -166,8 +182,9 @@ class SessionWriter:
     ) -> StackWriter:
         """Begin a stack, or continue an interrupted one; its length is then its number of frames.
 
-        `conditions` are those in force, `asked` the requested ones; `sensor` and `bit_depth` belong to the stack where
-        a session has several sensors. A stack that is complete, or was begun with other settings, is BadInput.
+        `conditions` are those in force, `asked` the requested ones; `sensor` and `bit_depth` belong
+        to the stack where a session has several sensors. A stack that is complete, or was begun
+        with other settings, is BadInput.
         """
         path = self._path(label)
         entry = stack_record(
@@ -195,7 +212,9 @@ class SessionWriter:
         return {entry.label: entry.doubt for entry in self._form.stack if entry.doubt is not None}
 
     def set_aside(self, label: str) -> Path:
-        """Remove an interrupted stack from the session, to acquire it again; return the folder of its frames."""
+        """Remove an interrupted stack from the session, to acquire it again; return the folder of
+        its frames.
+        """
         path = self._path(label)
         aside = _aside(path)
         self._forget(label)
@@ -215,10 +234,11 @@ class SessionWriter:
         self._lock.close()
 
     def _clear_folder(self, path: Path, entry: StackRecord, *, begun: bool) -> StackRecord:
-        """Clear the folder of an array that cannot be continued, and note in the entry what was set aside.
+        """Clear the folder of an array that cannot be continued, and note in the entry what was set
+        aside.
 
-        A kill between the first frames and the manifest leaves frames without a stack; a damaged journal may
-        leave a stack without readable frames.
+        A kill between the first frames and the manifest leaves frames without a stack; a damaged
+        journal may leave a stack without readable frames.
         """
         journal = read_journal(path)
         if journal.frames and begun:
@@ -230,12 +250,20 @@ class SessionWriter:
             self._forget(entry.label)
         aside = path.rename(_aside(path))
         why = journal.notes[0] if journal.notes else "the session did not count them yet"
-        return replace(entry, notes=(*entry.notes, f"acquired again, the earlier frames are in {aside.name}: {why}"))
+        return replace(
+            entry,
+            notes=(*entry.notes, f"acquired again, the earlier frames are in {aside.name}: {why}"),
+        )
 
     def _forget(self, label: str) -> None:
         if label in self.finished_labels:
-            raise BadInput(f"only a stack that was broken off can leave its session, got the complete {label!r}")
-        self._save(replace(self._form, stack=tuple(one for one in self._form.stack if one.label != label)))
+            raise BadInput(
+                f"only a stack that was broken off can leave its session, got the complete "
+                f"{label!r}"
+            )
+        self._save(
+            replace(self._form, stack=tuple(one for one in self._form.stack if one.label != label))
+        )
 
     def _enter(self, entry: StackRecord) -> None:
         stacks = {one.label: one for one in self._form.stack}
@@ -247,14 +275,18 @@ class SessionWriter:
 
     def _path(self, label: str) -> Path:
         if not label or label.startswith(".") or set(label) & set("/\\\0"):
-            raise BadInput(f"a label must be a file name without slashes or a leading dot, got {label!r}")
+            raise BadInput(
+                f"a label must be a file name without slashes or a leading dot, got {label!r}"
+            )
         return self.folder / FRAMES / f"{label}.zarr"
 
 
 def _aside(path: Path) -> Path:
     """Return a free folder name for frames removed from their session."""
     return next(
-        other for number in count(1) if not (other := path.with_name(f"{path.stem}.aside-{number}.zarr")).exists()
+        other
+        for number in count(1)
+        if not (other := path.with_name(f"{path.stem}.aside-{number}.zarr")).exists()
     )
 
 
@@ -263,7 +295,10 @@ def _resume_entry(known: StackRecord, entry: StackRecord) -> StackRecord:
     if known.finished is not False:
         raise BadInput(f"a complete stack cannot be begun again, got {known.label!r}")
     if (known.kind, known.asked, known.target) != (entry.kind, entry.asked, entry.target):
-        raise BadInput(f"a stack must go on as it was begun, got another kind, target or setting for {known.label!r}")
+        raise BadInput(
+            f"a stack must go on as it was begun, got another kind, target or setting for "
+            f"{known.label!r}"
+        )
     return known
 
 
@@ -274,12 +309,16 @@ def _lock_session(folder: Path) -> Any:
         fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         file.close()
-        raise BadInput(f"one process may write to a session at a time, got a second for {folder}") from None
+        raise BadInput(
+            f"one process may write to a session at a time, got a second for {folder}"
+        ) from None
     return file
 
 
 class ManifestWriter:
-    """Writes the complete manifest of a folder at every change; only changed stacks are serialised again."""
+    """Writes the complete manifest of a folder at every change; only changed stacks are serialised
+    again.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / MANIFEST
@@ -287,7 +326,8 @@ class ManifestWriter:
 
     def save(self, form: SessionFile) -> None:
         """Save the manifest; when this returns it survives a kill or a power cut."""
-        # A sweep saves the manifest after each of hundreds of stacks: unchanged ones are not serialised again.
+        # A sweep saves the manifest after each of hundreds of stacks: unchanged ones are not
+        # serialised again.
         texts = {entry: self._written.get(entry) or _stack_text(entry) for entry in form.stack}
         header = to_toml(replace(form, stack=()))
         write_atomically(self._path, "\n".join((header, *texts.values())).encode())
@@ -306,5 +346,6 @@ def _stack_text(entry: StackRecord) -> str:
     return text[: text.rindex("[[stack]]")]
 
 
-# The TOML writer puts short tables on one line, which cannot be concatenated; next to a long one it does not.
+# The TOML writer puts short tables on one line, which cannot be concatenated; next to a long one it
+# does not.
 _LONG = StackRecord(label="x" * 200, kind="dark", frames="")

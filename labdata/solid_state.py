@@ -27,12 +27,19 @@ class Register:
 
     em_gain: Parameter  #: at most; the session says what it was set to
     pulse_height_shape: Parameter  #: of one electron at high gain; 1 is exponential
-    clock_induced_e: Parameter  #: electrons that clocking sets free, per pixel and frame, before the gain
+    clock_induced_e: (
+        Parameter  #: electrons that clocking sets free, per pixel and frame, before the gain
+    )
     stages: int  #: of the register
 
     def __post_init__(self) -> None:
         check(self, one_or_more="em_gain")
-        check(self, positive="pulse_height_shape", not_negative="clock_induced_e", one_or_more="stages")
+        check(
+            self,
+            positive="pulse_height_shape",
+            not_negative="clock_induced_e",
+            one_or_more="stages",
+        )
 
     @property
     def multiplies(self) -> bool:
@@ -44,10 +51,11 @@ class Register:
 class Readout:
     """Departures of a digital read-out from white noise and a straight response.
 
-    EMVA 1288 release 4 (section 8) divides temporal noise into that of rows, columns and pixels; its spectra show
-    interference as peaks. Values of 0, and a ratio of 1, are none. DN are those of the digitiser. The response is
-    y = s (1 - c s / full scale) with s the signal of the conversion gain at no signal, K / (1 - 2.1 c): K itself is the
-    slope of variance over signal from none to 70 % of full scale, as EMVA 1288 defines the system gain.
+    EMVA 1288 release 4 (section 8) divides temporal noise into that of rows, columns and pixels;
+    its spectra show interference as peaks. Values of 0, and a ratio of 1, are none. DN are those of
+    the digitiser. The response is y = s (1 - c s / full scale) with s the signal of the conversion
+    gain at no signal, K / (1 - 2.1 c): K itself is the slope of variance over signal from none to
+    70 % of full scale, as EMVA 1288 defines the system gain.
     """
 
     row_noise_dn2: Parameter = field(default_factory=lambda: Parameter(value=0.0))
@@ -55,7 +63,8 @@ class Readout:
     row_noise_exponent: Parameter = field(default_factory=lambda: Parameter(value=0.0))
     #: a of the density's law f^-a down the rows; 0 is white, 1 is 1/f noise
     fine_noise_ratio: Parameter = field(default_factory=lambda: Parameter(value=1.0))
-    #: density of read noise along a row at 0.5 cy/px over that at 0; above 1 neighbours differ more than by white noise
+    # : density of read noise along a row at 0.5 cy/px over that at 0; above 1 neighbours differ
+    # more than by white noise
     interference_dn2: Parameter = field(default_factory=lambda: Parameter(value=0.0))
     #: variance of a sinusoid over the frame whose phase changes from frame to frame
     interference_x_cy_per_px: Parameter = field(default_factory=lambda: Parameter(value=0.5))
@@ -85,11 +94,13 @@ def gain_at_no_signal(gain: float, compression_fraction: float) -> float:
 
 
 def excess_noise_factor(em_gain: float, stages: float = np.inf) -> float:
-    """Return the excess noise factor F^2 of an electron-multiplying register of mean gain g and N stages.
+    """Return the excess noise factor F^2 of an electron-multiplying register of mean gain g and N
+    stages.
 
     .. math:: F^2 = 2 (g - 1) g^{-(N + 1) / N} + 1 / g
 
-    1 at unit gain and 2 at high gain (Robbins & Hadwen, IEEE Trans. Electron Devices 50, 1227 (2003), eq. 20).
+    1 at unit gain and 2 at high gain (Robbins & Hadwen, IEEE Trans. Electron Devices 50, 1227
+    (2003), eq. 20).
     """
     return 2.0 * (em_gain - 1.0) * em_gain ** -(1.0 + 1.0 / stages) + 1.0 / em_gain
 
@@ -101,8 +112,9 @@ EFFICIENCY = "ccd.quantum_efficiency"
 class SolidStateCamera(Description):
     """A progressive, digital camera without an intensifier.
 
-    Parameters and sources are as in `labdata.sensor.Sensor`. `video.conversion_gain_dn_per_e` counts electrons at the
-    output, after multiplication; `ccd.quantum_efficiency` is the highest of the silicon's table.
+    Parameters and sources are as in `labdata.sensor.Sensor`. `video.conversion_gain_dn_per_e`
+    counts electrons at the output, after multiplication; `ccd.quantum_efficiency` is the highest of
+    the silicon's table.
     """
 
     name: str
@@ -123,10 +135,14 @@ class SolidStateCamera(Description):
                 f"got {float(self.ccd.quantum_efficiency):g}"
             )
         if self.video.interlaced or not self.video.digital:
-            raise BadInput("a camera without a tube must be progressive and digital, got video or interlace")
+            raise BadInput(
+                "a camera without a tube must be progressive and digital, got video or interlace"
+            )
 
     def with_parameters(self, changes: dict[str, Parameter]) -> Self:
-        """Return a copy with parameters replaced by path; the silicon's table is scaled to a new highest efficiency."""
+        """Return a copy with parameters replaced by path; the silicon's table is scaled to a new
+        highest efficiency.
+        """
         if EFFICIENCY not in changes:
             return super().with_parameters(changes)
         highest = float(changes[EFFICIENCY])
@@ -134,4 +150,6 @@ class SolidStateCamera(Description):
         scaled = tuple(min(one * highest / max(table), highest) for one in table)
         silicon = replace(self.silicon, quantum_efficiency=scaled)
         ccd = replace(self.ccd, quantum_efficiency=changes[EFFICIENCY])
-        return super(SolidStateCamera, replace(self, silicon=silicon, ccd=ccd)).with_parameters(changes)
+        return super(SolidStateCamera, replace(self, silicon=silicon, ccd=ccd)).with_parameters(
+            changes
+        )

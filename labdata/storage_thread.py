@@ -13,30 +13,42 @@ from labdata.capture import Frame, LostFrames, lost_frames_with_reason
 from labdata.errors import BadInput
 from labdata.session_writer import SessionWriter, StackWriter
 
-# Queued bytes of frames: 11 s of a 768 x 493 camera of 16 bits; a busy disk pauses for several seconds
+# Queued bytes of frames: 11 s of a 768 x 493 camera of 16 bits; a busy disk pauses for several
+# seconds
 CAPACITY_BYTES = 256 << 20
 
-TOGETHER_BYTES = 12 << 20  # Bytes per sync of the disk: more gain nothing and delay the acknowledgement
-PATIENCE_S = 0.4  # Longest wait for space in the queue, s; a camera driver buffers two seconds at 30 frames/s
+TOGETHER_BYTES = (
+    12 << 20
+)  # Bytes per sync of the disk: more gain nothing and delay the acknowledgement
+# Longest wait for space in the queue, s; a camera driver buffers two seconds at 30 frames/s
+PATIENCE_S = 0.4
 
 
-# Longest time without progress before the disk is considered stuck, s; a busy disk pauses for several seconds
+# Longest time without progress before the disk is considered stuck, s; a busy disk pauses for
+# several seconds
 STALLED_S = 10.0
 
 LOOK_S = 0.1  # Polling interval of the progress of the disk, s
-RESERVE_BYTES = 1 << 20  # Bytes reserved on the session's disk for the last entries of manifest and log
+RESERVE_BYTES = (
+    1 << 20
+)  # Bytes reserved on the session's disk for the last entries of manifest and log
 
 
 class Storage:
     """Writes the stacks of a session in a separate thread; use it in a `with` block.
 
-    The first disk error ends all writing: frames not yet acknowledged are recorded as lost, with numbers and reason, in
-    the reserved space; every later call raises that error. A disk without progress for `STALLED_S` during `wait` or at
-    the end of the block is an error too. At most `capacity_bytes` wait, and a frame waits `patience_s` for room.
+    The first disk error ends all writing: frames not yet acknowledged are recorded as lost, with
+    numbers and reason, in the reserved space; every later call raises that error. A disk without
+    progress for `STALLED_S` during `wait` or at the end of the block is an error too. At most
+    `capacity_bytes` wait, and a frame waits `patience_s` for room.
     """
 
     def __init__(
-        self, writer: SessionWriter, *, capacity_bytes: int = CAPACITY_BYTES, patience_s: float = PATIENCE_S
+        self,
+        writer: SessionWriter,
+        *,
+        capacity_bytes: int = CAPACITY_BYTES,
+        patience_s: float = PATIENCE_S,
     ) -> None:
         self._writer, self._capacity, self._patience_s = writer, capacity_bytes, patience_s
         self._jobs: deque[_Job] = deque()
@@ -76,7 +88,9 @@ class Storage:
         return 0.0 if self._idle else time.monotonic() - self._progress_s
 
     def begin_stack(self, *settings: Any, **named: Any) -> "StoredStack":
-        """Begin a stack as by `SessionWriter.begin_stack`, without waiting; the previous one is closed."""
+        """Begin a stack as by `SessionWriter.begin_stack`, without waiting; the previous one is
+        closed.
+        """
         stack = StoredStack(self)
         self.post(lambda: self._open(stack, *settings, **named))
         return stack
@@ -103,11 +117,16 @@ class Storage:
         self._raise_failure()
 
     def enqueue(self, stack: "StoredStack", frame: Frame) -> None:
-        """Queue a frame; if the queue stays full, the frame is recorded as lost and BadInput is raised."""
+        """Queue a frame; if the queue stays full, the frame is recorded as lost and BadInput is
+        raised.
+        """
         size = frame.pixels.nbytes
         with self._turn:
             room = self._turn.wait_for(
-                lambda: self.failure is not None or self._waiting_bytes + size <= max(self._capacity, size),
+                lambda: (
+                    self.failure is not None
+                    or self._waiting_bytes + size <= max(self._capacity, size)
+                ),
                 self._patience_s,
             )
             waiting = sum(job.frame is not None for job in self._jobs)
@@ -115,7 +134,8 @@ class Storage:
             why = f"the disk did not keep up: {waiting} frames waited"
             stack.lose(lost_frames_with_reason(why, [frame.number]))
             raise BadInput(
-                f"the disk must keep up with the camera, got {waiting} frames waiting for {self._patience_s:g} s"
+                f"the disk must keep up with the camera, got {waiting} frames waiting for "
+                f"{self._patience_s:g} s"
             )
         self._enqueue(_Job(stack=stack, frame=frame))
 
@@ -142,8 +162,8 @@ class Storage:
         """Accept no further work; a thread that continues still writes the queue."""
         frames = sum(job.frame is not None for job in (*self._in_hand, *self._jobs))
         self.failure = self.failure or BadInput(
-            f"the disk must take every frame, got no progress for {STALLED_S:g} s: {frames} frames of "
-            f"{self._writer.folder} are not acknowledged"
+            f"the disk must take every frame, got no progress for {STALLED_S:g} s: {frames} "
+            f"frames of {self._writer.folder} are not acknowledged"
         )
 
     # In the thread
@@ -169,7 +189,9 @@ class Storage:
             self._turn.notify_all()
 
     def _next(self) -> list["_Job"]:
-        """Wait for work: one task, or frames of one stack that can be written together; [] at the end."""
+        """Wait for work: one task, or frames of one stack that can be written together; [] at the
+        end.
+        """
         with self._turn:
             self._idle = not self._jobs
             self._turn.notify_all()
@@ -207,7 +229,9 @@ class Storage:
             self.failure = self.failure or error
         self._reserve.release()
         for stack in dict.fromkeys(job.stack for job in jobs if job.stack is not None):
-            numbers = [job.frame.number for job in jobs if job.stack is stack and job.frame is not None]
+            numbers = [
+                job.frame.number for job in jobs if job.stack is stack and job.frame is not None
+            ]
             stack.record_lost(lost_frames_with_reason(f"not stored: {error}", numbers))
 
 
@@ -263,13 +287,17 @@ class StoredStack:
         self.acknowledged = len(self._open_writer)
 
     def record_lost(self, losses: tuple[LostFrames, ...]) -> None:
-        """Record frames that the disk did not accept; if that fails, the first error is still reported."""
+        """Record frames that the disk did not accept; if that fails, the first error is still
+        reported.
+        """
         try:
             if self._writer is not None:
                 self._writer.lose(losses)
         except (BadInput, OSError) as second:
             if self._storage.failure is not None:
-                self._storage.failure.add_note(f"what was lost could not be recorded in the session: {second}")
+                self._storage.failure.add_note(
+                    f"what was lost could not be recorded in the session: {second}"
+                )
 
     @property
     def _open_writer(self) -> StackWriter:
@@ -278,7 +306,9 @@ class StoredStack:
 
 
 class Reserve:
-    """Space reserved on a session's disk, so that a full disk can still store the manifest and the log."""
+    """Space reserved on a session's disk, so that a full disk can still store the manifest and the
+    log.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / ".reserve"

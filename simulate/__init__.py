@@ -10,7 +10,13 @@ if TYPE_CHECKING:
 
 keep_loops()
 
-__all__ = ["SimulationRequest", "conditions_of", "load_described_camera", "save_session", "simulate"]
+__all__ = [
+    "SimulationRequest",
+    "conditions_of",
+    "load_described_camera",
+    "save_session",
+    "simulate",
+]
 
 
 def __getattr__(name: str) -> Any:

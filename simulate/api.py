@@ -4,8 +4,9 @@ from pathlib import Path
 from simulate import api, session_files
 
 camera = api.load_described_camera("pulnix-ag5745ef3")
-shot = api.simulate(api.SimulationRequest(source=Path("bench"), kind="flat"), camera, api.conditions_of(camera))
-session_files.save_session(shot, camera, Path("frames"), frames=8, seed=0)
+shot = api.simulate(api.SimulationRequest(source=Path("bench"), kind="flat"), camera,
+api.conditions_of(camera)) session_files.save_session(shot, camera, Path("frames"), frames=8,
+seed=0)
 """
 
 import math
@@ -56,22 +57,25 @@ class SimulationRequest:
     Parameters
     ----------
     source
-        A scene (.toml, or a shipped one's name), a radiance cube (.npz) or an image, as a file or array.
+        A scene (.toml, or a shipped one's name), a radiance cube (.npz) or an image, as a file or
+        array.
     kind
         Kind of the stack; None: edge for a bench scene, else scene.
     target
         Target on the bench.
     photoelectrons_per_dn, black_dn
-        Image: mean photoelectrons per pixel as read and exposure for each DN above black, and black level (None: 0).
+        Image: mean photoelectrons per pixel as read and exposure for each DN above black, and black
+        level (None: 0).
     tolerance
-        Error budget of all neglected effects as a fraction of the temporal noise; None: no effect is neglected and
-        every pulse is sampled.
+        Error budget of all neglected effects as a fraction of the temporal noise; None: no effect
+        is neglected and every pulse is sampled.
     seed
         Seed of the camera rays of an outdoor scene.
     sensor
         Name of the camera in the scene's rig; None: it stands in the place of the scene's camera.
     temperatures
-        Surface temperatures of the scene, shared by several sensors; None: computed where a thermal imager needs them.
+        Surface temperatures of the scene, shared by several sensors; None: computed where a thermal
+        imager needs them.
     """
 
     source: "Path | NDArray[Any]"
@@ -99,9 +103,13 @@ def load_described_camera(sensor: str, phosphor: str | None = None) -> Descripti
 
 
 def simulate(
-    request: SimulationRequest, description: Description, conditions: Conditions, progress: Progress = _ignore_progress
+    request: SimulationRequest,
+    description: Description,
+    conditions: Conditions,
+    progress: Progress = _ignore_progress,
 ) -> Shot:
-    """Return camera and light of a request, without the effects that its tolerance allows to neglect.
+    """Return camera and light of a request, without the effects that its tolerance allows to
+    neglect.
 
     Raises
     ------
@@ -127,35 +135,60 @@ def simulate(
     camera = camera_from_description(description)
     if isinstance(request.source, Path) and request.source.suffix == ".npz":
         _require_no_image_options(request)
-        seen, notes = read_cube(request.source), (f"spectral radiance of {name_of(request.source)}",)
+        seen, notes = (
+            read_cube(request.source),
+            (f"spectral radiance of {name_of(request.source)}",),
+        )
         _require_dark(request, seen.radiance)
         photoelectrons = photoelectrons_from_radiance(camera, seen, conditions)
     else:
         seen, notes = read_image(
-            request.source, photoelectrons_per_dn=request.photoelectrons_per_dn, black_dn=request.black_dn or 0.0,
+            request.source,
+            photoelectrons_per_dn=request.photoelectrons_per_dn,
+            black_dn=request.black_dn or 0.0,
             shape=camera.shape,
-        )  # fmt: skip
+        )
         _require_dark(request, seen)
         photoelectrons = photoelectrons_from_image(camera, seen)
     camera, planned = _select_effects(camera, photoelectrons, conditions, request)
     light, kind = camera.to_mcp_input(photoelectrons, conditions), request.kind or "scene"
-    return Shot(camera=camera, light=light, kind=kind, conditions=conditions, seen=seen, notes=notes, **planned)
+    return Shot(
+        camera=camera,
+        light=light,
+        kind=kind,
+        conditions=conditions,
+        seen=seen,
+        notes=notes,
+        **planned,
+    )
 
 
 def _outdoor_shot(
-    request: SimulationRequest, scene: "OutdoorScene", description: Description, conditions: Conditions,
+    request: SimulationRequest,
+    scene: "OutdoorScene",
+    description: Description,
+    conditions: Conditions,
     progress: Progress,
-) -> Shot:  # fmt: skip
+) -> Shot:
     """Return a camera of visible light before an outdoor scene."""
-    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
+    from simulate.iiccd.scene_to_photoelectrons import (
+        camera_from_description,
+        photoelectrons_from_radiance,
+    )
     from simulate.outdoor_rendering import OutdoorRendering
 
     if request.kind == "dark":
         raise BadInput(f"a dark must have no light, got the scene {scene.name!r}")
     _require_no_bench_options(request, conditions)
-    whole, temperatures, delay_s = camera_from_description(description), request.temperatures, _delay_s(request, scene)
+    whole, temperatures, delay_s = (
+        camera_from_description(description),
+        request.temperatures,
+        _delay_s(request, scene),
+    )
 
-    def render(now: "OutdoorScene", seed: int, like: "RenderedView | None" = None) -> "tuple[RenderedView, Any]":
+    def render(
+        now: "OutdoorScene", seed: int, like: "RenderedView | None" = None
+    ) -> "tuple[RenderedView, Any]":
         """Return a view of the scene as it stands, and its photoelectrons."""
         rendering = OutdoorRendering(now, whole, conditions)
         view = _render(rendering, replace(request, seed=seed), progress, like)
@@ -171,14 +204,23 @@ def _outdoor_shot(
         return Look(view=later, light=camera.to_mcp_input(released, conditions))
 
     return Shot(
-        camera=camera, light=camera.to_mcp_input(photoelectrons, conditions), kind=request.kind or "scene",
-        conditions=conditions, seen=view.picture.cube, notes=(f"scene {scene.name}", *view.notes), view=view,
-        delay_s=delay_s, motion=_motion(scene, request, look), **planned,
-    )  # fmt: skip
+        camera=camera,
+        light=camera.to_mcp_input(photoelectrons, conditions),
+        kind=request.kind or "scene",
+        conditions=conditions,
+        seen=view.picture.cube,
+        notes=(f"scene {scene.name}", *view.notes),
+        view=view,
+        delay_s=delay_s,
+        motion=_motion(scene, request, look),
+        **planned,
+    )
 
 
 def _delay_s(request: SimulationRequest, scene: "OutdoorScene") -> float:
-    """Return the time by which the first frame of the requested sensor is later than the scene's time, s."""
+    """Return the time by which the first frame of the requested sensor is later than the scene's
+    time, s.
+    """
     return scene.rig[request.sensor].delay_s if request.sensor in scene.rig else 0.0
 
 
@@ -186,13 +228,21 @@ def _motion(
     scene: "OutdoorScene", request: SimulationRequest, look: "Callable[[OutdoorScene, int], Look]"
 ) -> Motion | None:
     """Return the motion of a scene before a camera; None where it has no keyframes."""
-    return Motion(scene=scene, sensor=request.sensor, look=look, seed=request.seed) if scene.moves else None
+    return (
+        Motion(scene=scene, sensor=request.sensor, look=look, seed=request.seed)
+        if scene.moves
+        else None
+    )
 
 
 def _infrared_shot(
-    request: SimulationRequest, description: InfraredImager, conditions: Conditions, progress: Progress,
-    *, preview: bool = False,
-) -> InfraredShot:  # fmt: skip
+    request: SimulationRequest,
+    description: InfraredImager,
+    conditions: Conditions,
+    progress: Progress,
+    *,
+    preview: bool = False,
+) -> InfraredShot:
     """Return a thermal imager before an outdoor scene; another source is BadInput."""
     from simulate.infrared.camera import InfraredCamera
     from simulate.infrared_view import view_infrared
@@ -208,32 +258,55 @@ def _infrared_shot(
     if request.kind not in (None, "scene"):
         raise BadInput(f"--kind of an outdoor scene must be scene, got {request.kind}")
     progress("surface temperatures", 0.0)
-    temperatures, delay_s = request.temperatures or temperatures_of(scene, seed=request.seed), _delay_s(request, scene)
+    temperatures, delay_s = (
+        request.temperatures or temperatures_of(scene, seed=request.seed),
+        _delay_s(request, scene),
+    )
 
     def view(now: OutdoorScene, camera: InfraredCamera, seed: int, is_set: bool) -> "InfraredView":
         return view_infrared(
-            now, camera, temperatures.moved(now), tolerance=request.tolerance, seed=seed, preview=preview,
-            is_set=is_set, progress=lambda share: progress("infrared light", share),
-        )  # fmt: skip
+            now,
+            camera,
+            temperatures.moved(now),
+            tolerance=request.tolerance,
+            seed=seed,
+            preview=preview,
+            is_set=is_set,
+            progress=lambda share: progress("infrared light", share),
+        )
 
-    seen = view(scene.at(delay_s).for_sensor(request.sensor), InfraredCamera(description), request.seed, False)
+    seen = view(
+        scene.at(delay_s).for_sensor(request.sensor),
+        InfraredCamera(description),
+        request.seed,
+        False,
+    )
 
     def look(now: OutdoorScene, seed: int) -> Look:
         later = view(now, seen.camera, seed, True)
         return Look(view=later, light=later.signal)
 
     return InfraredShot(
-        camera=seen.camera, light=None, kind="scene", conditions=conditions, seen=seen,
-        notes=(f"scene {scene.name}", *seen.notes), view=seen, exact=True, delay_s=delay_s,
+        camera=seen.camera,
+        light=None,
+        kind="scene",
+        conditions=conditions,
+        seen=seen,
+        notes=(f"scene {scene.name}", *seen.notes),
+        view=seen,
+        exact=True,
+        delay_s=delay_s,
         motion=_motion(scene, request, look),
-    )  # fmt: skip
+    )
 
 
 def simulate_rig(
-    request: SimulationRequest, sensors: "Mapping[str, tuple[Description, Conditions]]",
+    request: SimulationRequest,
+    sensors: "Mapping[str, tuple[Description, Conditions]]",
     progress: Progress = _ignore_progress,
-) -> dict[str, Shot]:  # fmt: skip
-    """Return camera and light of each sensor of a rig before one outdoor scene, which share its surface temperatures.
+) -> dict[str, Shot]:
+    """Return camera and light of each sensor of a rig before one outdoor scene, which share its
+    surface temperatures.
 
     Parameters
     ----------
@@ -291,7 +364,10 @@ def preview(
 
 
 def _render(
-    view: "OutdoorRendering", request: SimulationRequest, progress: Progress, like: "RenderedView | None"
+    view: "OutdoorRendering",
+    request: SimulationRequest,
+    progress: Progress,
+    like: "RenderedView | None",
 ) -> "RenderedView":
     """Render an outdoor scene; a rendering of more than a minute announces its time."""
     sentence = "light"
@@ -302,12 +378,17 @@ def _render(
         progress(sentence, 0.0)
 
     return view.render(
-        tolerance=request.tolerance, seed=request.seed, like=like,
-        progress=lambda share: progress(sentence, share), announce=announce,
-    )  # fmt: skip
+        tolerance=request.tolerance,
+        seed=request.seed,
+        like=like,
+        progress=lambda share: progress(sentence, share),
+        announce=announce,
+    )
 
 
-def _bench_shot(request: SimulationRequest, scene: Any, description: Description, conditions: Conditions) -> Shot:
+def _bench_shot(
+    request: SimulationRequest, scene: Any, description: Description, conditions: Conditions
+) -> Shot:
     from simulate.lab import LabBench
     from simulate.radiance.lab_target import as_stood
 
@@ -319,20 +400,29 @@ def _bench_shot(request: SimulationRequest, scene: Any, description: Description
         if kind == of and value is None:
             raise BadInput(f"--kind {kind} of a bench scene needs {option}, got none")
         if kind != of and value is not None:
-            raise BadInput(f"{option} is only for --kind {of} of a bench scene, got it with --kind {kind}")
+            raise BadInput(
+                f"{option} is only for --kind {of} of a bench scene, got it with --kind {kind}"
+            )
     if kind == "dark" and lux:
         raise BadInput(f"a dark must have no light, got --illuminance-lux {lux:g}")
     target = as_stood(kind, request.target)
     if lux is None:
         if kind != "dark" and not isinstance(description, Sensor):
-            raise BadInput(f"a bench scene before {description.name!r} needs --illuminance-lux at its chip, got none")
+            raise BadInput(
+                f"a bench scene before {description.name!r} needs --illuminance-lux at its chip, "
+                "got none"
+            )
         conditions = replace(conditions, illuminance_lux=0.0 if kind == "dark" else 1e-4)
     bench = LabBench(description, scene)
-    _, planned = _select_effects(bench.camera, bench.photoelectrons(kind, target, conditions), conditions, request)
+    _, planned = _select_effects(
+        bench.camera, bench.photoelectrons(kind, target, conditions), conditions, request
+    )
     if "plan" in planned:
         bench = bench.without(planned["plan"].names)
     light = bench.mcp_input(kind, target, conditions)
-    return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=target, **planned)
+    return Shot(
+        camera=bench.camera, light=light, kind=kind, conditions=conditions, target=target, **planned
+    )
 
 
 def _require_no_bench_options(request: SimulationRequest, conditions: Conditions) -> None:
@@ -341,11 +431,16 @@ def _require_no_bench_options(request: SimulationRequest, conditions: Conditions
     for name, (option, kind) in OF_A_TARGET.items():
         if getattr(request.target, name) is not None:
             named = name_of(request.source)
-            raise BadInput(f"{option} is only for --kind {kind} of a bench scene, got it with {named}")
+            raise BadInput(
+                f"{option} is only for --kind {kind} of a bench scene, got it with {named}"
+            )
 
 
 def _require_no_image_options(request: SimulationRequest) -> None:
-    for option, value in (("--photoelectrons-per-dn", request.photoelectrons_per_dn), ("--black-dn", request.black_dn)):
+    for option, value in (
+        ("--photoelectrons-per-dn", request.photoelectrons_per_dn),
+        ("--black-dn", request.black_dn),
+    ):
         if value is not None:
             raise BadInput(f"{option} is only for an image, got it with {name_of(request.source)}")
 
@@ -353,21 +448,33 @@ def _require_no_image_options(request: SimulationRequest) -> None:
 def _require_dark(request: SimulationRequest, seen: NDArray[np.floating]) -> None:
     """Raise BadInput if --kind is dark and the source has light."""
     if request.kind == "dark" and (lit := float((seen > 0.0).mean())):
-        raise BadInput(f"a dark must have no light, got it on {100.0 * lit:.3g} % of {name_of(request.source)}")
+        raise BadInput(
+            f"a dark must have no light, got it on {100.0 * lit:.3g} % of {name_of(request.source)}"
+        )
 
 
 def _select_effects(
     camera: Any, photoelectrons: Any, conditions: Conditions, request: SimulationRequest
 ) -> tuple[Any, dict[str, Any]]:
-    """Return the camera without the effects that this light does not need, and the fields of the shot."""
+    """Return the camera without the effects that this light does not need, and the fields of the
+    shot.
+    """
     from simulate.effect_selection import EffectSelection
-    from simulate.iiccd.effect_bounds import NoiseBudget, bound_effects, per_pixel, select_camera_effects
+    from simulate.iiccd.effect_bounds import (
+        NoiseBudget,
+        bound_effects,
+        per_pixel,
+        select_camera_effects,
+    )
 
     if not camera.has_tube:
         return camera, {"exact": request.tolerance is None}
     if request.tolerance is None:
         effects = bound_effects(NoiseBudget(camera, per_pixel(camera, photoelectrons), conditions))
-        return camera, {"exact": True, "plan": EffectSelection(tolerance=0.0, kept=tuple(effects), left_out=())}
+        return camera, {
+            "exact": True,
+            "plan": EffectSelection(tolerance=0.0, kept=tuple(effects), left_out=()),
+        }
     camera, plan = select_camera_effects(camera, photoelectrons, conditions, request.tolerance)
     return camera, {"exact": False, "plan": plan}
 
@@ -384,8 +491,8 @@ _OF_A_TUBE = {
 def conditions_of(camera: Description, *, gain: float | None = None, **options: Any) -> Conditions:
     """Return the conditions of the options that are not None; others have their nominal values.
 
-    `gain`: luminous gain of the tube, lm/lm, or multiplication of an electron-multiplying register. Raises BadInput if
-    an option does not apply to the camera or conflicts with another one.
+    `gain`: luminous gain of the tube, lm/lm, or multiplication of an electron-multiplying register.
+    Raises BadInput if an option does not apply to the camera or conflicts with another one.
     """
     given = {name: value for name, value in options.items() if value is not None}
     if gain is not None and not (math.isfinite(gain) and gain > 0.0):
@@ -393,20 +500,36 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
     exposure_s = 1.0 / float(camera.video.field_rate_hz)
     if isinstance(camera, InfraredImager):
         if unfit := [*given, *(["gain"] if gain is not None else [])]:
-            raise BadInput(f"--{unfit[0].replace('_', '-')} needs a camera of visible light, got {camera.name!r}")
+            raise BadInput(
+                f"--{unfit[0].replace('_', '-')} needs a camera of visible light, got "
+                f"{camera.name!r}"
+            )
         cooled = camera.cooled_array
-        return Conditions(exposure_s=exposure_s if cooled is None else 1e-3 * float(cooled.integration_ms))
+        return Conditions(
+            exposure_s=exposure_s if cooled is None else 1e-3 * float(cooled.integration_ms)
+        )
     if given.get("automatic_gain") and not camera.video.automatic_gain:
         raise BadInput(f"--automatic-gain needs a camera that has it, got {camera.name!r}")
     if isinstance(camera, SolidStateCamera):
         most = float(camera.register.em_gain)
         if gain is not None and not 1.0 <= gain <= most:
-            raise BadInput(f"--gain of {camera.name!r} must lie between 1 and {most:g}, got {gain:g}")
+            raise BadInput(
+                f"--gain of {camera.name!r} must lie between 1 and {most:g}, got {gain:g}"
+            )
         if unfit := [option for name, option in _OF_A_TUBE.items() if name in given]:
             raise BadInput(f"{unfit[0]} needs a camera with a tube, got {camera.name!r}")
         return Conditions(exposure_s=exposure_s, em_gain=most if gain is None else gain, **given)
-    if len(ways := [name for name in ("mcp_v", "gain_control") if name in given] + ["gain"] * (gain is not None)) > 1:
-        raise BadInput(f"the gain must be set once, got {' and '.join('--' + way.replace('_', '-') for way in ways)}")
+    if (
+        len(
+            ways := [name for name in ("mcp_v", "gain_control") if name in given]
+            + ["gain"] * (gain is not None)
+        )
+        > 1
+    ):
+        raise BadInput(
+            "the gain must be set once, got "
+            f"{' and '.join('--' + way.replace('_', '-') for way in ways)}"
+        )
     nominal: dict[str, Any] = {"gate_ns": exposure_s * 1e9}
     if gain is not None or not ways:
         nominal["mcp_v"] = voltage_of(camera, gain)
@@ -414,21 +537,34 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
 
 
 def voltage_of(sensor: Sensor, luminous_gain: float | None) -> float:
-    """Return the MCP voltage for a luminous gain, V = V0 (G/G0)^(1/m); None: the reference voltage."""
+    """Return the MCP voltage for a luminous gain, V = V0 (G/G0)^(1/m); None: the reference
+    voltage.
+    """
     mcp = sensor.microchannel_plate
     if luminous_gain is None:
         return float(mcp.reference_v)
     if not (exponent := float(mcp.gain_exponent)) > 0.0:
-        raise BadInput(f"--gain needs a tube with a positive gain exponent, got 0 in {sensor.name!r}")
-    return float(mcp.reference_v) * (luminous_gain / float(sensor.tube.luminous_gain)) ** (1.0 / exponent)
+        raise BadInput(
+            f"--gain needs a tube with a positive gain exponent, got 0 in {sensor.name!r}"
+        )
+    return float(mcp.reference_v) * (luminous_gain / float(sensor.tube.luminous_gain)) ** (
+        1.0 / exponent
+    )
 
 
 def voltage_limit_warnings(camera: Description, conditions: Conditions) -> tuple[str, ...]:
-    """Return a warning if the MCP voltage exceeds the limit of the description, which the bench would refuse."""
+    """Return a warning if the MCP voltage exceeds the limit of the description, which the bench
+    would refuse.
+    """
     mcp_v = conditions.mcp_v
     if not isinstance(camera, Sensor) or mcp_v is None:
         return ()
     limit = camera.limits.mcp_v
     if limit == TubeLimits().mcp_v or mcp_v <= float(limit):
         return ()
-    return (f"mcp_v of {mcp_v:.4g} exceeds the limit {float(limit):g} of {camera.name!r}: its bench would refuse it",)
+    return (
+        (
+            f"mcp_v of {mcp_v:.4g} exceeds the limit {float(limit):g} of {camera.name!r}: its "
+            "bench would refuse it"
+        ),
+    )

@@ -1,7 +1,7 @@
 """Selection of optional effects: neglect those whose summed influence stays below a tolerance.
 
-An effect has a name, a bound on its influence and a cost. The caller defines the unit of the influence (for cameras:
-the temporal noise of the affected pixel) and how an effect is neglected.
+An effect has a name, a bound on its influence and a cost. The caller defines the unit of the
+influence (for cameras: the temporal noise of the affected pixel) and how an effect is neglected.
 """
 
 from collections.abc import Iterable
@@ -16,7 +16,9 @@ DEFAULT_TOLERANCE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class OptionalEffect:
-    """Effect that a model may neglect: the largest change that leaving it out makes, and its cost once and a frame."""
+    """Effect that a model may neglect: the largest change that leaving it out makes, and its cost
+    once and a frame.
+    """
 
     name: str
     influence: float
@@ -25,12 +27,16 @@ class OptionalEffect:
 
     def __post_init__(self) -> None:
         if not self.influence >= 0.0:
-            raise BadInput(f"the influence of {self.name} must not be negative, got {self.influence:g}")
+            raise BadInput(
+                f"the influence of {self.name} must not be negative, got {self.influence:g}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class EffectSelection:
-    """Retained and neglected effects, the least influence first, and the limit of what those left out sum up to."""
+    """Retained and neglected effects, the least influence first, and the limit of what those left
+    out sum up to.
+    """
 
     tolerance: float
     kept: tuple[OptionalEffect, ...]
@@ -53,8 +59,8 @@ class EffectSelection:
         head = f"{'effect':{width}}  {measure:>21}  {'':8}  {'once, ms':>9}  {'a frame, ms':>11}"
         lines = [
             f"{effect.name:{width}}  {_percent(effect.influence):>21}  "
-            f"{'left out' if effect in self.left_out else 'kept':8}  "
-            f"{1e3 * effect.setup_s:9.0f}  {1e3 * effect.frame_s:11.2f}"
+            f"{'left out' if effect in self.left_out else 'kept':8}  {1e3 * effect.setup_s:9.0f}  "
+            f"{1e3 * effect.frame_s:11.2f}"
             for effect in everything
         ]
         together = (
@@ -65,7 +71,10 @@ class EffectSelection:
 
     def document(self) -> dict[str, Any]:
         """Return the plan as plain values, for a file."""
-        rows = [{**asdict(effect), "kept": effect in self.kept} for effect in (*self.kept, *self.left_out)]
+        rows = [
+            {**asdict(effect), "kept": effect in self.kept}
+            for effect in (*self.kept, *self.left_out)
+        ]
         return {"tolerance": self.tolerance, "left_out_together": self.influence, "effects": rows}
 
 
@@ -73,7 +82,9 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.3g} %" if share < 100.0 else "beyond all bounds"
 
 
-def select_effects(effects: Iterable[OptionalEffect], tolerance: float = DEFAULT_TOLERANCE) -> EffectSelection:
+def select_effects(
+    effects: Iterable[OptionalEffect], tolerance: float = DEFAULT_TOLERANCE
+) -> EffectSelection:
     """Neglect effects in the order of their influence while the sum stays within the tolerance.
 
     The tolerance has the unit of the influences; 0 neglects only effects without influence.

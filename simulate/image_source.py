@@ -17,20 +17,26 @@ if TYPE_CHECKING:
 
 
 def read_image(
-    source: Path | NDArray[Any], *, photoelectrons_per_dn: float | None, black_dn: float, shape: tuple[int, int]
+    source: Path | NDArray[Any],
+    *,
+    photoelectrons_per_dn: float | None,
+    black_dn: float,
+    shape: tuple[int, int],
 ) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """Return the first frame of a file or array as mean photoelectrons on a frame of a camera, with notes.
+    """Return the first frame of a file or array as mean photoelectrons on a frame of a camera, with
+    notes.
 
-    The image is centred on rows and columns `shape`, cropped or padded with darkness; the scale is as in
-    `SimulationRequest`. Raises BadInput if the file cannot be read, a pixel is negative or not finite, or the scale is
-    missing or not positive.
+    The image is centred on rows and columns `shape`, cropped or padded with darkness; the scale is
+    as in `SimulationRequest`. Raises BadInput if the file cannot be read, a pixel is negative or
+    not finite, or the scale is missing or not positive.
     """
     from labdata.importers import read_array, read_frames
 
     scale = photoelectrons_per_dn
     if scale is None:
         raise BadInput(
-            "an image needs --photoelectrons-per-dn, mean photoelectrons per pixel and exposure for each DN, got none"
+            "an image needs --photoelectrons-per-dn, mean photoelectrons per pixel and exposure "
+            "for each DN, got none"
         )
     if not (math.isfinite(scale) and scale > 0.0):
         raise BadInput(f"--photoelectrons-per-dn must be positive, got {scale:g}")
@@ -44,7 +50,10 @@ def read_image(
     above = image - black_dn
     below = int(np.count_nonzero(above < 0.0))
     placed, how = centre_on_frame(np.maximum(above, 0.0) * scale, shape)
-    notes = [f"{name}: {scale:g} photoelectrons per DN above {black_dn:g} DN, per pixel and exposure", *how]
+    notes = [
+        f"{name}: {scale:g} photoelectrons per DN above {black_dn:g} DN, per pixel and exposure",
+        *how,
+    ]
     notes += [f"first of {len(stack)} frames of {name}"] if len(stack) > 1 else []
     notes += [f"{below} pixels below {black_dn:g} DN count as dark"] if below else []
     return placed.astype(np.float32), (*notes, *stack.notes)
@@ -55,8 +64,12 @@ def name_of(source: Path | NDArray[Any]) -> str:
     return source.name if isinstance(source, Path) else "the array"
 
 
-def centre_on_frame(image: NDArray[np.floating], shape: tuple[int, int]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Return an image centred on a frame, cropped or padded with zeros, and a note if its shape differs."""
+def centre_on_frame(
+    image: NDArray[np.floating], shape: tuple[int, int]
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return an image centred on a frame, cropped or padded with zeros, and a note if its shape
+    differs.
+    """
     frame = np.zeros(shape)
     there, here = [], []
     for size, room in zip(image.shape, shape, strict=True):
@@ -68,12 +81,17 @@ def centre_on_frame(image: NDArray[np.floating], shape: tuple[int, int]) -> tupl
     done = ["cropped"] * any(size > room for size, room in sizes)
     done += ["padded with darkness"] * any(size < room for size, room in sizes)
     (rows, cols), (height, width) = image.shape, shape
-    note = f"the image of {rows} x {cols} pixels is centred on the frame of {height} x {width}, {' and '.join(done)}"
+    note = (
+        f"the image of {rows} x {cols} pixels is centred on the frame of {height} x {width}, "
+        f"{' and '.join(done)}"
+    )
     return frame, (note,) if done else ()
 
 
 def read_cube(path: Path) -> "RadianceCube":
-    """Read a radiance cube, an .npz of `wavelength_nm` (band,) and `radiance` (band, row, col), W m-2 sr-1 nm-1."""
+    """Read a radiance cube, an .npz of `wavelength_nm` (band,) and `radiance` (band, row, col), W
+    m-2 sr-1 nm-1.
+    """
     from simulate.radiance.cube import RadianceCube
 
     require_regular(path, "a radiance cube")
@@ -82,15 +100,36 @@ def read_cube(path: Path) -> "RadianceCube":
             unpacked_bytes = sum(part.file_size for part in packed.zip.infolist())
             require_room(path, pixels=unpacked_bytes // 8, pixel_bytes=8)
             missing = sorted({"wavelength_nm", "radiance"} - set(packed.files))
-            arrays = {} if missing else {name: packed[name] for name in ("wavelength_nm", "radiance")}
+            arrays = (
+                {} if missing else {name: packed[name] for name in ("wavelength_nm", "radiance")}
+            )
     except BadInput:
         raise
-    except (ValueError, TypeError, AttributeError, EOFError, MemoryError, zlib.error, zipfile.BadZipFile):
+    except (
+        ValueError,
+        TypeError,
+        AttributeError,
+        EOFError,
+        MemoryError,
+        zlib.error,
+        zipfile.BadZipFile,
+    ):
         raise BadInput(f"a radiance cube must be a complete .npz file, got {path.name}") from None
     if missing:
-        raise BadInput(f"a radiance cube must contain wavelength_nm and radiance, got no {' and no '.join(missing)}")
+        raise BadInput(
+            "a radiance cube must contain wavelength_nm and radiance, got no "
+            f"{' and no '.join(missing)}"
+        )
     if any(array.dtype.kind not in "uif" for array in arrays.values()):
-        raise BadInput(f"wavelength_nm and radiance must be numbers, got {[str(a.dtype) for a in arrays.values()]}")
-    if not all(np.isfinite(array).all() for array in arrays.values()) or arrays["radiance"].min(initial=0.0) < 0.0:
-        raise BadInput(f"radiance must be finite and not negative, got another value in {path.name}")
+        raise BadInput(
+            "wavelength_nm and radiance must be numbers, got "
+            f"{[str(a.dtype) for a in arrays.values()]}"
+        )
+    if (
+        not all(np.isfinite(array).all() for array in arrays.values())
+        or arrays["radiance"].min(initial=0.0) < 0.0
+    ):
+        raise BadInput(
+            f"radiance must be finite and not negative, got another value in {path.name}"
+        )
     return RadianceCube(**arrays)

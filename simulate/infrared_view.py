@@ -58,7 +58,10 @@ class InfraredView:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user of the frames."""
         names = ", ".join(effect.name for effect in self.picture.left_out)
-        left = f"infrared radiance without: {names}; see light; the truth of each pixel is in truth, next to the frames"
+        left = (
+            f"infrared radiance without: {names}; see light; the truth of each pixel is in "
+            f"truth, next to the frames"
+        )
         return (left, *self.picture.notes, *self.set_for_scene)
 
     def text(self) -> str:
@@ -67,9 +70,17 @@ class InfraredView:
         rows = [(effect, "kept") for effect in solution.effects]
         rows += [(effect, "left out") for effect in solution.left_out]
         rows.sort(key=lambda row: -row[0].influence)
-        lines = [f"{'term of surface temperatures':58}  {'changes at most, mK':>20}  {'times the NETD':>14}"]
+        lines = [
+            (
+                f"{'term of surface temperatures':58}  {'changes at most, mK':>20}  "
+                f"{'times the NETD':>14}"
+            )
+        ]
         lines += [
-            f"{effect.name:58}  {effect.influence:20.3g}  {effect.influence / self.netd_mk:14.2g}  {verdict}"
+            (
+                f"{effect.name:58}  {effect.influence:20.3g}  "
+                f"{effect.influence / self.netd_mk:14.2g}  {verdict}"
+            )
             for effect, verdict in rows
         ]
         return "\n".join((*lines, "", self.picture.text(self.netd_mk)))
@@ -83,11 +94,17 @@ class InfraredView:
         }
         found: dict[str, Any] = {
             name: [
-                {**_row(effect), "kept": kept} for kept, of in zip((True, False), both, strict=True) for effect in of
+                {**_row(effect), "kept": kept}
+                for kept, of in zip((True, False), both, strict=True)
+                for effect in of
             ]
             for name, both in tables.items()
         }
-        numbers = {"netd_mk": self.netd_mk, "by_chance_mk": 1e3 * picture.error_k, "rays": list(picture.rays)}
+        numbers = {
+            "netd_mk": self.netd_mk,
+            "by_chance_mk": 1e3 * picture.error_k,
+            "rays": list(picture.rays),
+        }
         return json.dumps(numbers | found, indent=1).encode()
 
     @property
@@ -125,7 +142,8 @@ def view_infrared(
     temperatures
         Surface temperatures of the scene.
     tolerance
-        What terms left out may change together, as a fraction of the imager's noise; None: none is left out.
+        What terms left out may change together, as a fraction of the imager's noise; None: none is
+        left out.
     seed
         Seed of the rays.
     preview
@@ -164,14 +182,22 @@ def view_infrared(
     )
 
 
-def _set_for_scene(camera: InfraredCamera, picture: InfraredPicture) -> tuple[InfraredCamera, tuple[str, ...]]:
-    """Set level and span of an imager that has them so that surfaces lie within, as an operator would."""
+def _set_for_scene(
+    camera: InfraredCamera, picture: InfraredPicture
+) -> tuple[InfraredCamera, tuple[str, ...]]:
+    """Set level and span of an imager that has them so that surfaces lie within, as an operator
+    would.
+    """
     video = camera.description.video
     if video.span_k is None:
         return camera, ()
     celsius = picture.apparent_k() - KELVIN
     surface = celsius[np.isfinite(picture.truth.temperature_k)]
     low, high = np.percentile(surface if surface.size else celsius, INSIDE)
-    span = next((step for step in SPANS_K if step >= max(float(video.span_k), high - low)), SPANS_K[-1])
+    span = next(
+        (step for step in SPANS_K if step >= max(float(video.span_k), high - low)), SPANS_K[-1]
+    )
     level = float(np.round(0.5 * (low + high)))
-    return camera.with_span(level, span), (f"level {level:g} C and span {span:g} K set for the surfaces of the scene",)
+    return camera.with_span(level, span), (
+        f"level {level:g} C and span {span:g} K set for the surfaces of the scene",
+    )

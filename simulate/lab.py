@@ -31,27 +31,30 @@ WAVELENGTH_NM = np.arange(450.0, 951.0, 50.0)
 class LabBench:
     """A camera on an optical bench.
 
-    The image of each target is rendered and blurred once and kept; light level, gate and gain then cost nothing.
+    The image of each target is rendered and blurred once and kept; light level, gate and gain then
+    cost nothing.
 
     Parameters
     ----------
     sensor
         Description of the camera, whose values are taken as the truth.
     scene
-        The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if None.
+        The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if
+        None.
     left_out
         Neglected effects of the camera, see `simulate.iiccd.chain.Stage.effects`.
     like
-        Bench of a camera with the same pixels and nearly the same optics: targets lie as before it, so that benches of
-        many draws of one camera share their images. None: none.
+        Bench of a camera with the same pixels and nearly the same optics: targets lie as before it,
+        so that benches of many draws of one camera share their images. None: none.
 
     Notes
     -----
-    The bench states the illuminance *at the photocathode*, or at the chip of a camera without a tube, of the target's
-    brightest large area, as a meter in its place would read it; light on a chip may be stated as `photons_per_px` of
-    one wavelength instead. What the lens does to the light on its way there is therefore left out, its blur and veiling
-    glare excepted: loss, fall-off, vignetting, distortion. So is the fibres' geometry, as targets are known on the
-    frame, and protection from bright sources, since the bench stays far below a lux. For these, see
+    The bench states the illuminance *at the photocathode*, or at the chip of a camera without a
+    tube, of the target's brightest large area, as a meter in its place would read it; light on a
+    chip may be stated as `photons_per_px` of one wavelength instead. What the lens does to the
+    light on its way there is therefore left out, its blur and veiling glare excepted: loss,
+    fall-off, vignetting, distortion. So is the fibres' geometry, as targets are known on the frame,
+    and protection from bright sources, since the bench stays far below a lux. For these, see
     `simulate.iiccd.scene_to_photoelectrons.mcp_input_from_radiance`.
     """
 
@@ -64,14 +67,25 @@ class LabBench:
         like: "LabBench | None" = None,
     ) -> None:
         self.camera: IntensifiedCamera | SiliconCamera = (
-            IntensifiedCamera(sensor, left_out=left_out) if isinstance(sensor, Sensor) else SiliconCamera(sensor)
+            IntensifiedCamera(sensor, left_out=left_out)
+            if isinstance(sensor, Sensor)
+            else SiliconCamera(sensor)
         )
         self.scene = scene if isinstance(scene, LabScene) else load_bench(scene or "bench")
         self._like = like
-        self._pictures: OrderedDict[tuple[Kind, Target, float | None], NDArray[np.float32]] = OrderedDict()
+        self._pictures: OrderedDict[tuple[Kind, Target, float | None], NDArray[np.float32]] = (
+            OrderedDict()
+        )
 
     def expose(
-        self, kind: Kind, target: Target, conditions: Conditions, *, frames: int, seed: int, first_frame: int = 0
+        self,
+        kind: Kind,
+        target: Target,
+        conditions: Conditions,
+        *,
+        frames: int,
+        seed: int,
+        first_frame: int = 0,
     ) -> FrameStack:
         """Return a number of simulated frames of a target, (frame, row, col), in whole DN.
 
@@ -112,22 +126,36 @@ class LabBench:
         return self.camera.frames(at_mcp, conditions, seed=seed, first_frame=first_frame)
 
     def mean(self, kind: Kind, target: Target, conditions: Conditions) -> NDArray[np.float32]:
-        """Return the frame without noise, rounding or clipping by the digitiser, shape (row, col), DN."""
+        """Return the frame without noise, rounding or clipping by the digitiser, shape (row, col),
+        DN.
+        """
         return self.camera.mean_frame(self.mcp_input(kind, target, conditions), conditions)
 
     def mcp_input(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
-        """Return the expected photoelectrons at the MCP input or in the chip, per cell and exposure, EBI included."""
+        """Return the expected photoelectrons at the MCP input or in the chip, per cell and
+        exposure, EBI included.
+        """
         camera = self.camera
         if isinstance(camera, SiliconCamera):
             if kind == "dark":
-                return StageImage(values=np.zeros(camera.cells.shape, np.float32), grid=camera.cells)
-            light = np.float32(self._lux(kind, conditions) * camera.stage(Slot.SILICON, conditions).exposure_s)
-            return StageImage(values=self._picture(kind, target, conditions) * light, grid=camera.cells)
+                return StageImage(
+                    values=np.zeros(camera.cells.shape, np.float32), grid=camera.cells
+                )
+            light = np.float32(
+                self._lux(kind, conditions) * camera.stage(Slot.SILICON, conditions).exposure_s
+            )
+            return StageImage(
+                values=self._picture(kind, target, conditions) * light, grid=camera.cells
+            )
         cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s
         if kind == "dark":
-            return StageImage(values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells)
-        lit = self._picture(kind, target, conditions) * np.float32(self._lux(kind, conditions) * cathode.open_s)
+            return StageImage(
+                values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells
+            )
+        lit = self._picture(kind, target, conditions) * np.float32(
+            self._lux(kind, conditions) * cathode.open_s
+        )
         return StageImage(values=lit + np.float32(dark), grid=camera.cells)
 
     def without(self, left_out: frozenset[str]) -> "LabBench":
@@ -135,21 +163,28 @@ class LabBench:
         return LabBench(self.camera.description, self.scene, left_out=left_out)
 
     def photoelectrons(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
-        """Return the expected photoelectrons from the cathode, per scene cell and exposure, before any blur."""
+        """Return the expected photoelectrons from the cathode, per scene cell and exposure, before
+        any blur.
+        """
         cells = self.camera.scene_cells
         if kind == "dark":
             return StageImage(values=np.zeros(cells.shape, np.float32), grid=cells)
         lux = np.float32(self._lux(kind, conditions))
-        return self.camera.photoelectrons(StageImage(values=self._photons(kind, target) * lux, grid=cells), conditions)
+        return self.camera.photoelectrons(
+            StageImage(values=self._photons(kind, target) * lux, grid=cells), conditions
+        )
 
     def _picture(self, kind: Kind, target: Target, conditions: Conditions) -> NDArray[np.float32]:
-        """Photoelectrons at the MCP input, or in the chip, per s and cell at 1 lux, shape of the camera's cells.
+        """Photoelectrons at the MCP input, or in the chip, per s and cell at 1 lux, shape of the
+        camera's cells.
 
         The wavelength of narrow light, where conditions state it, is that of diffraction.
         """
         key = (kind, target, conditions.wavelength_nm)
         if key not in self._pictures:
-            scene_light = StageImage(values=self._photons(kind, target), grid=self.camera.scene_cells)
+            scene_light = StageImage(
+                values=self._photons(kind, target), grid=self.camera.scene_cells
+            )
             chain = self.camera.chain(Conditions(wavelength_nm=conditions.wavelength_nm))
             if self.camera.has_tube:
                 front = chain.between(Slot.OPTICS, Slot.GAP)
@@ -164,7 +199,9 @@ class LabBench:
         return self._pictures[key]
 
     def _photons(self, kind: Kind, target: Target) -> NDArray[np.float32]:
-        """Photons per s and cell at 1 lux, referred to the wavelength of peak quantum efficiency, before any blur."""
+        """Photons per s and cell at 1 lux, referred to the wavelength of peak quantum efficiency,
+        before any blur.
+        """
         scene = self._scene_of(target)
         per_cm2, weight = self._photons_per_lux(scene)
         # Rounded, so that devices of one type share their images.
@@ -173,26 +210,42 @@ class LabBench:
         return relative * np.float32(per_cm2 * self.camera.scene_cells.cell_area_cm2)
 
     def _photons_per_lux(self, scene: LabScene) -> tuple[float, NDArray[np.float64]]:
-        """Photons per s and cm2 of the port's light at 1 lux, and what turns radiance in bands into photons."""
-        port = planck(WAVELENGTH_NM, scene.sphere.temperature_k) * scene.open.transmittance_at(WAVELENGTH_NM)
+        """Photons per s and cm2 of the port's light at 1 lux, and what turns radiance in bands into
+        photons.
+        """
+        port = planck(WAVELENGTH_NM, scene.sphere.temperature_k) * scene.open.transmittance_at(
+            WAVELENGTH_NM
+        )
         return photometry.photons_per_lux(self.camera.description, WAVELENGTH_NM, port)
 
     def _lux(self, kind: Kind, conditions: Conditions) -> float:
-        """Illuminance at photocathode or chip, lux; of light stated in photons, one that frees as many electrons."""
+        """Illuminance at photocathode or chip, lux; of light stated in photons, one that frees as
+        many electrons.
+        """
         camera, photons = self.camera, conditions.photons_per_px
         if conditions.illuminance_lux is not None:
             return conditions.illuminance_lux
-        if isinstance(camera, IntensifiedCamera) or photons is None or conditions.wavelength_nm is None:
+        if (
+            isinstance(camera, IntensifiedCamera)
+            or photons is None
+            or conditions.wavelength_nm is None
+        ):
             stated = "" if camera.has_tube else ", or photons_per_px and wavelength_nm,"
-            raise BadInput(f"illuminance_lux{stated} must be given for a stack of kind {kind!r}, got none")
+            raise BadInput(
+                f"illuminance_lux{stated} must be given for a stack of kind {kind!r}, got none"
+            )
         silicon = camera.description.silicon
-        efficiency = np.interp(conditions.wavelength_nm, silicon.wavelength_nm, silicon.quantum_efficiency, 0.0, 0.0)
+        efficiency = np.interp(
+            conditions.wavelength_nm, silicon.wavelength_nm, silicon.quantum_efficiency, 0.0, 0.0
+        )
         per_cm2, _ = self._photons_per_lux(self.scene)
         counted = photons * float(efficiency) / max(silicon.quantum_efficiency)
         return counted / (per_cm2 * camera.field_pixel_area_cm2 * camera.open_s(conditions))
 
     def _scene_of(self, target: Target) -> LabScene:
-        """The bench with a plate of the target's contrast; without one the plate is as opaque as the scene says."""
+        """The bench with a plate of the target's contrast; without one the plate is as opaque as
+        the scene says.
+        """
         if target.contrast is None:
             return self.scene
         clear = self.scene.open
@@ -219,7 +272,10 @@ class LabBench:
         return TargetView(
             shape=cells.shape,
             cell_px=(1.0 / cells.per_column, ratio / cells.per_row),
-            corner_px=(-cells.margin_columns - centre_col, (-cells.margin_rows - centre_row) * ratio),
+            corner_px=(
+                -cells.margin_columns - centre_col,
+                (-cells.margin_rows - centre_row) * ratio,
+            ),
             metre_per_px=cells.pitch_x_mm * self.scene.distance_m / lens_mm,
             distance_m=self.scene.distance_m,
             eye_px=(columns / 2.0 - centre_col, (cells.rows / 2.0 - centre_row) * ratio),
@@ -230,8 +286,12 @@ class LabBench:
 def _relative_picture(
     scene: LabScene, kind: Kind, target: Target, view: TargetView, weight: tuple[float, ...]
 ) -> NDArray[np.float32]:
-    """A target's light on cells of the view, relative to that of a large open area, shape (row, col)."""
+    """A target's light on cells of the view, relative to that of a large open area, shape (row,
+    col).
+    """
     picture = np.empty(view.shape, np.float32)
     for place, tile in view.tiles(128):
-        picture[place] = render_bench(scene, kind, target, tile, WAVELENGTH_NM).sum_bands(np.array(weight))
+        picture[place] = render_bench(scene, kind, target, tile, WAVELENGTH_NM).sum_bands(
+            np.array(weight)
+        )
     return read_only(picture)

@@ -1,8 +1,9 @@
 """Views of an outdoor scene whose camera or objects move, at one time after the other.
 
-A view is rendered anew only at times at which camera or objects stand otherwise than at the time before, with what the
-first view found (bands, rays, effects to leave out) and with other random numbers. Light, weather and the temperatures
-of surfaces are those of the scene's time. Within one exposure the scene stands still.
+A view is rendered anew only at times at which camera or objects stand otherwise than at the time
+before, with what the first view found (bands, rays, effects to leave out) and with other random
+numbers. Light, weather and the temperatures of surfaces are those of the scene's time. Within one
+exposure the scene stands still.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -19,7 +20,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """A view, and what a camera has of it: photoelectrons at its MCP or in its chip, or the signal of an imager."""
+    """A view, and what a camera has of it: photoelectrons at its MCP or in its chip, or the signal
+    of an imager.
+    """
 
     view: "RenderedView | InfraredView"
     light: Any
@@ -55,11 +58,15 @@ class Motion:
         return all(self.at(time_s) == start for time_s in others)
 
     def looks(self, first: Look, times_s: Iterable[float]) -> Iterator[Look]:
-        """Yield the look at each time, the same one while nothing moves; `first` is that at the first time."""
+        """Yield the look at each time, the same one while nothing moves; `first` is that at the
+        first time.
+        """
         look, before = first, None
         for number, time_s in enumerate(times_s):
             now = self.at(time_s)
             if before is not None and now != before:
-                look = self.look(now, int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0]))
+                look = self.look(
+                    now, int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0])
+                )
             before = now
             yield look

@@ -1,4 +1,6 @@
-"""Outdoor scene before a camera: choice of render settings from the camera's noise, and rendering."""
+"""Outdoor scene before a camera: choice of render settings from the camera's noise, and
+rendering.
+"""
 
 import json
 import os
@@ -28,12 +30,14 @@ STEP_NM = 5.0
 
 
 def render_sensor_of(camera: Camera, conditions: Conditions) -> RenderSensor:
-    """Return the response of a pixel on the axis to radiance, in photoelectrons per exposure, and its noise.
+    """Return the response of a pixel on the axis to radiance, in photoelectrons per exposure, and
+    its noise.
 
     Notes
     -----
-    Variance F^2 (signal + dark) + read noise, all referred to the photocathode (or to the silicon of a camera without a
-    tube): what each photoelectron adds, detected or not, F^2 = (1 + 1/shape)/p.
+    Variance F^2 (signal + dark) + read noise, all referred to the photocathode (or to the silicon
+    of a camera without a tube): what each photoelectron adds, detected or not, F^2 = (1 +
+    1/shape)/p.
     """
     lens = camera.lens()
     table = np.asarray(lens.detector_nm, float)
@@ -52,17 +56,32 @@ def render_sensor_of(camera: Camera, conditions: Conditions) -> RenderSensor:
     )
 
 
-def _numbers(camera: Camera, conditions: Conditions) -> tuple[float, float, float, float, float, float, float]:
-    """Peak efficiency, area of a pixel, m2, time open, s, dark photoelectrons, F^2, pe^2 of reading, and `evened`.
+def _numbers(
+    camera: Camera, conditions: Conditions
+) -> tuple[float, float, float, float, float, float, float]:
+    """Peak efficiency, area of a pixel, m2, time open, s, dark photoelectrons, F^2, pe^2 of
+    reading, and `evened`.
 
-    The light of a photoelectron's pulse falls on several pixels, and its afterglow in several fields.
+    The light of a photoelectron's pulse falls on several pixels, and its afterglow in several
+    fields.
     """
     area_m2 = camera.field_pixel_area_cm2 * 1e-4
     if not isinstance(camera, IntensifiedCamera):
-        silicon, register = camera.stage(Slot.SILICON, conditions), camera.stage(Slot.REGISTER, conditions)
+        silicon, register = (
+            camera.stage(Slot.SILICON, conditions),
+            camera.stage(Slot.REGISTER, conditions),
+        )
         dark = register.dark_e + register.clock_induced_e
         read = (register.read_noise_e / register.gain) ** 2
-        return silicon.quantum_efficiency, area_m2, silicon.exposure_s, dark, register.excess_noise_factor, read, 1.0
+        return (
+            silicon.quantum_efficiency,
+            area_m2,
+            silicon.exposure_s,
+            dark,
+            register.excess_noise_factor,
+            read,
+            1.0,
+        )
     wide = tuple(side + 2 * ACCURACY.scene_margin_px for side in camera.shape)
     budget = NoiseBudget(camera, np.zeros(wide, np.float32), conditions)
     cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
@@ -77,7 +96,8 @@ def _numbers(camera: Camera, conditions: Conditions) -> tuple[float, float, floa
 PREVIEW_PX = 192
 # Most rays of one of its pixels.
 PREVIEW_RAYS = 8
-# An error is reported as too large from this multiple of the promised one: rays are sent in batches.
+# An error is reported as too large from this multiple of the promised one: rays are sent in
+# batches.
 STEP = 1.1
 SPENT = "some pixels, or all together, have had the most rays that they may"
 
@@ -102,7 +122,9 @@ class RenderedView:
 
     @property
     def short(self) -> bool:
-        """Whether the Monte Carlo error exceeds that of the render settings because of the limit of rays."""
+        """Whether the Monte Carlo error exceeds that of the render settings because of the limit of
+        rays.
+        """
         return self.chance > STEP * self.plan.chance
 
     @property
@@ -111,12 +133,24 @@ class RenderedView:
         out = ", ".join(sorted(self.plan.plan.names)) or "nothing"
         below = self.picture.below_zero
         return (
-            f"light by rays: left out {out}; see light; the truth of each pixel is in truth, next to the frames",
-            *((f"{below} pixels came out below zero by chance and count as dark",) if below else ()),
-            f"by the scatter of their rays pixels are uncertain by {100.0 * self.chance:.2g} % of their noise (or "
-            f"{100.0 * KNOWN * self.chance:.2g} % of the signal where that is more), root mean square",
+            (
+                f"light by rays: left out {out}; see light; the truth of each pixel is in truth, "
+                "next to the frames"
+            ),
+            *(
+                (f"{below} pixels came out below zero by chance and count as dark",)
+                if below
+                else ()
+            ),
+            f"by the scatter of their rays pixels are uncertain by {100.0 * self.chance:.2g} % of "
+            f"their noise (or {100.0 * KNOWN * self.chance:.2g} % of the signal where that is "
+            "more), root mean square",
             *self.left_out,
-            *((f"that is more than the {100.0 * self.plan.chance:.2g} % of the plan: {SPENT}",) if self.short else ()),
+            *(
+                (f"that is more than the {100.0 * self.plan.chance:.2g} % of the plan: {SPENT}",)
+                if self.short
+                else ()
+            ),
         )
 
     def text(self) -> str:
@@ -162,7 +196,10 @@ class OutdoorRendering:
             forward=(float(ahead[0]), float(ahead[1]), float(ahead[2])),
             roll_deg=stands.roll_deg,
             shape=self.camera.shape,
-            focal_px=(lens.focal_length_mm / cells.pitch_x_mm, lens.focal_length_mm / cells.pitch_y_mm),
+            focal_px=(
+                lens.focal_length_mm / cells.pitch_x_mm,
+                lens.focal_length_mm / cells.pitch_y_mm,
+            ),
             distortion_fraction=stands.distortion_fraction,
             scan=stands.scan,
         )
@@ -183,15 +220,15 @@ class OutdoorRendering:
         Parameters
         ----------
         tolerance
-            What leaving out and chance may change together, as a fraction of a pixel's noise in one frame;
-            None: nothing is left out.
+            What leaving out and chance may change together, as a fraction of a pixel's noise in one
+            frame; None: nothing is left out.
         seed
             Seed of all rays.
         preview
             Few pixels, so that it takes seconds.
         like
-            A view of the scene with its objects or camera in other poses, whose settings and light this one has; None:
-            settings are chosen by the tolerance.
+            A view of the scene with its objects or camera in other poses, whose settings and light
+            this one has; None: settings are chosen by the tolerance.
         threads
             Threads that share the work; None: one for each of up to two processors.
         progress
@@ -208,7 +245,9 @@ class OutdoorRendering:
             plan, stage = exact(self.site, view, eye, seed)
         else:
             plan, stage = choose_render_settings(self.site, view, eye, tolerance, seed)
-        rays = replace(plan.rays, edge=PREVIEW_RAYS, max_rays=PREVIEW_RAYS) if preview else plan.rays
+        rays = (
+            replace(plan.rays, edge=PREVIEW_RAYS, max_rays=PREVIEW_RAYS) if preview else plan.rays
+        )
         count = min(2, os.cpu_count() or 1) if threads is None else threads
         with workers(count) as run:
             found = render_scene(
@@ -229,7 +268,10 @@ class OutdoorRendering:
             eye=eye,
             viewpoint=view,
             title=self._title(),
-            left_out=(*self.site.surfaces.notes, *(one.note for one in self.scene.material if one.note)),
+            left_out=(
+                *self.site.surfaces.notes,
+                *(one.note for one in self.scene.material if one.note),
+            ),
         )
 
     def _title(self) -> str:

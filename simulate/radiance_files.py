@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from simulate.infrared_view import InfraredView
     from simulate.outdoor_rendering import RenderedView
 
-# Formats and endings of their files; the data of an ENVI header lie in a file of the ending .raw in the same folder.
+# Formats and endings of their files; the data of an ENVI header lie in a file of the ending .raw in
+# the same folder.
 FORMATS = {"npz": ".npz", "fits": ".fits", "envi": ".hdr", "exr": ".exr"}
 SPECTRAL, BINNED = "W m-2 sr-1 nm-1", "W m-2 sr-1"
 
@@ -28,11 +29,12 @@ def save_view_radiance(view: "RenderedView | InfraredView", path: Path) -> None:
     view
         A rendering of an outdoor scene.
     path
-        The file. An .npz has `radiance` (band, row, col) with `wavelength_nm` or, of an infrared one, whose radiance is
-        that in each bin, `edges_um`; `unit`; and of the lens `position_m`, `forward`, `focal_px` (x, y), `roll_deg` and
-        `distortion_fraction`, and `range_m` (row, col). The other formats have the same: FITS as image, header, and
-        extensions for bands and range; ENVI as float32 by bands with a header, but without the range; OpenEXR as one
-        float32 channel a band and the channel `range_m`, uncompressed.
+        The file. An .npz has `radiance` (band, row, col) with `wavelength_nm` or, of an infrared
+        one, whose radiance is that in each bin, `edges_um`; `unit`; and of the lens `position_m`,
+        `forward`, `focal_px` (x, y), `roll_deg` and `distortion_fraction`, and `range_m` (row,
+        col). The other formats have the same: FITS as image, header, and extensions for bands and
+        range; ENVI as float32 by bands with a header, but without the range; OpenEXR as one float32
+        channel a band and the channel `range_m`, uncompressed.
 
     Raises
     ------
@@ -41,9 +43,10 @@ def save_view_radiance(view: "RenderedView | InfraredView", path: Path) -> None:
 
     Notes
     -----
-    ENVI header: fields of the ENVI user guide, which GDAL and Spectral Python read; the pose is in further fields.
-    OpenEXR: "OpenEXR File Layout" of openexr.com; names of channels by Fichet, Pacanowski and Wilkie, "An OpenEXR
-    Layout for Spectral Images", JCGT 10(3), 2021, with a decimal comma, S0.550,000000nm; of infrared bins their middle.
+    ENVI header: fields of the ENVI user guide, which GDAL and Spectral Python read; the pose is in
+    further fields. OpenEXR: "OpenEXR File Layout" of openexr.com; names of channels by Fichet,
+    Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3), 2021, with a decimal
+    comma, S0.550,000000nm; of infrared bins their middle.
     """
     writers = {".npz": _write_npz, ".fits": _write_fits, ".hdr": _write_envi, ".exr": _write_exr}
     if path.suffix not in writers:
@@ -63,7 +66,10 @@ def _write_fits(content: dict[str, Any], path: Path) -> None:
     image = fits.PrimaryHDU(content["radiance"])
     image.header["BUNIT"] = content["unit"]
     image.header["FOCALX"], image.header["FOCALY"] = content["focal_px"]
-    image.header["ROLL"], image.header["DISTORT"] = content["roll_deg"], content["distortion_fraction"]
+    image.header["ROLL"], image.header["DISTORT"] = (
+        content["roll_deg"],
+        content["distortion_fraction"],
+    )
     for name, key in (("position_m", "POS"), ("forward", "AXIS")):
         for axis, value in zip("XYZ", content[name], strict=True):
             image.header[f"{key}{axis}"] = value
@@ -72,7 +78,9 @@ def _write_fits(content: dict[str, Any], path: Path) -> None:
     fits.HDUList([image, *tables]).writeto(path, overwrite=True)
 
 
-def _bands(content: dict[str, Any]) -> "tuple[str, NDArray[np.floating], NDArray[np.floating] | None]":
+def _bands(
+    content: dict[str, Any],
+) -> "tuple[str, NDArray[np.floating], NDArray[np.floating] | None]":
     """Return the unit of wavelengths, those of the bands, and of bins their widths."""
     if "wavelength_nm" in content:
         return "nm", np.asarray(content["wavelength_nm"], float), None
@@ -86,21 +94,37 @@ def _write_envi(content: dict[str, Any], path: Path) -> None:
     unit, middles, widths = _bands(content)
 
     def among(values: Any) -> str:
-        return "{" + ", ".join(value if isinstance(value, str) else f"{value:.9g}" for value in values) + "}"
+        return (
+            "{"
+            + ", ".join(value if isinstance(value, str) else f"{value:.9g}" for value in values)
+            + "}"
+        )
 
     fields = {
         "description": among([f"radiance, {content['unit']}"]),
-        "samples": columns, "lines": rows, "bands": bands, "header offset": 0, "file type": "ENVI Standard",
-        "data type": 4, "interleave": "bsq", "byte order": 0,
+        "samples": columns,
+        "lines": rows,
+        "bands": bands,
+        "header offset": 0,
+        "file type": "ENVI Standard",
+        "data type": 4,
+        "interleave": "bsq",
+        "byte order": 0,
         "band names": among(f"{middle:.6g} {unit}" for middle in middles),
         "wavelength units": {"nm": "Nanometers", "um": "Micrometers"}[unit],
         "wavelength": among(middles),
         **({} if widths is None else {"fwhm": among(widths)}),
         "z plot titles": among([f"Wavelength ({unit})", f"Radiance ({content['unit']})"]),
         "radiance unit": content["unit"],
-        **{name.replace("_", " "): among(content[name]) for name in ("position_m", "forward", "focal_px")},
-        **{name.replace("_", " "): f"{content[name]:.9g}" for name in ("roll_deg", "distortion_fraction")},
-    }  # fmt: skip
+        **{
+            name.replace("_", " "): among(content[name])
+            for name in ("position_m", "forward", "focal_px")
+        },
+        **{
+            name.replace("_", " "): f"{content[name]:.9g}"
+            for name in ("roll_deg", "distortion_fraction")
+        },
+    }
     write_atomically(path.with_suffix(".raw"), data.tobytes())
     lines = ["ENVI", *(f"{name} = {value}" for name, value in fields.items())]
     write_atomically(path, ("\n".join(lines) + "\n").encode("ascii"))
@@ -114,11 +138,17 @@ def _write_exr(content: dict[str, Any], path: Path) -> None:
     # Values of a row lie channel by channel in the order of the names: (row, channel, col).
     data = np.stack([np.asarray(planes[name], "<f4") for name in channels], axis=1)
     rows, _, columns = data.shape
-    of_channel = pack("<iB3xii", 2, 0, 1, 1)  # 32-bit float, not for perception, every column and row
+    of_channel = pack(
+        "<iB3xii", 2, 0, 1, 1
+    )  # 32-bit float, not for perception, every column and row
     window = pack("<4i", 0, 0, columns - 1, rows - 1)
     radiance_unit = content["unit"].replace(" ", ".").replace("-", "^-")
     attributes = [
-        ("channels", "chlist", b"".join(name.encode() + b"\0" + of_channel for name in channels) + b"\0"),
+        (
+            "channels",
+            "chlist",
+            b"".join(name.encode() + b"\0" + of_channel for name in channels) + b"\0",
+        ),
         ("compression", "compression", b"\0"),
         ("dataWindow", "box2i", window),
         ("displayWindow", "box2i", window),
@@ -135,12 +165,17 @@ def _write_exr(content: dict[str, Any], path: Path) -> None:
         ("distortion_fraction", "float", pack("<f", content["distortion_fraction"])),
     ]
     header = b"".join(
-        b"\0".join((name.encode(), kind.encode(), pack("<i", len(value)) + value)) for name, kind, value in attributes
+        b"\0".join((name.encode(), kind.encode(), pack("<i", len(value)) + value))
+        for name, kind, value in attributes
     )
-    before = pack("<2i", 20000630, 2) + header + b"\0"  # magic number, version of single scan-line images
+    before = (
+        pack("<2i", 20000630, 2) + header + b"\0"
+    )  # magic number, version of single scan-line images
     row_bytes = data[0].nbytes
     places = len(before) + 8 * rows + (8 + row_bytes) * np.arange(rows, dtype="<u8")
-    blocks = np.empty(rows, np.dtype([("row", "<i4"), ("size", "<i4"), ("data", "<f4", data.shape[1:])]))
+    blocks = np.empty(
+        rows, np.dtype([("row", "<i4"), ("size", "<i4"), ("data", "<f4", data.shape[1:])])
+    )
     blocks["row"], blocks["size"], blocks["data"] = np.arange(rows), row_bytes, data
     write_atomically(path, before + places.astype("<u8").tobytes() + blocks.tobytes())
 

@@ -35,13 +35,15 @@ class Shot:
     Parameters
     ----------
     camera, light
-        The camera, and expected photoelectrons at the MCP, or in the sensor of a camera without tube.
+        The camera, and expected photoelectrons at the MCP, or in the sensor of a camera without
+        tube.
     kind, conditions, target, notes
         Metadata of the stack.
     seen
         Input of the camera: an image in photoelectrons, a radiance cube, or None.
     plan, exact
-        Effect selection (None for a camera without tube, where all are retained); whether every pulse is sampled.
+        Effect selection (None for a camera without tube, where all are retained); whether every
+        pulse is sampled.
     view
         Rendering of an outdoor scene: radiance, effect selection and auxiliary layers.
     delay_s
@@ -73,7 +75,9 @@ class Shot:
         """Radial distortions of lens and taper, in the order of the light, dimensionless."""
         from simulate.iiccd.chain import Slot
 
-        fibres = (self.camera.stage(Slot.FIBRES).distortion_fraction,) if self.camera.has_tube else ()
+        fibres = (
+            (self.camera.stage(Slot.FIBRES).distortion_fraction,) if self.camera.has_tube else ()
+        )
         return (self.camera.lens().distortion_fraction, *fibres)
 
     def time_s(self, frame: float) -> float:
@@ -88,7 +92,8 @@ class Shot:
         seed, count
             Seed, and number of frames.
         keep
-            Of a moving scene: called with the number of each frame whose view is another than that of the frame before.
+            Of a moving scene: called with the number of each frame whose view is another than that
+            of the frame before.
         """
         steps = self._exposures_per_frame
         times_s = [self.time_s(number / steps) for number in range(count * steps)]
@@ -104,7 +109,9 @@ class Shot:
     def _looks(self, motion: Motion, times_s: list[float], keep: Keep) -> Iterator[Look]:
         assert self.view is not None
         steps, kept = self._exposures_per_frame, self.view
-        for number, look in enumerate(motion.looks(Look(view=self.view, light=self._first_light), times_s)):
+        for number, look in enumerate(
+            motion.looks(Look(view=self.view, light=self._first_light), times_s)
+        ):
             if number % steps == 0 and look.view is not kept:
                 kept = look.view
                 keep(number // steps, kept)
@@ -116,7 +123,9 @@ class Shot:
 
     def _still_frames(self, seed: int) -> Iterator[NDArray[Any]]:
         threads = min(2, os.cpu_count() or 1)
-        return self.camera.frames(self.light, self.conditions, seed=seed, exact=self.exact, threads=threads)
+        return self.camera.frames(
+            self.light, self.conditions, seed=seed, exact=self.exact, threads=threads
+        )
 
     def _moving_frames(self, seed: int, looks: Iterator[Look]) -> Iterator[NDArray[Any]]:
         if self.camera.has_tube:
@@ -128,7 +137,9 @@ class Shot:
             yield next(self.camera.frames(look.light, self.conditions, **given))
 
     def stages(self, *, seed: int) -> Iterator[Stage]:
-        """Yield the input, the expected photoelectrons or radiance behind the lens, and the image after each stage."""
+        """Yield the input, the expected photoelectrons or radiance behind the lens, and the image
+        after each stage.
+        """
         from simulate.iiccd.stage_images import stage_images
         from simulate.radiance.cube import RadianceCube
 
@@ -146,7 +157,11 @@ class Shot:
     def explanation(self) -> str:
         """Text of retained and neglected effects of light and camera with their bounds."""
         light = () if self.view is None else (self.view.text(), "")
-        camera = "camera without tube: all effects are retained" if self.plan is None else self.plan.text()
+        camera = (
+            "camera without tube: all effects are retained"
+            if self.plan is None
+            else self.plan.text()
+        )
         return "\n".join((*light, camera))
 
     @property
@@ -155,7 +170,10 @@ class Shot:
         if self.plan is None or self.exact:
             return "nothing left out"
         names = ", ".join(effect.name for effect in self.plan.left_out) or "nothing"
-        share = f"{100.0 * self.plan.influence:.2g} % of the temporal noise, of {100.0 * self.plan.tolerance:g} %"
+        share = (
+            f"{100.0 * self.plan.influence:.2g} % of the temporal noise, of "
+            f"{100.0 * self.plan.tolerance:g} %"
+        )
         return f"left out, together at most {share} allowed: {names}; see economy.json"
 
 
@@ -191,7 +209,11 @@ class InfraredShot(Shot):
 
     def stages(self, *, seed: int) -> Iterator[Stage]:
         """Yield the apparent temperature and a frame."""
-        yield "apparent temperature", "temperature of a black body of that radiance, K", self.seen.picture.apparent_k()
+        yield (
+            "apparent temperature",
+            "temperature of a black body of that radiance, K",
+            self.seen.picture.apparent_k(),
+        )
         yield "frame", "DN", next(self.frames(seed=seed, count=1))
 
     @property

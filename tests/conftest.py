@@ -10,25 +10,30 @@ import pytest
 for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(library, "1")
 
-# What a shell runs in the background is deaf to Ctrl-C, and so are its children, to which tests send one.
+# What a shell runs in the background is deaf to Ctrl-C, and so are its children, to which tests
+# send one.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 DEFAULT_SEED = 20261121
 
 
-# Tests, without their parameters, that take more than half a second of processor time, the processes that they start
-# included (`pytest --durations=0` shows where to look).
+# Tests, without their parameters, that take more than half a second of processor time, the
+# processes that they start included (`pytest --durations=0` shows where to look).
 SLOW = frozenset((Path(__file__).parent / "slow_tests.txt").read_text().split())
 SLOW_FILES = frozenset(name.partition("::")[0] for name in SLOW)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "seeded: draws by chance, and holds for any seed; set by its fixture `seed`")
+    config.addinivalue_line(
+        "markers", "seeded: draws by chance, and holds for any seed; set by its fixture `seed`"
+    )
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Import no file without a test of those asked for: a third of the time of collection where these are slow."""
+    """Import no file without a test of those asked for: a third of the time of collection where
+    these are slow.
+    """
     if not (collection_path.name.startswith("test_") and collection_path.name.endswith(".py")):
         return None
     asked, holds = config.option.markexpr, True

@@ -1,4 +1,6 @@
-"""The documentation is right: commands and programs run as printed; pictures, links and tables are complete."""
+"""The documentation is right: commands and programs run as printed; pictures, links and tables are
+complete.
+"""
 
 import json
 import math
@@ -19,12 +21,17 @@ from labdata.flags import FLAGS
 from labdata.quantity import QUANTITIES
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if "generated" not in path.parts)]
+PAGES = [
+    ROOT / "README.md",
+    *sorted(path for path in (ROOT / "docs").rglob("*.md") if "generated" not in path.parts),
+]
 TUTORIAL = ROOT / "docs" / "tutorial" / "index.md"
 
 
 def _slanted_edge() -> np.ndarray:
-    """An edge of 5 degrees with a Gaussian line spread of 0.7 px and Poisson noise, shape (row, col), DN."""
+    """An edge of 5 degrees with a Gaussian line spread of 0.7 px and Poisson noise, shape (row,
+    col), DN.
+    """
     row, col = np.mgrid[:96, :96] - 47.5
     lit = scipy.special.ndtr((col - math.tan(math.radians(5.0)) * row) / 0.7)
     return np.random.default_rng(0).poisson(200.0 + 1000.0 * lit).astype(np.uint16)
@@ -43,7 +50,9 @@ def test_the_steps_of_the_tutorial_run_as_printed(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if "```python\n" in page.read_text()], ids=lambda page: page.name
+    "page",
+    [page for page in PAGES if "```python\n" in page.read_text()],
+    ids=lambda page: page.name,
 )
 def test_the_programs_of_a_page_run_as_printed(page, tmp_path, monkeypatch):
     if page.name == "README.md":
@@ -54,12 +63,16 @@ def test_the_programs_of_a_page_run_as_printed(page, tmp_path, monkeypatch):
         names: dict = {}
         exec(program, names)
         if "frame_1000" in names:
-            following = names["camera"].frames(names["light"], names["conditions"], seed=7, first_frame=999)
+            following = names["camera"].frames(
+                names["light"], names["conditions"], seed=7, first_frame=999
+            )
             next(following)
             assert np.array_equal(names["frame_1000"], next(following))
 
 
-@pytest.mark.parametrize("example", sorted((ROOT / "docs" / "examples").glob("plot_*.py")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "example", sorted((ROOT / "docs" / "examples").glob("plot_*.py")), ids=lambda path: path.stem
+)
 def test_an_example_runs_and_draws_a_figure(example, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "agg")
     from matplotlib import pyplot as plt
@@ -78,24 +91,31 @@ def test_pictures_and_links_of_a_page_are_there(page):
 
 def test_the_reference_has_every_quantity_and_every_flag():
     for page, keys in (("quantities.md", QUANTITIES), ("flags.md", FLAGS)):
-        named = set(re.findall(r"`([a-z0-9_-]+)`", (ROOT / "docs" / "reference" / page).read_text()))
+        named = set(
+            re.findall(r"`([a-z0-9_-]+)`", (ROOT / "docs" / "reference" / page).read_text())
+        )
         assert set(keys) <= named, page
 
 
 def test_pictures_are_small():
-    assert all(picture.stat().st_size < 600_000 for picture in (ROOT / "docs" / "pictures").rglob("*.png"))
+    assert all(
+        picture.stat().st_size < 600_000 for picture in (ROOT / "docs" / "pictures").rglob("*.png")
+    )
 
 
 # The instructions of a Containerfile, as its reference names them.
 INSTRUCTIONS = (
-    "ADD ARG CMD COPY ENTRYPOINT ENV EXPOSE FROM HEALTHCHECK LABEL ONBUILD RUN SHELL STOPSIGNAL USER VOLUME WORKDIR"
+    "ADD ARG CMD COPY ENTRYPOINT ENV EXPOSE FROM HEALTHCHECK LABEL ONBUILD RUN SHELL "
+    "STOPSIGNAL USER VOLUME WORKDIR"
 )
 
 
 def test_the_containerfile_names_what_there_is():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     text = re.sub(r"\\\n", " ", (ROOT / "Containerfile").read_text())
-    lines = [line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")]
+    lines = [
+        line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")
+    ]
     assert lines[0][0] == "FROM" and {name for name, _ in lines} <= set(INSTRUCTIONS.split())
     copied = [source for name, rest in lines if name == "COPY" for source in shlex.split(rest)[:-1]]
     assert copied and all((ROOT / source).exists() for source in copied)

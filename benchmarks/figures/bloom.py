@@ -38,10 +38,16 @@ def main() -> None:
     context = Context(seed=SEED, full_scale_dn=SCENE.full_scale_dn)
     series = bloom_session(SCENE, OVERLOADS, np.random.default_rng(SEED))
     found = bloom.measure(series, method="series-forward", context=context)
-    told(found, {name: value for name, value in truth(SCENE, 1.0).items() if not name.startswith("bloom")})
+    told(
+        found,
+        {name: value for name, value in truth(SCENE, 1.0).items() if not name.startswith("bloom")},
+    )
     evidence = add_extent_data(series, found)
     known = [truth(SCENE, overload) for overload in OVERLOADS]
-    extents = {name: [one[name] or np.nan for one in known] for name in ("bloom_diameter", "bloom_diameter_clip")}
+    extents = {
+        name: [one[name] or np.nan for one in known]
+        for name in ("bloom_diameter", "bloom_diameter_clip")
+    }
     drawn("profiles", evidence["point-profile"])
     drawn("extents", {**evidence["bloom-series"], "truth": extents})
     drawn("frames", evidence["frames of the point series"])
@@ -63,11 +69,15 @@ def told(found: Result, true: Mapping[str, float]) -> None:
         if m.stack is None and m.value is not None and m.interval95 is not None:
             low, high = m.interval95
             beside = f", true {true[m.quantity]:.4g}" if m.quantity in true else ""
-            print(f"{m.quantity} {m.value:.4g} [{low:.4g}, {high:.4g}] {m.unit}{beside}, {m.status}")
+            print(
+                f"{m.quantity} {m.value:.4g} [{low:.4g}, {high:.4g}] {m.unit}{beside}, {m.status}"
+            )
 
 
 def through(world: NDArray[np.float64], *, beyond_px: float = -1.0) -> NDArray[np.float64]:
-    """A picture through the scene's spread without its glare, or the light that lands farther than a distance."""
+    """A picture through the scene's spread without its glare, or the light that lands farther than
+    a distance.
+    """
     from scipy.signal import fftconvolve
 
     down, across = np.mgrid[-MARGIN_PX : MARGIN_PX + 1, -MARGIN_PX : MARGIN_PX + 1]
@@ -79,7 +89,9 @@ def through(world: NDArray[np.float64], *, beyond_px: float = -1.0) -> NDArray[n
 
 
 def street() -> NDArray[np.float64]:
-    """A dark street: a wall in dim light, a lit door and three lamps, DN that each pixel's light makes."""
+    """A dark street: a wall in dim light, a lit door and three lamps, DN that each pixel's light
+    makes.
+    """
     world = np.full((200, 280), 5.0)
     world[60:, 150:] = 22.0
     world[110:180, 180:215] = 700.0
@@ -109,12 +121,26 @@ def lit_door() -> Session:
     entries = []
     for number, level in enumerate(EDGE_LEVELS_DN):
         light = through(4.0 + level * inside)
-        noise = np.sqrt(0.4 * SCENE.photoelectron_dn * SCENE.excess * light + SCENE.read_noise_dn**2)
+        noise = np.sqrt(
+            0.4 * SCENE.photoelectron_dn * SCENE.excess * light + SCENE.read_noise_dn**2
+        )
         data = SCENE.dark_dn + light + noise * rng.standard_normal((SCENE.frames, *light.shape))
-        stack = FrameStack(data=np.clip(np.rint(data), 0, 255).astype(np.uint8), full_scale_dn=SCENE.full_scale_dn)
-        entries.append(InMemoryStack(label=f"door-{number}", kind="edge", frames="", folder=Path("."), held=stack,
-                                 conditions=Conditions(illuminance_lux=1e-6 * level)))  # fmt: skip
-    dark = FrameStack(data=np.full((2, 160, 220), int(SCENE.dark_dn), np.uint8), full_scale_dn=SCENE.full_scale_dn)
+        stack = FrameStack(
+            data=np.clip(np.rint(data), 0, 255).astype(np.uint8), full_scale_dn=SCENE.full_scale_dn
+        )
+        entries.append(
+            InMemoryStack(
+                label=f"door-{number}",
+                kind="edge",
+                frames="",
+                folder=Path("."),
+                held=stack,
+                conditions=Conditions(illuminance_lux=1e-6 * level),
+            )
+        )
+    dark = FrameStack(
+        data=np.full((2, 160, 220), int(SCENE.dark_dn), np.uint8), full_scale_dn=SCENE.full_scale_dn
+    )
     entries.append(InMemoryStack(label="dark", kind="dark", frames="", folder=Path("."), held=dark))
     return Session(folder=Path("."), name="a lit door", stacks=tuple(entries))
 

@@ -1,4 +1,6 @@
-"""The lab scene of the pictures in these pages: a card with bars, a grey wedge, and a pinhole in a dark field."""
+"""The lab scene of the pictures in these pages: a card with bars, a grey wedge, and a pinhole in a
+dark field.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,22 +32,31 @@ def shown() -> tuple[slice, slice]:
 
 
 def luminance(per_pixel: int = 1) -> NDArray[np.float32]:
-    """Return the scene's luminance relative to the white of its card, shape (row, col), `per_pixel` cells a pixel."""
+    """Return the scene's luminance relative to the white of its card, shape (row, col), `per_pixel`
+    cells a pixel.
+    """
     scene = np.full([n * PER_PIXEL for n in FRAME], WALL, np.float32)
     (top, left), (rows, cols) = _corner(CARD), CARD
-    scene[top * PER_PIXEL : (top + rows) * PER_PIXEL, left * PER_PIXEL : (left + cols) * PER_PIXEL] = _card()
+    scene[
+        top * PER_PIXEL : (top + rows) * PER_PIXEL, left * PER_PIXEL : (left + cols) * PER_PIXEL
+    ] = _card()
     block = PER_PIXEL // per_pixel
-    return scene.reshape(scene.shape[0] // block, block, scene.shape[1] // block, block).mean(axis=(1, 3))
+    return scene.reshape(scene.shape[0] // block, block, scene.shape[1] // block, block).mean(
+        axis=(1, 3)
+    )
 
 
 def card(per_pixel: int = 1) -> NDArray[np.float32]:
     """Return the card alone, as `luminance` does the scene."""
-    (top, left), (rows, cols) = (tuple(n * per_pixel for n in pair) for pair in (_corner(CARD), CARD))
+    (top, left), (rows, cols) = (
+        tuple(n * per_pixel for n in pair) for pair in (_corner(CARD), CARD)
+    )
     return luminance(per_pixel)[top : top + rows, left : left + cols]
 
 
 def radiance(sensor: Sensor, picture: NDArray[np.floating], cathode_lux: float) -> RadianceCube:
-    """Return a picture under light of 2856 K whose white gives an illuminance on the photocathode, on the axis.
+    """Return a picture under light of 2856 K whose white gives an illuminance on the photocathode,
+    on the axis.
 
     Parameters
     ----------
@@ -61,11 +72,14 @@ def radiance(sensor: Sensor, picture: NDArray[np.floating], cathode_lux: float) 
     E = pi tau L / (4 N^2), L = 683 int V L_e dl; veiling glare comes on top.
     """
     optics, fine = sensor.optics, np.arange(360.0, 1100.0)
-    cd_per_m2 = cathode_lux * 4.0 * float(optics.f_number) ** 2 / (np.pi * float(optics.transmission))
+    cd_per_m2 = (
+        cathode_lux * 4.0 * float(optics.f_number) ** 2 / (np.pi * float(optics.transmission))
+    )
     lamp_cd_per_m2 = LUMENS_PER_WATT * np.sum(luminous_efficiency(fine) * planck(fine, LAMP_K))
     spectrum = planck(WAVELENGTH_NM, LAMP_K) * (cd_per_m2 / lamp_cd_per_m2)
     return RadianceCube(
-        wavelength_nm=WAVELENGTH_NM, radiance=spectrum.astype(np.float32)[:, None, None] * picture[None]
+        wavelength_nm=WAVELENGTH_NM,
+        radiance=spectrum.astype(np.float32)[:, None, None] * picture[None],
     )
 
 
@@ -74,7 +88,9 @@ def _corner(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def _card() -> NDArray[np.float32]:
-    """The card on cells, its own corner a margin outside what is shown; positions below are in pixels of SHOWN."""
+    """The card on cells, its own corner a margin outside what is shown; positions below are in
+    pixels of SHOWN.
+    """
     margin = [(card - shown) // 2 for card, shown in zip(CARD, SHOWN, strict=True)]
     rows, cols = np.mgrid[: CARD[0] * PER_PIXEL, : CARD[1] * PER_PIXEL]
     y, x = (rows + 0.5) / PER_PIXEL - margin[0], (cols + 0.5) / PER_PIXEL - margin[1]

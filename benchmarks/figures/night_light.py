@@ -1,4 +1,6 @@
-"""Figures of docs/explanation/night-light.md: spectra, magnitude of the moon over phase, and four skies."""
+"""Figures of docs/explanation/night-light.md: spectra, magnitude of the moon over phase, and four
+skies.
+"""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -53,8 +55,12 @@ def main() -> None:
 
 
 def spectra(path: Path) -> None:
-    """Draw natural light on open ground, and lamps per lumen, each with the tube's quantum efficiency."""
-    figure, (upper, lower) = plt.subplots(2, 1, figsize=(8.0, 8.4), sharex=True, constrained_layout=True)
+    """Draw natural light on open ground, and lamps per lumen, each with the tube's quantum
+    efficiency.
+    """
+    figure, (upper, lower) = plt.subplots(
+        2, 1, figsize=(8.0, 8.4), sharex=True, constrained_layout=True
+    )
     natural = [
         ("moon, phase 5°, above the air", moon_spectrum(5.0)),
         ("moon, phase 90°", moon_spectrum(90.0)),
@@ -93,7 +99,13 @@ def _curves(axes: plt.Axes, lights: Sequence[tuple[str, SourceSpectrum]]) -> Non
         value = light.on(GRID)
         axes.plot(GRID, np.maximum(value, 1e-12), label=name, linewidth=1.4)
     tube = axes.twinx()
-    tube.fill_between(GRID, 100.0 * quantum_efficiency(load_sensor(CAMERA), GRID), color="0.5", alpha=0.18, linewidth=0)
+    tube.fill_between(
+        GRID,
+        100.0 * quantum_efficiency(load_sensor(CAMERA), GRID),
+        color="0.5",
+        alpha=0.18,
+        linewidth=0,
+    )
     tube.set_ylabel("quantum efficiency of the tube (grey), %")
     tube.set_ylim(0.0, 60.0)
     axes.legend(loc="upper left", fontsize=8, ncols=2)
@@ -101,7 +113,9 @@ def _curves(axes: plt.Axes, lights: Sequence[tuple[str, SourceSpectrum]]) -> Non
 
 
 def moon_phase(path: Path) -> None:
-    """Draw the moon's magnitude over phase beside Allen's curve, waxing and waning, and the differences."""
+    """Draw the moon's magnitude over phase beside Allen's curve, waxing and waning, and the
+    differences.
+    """
     phase = np.linspace(0.0, 150.0, 301)
     allen = -12.73 + 0.026 * phase + 4e-9 * phase**4
     waxing, waning = (
@@ -135,7 +149,9 @@ def skies(path: Path) -> None:
     """Draw the luminance of four skies as seen lying on one's back: north up, east left."""
     figure, every = plt.subplots(2, 2, figsize=(8.4, 8.0), constrained_layout=True)
     for axes, (name, sky) in zip(every.ravel(), SKIES, strict=True):
-        picture = axes.imshow(np.log10(_luminance(sky)), cmap="viridis", extent=(90, -90, -90, 90), origin="lower")
+        picture = axes.imshow(
+            np.log10(_luminance(sky)), cmap="viridis", extent=(90, -90, -90, 90), origin="lower"
+        )
         for disc in sky.discs():
             x, y, z = disc.direction
             radius = np.rad2deg(np.arccos(z)) / np.hypot(x, y)
@@ -149,13 +165,17 @@ def skies(path: Path) -> None:
 
 
 def _luminance(sky: NightSky) -> NDArray[np.floating]:
-    """Return luminance over x (east) and y (north) of an equidistant map, cd m-2; not a number outside the sky."""
+    """Return luminance over x (east) and y (north) of an equidistant map, cd m-2; not a number
+    outside the sky.
+    """
     side = np.linspace(-90.0, 90.0, SKY_PX)
     # East is on the left when one looks up, and the picture's extent runs from east to west.
     east, north = np.meshgrid(side[::-1], side)
     zenith = np.deg2rad(np.hypot(east, north))
     around = np.arctan2(east, north)
-    way = np.stack([np.sin(zenith) * np.sin(around), np.sin(zenith) * np.cos(around), np.cos(zenith)], axis=-1)
+    way = np.stack(
+        [np.sin(zenith) * np.sin(around), np.sin(zenith) * np.cos(around), np.cos(zenith)], axis=-1
+    )
     inside = zenith < np.pi / 2.0
     weight = LUMENS_PER_WATT * 5.0 * luminous_efficiency(EYE)
     picture = np.full(inside.shape, np.nan)

@@ -1,4 +1,6 @@
-"""Figures of docs/explanation/night-scenes.md: shipped scenes as visible radiance, and by the default camera."""
+"""Figures of docs/explanation/night-scenes.md: shipped scenes as visible radiance, and by the
+default camera.
+"""
 
 import argparse
 import time
@@ -17,7 +19,8 @@ CAMERA = "pulnix-ag5745ef3"
 SCENES = ("airfield", "hangar", "road")
 # Gates, ns, where the whole field would be too long.
 GATES_NS = {"road": 5e4}
-# Where red, green and blue of the pictures of radiance rise and fall, nm: sodium lamps come out orange, as to an eye.
+# Where red, green and blue of the pictures of radiance rise and fall, nm: sodium lamps come out
+# orange, as to an eye.
 COLOURS = ((540.0, 600.0, 680.0, 720.0), (480.0, 520.0, 540.0, 600.0), (440.0, 450.0, 480.0, 520.0))
 # Share of pixels that may be brighter than white, %, and the power by which brightness is shown.
 WHITE_PERCENT, POWER = 0.7, 1.0 / 2.2
@@ -45,7 +48,9 @@ def draw(name: str, path: Path) -> None:
     """Draw a scene: its radiance above, the mean of a few frames below."""
     camera = load_described_camera(CAMERA, None)
     conditions = conditions_of(camera, gate_ns=GATES_NS.get(name))
-    shot = simulate(SimulationRequest(source=Path(name), tolerance=TOLERANCE, seed=SEED), camera, conditions)
+    shot = simulate(
+        SimulationRequest(source=Path(name), tolerance=TOLERANCE, seed=SEED), camera, conditions
+    )
     assert shot.view is not None
     seen = np.mean(list(shot.frames(seed=SEED, count=AS_SEEN)), axis=0)
     figure = Figure(figsize=(9.0, 11.6), layout="constrained")
@@ -65,7 +70,9 @@ def draw(name: str, path: Path) -> None:
 
 
 def in_colours(cube: RadianceCube) -> tuple[np.ndarray, str]:
-    """Return visible radiance in red, green and blue, such that the median pixel is grey, and what white stands for."""
+    """Return visible radiance in red, green and blue, such that the median pixel is grey, and what
+    white stands for.
+    """
     width = band_widths(cube.wavelength_nm)
     shares = [np.interp(cube.wavelength_nm, ends, (0.0, 1.0, 1.0, 0.0)) for ends in COLOURS]
     sums = np.stack([cube.sum_bands(width * share) for share in shares], axis=-1)

@@ -1,4 +1,6 @@
-"""Figures of docs/explanation/simulator.md and of the tutorial, by simulation, and the tutorial's card."""
+"""Figures of docs/explanation/simulator.md and of the tutorial, by simulation, and the tutorial's
+card.
+"""
 
 import subprocess
 import sys
@@ -77,7 +79,9 @@ def voltage(sensor: Sensor, luminous_gain: float) -> float:
 def exposed(sensor: Sensor) -> Iterator[tuple[tuple[float, float], Picture]]:
     """Yield the scene's frame, cut to what is shown, DN, for every level and gain."""
     camera = camera_from_description(sensor)
-    at_one_lux = photoelectrons_from_radiance(camera, radiance(sensor, luminance(2), 1.0), Conditions())
+    at_one_lux = photoelectrons_from_radiance(
+        camera, radiance(sensor, luminance(2), 1.0), Conditions()
+    )
     for lux in LUX:
         freed = at_one_lux.with_values(at_one_lux.values * np.float32(lux))
         light = camera.to_mcp_input(freed, Conditions())
@@ -88,12 +92,16 @@ def exposed(sensor: Sensor) -> Iterator[tuple[tuple[float, float], Picture]]:
 
 
 def contact_sheet(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image.Image:
-    """Return one frame of every level (down) and gain (across), all on the same scale of DN, pixel for pixel."""
+    """Return one frame of every level (down) and gain (across), all on the same scale of DN, pixel
+    for pixel.
+    """
     known = true_quantities.true_quantities(sensor)
     nominal = float(sensor.tube.luminous_gain)
     rows, cols = next(iter(frames.values())).shape
     gap, left, top = 4, 104, 44
-    sheet = Image.new("L", (left + len(GAINS) * (cols + gap), top + len(LUX) * (rows + gap) + 22), PAPER)
+    sheet = Image.new(
+        "L", (left + len(GAINS) * (cols + gap), top + len(LUX) * (rows + gap) + 22), PAPER
+    )
     for across, gain in enumerate(GAINS):
         k = known["photoelectron_gain"] * gain / nominal
         text = f"{gain:,.0f} lm/lm\n{k:.2g} DN per photoelectron"
@@ -104,16 +112,23 @@ def contact_sheet(sensor: Sensor, frames: dict[tuple[float, float], Picture]) ->
     for down, lux in enumerate(LUX):
         white = known["photoelectrons_per_lux"] * lux
         written = f"{white:.2g}" if white < 100.0 else f"{white:,.0f}"
-        _write(sheet, (8, top + down * (rows + gap) + 4), f"{lux:.0e} lux,\n{written} photo-\nelectrons")
+        _write(
+            sheet,
+            (8, top + down * (rows + gap) + 4),
+            f"{lux:.0e} lux,\n{written} photo-\nelectrons",
+        )
     legend = (
-        "single frames, 0 DN black to 255 DN white; lux on the cathode, photoelectrons per pixel and field: of white"
+        "single frames, 0 DN black to 255 DN white; lux on the cathode, photoelectrons per "
+        "pixel and field: of white"
     )
     _write(sheet, (8, sheet.height - 18), legend)
     return sheet
 
 
 def details(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image.Image:
-    """Return parts of those frames and of a flat field enlarged, each on its own scale, which is written above it."""
+    """Return parts of those frames and of a flat field enlarged, each on its own scale, which is
+    written above it.
+    """
     panels = (
         (
             "single photoelectrons: white card\n1e-6 lux, 60,000 lm/lm, 0 to 100 DN",
@@ -121,11 +136,29 @@ def details(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image
             (112, 30),
             200,
         ),
-        ("halo, electron by electron\n1e-4 lux, 15,000 lm/lm, 0 to 100 DN", frames[1e-4, 15000.0], (116, 121), 100),
-        ("halo of the same pinhole, rim\n1e-3 lux, 2,500 lm/lm, 0 to 60 DN", frames[1e-3, 2500.0], (116, 121), 60),
-        ("bars torn where multi-fibres meet\n1e-3 lux, 2,500 lm/lm, 0 to 110 DN", frames[1e-3, 2500.0], (2, 130), 110),
+        (
+            "halo, electron by electron\n1e-4 lux, 15,000 lm/lm, 0 to 100 DN",
+            frames[1e-4, 15000.0],
+            (116, 121),
+            100,
+        ),
+        (
+            "halo of the same pinhole, rim\n1e-3 lux, 2,500 lm/lm, 0 to 60 DN",
+            frames[1e-3, 2500.0],
+            (116, 121),
+            60,
+        ),
+        (
+            "bars torn where multi-fibres meet\n1e-3 lux, 2,500 lm/lm, 0 to 110 DN",
+            frames[1e-3, 2500.0],
+            (2, 130),
+            110,
+        ),
     )
-    pictures = [(text, _grey(_window(frame, corner, 4), 0.0, white), 4) for text, frame, corner, white in panels]
+    pictures = [
+        (text, _grey(_window(frame, corner, 4), 0.0, white), 4)
+        for text, frame, corner, white in panels
+    ]
     plain = with_plain_fibres(sensor)
     flats = (
         ("flat field, 1e-2 lux, 500 lm/lm", flat(sensor, lux=1e-2, luminous_gain=500.0)),
@@ -136,7 +169,13 @@ def details(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image
     for text, frame in flats:
         part, mean = _window(frame, (120, 200), 2), float(frame.mean())
         grey = _grey(part, mean * (1 - FLAT_CONTRAST), mean * (1 + FLAT_CONTRAST))
-        pictures.append((f"{text}\n{AS_SEEN} frames, {100 * FLAT_CONTRAST:.0f} % to either side of the mean", grey, 2))
+        pictures.append(
+            (
+                f"{text}\n{AS_SEEN} frames, {100 * FLAT_CONTRAST:.0f} % to either side of the mean",
+                grey,
+                2,
+            )
+        )
     rows, cols, gap, top = 4 * DETAIL[0], 4 * DETAIL[1], 6, 36
     sheet = Image.new("L", (4 * (cols + gap), 2 * (rows + gap + top)), PAPER)
     for number, (text, picture, zoom) in enumerate(pictures):
@@ -148,7 +187,9 @@ def details(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image
 
 
 def with_plain_fibres(sensor: Sensor) -> Sensor:
-    """Return the sensor whose honeycomb is as deep, and whose screen as even, as its description allows."""
+    """Return the sensor whose honeycomb is as deep, and whose screen as even, as its description
+    allows.
+    """
     lines, mottle = sensor.taper.pattern_contrast, sensor.phosphor.gain_nonuniformity
     return sensor.with_parameters(
         {
@@ -160,27 +201,50 @@ def with_plain_fibres(sensor: Sensor) -> Sensor:
 
 def flat(sensor: Sensor, *, lux: float, luminous_gain: float) -> Picture:
     """Return the mean of `AS_SEEN` frames of even light, DN above black."""
-    camera, conditions = camera_from_description(sensor), Conditions(mcp_v=voltage(sensor, luminous_gain))
-    even = np.full(camera.shape, true_quantities.true_quantities(sensor)["photoelectrons_per_lux"] * lux)
+    camera, conditions = (
+        camera_from_description(sensor),
+        Conditions(mcp_v=voltage(sensor, luminous_gain)),
+    )
+    even = np.full(
+        camera.shape, true_quantities.true_quantities(sensor)["photoelectrons_per_lux"] * lux
+    )
     light = mcp_input_from_photoelectrons(camera, even, conditions)
     stream = camera.frames(light, conditions, seed=SEED)
     return np.mean(list(islice(stream, AS_SEEN)), axis=0) - float(sensor.video.black_level_dn)
 
 
 def stage_sheet(sensor: Sensor, path: Path) -> None:
-    """Write the contact sheet that `charact simulate --stage-images` makes of the card's radiance, in fewer greys.
+    """Write the contact sheet that `charact simulate --stage-images` makes of the card's radiance,
+    in fewer greys.
 
     The camera's chip is cut down to the card, so that a panel shows its pixels.
     """
     with tempfile.TemporaryDirectory() as folder:
         cube = radiance(sensor, card(2), 1e-4)
-        source, small, stages = (Path(folder, name) for name in ("lab-card.npz", "small-chip.toml", "stages"))
+        source, small, stages = (
+            Path(folder, name) for name in ("lab-card.npz", "small-chip.toml", "stages")
+        )
         np.savez(source, wavelength_nm=cube.wavelength_nm, radiance=cube.radiance)
         save_sensor(replace(sensor, ccd=replace(sensor.ccd, rows=CARD[0], columns=CARD[1])), small)
-        _charact("simulate", source, Path(folder, "out"), "--sensor", small, "--frames", 1, "--stage-images", stages)
+        _charact(
+            "simulate",
+            source,
+            Path(folder, "out"),
+            "--sensor",
+            small,
+            "--frames",
+            1,
+            "--stage-images",
+            stages,
+        )
         with Image.open(stages / "stages.png") as sheet:
             grey = sheet.convert("L")
-    _save(grey.resize((STAGES_WIDTH, grey.height * STAGES_WIDTH // grey.width), Image.Resampling.LANCZOS), path)
+    _save(
+        grey.resize(
+            (STAGES_WIDTH, grey.height * STAGES_WIDTH // grey.width), Image.Resampling.LANCZOS
+        ),
+        path,
+    )
 
 
 def tutorial_frame(path: Path) -> None:
@@ -188,7 +252,12 @@ def tutorial_frame(path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         _charact("simulate", FOLDER / "lab-card.tif", Path(folder, "out"), *TUTORIAL)
         frame = open_session(Path(folder, "out")).stacks[0].read().data[0]
-    _save(_grey(frame[shown()].astype(float), 0.0, 120.0).resize((420, 380), Image.Resampling.NEAREST), path)
+    _save(
+        _grey(frame[shown()].astype(float), 0.0, 120.0).resize(
+            (420, 380), Image.Resampling.NEAREST
+        ),
+        path,
+    )
 
 
 def _charact(*arguments: object) -> None:
@@ -204,11 +273,15 @@ def _window(picture: Picture, corner: tuple[int, int], zoom: int) -> Picture:
 
 def _grey(picture: Picture, black: float, white: float) -> Image.Image:
     level = np.clip((picture - black) / (white - black), 0.0, 1.0)
-    return Image.fromarray(np.round(np.round(level * (GREYS - 1)) * (255.0 / (GREYS - 1))).astype(np.uint8))
+    return Image.fromarray(
+        np.round(np.round(level * (GREYS - 1)) * (255.0 / (GREYS - 1))).astype(np.uint8)
+    )
 
 
 def _write(sheet: Image.Image, place: tuple[int, int], text: str) -> None:
-    ImageDraw.Draw(sheet).multiline_text(place, text, fill=INK, font=ImageFont.load_default(11), spacing=2)
+    ImageDraw.Draw(sheet).multiline_text(
+        place, text, fill=INK, font=ImageFont.load_default(11), spacing=2
+    )
 
 
 def _save(sheet: Image.Image, path: Path) -> None:

@@ -1,6 +1,8 @@
-"""Frames a second of other simulators on one scene, in an environment of their own: prints JSON, one number a peer.
+"""Frames a second of other simulators on one scene, in an environment of their own: prints JSON,
+one number a peer.
 
-Called with the path of a scene, mean photoelectrons per pixel (.npy). `make .venv-peers/ready` sets the environment up.
+Called with the path of a scene, mean photoelectrons per pixel (.npy). `make .venv-peers/ready` sets
+the environment up.
 """
 
 import json
@@ -28,22 +30,37 @@ def seconds(frame) -> float:
 
 
 def emccd_detect(scene: np.ndarray) -> float:
-    """Shot noise, dark current, clock-induced charge, register of gain 1000, read noise, digitiser; no blur."""
+    """Shot noise, dark current, clock-induced charge, register of gain 1000, read noise, digitiser;
+    no blur.
+    """
     from emccd_detect.emccd_detect import EMCCDDetectBase
 
     camera = EMCCDDetectBase(
-        em_gain=1000.0, full_well_image=60000.0, full_well_serial=100000.0, dark_current=0.0, cic=0.02,
-        read_noise=100.0, bias=2000.0, qe=1.0, cr_rate=0.0,
-        pixel_pitch=13e-6, eperdn=7.0, nbits=14, numel_gain_register=604,
-    )  # fmt: skip
-    # Its faster mode: the register by a gamma law, not stage by stage (then a frame takes many seconds).
+        em_gain=1000.0,
+        full_well_image=60000.0,
+        full_well_serial=100000.0,
+        dark_current=0.0,
+        cic=0.02,
+        read_noise=100.0,
+        bias=2000.0,
+        qe=1.0,
+        cr_rate=0.0,
+        pixel_pitch=13e-6,
+        eperdn=7.0,
+        nbits=14,
+        numel_gain_register=604,
+    )
+    # Its faster mode: the register by a gamma law, not stage by stage (then a frame takes many
+    # seconds).
     camera.fast_gain_mode = True
     camera.n1_fast = True
     return seconds(lambda: camera.sim_sub_frame(scene, 1.0))
 
 
 def pyxel(scene: np.ndarray) -> float:
-    """A blur, shot noise, conversion, a second blur, full well, read noise, digitiser; no gain noise."""
+    """A blur, shot noise, conversion, a second blur, full well, read noise, digitiser; no gain
+    noise.
+    """
     from pyxel.detectors import CCD, CCDGeometry, Characteristics, Environment
     from pyxel.detectors.characteristics import ChargeToVoltSettings
     from pyxel.models.charge_collection import simple_collection, simple_full_well
@@ -54,13 +71,19 @@ def pyxel(scene: np.ndarray) -> float:
 
     rows, cols = scene.shape
     detector = CCD(
-        geometry=CCDGeometry(row=rows, col=cols, total_thickness=40.0, pixel_vert_size=13.0, pixel_horz_size=11.0),
+        geometry=CCDGeometry(
+            row=rows, col=cols, total_thickness=40.0, pixel_vert_size=13.0, pixel_horz_size=11.0
+        ),
         environment=Environment(temperature=290.0),
         characteristics=Characteristics(
-            quantum_efficiency=1.0, charge_to_volt=ChargeToVoltSettings(value=1e-6), pre_amplification=4,
-            full_well_capacity=50000, adc_voltage_range=(0.0, 1.0), adc_bit_resolution=8,
+            quantum_efficiency=1.0,
+            charge_to_volt=ChargeToVoltSettings(value=1e-6),
+            pre_amplification=4,
+            full_well_capacity=50000,
+            adc_voltage_range=(0.0, 1.0),
+            adc_bit_resolution=8,
         ),
-    )  # fmt: skip
+    )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "psf.npy"
         y, x = np.mgrid[-6:7, -6:7]

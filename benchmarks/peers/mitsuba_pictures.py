@@ -1,10 +1,11 @@
-"""Pictures by Mitsuba 3, in an environment of its own, asked for line by line; `make study NAME=radiance-peers` sets
-it up.
+"""Pictures by Mitsuba 3, in an environment of its own, asked for line by line; `make study
+NAME=radiance-peers` sets it up.
 
-Called with a folder of scenes as `benchmarks.radiance.export` writes them. Each line of input is a JSON object with
-`scene`, `samples`, `seed` and `path`; the picture goes to that path (.npy), and a line with `seconds` and
-`core_seconds` answers. `lights` chooses "all", "sky" or "lamps", `by` Mitsuba's integrator ("path" or "ptracer"), and
-`depth` how far it goes instead of as far as the scene says.
+Called with a folder of scenes as `benchmarks.radiance.export` writes them. Each line of input is a
+JSON object with `scene`, `samples`, `seed` and `path`; the picture goes to that path (.npy), and a
+line with `seconds` and `core_seconds` answers. `lights` chooses "all", "sky" or "lamps", `by`
+Mitsuba's integrator ("path" or "ptracer"), and `depth` how far it goes instead of as far as the
+scene says.
 """
 
 from __future__ import annotations
@@ -44,7 +45,9 @@ def define_beam() -> None:
             found.dist = drjit.sqrt(square)
             found.d = way / found.dist
             cosine = drjit.maximum(drjit.dot(-found.d, self.axis), 0.0)
-            return found, mitsuba.Spectrum(self.peak * drjit.power(cosine, self.power) / square) & active
+            return found, mitsuba.Spectrum(
+                self.peak * drjit.power(cosine, self.power) / square
+            ) & active
 
         def pdf_direction(self, it, ds, active=True):
             return mitsuba.Float(0.0)
@@ -59,7 +62,9 @@ def define_beam() -> None:
             cosine = drjit.power(1.0 - sample2.x, 1.0 / (self.power + 1.0))
             flat = drjit.sqrt(drjit.maximum(1.0 - cosine * cosine, 0.0))
             sine, around = drjit.sincos(2.0 * drjit.pi * sample2.y)
-            towards = mitsuba.Frame3f(self.axis).to_world(mitsuba.Vector3f(flat * around, flat * sine, cosine))
+            towards = mitsuba.Frame3f(self.axis).to_world(
+                mitsuba.Vector3f(flat * around, flat * sine, cosine)
+            )
             ray = mitsuba.Ray3f(self.place, towards, time, mitsuba.Color0f())
             return ray, mitsuba.Spectrum(self.peak * 2.0 * drjit.pi / (self.power + 1.0)) & active
 
@@ -82,7 +87,9 @@ def define_beam() -> None:
 
 
 def scene_of(folder: Path, lights: str) -> mitsuba.Scene:
-    """Return a scene as Mitsuba has it, with "all" of its lights, the "sky" alone or the "lamps" alone."""
+    """Return a scene as Mitsuba has it, with "all" of its lights, the "sky" alone or the "lamps"
+    alone.
+    """
     told = json.loads((folder / "scene.json").read_text())
     parts = {"type": "scene", "sensor": sensor_of(told)}
     parts |= {f"mesh {number}": mesh_of(folder, mesh) for number, mesh in enumerate(told["meshes"])}
@@ -96,7 +103,9 @@ def scene_of(folder: Path, lights: str) -> mitsuba.Scene:
 def sensor_of(told: dict) -> dict:
     """Return the pinhole camera of a scene, every pixel an even mean over its square."""
     rows, columns = told["shape"]
-    place = mitsuba.ScalarTransform4f().look_at(origin=told["position_m"], target=told["target_m"], up=[0, 0, 1])
+    place = mitsuba.ScalarTransform4f().look_at(
+        origin=told["position_m"], target=told["target_m"], up=[0, 0, 1]
+    )
     return {
         "type": "perspective",
         "fov": told["field_deg"],
@@ -133,7 +142,11 @@ def mesh_of(folder: Path, mesh: dict) -> dict:
 def lamp_of(lamp: dict) -> dict:
     """Return a point that shines evenly, or as a beam."""
     if lamp["power"] is None:
-        return {"type": "point", "position": lamp["position_m"], "intensity": constant(lamp["peak"])}
+        return {
+            "type": "point",
+            "position": lamp["position_m"],
+            "intensity": constant(lamp["peak"]),
+        }
     return {
         "type": "beam",
         "place": mitsuba.ScalarPoint3f(lamp["position_m"]),
@@ -159,12 +172,16 @@ def constant(value: float) -> dict:
     return {"type": "spectrum", "value": value}
 
 
-def rendered(scene: mitsuba.Scene, integrator: mitsuba.Integrator, samples: int, seed: int) -> np.ndarray:
+def rendered(
+    scene: mitsuba.Scene, integrator: mitsuba.Integrator, samples: int, seed: int
+) -> np.ndarray:
     """Return a picture, in passes where there are many samples."""
     passes = max(1, samples // PASS)
     total = None
     for number in range(passes):
-        made = mitsuba.render(scene, integrator=integrator, spp=samples // passes, seed=seed * 4096 + number)
+        made = mitsuba.render(
+            scene, integrator=integrator, spp=samples // passes, seed=seed * 4096 + number
+        )
         image = np.array(made, np.float64)[..., 0]
         total = image if total is None else total + image
     assert total is not None

@@ -7,13 +7,19 @@ import numpy as np
 COLOURS = {"ours": "#4477aa", "Mitsuba": "#ee6677"}
 MARKS = {"ours": "o", "Mitsuba": "s"}
 TITLES = {"median": "median relative error", "rms": "relative RMSE"}
-NAMES = {"yard": "yard, direct light", "lab": "lab bench", "hangar": "hangar", "road": "road", "room": "closed room"}
+NAMES = {
+    "yard": "yard, direct light",
+    "lab": "lab bench",
+    "hangar": "hangar",
+    "road": "road",
+    "room": "closed room",
+}
 # Relative RMSE at which times are compared.
 LEVELS = (0.01, 0.004)
 # Times are carried on to errors so many times smaller than any that was measured, and no further.
 FAR = 2.0
-# Median errors are compared down to what either was measured at, and to so many times that of the reference, which is
-# part of them.
+# Median errors are compared down to what either was measured at, and to so many times that of the
+# reference, which is part of them.
 CLEAR = 2.0
 
 
@@ -27,7 +33,12 @@ def draw(told: dict, path: Path) -> None:
 
     scenes = _scenes(told)
     figure, axes = plt.subplots(
-        2, len(scenes), figsize=(3.0 * len(scenes), 5.6), layout="constrained", sharex="col", squeeze=False
+        2,
+        len(scenes),
+        figsize=(3.0 * len(scenes), 5.6),
+        layout="constrained",
+        sharex="col",
+        squeeze=False,
     )
     for column, scene in enumerate(scenes):
         for row, kind in enumerate(TITLES):
@@ -45,7 +56,12 @@ def draw(told: dict, path: Path) -> None:
         axes[1, column].set_xlabel("seconds of two cores")
     axes[0, 0].legend(fontsize=8)
     axes[0, -1].annotate(
-        "dotted: noise of the reference", (0.98, 0.96), xycoords="axes fraction", fontsize=7, ha="right", va="top"
+        "dotted: noise of the reference",
+        (0.98, 0.96),
+        xycoords="axes fraction",
+        fontsize=7,
+        ha="right",
+        va="top",
     )
     path.parent.mkdir(exist_ok=True)
     figure.savefig(path, dpi=130)
@@ -55,7 +71,10 @@ def draw(told: dict, path: Path) -> None:
 def table(told: dict) -> str:
     """Return the table for the page."""
     lines = [
-        "| scene | who | setting | seconds of two cores | on the clock, s | median error | RMSE | mean difference |",
+        (
+            "| scene | who | setting | seconds of two cores | on the clock, s | median error | "
+            "RMSE | mean difference |"
+        ),
         "|---|---|---|---|---|---|---|---|",
     ]
     for scene in _scenes(told):
@@ -85,9 +104,13 @@ def _verdicts(told: dict) -> list[str]:
         x, y = _best(*_curve(told, scene, "ours", "median"))
         theirs = _best(*_curve(told, scene, "Mitsuba", "median"))
         both = (y > CLEAR * known) & (y >= theirs[1].min())
-        ratios = [time / _time_at(*theirs, error) for time, error in zip(x[both], y[both], strict=True)]
+        ratios = [
+            time / _time_at(*theirs, error) for time, error in zip(x[both], y[both], strict=True)
+        ]
         at = [_compared(told, scene, level) for level in LEVELS]
-        lines.append(f"| {scene} | {min(ratios):.2g} to {max(ratios):.2g} | " + " | ".join(at) + " |")
+        lines.append(
+            f"| {scene} | {min(ratios):.2g} to {max(ratios):.2g} | " + " | ".join(at) + " |"
+        )
     return lines
 
 
@@ -110,7 +133,9 @@ def _curve(told: dict, scene: str, who: str, kind: str) -> tuple[np.ndarray, np.
     """Seconds of two cores and errors, by time."""
     rows = [row for row in told["rows"] if row["scene"] == scene and row["who"] == who]
     points = sorted((0.5 * row["core_seconds"], row[kind]) for row in rows)
-    return np.array([point[0] for point in points]), np.maximum([point[1] for point in points], 1e-6)
+    return np.array([point[0] for point in points]), np.maximum(
+        [point[1] for point in points], 1e-6
+    )
 
 
 def _best(seconds: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -120,7 +145,9 @@ def _best(seconds: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _time_at(seconds: np.ndarray, errors: np.ndarray, level: float) -> float:
-    """Time at which an error is reached: between points by a power law, beyond them by the last two points' law."""
+    """Time at which an error is reached: between points by a power law, beyond them by the last two
+    points' law.
+    """
     log_time, log_error = np.log(seconds), np.log(np.minimum.accumulate(errors))
     order = np.argsort(-log_error, kind="stable")
     log_time, log_error = log_time[order], log_error[order]

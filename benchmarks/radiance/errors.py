@@ -13,9 +13,10 @@ from simulate.radiance.integrator.subpixel_sources import add_small_sources
 
 # Samples of one part of a reference; seeds of references begin here.
 PART, FIRST_SEED = 512, 100
-# Scenes in which a lamp lights a patch that rays from the eye find once in thousands: 2048 samples of the path tracer
-# miss nine tenths of the light of many pixels. Their references have the sky by the path tracer, and what lamps send by
-# way of other places by its particle tracer, of so many samples in a part.
+# Scenes in which a lamp lights a patch that rays from the eye find once in thousands: 2048 samples
+# of the path tracer miss nine tenths of the light of many pixels. Their references have the sky by
+# the path tracer, and what lamps send by way of other places by its particle tracer, of so many
+# samples in a part.
 SEEN_FROM_LAMPS, PARTICLES = ("road",), 8192
 # Pixels so close to the horizon are left out: the path tracer blurs its sky's edge there, deg.
 HORIZON_DEG = 0.3
@@ -47,16 +48,20 @@ class Reference:
         return self.parts.mean(axis=0)
 
     def errors(self, image: NDArray[np.floating]) -> dict[str, float]:
-        """Return the median relative error, the relative RMSE and the mean relative difference of a picture.
+        """Return the median relative error, the relative RMSE and the mean relative difference of a
+        picture.
 
         Notes
         -----
-        The RMSE is that of picture and truth: the noise of the reference, whose halves A and B know nothing of each
-        other, falls out of the mean of (picture - A) (picture - B). The median keeps it.
+        The RMSE is that of picture and truth: the noise of the reference, whose halves A and B know
+        nothing of each other, falls out of the mean of (picture - A) (picture - B). The median
+        keeps it.
         """
         scale = np.where(self.counts, self.image, 1.0)
         each = ((image - self.image) / scale)[self.counts]
-        halves = [((image - self.parts[first::2].mean(axis=0)) / scale)[self.counts] for first in (0, 1)]
+        halves = [
+            ((image - self.parts[first::2].mean(axis=0)) / scale)[self.counts] for first in (0, 1)
+        ]
         return {
             "median": float(np.median(np.abs(each))),
             "rms": float(np.sqrt(max(float(np.mean(halves[0] * halves[1])), 0.0))),
@@ -102,10 +107,15 @@ def _counts(case: Case) -> NDArray[np.bool_]:
     rows, columns = case.view.shape
     lamps = np.zeros((rows * columns, 1), np.float32)
     add_small_sources(case.stage, case.view, lamps)
-    row, col = (axis.ravel() + 0.5 for axis in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
+    row, col = (
+        axis.ravel() + 0.5
+        for axis in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    )
     origin, towards = case.view.rays(row, col)
     level = np.abs(np.rad2deg(np.arcsin(towards[:, 2]))) < HORIZON_DEG
     away = case.stage.surfaces.tracer.first_hit(origin, towards) == NOTHING
     grown = np.pad((level & away).reshape(rows, columns), 1)
-    horizon = np.logical_or.reduce([grown[1 + i : rows + 1 + i, 1 : columns + 1] for i in (-1, 0, 1)])
+    horizon = np.logical_or.reduce(
+        [grown[1 + i : rows + 1 + i, 1 : columns + 1] for i in (-1, 0, 1)]
+    )
     return (lamps[:, 0] == 0.0).reshape(rows, columns) & ~horizon

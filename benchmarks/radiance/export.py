@@ -1,4 +1,6 @@
-"""A scene of ours written down for a path tracer: meshes as PLY files, the sky as a table, the rest as JSON."""
+"""A scene of ours written down for a path tracer: meshes as PLY files, the sky as a table, the rest
+as JSON.
+"""
 
 import json
 from pathlib import Path
@@ -10,7 +12,8 @@ from benchmarks.radiance.scenes import Case
 from simulate.radiance.lamps.distribution import Cosine, Distribution, Isotropic, Lamp, SpotBeam
 from simulate.radiance.outdoor.scene import LampPlacement
 
-# Rows and columns of the sky's table: finer than ours, so that the path tracer's own interpolation adds nothing.
+# Rows and columns of the sky's table: finer than ours, so that the path tracer's own interpolation
+# adds nothing.
 SKY_SHAPE = (2048, 720)
 
 
@@ -61,8 +64,14 @@ def _meshes(case: Case, into: Path) -> list[dict]:
 
 
 def _lamp(post: LampPlacement, lamp: Lamp, flux: float) -> dict:
-    """A lamp's peak intensity and its power of the cosine; None where it shines alike everywhere."""
-    axis = np.array([0.0, 0.0, -1.0]) if post.aim_m is None else np.subtract(post.aim_m, post.position_m)
+    """A lamp's peak intensity and its power of the cosine; None where it shines alike
+    everywhere.
+    """
+    axis = (
+        np.array([0.0, 0.0, -1.0])
+        if post.aim_m is None
+        else np.subtract(post.aim_m, post.position_m)
+    )
     power = _power(lamp.distribution)
     peak = flux / (4.0 * np.pi) if power is None else flux * (power + 1.0) / (2.0 * np.pi)
     return {
@@ -81,13 +90,19 @@ def _power(distribution: Distribution) -> float | None:
             return 1.0
         case SpotBeam():
             return distribution.power
-    raise ValueError(f"a path tracer is told of even, cosine and spot lamps only, got {distribution}")
+    raise ValueError(
+        f"a path tracer is told of even, cosine and spot lamps only, got {distribution}"
+    )
 
 
 def _sky_directions() -> NDArray[np.float64]:
-    """Directions of the middles of the sky table's cells: rows from zenith to nadir, columns from north by east."""
+    """Directions of the middles of the sky table's cells: rows from zenith to nadir, columns from
+    north by east.
+    """
     rows, columns = SKY_SHAPE
     tilt = np.pi * (np.arange(rows) + 0.5) / rows
     turn = 2.0 * np.pi * (np.arange(columns) + 0.5) / columns
     tilt, turn = np.meshgrid(tilt, turn, indexing="ij")
-    return np.stack([np.sin(tilt) * np.sin(turn), np.sin(tilt) * np.cos(turn), np.cos(tilt)], axis=-1).reshape(-1, 3)
+    return np.stack(
+        [np.sin(tilt) * np.sin(turn), np.sin(tilt) * np.cos(turn), np.cos(tilt)], axis=-1
+    ).reshape(-1, 3)

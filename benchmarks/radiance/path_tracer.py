@@ -17,7 +17,9 @@ PROGRAM = Path(__file__).parents[1] / "peers" / "mitsuba_pictures.py"
 
 @dataclass(frozen=True)
 class Timed:
-    """A picture, shape (row, col), W m-2 sr-1 nm-1, and what it took on the clock and of the processors, s."""
+    """A picture, shape (row, col), W m-2 sr-1 nm-1, and what it took on the clock and of the
+    processors, s.
+    """
 
     image: NDArray[np.floating]
     seconds: float
@@ -47,14 +49,19 @@ class PathTracer:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait(timeout=60)
 
     def picture(self, scene: str, samples: int, seed: int, **how: str | int) -> Timed:
-        """Return a picture of a scene by so many samples a pixel; how: `lights`, `by` and `depth`, see its program."""
+        """Return a picture of a scene by so many samples a pixel; how: `lights`, `by` and `depth`,
+        see its program.
+        """
         assert self._process.stdin is not None
         path = self._folder / f"{scene}.npy"
         asked = {"scene": scene, "samples": samples, "seed": seed, "path": str(path), **how}
@@ -71,4 +78,7 @@ class PathTracer:
                 told = json.loads(line)
                 if key in told:
                     return told
-        raise RuntimeError(f"Mitsuba must answer, but ended with code {self._process.wait()}; see DRJIT_LIBLLVM_PATH")
+        raise RuntimeError(
+            f"Mitsuba must answer, but ended with code {self._process.wait()}; see "
+            f"DRJIT_LIBLLVM_PATH"
+        )

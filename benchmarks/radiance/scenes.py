@@ -1,6 +1,8 @@
-"""Five scenes that our renderer and a path tracer are both given: a yard, a lab, a hangar, a road and a closed room.
+"""Five scenes that our renderer and a path tracer are both given: a yard, a lab, a hangar, a road
+and a closed room.
 
-All surfaces are matt and grey, there is one band and no air, lamps are points: what both can be told exactly.
+All surfaces are matt and grey, there is one band and no air, lamps are points: what both can be
+told exactly.
 """
 
 from dataclasses import dataclass, replace
@@ -71,7 +73,12 @@ def cases() -> tuple[Case, ...]:
 
 
 def _case(
-    name: str, scene: OutdoorScene, *, field_deg: float, max_bounces: int | None, even_sky: float | None = None
+    name: str,
+    scene: OutdoorScene,
+    *,
+    field_deg: float,
+    max_bounces: int | None,
+    even_sky: float | None = None,
 ) -> Case:
     site = BuiltScene(scene)
     stage = _grey(site.on(BANDS_NM))
@@ -87,11 +94,15 @@ def _case(
         shape=SHAPE,
         focal_px=(focal, focal),
     )
-    return Case(name=name, site=site, stage=stage, view=view, max_bounces=max_bounces, even_sky=even_sky)
+    return Case(
+        name=name, site=site, stage=stage, view=view, max_bounces=max_bounces, even_sky=even_sky
+    )
 
 
 def _grey(stage: SpectralScene) -> SpectralScene:
-    """Return a stage whose bands are added up to one, matt, without air, its lamps as small as points."""
+    """Return a stage whose bands are added up to one, matt, without air, its lamps as small as
+    points.
+    """
     weight = np.full(len(BANDS_NM), 1.0 / len(BANDS_NM), np.float32)
     light = stage.lighting
     panels = light.panels
@@ -101,13 +112,22 @@ def _grey(stage: SpectralScene) -> SpectralScene:
             radiance_table=(light.environment_map.radiance_table @ weight)[..., None],
             irradiance_table=(light.environment_map.irradiance_table @ weight)[..., None],
         ),
-        lamps=tuple(replace(lamp, spectrum=_one(lamp.spectrum, weight), radius_m=POINT_M) for lamp in light.lamps),
-        discs=tuple(replace(disc, irradiance=_one(disc.irradiance, weight)) for disc in light.discs),
-        panels=None if panels is None else replace(panels, spectra=(panels.spectra @ weight)[:, None]),
+        lamps=tuple(
+            replace(lamp, spectrum=_one(lamp.spectrum, weight), radius_m=POINT_M)
+            for lamp in light.lamps
+        ),
+        discs=tuple(
+            replace(disc, irradiance=_one(disc.irradiance, weight)) for disc in light.discs
+        ),
+        panels=None
+        if panels is None
+        else replace(panels, spectra=(panels.spectra @ weight)[:, None]),
     )
     nm = np.array([float(BANDS_NM.mean())])
     brdfs = tuple(Lambert(reflectance=grey(_share(brdf, weight))) for brdf in stage.bsdfs.brdfs)
-    return SpectralScene(surfaces=stage.surfaces, bsdfs=BsdfSet.of(brdfs, nm), lighting=lighting, air=Air())
+    return SpectralScene(
+        surfaces=stage.surfaces, bsdfs=BsdfSet.of(brdfs, nm), lighting=lighting, air=Air()
+    )
 
 
 def _one(spectrum: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -125,10 +145,14 @@ def _shipped(name: str) -> OutdoorScene:
 
 
 def _surfaces(**reflectance: float) -> tuple[MaterialSpec, ...]:
-    return tuple(MaterialSpec(label=label, reflectance=(share,)) for label, share in reflectance.items())
+    return tuple(
+        MaterialSpec(label=label, reflectance=(share,)) for label, share in reflectance.items()
+    )
 
 
-def _boxes(label: str, material: str, *placed: tuple[tuple[float, float, float], Pose]) -> tuple[Object, ...]:
+def _boxes(
+    label: str, material: str, *placed: tuple[tuple[float, float, float], Pose]
+) -> tuple[Object, ...]:
     return tuple(
         Object(label=f"{label} {number}", material=material, shape="box", size_m=size, **vars(pose))
         for number, (size, pose) in enumerate(placed)
@@ -140,7 +164,11 @@ def _yard() -> OutdoorScene:
     rng = np.random.default_rng(8)
     boxes = []
     for number in range(8):
-        place = (6.0 * (number % 4) - 9.0 + rng.uniform(-1, 1), 7.0 * (number // 4) - 2.0 + rng.uniform(-1, 1), 0.0)
+        place = (
+            6.0 * (number % 4) - 9.0 + rng.uniform(-1, 1),
+            7.0 * (number // 4) - 2.0 + rng.uniform(-1, 1),
+            0.0,
+        )
         size = (rng.uniform(1.5, 3.0), rng.uniform(1.5, 3.0), rng.uniform(1.0, 4.0))
         boxes.append((size, Pose(position_m=place, heading_deg=rng.uniform(0, 90))))
     return OutdoorScene(
@@ -152,14 +180,25 @@ def _yard() -> OutdoorScene:
             *_boxes("crate", "crate", *boxes),
         ),
         lamp=(
-            LampPlacement(label="lamp", kind="incandescent", lumens=3e4, position_m=(-3.0, 2.0, 7.0), radius_m=POINT_M),
+            LampPlacement(
+                label="lamp",
+                kind="incandescent",
+                lumens=3e4,
+                position_m=(-3.0, 2.0, 7.0),
+                radius_m=POINT_M,
+            ),
         ),
     )
 
 
 def _lab() -> OutdoorScene:
-    """A bench in a dark room: a plate with four bars before a glowing port, a ring that stands out, a dim lamp."""
-    bars = tuple(((0.004, 0.001, 0.03), Pose(position_m=(-0.03 + 0.008 * i, -0.0025, 0.235))) for i in range(4))
+    """A bench in a dark room: a plate with four bars before a glowing port, a ring that stands out,
+    a dim lamp.
+    """
+    bars = tuple(
+        ((0.004, 0.001, 0.03), Pose(position_m=(-0.03 + 0.008 * i, -0.0025, 0.235)))
+        for i in range(4)
+    )
     return OutdoorScene(
         name="lab",
         camera=SceneCamera(position_m=(0.0, -1.0, 0.32), look_at_m=(0.0, 0.0, 0.24)),
@@ -168,26 +207,67 @@ def _lab() -> OutdoorScene:
             MaterialSpec(label="port", reflectance=(0.05,), glow_lm_per_m2=30.0),
         ),
         object=(
-            Object(label="table", material="table", shape="box", size_m=(1.6, 1.2, 0.04), position_m=(0, 0, 0.06)),
-            Object(label="wall", material="wall", shape="box", size_m=(4.0, 0.1, 3.0), position_m=(0, 0.9, -0.9)),
-            Object(label="plate", material="plate", shape="box", size_m=(0.12, 0.004, 0.12), position_m=(0, 0, 0.19)),
-            Object(label="foot", material="bar", shape="box", size_m=(0.04, 0.04, 0.09), position_m=(0, 0.01, 0.1)),
+            Object(
+                label="table",
+                material="table",
+                shape="box",
+                size_m=(1.6, 1.2, 0.04),
+                position_m=(0, 0, 0.06),
+            ),
+            Object(
+                label="wall",
+                material="wall",
+                shape="box",
+                size_m=(4.0, 0.1, 3.0),
+                position_m=(0, 0.9, -0.9),
+            ),
+            Object(
+                label="plate",
+                material="plate",
+                shape="box",
+                size_m=(0.12, 0.004, 0.12),
+                position_m=(0, 0, 0.19),
+            ),
+            Object(
+                label="foot",
+                material="bar",
+                shape="box",
+                size_m=(0.04, 0.04, 0.09),
+                position_m=(0, 0.01, 0.1),
+            ),
             *_boxes("bar", "bar", *bars),
             Object(
-                label="ring", material="ring", shape="cylinder", size_m=(0.022, 0.012),
-                position_m=(0.032, -0.002, 0.25), pitch_deg=90,
+                label="ring",
+                material="ring",
+                shape="cylinder",
+                size_m=(0.022, 0.012),
+                position_m=(0.032, -0.002, 0.25),
+                pitch_deg=90,
             ),
-            Object(label="sphere", material="port", shape="sphere", size_m=(0.09,), position_m=(0.3, 0.25, 0.19)),
+            Object(
+                label="sphere",
+                material="port",
+                shape="sphere",
+                size_m=(0.09,),
+                position_m=(0.3, 0.25, 0.19),
+            ),
         ),
         lamp=(
-            LampPlacement(label="room light", kind="incandescent", lumens=6.0, position_m=(-0.4, -1.2, 0.95),
-                     radius_m=POINT_M),
+            LampPlacement(
+                label="room light",
+                kind="incandescent",
+                lumens=6.0,
+                position_m=(-0.4, -1.2, 0.95),
+                radius_m=POINT_M,
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _room() -> OutdoorScene:
-    """A closed white room with a lamp panel in its ceiling, a chest and a ball: light that is reflected many times."""
+    """A closed white room with a lamp panel in its ceiling, a chest and a ball: light that is
+    reflected many times.
+    """
     walls = (
         ((6.0, 5.0, 0.1), Pose(position_m=(0, 0, -0.1))),
         ((6.0, 5.0, 0.1), Pose(position_m=(0, 0, 2.6))),
@@ -205,9 +285,27 @@ def _room() -> OutdoorScene:
         ),
         object=(
             *_boxes("wall", "wall", *walls),
-            Object(label="chest", material="chest", shape="box", size_m=(1.2, 0.7, 0.8), position_m=(0.9, 1.2, 0),
-                   heading_deg=25),
-            Object(label="ball", material="ball", shape="sphere", size_m=(0.4,), position_m=(-0.9, 1.0, 0.4)),
-            Object(label="panel", material="panel", shape="box", size_m=(1.2, 0.6, 0.05), position_m=(0, 0.2, 2.55)),
+            Object(
+                label="chest",
+                material="chest",
+                shape="box",
+                size_m=(1.2, 0.7, 0.8),
+                position_m=(0.9, 1.2, 0),
+                heading_deg=25,
+            ),
+            Object(
+                label="ball",
+                material="ball",
+                shape="sphere",
+                size_m=(0.4,),
+                position_m=(-0.9, 1.0, 0.4),
+            ),
+            Object(
+                label="panel",
+                material="panel",
+                shape="box",
+                size_m=(1.2, 0.6, 0.05),
+                position_m=(0, 0.2, 2.55),
+            ),
         ),
-    )  # fmt: skip
+    )

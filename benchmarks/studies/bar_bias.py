@@ -1,7 +1,9 @@
-"""Bias of the bar methods and cover of their intervals, cell by cell: `make study NAME=bar-bias` keeps the table.
+"""Bias of the bar methods and cover of their intervals, cell by cell: `make study NAME=bar-bias`
+keeps the table.
 
-A cell is one blur, frequency, tilt and grain of the noise. Its noise is drawn in pairs, once as it is and once upside
-down: what is linear in the noise cancels in the mean of a pair, and a bias of a percent stands out of a scatter of ten.
+A cell is one blur, frequency, tilt and grain of the noise. Its noise is drawn in pairs, once as it
+is and once upside down: what is linear in the noise cancels in the mean of a pair, and a bias of a
+percent stands out of a scatter of ten.
 """
 
 import argparse
@@ -29,7 +31,8 @@ from charact.study.study_figures import COLOURS, _pyplot
 from labdata.measurement import Measurement
 
 TABLE = Path(__file__).with_name("tables") / "bar_bias.json"
-# Bias that is allowed, percent, and by how many of its standard errors a cell may seem to exceed it.
+# Bias that is allowed, percent, and by how many of its standard errors a cell may seem to exceed
+# it.
 ALLOWED_PERCENT, CHANCE = 1.0, 2.0
 # Cells in which fewer of the answers are ok are ones that the method says it cannot measure.
 FLAGGED_FRACTION = 0.5
@@ -45,15 +48,15 @@ class BarScenarioOutcome:
     number
         Place among the cells, and seed.
     blur, frequency_cy_per_px, tilt_deg, grain_px, phase_px
-        The cell: name of the blur, the bars' frequency and tilt, blur of the noise, and where their middle lies; None:
-        evenly over a pixel.
+        The cell: name of the blur, the bars' frequency and tilt, blur of the noise, and where their
+        middle lies; None: evenly over a pixel.
     truth
         MTF, pixel included.
     draws, numbers, ok
         Drawings, those with a number, and those with verdict ok.
     bias_percent, standard_error_percent, scatter_percent
-        Mean error over the pairs, its standard error, and root mean squared error, % of the truth; a suspect number
-        counts all the same.
+        Mean error over the pairs, its standard error, and root mean squared error, % of the truth;
+        a suspect number counts all the same.
     held68, held95
         Numbers whose intervals hold the truth.
     silent
@@ -94,7 +97,9 @@ class BarScenarioOutcome:
 
     @property
     def verdict(self) -> str:
-        """`within` one percent, `chance` where the excess may be chance, `told` where it is no ok number, or `off`."""
+        """`within` one percent, `chance` where the excess may be chance, `told` where it is no ok
+        number, or `off`.
+        """
         if self.told:
             return "told"
         if self.excess <= 0:
@@ -111,7 +116,8 @@ class Tally:
     verdicts
         Cells by verdict.
     held
-        Shares of the numbers whose 68 % and 95 % intervals hold the truth, over all cells and by class.
+        Shares of the numbers whose 68 % and 95 % intervals hold the truth, over all cells and by
+        class.
     silent, ok
         Silent failures, and numbers that are ok.
     largest_standard_error_percent
@@ -128,9 +134,9 @@ class Tally:
         """Sentences of it."""
         within, chance, off, told = (self.verdicts[verdict] for verdict in VERDICTS)
         return [
-            f"{within + chance} of {within + chance + off} cells that are measured keep to {ALLOWED_PERCENT:g} %: "
-            f"{within} within, {chance} beyond by no more than {CHANCE:g} standard errors, the largest of which is "
-            f"{self.largest_standard_error_percent:.2f} %",
+            f"{within + chance} of {within + chance + off} cells that are measured keep to "
+            f"{ALLOWED_PERCENT:g} %: {within} within, {chance} beyond by no more than {CHANCE:g} "
+            f"standard errors, the largest of which is {self.largest_standard_error_percent:.2f} %",
             f"{off} cells are off by more; {told} are told as suspect or refused",
             f"{self.silent} silent failures among {self.ok} numbers that are ok",
             *(
@@ -160,7 +166,9 @@ def tally(outcomes: Sequence[BarScenarioOutcome]) -> Tally:
         held=held,
         silent=sum(one.silent for one in outcomes),
         ok=sum(one.ok for one in outcomes),
-        largest_standard_error_percent=max((one.standard_error_percent or 0.0 for one in measured), default=0.0),
+        largest_standard_error_percent=max(
+            (one.standard_error_percent or 0.0 for one in measured), default=0.0
+        ),
     )
 
 
@@ -177,7 +185,8 @@ def _coverage(outcomes: Sequence[BarScenarioOutcome]) -> tuple[float, float, int
 def lines(outcomes: Iterable[BarScenarioOutcome]) -> list[str]:
     """Return the cells as rows for eyes."""
     head = (
-        "  no blur                cy/px tilt grain phase     MTF   bias %   se %  rms %  68 %  95 %    ok number silent"
+        "  no blur                cy/px tilt grain phase     MTF   bias %   se %  rms %  68 %  "
+        "95 %    ok number silent"
     )
     return [head, *(_line(one) for one in outcomes)]
 
@@ -185,11 +194,18 @@ def lines(outcomes: Iterable[BarScenarioOutcome]) -> list[str]:
 def _line(one: BarScenarioOutcome) -> str:
     phase = "  all" if one.phase_px is None else f"{one.phase_px:5.2f}"
     where = (
-        f"{one.number:4d} {one.blur:19s} {one.frequency_cy_per_px:5.2f} {one.tilt_deg:4.0f} {one.grain_px:5.1f} {phase}"
+        f"{one.number:4d} {one.blur:19s} {one.frequency_cy_per_px:5.2f} {one.tilt_deg:4.0f} "
+        f"{one.grain_px:5.1f} {phase}"
     )
-    if one.bias_percent is None or one.standard_error_percent is None or one.scatter_percent is None:
+    if (
+        one.bias_percent is None
+        or one.standard_error_percent is None
+        or one.scatter_percent is None
+    ):
         return f"{where} {one.truth:7.4f}  no number: {one.verdict}"
-    errors = f"{one.bias_percent:+8.2f} {one.standard_error_percent:6.2f} {one.scatter_percent:6.1f}"
+    errors = (
+        f"{one.bias_percent:+8.2f} {one.standard_error_percent:6.2f} {one.scatter_percent:6.1f}"
+    )
     held = f"{one.held68 / one.numbers:5.2f} {one.held95 / one.numbers:5.2f}"
     shares = f"{one.ok / one.draws:5.2f} {one.numbers / one.draws:6.2f}"
     return f"{where} {one.truth:7.4f} {errors} {held} {shares} {one.silent:6d} {one.verdict}"
@@ -199,9 +215,13 @@ def write_table(outcomes: Sequence[BarScenarioOutcome], path: Path = TABLE, *, m
     """Write the table: a row for each cell, and what they say together."""
     rows = [[_short(value) for value in asdict(one).values()] for one in outcomes]
     table = {
-        "charact": charact.__version__, "method": method, "seed": "[cell, 17, pair]", "tally": tally(outcomes).lines(),
-        "columns": [one.name for one in fields(BarScenarioOutcome)], "rows": rows,
-    }  # fmt: skip
+        "charact": charact.__version__,
+        "method": method,
+        "seed": "[cell, 17, pair]",
+        "tally": tally(outcomes).lines(),
+        "columns": [one.name for one in fields(BarScenarioOutcome)],
+        "rows": rows,
+    }
     path.write_text(json.dumps(table).replace("]], [", "]],\n[") + "\n", encoding="utf-8")
     return path
 
@@ -209,7 +229,9 @@ def write_table(outcomes: Sequence[BarScenarioOutcome], path: Path = TABLE, *, m
 def read(path: Path = TABLE) -> list[BarScenarioOutcome]:
     """Return the cells of a table."""
     table = json.loads(path.read_text())
-    return [BarScenarioOutcome(**dict(zip(table["columns"], row, strict=True))) for row in table["rows"]]
+    return [
+        BarScenarioOutcome(**dict(zip(table["columns"], row, strict=True))) for row in table["rows"]
+    ]
 
 
 def _short(value: Any) -> Any:
@@ -226,7 +248,8 @@ BLURS = {
 }
 FREQUENCIES = (0.05, 0.1, 0.2, 0.3, 0.35, 0.4)
 TILTS_DEG = (0.0, 2.0, 8.0)
-# Where untilted bars lie on the pixels, at which frequencies it may matter: a pixel's middle, its border and between.
+# Where untilted bars lie on the pixels, at which frequencies it may matter: a pixel's middle, its
+# border and between.
 PHASES_PX, PHASE_FREQUENCIES = (0.0, 0.25, 0.5), (0.2, 0.25, 0.3, 0.35, 0.4)
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 DRAWN = 17
@@ -262,7 +285,9 @@ class Cell:
 
 
 def _cells() -> tuple[Cell, ...]:
-    """Every blur at every frequency and tilt, its noise white, or blurred behind the gain and turned; then phases."""
+    """Every blur at every frequency and tilt, its noise white, or blurred behind the gain and
+    turned; then phases.
+    """
     axes = product(BLURS.items(), FREQUENCIES, TILTS_DEG, (False, True))
     evenly = [
         Cell(blur=name, scene=_scene(blur, frequency, tilt, grain=grain))
@@ -297,19 +322,27 @@ def measure_scenario(
     """Measure pairs of a cell until its bias is known, or the method says that it is not."""
     cell = CELLS[number]
     found: list[list[Measurement]] = []
-    while len(found) < least or (len(found) < most and _needs_more_pairs(found, cell.scene.truth_mtf)):
-        found.append([measure_scene(scene, number, len(found), method) for scene in cell.drawn(len(found))])
+    while len(found) < least or (
+        len(found) < most and _needs_more_pairs(found, cell.scene.truth_mtf)
+    ):
+        found.append(
+            [measure_scene(scene, number, len(found), method) for scene in cell.drawn(len(found))]
+        )
     return _outcome(number, cell, found)
 
 
 def _needs_more_pairs(found: Sequence[Sequence[Measurement]], truth: float) -> bool:
-    """Tell whether more pairs are wanted: most numbers are ok, and the bias is not yet known well enough."""
+    """Tell whether more pairs are wanted: most numbers are ok, and the bias is not yet known well
+    enough.
+    """
     ok = sum(one.status == "ok" for pair in found for one in pair)
     _, standard_error = _bias(found, truth)
     return ok > len(found) and (standard_error is None or standard_error > SURE_PERCENT)
 
 
-def _bias(found: Sequence[Sequence[Measurement]], truth: float) -> tuple[float | None, float | None]:
+def _bias(
+    found: Sequence[Sequence[Measurement]], truth: float
+) -> tuple[float | None, float | None]:
     """Return the mean error of pairs and its standard error, percent."""
     values = [[one.value for one in pair if one.value is not None] for pair in found]
     mean = np.array([100.0 * (np.mean(pair) / truth - 1.0) for pair in values if len(pair) == 2])
@@ -323,7 +356,9 @@ def _outcome(number: int, cell: Cell, found: Sequence[Sequence[Measurement]]) ->
     truth = cell.scene.truth_mtf
     every = [one for pair in found for one in pair]
     numbers = [one for one in every if one.value is not None]
-    error = np.array([100.0 * (one.value / truth - 1.0) for one in numbers if one.value is not None])
+    error = np.array(
+        [100.0 * (one.value / truth - 1.0) for one in numbers if one.value is not None]
+    )
     bias, standard_error = _bias(found, truth)
     return BarScenarioOutcome(
         number=number,
@@ -350,27 +385,44 @@ def _holds(interval: tuple[float, float] | None, truth: float) -> bool:
     return interval is not None and interval[0] <= truth <= interval[1]
 
 
-def measure_scenarios(numbers: Sequence[int], *, workers: int | None = None, **asked: Any) -> list[BarScenarioOutcome]:
+def measure_scenarios(
+    numbers: Sequence[int], *, workers: int | None = None, **asked: Any
+) -> list[BarScenarioOutcome]:
     """Measure cells as `measure_scenario` does, on all cores unless told otherwise."""
-    with one_thread_each(), ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn")) as pool:
+    with (
+        one_thread_each(),
+        ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn")) as pool,
+    ):
         return list(pool.map(partial(measure_scenario, **asked), numbers))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure the cells that are asked for, put them into the table and print what it says."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.studies.bar_bias", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.studies.bar_bias", description=__doc__
+    )
     parser.add_argument("--method", default=METHOD)
     parser.add_argument("--first", type=int, default=0, help="number of the first cell")
     parser.add_argument("--cells", type=int, default=len(CELLS), help="number of cells")
-    parser.add_argument("--least", type=int, default=LEAST_PAIRS, help="least number of pairs of each")
-    parser.add_argument("--most", type=int, default=MOST_PAIRS, help="largest number of pairs of each")
-    parser.add_argument("--workers", type=int, default=None, help="processes; else one for each core")
-    parser.add_argument("--out", type=Path, default=TABLE, help="table to write; cells that it holds already stay")
+    parser.add_argument(
+        "--least", type=int, default=LEAST_PAIRS, help="least number of pairs of each"
+    )
+    parser.add_argument(
+        "--most", type=int, default=MOST_PAIRS, help="largest number of pairs of each"
+    )
+    parser.add_argument(
+        "--workers", type=int, default=None, help="processes; else one for each core"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=TABLE, help="table to write; cells that it holds already stay"
+    )
     asked = parser.parse_args(arguments)
     numbers = range(asked.first, min(asked.first + asked.cells, len(CELLS)))
     ask = {"least": asked.least, "most": asked.most, "method": asked.method}
     new = measure_scenarios(numbers, workers=asked.workers, **ask)
-    kept = [one for one in read(asked.out) if one.number not in numbers] if asked.out.is_file() else []
+    kept = (
+        [one for one in read(asked.out) if one.number not in numbers] if asked.out.is_file() else []
+    )
     outcomes = sorted([*kept, *new], key=lambda one: one.number)
     write_table(outcomes, asked.out, method=asked.method)
     print("\n".join([*lines(new), *tally(outcomes).lines()]))
@@ -383,7 +435,8 @@ MARKS = {0.0: "o", 2.0: "s", 8.0: "^"}
 
 
 def plot_bias(outcomes: Sequence[BarScenarioOutcome], path: Path = FIGURE) -> Path:
-    """Draw the bias of every cell that is measured, and name the frequencies that are told as low signal.
+    """Draw the bias of every cell that is measured, and name the frequencies that are told as low
+    signal.
 
     Parameters
     ----------
@@ -394,7 +447,9 @@ def plot_bias(outcomes: Sequence[BarScenarioOutcome], path: Path = FIGURE) -> Pa
     """
     evenly = [one for one in outcomes if one.phase_px is None]
     blurs = list(dict.fromkeys(one.blur for one in evenly))
-    figure, panels = _pyplot().subplots(1, len(blurs), figsize=(11.0, 4.2), sharey=True, layout="constrained")
+    figure, panels = _pyplot().subplots(
+        1, len(blurs), figsize=(11.0, 4.2), sharey=True, layout="constrained"
+    )
     for panel, blur in zip(panels, blurs, strict=True):
         _draw_panel(panel, [one for one in evenly if one.blur == blur])
         panel.set(title=blur, xlabel="frequency of the bars (cy/px)", xlim=(0.02, 0.43))
@@ -402,8 +457,8 @@ def plot_bias(outcomes: Sequence[BarScenarioOutcome], path: Path = FIGURE) -> Pa
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize=8)
     figure.suptitle(
-        "Four bars over 20 rows of one frame, step ten times a pixel's noise; "
-        "lines: one standard error; grey: the 1 % allowed",
+        "Four bars over 20 rows of one frame, step ten times a pixel's noise; lines: one standard "
+        "error; grey: the 1 % allowed",
         fontsize=9,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -413,25 +468,42 @@ def plot_bias(outcomes: Sequence[BarScenarioOutcome], path: Path = FIGURE) -> Pa
 
 
 def _draw_panel(panel: Any, cells: Sequence[BarScenarioOutcome]) -> None:
-    """Draw one blur: tilts by mark, white and blurred noise by colour; frequencies without a measured cell in words."""
+    """Draw one blur: tilts by mark, white and blurred noise by colour; frequencies without a
+    measured cell in words.
+    """
     panel.axhspan(-ALLOWED_PERCENT, ALLOWED_PERCENT, color="0.9", zorder=0)
     panel.axhline(0.0, color="0.6", linewidth=0.8)
     for colour, blurred in zip(COLOURS, (False, True), strict=False):
         for shift, (tilt, mark) in zip((-1, 0, 1), MARKS.items(), strict=True):
-            own = [c for c in cells if c.tilt_deg == tilt and (c.grain_px > 0) == blurred and not c.told]
+            own = [
+                c
+                for c in cells
+                if c.tilt_deg == tilt and (c.grain_px > 0) == blurred and not c.told
+            ]
             label = f"{tilt:g} deg, noise {'blurred' if blurred else 'white'}"
             panel.errorbar(
                 [c.frequency_cy_per_px + (shift + (0.5 if blurred else 0.0)) * APART for c in own],
-                [c.bias_percent for c in own], yerr=[c.standard_error_percent for c in own],
-                fmt=mark, color=colour, markersize=4, linewidth=1.0, label=label,
-            )  # fmt: skip
+                [c.bias_percent for c in own],
+                yerr=[c.standard_error_percent for c in own],
+                fmt=mark,
+                color=colour,
+                markersize=4,
+                linewidth=1.0,
+                label=label,
+            )
     for frequency in sorted({c.frequency_cy_per_px for c in cells}):
         if all(c.told for c in cells if c.frequency_cy_per_px == frequency):
             truth = next(c.truth for c in cells if c.frequency_cy_per_px == frequency)
             panel.text(
-                frequency, 0.0, f"MTF {truth:.1g}: low-signal", rotation=90, ha="center", va="center",
-                fontsize=7, backgroundcolor="white",
-            )  # fmt: skip
+                frequency,
+                0.0,
+                f"MTF {truth:.1g}: low-signal",
+                rotation=90,
+                ha="center",
+                va="center",
+                fontsize=7,
+                backgroundcolor="white",
+            )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""How often the targets of one camera agree and hold its truth, and how surely one out of focus is found.
+"""How often the targets of one camera agree and hold its truth, and how surely one out of focus is
+found.
 
-`python -m benchmarks.studies.consistency_table` measures a hundred sessions and those with a fault and keeps what came
-of it.
+`python -m benchmarks.studies.consistency_table` measures a hundred sessions and those with a fault
+and keeps what came of it.
 """
 
 import argparse
@@ -20,9 +21,16 @@ from labdata.measurement import Result
 
 TABLE = Path(__file__).with_name("tables") / "agreement.json"
 MADE = {"closed form": SessionScene, "simulated": SimulatedScene}
-# A fault: the blur of these targets is wider by this share (of a simulated camera: by this share of a pixel, squared).
+# A fault: the blur of these targets is wider by this share (of a simulated camera: by this share of
+# a pixel, squared).
 FAULTS = {
-    "closed form": (("edge", 0.05), ("edge", 0.15), ("bars", 0.15), ("point", 0.05), ("point", 0.15)),
+    "closed form": (
+        ("edge", 0.05),
+        ("edge", 0.15),
+        ("bars", 0.15),
+        ("point", 0.05),
+        ("point", 0.15),
+    ),
     "simulated": (("edge", 0.5), ("point", 0.5)),
 }
 
@@ -103,7 +111,9 @@ def judge_session(
     beside = tuple(_compare_with_truth(result + together, scene.truth_at))
     found = together.find("mtf50", orientation_deg=0.0)
     if not found or found[0].value is None:
-        return Judged(probability=np.nan, inside=False, ok=False, differs_most="", targets=0, beside=beside)
+        return Judged(
+            probability=np.nan, inside=False, ok=False, differs_most="", targets=0, beside=beside
+        )
     test = together.evidence["joint MTF"]
     return Judged(
         probability=test["probability"],
@@ -115,7 +125,9 @@ def judge_session(
     )
 
 
-def _compare_with_truth(result: Result, truth_at: Callable[[float, float], float]) -> Iterator[CrossingComparison]:
+def _compare_with_truth(
+    result: Result, truth_at: Callable[[float, float], float]
+) -> Iterator[CrossingComparison]:
     """Yield every MTF50 and MTF10 of a result beside its truth."""
     for m in (*result.find("mtf50"), *result.find("mtf10")):
         if m.value is None or m.interval95 is None:
@@ -125,7 +137,9 @@ def _compare_with_truth(result: Result, truth_at: Callable[[float, float], float
         along = "columns" if abs(angle_deg) > 45.0 else "rows"
         arm = m.value - low if off > 0 else high - m.value
         yield CrossingComparison(
-            name=f"{m.method} {m.quantity} along {along}", ok=m.status == "ok", off=off / max(arm, 1e-12)
+            name=f"{m.method} {m.quantity} along {along}",
+            ok=m.status == "ok",
+            off=off / max(arm, 1e-12),
         )
 
 
@@ -138,7 +152,9 @@ def row(sessions: Sequence[Judged], *, made: str, defocus: float, of: str) -> di
         "sessions": len(sessions),
         "agree": sum(one.inside for one in sessions),
         "ok": sum(one.ok for one in sessions),
-        "named_rightly": sum(one.differs_most.startswith(of) for one in sessions) if defocus else None,
+        "named_rightly": sum(one.differs_most.startswith(of) for one in sessions)
+        if defocus
+        else None,
         "least_targets": min(one.targets for one in sessions),
         "beside_truth": None
         if defocus
@@ -152,14 +168,16 @@ def _summarise_differences(beside: Sequence[CrossingComparison]) -> list[dict]:
     for name in sorted({one.name for one in beside}):
         own = [one for one in beside if one.name == name]
         off = np.array([one.off for one in own if one.ok])
-        rows.append({
-            "name": name,
-            "numbers": len(own),
-            "ok": len(off),
-            "missed": int(np.sum(np.abs(off) > 1.0)),
-            "silent": int(np.sum(np.abs(off) > SILENT)),
-            "rms_standard_errors": float(1.96 * np.sqrt(np.mean(off**2))) if len(off) else None,
-        })  # fmt: skip
+        rows.append(
+            {
+                "name": name,
+                "numbers": len(own),
+                "ok": len(off),
+                "missed": int(np.sum(np.abs(off) > 1.0)),
+                "silent": int(np.sum(np.abs(off) > SILENT)),
+                "rms_standard_errors": float(1.96 * np.sqrt(np.mean(off**2))) if len(off) else None,
+            }
+        )
     return rows
 
 
@@ -178,23 +196,38 @@ def measure_table(counts: dict[str, tuple[int, int]], *, seed: int, workers: int
     rows = []
     with ProcessPoolExecutor(workers) as pool:
         for made, (plain, faulty) in counts.items():
-            for of, defocus, count in [("edge", 0.0, plain), *((of, share, faulty) for of, share in FAULTS[made])]:
+            for of, defocus, count in [
+                ("edge", 0.0, plain),
+                *((of, share, faulty) for of, share in FAULTS[made]),
+            ]:
                 judge = partial(judge_session, made=made, seed=seed, defocus=defocus, of=of)
                 if count:
-                    rows.append(row(list(pool.map(judge, range(count))), made=made, defocus=defocus, of=of))
+                    rows.append(
+                        row(list(pool.map(judge, range(count))), made=made, defocus=defocus, of=of)
+                    )
                     print(line(rows[-1]), flush=True)
     return rows
 
 
 def line(one: dict) -> str:
     """One row for people."""
-    fault = "no fault" if not one["defocus"] else f"{one['out_of_focus']} blurred by {100 * one['defocus']:.0f} % more"
+    fault = (
+        "no fault"
+        if not one["defocus"]
+        else f"{one['out_of_focus']} blurred by {100 * one['defocus']:.0f} % more"
+    )
     named = "" if one["named_rightly"] is None else f", named rightly {one['named_rightly']}"
     truth = "".join(
-        f"\n    {name['name']}: {name['ok']} ok of {name['numbers']}, {name['missed']} miss, {name['silent']} silent"
+        (
+            f"\n    {name['name']}: {name['ok']} ok of {name['numbers']}, {name['missed']} miss, "
+            f"{name['silent']} silent"
+        )
         for name in one["beside_truth"] or ()
     )
-    return f"{one['made']}, {fault}: {one['agree']} of {one['sessions']} agree, {one['ok']} ok{named}{truth}"
+    return (
+        f"{one['made']}, {fault}: {one['agree']} of {one['sessions']} agree, {one['ok']} "
+        f"ok{named}{truth}"
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -209,8 +242,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--keep", action="store_true", help="rewrite the table")
     asked = parser.parse_args(arguments)
     counts = {
-        "closed form": (asked.sessions, asked.faulty), "simulated": (asked.simulated, asked.simulated_faulty)
-    }  # fmt: skip
+        "closed form": (asked.sessions, asked.faulty),
+        "simulated": (asked.simulated, asked.simulated_faulty),
+    }
     rows = measure_table(counts, seed=asked.seed, workers=asked.workers)
     if asked.keep:
         TABLE.parent.mkdir(exist_ok=True)

@@ -1,4 +1,6 @@
-"""The least error that an unbiased estimate of MTF50 can have on an edge: Cramer-Rao bound by differences."""
+"""The least error that an unbiased estimate of MTF50 can have on an edge: Cramer-Rao bound by
+differences.
+"""
 
 from dataclasses import replace
 
@@ -21,21 +23,22 @@ FREE = {
 def least_relative_sd(scene: EdgeScene) -> float:
     """Return the least standard deviation of MTF50 over MTF50 when the form of the blur is known.
 
-    Free are the form's parameters, place and direction of the edge, both levels, and the slope of the light where
-    there is one.
+    Free are the form's parameters, place and direction of the edge, both levels, and the slope of
+    the light where there is one.
 
     Notes
     -----
-    Fisher information of normal pixels with mean m and covariance C, dm/da C^-1 dm/db; the information that the
-    covariance itself holds on the mean is left out. C = B^T V B + r^2, V the signal's variance at each pixel and B
-    the blur of the noise, solved by conjugate gradients.
+    Fisher information of normal pixels with mean m and covariance C, dm/da C^-1 dm/db; the
+    information that the covariance itself holds on the mean is left out. C = B^T V B + r^2, V the
+    signal's variance at each pixel and B the blur of the noise, solved by conjugate gradients.
     """
     names = FREE[scene.blur.form] + (("halo_share", "halo_px") if scene.blur.halo_share > 0 else ())
     slopes, rates = [], []
     for name in names:
         size = 1e-3 * max(abs(getattr(scene.blur, name)), 1e-2)
         ends = [
-            replace(scene, blur=replace(scene.blur, **{name: getattr(scene.blur, name) + s * size})) for s in (1, -1)
+            replace(scene, blur=replace(scene.blur, **{name: getattr(scene.blur, name) + s * size}))
+            for s in (1, -1)
         ]
         slopes.append((_mean(ends[0]) - _mean(ends[1])) / (2.0 * size))
         rates.append((ends[0].truth_mtf50 - ends[1].truth_mtf50) / (2.0 * size))
@@ -60,7 +63,9 @@ def _mean(scene: EdgeScene, turned_deg: float = 0.0) -> Array:
     angle = np.deg2rad(scene.angle_deg + turned_deg)
     row = np.arange(scene.rows)[:, None] - (scene.rows - 1) / 2
     col = np.arange(scene.cols)[None, :] - (scene.cols - 1) / 2
-    spread = edge_spread(scene.blur, col * np.cos(angle) + row * np.sin(angle) - scene.offset_px, scene.angle_deg)
+    spread = edge_spread(
+        scene.blur, col * np.cos(angle) + row * np.sin(angle) - scene.offset_px, scene.angle_deg
+    )
     light = scene.dark_dn - scene.black_dn + (scene.bright_dn - scene.dark_dn) * spread
     return light * (1.0 + scene.gradient * (col / scene.cols + 0.5))
 
@@ -77,7 +82,9 @@ def _solve_columns(scene: EdgeScene, columns: Array) -> Array:
 
     def covariance(column: Array) -> Array:
         field = correlate_noise(column.reshape(1, *shape), scene.noise_blur_px)
-        return (correlate_noise(signal * field, scene.noise_blur_px)[0] + read * column.reshape(shape)).ravel()
+        return (
+            correlate_noise(signal * field, scene.noise_blur_px)[0] + read * column.reshape(shape)
+        ).ravel()
 
     operator = LinearOperator((signal.size, signal.size), matvec=covariance, dtype=float)  # pyright: ignore[reportCallIssue]
     return np.array([cg(operator, column, rtol=1e-4)[0] for column in columns])

@@ -33,12 +33,14 @@ LEAST_DN = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class DarkScene:
-    """Dark frames of an intensified camera, with one knob for each way in which counting photoelectrons breaks.
+    """Dark frames of an intensified camera, with one knob for each way in which counting
+    photoelectrons breaks.
 
     Parameters
     ----------
     density
-        Detected events per pixel and exposure; of interlaced frames, per pixel of a field, which holds two rows.
+        Detected events per pixel and exposure; of interlaced frames, per pixel of a field, which
+        holds two rows.
     height_dn, relative_variance
         Mean pulse height, DN, and relative variance of the gamma law of heights; 0: all alike.
     spot_px
@@ -52,7 +54,8 @@ class DarkScene:
     glow_exposures, fast_exposures
         Times in which the slow light and the rest fall to 1/e, exposures.
     interlaced
-        Whether frames are made of two fields, each exposed by itself, whose pixels gather the light of two rows.
+        Whether frames are made of two fields, each exposed by itself, whose pixels gather the light
+        of two rows.
     hot
         Share of the pixels that flicker by themselves.
     frames, rows, cols
@@ -90,14 +93,25 @@ class DarkScene:
             frame = light[number]
             noise = self.read_noise_dn * rng.standard_normal(frame.shape)
             noise += hot * 40.0 * self.read_noise_dn * (rng.random(frame.shape) < 0.3)
-            codes.append(np.clip(np.rint(level + frame + noise), 0, self.full_scale_dn).astype(np.uint16))
+            codes.append(
+                np.clip(np.rint(level + frame + noise), 0, self.full_scale_dn).astype(np.uint16)
+            )
         stack = FrameStack(data=np.stack(codes), full_scale_dn=self.full_scale_dn)
         conditions = Conditions(exposure_s=self.exposure_s, mcp_v=800.0)
-        entry = InMemoryStack(label="dark", kind="dark", frames="", conditions=conditions, folder=Path("."), held=stack)
+        entry = InMemoryStack(
+            label="dark",
+            kind="dark",
+            frames="",
+            conditions=conditions,
+            folder=Path("."),
+            held=stack,
+        )
         return Session(folder=Path("."), name="darks of known pulses", stacks=(entry,))
 
     def _light(self, rng: np.random.Generator) -> Array:
-        """Light of all frames, DN, shape (frame, row, col); the screen has glowed for long when they begin."""
+        """Light of all frames, DN, shape (frame, row, col); the screen has glowed for long when
+        they begin.
+        """
         fields = 2 if self.interlaced else 1
         out = np.zeros((self.frames, self.rows, self.cols))
         before = FOLLOWED if self.glow or self.fast_exposures else 0
@@ -113,11 +127,15 @@ class DarkScene:
                     continue
                 rows = out[frame, field::fields]
                 # A field's pixel gathers two rows from its own on.
-                rows += self._spots((y - 0.5 * field * (fields - 1)) / fields, x, height * share[:, late], len(rows))
+                rows += self._spots(
+                    (y - 0.5 * field * (fields - 1)) / fields, x, height * share[:, late], len(rows)
+                )
         return out
 
     def _events(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-        """Rows and columns of one exposure's events, in rows of the frame, and their heights, DN."""
+        """Rows and columns of one exposure's events, in rows of the frame, and their heights,
+        DN.
+        """
         rows, cols = self.rows + 4 * OUTSIDE_PX, self.cols + 2 * OUTSIDE_PX
         area = rows * cols / (2.0 if self.interlaced else 1.0)
         count, ions = rng.poisson(self.density * area), rng.poisson(self.ions * area)
@@ -125,15 +143,23 @@ class DarkScene:
         if self.relative_variance > 0:
             height = height * rng.gamma(1.0 / self.relative_variance, self.relative_variance, count)
         height = np.concatenate([height, self.ion_height_dn * rng.gamma(10.0, 0.1, ions)])
-        return (rng.uniform(0.0, rows, len(height)) - 2 * OUTSIDE_PX,
-                rng.uniform(0.0, cols, len(height)) - OUTSIDE_PX, height)  # fmt: skip
+        return (
+            rng.uniform(0.0, rows, len(height)) - 2 * OUTSIDE_PX,
+            rng.uniform(0.0, cols, len(height)) - OUTSIDE_PX,
+            height,
+        )
 
     def _shares(self, moment: Array) -> Array:
-        """Shares of the light in each event's own and the following exposures, shape (event, exposure)."""
+        """Shares of the light in each event's own and the following exposures, shape (event,
+        exposure).
+        """
         if not self.glow and not self.fast_exposures:
             return np.ones((len(moment), 1))
         late = np.zeros((len(moment), FOLLOWED + 1))
-        for share, time in ((self.glow, self.glow_exposures), (1.0 - self.glow, self.fast_exposures)):
+        for share, time in (
+            (self.glow, self.glow_exposures),
+            (1.0 - self.glow, self.fast_exposures),
+        ):
             if time > 0:
                 late += share * np.exp(-(np.arange(1.0, FOLLOWED + 2) - moment[:, None]) / time)
         return np.concatenate([1.0 - late[:, :1], late[:, :-1] - late[:, 1:]], axis=1)
@@ -148,14 +174,24 @@ class DarkScene:
         inside = (y > -reach) & (y < rows + reach) & (x > -reach) & (x < self.cols + reach)
         y, x, height = y[inside] + reach + 1, x[inside] + reach + 1, height[inside]
         row, col = np.floor(y).astype(int), np.floor(x).astype(int)
-        across, along = max(self.spot_px, 1e-6), max(self.spot_px, 1e-6) / (2.0 if self.interlaced else 1.0)
+        across, along = (
+            max(self.spot_px, 1e-6),
+            max(self.spot_px, 1e-6) / (2.0 if self.interlaced else 1.0),
+        )
         down = np.diff(ndtr((row[:, None] + step - y[:, None]) / along), axis=1) * height[:, None]
         over = np.diff(ndtr((col[:, None] + step - x[:, None]) / across), axis=1)
-        places = ((row[:, None] + step[:-1])[:, :, None] * wide) + (col[:, None] + step[:-1])[:, None, :]
+        places = ((row[:, None] + step[:-1])[:, :, None] * wide) + (col[:, None] + step[:-1])[
+            :, None, :
+        ]
         kept = (row[:, None] + step[:-1] >= 0) & (row[:, None] + step[:-1] < high)
-        fits = kept[:, :, None] & ((col[:, None] + step[:-1] >= 0) & (col[:, None] + step[:-1] < wide))[:, None, :]
+        fits = (
+            kept[:, :, None]
+            & ((col[:, None] + step[:-1] >= 0) & (col[:, None] + step[:-1] < wide))[:, None, :]
+        )
         light = down[:, :, None] * over[:, None, :]
-        image = np.asarray(np.bincount(places[fits], light[fits], high * wide), np.float64).reshape(high, wide)
+        image = np.asarray(np.bincount(places[fits], light[fits], high * wide), np.float64).reshape(
+            high, wide
+        )
         cut = reach + 1
         return image[cut : cut + rows, cut : cut + self.cols]
 
@@ -190,38 +226,58 @@ class EventCoverageResult:
     @property
     def holds(self) -> bool:
         """Whether the 95 % interval holds the truth."""
-        return self.low95 is not None and self.high95 is not None and self.low95 <= self.truth <= self.high95
+        return (
+            self.low95 is not None
+            and self.high95 is not None
+            and self.low95 <= self.truth <= self.high95
+        )
 
     @property
     def silent(self) -> bool:
-        """Whether it is ok and the truth further off than twice the 95 % half-interval on its side."""
+        """Whether it is ok and the truth further off than twice the 95 % half-interval on its
+        side.
+        """
         if self.status != "ok" or self.value is None or self.low95 is None or self.high95 is None:
             return False
         half = self.high95 - self.value if self.truth > self.value else self.value - self.low95
         return abs(self.truth - self.value) > 2.0 * half
 
 
-def measure_darks(axis: str, position: float, scene: DarkScene, seed: int) -> tuple[EventCoverageResult, ...]:
+def measure_darks(
+    axis: str, position: float, scene: DarkScene, seed: int
+) -> tuple[EventCoverageResult, ...]:
     """Measure one stack of darks."""
     session = scene.session_drawn(np.random.default_rng(seed))
-    result = measure_events(session.stacks[0], context=Context(seed=seed, quick=True, interlaced=scene.interlaced))
+    result = measure_events(
+        session.stacks[0], context=Context(seed=seed, quick=True, interlaced=scene.interlaced)
+    )
     (height,) = result.find("detected_photoelectron_gain")
     out = []
     for name in NAMES:
         value, low, high = None, None, None
         if height.posterior is not None:
             value, _, (low, high) = intervals_of(height.posterior[name])
-        out.append(EventCoverageResult(axis=axis, position=position, name=name, truth=float(getattr(scene, name)),
-        value=value,
-                         low95=low, high95=high, status=height.status))  # fmt: skip
+        out.append(
+            EventCoverageResult(
+                axis=axis,
+                position=position,
+                name=name,
+                truth=float(getattr(scene, name)),
+                value=value,
+                low95=low,
+                high95=high,
+                status=height.status,
+            )
+        )
     return tuple(out)
 
 
 def in_scope(rng: np.random.Generator) -> DarkScene:
-    """Draw a scene inside the declared scope: pulses that stand out, in frames neither empty nor crowded.
+    """Draw a scene inside the declared scope: pulses that stand out, in frames neither empty nor
+    crowded.
 
-    A third of the screens are dark at once, a third fast, a third slow. Half of the frames are interlaced, but for
-    those of a fast screen, whose fields do not show its decay.
+    A third of the screens are dark at once, a third fast, a third slow. Half of the frames are
+    interlaced, but for those of a fast screen, whose fields do not show its decay.
     """
     screen, interlaced = int(rng.integers(3)), bool(rng.integers(2))
     interlaced = interlaced and screen != 1
@@ -258,12 +314,18 @@ AXES: dict[str, tuple[tuple[float, ...], Callable[[float], DarkScene]]] = {
         (0.3, 1.0, 3.0),
         lambda at: replace(BASE, full_scale_dn=round(BASE.offset_dn + at * BASE.height_dn)),
     ),
-    "ion events over events": ((1e-4, 1e-3, 1e-2), lambda at: replace(BASE, ions=at * BASE.density)),
+    "ion events over events": (
+        (1e-4, 1e-3, 1e-2),
+        lambda at: replace(BASE, ions=at * BASE.density),
+    ),
     "share of slow light, two exposures long": (
         (0.02, 0.1, 0.3, 0.6),
         lambda at: replace(BASE, glow=at, fast_exposures=0.06),
     ),
-    "exposures that all light lasts": ((0.02, 0.1, 0.3, 1.0), lambda at: replace(BASE, fast_exposures=at)),
+    "exposures that all light lasts": (
+        (0.02, 0.1, 0.3, 1.0),
+        lambda at: replace(BASE, fast_exposures=at),
+    ),
     "light of fields that spills over, fields": (
         (0.02, 0.06, 0.12),
         lambda at: replace(BASE, fast_exposures=at, interlaced=True),
@@ -275,16 +337,25 @@ AXES: dict[str, tuple[tuple[float, ...], Callable[[float], DarkScene]]] = {
 def tasks(seed: int, stacks: int, repeats: int) -> list[tuple[str, float, DarkScene, int]]:
     """Every stack to be measured."""
     rng = np.random.default_rng([seed, 1])
-    out = [("in scope", float(number), in_scope(rng), int(rng.integers(1 << 31))) for number in range(stacks)]
+    out = [
+        ("in scope", float(number), in_scope(rng), int(rng.integers(1 << 31)))
+        for number in range(stacks)
+    ]
     for axis, (positions, scene_at) in AXES.items():
-        out += [(axis, float(at), scene_at(at), int(rng.integers(1 << 31))) for at in positions for _ in range(repeats)]
+        out += [
+            (axis, float(at), scene_at(at), int(rng.integers(1 << 31)))
+            for at in positions
+            for _ in range(repeats)
+        ]
     return out
 
 
 def summary(found: Sequence[EventCoverageResult]) -> dict[str, float | int | str]:
     """Summarise the stacks of one place and parameter."""
     sure = [one for one in found if one.status == "ok"]
-    error = [abs(one.value / one.truth - 1.0) for one in sure if one.value is not None and one.truth > 0]
+    error = [
+        abs(one.value / one.truth - 1.0) for one in sure if one.value is not None and one.truth > 0
+    ]
     return {
         "stacks": len(found),
         "ok": len(sure),
@@ -295,7 +366,9 @@ def summary(found: Sequence[EventCoverageResult]) -> dict[str, float | int | str
     }
 
 
-def group_by_parameter(found: Iterable[EventCoverageResult]) -> dict[tuple[str, float, str], list[EventCoverageResult]]:
+def group_by_parameter(
+    found: Iterable[EventCoverageResult],
+) -> dict[tuple[str, float, str], list[EventCoverageResult]]:
     """Group by axis, position and parameter; scenes in scope are one place."""
     out: dict[tuple[str, float, str], list[EventCoverageResult]] = {}
     for one in found:
@@ -313,12 +386,23 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
     with ProcessPoolExecutor(asked.workers) as pool:
-        rows = list(pool.map(measure_darks, *zip(*tasks(asked.seed, asked.stacks, asked.repeats), strict=True)))
+        rows = list(
+            pool.map(
+                measure_darks, *zip(*tasks(asked.seed, asked.stacks, asked.repeats), strict=True)
+            )
+        )
     found = [one for row in rows for one in row]
-    table = [{"axis": axis, "position": position, "name": name, **summary(own)}
-             for (axis, position, name), own in group_by_parameter(found).items()]  # fmt: skip
+    table = [
+        {"axis": axis, "position": position, "name": name, **summary(own)}
+        for (axis, position, name), own in group_by_parameter(found).items()
+    ]
     for line in table:
-        print("  ".join(f"{value:.4g}" if isinstance(value, float) else str(value) for value in line.values()))
+        print(
+            "  ".join(
+                f"{value:.4g}" if isinstance(value, float) else str(value)
+                for value in line.values()
+            )
+        )
     place = Path(__file__).with_name("tables") / TABLE
     kept = {"seed": asked.seed, "summary": table, "stacks": [asdict(one) for one in found]}
     place.write_text(json.dumps(kept, indent=1, allow_nan=True).replace("NaN", "null") + "\n")

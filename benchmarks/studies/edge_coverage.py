@@ -1,5 +1,6 @@
-"""How often the intervals of the edge methods hold, over regions of mixed blur, noise and light: `make study
-NAME=edge-coverage`."""
+"""How often the intervals of the edge methods hold, over regions of mixed blur, noise and light:
+`make study NAME=edge-coverage`.
+"""
 
 import argparse
 import json
@@ -25,8 +26,8 @@ from labdata.frames import FrameStack
 
 TABLE = Path(__file__).with_name("tables") / "edge_coverage.json"
 METHODS = ("edge-parametric", "edge-free", "edge-slanted", "edge-gradient", "edge-forward")
-# Most regions for each method: enough to tell a quarter of a percent for the one that promises most; the forward fit
-# takes longest.
+# Most regions for each method: enough to tell a quarter of a percent for the one that promises
+# most; the forward fit takes longest.
 MOST = {**dict.fromkeys(METHODS, 1000), "edge-parametric": 4000, "edge-forward": 200}
 
 
@@ -79,9 +80,14 @@ def _trial(method: str, scene: EdgeScene, stack: FrameStack, context: Context) -
     found = methods_of_kind("edge")[method].function(stack, context=context).find("mtf50")[0]
     if found.value is None or found.interval68 is None:
         return EdgeTrial(
-            method=method, status=found.status, relative_error=None, covers68=None, covers95=None, silent=False,
+            method=method,
+            status=found.status,
+            relative_error=None,
+            covers68=None,
+            covers95=None,
+            silent=False,
             seconds=found.seconds or 0.0,
-        )  # fmt: skip
+        )
     truth = scene.truth_mtf50
     verdict = judge_measurement(found, truth)
     return EdgeTrial(
@@ -95,7 +101,9 @@ def _trial(method: str, scene: EdgeScene, stack: FrameStack, context: Context) -
     )
 
 
-def measure_mixed_scene(seed: int, methods: Sequence[str], *, quick: bool = True) -> list[EdgeTrial]:
+def measure_mixed_scene(
+    seed: int, methods: Sequence[str], *, quick: bool = True
+) -> list[EdgeTrial]:
     """Put the methods to one frame of a mixed scene."""
     scene = draw_mixed_scene(seed)
     stack = scene.frames_drawn(np.random.default_rng([seed, 8]))
@@ -103,7 +111,9 @@ def measure_mixed_scene(seed: int, methods: Sequence[str], *, quick: bool = True
 
 
 def coverage_row(trials: Sequence[EdgeTrial], method: str) -> dict[str, Any]:
-    """Return how often the intervals of one method hold, over all its numbers and over those that are ok."""
+    """Return how often the intervals of one method hold, over all its numbers and over those that
+    are ok.
+    """
     own = [trial for trial in trials if trial.method == method]
     numbers = [trial for trial in own if trial.relative_error is not None]
     sure = [trial for trial in numbers if trial.status == "ok"]
@@ -116,7 +126,8 @@ def coverage_row(trials: Sequence[EdgeTrial], method: str) -> dict[str, Any]:
         "covers68": float(np.mean([bool(trial.covers68) for trial in sure])),
         "covers95": float(np.mean([bool(trial.covers95) for trial in sure])),
         "silent": sum(trial.silent for trial in own),
-        "rms_percent": 100.0 * float(np.sqrt(np.mean([(trial.relative_error or 0.0) ** 2 for trial in sure]))),
+        "rms_percent": 100.0
+        * float(np.sqrt(np.mean([(trial.relative_error or 0.0) ** 2 for trial in sure]))),
         "median_seconds": float(np.median([trial.seconds for trial in own])),
     }
 
@@ -130,13 +141,18 @@ def study(regions: int, methods: Sequence[str] = METHODS) -> dict[str, Any]:
         Number of regions.
     """
     counts = {method: min(regions, MOST.get(method, regions)) for method in methods}
-    with one_thread_each(), ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
+    with (
+        one_thread_each(),
+        ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool,
+    ):
         trials = []
         for count in sorted(set(counts.values())):
             own = [method for method in methods if counts[method] == count]
             trials += [
                 one
-                for each in pool.map(partial(measure_mixed_scene, methods=own), range(count), chunksize=4)
+                for each in pool.map(
+                    partial(measure_mixed_scene, methods=own), range(count), chunksize=4
+                )
                 for one in each
             ]
     return {
@@ -149,14 +165,27 @@ def study(regions: int, methods: Sequence[str] = METHODS) -> dict[str, Any]:
 
 def main() -> None:
     """Run the study, print it and write the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.studies.edge_coverage", description=__doc__)
-    parser.add_argument("--regions", type=int, default=max(MOST.values()), help="most regions for a method")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.studies.edge_coverage", description=__doc__
+    )
+    parser.add_argument(
+        "--regions", type=int, default=max(MOST.values()), help="most regions for a method"
+    )
     parser.add_argument("--out", type=Path, default=TABLE, help="table to write")
-    parser.add_argument("--methods", default=",".join(METHODS), help="names of edge methods, commas between")
+    parser.add_argument(
+        "--methods", default=",".join(METHODS), help="names of edge methods, commas between"
+    )
     asked = parser.parse_args()
     found = study(asked.regions, tuple(asked.methods.split(",")))
     for row in found["coverage"]:
-        print(json.dumps({key: round(value, 4) if isinstance(value, float) else value for key, value in row.items()}))
+        print(
+            json.dumps(
+                {
+                    key: round(value, 4) if isinstance(value, float) else value
+                    for key, value in row.items()
+                }
+            )
+        )
     write_json(asked.out, found)
 
 

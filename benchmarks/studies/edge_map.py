@@ -1,7 +1,9 @@
-"""Where edges break: thousands of random cells, each drawn many times, half of them past the declared scope.
+"""Where edges break: thousands of random cells, each drawn many times, half of them past the
+declared scope.
 
-`make study NAME=edge-map` writes the table. A cell is one scene: blur, size, direction, noise and light, and in half
-of the cells one thing that breaks edge methods, from too little to matter to far too much.
+`make study NAME=edge-map` writes the table. A cell is one scene: blur, size, direction, noise and
+light, and in half of the cells one thing that breaks edge methods, from too little to matter to far
+too much.
 """
 
 import json
@@ -15,7 +17,14 @@ import numpy as np
 import charact.mtf  # noqa: F401  # registers the methods
 from benchmarks.studies import scenario_map
 from benchmarks.studies.cramer_rao import least_relative_sd
-from benchmarks.studies.scenario_map import Breaking, Scenario, ScenarioOutcome, draw_case, draw_scenario, outcome_of
+from benchmarks.studies.scenario_map import (
+    Breaking,
+    Scenario,
+    ScenarioOutcome,
+    draw_case,
+    draw_scenario,
+    outcome_of,
+)
 from charact.method import Context
 from charact.method.registry import methods_of_kind
 from charact.study.edge.scene import EdgeScene, TrueBlur
@@ -26,11 +35,13 @@ from labdata.frames import FrameStack
 TABLE = Path(__file__).with_name("tables") / "edge_map.json"
 METHOD = "edge-parametric"
 CELLS, REPEATS = 5000, 20
-# Margins, weights, priors and the noise were chosen on cells 0 to 58899: the map is of cells on which nothing was.
+# Margins, weights, priors and the noise were chosen on cells 0 to 58899: the map is of cells on
+# which nothing was.
 FIRST = 58900
 # Share of the cells of which one drawing is measured in full too: one drawing in fifty of all.
 CHAINED_CELLS = 0.4
-# What breaks edge methods, from where it hardly matters to where nothing is left, and whether steps are even in ln.
+# What breaks edge methods, from where it hardly matters to where nothing is left, and whether steps
+# are even in ln.
 BREAKING: Breaking = {
     "snr": (0.2, 3.0, True),
     "angle_deg": (0.0, 1.0, False),
@@ -113,7 +124,8 @@ def measure_scenario(
     cell = cell_of(number)
     truth = cell.scene.truth_mtf50
     rows = [
-        attempt(methods_of_kind("edge")[method], case_of(cell, truth, i), Context(quick=quick)) for i in range(repeats)
+        attempt(methods_of_kind("edge")[method], case_of(cell, truth, i), Context(quick=quick))
+        for i in range(repeats)
     ]
     bound = 100.0 * least_relative_sd(cell.scene) if cell.in_scope else None
     return outcome_of(cell, rows, truth, truths=truths_of(cell), bound_percent=bound)
@@ -122,8 +134,9 @@ def measure_scenario(
 def truths_of(cell: Scenario[EdgeScene]) -> tuple[float, float]:
     """Return the least and the largest MTF50 that are right for a cell, cy/px.
 
-    Light spread wider than the window belongs to the normalisation as far as it is seen, and a result says that it is
-    normalised to the light inside: right is what counts all of that light, none of it, or a part.
+    Light spread wider than the window belongs to the normalisation as far as it is seen, and a
+    result says that it is normalised to the light inside: right is what counts all of that light,
+    none of it, or a part.
     """
     truth = cell.scene.truth_mtf50
     if cell.axis != "halo_px":
@@ -191,13 +204,24 @@ def plot_map(found: Mapping[str, Any], path: Path) -> Path:
 
 def _draw_widths(panel: Any, inside: scenario_map.Rows) -> None:
     """Draw how wide intervals are beside the bound, against the bound itself."""
-    both = [(one["bound_percent"], one["sd_percent"]) for one in inside if one["bound_percent"] and one["sd_percent"]]
+    both = [
+        (one["bound_percent"], one["sd_percent"])
+        for one in inside
+        if one["bound_percent"] and one["sd_percent"]
+    ]
     bound, sd = np.array(both).T if both else np.ones((2, 0))
     panel.plot(bound, sd / bound, ".", color="#0072b2", markersize=3, alpha=0.6)
     panel.axhline(1.0, color="black", linewidth=0.8)
     if both:
-        panel.axhline(np.median(sd / bound), color="#d55e00", linewidth=1.2, linestyle="--", label="_")
-    panel.set(xscale="log", yscale="log", xlabel="Cramér–Rao sd of MTF50 (%)", ylabel="given sd / bound (1)")
+        panel.axhline(
+            np.median(sd / bound), color="#d55e00", linewidth=1.2, linestyle="--", label="_"
+        )
+    panel.set(
+        xscale="log",
+        yscale="log",
+        xlabel="Cramér–Rao sd of MTF50 (%)",
+        ylabel="given sd / bound (1)",
+    )
     plain_numbers(panel.xaxis, panel.yaxis)
     panel.set_title("widths in scope, median dashed")
 

@@ -1,5 +1,5 @@
-"""Edge methods beside other programs on the same edge: `make study NAME=edge-peers` measures ours, writes the table
-and the chart.
+"""Edge methods beside other programs on the same edge: `make study NAME=edge-peers` measures ours,
+writes the table and the chart.
 
 One Gaussian edge under white noise, from a step of a hundred standard deviations down to one.
 """
@@ -39,7 +39,13 @@ FRAMES = {
 }
 SNRS = (100.0, 30.0, 10.0, 5.0, 2.0, 1.0)
 EDGE = EdgeScene(
-    blur=TrueBlur(sigma_px=0.8), rows=256, cols=64, angle_deg=5.0, dark_dn=1100.0, bright_dn=1250.0, shot_share=0.0
+    blur=TrueBlur(sigma_px=0.8),
+    rows=256,
+    cols=64,
+    angle_deg=5.0,
+    dark_dn=1100.0,
+    bright_dn=1250.0,
+    shot_share=0.0,
 )
 
 
@@ -69,8 +75,8 @@ class Peer:
     name
         Name and version.
     rms_percent, rms_mtf
-        Root-mean-square error of MTF50 in % of it, and of the MTF below Nyquist, by step over noise; where a program
-        rejects every frame, or was not measured, there is nothing.
+        Root-mean-square error of MTF50 in % of it, and of the MTF below Nyquist, by step over
+        noise; where a program rejects every frame, or was not measured, there is nothing.
     without_noise_percent
         Error of MTF50 without noise, %.
     seconds
@@ -90,8 +96,8 @@ class Peer:
     remark: str = ""
 
 
-# Measured on the same edge (Gaussian of 0.8 px, pixel, 5 degrees, 256 x 64 px, white noise), each program as it is
-# installed and with its own defaults, on two cores with one thread each.
+# Measured on the same edge (Gaussian of 0.8 px, pixel, 5 degrees, 256 x 64 px, white noise), each
+# program as it is installed and with its own defaults, on two cores with one thread each.
 PEERS = (
     Peer(
         name="sfrmat5 (C++)",
@@ -169,7 +175,9 @@ def without_noise(methods: Iterable[str], phases: int = 5) -> dict[str, float]:
 
 
 def row(given: Sequence[Answer], snr: float) -> dict[str, Any]:
-    """Return the RMS errors of one method at one noise over the frames that gave a number, beside the bound."""
+    """Return the RMS errors of one method at one noise over the frames that gave a number, beside
+    the bound.
+    """
     numbers = [one for one in given if one.relative_error is not None]
     curves = [one.rms_mtf for one in numbers if one.rms_mtf is not None]
     rms = _rms([100.0 * (one.relative_error or 0.0) for one in numbers])
@@ -181,7 +189,9 @@ def row(given: Sequence[Answer], snr: float) -> dict[str, Any]:
         "ok": sum(one.status == "ok" for one in given),
         "rms_percent": rms,
         "ratio": None if rms is None else rms / bound(snr)["rms_percent"],
-        "bias_percent": 100.0 * float(np.mean([one.relative_error or 0.0 for one in numbers])) if numbers else None,
+        "bias_percent": 100.0 * float(np.mean([one.relative_error or 0.0 for one in numbers]))
+        if numbers
+        else None,
         "covers95": float(np.mean([bool(one.covers95) for one in numbers])) if numbers else None,
         "rms_mtf": _rms(curves),
         "median_seconds": float(np.median([one.seconds for one in given])),
@@ -194,24 +204,29 @@ def _rms(values: Sequence[float]) -> float | None:
 
 @cache
 def bound(snr: float) -> dict[str, float]:
-    """Return the least RMS errors of MTF50, %, and of the MTF below Nyquist that an unbiased estimator can have.
+    """Return the least RMS errors of MTF50, %, and of the MTF below Nyquist that an unbiased
+    estimator can have.
 
     Notes
     -----
-    A Gaussian of unknown width, place, direction and levels. Its whole curve follows from its width, so that the
-    error of the curve is that of MTF50 times the curve's change with it.
+    A Gaussian of unknown width, place, direction and levels. Its whole curve follows from its
+    width, so that the error of the curve is that of MTF50 times the curve's change with it.
     """
     scene, _ = scene_of(snr, 0)
     relative = least_relative_sd(scene)
     frequency, little = np.linspace(0.0, 0.5, 101), 1e-3
-    wide, narrow = (replace(scene.blur, sigma_px=scene.blur.sigma_px + sign * little) for sign in (1, -1))
+    wide, narrow = (
+        replace(scene.blur, sigma_px=scene.blur.sigma_px + sign * little) for sign in (1, -1)
+    )
     change = wide.mtf(frequency, scene.angle_deg) - narrow.mtf(frequency, scene.angle_deg)
     of_half = wide.mtf50(scene.angle_deg) - narrow.mtf50(scene.angle_deg)
     curve = relative * scene.truth_mtf50 * float(np.sqrt(np.mean((change / of_half) ** 2)))
     return {"snr": snr, "rms_percent": 100.0 * relative, "rms_mtf": curve}
 
 
-def study(frames: Mapping[str, int], snrs: Sequence[float] = SNRS, workers: int | None = None) -> dict[str, Any]:
+def study(
+    frames: Mapping[str, int], snrs: Sequence[float] = SNRS, workers: int | None = None
+) -> dict[str, Any]:
     """Measure our methods on the edge that the peers were measured on.
 
     Parameters
@@ -226,7 +241,9 @@ def study(frames: Mapping[str, int], snrs: Sequence[float] = SNRS, workers: int 
     rows = []
     with ProcessPoolExecutor(max_workers=workers or os.cpu_count()) as pool:
         for snr in snrs:
-            drawn = pool.map(partial(answers, snr=snr, frames=frames), range(max(frames.values())), chunksize=5)
+            drawn = pool.map(
+                partial(answers, snr=snr, frames=frames), range(max(frames.values())), chunksize=5
+            )
             given = [one for each in drawn for one in each]
             rows += [row([one for one in given if one.method == method], snr) for method in frames]
     return {
@@ -243,20 +260,36 @@ def study(frames: Mapping[str, int], snrs: Sequence[float] = SNRS, workers: int 
 
 def main() -> None:
     """Run the study, print it, write table and figure."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.studies.edge_peers", description=__doc__)
-    parser.add_argument("--frames", type=int, help="frames for each method at each noise; else as many as are usual")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.studies.edge_peers", description=__doc__
+    )
+    parser.add_argument(
+        "--frames", type=int, help="frames for each method at each noise; else as many as are usual"
+    )
     parser.add_argument("--workers", type=int, help="processes; else one for each core")
     parser.add_argument("--out", type=Path, default=TABLE, help="table to write")
     parser.add_argument("--figure", type=Path, default=FIGURE, help="figure to write, PNG")
-    parser.add_argument("--draw", action="store_true", help="draw the table that is there; measure nothing")
+    parser.add_argument(
+        "--draw", action="store_true", help="draw the table that is there; measure nothing"
+    )
     asked = parser.parse_args()
     if asked.draw:
         found = json.loads(asked.out.read_text())
     else:
-        found = study({method: asked.frames or count for method, count in FRAMES.items()}, workers=asked.workers)
+        found = study(
+            {method: asked.frames or count for method, count in FRAMES.items()},
+            workers=asked.workers,
+        )
         write_json(asked.out, found)
     for each in (*found["ours"], *found["bound"]):
-        print(json.dumps({key: round(value, 4) if isinstance(value, float) else value for key, value in each.items()}))
+        print(
+            json.dumps(
+                {
+                    key: round(value, 4) if isinstance(value, float) else value
+                    for key, value in each.items()
+                }
+            )
+        )
     from benchmarks.studies.edge_peers import plot_peers
 
     plot_peers(found, asked.figure)
@@ -284,11 +317,19 @@ def plot_peers(found: Mapping[str, Any], path: Path) -> Path:
     figure, panels = _pyplot().subplots(1, 2, figsize=(11.0, 4.6), layout="constrained")
     for panel, (quantity, label) in zip(panels, PANELS, strict=True):
         _draw_panel(panel, found, quantity)
-        panel.set(xscale="log", yscale="log", xlabel="step / standard deviation of the noise (1)", ylabel=label)
+        panel.set(
+            xscale="log",
+            yscale="log",
+            xlabel="step / standard deviation of the noise (1)",
+            ylabel=label,
+        )
         plain_numbers(panel.xaxis, panel.yaxis)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right center", frameon=False, fontsize=8)
-    figure.suptitle(f"{found['edge']}\nopen marks: fewer than {MOSTLY:.0%} of the frames gave a number", fontsize=9)
+    figure.suptitle(
+        f"{found['edge']}\nopen marks: fewer than {MOSTLY:.0%} of the frames gave a number",
+        fontsize=9,
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     _pyplot().close(figure)
@@ -299,8 +340,15 @@ def _draw_panel(panel: Any, found: Mapping[str, Any], quantity: str) -> None:
     """One quantity: our methods, the other programs and the bound."""
     methods = list(dict.fromkeys(row["method"] for row in found["ours"]))
     for method, colour in zip(methods, cycle(COLOURS), strict=False):
-        rows = [row for row in found["ours"] if row["method"] == method and row[quantity] is not None]
-        panel.plot([row["snr"] for row in rows], [row[quantity] for row in rows], color=colour, label=method)
+        rows = [
+            row for row in found["ours"] if row["method"] == method and row[quantity] is not None
+        ]
+        panel.plot(
+            [row["snr"] for row in rows],
+            [row[quantity] for row in rows],
+            color=colour,
+            label=method,
+        )
         for row in rows:
             full = row["numbers"] >= MOSTLY * row["frames"]
             panel.plot(
@@ -314,13 +362,26 @@ def _draw_panel(panel: Any, found: Mapping[str, Any], quantity: str) -> None:
     for peer, colour, mark in zip(found["peers"], THEIRS, ("s", "D", "^"), strict=True):
         # Keys of JSON objects are text.
         points = {float(snr): value for snr, value in peer[quantity].items()}
-        panel.plot(points.keys(), points.values(), f"{mark}--", color=colour, markersize=4.5, label=peer["name"])
+        panel.plot(
+            points.keys(),
+            points.values(),
+            f"{mark}--",
+            color=colour,
+            markersize=4.5,
+            label=peer["name"],
+        )
         for snr in points.keys() & peer["seldom"]:
-            panel.plot(snr, points[snr], mark, color=colour, markerfacecolor="white", markersize=4.5)
+            panel.plot(
+                snr, points[snr], mark, color=colour, markerfacecolor="white", markersize=4.5
+            )
     panel.plot(
-        [row["snr"] for row in found["bound"]], [row[quantity] for row in found["bound"]], ":", color="black",
-        linewidth=1.8, label="Cramer-Rao bound",
-    )  # fmt: skip
+        [row["snr"] for row in found["bound"]],
+        [row[quantity] for row in found["bound"]],
+        ":",
+        color="black",
+        linewidth=1.8,
+        label="Cramer-Rao bound",
+    )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Ranks of true blurs among draws from the posteriors of edges: `make study NAME=edge-calibration` draws table and
-figure.
+"""Ranks of true blurs among draws from the posteriors of edges: `make study NAME=edge-calibration`
+draws table and figure.
 
-Truths come from the prior that the posterior is told, frames from the study's own edges. What is ranked is what users
-get of the form of tubes: its likelihood with the noise that an edge's pixels show, drawn from by Markov chain and by
-importance.
+Truths come from the prior that the posterior is told, frames from the study's own edges. What is
+ranked is what users get of the form of tubes: its likelihood with the noise that an edge's pixels
+show, drawn from by Markov chain and by importance.
 """
 
 import argparse
@@ -70,14 +70,18 @@ class Calibration:
         return np.bincount(self.ranks[:, self.names.index(name)] // width, minlength=bins)
 
     def band(self, level: float = 0.95) -> tuple[float, float]:
-        """Return the counts between which one bin lies with this probability if ranks are uniform."""
+        """Return the counts between which one bin lies with this probability if ranks are
+        uniform.
+        """
         from scipy.stats import binom
 
         low, high = binom.interval(level, len(self.ranks), 1.0 / self._bins())
         return float(low), float(high)
 
     def chi_squared(self, name: str) -> tuple[float, float]:
-        """Return chi squared of a parameter's histogram against a uniform one, and the probability of one as large."""
+        """Return chi squared of a parameter's histogram against a uniform one, and the probability
+        of one as large.
+        """
         from scipy.stats import chi2
 
         counts = self.histogram(name)
@@ -87,7 +91,9 @@ class Calibration:
 
     @property
     def probability(self) -> float:
-        """Probability of the least uniform histogram, allowing for the number of parameters (Bonferroni)."""
+        """Probability of the least uniform histogram, allowing for the number of parameters
+        (Bonferroni).
+        """
         return min(1.0, len(self.names) * min(self.chi_squared(name)[1] for name in self.names))
 
     def coverage(self, level: float) -> NDArray[np.floating]:
@@ -121,8 +127,8 @@ def calibrate(
     data
         Maps a truth and a generator to data.
     posterior
-        Maps data and a seed to a `Posterior`, or to nearly independent draws (draw, parameter), at least `draws`
-        of them. A flagged one is left out and counted.
+        Maps data and a seed to a `Posterior`, or to nearly independent draws (draw, parameter), at
+        least `draws` of them. A flagged one is left out and counted.
     names
         Of the parameters.
     trials
@@ -130,7 +136,8 @@ def calibrate(
     seed
         Trial t is drawn with the seed (seed, t).
     draws
-        Draws used of each posterior, evenly thinned; 119 can be put into 20, 15, 12, 10 or fewer equal bins.
+        Draws used of each posterior, evenly thinned; 119 can be put into 20, 15, 12, 10 or fewer
+        equal bins.
     progress
         Called with a sentence and the share done.
 
@@ -141,9 +148,10 @@ def calibrate(
 
     Notes
     -----
-    Talts et al. 2018, arXiv:1804.06788: with truth from the prior and data from the truth, the rank of the truth among
-    L independent draws of the posterior is uniform over 0 to L. Leaving out flagged trials keeps that true only as
-    far as flags do not depend on the truth, so their number belongs to the result.
+    Talts et al. 2018, arXiv:1804.06788: with truth from the prior and data from the truth, the rank
+    of the truth among L independent draws of the posterior is uniform over 0 to L. Leaving out
+    flagged trials keeps that true only as far as flags do not depend on the truth, so their number
+    belongs to the result.
     """
     if trials < 10:
         raise BadInput(f"trials must be at least 10, got {trials}")
@@ -160,14 +168,18 @@ def calibrate(
         ranks.append(_rank(drawn, truth, draws))
     progress("trials done", 1.0)
     if len(ranks) < 10:
-        raise BadInput(f"at least 10 posteriors must be without flags, got {len(ranks)} of {trials}")
+        raise BadInput(
+            f"at least 10 posteriors must be without flags, got {len(ranks)} of {trials}"
+        )
     return Calibration(names=names, ranks=np.array(ranks), draws=draws, flagged=flagged, seed=seed)
 
 
 def _rank(drawn: Array, truth: Array, wanted: int) -> NDArray[np.int64]:
     """Return how many of the wanted draws lie below the truth, for each parameter."""
     if drawn.ndim != 2 or drawn.shape[1] != truth.size or len(drawn) < wanted:
-        raise BadInput(f"a posterior must give ({wanted} or more, {truth.size}) draws, got {drawn.shape}")
+        raise BadInput(
+            f"a posterior must give ({wanted} or more, {truth.size}) draws, got {drawn.shape}"
+        )
     kept = drawn[np.linspace(0, len(drawn) - 1, wanted).round().astype(int)]
     return np.sum(kept < truth, axis=0)
 
@@ -185,7 +197,11 @@ def plot_calibration(result: Calibration, path: Path) -> Path:
     columns = min(4, len(result.names))
     lines = -(-len(result.names) // columns)
     figure, grid = _pyplot().subplots(
-        lines, columns, figsize=(1.0 + 3.0 * columns, 0.8 + 2.3 * lines), layout="constrained", squeeze=False
+        lines,
+        columns,
+        figsize=(1.0 + 3.0 * columns, 0.8 + 2.3 * lines),
+        layout="constrained",
+        squeeze=False,
     )
     for panel, name in zip(grid.flat, result.names, strict=False):
         _draw_histogram(panel, result, name)
@@ -194,7 +210,9 @@ def plot_calibration(result: Calibration, path: Path) -> Path:
     for panel in grid[:, 0]:
         panel.set_ylabel("truths")
     flagged = f", {result.flagged} flagged and left out" if result.flagged else ""
-    figure.suptitle(f"Ranks of {len(result.ranks)} truths among {result.draws} draws each{flagged}; band: 95 %")
+    figure.suptitle(
+        f"Ranks of {len(result.ranks)} truths among {result.draws} draws each{flagged}; band: 95 %"
+    )
     return _save(figure, path)
 
 
@@ -205,9 +223,16 @@ def _draw_histogram(panel: Any, result: Calibration, name: str) -> None:
     panel.axhspan(low, high, color="black", alpha=0.12, linewidth=0)
     panel.axhline(len(result.ranks) / len(counts), color="black", linewidth=0.8)
     colours = [COLOURS[0] if low <= count <= high else COLOURS[1] for count in counts]
-    panel.bar([width * (number + 0.5) for number in range(len(counts))], counts, width=0.92 * width, color=colours)
+    panel.bar(
+        [width * (number + 0.5) for number in range(len(counts))],
+        counts,
+        width=0.92 * width,
+        color=colours,
+    )
     value, probability = result.chi_squared(name)
-    panel.set_title(f"{name}: chi squared {value:.0f} of {len(counts) - 1}, p = {probability:.2g}", fontsize=8)
+    panel.set_title(
+        f"{name}: chi squared {value:.0f} of {len(counts) - 1}, p = {probability:.2g}", fontsize=8
+    )
     panel.set(xlabel="rank of the truth", xlim=(0, result.draws + 1))
 
 
@@ -215,7 +240,8 @@ TABLE = Path(__file__).with_name("tables") / "calibration.json"
 FIGURES = Path("docs/pictures/mtf")
 FORM = BlurModel(core="exponential")
 NAMES: tuple[str, ...] = ("ln half frequency", "exponent", "MTF50")
-# The method's priors of half frequency, cycles per pixel, and exponent, cut to what tubes and lenses have.
+# The method's priors of half frequency, cycles per pixel, and exponent, cut to what tubes and
+# lenses have.
 HALF_FREQUENCY, EXPONENT = (0.08, 0.4), (1.0, 2.6)
 SHIFT_PX = (-6.0, 6.0)
 SAMPLERS: dict[str, Callable[..., Posterior]] = {
@@ -261,7 +287,9 @@ def truth(rng: np.random.Generator) -> Array:
     return np.array([half, exponent, blur_of(half, exponent).mtf50(5.0)])
 
 
-def _normal_within(normal: tuple[float, float], bounds: tuple[float, float], rng: np.random.Generator) -> float:
+def _normal_within(
+    normal: tuple[float, float], bounds: tuple[float, float], rng: np.random.Generator
+) -> float:
     """Draw from the part of a normal distribution, mean and deviation, that lies within bounds."""
     drawn = -np.inf
     while not bounds[0] < drawn < bounds[1]:
@@ -297,7 +325,9 @@ def edge_drawn(true: Array, rng: np.random.Generator) -> FrameStack:
 
 @single_blas_thread()
 def posterior_draws(sampler: str, stack: FrameStack, seed: int) -> Array | Posterior:
-    """Return draws of half frequency, exponent and MTF50, shape (draw, 3); the posterior itself where it is flagged."""
+    """Return draws of half frequency, exponent and MTF50, shape (draw, 3); the posterior itself
+    where it is flagged.
+    """
     context = Context(seed=seed)
     edge = prepare_edge(stack, None, context, quickly=True)
     if isinstance(edge, EdgeRefusal):
@@ -325,14 +355,22 @@ def posterior_draws(sampler: str, stack: FrameStack, seed: int) -> Array | Poste
     # A truth near the end of the prior leans on it, as it should.
     if set(found.flags) - {"prior-bound"}:
         return found
-    half = crossing_frequency(FINE, np.abs(known(FINE)) * FORM.modulus(found.draws[:, 1:], FINE), 0.5)
+    half = crossing_frequency(
+        FINE, np.abs(known(FINE)) * FORM.modulus(found.draws[:, 1:], FINE), 0.5
+    )
     return np.column_stack([found.draws[:, 1:], half])
 
 
 def ranks(sampler: str, trials: int, seed: int) -> Calibration:
     """Rank truths among the draws of a sampler."""
     return calibrate(
-        truth, edge_drawn, partial(posterior_draws, sampler), names=NAMES, trials=trials, seed=seed, draws=DRAWS
+        truth,
+        edge_drawn,
+        partial(posterior_draws, sampler),
+        names=NAMES,
+        trials=trials,
+        seed=seed,
+        draws=DRAWS,
     )
 
 
@@ -349,7 +387,9 @@ def together(parts: Sequence[Calibration]) -> Calibration:
 
 def summarise_ranks(sampler: str, found: Calibration) -> Ranked:
     """Return what ranks say."""
-    cover68, cover95 = (dict(zip(NAMES, found.coverage(level).tolist(), strict=True)) for level in (0.68, 0.95))
+    cover68, cover95 = (
+        dict(zip(NAMES, found.coverage(level).tolist(), strict=True)) for level in (0.68, 0.95)
+    )
     return Ranked(
         sampler=sampler,
         trials=len(found.ranks) + found.flagged,
@@ -363,7 +403,9 @@ def summarise_ranks(sampler: str, found: Calibration) -> Ranked:
 
 def main() -> None:
     """Rank, draw and write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.studies.edge_ranks", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.studies.edge_ranks", description=__doc__
+    )
     parser.add_argument("--trials", type=int, default=TRIALS, help="truths for each sampler")
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
@@ -371,13 +413,20 @@ def main() -> None:
     rows = []
     with ProcessPoolExecutor(asked.workers, mp_context=get_context("spawn")) as pool:
         for sampler in SAMPLERS:
-            found = together(list(pool.map(partial(ranks, sampler, each), range(SEED, SEED + asked.workers))))
+            found = together(
+                list(pool.map(partial(ranks, sampler, each), range(SEED, SEED + asked.workers)))
+            )
             # Pages show pictures as PNG, which lies beside the drawing.
             plot_calibration(found, FIGURES / f"ranks-{sampler}.svg").unlink()
             rows.append(summarise_ranks(sampler, found))
             print(rows[-1])
     write_json(
-        TABLE, {"draws": DRAWS, "seeds": [SEED, SEED + asked.workers - 1], "samplers": [asdict(r) for r in rows]}
+        TABLE,
+        {
+            "draws": DRAWS,
+            "seeds": [SEED, SEED + asked.workers - 1],
+            "samplers": [asdict(r) for r in rows],
+        },
     )
 
 

@@ -1,12 +1,13 @@
-"""What economy of light changes in frames: random scenes by their plans and exactly, frame beside frame.
+"""What economy of light changes in frames: random scenes by their plans and exactly, frame beside
+frame.
 
-`make study NAME=effect-selection` writes the table; cases already in it are kept where the same sources of
-`simulate.radiance` made them, so that it goes on where it was interrupted. A case is a scene, a light and a camera
-(`benchmarks.studies.effect_selection_scenes`). The difference of its two frames without noise is taken over the
-temporal noise of
-each pixel, which is found by drawing frames; the root mean square over the frame is what the tolerance is for. A plan
-that its rays did not bring to the chance it promised says so: such cases are counted apart among those beyond the
-tolerance.
+`make study NAME=effect-selection` writes the table; cases already in it are kept where the same
+sources of `simulate.radiance` made them, so that it goes on where it was interrupted. A case is a
+scene, a light and a camera (`benchmarks.studies.effect_selection_scenes`). The difference of its
+two frames without noise is taken over the temporal noise of
+each pixel, which is found by drawing frames; the root mean square over the frame is what the
+tolerance is for. A plan that its rays did not bring to the chance it promised says so: such cases
+are counted apart among those beyond the tolerance.
 """
 
 import argparse
@@ -34,8 +35,9 @@ TABLE = Path(__file__).with_name("tables") / "light_economy.json"
 # One of the sources whose change makes cases old.
 SOURCE = Path(integrator_settings.__file__)
 CASES, TOLERANCE = 100, 0.2
-# Relative error to which the temporal noise of pixels is found, root mean square, and frames drawn for that at first
-# and at most: where photoelectrons are few and pulses of many heights, hundreds show no more of it than tens elsewhere.
+# Relative error to which the temporal noise of pixels is found, root mean square, and frames drawn
+# for that at first and at most: where photoelectrons are few and pulses of many heights, hundreds
+# show no more of it than tens elsewhere.
 NOISE_KNOWN, DRAWN, DRAWN_MOST = 0.13, 64, 8192
 # Noise of a digitiser's step, DN: a pixel at full scale has no other.
 STEP_DN = 12.0**-0.5
@@ -50,7 +52,8 @@ class SelectionOutcome:
     Parameters
     ----------
     number
-        The case, and the seed of its scene; the rays of plan and exact mode have the seeds 2 n and 2 n + 1.
+        The case, and the seed of its scene; the rays of plan and exact mode have the seeds 2 n and
+        2 n + 1.
     light, sensor
         What lights it; the camera.
     difference
@@ -98,7 +101,9 @@ class SelectionOutcome:
 
 @dataclass(frozen=True, kw_only=True)
 class SelectionPair:
-    """A case seen by its plan and exactly, with frames without noise, their difference over the noise, and times."""
+    """A case seen by its plan and exactly, with frames without noise, their difference over the
+    noise, and times.
+    """
 
     case: SceneCase
     planned: RenderedView
@@ -117,8 +122,12 @@ def pair_of(number: int) -> SelectionPair:
     planned, planned_s = _time_case(case, TOLERANCE, 2 * number)
     exact, exact_s = _time_case(case, None, 2 * number + 1)
     camera, conditions = case.night.camera, case.night.conditions
-    by_plan, exactly = (_photoelectrons_at_mcp(camera, conditions, seen) for seen in (planned, exact))
-    planned_dn, exact_dn = (_readable(camera, camera.mean_frame(light, conditions)) for light in (by_plan, exactly))
+    by_plan, exactly = (
+        _photoelectrons_at_mcp(camera, conditions, seen) for seen in (planned, exact)
+    )
+    planned_dn, exact_dn = (
+        _readable(camera, camera.mean_frame(light, conditions)) for light in (by_plan, exactly)
+    )
     noise = _noise(camera, conditions, exactly, exact_dn, number)
     return SelectionPair(
         case=case,
@@ -139,7 +148,9 @@ def _time_case(case: SceneCase, tolerance: float | None, seed: int) -> tuple[Ren
 
 
 def _photoelectrons_at_mcp(camera: Any, conditions: Conditions, seen: RenderedView) -> Any:
-    return camera.to_mcp_input(photoelectrons_from_radiance(camera, seen.picture.cube, conditions), conditions)
+    return camera.to_mcp_input(
+        photoelectrons_from_radiance(camera, seen.picture.cube, conditions), conditions
+    )
 
 
 def _full_scale_dn(camera: Any) -> float:
@@ -153,22 +164,32 @@ def _readable(camera: Any, frame: Image) -> Image:
 
 
 def _noise(camera: Any, conditions: Conditions, light: Any, mean_dn: Image, seed: int) -> Image:
-    """Return the temporal noise of drawn frames, DN, or `KNOWN` of the signal where that is larger."""
+    """Return the temporal noise of drawn frames, DN, or `KNOWN` of the signal where that is
+    larger.
+    """
     stream = camera.frames(light, conditions, seed=seed)
     dark = float(np.percentile(mean_dn, 0.0))
-    return np.maximum(temporal_noise(stream), integrator_settings.KNOWN * np.maximum(mean_dn - dark, 0.0))
+    return np.maximum(
+        temporal_noise(stream), integrator_settings.KNOWN * np.maximum(mean_dn - dark, 0.0)
+    )
 
 
 def temporal_noise(frames: Iterator[NDArray[Any]]) -> Image:
     """Return the standard deviation of each pixel over frames, at least a digitiser's step, DN.
 
-    As many frames are drawn as bring it to `NOISE_KNOWN`, by the two halves of them, or `DRAWN_MOST`.
+    As many frames are drawn as bring it to `NOISE_KNOWN`, by the two halves of them, or
+    `DRAWN_MOST`.
     """
     drawn = np.zeros((0, *next(frames).shape))
     while True:
-        drawn = np.concatenate([drawn, np.stack(list(islice(frames, max(DRAWN, len(drawn))))).astype(float)])
+        drawn = np.concatenate(
+            [drawn, np.stack(list(islice(frames, max(DRAWN, len(drawn))))).astype(float)]
+        )
         halves = [np.maximum(drawn[first::2].std(axis=0, ddof=1), STEP_DN) for first in (0, 1)]
-        if _rms((halves[0] - halves[1]) / (halves[0] + halves[1])) <= NOISE_KNOWN or len(drawn) >= DRAWN_MOST:
+        if (
+            _rms((halves[0] - halves[1]) / (halves[0] + halves[1])) <= NOISE_KNOWN
+            or len(drawn) >= DRAWN_MOST
+        ):
             return np.maximum(drawn.std(axis=0, ddof=1), STEP_DN)
 
 
@@ -213,13 +234,19 @@ def summarise_outcomes(outcomes: Sequence[SelectionOutcome]) -> dict[str, Any]:
         "beyond_and_told": int(np.sum(beyond & short)),
         "beyond_and_untold": int(np.sum(beyond & ~short)),
         "within_and_told_otherwise": int(np.sum(~beyond & short)),
-        "exact_known_to_a_third": int(sum(one.exact_by_chance < TOLERANCE / 3.0 for one in outcomes)),
-        "light_within": int(np.sum(np.array([one.light_difference for one in outcomes]) < TOLERANCE)),
+        "exact_known_to_a_third": int(
+            sum(one.exact_by_chance < TOLERANCE / 3.0 for one in outcomes)
+        ),
+        "light_within": int(
+            np.sum(np.array([one.light_difference for one in outcomes]) < TOLERANCE)
+        ),
         "median_difference": float(np.median(difference)),
         "worst": worst.number,
         "worst_difference": worst.difference,
         "median_saving": float(np.median([one.saving for one in outcomes])),
-        "median_saving_of_rays": float(np.median([one.exact_rays / one.planned_rays for one in outcomes])),
+        "median_saving_of_rays": float(
+            np.median([one.exact_rays / one.planned_rays for one in outcomes])
+        ),
     }
 
 
@@ -288,7 +315,9 @@ def plot_economy(outcomes: Sequence[SelectionOutcome], path: Path) -> Path:
     _draw_cases(left, outcomes)
     pair = pair_of(whole["worst"])
     low, high = np.percentile(pair.exact_dn, (0.0, 99.5))
-    for axes, (title, frame) in zip(right, (("exact", pair.exact_dn), ("by the plan", pair.planned_dn)), strict=False):
+    for axes, (title, frame) in zip(
+        right, (("exact", pair.exact_dn), ("by the plan", pair.planned_dn)), strict=False
+    ):
         drawn: Any = axes.imshow(frame, cmap="gray", vmin=low, vmax=max(high, low + 1.0))
         figure.colorbar(drawn, ax=axes, label="DN", shrink=0.7)
         axes.set_title(title, fontsize=9)
@@ -300,8 +329,9 @@ def plot_economy(outcomes: Sequence[SelectionOutcome], path: Path) -> Path:
         axes.grid(visible=False)
     right[0].set_ylabel("row (px)")
     figure.suptitle(
-        f"{whole['within']} of {whole['cases']} frames differ from exact ones by less than {TOLERANCE:.0%} of their "
-        f"noise; median saving of time {whole['median_saving']:.1f}-fold; right: the worst, case {whole['worst']}, "
+        f"{whole['within']} of {whole['cases']} frames differ from exact ones by less than "
+        f"{TOLERANCE:.0%} of their noise; median saving of time "
+        f"{whole['median_saving']:.1f}-fold; right: the worst, case {whole['worst']}, "
         f"{pair.case.light}, {pair.case.sensor}",
         fontsize=10,
     )
@@ -319,9 +349,14 @@ def _draw_cases(axes: Any, outcomes: Sequence[SelectionOutcome]) -> None:
             own = [one for one in outcomes if one.light.startswith(light) and one.sensor == sensor]
             if own:
                 axes.plot(
-                    [one.saving for one in own], [max(one.difference, LOWEST) for one in own], mark,
-                    color=f"C{number}", alpha=0.7, label=light if sensor == CAMERAS[0] else None, ms=5,
-                )  # fmt: skip
+                    [one.saving for one in own],
+                    [max(one.difference, LOWEST) for one in own],
+                    mark,
+                    color=f"C{number}",
+                    alpha=0.7,
+                    label=light if sensor == CAMERAS[0] else None,
+                    ms=5,
+                )
     for sensor, mark in MARKS.items():
         axes.plot([], [], mark, color="0.4", ms=5, label=sensor)
     axes.axhline(TOLERANCE, color="k", lw=1, ls="--")

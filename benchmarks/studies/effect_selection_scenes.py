@@ -1,4 +1,6 @@
-"""Random places, lights and cameras: what the economy of light is tried on, each from a number of its own."""
+"""Random places, lights and cameras: what the economy of light is tried on, each from a number of
+its own.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,7 +22,8 @@ from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene,
 from simulate.radiance.sky.moon import ObserverLocation
 from simulate.radiance.sky.night_sky import NightSky
 
-# Frames are small, so that the exact mode takes seconds; the lens is shorter, so that they show half the usual field.
+# Frames are small, so that the exact mode takes seconds; the lens is shorter, so that they show
+# half the usual field.
 SHAPE, FIELD = (6, 8), 0.5
 CAMERAS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512")
 # Elevations of sun and moon, deg: what is by day, at dusk, by moonlight and without any.
@@ -31,7 +34,8 @@ LIGHTS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
     "stars": ((-90.0, -18.0), (-90.0, -5.0)),
     "no sky": ((-90.0, 90.0), (-90.0, 90.0)),
 }
-# Photoelectrons of the median pixel, by which exposures are chosen as an operator would: from grainy to full.
+# Photoelectrons of the median pixel, by which exposures are chosen as an operator would: from
+# grainy to full.
 LEVELS_PE = 0.3, 300.0
 SHORTEST_S = 1e-7
 LUMENS = 0.3, 3000.0
@@ -73,7 +77,10 @@ def case_of(number: int) -> SceneCase:
     open_s = float(np.clip(longest_s * wanted / max(found, 1e-30), SHORTEST_S, longest_s))
     named = f"{light} with lamps" if scene.lamp else light
     return SceneCase(
-        number=number, light=named, sensor=sensor, night=replace(night, conditions=_exposure_conditions(sensor, open_s))
+        number=number,
+        light=named,
+        sensor=sensor,
+        night=replace(night, conditions=_exposure_conditions(sensor, open_s)),
     )
 
 
@@ -82,7 +89,10 @@ def _small(sensor: str):
     camera = load_camera(sensor)
     shorter = SHAPE[1] / camera.ccd.columns / FIELD
     focal = camera.optics.focal_length_mm
-    optics = replace(camera.optics, focal_length_mm=replace(focal, value=float(focal) * shorter, low=None, high=None))
+    optics = replace(
+        camera.optics,
+        focal_length_mm=replace(focal, value=float(focal) * shorter, low=None, high=None),
+    )
     return replace(camera, optics=optics, ccd=replace(camera.ccd, rows=SHAPE[0], columns=SHAPE[1]))
 
 
@@ -100,14 +110,17 @@ def _median_pe(night: OutdoorRendering) -> float:
     view = night.view
     row, col = (axis.ravel() + 0.5 for axis in np.indices(view.shape))
     effort = IntegratorSettings(max_bounces=0, sky_shadowing=False)
-    light = radiance_along(stage, *view.rays(row, col), effort, np.random.default_rng(0), gather_rays=1).total()
+    light = radiance_along(
+        stage, *view.rays(row, col), effort, np.random.default_rng(0), gather_rays=1
+    ).total()
     return float(np.median(light @ eye.weight(stage.bsdfs.wavelength_nm)))
 
 
 def _scene(rng: np.random.Generator, light: str) -> OutdoorScene:
     names = [name for name in material_names() if not any(material(name).transmittance)]
     surfaces = tuple(
-        MaterialSpec(label=f"m{i}", library=str(name)) for i, name in enumerate(rng.choice(names, 5, replace=False))
+        MaterialSpec(label=f"m{i}", library=str(name))
+        for i, name in enumerate(rng.choice(names, 5, replace=False))
     )
     things = (
         Object(label="ground", shape="ground", size_m=(400.0,), material="m0"),
@@ -118,7 +131,8 @@ def _scene(rng: np.random.Generator, light: str) -> OutdoorScene:
     return OutdoorScene(
         name=light,
         camera=SceneCamera(
-            position_m=(0.0, -_between(rng, 12.0, 40.0), rng.uniform(1.5, 6.0)), look_at_m=(0.0, 4.0, 2.0)
+            position_m=(0.0, -_between(rng, 12.0, 40.0), rng.uniform(1.5, 6.0)),
+            look_at_m=(0.0, 4.0, 2.0),
         ),
         place=None if light == "no sky" else _place(rng, *LIGHTS[light]),
         material=surfaces,
@@ -167,8 +181,12 @@ def _place(rng: np.random.Generator, sun: tuple[float, float], moon: tuple[float
     """A place and a time at which sun and moon stand where they should."""
     for _ in range(TRIES):
         latitude, longitude = PLACES[rng.integers(len(PLACES))]
-        when = datetime(2020, 1, 1, tzinfo=UTC) + timedelta(minutes=int(rng.integers(5 * 365 * 1440)))
-        bodies = NightSky.at(ObserverLocation(latitude_deg=latitude, longitude_deg=longitude), when).bodies
+        when = datetime(2020, 1, 1, tzinfo=UTC) + timedelta(
+            minutes=int(rng.integers(5 * 365 * 1440))
+        )
+        bodies = NightSky.at(
+            ObserverLocation(latitude_deg=latitude, longitude_deg=longitude), when
+        ).bodies
         up = {body.name: body.elevation_deg for body in bodies}
         if sun[0] <= up["sun"] <= sun[1] and moon[0] <= up["moon"] <= moon[1]:
             return Where(latitude_deg=latitude, longitude_deg=longitude, time=when.isoformat())

@@ -1,8 +1,10 @@
-"""Where the covariance gain breaks: thousands of random simulated cameras, half of them past the declared scope.
+"""Where the covariance gain breaks: thousands of random simulated cameras, half of them past the
+declared scope.
 
-`make study NAME=gain-map` writes the table. A cell is one specimen of the intensified camera with a dark and some
-flats, lag,
-interlace and automatic gain off; in half of the cells one thing breaks it, from too little to matter to far too much.
+`make study NAME=gain-map` writes the table. A cell is one specimen of the intensified camera with a
+dark and some flats, lag,
+interlace and automatic gain off; in half of the cells one thing breaks it, from too little to
+matter to far too much.
 """
 
 import json
@@ -17,7 +19,14 @@ from numpy.typing import NDArray
 
 import charact.noise  # noqa: F401  # registers the methods
 from benchmarks.studies import scenario_map
-from benchmarks.studies.scenario_map import Breaking, Scenario, ScenarioOutcome, draw_case, draw_scenario, outcome_of
+from benchmarks.studies.scenario_map import (
+    Breaking,
+    Scenario,
+    ScenarioOutcome,
+    draw_case,
+    draw_scenario,
+    outcome_of,
+)
 from charact.method import Context
 from charact.method.registry import methods_of_kind
 from charact.study.flats.flat_cases import InMemoryStack
@@ -55,7 +64,8 @@ class GainScene:
     decay_ms
         Decay of nearly all of the screen's light, ms; None: no lag at all.
     gain_range_db
-        How far an automatic gain turns up, dB; 0: it is off. The session does not say that it is on.
+        How far an automatic gain turns up, dB; 0: it is off. The session does not say that it is
+        on.
     flicker
         Relative standard deviation of the light from frame to frame.
     drift
@@ -119,9 +129,18 @@ class GainScene:
     def session_drawn(self, rng: np.random.Generator) -> Session:
         """Draw the dark and the flats."""
         lux = self.photoelectrons / self.truth["photoelectrons_per_lux"]
-        stacks = [self._stack("dark", 0.0, rng), *(self._stack("flat", float(level), rng) for level in lux)]
-        return Session(folder=Path("."), name="simulated flats", stacks=tuple(stacks), interlaced=self.interlaced,
-                       camera=self.description, bit_depth=8)  # fmt: skip
+        stacks = [
+            self._stack("dark", 0.0, rng),
+            *(self._stack("flat", float(level), rng) for level in lux),
+        ]
+        return Session(
+            folder=Path("."),
+            name="simulated flats",
+            stacks=tuple(stacks),
+            interlaced=self.interlaced,
+            camera=self.description,
+            bit_depth=8,
+        )
 
     @cached_property
     def _bench(self) -> Any:
@@ -132,10 +151,18 @@ class GainScene:
 
     def _stack(self, kind: Kind, lux: float, rng: np.random.Generator) -> InMemoryStack:
         told = replace(self.settings, illuminance_lux=lux, illuminance_relative_sd=0.03)
-        return InMemoryStack(label=f"{kind}-{lux:.3g}", kind=kind, frames="", folder=Path("."), conditions=told,
-                         held=self._expose_frames(kind, told, rng))  # fmt: skip
+        return InMemoryStack(
+            label=f"{kind}-{lux:.3g}",
+            kind=kind,
+            frames="",
+            folder=Path("."),
+            conditions=told,
+            held=self._expose_frames(kind, told, rng),
+        )
 
-    def _expose_frames(self, kind: Kind, conditions: Conditions, rng: np.random.Generator) -> FrameStack:
+    def _expose_frames(
+        self, kind: Kind, conditions: Conditions, rng: np.random.Generator
+    ) -> FrameStack:
         seed = int(rng.integers(1 << 31))
         real = replace(conditions, automatic_gain=True) if self.gain_range_db else conditions
         if kind == "dark" or not (self.flicker or self.drift):
@@ -143,9 +170,17 @@ class GainScene:
         trend = self.drift * np.linspace(-0.5, 0.5, self.frames)
         light = np.maximum(1.0 + trend + self.flicker * rng.standard_normal(self.frames), 0.0)
         lux = light * float(real.illuminance_lux or 0.0)
-        return _join_frames(self._bench.expose(kind, Target(), replace(real, illuminance_lux=float(value)),
-                                          frames=1, seed=seed, first_frame=number)
-                       for number, value in enumerate(lux))  # fmt: skip
+        return _join_frames(
+            self._bench.expose(
+                kind,
+                Target(),
+                replace(real, illuminance_lux=float(value)),
+                frames=1,
+                seed=seed,
+                first_frame=number,
+            )
+            for number, value in enumerate(lux)
+        )
 
 
 def _join_frames(frames) -> FrameStack:
@@ -162,7 +197,8 @@ def _join_frames(frames) -> FrameStack:
 TABLE = Path(__file__).with_name("tables") / "gain_map.json"
 METHOD, QUANTITY = "covariance-sum", "covariance_gain"
 CELLS, REPEATS = 3000, 1
-# What breaks gains, from where it hardly matters to where nothing is left, and whether steps are even in ln.
+# What breaks gains, from where it hardly matters to where nothing is left, and whether steps are
+# even in ln.
 BREAKING: Breaking = {
     "decay_ms": (1.0, 100.0, True),
     "interlaced_decay_ms": (1.0, 60.0, True),
@@ -205,7 +241,9 @@ def _broken(scene: GainScene, axis: str, strength: float) -> GainScene:
         return replace(scene, interlaced=True, decay_ms=strength)
     if axis == "saturation":
         black, full = BLACK_AND_FULL_DN
-        return replace(scene, signal_dn=_levels(strength * (full - black), 10.0, len(scene.signal_dn)))
+        return replace(
+            scene, signal_dn=_levels(strength * (full - black), 10.0, len(scene.signal_dn))
+        )
     if axis == "frames":
         return replace(scene, frames=round(strength))
     if axis == "rows":
@@ -221,7 +259,10 @@ def measure_scenario(
     """Draw a cell's frames and put the method to each of them."""
     cell = cell_of(number)
     truth = cell.scene.truth[QUANTITY]
-    rows = [attempt(methods_of_kind("flats")[method], case_of(cell, i), Context(quick=quick)) for i in range(repeats)]
+    rows = [
+        attempt(methods_of_kind("flats")[method], case_of(cell, i), Context(quick=quick))
+        for i in range(repeats)
+    ]
     return outcome_of(cell, rows, truth, truths=(truth, truth))
 
 
@@ -246,7 +287,13 @@ def case_of(cell: Scenario[GainScene], repeat: int) -> Case:
 def main() -> None:
     """Make the map."""
     scenario_map.make_map(
-        measure_scenario, kind="flats", method=METHOD, table=TABLE, cells=CELLS, repeats=REPEATS, about=__doc__
+        measure_scenario,
+        kind="flats",
+        method=METHOD,
+        table=TABLE,
+        cells=CELLS,
+        repeats=REPEATS,
+        about=__doc__,
     )
     plot_map(json.loads(TABLE.read_text()), FIGURE)
 
@@ -269,7 +316,9 @@ LABELS = {
 def plot_map(found: Mapping[str, Any], path: Path) -> Path:
     """Draw the table of `benchmarks.studies.gain_map`; returns the path of the PNG."""
     scope = ("photoelectrons of the brightest level (1)", _brightest)
-    return scenario_map.plot_map(found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=4)
+    return scenario_map.plot_map(
+        found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=4
+    )
 
 
 def _brightest(number: int) -> float:

@@ -1,7 +1,9 @@
-"""Gain sweeps of exactly known law, knee and saturation, drawn as statistics: how often the intervals hold.
+"""Gain sweeps of exactly known law, knee and saturation, drawn as statistics: how often the
+intervals hold.
 
-`python -m benchmarks.studies.gain_sweeps` draws a thousand sweeps and prints, for every quantity, in how many of those
-that gave a number its 95 % interval held the truth. Truths are closed forms; no frame and no simulator takes part.
+`python -m benchmarks.studies.gain_sweeps` draws a thousand sweeps and prints, for every quantity,
+in how many of those that gave a number its 95 % interval held the truth. Truths are closed forms;
+no frame and no simulator takes part.
 """
 
 from collections import defaultdict
@@ -42,7 +44,8 @@ class SweepScene:
     electron_gain_dn
         K, DN.
     blur, blur_scatter
-        Share of the pulses' covariance left in the variance, and how far it differs between settings.
+        Share of the pulses' covariance left in the variance, and how far it differs between
+        settings.
     photons_per_pe
         Photons for each photoelectron.
     saturation_dn
@@ -73,55 +76,92 @@ class SweepScene:
 
     def truths(self) -> dict[str, float]:
         """The law's own numbers, by quantity and unit."""
-        sum_, product = (1.0 + self.blur) * self.electron_gain_dn, self.electron_gain_dn**2 - self.read_noise_dn**2
+        sum_, product = (
+            (1.0 + self.blur) * self.electron_gain_dn,
+            self.electron_gain_dn**2 - self.read_noise_dn**2,
+        )
         knee = (-sum_ + np.sqrt(sum_**2 - 4.0 * self.blur * product)) / (2.0 * self.blur)
         return {
             "gain_exponent 1": self.exponent,
-            "gain_knee V": 800.0 * float(knee / self.pulses_dn) ** (1.0 / (self.exponent - self.excess)),
+            "gain_knee V": 800.0
+            * float(knee / self.pulses_dn) ** (1.0 / (self.exponent - self.excess)),
             "gain_knee DN": float(knee) + self.electron_gain_dn,
             "mcp_saturation DN": self.saturation_dn,
         }
 
     def drawn(self, rng: np.random.Generator, *, lit: bool = True) -> tuple[Sweep, Array, Array]:
-        """Draw a sweep; return it with the true covariance gain and F^2 (in proportion) of each setting."""
+        """Draw a sweep; return it with the true covariance gain and F^2 (in proportion) of each
+        setting.
+        """
         volts = np.array(self.volts)
         departs = self.departure * rng.standard_normal(len(volts))
         gain = self.pulses_dn * (volts / 800.0) ** self.exponent * np.exp(departs)
         factor = (volts / 800.0) ** -self.excess
         pulses, shared = gain * factor, self.shared_sd * rng.standard_normal()
-        settings = tuple(self._setting(v, g, p, shared, lit, rng) for v, g, p in zip(volts, gain, pulses, strict=True))
-        return Sweep(knob=KNOBS[0], settings=settings, main=800.0), pulses + self.electron_gain_dn, factor
+        settings = tuple(
+            self._setting(v, g, p, shared, lit, rng)
+            for v, g, p in zip(volts, gain, pulses, strict=True)
+        )
+        return (
+            Sweep(knob=KNOBS[0], settings=settings, main=800.0),
+            pulses + self.electron_gain_dn,
+            factor,
+        )
 
-    def _setting(self, volts: float, gain: float, pulses: float, shared: float, lit: bool, rng: np.random.Generator
-                 ) -> SweepSetting:  # fmt: skip
+    def _setting(
+        self,
+        volts: float,
+        gain: float,
+        pulses: float,
+        shared: float,
+        lit: bool,
+        rng: np.random.Generator,
+    ) -> SweepSetting:
         """Statistics of one setting."""
         light = np.array(self.lights)
         untired = gain / 2.0 * light / self.photons_per_pe
-        signal = untired / (1.0 + untired / self.saturation_dn) * np.exp(self.scatter * rng.standard_normal(light.size))
+        signal = (
+            untired
+            / (1.0 + untired / self.saturation_dn)
+            * np.exp(self.scatter * rng.standard_normal(light.size))
+        )
         covariance = pulses + self.electron_gain_dn
         seen = np.log(covariance) + shared + self.covariance_sd * rng.standard_normal()
         error = float(np.hypot(self.covariance_sd, self.shared_sd))
         blur = self.blur * np.exp(self.blur_scatter * rng.standard_normal())
         variance = blur * pulses + self.electron_gain_dn
-        # What the plate loses shows in the noise, which was carried to small signals where the light is unknown.
+        # What the plate loses shows in the noise, which was carried to small signals where the
+        # light is unknown.
         left = 1.0 - float(signal.mean()) / self.saturation_dn if lit else 1.0
         levels = covariance * (1.0 - signal / self.saturation_dn)
         dark = self.read_noise_dn**2 + variance * covariance * self.dark_pe
         drawn = left * np.exp(seen + error * rng.standard_normal(DRAWS))
         return SweepSetting(
-            value=float(volts), labels=tuple(f"{volts:g} V, {value:g}" for value in light), gain_dn=drawn,
+            value=float(volts),
+            labels=tuple(f"{volts:g} V, {value:g}" for value in light),
+            gain_dn=drawn,
             log_variance=float(np.log(left * variance) + self.variance_sd * rng.standard_normal()),
-            log_variance_sd=self.variance_sd, blur_factor=left * variance / drawn, white=False,
-            light=light if lit else None, light_unit="photon", light_relative_sd=0.0, signal_dn=signal,
-            signal_sd_dn=1e-4 * signal, levels_dn=levels + 0.01 * covariance * rng.standard_normal(light.size),
-            levels_sd_dn=np.full(light.size, 0.01 * covariance), variance_dn2=signal * variance,
-            dark_variance_dn2=dark * (1.0 + 0.005 * rng.standard_normal()), dark_variance_sd_dn2=0.005 * dark,
+            log_variance_sd=self.variance_sd,
+            blur_factor=left * variance / drawn,
+            white=False,
+            light=light if lit else None,
+            light_unit="photon",
+            light_relative_sd=0.0,
+            signal_dn=signal,
+            signal_sd_dn=1e-4 * signal,
+            levels_dn=levels + 0.01 * covariance * rng.standard_normal(light.size),
+            levels_sd_dn=np.full(light.size, 0.01 * covariance),
+            variance_dn2=signal * variance,
+            dark_variance_dn2=dark * (1.0 + 0.005 * rng.standard_normal()),
+            dark_variance_sd_dn2=0.005 * dark,
             dark=f"dark, {volts:g} V",
-        )  # fmt: skip
+        )
 
 
 def scene_drawn(rng: np.random.Generator) -> SweepScene:
-    """Draw a scene: departures and scatter from what the analysis takes for usual, all else from wide ranges."""
+    """Draw a scene: departures and scatter from what the analysis takes for usual, all else from
+    wide ranges.
+    """
     pulses = float(rng.uniform(25.0, 60.0))
     exponent = float(rng.uniform(8.0, 12.0))
     least = pulses * (620.0 / 800.0) ** exponent
@@ -140,7 +180,9 @@ def scene_drawn(rng: np.random.Generator) -> SweepScene:
 
 
 def covered(count: int, seed: int, *, lit: bool = True) -> Iterator[tuple[str, float, str]]:
-    """Draw sweeps and yield for every number its name, its error over its 95 % arm on that side, and its status."""
+    """Draw sweeps and yield for every number its name, its error over its 95 % arm on that side,
+    and its status.
+    """
     for index in range(count):
         rng = np.random.default_rng([seed, index])
         scene = scene_drawn(rng)
@@ -153,13 +195,16 @@ def covered(count: int, seed: int, *, lit: bool = True) -> Iterator[tuple[str, f
         yield from _held(result, truth, sweep, gain, factor)
 
 
-def _held(result: Result, truth: dict[str, float], sweep: Sweep, gain: Array, factor: Array
-          ) -> Iterator[tuple[str, float, str]]:  # fmt: skip
+def _held(
+    result: Result, truth: dict[str, float], sweep: Sweep, gain: Array, factor: Array
+) -> Iterator[tuple[str, float, str]]:
     """Every number of a result against its truth."""
     of_stack = {s.stack: i for i, s in enumerate(sweep.settings)}
     # F^2 is stated over that of the one setting that has none of its own.
     stated = {m.stack for m in result.find("relative_excess_noise_factor")}
-    reference = next(f for s, f in zip(sweep.settings, factor, strict=True) if s.stack not in stated)
+    reference = next(
+        f for s, f in zip(sweep.settings, factor, strict=True) if s.stack not in stated
+    )
     for m in result.measurements:
         name = f"{m.quantity} {m.unit}"
         true = truth.get(name)
@@ -181,10 +226,15 @@ def main(count: int = 1000) -> None:
             told[name].append((off, status))
         print(f"\n{count} sweeps, light {'recorded' if lit else 'unknown'}")
         for name, of in told.items():
-            every, trusted = np.array([off for off, _ in of]), np.array([off for off, status in of if status == "ok"])
+            every, trusted = (
+                np.array([off for off, _ in of]),
+                np.array([off for off, status in of if status == "ok"]),
+            )
             held, silent = 100.0 * np.mean(trusted <= 1.0), int(np.sum(trusted > SILENT))
-            print(f"{name:32} {len(every):5} numbers hold {100.0 * np.mean(every <= 1.0):5.1f} %, "
-                  f"{len(trusted):5} ok ones {held:5.1f} %, {silent} silent failures")  # fmt: skip
+            print(
+                f"{name:32} {len(every):5} numbers hold {100.0 * np.mean(every <= 1.0):5.1f} %, "
+                f"{len(trusted):5} ok ones {held:5.1f} %, {silent} silent failures"
+            )
 
 
 if __name__ == "__main__":

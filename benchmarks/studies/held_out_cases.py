@@ -1,4 +1,6 @@
-"""Whether `auto` keeps its word: the methods that it picks from the chart, on cases that the chart never saw."""
+"""Whether `auto` keeps its word: the methods that it picks from the chart, on cases that the chart
+never saw.
+"""
 
 import argparse
 import json
@@ -32,10 +34,11 @@ class ChoiceCheck:
     method
         What `auto` picked.
     cases, right
-        Held-back cases, and how many of them it measured within the tolerance; a refusal is not right.
+        Held-back cases, and how many of them it measured within the tolerance; a refusal is not
+        right.
     told
-        Cases off by more that said so: flagged, refused, or with the note that `auto` writes where the 95 % interval
-        reaches further than the tolerance. Right or told is what `auto` promises.
+        Cases off by more that said so: flagged, refused, or with the note that `auto` writes where
+        the 95 % interval reaches further than the tolerance. Right or told is what `auto` promises.
     """
 
     kind: str
@@ -54,7 +57,8 @@ def check_held_out_choices(
     tolerances: Sequence[float] = TOLERANCES_PERCENT,
     kinds: Sequence[str] | None = None,
 ) -> list[ChoiceCheck]:
-    """Put what `auto` picks for each tolerance to cases inside the scope that no chart was drawn from.
+    """Put what `auto` picks for each tolerance to cases inside the scope that no chart was drawn
+    from.
 
     Parameters
     ----------
@@ -86,14 +90,18 @@ def check_held_out_choices(
                     method=method.name,
                     cases=len(own),
                     right=sum(right),
-                    told=sum(_said(row, within) for row, good in zip(own, right, strict=True) if not good),
+                    told=sum(
+                        _said(row, within) for row, good in zip(own, right, strict=True) if not good
+                    ),
                 )
             )
     return found
 
 
 def _said(row: CaseResult, within_percent: float) -> bool:
-    """Tell whether a case's verdict or interval says that it may be off by more than a tolerance."""
+    """Tell whether a case's verdict or interval says that it may be off by more than a
+    tolerance.
+    """
     if row.status != "ok" or row.value is None or row.low95 is None or row.high95 is None:
         return row.status != "ok"
     return reach_percent(row.value, (row.low95, row.high95)) > within_percent
@@ -101,8 +109,12 @@ def _said(row: CaseResult, within_percent: float) -> bool:
 
 def main() -> None:
     """Run the study for the quantities asked for, print it and write their part of the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.studies.held_out_cases", description=__doc__)
-    parser.add_argument("quantities", nargs="*", default=list(CASES), help=f"of {', '.join(CASES)}; all")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.studies.held_out_cases", description=__doc__
+    )
+    parser.add_argument(
+        "quantities", nargs="*", default=list(CASES), help=f"of {', '.join(CASES)}; all"
+    )
     asked = parser.parse_args()
     rows: dict[str, Any] = {
         quantity: [asdict(one) for one in check_held_out_choices(quantity, cases=CASES[quantity])]

@@ -1,4 +1,6 @@
-"""Error and time of the settings of the infrared renderer, and what its automatic choice of rays reaches."""
+"""Error and time of the settings of the infrared renderer, and what its automatic choice of rays
+reaches.
+"""
 
 import json
 import re
@@ -36,7 +38,12 @@ VIEWS = {
 }
 RAYS, MORE_RAYS, REPEATS = (8, 16, 32, 64, 128, 256, 512), 1024, 4
 NETDS_MK = (10.0, 20.0, 40.0, 80.0, 160.0, 320.0)
-GROUPS, REFLECTIONS, PARTS, PASS_MK = (1, 2, 4), (0, 1, 2, 4), (1, 2, 3, 5), (2000.0, 200.0, 20.0, 2.0)
+GROUPS, REFLECTIONS, PARTS, PASS_MK = (
+    (1, 2, 4),
+    (0, 1, 2, 4),
+    (1, 2, 3, 5),
+    (2000.0, 200.0, 20.0, 2.0),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,11 +72,17 @@ class View:
         look = replace(look, rays=MORE_RAYS, mirror_rays=MORE_RAYS)
         runs = [seen(replace(look, seed=100 + number)) for number in range(REPEATS)]
         parts = [look.rows(start) for start in range(0, viewpoint.shape[0], INFRARED.rows)]
-        glossy, kelvin = (np.concatenate([getattr(part, of) for part in parts]) for of in ("glossy", "kelvin"))
+        glossy, kelvin = (
+            np.concatenate([getattr(part, of) for part in parts]) for of in ("glossy", "kelvin")
+        )
         return cls(
-            scene=scene, temperatures=temperatures, look=look, glossy=glossy, surface=np.isfinite(kelvin),
+            scene=scene,
+            temperatures=temperatures,
+            look=look,
+            glossy=glossy,
+            surface=np.isfinite(kelvin),
             exact=np.mean(runs, axis=0),
-        )  # fmt: skip
+        )
 
     def error_mk(self, radiance: Array, of: NDArray[np.bool_] | None = None) -> float:
         """Return the root mean square error of surfaces, or of some pixels, mK."""
@@ -80,7 +93,9 @@ class View:
 
 def seen(look: Any) -> Array:
     """Return the radiance of the middles of all pixels, shape (pixel, bin)."""
-    return np.concatenate([look.rows(row).radiance for row in range(0, look.viewpoint.shape[0], INFRARED.rows)])
+    return np.concatenate(
+        [look.rows(row).radiance for row in range(0, look.viewpoint.shape[0], INFRARED.rows)]
+    )
 
 
 def timed(work: Callable[[], Any]) -> tuple[Any, float]:
@@ -90,10 +105,14 @@ def timed(work: Callable[[], Any]) -> tuple[Any, float]:
 
 
 def rays_of(view: View) -> list[dict[str, float]]:
-    """Return error and time against the rays of a pixel, the same for diffuse surfaces and for glossy ones."""
+    """Return error and time against the rays of a pixel, the same for diffuse surfaces and for
+    glossy ones.
+    """
     rows = []
     for rays in RAYS:
-        radiance, seconds = timed(lambda rays=rays: seen(replace(view.look, rays=rays, mirror_rays=rays, seed=7)))
+        radiance, seconds = timed(
+            lambda rays=rays: seen(replace(view.look, rays=rays, mirror_rays=rays, seed=7))
+        )
         rows.append(
             {
                 "rays": rays,
@@ -109,14 +128,21 @@ def chosen_for(view: View, rows: list[dict[str, float]]) -> list[dict[str, Any]]
     """Return what the renderer chooses by itself for imagers of some noise, and its error."""
     band, found = view.look.air.edges_um, []
     for netd_mk in NETDS_MK:
-        with patch.object(type(view.look), "mean_radiance", lambda look, pixels: picture_centres(look, pixels)):
+        with patch.object(
+            type(view.look), "mean_radiance", lambda look, pixels: picture_centres(look, pixels)
+        ):
             picture = infrared_radiance(
-                view.temperatures, view.scene, view.look.viewpoint, band_um=(band[0], band[-1]), netd_k=1e-3 * netd_mk,
+                view.temperatures,
+                view.scene,
+                view.look.viewpoint,
+                band_um=(band[0], band[-1]),
+                netd_k=1e-3 * netd_mk,
                 seed=3,
-            )  # fmt: skip
+            )
         radiance, limit = picture.radiance.reshape(view.exact.shape), INFRARED.error_share * netd_mk
         enough = [
-            next((int(row["rays"]) for row in rows if row[of] <= limit), None) for of in ("diffuse_mk", "glossy_mk")
+            next((int(row["rays"]) for row in rows if row[of] <= limit), None)
+            for of in ("diffuse_mk", "glossy_mk")
         ]
         found.append(
             {
@@ -132,7 +158,9 @@ def chosen_for(view: View, rows: list[dict[str, float]]) -> list[dict[str, Any]]
 
 
 def picture_centres(look: Any, pixels: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the middles of pixels where a picture has means of parts, to compare with other middles, without error."""
+    """Return the middles of pixels where a picture has means of parts, to compare with other
+    middles, without error.
+    """
     row, col = np.divmod(pixels, look.viewpoint.shape[1])
     rng = np.random.default_rng([look.seed, 4, int(pixels[0])])
     even = rendering.SequenceSlice.random(len(pixels), look.rays, rng)
@@ -140,7 +168,9 @@ def picture_centres(look: Any, pixels: NDArray[np.int64]) -> tuple[Array, Array]
 
 
 def terms_of(view: View) -> list[dict[str, Any]]:
-    """Return the error and the time saved by terms left out, fewer bins, reflections and passes of neighbours."""
+    """Return the error and the time saved by terms left out, fewer bins, reflections and passes of
+    neighbours.
+    """
     few = replace(view.look, rays=256, mirror_rays=256, seed=7)
     base, base_s = timed(lambda: seen(few))
     found = []
@@ -149,18 +179,26 @@ def terms_of(view: View) -> list[dict[str, Any]]:
         change = (radiance - base).sum(axis=1)[view.surface]
         per_radiance = 1e3 * view.look.air.kelvin_per_radiance(view.look.air.temperature_k)
         rms, most = np.sqrt(np.mean(change**2)) * per_radiance, np.abs(change).max() * per_radiance
-        found.append({"setting": setting, "rms_mk": float(rms), "most_mk": float(most), "seconds": seconds})
+        found.append(
+            {"setting": setting, "rms_mk": float(rms), "most_mk": float(most), "seconds": seconds}
+        )
 
     add("all terms", base, base_s)
     for term in (AIR, MORE, SUN, BETWEEN):
-        add(f"without {term}", *timed(lambda term=term: seen(replace(few, without=frozenset({term})))))
+        add(
+            f"without {term}",
+            *timed(lambda term=term: seen(replace(few, without=frozenset({term})))),
+        )
     for count in GROUPS:
         add(f"{count} of {len(view.look.air.low_um)} bins for the air", _in_groups(few, count))
     temperatures, sky = view.temperatures, view.look.sky
     for count in REFLECTIONS:
         with patch.object(surfaces, "MOST_REFLECTIONS", count):
             of = surfaces.infrared_surfaces(temperatures, view.scene, view.look.air, sky)
-        add(f"{count} reflections between facets", *timed(lambda of=of: seen(replace(few, surfaces=of))))
+        add(
+            f"{count} reflections between facets",
+            *timed(lambda of=of: seen(replace(few, surfaces=of))),
+        )
     for tolerance_mk in PASS_MK:
         other, seconds = timed(lambda mk=tolerance_mk: temperatures_of(view.scene, tolerance_mk=mk))
         of = surfaces.infrared_surfaces(other, view.scene, view.look.air, sky)
@@ -174,8 +212,13 @@ def terms_of(view: View) -> list[dict[str, Any]]:
 
 def _in_groups(look: Any, count: int) -> Array:
     """Return the radiance with one transmittance for each of some groups of bins."""
-    bare, ground = seen(replace(look, without=frozenset({AIR}))), look.air.black_body(look.air.temperature_k)
-    range_m = np.concatenate([look.rows(row).range_m for row in range(0, look.viewpoint.shape[0], INFRARED.rows)])
+    bare, ground = (
+        seen(replace(look, without=frozenset({AIR}))),
+        look.air.black_body(look.air.temperature_k),
+    )
+    range_m = np.concatenate(
+        [look.rows(row).range_m for row in range(0, look.viewpoint.shape[0], INFRARED.rows)]
+    )
     met, out = np.isfinite(range_m), np.array(bare)
     through = look.air.transmittance(range_m[met])
     for bins in np.array_split(np.arange(len(ground)), count):
@@ -192,15 +235,27 @@ def parts_of(view: View) -> list[dict[str, float]]:
     found, exact = [], None
     for side in (9, *PARTS):
         with ExitStack() as stack:
-            stack.enter_context(patch.object(rendering, "INFRARED", replace(INFRARED, edge_parts=side)))
+            stack.enter_context(
+                patch.object(rendering, "INFRARED", replace(INFRARED, edge_parts=side))
+            )
             (radiance, told), seconds = timed(lambda: look.mean_radiance(edges))
         if exact is None:
             exact = radiance
             continue
-        per_radiance, off = look.air.kelvin_per_radiance(look.air.temperature_k), (radiance - exact).sum(axis=1)
-        rms_mk, stated_mk = (1e3 * per_radiance * float(np.sqrt(np.mean(one**2))) for one in (off, told))
+        per_radiance, off = (
+            look.air.kelvin_per_radiance(look.air.temperature_k),
+            (radiance - exact).sum(axis=1),
+        )
+        rms_mk, stated_mk = (
+            1e3 * per_radiance * float(np.sqrt(np.mean(one**2))) for one in (off, told)
+        )
         found.append(
-            {"side": side, "rms_mk": rms_mk, "stated_mk": stated_mk, "ms_per_pixel": 1e3 * seconds / len(edges)}
+            {
+                "side": side,
+                "rms_mk": rms_mk,
+                "stated_mk": stated_mk,
+                "ms_per_pixel": 1e3 * seconds / len(edges),
+            }
         )
     return found
 
@@ -213,15 +268,35 @@ def draw(results: dict[str, Any]) -> None:
     for number, (name, result) in enumerate(results.items()):
         for of, style in (("diffuse", "o-"), ("glossy", "s--")):
             rows = result["rays"]
-            settings.plot([row["ms_per_pixel"] for row in rows], [row[f"{of}_mk"] for row in rows], style,
-                          color=f"C{number}", label=f"{name}, {of}")  # fmt: skip
+            settings.plot(
+                [row["ms_per_pixel"] for row in rows],
+                [row[f"{of}_mk"] for row in rows],
+                style,
+                color=f"C{number}",
+                label=f"{name}, {of}",
+            )
             chosen = result["auto"]
-            auto.plot([row["netd_mk"] for row in chosen], [row[of] for row in chosen], style, color=f"C{number}")
-    settings.set(xscale="log", yscale="log", xlabel="processor time of a pixel, ms", ylabel="error of a pixel, mK")
+            auto.plot(
+                [row["netd_mk"] for row in chosen],
+                [row[of] for row in chosen],
+                style,
+                color=f"C{number}",
+            )
+    settings.set(
+        xscale="log",
+        yscale="log",
+        xlabel="processor time of a pixel, ms",
+        ylabel="error of a pixel, mK",
+    )
     settings.set_title(f"{', '.join(map(str, RAYS))} rays of a pixel", fontsize=9)
     settings.legend(fontsize=7)
     auto.axhline(INFRARED.error_share, color="grey", ls=":")
-    auto.set(xscale="log", xlabel="NETD of the imager, mK", ylabel="error of a pixel over the NETD", ylim=(0.0, None))
+    auto.set(
+        xscale="log",
+        xlabel="NETD of the imager, mK",
+        ylabel="error of a pixel over the NETD",
+        ylim=(0.0, None),
+    )
     auto.set_title("automatic choice of rays", fontsize=9)
     FIGURE.parent.mkdir(exist_ok=True)
     figure.savefig(FIGURE, dpi=100, pil_kwargs={"optimize": True})
@@ -232,20 +307,39 @@ def text_of(results: dict[str, Any]) -> str:
     lines = []
     for name, result in results.items():
         lines += [f"## {name[0].upper()}{name[1:]}", ""]
-        lines += ["| rays of a pixel | ms a pixel | diffuse, mK | glossy and metals, mK |", "|---|---|---|---|"]
         lines += [
-            f"| {row['rays']} | {row['ms_per_pixel']:.2g} | {row['diffuse_mk']:.3g} | {row['glossy_mk']:.3g} |"
+            "| rays of a pixel | ms a pixel | diffuse, mK | glossy and metals, mK |",
+            "|---|---|---|---|",
+        ]
+        lines += [
+            (
+                f"| {row['rays']} | {row['ms_per_pixel']:.2g} | {row['diffuse_mk']:.3g} | "
+                f"{row['glossy_mk']:.3g} |"
+            )
             for row in result["rays"]
         ]
-        lines += ["", "| NETD, mK | rays chosen | fewest that suffice | error over NETD: diffuse | glossy | flagged |"]
+        lines += [
+            "",
+            (
+                "| NETD, mK | rays chosen | fewest that suffice | error over NETD: diffuse | "
+                "glossy | flagged |"
+            ),
+        ]
         lines += ["|---|---|---|---|---|---|"]
         for row in result["auto"]:
-            chosen, least = (" / ".join("none" if n is None else str(n) for n in row[k]) for k in ("rays", "cheapest"))
-            lines.append(
-                f"| {row['netd_mk']:g} | {chosen} | {least} | {row['diffuse']:.2f} | {row['glossy']:.2f} | "
-                f"{'yes' if row['flagged'] else 'no'} |"
+            chosen, least = (
+                " / ".join("none" if n is None else str(n) for n in row[k])
+                for k in ("rays", "cheapest")
             )
-        lines += ["", "| setting | changes by, mK rms | at most, mK | processor time, s |", "|---|---|---|---|"]
+            lines.append(
+                f"| {row['netd_mk']:g} | {chosen} | {least} | {row['diffuse']:.2f} | "
+                f"{row['glossy']:.2f} | {'yes' if row['flagged'] else 'no'} |"
+            )
+        lines += [
+            "",
+            "| setting | changes by, mK rms | at most, mK | processor time, s |",
+            "|---|---|---|---|",
+        ]
         lines += [
             f"| {row['setting']} | {row['rms_mk']:.3g} | {row['most_mk']:.3g} | "
             f"{'–' if row['seconds'] is None else format(row['seconds'], '.2g')} |"
@@ -269,7 +363,9 @@ def write_block(name: str, body: str) -> None:
     """Replace what stands between two markers of the page."""
     begin, end = f"<!-- {name} -->", f"<!-- end {name} -->"
     text = PAGE.read_text()
-    PAGE.write_text(re.sub(f"{begin}.*{end}", lambda _: f"{begin}\n\n{body}\n\n{end}", text, flags=re.S))
+    PAGE.write_text(
+        re.sub(f"{begin}.*{end}", lambda _: f"{begin}\n\n{body}\n\n{end}", text, flags=re.S)
+    )
 
 
 def main() -> None:
@@ -278,7 +374,12 @@ def main() -> None:
     for name, which in VIEWS.items():
         view = View.of(*which)
         rows = rays_of(view)
-        results[name] = {"rays": rows, "auto": chosen_for(view, rows), "terms": terms_of(view), "parts": parts_of(view)}
+        results[name] = {
+            "rays": rows,
+            "auto": chosen_for(view, rows),
+            "terms": terms_of(view),
+            "parts": parts_of(view),
+        }
     draw(results)
     print(text_of(results))
     write_block("settings", text_of(results))

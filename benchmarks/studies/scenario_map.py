@@ -1,4 +1,6 @@
-"""Maps of where a method breaks: thousands of random cells, what became of each, and what they say together."""
+"""Maps of where a method breaks: thousands of random cells, what became of each, and what they say
+together.
+"""
 
 import argparse
 import json
@@ -28,7 +30,8 @@ SCENE, NOISE = 11, 12
 
 
 Scene = TypeVar("Scene")
-# What breaks a method: from where it hardly matters to where nothing is left, and whether steps are even in ln.
+# What breaks a method: from where it hardly matters to where nothing is left, and whether steps are
+# even in ln.
 Breaking = Mapping[str, tuple[float, float, bool]]
 
 
@@ -41,7 +44,8 @@ class Scenario(Generic[Scene]):
     number
         Seed of the cell.
     axis, strength
-        What breaks the scene and by how much, in the unit of its name; "none" and 0 inside the scope.
+        What breaks the scene and by how much, in the unit of its name; "none" and 0 inside the
+        scope.
     scene
         What is drawn.
     """
@@ -80,7 +84,9 @@ def draw_scenario(
     low, high, even_in_ln = breaking[axis]
     share = rng.random()
     strength = float(low * (high / low) ** share if even_in_ln else low + (high - low) * share)
-    return Scenario(number=number, axis=axis, strength=strength, scene=broken(scene, axis, strength))
+    return Scenario(
+        number=number, axis=axis, strength=strength, scene=broken(scene, axis, strength)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,13 +100,15 @@ class ScenarioOutcome:
     ok, suspect, refused, crashed
         Repeats by status.
     silent, missed
-        Repeats that are ok with the truth beyond twice the 95 % half interval, and outside the 95 % interval.
+        Repeats that are ok with the truth beyond twice the 95 % half interval, and outside the 95 %
+        interval.
     truth
         What should be found.
     worst_percent
         Largest error of an ok number, % of the truth; None: there is none.
     sd_percent
-        Median over the ok numbers of a quarter of the 95 % interval's width over 0.98, % of the truth.
+        Median over the ok numbers of a quarter of the 95 % interval's width over 0.98, % of the
+        truth.
     bound_percent
         Least standard deviation by Cramer and Rao, % of the truth; None: not asked.
     seconds
@@ -169,7 +177,9 @@ def seed_of(cell: Scenario[Any], repeat: int) -> int:
 
 
 def draw_case(cell: Scenario[Any], repeat: int, **given: Any) -> Case:
-    """Return one drawing of a cell as a case; `given` are its other fields, see `charact.study.harness.Case`."""
+    """Return one drawing of a cell as a case; `given` are its other fields, see
+    `charact.study.harness.Case`.
+    """
     return Case(
         name=f"cell {cell.number}, drawing {repeat}",
         axis=cell.axis,
@@ -188,7 +198,9 @@ def covers(row: CaseResult, truths: tuple[float, float]) -> bool:
 
 
 def silent(row: CaseResult, truths: tuple[float, float]) -> bool:
-    """Tell whether an ok number is off by more than twice its 95 % half interval on the side of the right value."""
+    """Tell whether an ok number is off by more than twice its 95 % half interval on the side of the
+    right value.
+    """
     value, (low, high) = row.value or 0.0, _interval(row)
     off = float(np.clip(value, *truths)) - value
     return abs(off) > 2.0 * ((high - value) if off > 0 else (value - low))
@@ -212,20 +224,34 @@ class Measure(Protocol[OfOut]):
 class MeasureBy(Protocol):
     """Measures one cell of a map by a method."""
 
-    def __call__(self, number: int, /, *, repeats: int, quick: bool, method: str) -> ScenarioOutcome: ...
+    def __call__(
+        self, number: int, /, *, repeats: int, quick: bool, method: str
+    ) -> ScenarioOutcome: ...
 
 
 def measure_scenarios(
-    measure: Measure[Of], cells: Sequence[int], *, repeats: int, quick: bool = True, workers: int | None = None
+    measure: Measure[Of],
+    cells: Sequence[int],
+    *,
+    repeats: int,
+    quick: bool = True,
+    workers: int | None = None,
 ) -> list[Of]:
-    """Measure cells, on all cores unless told otherwise; the function must be one that a module holds."""
-    with one_thread_each(), ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn")) as pool:
+    """Measure cells, on all cores unless told otherwise; the function must be one that a module
+    holds.
+    """
+    with (
+        one_thread_each(),
+        ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn")) as pool,
+    ):
         asked: Callable[[int], Of] = partial(measure, repeats=repeats, quick=quick)
         return list(pool.map(asked, cells, chunksize=4))
 
 
 def summarise_outcomes(outcomes: Sequence[ScenarioOutcome]) -> dict[str, Any]:
-    """Return the figures of a map: silent failures, misses, share ok in scope, width against the bound."""
+    """Return the figures of a map: silent failures, misses, share ok in scope, width against the
+    bound.
+    """
     inside = [one for one in outcomes if one.axis == "none"]
     drawn = sum(_draws(one) for one in inside)
     ok, missed = sum(one.ok for one in outcomes), sum(one.missed for one in outcomes)
@@ -242,7 +268,9 @@ def summarise_outcomes(outcomes: Sequence[ScenarioOutcome]) -> dict[str, Any]:
         "silent_in_scope": sum(one.silent for one in inside),
         "silent_of_honest_gaussian": ok * 8.9e-5,
         "missed_percent": 100.0 * share,
-        "missed_standard_errors_over_5_percent": float((share - 0.05) / np.sqrt(0.05 * 0.95 / max(ok, 1))),
+        "missed_standard_errors_over_5_percent": float(
+            (share - 0.05) / np.sqrt(0.05 * 0.95 / max(ok, 1))
+        ),
         "in_scope_ok_percent": 100.0 * sum(one.ok for one in inside) / max(drawn, 1),
         "median_sd_over_bound": float(np.median(ratios)) if ratios.size else None,
         "cells_with_bound": len(bounded),
@@ -261,12 +289,20 @@ def _by_axis(own: Sequence[ScenarioOutcome]) -> dict[str, int]:
 
 
 def worst(outcomes: Sequence[ScenarioOutcome], count: int = 10) -> list[ScenarioOutcome]:
-    """Return the cells with the most silent failures, then misses, then the largest error of an ok number."""
-    return sorted(outcomes, key=lambda one: (-one.silent, -one.missed, -(one.worst_percent or 0.0)))[:count]
+    """Return the cells with the most silent failures, then misses, then the largest error of an ok
+    number.
+    """
+    return sorted(
+        outcomes, key=lambda one: (-one.silent, -one.missed, -(one.worst_percent or 0.0))
+    )[:count]
 
 
 def write_table(
-    outcomes: Sequence[ScenarioOutcome], chained: Sequence[ScenarioOutcome], path: Path, *, method: str
+    outcomes: Sequence[ScenarioOutcome],
+    chained: Sequence[ScenarioOutcome],
+    path: Path,
+    *,
+    method: str,
 ) -> Path:
     """Write a table: a row for each cell, and what it says as a whole."""
     names = [one.name for one in fields(outcomes[0])]
@@ -317,7 +353,9 @@ def make_map(
     parser.add_argument("--cells", type=int, default=cells, help="number of cells")
     parser.add_argument("--first", type=int, default=first, help="number of the first cell")
     parser.add_argument("--repeats", type=int, default=repeats, help="drawings of each")
-    parser.add_argument("--method", default=method, choices=sorted(methods_of_kind(kind)), help="name of a method")
+    parser.add_argument(
+        "--method", default=method, choices=sorted(methods_of_kind(kind)), help="name of a method"
+    )
     parser.add_argument("--out", type=Path, default=table, help="table to write")
     asked = parser.parse_args()
     if min(asked.cells, asked.repeats) < 1:
@@ -339,7 +377,8 @@ def make_map(
 Rows = Sequence[Mapping[str, Any]]
 
 BINS = 9
-# What a drawing may come to, from the floor of a panel to its top, in colours that differ in lightness too.
+# What a drawing may come to, from the floor of a panel to its top, in colours that differ in
+# lightness too.
 FATES = (
     ("ok, interval holds", "#0072b2"),
     ("ok, interval misses", "#e69f00"),
@@ -370,7 +409,8 @@ def plot_map(
     breaking, labels
         What breaks the cells, and the label of each of its axes.
     scope
-        Along what the cells inside the scope are laid out: its label, and the place of a cell by its number.
+        Along what the cells inside the scope are laid out: its label, and the place of a cell by
+        its number.
     columns
         Panels side by side.
     last
@@ -379,16 +419,30 @@ def plot_map(
     part = found["quick"]
     cells = [dict(zip(part["columns"], row, strict=True)) for row in part["rows"]]
     rows = -(-(len(breaking) + 2 + (last is not None)) // columns)
-    figure, grid = _pyplot().subplots(rows, columns, figsize=(2.8 * columns, 2.6 * rows), layout="constrained")
+    figure, grid = _pyplot().subplots(
+        rows, columns, figsize=(2.8 * columns, 2.6 * rows), layout="constrained"
+    )
     panels = iter(grid.flat)
     inside = [cell for cell in cells if cell["axis"] == "none"]
     label, place = scope
-    _draw_fates(next(panels), inside, [place(cell["number"]) for cell in inside], log=True, label=label,
-                title="inside the scope")  # fmt: skip
+    _draw_fates(
+        next(panels),
+        inside,
+        [place(cell["number"]) for cell in inside],
+        log=True,
+        label=label,
+        title="inside the scope",
+    )
     for axis, (_, _, log) in breaking.items():
         own = [cell for cell in cells if cell["axis"] == axis]
-        _draw_fates(next(panels), own, [cell["strength"] for cell in own], log=log, label=labels[axis],
-                    title=re.sub("_(cy_per_px|px|dn)$", "", axis).replace("_", " "))  # fmt: skip
+        _draw_fates(
+            next(panels),
+            own,
+            [cell["strength"] for cell in own],
+            log=log,
+            label=labels[axis],
+            title=re.sub("_(cy_per_px|px|dn)$", "", axis).replace("_", " "),
+        )
     if last is not None:
         last(next(panels), inside)
     for spare in panels:
@@ -397,7 +451,9 @@ def plot_map(
         panel.set_ylabel("share of the drawings (1)")
     handles, names = grid[0, 0].get_legend_handles_labels()
     nothing = _pyplot().Rectangle((0, 0), 1, 1, facecolor="white", edgecolor="#b8b8b8")
-    grid[-1, -1].legend([*handles, nothing], [*names, "no cell drawn here"], loc="center", frameon=False)
+    grid[-1, -1].legend(
+        [*handles, nothing], [*names, "no cell drawn here"], loc="center", frameon=False
+    )
     figure.suptitle(_title(found), fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=100)
@@ -408,12 +464,15 @@ def plot_map(
 def _title(found: Mapping[str, Any]) -> str:
     summary = found["quick"]["summary"]
     return (
-        f"{found['method']}, quick: {summary['cells']} cells, {summary['draws']} drawings, {summary['ok']} ok, "
-        f"{summary['silent']} silent failures; in scope {summary['in_scope_ok_percent']:.1f} % ok"
+        f"{found['method']}, quick: {summary['cells']} cells, {summary['draws']} drawings, "
+        f"{summary['ok']} ok, {summary['silent']} silent failures; in scope "
+        f"{summary['in_scope_ok_percent']:.1f} % ok"
     )
 
 
-def _draw_fates(panel: Any, cells: Rows, at: Sequence[float], *, log: bool, label: str, title: str) -> None:
+def _draw_fates(
+    panel: Any, cells: Rows, at: Sequence[float], *, log: bool, label: str, title: str
+) -> None:
     """Stack the shares of what became of the drawings over one axis."""
     place = np.asarray(at, float)
     low, high = (place.min(), place.max()) if place.size else (0.1, 1.0)
@@ -424,9 +483,19 @@ def _draw_fates(panel: Any, cells: Rows, at: Sequence[float], *, log: bool, labe
     shares = totals / np.maximum(totals.sum(axis=1, keepdims=True), 1.0)
     floor = np.zeros(BINS)
     for (name, colour), share in zip(FATES, shares.T, strict=True):
-        panel.bar(borders[:-1], share, np.diff(borders), bottom=floor, align="edge", color=colour, label=name)
+        panel.bar(
+            borders[:-1],
+            share,
+            np.diff(borders),
+            bottom=floor,
+            align="edge",
+            color=colour,
+            label=name,
+        )
         floor = floor + share
-    panel.set(xlim=(low, high), ylim=(0, 1), xlabel=label, title=title, xscale="log" if log else "linear")
+    panel.set(
+        xlim=(low, high), ylim=(0, 1), xlabel=label, title=title, xscale="log" if log else "linear"
+    )
     if log:
         plain_numbers(panel.xaxis, subs=_subs(high / low))
     panel.grid(visible=False)
@@ -441,4 +510,10 @@ def _subs(span: float) -> tuple[float, ...]:
 
 def _fates(cell: Mapping[str, Any]) -> tuple[int, ...]:
     missed = cell["missed"] - cell["silent"]
-    return cell["ok"] - cell["missed"], missed, cell["silent"], cell["suspect"], cell["refused"] + cell["crashed"]
+    return (
+        cell["ok"] - cell["missed"],
+        missed,
+        cell["silent"],
+        cell["suspect"],
+        cell["refused"] + cell["crashed"],
+    )

@@ -1,9 +1,9 @@
 """Where noise spectra break: a thousand random cameras, half of them with one thing wrong.
 
-`make study NAME=spectrum-map` writes the table. A cell is a dark and flats whose pulses fall in continuous space
-before a camera
-that blurs after its gain: blur, light, noise, frames, levels; what breaks it goes from too little to matter to far too
-much.
+`make study NAME=spectrum-map` writes the table. A cell is a dark and flats whose pulses fall in
+continuous space before a camera
+that blurs after its gain: blur, light, noise, frames, levels; what breaks it goes from too little
+to matter to far too much.
 """
 
 import json
@@ -16,7 +16,14 @@ import numpy as np
 
 import charact.mtf  # noqa: F401  # registers the methods
 from benchmarks.studies import scenario_map
-from benchmarks.studies.scenario_map import Breaking, Scenario, ScenarioOutcome, draw_case, draw_scenario, outcome_of
+from benchmarks.studies.scenario_map import (
+    Breaking,
+    Scenario,
+    ScenarioOutcome,
+    draw_case,
+    draw_scenario,
+    outcome_of,
+)
 from charact.method import Context
 from charact.method.registry import methods_of_kind
 from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
@@ -25,9 +32,11 @@ from charact.study.harness import Case, attempt
 TABLE = Path(__file__).with_name("tables") / "spectrum_map.json"
 METHOD, QUANTITY = "noise-spectrum", "post_gain_mtf50"
 CELLS, REPEATS = 1000, 1
-# How forms are weighed, and what is flagged, was set looking at cells 0 to 999: nothing was on these.
+# How forms are weighed, and what is flagged, was set looking at cells 0 to 999: nothing was on
+# these.
 FIRST = 1000
-# What breaks noise spectra, from where it hardly matters to where nothing is left, and whether steps are even in ln.
+# What breaks noise spectra, from where it hardly matters to where nothing is left, and whether
+# steps are even in ln.
 BREAKING: Breaking = {
     "photoelectrons": (0.003, 0.3, True),
     "bright_photoelectrons": (10.0, 200.0, True),
@@ -91,10 +100,16 @@ def _broken(scene: ScintillatingFlats, axis: str, strength: float) -> Scintillat
     top = scene.full_scale_dn - scene.black_dn
     changed: dict[str, Any] = {
         "photoelectrons": {"photoelectrons": _levels(strength, levels)},
-        "bright_photoelectrons": {"photoelectrons": _levels(strength, levels), "gain_dn": 0.4 * top / strength},
+        "bright_photoelectrons": {
+            "photoelectrons": _levels(strength, levels),
+            "gain_dn": 0.4 * top / strength,
+        },
         "read_noise_dn": {"read_noise_dn": strength, "black_dn": 60.0 + 5.0 * strength},
         "codes": {
-            "gain_dn": strength, "read_noise_dn": 0.1 * strength, "electron_gain_dn": 0.0, "black_dn": 12.0,
+            "gain_dn": strength,
+            "read_noise_dn": 0.1 * strength,
+            "electron_gain_dn": 0.0,
+            "black_dn": 12.0,
             "full_scale_dn": 255.0,
         },
         "wide_cy_per_px": {"half_frequency_cy_per_px": strength},
@@ -107,7 +122,7 @@ def _broken(scene: ScintillatingFlats, axis: str, strength: float) -> Scintillat
         "frames": {"frames": round(strength)},
         "lag_between_fields": {"lag": strength, "interlaced": True, "rows": 2 * scene.rows},
         "saturation": {"gain_dn": strength * top / max(scene.photoelectrons)},
-    }.get(axis, {axis: strength})  # fmt: skip
+    }.get(axis, {axis: strength})
     return replace(scene, **changed)
 
 
@@ -127,7 +142,8 @@ def measure_scenario(
 def truths_of(scene: ScintillatingFlats) -> tuple[float, float]:
     """Return the least and the largest MTF50 that are right, cy/px.
 
-    Of light scattered after the gain all, a part, or none may be counted: the method says how much would not show.
+    Of light scattered after the gain all, a part, or none may be counted: the method says how much
+    would not show.
     """
     return scene.mtf50(), replace(scene, halo_fraction=0.0).mtf50()
 
@@ -192,8 +208,13 @@ LABELS = {
 
 def plot_map(found: Mapping[str, Any], path: Path) -> Path:
     """Draw the table of `benchmarks.studies.spectrum_map`; returns the path of the PNG."""
-    scope = ("half frequency after the gain (cy/px)", lambda number: cell_of(number).scene.half_frequency_cy_per_px)
-    return scenario_map.plot_map(found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=7)
+    scope = (
+        "half frequency after the gain (cy/px)",
+        lambda number: cell_of(number).scene.half_frequency_cy_per_px,
+    )
+    return scenario_map.plot_map(
+        found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=7
+    )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
-"""Bar targets that others make: `python -m benchmarks.studies.strangers_bars` draws 200 and prints one table.
+"""Bar targets that others make: `python -m benchmarks.studies.strangers_bars` draws 200 and prints
+one table.
 
-Three to fifteen bars, bright or dark, five times as long as wide or in square patches, under blurs of GalSim (Gaussian,
-two Gaussians, Airy, Moffat) through a square pixel, with the photon and read noise of an ordinary camera. The picture
-is the bars' exact spectrum times the blur's and the pixel's, its aliases summed.
+Three to fifteen bars, bright or dark, five times as long as wide or in square patches, under blurs
+of GalSim (Gaussian, two Gaussians, Airy, Moffat) through a square pixel, with the photon and read
+noise of an ordinary camera. The picture is the bars' exact spectrum times the blur's and the
+pixel's, its aliases summed.
 """
 
 import argparse
@@ -39,7 +41,8 @@ class Stranger:
     form, psf
         Name of the blur, and the blur; lengths in px.
     bars, frequency, square
-        Number, cycles per pixel, and whether they are as long as the patch is wide: else five times their width.
+        Number, cycles per pixel, and whether they are as long as the patch is wide: else five times
+        their width.
     dark
         Whether they are darker than their ground.
     angle_deg
@@ -97,21 +100,34 @@ class Stranger:
         transfer = np.array([self.psf.kValue(2.0 * np.pi * one, 0.0).real for one in at])
         angle, width = np.deg2rad(self.angle_deg), 0.5 / self.frequency
         places = (np.arange(self.bars) - 0.5 * (self.bars - 1)) / self.frequency
-        row, col = (0.5 * (side - 1) + off for side, off in zip(self.shape, self.middle_px, strict=True))
+        row, col = (
+            0.5 * (side - 1) + off for side, off in zip(self.shape, self.middle_px, strict=True)
+        )
         spectrum = np.zeros((rows, cols // 2 + 1), complex)
         for up in range(-ALIASES, ALIASES + 1):
             for right in range(-ALIASES, ALIASES + 1):
                 fy = np.fft.fftfreq(rows)[:, None] + up
                 fx = np.fft.rfftfreq(cols)[None, :] + right
-                across, along = fx * np.cos(angle) + fy * np.sin(angle), fy * np.cos(angle) - fx * np.sin(angle)
+                across, along = (
+                    fx * np.cos(angle) + fy * np.sin(angle),
+                    fy * np.cos(angle) - fx * np.sin(angle),
+                )
                 comb = sum(np.cos(2.0 * np.pi * place * across) for place in places)
-                bars = width * np.sinc(width * across) * comb * self.length_px * np.sinc(self.length_px * along)
+                bars = (
+                    width
+                    * np.sinc(width * across)
+                    * comb
+                    * self.length_px
+                    * np.sinc(self.length_px * along)
+                )
                 seen = np.interp(np.hypot(fx, fy), at, transfer) * np.sinc(fx) * np.sinc(fy)
                 spectrum += bars * seen * np.exp(-2j * np.pi * (fy * row + fx * col))
         return np.asarray(irfft2(spectrum, (rows, cols)))[: self.shape[0], : self.shape[1]]
 
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
-        """Draw the frames: Poisson electrons, read noise, whole codes over a black that nobody states."""
+        """Draw the frames: Poisson electrons, read noise, whole codes over a black that nobody
+        states.
+        """
         share = self.picture()
         light = np.maximum(1.0 - share if self.dark else share, 0.0)
         mean_e = self.bright_e * (self.contrast + (1.0 - self.contrast) * light)
@@ -152,7 +168,9 @@ def drawn(rng: np.random.Generator) -> Stranger:
             frequency=float(np.exp(rng.uniform(np.log(0.02), np.log(0.4)))),
             square=bool(rng.random() < 0.5),
             dark=bool(rng.random() < 0.5),
-            angle_deg=float(rng.choice([0.0, 90.0]) + rng.uniform(0.0, 30.0) * rng.choice([-1.0, 0.0, 1.0])),
+            angle_deg=float(
+                rng.choice([0.0, 90.0]) + rng.uniform(0.0, 30.0) * rng.choice([-1.0, 0.0, 1.0])
+            ),
             middle_px=(float(rng.uniform(-3, 3)), float(rng.uniform(-3, 3))),
             bright_e=bright_e,
             contrast=float(rng.uniform(0.02, 0.4)),
@@ -167,7 +185,9 @@ def drawn(rng: np.random.Generator) -> Stranger:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of one target: how it was judged, and the number in half widths of its 95 % interval off."""
+    """What became of one target: how it was judged, and the number in half widths of its 95 %
+    interval off.
+    """
 
     stranger: Stranger
     status: str
@@ -183,7 +203,9 @@ class Outcome:
 
 
 def outcome(number: int, seed: int, said: str) -> Outcome:
-    """Draw and measure one target of which a region, nothing at all, or number and frequency are stated."""
+    """Draw and measure one target of which a region, nothing at all, or number and frequency are
+    stated.
+    """
     rng = np.random.default_rng([seed, number])
     one = drawn(rng)
     stack = one.frames_drawn(rng)
@@ -198,17 +220,30 @@ def outcome(number: int, seed: int, said: str) -> Outcome:
 
 
 def _judged(one: Stranger, found: Measurement, count: int) -> Outcome:
-    """Hold a number against the truth; several targets in a frame of one, or another frequency, are a wrong number."""
+    """Hold a number against the truth; several targets in a frame of one, or another frequency, are
+    a wrong number.
+    """
     off, error = np.nan, np.nan
-    if found.value is not None and found.interval95 is not None and found.frequency_cy_per_px is not None:
+    if (
+        found.value is not None
+        and found.interval95 is not None
+        and found.frequency_cy_per_px is not None
+    ):
         truth = one.mtf(one.frequency)
         low, high = found.interval95
         error = found.value / truth - 1.0
-        off = (found.value - truth) / (found.value - low if found.value > truth else high - found.value)
+        off = (found.value - truth) / (
+            found.value - low if found.value > truth else high - found.value
+        )
         if count > 1 or abs(found.frequency_cy_per_px / one.frequency - 1.0) > 0.02:
             off = np.inf
     return Outcome(
-        stranger=one, status=found.status, flags=found.flags, off=abs(off), error=error, seconds=found.seconds or 0.0
+        stranger=one,
+        status=found.status,
+        flags=found.flags,
+        off=abs(off),
+        error=error,
+        seconds=found.seconds or 0.0,
     )
 
 
@@ -234,11 +269,27 @@ ROWS: dict[str, Callable[[Stranger], bool]] = {
 
 def table(outcomes: Sequence[Outcome]) -> list[str]:
     """Return the lines of the table."""
-    lines = [f"{'':18}{'drawn':>6}{'ok':>6}{'suspect':>9}{'refused':>9}{'95 % hold':>11}{'silent':>8}{'rms %':>8}"]
+    lines = [
+        " " * 18
+        + "".join(
+            f"{title:>{width}}"
+            for title, width in (
+                ("drawn", 6),
+                ("ok", 6),
+                ("suspect", 9),
+                ("refused", 9),
+                ("95 % hold", 11),
+                ("silent", 8),
+                ("rms %", 8),
+            )
+        )
+    ]
     for name, chosen in ROWS.items():
         own = [one for one in outcomes if chosen(one.stranger)]
         ok = [one for one in own if one.status == "ok"]
-        counts = [sum(one.status == status for one in own) for status in ("ok", "suspect", "refused")]
+        counts = [
+            sum(one.status == status for one in own) for status in ("ok", "suspect", "refused")
+        ]
         held = 100.0 * np.mean([one.off <= 1.0 for one in ok]) if ok else np.nan
         rms = 100.0 * np.sqrt(np.mean([one.error**2 for one in ok])) if ok else np.nan
         lines.append(
@@ -256,8 +307,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--said", choices=("roi", "file", "all"), default="roi", help="what is said of each target")
-    parser.add_argument("--list", action="store_true", help="print each target that is not ok, or misses")
+    parser.add_argument(
+        "--said", choices=("roi", "file", "all"), default="roi", help="what is said of each target"
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="print each target that is not ok, or misses"
+    )
     asked = parser.parse_args()
     outcomes = []
     for number in range(asked.count):
@@ -265,10 +320,11 @@ def main() -> None:
         if asked.list and (one.status != "ok" or one.off > 1.0):
             s = one.stranger
             print(
-                f"{number:4d} {one.status:8} {one.off:6.2f} {100 * one.error:7.2f}% {s.form:13} N {s.bars:2d} "
-                f"f {s.frequency:.3f} {'dark' if s.dark else 'bright':6} {'square' if s.square else '5:1':6} "
-                f"{s.angle_deg:6.1f} deg, MTF {s.mtf(s.frequency):.3f}, {s.frames} frames of {s.bits} bits, "
-                f"{s.bright_e:.0f} e: {', '.join(one.flags)}",
+                f"{number:4d} {one.status:8} {one.off:6.2f} {100 * one.error:7.2f}% {s.form:13} N "
+                f"{s.bars:2d} f {s.frequency:.3f} {'dark' if s.dark else 'bright':6} "
+                f"{'square' if s.square else '5:1':6} {s.angle_deg:6.1f} deg, MTF "
+                f"{s.mtf(s.frequency):.3f}, {s.frames} frames of {s.bits} bits, {s.bright_e:.0f} "
+                f"e: {', '.join(one.flags)}",
                 flush=True,
             )
     print("\n".join(table(outcomes)))

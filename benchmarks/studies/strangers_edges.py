@@ -1,9 +1,11 @@
-"""Edges that GalSim and prysm draw, measured by `auto`: how many are ok, how well intervals hold, what fails silently.
+"""Edges that GalSim and prysm draw, measured by `auto`: how many are ok, how well intervals hold,
+what fails silently.
 
-`python -m benchmarks.studies.strangers_edges [SEED] [COUNT]` prints one table. The transfer functions are those of
-other people's optics packages, the edge spreads their transform with a square pixel, exact for any direction; frames
-hold photon and read noise of ordinary cameras and whole codes. The truth is the frequency along the edge's normal at
-which the modulus of the same transfer times pixel falls to one half.
+`python -m benchmarks.studies.strangers_edges [SEED] [COUNT]` prints one table. The transfer
+functions are those of other people's optics packages, the edge spreads their transform with a
+square pixel, exact for any direction; frames hold photon and read noise of ordinary cameras and
+whole codes. The truth is the frequency along the edge's normal at which the modulus of the same
+transfer times pixel falls to one half.
 """
 
 import sys
@@ -53,7 +55,9 @@ class Drawn:
 
 
 def optics_of(form: str, rng: np.random.Generator) -> Transfer:
-    """Return a drawn transfer function of a form, cy/px, its half frequency not yet set (scale-free)."""
+    """Return a drawn transfer function of a form, cy/px, its half frequency not yet set
+    (scale-free).
+    """
     import galsim
 
     if form == "defocus":
@@ -103,7 +107,9 @@ def with_pixel(transfer: Transfer, angle_rad: float) -> Transfer:
 
 
 def spread_of(transfer: Transfer, distance: Array) -> Array:
-    """Return the edge spread from 0 to 1 at distances: 1/2 + int M sin(2 pi f d)/(pi f) df, by one transform."""
+    """Return the edge spread from 0 to 1 at distances: 1/2 + int M sin(2 pi f d)/(pi f) df, by one
+    transform.
+    """
     size = PER_PX * PERIOD_PX
     frequency = np.fft.rfftfreq(size, 1.0 / PER_PX)
     weight = np.zeros(frequency.size, complex)
@@ -130,13 +136,17 @@ def drawn_edge(form: str, rng: np.random.Generator, *, sharpened: bool = False) 
     dark = rng.uniform(0.03, 0.9 - step)
     frames = int(rng.choice([1, 1, 1, 4, 16]))
     electrons = (dark + step * spread) * full_well_e
-    signal = rng.poisson(electrons, (frames, rows, cols)) + rng.normal(0.0, rng.uniform(2.0, 8.0), (frames, rows, cols))
+    signal = rng.poisson(electrons, (frames, rows, cols)) + rng.normal(
+        0.0, rng.uniform(2.0, 8.0), (frames, rows, cols)
+    )
     codes = signal * (0.96 * top / full_well_e) + rng.uniform(0.0, 0.03) * top
     if sharpened:
         codes = _unsharp(codes, rng.uniform(0.8, 2.0), rng.uniform(0.3, 1.5))
     kind = np.uint8 if bits == 8 else np.uint16
     stack = FrameStack(data=np.clip(np.rint(codes), 0, top).astype(kind))
-    return Drawn(form=form, angle_deg=float(np.rad2deg(angle)), mtf50=half_frequency_of(seen), stack=stack)
+    return Drawn(
+        form=form, angle_deg=float(np.rad2deg(angle)), mtf50=half_frequency_of(seen), stack=stack
+    )
 
 
 def _unsharp(codes: Array, radius_px: float, amount: float) -> Array:
@@ -180,7 +190,9 @@ class Row:
             return np.nan
         low, high = self.found.interval95
         away = self.drawn.mtf50 - self.found.value
-        return abs(away) / max(high - self.found.value if away > 0 else self.found.value - low, 1e-12)
+        return abs(away) / max(
+            high - self.found.value if away > 0 else self.found.value - low, 1e-12
+        )
 
 
 def measured(edges: Iterator[Drawn], *, quick: bool = True) -> list[Row]:
@@ -208,21 +220,25 @@ def line_of(name: str, rows: list[Row]) -> str:
     told = " ".join(f"{flag}:{number}" for flag, number in flags.most_common() if number)
     middle = (np.median(errors), np.median(widths)) if ok else (np.nan, np.nan)
     return (
-        f"{name:14s} {len(rows):4d} {100 * len(ok) / len(rows):5.1f} {100 * held / max(len(ok), 1):6.1f} {silent:6d} "
-        f"{100 * middle[0]:7.2f} {100 * middle[1]:7.2f}  {told}"
+        f"{name:14s} {len(rows):4d} {100 * len(ok) / len(rows):5.1f} "
+        f"{100 * held / max(len(ok), 1):6.1f} {silent:6d} {100 * middle[0]:7.2f} "
+        f"{100 * middle[1]:7.2f}  {told}"
     )
 
 
 def table_of(rows: list[Row], sharpened: list[Row]) -> str:
     """Return the table as text."""
     head = (
-        f"{'edges of':14s} {'all':>4s} {'ok %':>5s} {'held %':>6s} {'silent':>6s} {'error %':>7s} {'half %':>7s}  flags"
+        f"{'edges of':14s} {'all':>4s} {'ok %':>5s} {'held %':>6s} {'silent':>6s} "
+        f"{'error %':>7s} {'half %':>7s}  flags"
     )
     by_form = {form: [one for one in rows if one.drawn.form == form] for form in FORMS}
     lines = [line_of(form, of_form) for form, of_form in by_form.items() if of_form]
     at_45 = [one for one in rows if abs(one.drawn.angle_deg % 90.0 - 45.0) < 1e-9]
     groups = {"all": rows, "at 45 or 135": at_45, "sharpened": sharpened}
-    return "\n".join([head, *lines, *(line_of(name, of_group) for name, of_group in groups.items() if of_group)])
+    return "\n".join(
+        [head, *lines, *(line_of(name, of_group) for name, of_group in groups.items() if of_group)]
+    )
 
 
 def main() -> None:
@@ -235,8 +251,9 @@ def main() -> None:
     for one in rows:
         if one.ok and one.halves > 1.5:
             print(
-                f"{one.drawn.form} {one.drawn.angle_deg:.1f} deg, {one.drawn.stack.shape}: {one.found.value:.4f} for "
-                f"{one.drawn.mtf50:.4f} cy/px, {one.halves:.1f} half intervals"
+                f"{one.drawn.form} {one.drawn.angle_deg:.1f} deg, {one.drawn.stack.shape}: "
+                f"{one.found.value:.4f} for {one.drawn.mtf50:.4f} cy/px, {one.halves:.1f} half "
+                "intervals"
             )
 
 

@@ -1,7 +1,9 @@
-"""Halo diameters of point series whose light is drawn by plain numpy, by no form that a method fits.
+"""Halo diameters of point series whose light is drawn by plain numpy, by no form that a method
+fits.
 
-A flat or rimmed disc is blurred by a core with or without wings and sampled by pixels, in five to eight levels of up to
-3,000 times the light that fills the core: `python -m benchmarks.studies.strangers_halos [--seed N] [--count N]`.
+A flat or rimmed disc is blurred by a core with or without wings and sampled by pixels, in five to
+eight levels of up to 3,000 times the light that fills the core: `python -m
+benchmarks.studies.strangers_halos [--seed N] [--count N]`.
 """
 
 import argparse
@@ -42,7 +44,8 @@ class Halo:
     rim, rise
         Where the disc is brighter (`RIMS`), and its radiance there over that of its middle.
     core_px, wing, wing_fraction, wing_px
-        Standard deviation of the core; kind of its wings (`WINGS`), their fraction of the core's light and their scale.
+        Standard deviation of the core; kind of its wings (`WINGS`), their fraction of the core's
+        light and their scale.
     integrated
         Whether pixels integrate over their area; otherwise the core's width includes the pixel.
     side_px, row, col
@@ -84,8 +87,12 @@ def halo_of(rng: np.random.Generator) -> Halo:
     rim = str(rng.choice(RIMS, p=[0.5, 0.5 / 3, 0.5 / 3, 0.5 / 3]))
     wing = str(rng.choice(WINGS, p=[0.5, 0.5 / 3, 0.5 / 3, 0.5 / 3]))
     core = float(rng.uniform(0.8, 2.0))
-    scale = {"none": 0.0, "gaussian": rng.uniform(2.0, 4.0) * core, "exponential": rng.uniform(2.0, 5.0),
-             "moffat": rng.uniform(1.5, 4.0)}[wing]  # fmt: skip
+    scale = {
+        "none": 0.0,
+        "gaussian": rng.uniform(2.0, 4.0) * core,
+        "exponential": rng.uniform(2.0, 5.0),
+        "moffat": rng.uniform(1.5, 4.0),
+    }[wing]
     row, col = 0.5 * (side - 1) + rng.uniform(-8.0, 8.0, 2)
     return Halo(
         diameter_px=float(rng.uniform(30.0, 70.0)),
@@ -110,7 +117,8 @@ def halo_of(rng: np.random.Generator) -> Halo:
 
 
 def light_of(halo: Halo) -> Array:
-    """Return the light of the source at fine samples, its core's highest 1, shape (FINE side, FINE side).
+    """Return the light of the source at fine samples, its core's highest 1, shape (FINE side, FINE
+    side).
 
     A pixel's value is the sample at its middle.
     """
@@ -126,12 +134,18 @@ def light_of(halo: Halo) -> Array:
     point = np.exp(-2j * np.pi * (place[:, None] * row + np.fft.rfftfreq(count)[None, :] * col))
     blur = np.fft.rfft2(core)
     if halo.integrated:
-        box = [np.where(one == 0, 1.0, np.sin(np.pi * FINE * one) / (FINE * np.sin(np.pi * one + 1e-300)))
-               for one in (place, np.fft.rfftfreq(count))]  # fmt: skip
+        box = [
+            np.where(
+                one == 0, 1.0, np.sin(np.pi * FINE * one) / (FINE * np.sin(np.pi * one + 1e-300))
+            )
+            for one in (place, np.fft.rfftfreq(count))
+        ]
         blur = blur * box[0][:, None] * box[1][None, :]
     of_core = np.fft.irfft2(blur * point, (count, count))
     of_disc = np.fft.irfft2(blur * np.fft.rfft2(disc), (count, count))
-    return ((1.0 - halo.fraction) * of_core + halo.fraction * of_disc) / ((1.0 - halo.fraction) * of_core.max())
+    return ((1.0 - halo.fraction) * of_core + halo.fraction * of_disc) / (
+        (1.0 - halo.fraction) * of_core.max()
+    )
 
 
 def _core(halo: Halo, radius: Array) -> Array:
@@ -167,7 +181,10 @@ def session_of(halo: Halo, rng: np.random.Generator) -> Session:
     stacks = []
     for index, times in enumerate([0.0, *np.geomspace(0.3, 3000.0, halo.levels)]):
         electrons = np.maximum(times * span * halo.electrons_per_dn * light, 0.0)
-        signal = rng.poisson(np.broadcast_to(electrons, (halo.frames, *light.shape))) / halo.electrons_per_dn
+        signal = (
+            rng.poisson(np.broadcast_to(electrons, (halo.frames, *light.shape)))
+            / halo.electrons_per_dn
+        )
         code = np.rint(halo.dark_dn + signal + halo.read_dn * rng.standard_normal(signal.shape))
         data = np.clip(code, 0.0, halo.full_dn).astype(np.uint8 if halo.bits == 8 else np.uint16)
         kind = "point" if times else "dark"
@@ -175,7 +192,14 @@ def session_of(halo: Halo, rng: np.random.Generator) -> Session:
         held = FrameStack(data=data, full_scale_dn=halo.full_dn)
         label = f"{kind}-{index}"
         stacks.append(
-            InMemoryStack(label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=held)
+            InMemoryStack(
+                label=label,
+                kind=kind,
+                frames="",
+                conditions=conditions,
+                folder=Path("."),
+                held=held,
+            )
         )
     return Session(folder=Path("."), name="strangers", stacks=tuple(stacks))
 
@@ -199,15 +223,20 @@ def row_of(name: str, rows: list[tuple[Halo, Measurement, Measurement]]) -> str:
     judged = [judge_measurement(one, halo.diameter_px) for halo, one in ok]
     errors = np.array([off_px(*pair) for pair in pairs if pair[1].value is not None])
     wide = [0.5 * (one.interval95[1] - one.interval95[0]) for _, one in ok if one.interval95]
-    share = [halo.fraction >= one.interval95[0] and halo.fraction <= one.interval95[1]
-             for halo, _, one in rows if one.status == "ok" and one.interval95]  # fmt: skip
+    share = [
+        halo.fraction >= one.interval95[0] and halo.fraction <= one.interval95[1]
+        for halo, _, one in rows
+        if one.status == "ok" and one.interval95
+    ]
+    within = sum(is_within(*pair) for pair in pairs)
+    ok_within = sum(is_within(*pair) for pair in ok)
+    refused = sum(measured.status == "refused" for _, measured in pairs)
+    rms = np.sqrt(np.mean(errors**2)) if len(errors) else np.nan
+    half_width = np.median(wide) if wide else np.nan
+    covered, silent = (sum(verdict[key] for verdict in judged) for key in ("covers", "silent"))
     return (
-        f"{name:<12}{len(rows):>5}{sum(is_within(*pair) for pair in pairs):>8}{len(ok):>5}"
-        f"{sum(is_within(*pair) for pair in ok):>10}{sum(one['covers'] for one in judged):>7}"
-        f"{sum(one['silent'] for one in judged):>8}"
-        f"{sum(one.status == 'refused' for _, one in pairs):>9}"
-        f"{np.sqrt(np.mean(errors**2)) if len(errors) else np.nan:>9.3f}{np.median(wide) if wide else np.nan:>10.3f}"
-        f"{sum(share):>8}/{len(share)}"
+        f"{name:<12}{len(rows):>5}{within:>8}{len(ok):>5}{ok_within:>10}{covered:>7}{silent:>8}"
+        f"{refused:>9}{rms:>9.3f}{half_width:>10.3f}{sum(share):>8}/{len(share)}"
     )
 
 
@@ -216,8 +245,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=100)
-    parser.add_argument("--quick", action="store_true", help="intervals from curvature instead of draws")
-    parser.add_argument("--each", action="store_true", help="print each series that is not within, not ok or silent")
+    parser.add_argument(
+        "--quick", action="store_true", help="intervals from curvature instead of draws"
+    )
+    parser.add_argument(
+        "--each", action="store_true", help="print each series that is not within, not ok or silent"
+    )
     asked = parser.parse_args()
     rows, seconds = [], time.process_time()
     measuring = 0.0
@@ -233,9 +266,19 @@ def main() -> None:
         holds = judge_measurement(found, halo.diameter_px).get("covers", False)
         if asked.each and (found.status != "ok" or not is_within(halo, found) or not holds):
             print(
-                number, halo, found.value, found.interval95, found.status, found.flags, found.reason or "", flush=True
+                number,
+                halo,
+                found.value,
+                found.interval95,
+                found.status,
+                found.flags,
+                found.reason or "",
+                flush=True,
             )
-    print("             series  within   ok ok+within  95 %  silent  refused   rms px  95 % px  fraction")
+    print(
+        "             series  within   ok ok+within  95 %  silent  refused   rms px  95 % px  "
+        "fraction"
+    )
     print(row_of("all", rows))
     for name in RIMS:
         print(row_of(name, [one for one in rows if one[0].rim == name]))
@@ -245,7 +288,10 @@ def main() -> None:
         print(row_of(f"{bits} bits", [one for one in rows if one[0].bits == bits]))
     for frames in (1, 8):
         print(row_of(f"{frames} frames", [one for one in rows if one[0].frames == frames]))
-    print(f"{measuring / asked.count:.2f} s a series to measure, {time.process_time() - seconds:.0f} s in all")
+    print(
+        f"{measuring / asked.count:.2f} s a series to measure, "
+        f"{time.process_time() - seconds:.0f} s in all"
+    )
 
 
 if __name__ == "__main__":

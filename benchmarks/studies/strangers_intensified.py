@@ -1,9 +1,11 @@
-"""Photon-transfer sessions of intensified cameras drawn with plain NumPy: how often are their numbers right?
+"""Photon-transfer sessions of intensified cameras drawn with plain NumPy: how often are their
+numbers right?
 
-Run as `python -m benchmarks.studies.strangers_intensified [FIRST] [COUNT]`. Neither the simulator nor any form of the
-estimators takes part: Poisson photoelectrons on a raster of half pixels, pulse heights of three laws, blur by Fourier
-transform with the closed form of its point spread function, pixels of 2 x 2 half pixels, shot noise of the CCD's
-electrons, read noise and a digitiser. In every other session pixels misbehave.
+Run as `python -m benchmarks.studies.strangers_intensified [FIRST] [COUNT]`. Neither the simulator
+nor any form of the estimators takes part: Poisson photoelectrons on a raster of half pixels, pulse
+heights of three laws, blur by Fourier transform with the closed form of its point spread function,
+pixels of 2 x 2 half pixels, shot noise of the CCD's electrons, read noise and a digitiser. In every
+other session pixels misbehave.
 """
 
 import sys
@@ -46,8 +48,9 @@ class Stack(StackEntry):
 class Camera:
     """An intensified camera; lengths in px, powers of noise in DN.
 
-    `excess` is E h^2 / (E h)^2 of the pulse heights h, `widths_px` what the blur needs: standard deviation, scale of
-    exp(-r/a), radius of a Moffat, or two standard deviations; `more` its exponent or the share of the wider.
+    `excess` is E h^2 / (E h)^2 of the pulse heights h, `widths_px` what the blur needs: standard
+    deviation, scale of exp(-r/a), radius of a Moffat, or two standard deviations; `more` its
+    exponent or the share of the wider.
     """
 
     blur: str
@@ -102,18 +105,30 @@ def camera_drawn(rng: np.random.Generator, number: int) -> Camera:
     floor = float(rng.uniform(0.0, 0.5))
     count, bad = int(rng.integers(4, 7)), number % 2 == 1
     return Camera(
-        blur=blur, widths_px=widths_px, more=more, heights=heights, excess=excess, pulse_dn=pulse_dn,
+        blur=blur,
+        widths_px=widths_px,
+        more=more,
+        heights=heights,
+        excess=excess,
+        pulse_dn=pulse_dn,
         electron_dn=pulse_dn * excess * floor / (1.0 - floor),
         read_dn=log_uniform(1.0, 4.0) * 2.0 ** (0.5 * (bits - 12)),
-        bits=bits, shape=(int(rng.integers(112, 177)), int(rng.integers(112, 177))), frames=int(rng.integers(8, 13)),
-        levels_dn=tuple(brightest * np.linspace(1.0 / count, 1.0, count)), shading=float(rng.uniform(0.0, 0.1)),
-        prnu=float(rng.uniform(0.0, 0.01)), dsnu_dn=float(rng.uniform(0.0, 1.0)),
-        faulty=float(rng.uniform(0.0, MOST_FAULTY)) if bad else 0.0, hits=log_uniform(1e-6, MOST_HITS) if bad else 0.0,
-    )  # fmt: skip
+        bits=bits,
+        shape=(int(rng.integers(112, 177)), int(rng.integers(112, 177))),
+        frames=int(rng.integers(8, 13)),
+        levels_dn=tuple(brightest * np.linspace(1.0 / count, 1.0, count)),
+        shading=float(rng.uniform(0.0, 0.1)),
+        prnu=float(rng.uniform(0.0, 0.01)),
+        dsnu_dn=float(rng.uniform(0.0, 1.0)),
+        faulty=float(rng.uniform(0.0, MOST_FAULTY)) if bad else 0.0,
+        hits=log_uniform(1e-6, MOST_HITS) if bad else 0.0,
+    )
 
 
 def transfer(camera: Camera, rows: int, cols: int) -> Array:
-    """Return the transfer of the blur on a raster of half pixels, in closed form where there is one."""
+    """Return the transfer of the blur on a raster of half pixels, in closed form where there is
+    one.
+    """
     from scipy.special import gamma, kv
 
     frequency = 2.0 * np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(cols)[None, :])
@@ -135,7 +150,9 @@ def transfer(camera: Camera, rows: int, cols: int) -> Array:
 
 @dataclass
 class Drawn:
-    """Frames of one camera: its fixed pattern and its misbehaving pixels belong to all of its stacks."""
+    """Frames of one camera: its fixed pattern and its misbehaving pixels belong to all of its
+    stacks.
+    """
 
     camera: Camera
     rng: np.random.Generator
@@ -149,14 +166,24 @@ class Drawn:
         self.light = 1.0 - one.shading * (x**2 + y**2)
         self.light /= self.light.mean()
         self.gains = 1.0 + one.prnu * self.rng.standard_normal(one.shape)
-        self.black = 0.015 * 2.0**one.bits + 8.0 * one.read_dn + one.dsnu_dn * self.rng.standard_normal(one.shape)
+        self.black = (
+            0.015 * 2.0**one.bits
+            + 8.0 * one.read_dn
+            + one.dsnu_dn * self.rng.standard_normal(one.shape)
+        )
         kinds = self.rng.choice(["stuck", "hot", "blinking"], round(one.faulty * rows * cols))
         place = self.rng.choice(rows * cols, len(kinds), replace=False)
         self.faults = {kind: place[kinds == kind] for kind in ("stuck", "hot", "blinking")}
         top = 2.0**one.bits
         self.stuck = self.rng.choice([0.0, 0.5 * top, top - 1.0], len(self.faults["stuck"]))
-        self.hot = np.exp(self.rng.uniform(np.log(10 * one.read_dn), np.log(0.2 * top), len(self.faults["hot"])))
-        self.blink = np.exp(self.rng.uniform(np.log(5 * one.read_dn), np.log(0.05 * top), len(self.faults["blinking"])))
+        self.hot = np.exp(
+            self.rng.uniform(np.log(10 * one.read_dn), np.log(0.2 * top), len(self.faults["hot"]))
+        )
+        self.blink = np.exp(
+            self.rng.uniform(
+                np.log(5 * one.read_dn), np.log(0.05 * top), len(self.faults["blinking"])
+            )
+        )
 
     def stack(self, signal_dn: float, frames: int) -> FrameStack:
         """Frames of even light with a mean signal, DN."""
@@ -171,7 +198,9 @@ class Drawn:
             light = one.electron_dn * rng.poisson(np.maximum(light, 0.0) / one.electron_dn)
         image = self.black + self.gains * light + one.read_dn * rng.standard_normal(one.shape)
         flat = image.ravel()
-        flat[self.faults["hot"]] += self.hot + np.sqrt(self.hot) * rng.standard_normal(len(self.hot))
+        flat[self.faults["hot"]] += self.hot + np.sqrt(self.hot) * rng.standard_normal(
+            len(self.hot)
+        )
         flat[self.faults["blinking"]] += self.blink * (rng.random(len(self.blink)) < 0.3)
         flat[self.faults["stuck"]] = self.stuck
         # A hit takes three pixels on average.
@@ -185,12 +214,15 @@ class Drawn:
         """Light of one frame, DN, without the CCD's own shot noise."""
         one, rng = self.camera, self.rng
         rows, cols = one.shape
-        mean = np.repeat(np.repeat(self.light, 2, axis=0), 2, axis=1) * (signal_dn / one.pulse_dn / 4.0)
+        mean = np.repeat(np.repeat(self.light, 2, axis=0), 2, axis=1) * (
+            signal_dn / one.pulse_dn / 4.0
+        )
         count = rng.poisson(mean)
         heights = np.zeros(count.shape, np.float32)
         some = count > 0
         if one.heights == "negative binomial":
-            # A height of r quanta on average is negative binomial with variance (excess - 1) r^2: so is their sum.
+            # A height of r quanta on average is negative binomial with variance (excess - 1) r^2:
+            # so is their sum.
             quanta, spread = 40.0, one.excess - 1.0
             shape = 1.0 / (spread - 1.0 / quanta)
             drawn = rng.negative_binomial(count[some] * shape, shape / (shape + quanta))
@@ -212,9 +244,13 @@ def session_drawn(number: int) -> tuple[Session, Camera]:
     drawn = Drawn(camera, rng)
     told = Conditions(exposure_s=0.02, mcp_v=800.0 if number % 4 > 1 else None)
     stacks = [_entry("dark", "dark", drawn.stack(0.0, 2 * camera.frames), told)]
-    stacks += [_entry(f"flat-{i}", "flat", drawn.stack(level, camera.frames), told) for i, level in
-               enumerate(camera.levels_dn)]  # fmt: skip
-    return Session(folder=Path("."), name="strangers", stacks=tuple(stacks), bit_depth=camera.bits), camera
+    stacks += [
+        _entry(f"flat-{i}", "flat", drawn.stack(level, camera.frames), told)
+        for i, level in enumerate(camera.levels_dn)
+    ]
+    return Session(
+        folder=Path("."), name="strangers", stacks=tuple(stacks), bit_depth=camera.bits
+    ), camera
 
 
 def _entry(label: str, kind: Any, frames: FrameStack, told: Conditions) -> Stack:
@@ -238,7 +274,10 @@ def main(first: int = 0, count: int = SESSIONS) -> None:
         spent += time.process_time() - begin
         line = []
         for quantity, unit in QUANTITIES.items():
-            one = next(iter(result.find(quantity, unit=unit)), make_refusal(quantity, unit, "absent", method="none"))
+            one = next(
+                iter(result.find(quantity, unit=unit)),
+                make_refusal(quantity, unit, "absent", method="none"),
+            )
             group = f"{quantity}, {'misbehaving' if camera.faulty else 'clean'} pixels"
             if one.value is None or one.interval95 is None:
                 told[group].append((one.status, False, False))
@@ -254,10 +293,16 @@ def main(first: int = 0, count: int = SESSIONS) -> None:
             errors[group].append(error)
             if quantity == "covariance_gain":
                 flags.update(one.flags)
-            line.append(f"{one.status} {error:+.2f} +- {half:.2f} %{' SILENT' if silent else '' if held else ' out'}")
+            line.append(
+                f"{one.status} {error:+.2f} +- {half:.2f} "
+                f"%{' SILENT' if silent else '' if held else ' out'}"
+            )
         floor = camera.electron_dn / camera.truth["covariance_gain"]
-        print(f"{number:4d} {camera.blur:13s} {camera.widths_px[0]:.2f} {camera.more:.2f} floor {floor:.2f}: "
-              f"{'; '.join(line)} {','.join(result.find('covariance_gain')[0].flags)}", flush=True)  # fmt: skip
+        print(
+            f"{number:4d} {camera.blur:13s} {camera.widths_px[0]:.2f} {camera.more:.2f} floor "
+            f"{floor:.2f}: {'; '.join(line)} {','.join(result.find('covariance_gain')[0].flags)}",
+            flush=True,
+        )
     print(f"\n{'':44s} sessions   ok  hold of ok  silent  refused  rms error %")
     for group, rows in sorted(told.items()):
         ok = [row for row in rows if row[0] == "ok"]
@@ -265,9 +310,13 @@ def main(first: int = 0, count: int = SESSIONS) -> None:
         print(
             f"{group:44s} {len(rows):8d} {100 * len(ok) / len(rows):4.0f}% "
             f"{100 * np.mean([row[1] for row in ok]) if ok else np.nan:9.1f}% "
-            f"{sum(row[2] for row in rows):7d} {sum(row[0] == 'refused' for row in rows):8d} {rms:11.2f}"
+            f"{sum(row[2] for row in rows):7d} {sum(row[0] == 'refused' for row in rows):8d} "
+            f"{rms:11.2f}"
         )
-    print(f"flags of covariance_gain: {dict(flags)}; {spent / count:.2f} s of processor time a session")
+    print(
+        f"flags of covariance_gain: {dict(flags)}; {spent / count:.2f} s of processor time a "
+        f"session"
+    )
 
 
 if __name__ == "__main__":

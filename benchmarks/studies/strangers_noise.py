@@ -1,8 +1,9 @@
-"""Photon-transfer sessions drawn with plain NumPy: share `ok`, coverage of the intervals, and silent failures.
+"""Photon-transfer sessions drawn with plain NumPy: share `ok`, coverage of the intervals, and
+silent failures.
 
-No part of the simulator draws here: Poisson electrons, gamma multiplication, linear crosstalk, normal read noise, noise
-of rows and columns, whole codes of 8 to 16 bits. Half of the sessions hold pixels that misbehave. The intensified kinds
-are in `benchmarks.studies.strangers_intensified`.
+No part of the simulator draws here: Poisson electrons, gamma multiplication, linear crosstalk,
+normal read noise, noise of rows and columns, whole codes of 8 to 16 bits. Half of the sessions hold
+pixels that misbehave. The intensified kinds are in `benchmarks.studies.strangers_intensified`.
 
     python -m benchmarks.studies.strangers_noise [SEED [SESSIONS]]
 """
@@ -55,12 +56,21 @@ def draw_session(kind: str, rng: np.random.Generator, *, spoilt: bool) -> Drawn:
     bits = int(rng.choice([14, 16] if kind == "multiplied" else [8, 10, 12, 12, 14, 16]))
     top = 2.0**bits - 1.0
     rows, cols = (int(side) for side in rng.integers(128, 257, 2))
-    read_e = float(rng.uniform(30.0, 80.0) if kind == "multiplied" else np.exp(rng.uniform(np.log(2.0), np.log(12.0))))
-    # At least a third of a step of read noise, as a maker would choose it; up to two electrons a code.
+    read_e = float(
+        rng.uniform(30.0, 80.0)
+        if kind == "multiplied"
+        else np.exp(rng.uniform(np.log(2.0), np.log(12.0)))
+    )
+    # At least a third of a step of read noise, as a maker would choose it; up to two electrons a
+    # code.
     least = 0.35 / read_e
-    gain = float(np.exp(rng.uniform(np.log(least), np.log(max(2.0 * least, min(2.0, top / 4000.0))))))
+    gain = float(
+        np.exp(rng.uniform(np.log(least), np.log(max(2.0 * least, min(2.0, top / 4000.0)))))
+    )
     black = 0.03 * top + 6.0 * gain * read_e
-    register = float(np.exp(rng.uniform(np.log(20.0), np.log(1000.0)))) if kind == "multiplied" else 1.0
+    register = (
+        float(np.exp(rng.uniform(np.log(20.0), np.log(1000.0)))) if kind == "multiplied" else 1.0
+    )
     per_electron = gain * register
     well = 0.9 * (top - black) / per_electron
     share = float(rng.uniform(0.0, 0.05)) if kind == "crosstalk" else 0.0
@@ -78,7 +88,9 @@ def draw_session(kind: str, rng: np.random.Generator, *, spoilt: bool) -> Drawn:
     efficiency = float(rng.uniform(0.3, 0.9))
 
     def exposed(level: float, number: int) -> NDArray[np.uint16]:
-        charge = rng.poisson(np.broadcast_to(level * shade * response, (number, rows, cols))).astype(float)
+        charge = rng.poisson(
+            np.broadcast_to(level * shade * response, (number, rows, cols))
+        ).astype(float)
         if register > 1.0:
             charge = np.where(charge > 0, rng.gamma(np.maximum(charge, 1e-9)), 0.0) * register
         if share:
@@ -92,9 +104,17 @@ def draw_session(kind: str, rng: np.random.Generator, *, spoilt: bool) -> Drawn:
         return np.clip(np.rint(black + gain * charge), 0, top).astype(np.uint16)
 
     state = {"em_gain": register} if register > 1.0 else {}
-    stacks: list[tuple[str, NDArray[np.uint16], dict[str, float]]] = [("dark", exposed(0.0, max(frames, 2)), state)]
-    stacks += [("flat", exposed(e, frames), {**state, "photons_per_px": e * float(shade.mean()) / efficiency})
-               for e in levels]  # fmt: skip
+    stacks: list[tuple[str, NDArray[np.uint16], dict[str, float]]] = [
+        ("dark", exposed(0.0, max(frames, 2)), state)
+    ]
+    stacks += [
+        (
+            "flat",
+            exposed(e, frames),
+            {**state, "photons_per_px": e * float(shade.mean()) / efficiency},
+        )
+        for e in levels
+    ]
     noise = float(np.hypot(read_e, lines))
     truth = {
         ("system_gain", "DN/e-"): per_electron,
@@ -113,8 +133,12 @@ def _shared(charge: Array, share: float) -> Array:
     return (1.0 - 4.0 * share) * charge + share * around
 
 
-def _misbehaviour(rng: np.random.Generator, size: tuple[int, int], well: float) -> Callable[[Array, float], Array]:
-    """Stuck, hot, dead and blinking pixels, up to 0.5 % of all, and hits on up to 1e-4 of the pixels of a frame."""
+def _misbehaviour(
+    rng: np.random.Generator, size: tuple[int, int], well: float
+) -> Callable[[Array, float], Array]:
+    """Stuck, hot, dead and blinking pixels, up to 0.5 % of all, and hits on up to 1e-4 of the
+    pixels of a frame.
+    """
     pixels = size[0] * size[1]
     count = int(rng.uniform(1.0, 0.005 * pixels))
     places = np.stack(np.unravel_index(rng.choice(pixels, count, replace=False), size))
@@ -128,7 +152,9 @@ def _misbehaviour(rng: np.random.Generator, size: tuple[int, int], well: float) 
             row, col = places[:, what == kind]
             size_e = amount[what == kind]
             if kind == 0:
-                out[:, row, col] = 10.0 * well * (size_e > 0.2 * well)  # stuck at the top, or without any charge
+                out[:, row, col] = (
+                    10.0 * well * (size_e > 0.2 * well)
+                )  # stuck at the top, or without any charge
             elif kind == 1:
                 out[:, row, col] += rng.poisson(size_e, (len(out), len(row)))
             elif kind == 2:
@@ -147,7 +173,13 @@ def write_session(session: Drawn, folder: Path) -> None:
     lines = ['name = "strangers"', f"bit_depth = {session.bits}"]
     for index, (kind, frames, conditions) in enumerate(session.stacks):
         np.save(folder / f"{index}.npy", frames)
-        lines += ["", "[[stack]]", f'label = "{kind}-{index}"', f'kind = "{kind}"', f'frames = "{index}.npy"']
+        lines += [
+            "",
+            "[[stack]]",
+            f'label = "{kind}-{index}"',
+            f'kind = "{kind}"',
+            f'frames = "{index}.npy"',
+        ]
         lines += [f"{name} = {float(value)!r}" for name, value in conditions.items()]
     (folder / "session.toml").write_text("\n".join(lines) + "\n")
 
@@ -167,7 +199,9 @@ class Tally:
         """Count a measurement, None for one that is missing."""
         self.drawn += 1
         if measurement is None or measurement.status != "ok":
-            self.flags.update(("missing",) if measurement is None else measurement.flags or (measurement.status,))
+            self.flags.update(
+                ("missing",) if measurement is None else measurement.flags or (measurement.status,)
+            )
             return
         low, high = measurement.interval95
         half = measurement.value - low if truth < measurement.value else high - measurement.value
@@ -193,7 +227,9 @@ def tallies_of(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], T
             write_session(one, Path(folder))
             session = open_session(folder)
             try:
-                result = noise.measure(session, context=method_context(session, quick=False, seed=0))
+                result = noise.measure(
+                    session, context=method_context(session, quick=False, seed=0)
+                )
             except KeyboardInterrupt:
                 print(f"broken off at {name}")
                 return out
@@ -202,11 +238,19 @@ def tallies_of(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], T
                 result = Result()
         for (quantity, unit), truth in one.truth.items():
             found = result.find(quantity, unit=unit)
-            fine = "" if quantity != "read_noise" or one.truth["read_noise", "DN"] >= FINE_DN else " under the steps"
+            fine = (
+                ""
+                if quantity != "read_noise" or one.truth["read_noise", "DN"] >= FINE_DN
+                else " under the steps"
+            )
             key = f"{quantity} {unit}{fine}"
             for kind in (one.kind, "all"):
                 tally = out.setdefault((kind, key), Tally())
-                tally.add(found[0] if found else None, truth, f"{name} {'spoilt' if one.spoilt else 'sound'}")
+                tally.add(
+                    found[0] if found else None,
+                    truth,
+                    f"{name} {'spoilt' if one.spoilt else 'sound'}",
+                )
     return out
 
 
@@ -222,14 +266,23 @@ def main(seed: int = 1, count: int = SESSIONS) -> None:
     """Print the table."""
     start, cpu = time.perf_counter(), time.process_time()
     table = tallies_of(sessions_of(seed, count))
-    print(f"seed {seed}, {count} sessions, {time.process_time() - cpu:.0f} s of processor, "
-          f"{time.perf_counter() - start:.0f} s")  # fmt: skip
-    print(f"{'kind':<11} {'quantity':<34} {'drawn':>5} {'ok %':>6} {'held %':>7} {'silent':>6}  why not ok")
-    for (kind, quantity), tally in sorted(table.items(), key=lambda item: (item[0][0] != "all", item[0])):
+    print(
+        f"seed {seed}, {count} sessions, {time.process_time() - cpu:.0f} s of processor, "
+        f"{time.perf_counter() - start:.0f} s"
+    )
+    print(
+        f"{'kind':<11} {'quantity':<34} {'drawn':>5} {'ok %':>6} {'held %':>7} {'silent':>6}  why "
+        "not ok"
+    )
+    for (kind, quantity), tally in sorted(
+        table.items(), key=lambda item: (item[0][0] != "all", item[0])
+    ):
         held = f"{100 * tally.held / tally.ok:7.1f}" if tally.ok else "      -"
         why = ", ".join(f"{flag} {n}" for flag, n in tally.flags.most_common(4))
-        print(f"{kind:<11} {quantity:<34} {tally.drawn:5} {100 * tally.ok / tally.drawn:6.1f} {held} "
-              f"{len(tally.silent):6}  {why}")  # fmt: skip
+        print(
+            f"{kind:<11} {quantity:<34} {tally.drawn:5} {100 * tally.ok / tally.drawn:6.1f} {held} "
+            f"{len(tally.silent):6}  {why}"
+        )
     for word in ("missed", "silent"):
         for (kind, quantity), tally in table.items():
             for sentence in getattr(tally, word) if kind == "all" else ():

@@ -1,8 +1,10 @@
-"""Points that others draw: GalSim and prysm make the pictures, charact measures them, closed forms hold the truth.
+"""Points that others draw: GalSim and prysm make the pictures, charact measures them, closed forms
+hold the truth.
 
-`python -m benchmarks.studies.strangers_points [--count 400] [--seed 1]` prints one line a kind of spot, one for all,
-and how far single-frame points err beyond the Cramer-Rao bound of the fit by their own form. GalSim draws Gaussian,
-Airy, Kolmogorov and Moffat spots, prysm propagates pupils out of focus; each goes through a square pixel.
+`python -m benchmarks.studies.strangers_points [--count 400] [--seed 1]` prints one line a kind of
+spot, one for all, and how far single-frame points err beyond the Cramer-Rao bound of the fit by
+their own form. GalSim draws Gaussian, Airy, Kolmogorov and Moffat spots, prysm propagates pupils
+out of focus; each goes through a square pixel.
 """
 
 import argparse
@@ -18,7 +20,15 @@ from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 
-KINDS = ("gaussian", "airy", "airy with hole", "defocus", "defocus with hole", "kolmogorov", "moffat")
+KINDS = (
+    "gaussian",
+    "airy",
+    "airy with hole",
+    "defocus",
+    "defocus with hole",
+    "kolmogorov",
+    "moffat",
+)
 # Peak over the standard deviation of the background: faint ones of the bound, and ordinary ones.
 FAINT, BRIGHT = 30.0, 400.0
 # Samples across prysm's pupil, and of its transform.
@@ -34,8 +44,8 @@ class Spot:
     kind
         One of `KINDS`.
     shape
-        Parameters of the form: Gaussian sigma, px; Airy cut-off, cy/px, hole, defocus in waves; Kolmogorov FWHM, px;
-        Moffat FWHM, px, and exponent.
+        Parameters of the form: Gaussian sigma, px; Airy cut-off, cy/px, hole, defocus in waves;
+        Kolmogorov FWHM, px; Moffat FWHM, px, and exponent.
     shear
         Reduced shear along the rows: axes (1 + g) to (1 - g).
     place
@@ -73,7 +83,12 @@ class Spot:
         else:
             profile = _profile(self)
             k = 2.0 * np.pi * frequency
-            own = np.array([profile.kValue(*((one, 0.0) if angle_deg == 0.0 else (0.0, one))).real for one in k])
+            own = np.array(
+                [
+                    profile.kValue(*((one, 0.0) if angle_deg == 0.0 else (0.0, one))).real
+                    for one in k
+                ]
+            )
         return np.asarray(own * np.sinc(frequency), float)
 
     def mtf50(self, angle_deg: float) -> float:
@@ -94,7 +109,9 @@ def _profile(spot: Spot):
     if spot.kind == "gaussian":
         profile = galsim.Gaussian(sigma=first, gsparams=wide)
     elif spot.kind.startswith("airy"):
-        profile = galsim.Airy(lam_over_diam=1.0 / first, obscuration=rest[0] if rest else 0.0, gsparams=wide)
+        profile = galsim.Airy(
+            lam_over_diam=1.0 / first, obscuration=rest[0] if rest else 0.0, gsparams=wide
+        )
     elif spot.kind == "kolmogorov":
         profile = galsim.Kolmogorov(fwhm=first, gsparams=wide)
     else:
@@ -104,7 +121,9 @@ def _profile(spot: Spot):
 
 @lru_cache(maxsize=64)
 def _spread(hole: float, defocus: float) -> tuple[Array, float]:
-    """Return prysm's spread of a pupil, shape (row, col), and its step in units of one over the cut-off."""
+    """Return prysm's spread of a pupil, shape (row, col), and its step in units of one over the
+    cut-off.
+    """
     from prysm.propagation import Wavefront
 
     step = 2.0 / PUPIL
@@ -119,7 +138,9 @@ def _spread(hole: float, defocus: float) -> tuple[Array, float]:
 
 @lru_cache(maxsize=64)
 def _otf(hole: float, defocus: float) -> tuple[Array, Array]:
-    """Return frequencies over the cut-off, ascending, and the transform of the spread, shape (row, col)."""
+    """Return frequencies over the cut-off, ascending, and the transform of the spread, shape (row,
+    col).
+    """
     psf, step = _spread(hole, defocus)
     frequency = np.fft.fftshift(np.fft.fftfreq(len(psf), step))
     otf = np.fft.fftshift(np.fft.fft2(np.fft.ifftshift(psf))).real
@@ -147,7 +168,9 @@ def _propagated(spot: Spot) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """A camera before a spot: peak over the background's noise, read noise in electrons, bits, frames, background."""
+    """A camera before a spot: peak over the background's noise, read noise in electrons, bits,
+    frames, background.
+    """
 
     peak_sd: float
     read_e: float
@@ -178,7 +201,10 @@ class Camera:
 
     def mean_e(self, picture: Array) -> Array:
         """Return the light of a picture of any light, electrons."""
-        return np.maximum(picture / picture.max() * self.peak_sd * self.dark_e, 0.0) + self.background_e
+        return (
+            np.maximum(picture / picture.max() * self.peak_sd * self.dark_e, 0.0)
+            + self.background_e
+        )
 
     def variance_e2(self, picture: Array) -> Array:
         """Return the variance of one frame with rounding, electrons^2."""
@@ -199,9 +225,12 @@ def spot(kind: str, rng: np.random.Generator) -> Spot:
     }[kind]()
     shear = 0.0 if "defocus" in kind or rng.uniform() < 0.5 else float(rng.uniform(-0.04, 0.04))
     return Spot(
-        kind=kind, shape=tuple(float(one) for one in shape), shear=shear,
-        place=(float(rng.uniform(-3, 3)), float(rng.uniform(-3, 3))), size=2 * int(rng.integers(30, 55)) + 1,
-    )  # fmt: skip
+        kind=kind,
+        shape=tuple(float(one) for one in shape),
+        shear=shear,
+        place=(float(rng.uniform(-3, 3)), float(rng.uniform(-3, 3))),
+        size=2 * int(rng.integers(30, 55)) + 1,
+    )
 
 
 def camera(rng: np.random.Generator, peak_sd: float | None = None) -> Camera:
@@ -218,7 +247,9 @@ def camera(rng: np.random.Generator, peak_sd: float | None = None) -> Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One number of a spot: status, flags, value, half interval and truth; its bound where it was worked out."""
+    """One number of a spot: status, flags, value, half interval and truth; its bound where it was
+    worked out.
+    """
 
     kind: str
     status: str
@@ -240,7 +271,9 @@ class Row:
         return self.status == "ok" and abs(self.value - self.truth) > self.high - self.low
 
 
-def measured(one: Spot, by: Camera, rng: np.random.Generator, seed: int, *, bound: bool = False) -> list[Row]:
+def measured(
+    one: Spot, by: Camera, rng: np.random.Generator, seed: int, *, bound: bool = False
+) -> list[Row]:
     """Measure a spot as the command does, and return a row along rows and one along columns."""
     picture = one.picture()
     stack = FrameStack(data=by.expose(picture, rng), full_scale_dn=float(2**by.bits - 1))
@@ -252,16 +285,25 @@ def measured(one: Spot, by: Camera, rng: np.random.Generator, seed: int, *, boun
         low, high = found.interval95 or (np.nan, np.nan)
         value = np.nan if found.value is None else float(found.value)
         rows.append(
-            Row(kind=one.kind, status=found.status, flags=found.flags, value=value, low=low, high=high, truth=truth,
-                bound=limit)
-        )  # fmt: skip
+            Row(
+                kind=one.kind,
+                status=found.status,
+                flags=found.flags,
+                value=value,
+                low=low,
+                high=high,
+                truth=truth,
+                bound=limit,
+            )
+        )
     return rows
 
 
 def cramer_rao(one: Spot, by: Camera, angle_deg: float) -> float:
     """Return the least standard error of MTF50 by a fit of the spot's own form to one frame, cy/px.
 
-    Free are light, level, place, the form's parameters and, where the spot is drawn with one, its shear.
+    Free are light, level, place, the form's parameters and, where the spot is drawn with one, its
+    shear.
     """
     own = [*one.shape, one.shear]
     free = [index for index, value in enumerate(own) if value != 0.0]
@@ -278,11 +320,17 @@ def cramer_rao(one: Spot, by: Camera, angle_deg: float) -> float:
     scale = by.peak_sd * by.dark_e / picture.max()
     step = 1e-3
     columns = [scale * picture, np.ones_like(picture)]
-    columns += [scale * (placed(*move).picture() - picture) / step for move in ((step, 0.0), (0.0, step))]
+    columns += [
+        scale * (placed(*move).picture() - picture) / step for move in ((step, 0.0), (0.0, step))
+    ]
     columns += [scale * (moved(index, step).picture() - picture) / step for index in free]
-    design = np.stack([column.ravel() for column in columns], axis=1) / np.sqrt(by.variance_e2(picture)).reshape(-1, 1)
+    design = np.stack([column.ravel() for column in columns], axis=1) / np.sqrt(
+        by.variance_e2(picture)
+    ).reshape(-1, 1)
     slope = np.zeros(design.shape[1])
-    slope[4:] = [(moved(index, step).mtf50(angle_deg) - one.mtf50(angle_deg)) / step for index in free]
+    slope[4:] = [
+        (moved(index, step).mtf50(angle_deg) - one.mtf50(angle_deg)) / step for index in free
+    ]
     return float(np.sqrt(slope @ np.linalg.solve(design.T @ design, slope)))
 
 
@@ -296,11 +344,15 @@ def table(count: int, seed: int, first: int = 0) -> list[Row]:
 
 
 def at_the_bound(count: int, seed: int, first: int = 0) -> list[Row]:
-    """Return the rows of so many single frames with a peak of `FAINT` standard deviations, from a number on."""
+    """Return the rows of so many single frames with a peak of `FAINT` standard deviations, from a
+    number on.
+    """
     rows = []
     for number in range(first, first + count):
         rng = np.random.default_rng([seed, 10_000 + number])
-        rows += measured(spot(KINDS[number % len(KINDS)], rng), camera(rng, FAINT), rng, number, bound=True)
+        rows += measured(
+            spot(KINDS[number % len(KINDS)], rng), camera(rng, FAINT), rng, number, bound=True
+        )
     return rows
 
 
@@ -311,10 +363,11 @@ def line(name: str, rows: list[Row]) -> str:
     miss = np.array([abs(row.value / row.truth - 1.0) for row in answered])
     half = np.array([0.5 * (row.high - row.low) / row.truth for row in answered])
     return (
-        f"{name:18s} {len(rows):4d} numbers  ok {100 * len(ok) / len(rows):5.1f} %  95 % of those hold "
-        f"{100 * np.mean([row.holds for row in ok]) if ok else np.nan:5.1f} %  of all answers "
-        f"{100 * np.mean([row.holds for row in answered]):5.1f} %  silent {sum(row.silent for row in rows)}  "
-        f"median error {100 * np.median(miss):5.2f} %  half interval {100 * np.median(half):5.2f} %"
+        f"{name:18s} {len(rows):4d} numbers  ok {100 * len(ok) / len(rows):5.1f} %  95 % of those "
+        f"hold {100 * np.mean([row.holds for row in ok]) if ok else np.nan:5.1f} %  of all "
+        f"answers {100 * np.mean([row.holds for row in answered]):5.1f} %  silent "
+        f"{sum(row.silent for row in rows)}  median error {100 * np.median(miss):5.2f} %  half "
+        f"interval {100 * np.median(half):5.2f} %"
     )
 
 
@@ -322,16 +375,22 @@ def main() -> None:
     """Draw, measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=400, help="spots of the table")
-    parser.add_argument("--bound", type=int, default=70, help="single frames held against the bound")
+    parser.add_argument(
+        "--bound", type=int, default=70, help="single frames held against the bound"
+    )
     parser.add_argument("--seed", type=int, default=1, help="of all draws")
-    parser.add_argument("--rows", action="store_true", help="print each number that misses or is not ok")
+    parser.add_argument(
+        "--rows", action="store_true", help="print each number that misses or is not ok"
+    )
     asked = parser.parse_args()
     rows = table(asked.count, asked.seed)
     for kind in KINDS:
         print(line(kind, [row for row in rows if row.kind == kind]))
     print(line("all", rows))
     flags = sorted({flag for row in rows for flag in row.flags})
-    print("flags: " + ", ".join(f"{flag} {sum(flag in row.flags for row in rows)}" for flag in flags))
+    print(
+        "flags: " + ", ".join(f"{flag} {sum(flag in row.flags for row in rows)}" for flag in flags)
+    )
     if asked.rows:
         for index, row in enumerate(rows):
             if row.status != "ok" or not row.holds:

@@ -1,4 +1,6 @@
-"""Error and time of the settings of the temperature solver, and where it breaks: calm, thin metal, little history."""
+"""Error and time of the settings of the temperature solver, and where it breaks: calm, thin metal,
+little history.
+"""
 
 import time
 from dataclasses import dataclass
@@ -34,7 +36,9 @@ FINE_STEP_S, FINE_CELLS = 30.0, 60
 
 @dataclass(frozen=True, kw_only=True)
 class Day:
-    """The reference day: latitude 43.16, declination 23.4, Haurwitz sun, air 18 + 6 sin C, sky emissivity 0.774."""
+    """The reference day: latitude 43.16, declination 23.4, Haurwitz sun, air 18 + 6 sin C, sky
+    emissivity 0.774.
+    """
 
     step_s: float
     end_h: float = 2.0
@@ -55,7 +59,8 @@ class Day:
         absorptivity, emissivity = (np.array([slab[n] for slab in slabs]) for n in (4, 5))
         column = np.ones((steps, 1))
         return Forcing(
-            flux_w_m2=absorptivity * sun[:, None] + emissivity * 0.7743 * STEFAN_BOLTZMANN * air[:, None] ** 4,
+            flux_w_m2=absorptivity * sun[:, None]
+            + emissivity * 0.7743 * STEFAN_BOLTZMANN * air[:, None] ** 4,
             air_k=air[:, None],
             wind_m_s=self.wind_m_s * column,
             vapour_pa=0.0 * column,
@@ -73,9 +78,15 @@ class Day:
 def columns_of(slabs: list[tuple[float, ...]], cells: int = LIMITS.cells) -> Columns:
     """Return the cells of slabs."""
     names = ("conductivity_w_m_k", "density_kg_m3", "specific_heat_j_kg_k", "thickness_mm")
-    layers = [{name: Parameter(value=value) for name, value in zip(names, slab[:4], strict=True)} for slab in slabs]
+    layers = [
+        {name: Parameter(value=value) for name, value in zip(names, slab[:4], strict=True)}
+        for slab in slabs
+    ]
     pairs = zip(layers, slabs, strict=True)
-    return Columns.of([Slab(layer=(Layer(**layer),), back_w_m2_k=Parameter(value=s[6])) for layer, s in pairs], cells)
+    return Columns.of(
+        [Slab(layer=(Layer(**layer),), back_w_m2_k=Parameter(value=s[6])) for layer, s in pairs],
+        cells,
+    )
 
 
 def last_k(slabs: list[tuple[float, ...]], day: Day, cells: int = LIMITS.cells) -> Array:
@@ -97,22 +108,39 @@ def main() -> None:
             began = time.process_time()
             error = 1e3 * (last_k(slabs, Day(step_s=step_s), cells) - exact)
             points.append((1e3 * (time.process_time() - began), np.abs(error).max()))
-            print(f"{step_s:8g} {cells:6} {points[-1][0]:7.1f}  {' '.join(f'{one:+8.1f}' for one in error)}")
+            print(
+                f"{step_s:8g} {cells:6} {points[-1][0]:7.1f}  "
+                f"{' '.join(f'{one:+8.1f}' for one in error)}"
+            )
         settings.plot(*np.transpose(points), "o-", label=f"{step_s:g} s", lw=1.2)
     settings.axhline(1e3 * 0.05, color="grey", ls=":")
-    settings.set(xscale="log", yscale="log", xlabel="processor time of the start, ms", ylabel="largest error, mK")
+    settings.set(
+        xscale="log",
+        yscale="log",
+        xlabel="processor time of the start, ms",
+        ylabel="largest error, mK",
+    )
     settings.legend(title="step", fontsize=8)
     settings.set_title(f"four materials at 02:00, {', '.join(map(str, CELLS))} cells", fontsize=9)
     winds = np.array([0.0, 0.1, 0.3, 1.0, 3.0, 10.0])
-    metal = {f"steel, {mm:g} mm": (45.0, 7850.0, 470.0, mm, 0.7, 0.9, 0.0) for mm in (0.1, 1.0, 30.0)}
+    metal = {
+        f"steel, {mm:g} mm": (45.0, 7850.0, 470.0, mm, 0.7, 0.9, 0.0) for mm in (0.1, 1.0, 30.0)
+    }
     sweep(calm, winds, metal, lambda wind: {"law": "buoyant", "wind_m_s": wind}, "wind, m/s")
     thick = np.geomspace(0.01, 30.0, 8)
-    by_step(thin, thick, lambda mm: (45.0, 7850.0, 470.0, mm, 0.7, 0.9, 0.0), "thickness of steel at h = 2 W/m2K, mm")
+    by_step(
+        thin,
+        thick,
+        lambda mm: (45.0, 7850.0, 470.0, mm, 0.7, 0.9, 0.0),
+        "thickness of steel at h = 2 W/m2K, mm",
+    )
     start_up(history, slabs, exact)
     figure.savefig(FIGURE, dpi=100, pil_kwargs={"optimize": True})
 
 
-def sweep(axes: Any, values: Array, slabs: dict[str, tuple[float, ...]], settings: Any, label: str) -> None:
+def sweep(
+    axes: Any, values: Array, slabs: dict[str, tuple[float, ...]], settings: Any, label: str
+) -> None:
     """Draw the error of the step that ships and of an hour's along an axis."""
     for step_s, style in ((LIMITS.step_s, "o-"), (3600.0, "s--")):
         error = []
@@ -142,11 +170,16 @@ def by_step(axes: Any, values: Array, slab: Any, label: str) -> None:
 
 
 def _report(label: str, values: Array, error_k: list[float]) -> None:
-    print(f"{label}:", ", ".join(f"{v:.2g}: {1e3 * e:.1f} mK" for v, e in zip(values, error_k, strict=True)))
+    print(
+        f"{label}:",
+        ", ".join(f"{v:.2g}: {1e3 * e:.1f} mK" for v, e in zip(values, error_k, strict=True)),
+    )
 
 
 def start_up(axes: Any, slabs: list[tuple[float, ...]], exact: Array) -> None:
-    """Draw the error against the hours of history, from a uniform slab and from the periodic state."""
+    """Draw the error against the hours of history, from a uniform slab and from the periodic
+    state.
+    """
     columns, hours = columns_of(slabs), np.array([0.0, 6.0, 12.0, 24.0, 48.0, 120.0, 240.0])
     for name, style in (("uniform, at the air's temperature", "s--"), ("periodic", "o-")):
         error = []

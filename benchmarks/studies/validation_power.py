@@ -1,4 +1,5 @@
-"""Power of a validation against the number of simulated sets and their time, verified by frames of wrong cameras.
+"""Power of a validation against the number of simulated sets and their time, verified by frames of
+wrong cameras.
 
 `make study NAME=validation-power` measures it and rewrites the table and the figure.
 """
@@ -30,14 +31,19 @@ DRAWS = (8, 12, 16, 20, 28, 40)
 WRONG = 10_000
 # Parameters whose printed error is verified, one a stage.
 VERIFIED = (
-    "detection probability, as 1/F²", "frequency of the tube's MTF, or blur of the lens", "video bandwidth",
-    "slow decay of the phosphor", "gain",
-)  # fmt: skip
+    "detection probability, as 1/F²",
+    "frequency of the tube's MTF, or blur of the lens",
+    "video bandwidth",
+    "slow decay of the phosphor",
+    "gain",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PowerStudy:
-    """Numbers of the sets of one camera, changes by its parameters, and processor time of a set, s."""
+    """Numbers of the sets of one camera, changes by its parameters, and processor time of a
+    set, s.
+    """
 
     bench: BenchSets
     sets: tuple[Groups, ...]
@@ -58,7 +64,9 @@ class PowerStudy:
 
 
 def chart(study: PowerStudy) -> list[dict[str, Any]]:
-    """Return, by number of sets, the errors found, false alarms of the other sets, and processor time."""
+    """Return, by number of sets, the errors found, false alarms of the other sets, and processor
+    time.
+    """
     rows = []
     for draws in DRAWS:
         if draws > len(study.sets) - 8:
@@ -68,11 +76,16 @@ def chart(study: PowerStudy) -> list[dict[str, Any]]:
         found = {one.title: test.detectable(**vars(one)) for one in study.changes}
         seconds = time.process_time() - began + draws * study.seconds
         alarms = [any(not one.passed for one in test.statistics(own)) for own in study.sets[draws:]]
-        rows.append({
-            "draws": draws, "seconds": seconds, "false_alarms": sum(alarms), "tried": len(alarms),
-            "errors": {name: one.relative_error for name, one in found.items()},
-            "statistics": {name: one.statistic for name, one in found.items()},
-        })  # fmt: skip
+        rows.append(
+            {
+                "draws": draws,
+                "seconds": seconds,
+                "false_alarms": sum(alarms),
+                "tried": len(alarms),
+                "errors": {name: one.relative_error for name, one in found.items()},
+                "statistics": {name: one.statistic for name, one in found.items()},
+            }
+        )
         print(rows[-1], flush=True)
     return rows
 
@@ -83,10 +96,15 @@ def verify(study: PowerStudy, tries: int) -> list[dict[str, Any]]:
     controls = {one.title: one for one in PARAMETERS}
     for index, change in enumerate(one for one in study.changes if one.title in VERIFIED):
         error = test.detectable(**vars(change)).relative_error
-        wrong = [study.bench.change(WRONG * (index + 1) + i, controls[change.title], error) for i in range(tries)]
+        wrong = [
+            study.bench.change(WRONG * (index + 1) + i, controls[change.title], error)
+            for i in range(tries)
+        ]
         numbers = [own for own, _ in (one for one in wrong if one is not None)]
         fails = [any(not one.passed for one in test.statistics(own)) for own in numbers]
-        rows.append({"parameter": change.title, "error": error, "failed": sum(fails), "tries": tries})
+        rows.append(
+            {"parameter": change.title, "error": error, "failed": sum(fails), "tries": tries}
+        )
         print(rows[-1], flush=True)
     return rows
 
@@ -98,18 +116,28 @@ def draw(results: Mapping[str, Any]) -> None:
     FigureCanvasAgg(figure)
     errors, seconds = figure.subplots(1, 2, width_ratios=(3, 2))
     draws = [row["draws"] for row in rows]
-    verified = {row["parameter"]: f" ({row['failed']}/{row['tries']} failed)" for row in results["verified"]}
+    verified = {
+        row["parameter"]: f" ({row['failed']}/{row['tries']} failed)" for row in results["verified"]
+    }
     for index, name in enumerate(rows[0]["errors"]):
-        values = [np.nan if (error := row["errors"][name]) is None else 100.0 * error for row in rows]
+        values = [
+            np.nan if (error := row["errors"][name]) is None else 100.0 * error for row in rows
+        ]
         style = {"color": f"C{index % 10}", "linestyle": "--" if index >= 10 else "-"}
-        errors.plot(draws, values, marker="o", markersize=3, label=name + verified.get(name, ""), **style)
+        errors.plot(
+            draws, values, marker="o", markersize=3, label=name + verified.get(name, ""), **style
+        )
     ticks = (1, 2, 5, 10, 20, 50, 100)
-    errors.set(xlabel="simulated sets", ylabel="relative error found in 80 % of sessions, %", yscale="log")
+    errors.set(
+        xlabel="simulated sets", ylabel="relative error found in 80 % of sessions, %", yscale="log"
+    )
     errors.set_yticks(ticks, [str(tick) for tick in ticks])
     errors.minorticks_off()
     errors.axvline(VALIDATION.draws, color="0.6", linewidth=0.8)
     errors.set_title("power, and frames with that error at the line that failed", fontsize=9)
-    figure.legend(*errors.get_legend_handles_labels(), loc="outside right center", fontsize=7, frameon=False)
+    figure.legend(
+        *errors.get_legend_handles_labels(), loc="outside right center", fontsize=7, frameon=False
+    )
     seconds.plot(draws, [row["seconds"] for row in rows], "o-", color="0.2", markersize=3)
     seconds.set(xlabel="simulated sets", ylabel="processor time, s", ylim=(0.0, None))
     seconds.set_title("time of the sets and their test", fontsize=9)

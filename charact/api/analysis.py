@@ -19,12 +19,14 @@ SHOWN = 3  # Quantities of the short text
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Analysis(Result):
-    """Result of one analysis: a `labdata.measurement.Result` with each measured quantity as an attribute.
+    """Result of one analysis: a `labdata.measurement.Result` with each measured quantity as an
+    attribute.
 
     Examples
     --------
     >>> from labdata.measurement import measurement_from_sd
-    >>> found = Analysis(measurements=(measurement_from_sd("mtf50", "cy/px", 0.2, 0.001, method="edge-slanted"),))
+    >>> mtf50 = measurement_from_sd("mtf50", "cy/px", 0.2, 0.001, method="edge-slanted")
+    >>> found = Analysis(measurements=(mtf50,))
     >>> found.mtf50.value
     0.2
     >>> found
@@ -32,7 +34,9 @@ class Analysis(Result):
     """
 
     source: str = "array"  #: File or session measured
-    session: Session | None = None  #: The session measured, whose conditions `charact.compare` requires to be alike
+    session: Session | None = (
+        None  #: The session measured, whose conditions `charact.compare` requires to be alike
+    )
 
     @classmethod
     def of(cls, result: Result, source: str, session: Session | None = None) -> "Analysis":
@@ -41,7 +45,9 @@ class Analysis(Result):
         return cls(**values, source=source, session=session)
 
     def __getattr__(self, quantity: str) -> Measurement:
-        """Return the only measurement of a quantity, or the only one with a value; of several, ask for `find`."""
+        """Return the only measurement of a quantity, or the only one with a value; of several, ask
+        for `find`.
+        """
         if quantity not in QUANTITIES:
             raise AttributeError(f"an Analysis has no attribute {quantity!r}")
         found = self.find(quantity)
@@ -53,7 +59,14 @@ class Analysis(Result):
             raise AttributeError(f"{quantity!r} was not measured, only {measured or 'nothing'}")
         differing = [
             name
-            for name in ("unit", "stack", "region", "frequency_cy_per_px", "orientation_deg", "method")
+            for name in (
+                "unit",
+                "stack",
+                "region",
+                "frequency_cy_per_px",
+                "orientation_deg",
+                "method",
+            )
             if len({getattr(m, name) for m in found}) > 1
         ]
         example = (
@@ -61,7 +74,9 @@ class Analysis(Result):
             if differing
             else f"find({quantity!r})"
         )
-        raise AttributeError(f"{len(found)} measurements of {quantity!r}, which differ in {differing}: {example}[0]")
+        raise AttributeError(
+            f"{len(found)} measurements of {quantity!r}, which differ in {differing}: {example}[0]"
+        )
 
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *(m.quantity for m in self.measurements)})
@@ -69,11 +84,15 @@ class Analysis(Result):
     def __repr__(self) -> str:
         valued = [m for m in self.measurements if m.value is not None]
         shown = [
-            f"{m.quantity} {plus_minus(m)}{'' if m.unit == '1' else ' ' + m.unit} {m.status}" for m in valued[:SHOWN]
+            f"{m.quantity} {plus_minus(m)}{'' if m.unit == '1' else ' ' + m.unit} {m.status}"
+            for m in valued[:SHOWN]
         ]
         more = [f"{len(valued) - SHOWN} more"] if len(valued) > SHOWN else []
         refused = len(self.measurements) - len(valued)
-        return f"<Analysis: {'; '.join((*shown, *more, *([f'{refused} refused'] if refused else ())))}>"
+        return (
+            "<Analysis: "
+            f"{'; '.join((*shown, *more, *([f'{refused} refused'] if refused else ())))}>"
+        )
 
     def __str__(self) -> str:
         return summary(self, title=self.source)
@@ -114,7 +133,9 @@ class Analysis(Result):
         return figure
 
     def to_frame(self) -> "pandas.DataFrame":
-        """Return one row a measurement: quantity, unit, value, interval ends, status, flags, method and place."""
+        """Return one row a measurement: quantity, unit, value, interval ends, status, flags, method
+        and place.
+        """
         pandas = _optional("pandas", "tables")
         return pandas.DataFrame([_row(m) for m in self.measurements])
 
@@ -132,7 +153,8 @@ class Analysis(Result):
         return xarray.Dataset(variables, axes, attrs={"source": self.source})
 
     def to_arviz(self, quantity: str | None = None) -> "xarray.DataTree":
-        """Return the posterior draws of a measurement as ArviZ takes them: a tree with the group "posterior".
+        """Return the posterior draws of a measurement as ArviZ takes them: a tree with the group
+        "posterior".
 
         Parameters
         ----------
@@ -145,27 +167,49 @@ class Analysis(Result):
             If there are no draws, or xarray is not installed.
         """
         xarray = _optional("xarray", "tables")
-        having = [m for m in self.measurements if m.posterior is not None and quantity in (None, m.quantity)]
+        having = [
+            m
+            for m in self.measurements
+            if m.posterior is not None and quantity in (None, m.quantity)
+        ]
         if not having or (posterior := having[0].posterior) is None:
             raise BadInput(
-                f"no posterior draws of {quantity or 'any quantity'}: the method does not sample, or was quick"
+                f"no posterior draws of {quantity or 'any quantity'}: the method does not sample, "
+                "or was quick"
             )
         draws = {
             name: (("chain", "draw"), posterior[name][None], {"units": unit})
             for name, unit in zip(posterior.names, posterior.units, strict=True)
         }
-        about = {"sampler": posterior.sampler, "seed": posterior.seed, "quantity": having[0].quantity}
+        about = {
+            "sampler": posterior.sampler,
+            "seed": posterior.seed,
+            "quantity": having[0].quantity,
+        }
         return xarray.DataTree.from_dict({"posterior": xarray.Dataset(draws, attrs=about)})
 
 
 def _row(m: Measurement) -> dict[str, Any]:
     ends = {
-        f"{side}{level}": None if (interval := getattr(m, f"interval{level}")) is None else interval[index]
+        f"{side}{level}": None
+        if (interval := getattr(m, f"interval{level}")) is None
+        else interval[index]
         for level in (68, 95)
         for index, side in enumerate(("low", "high"))
     }
-    plain = ("quantity", "unit", "value", "status", "method", "stack", "region", "frequency_cy_per_px",
-             "orientation_deg", "seconds", "reason")  # fmt: skip
+    plain = (
+        "quantity",
+        "unit",
+        "value",
+        "status",
+        "method",
+        "stack",
+        "region",
+        "frequency_cy_per_px",
+        "orientation_deg",
+        "seconds",
+        "reason",
+    )
     return {**{name: getattr(m, name) for name in plain}, **ends, "flags": ", ".join(m.flags)}
 
 

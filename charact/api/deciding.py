@@ -19,14 +19,20 @@ Measured = str | Path | Session | Result
 
 
 def compare(
-    a: Measured, b: Measured, *, anyway: bool = False, seed: int = 0, progress: Progress = ignore_progress
+    a: Measured,
+    b: Measured,
+    *,
+    anyway: bool = False,
+    seed: int = 0,
+    progress: Progress = ignore_progress,
 ) -> Comparison:
     """Compare two sessions, or two results: B - A of every quantity with a value in both.
 
     Parameters
     ----------
     a, b
-        Sessions, their folders, or results. Of a folder the saved result is used; a session without one is measured.
+        Sessions, their folders, or results. Of a folder the saved result is used; a session without
+        one is measured.
     anyway
         Compare sessions of unlike conditions, with a flag.
     seed
@@ -37,7 +43,8 @@ def compare(
     Returns
     -------
     Comparison
-        `differences`, each with `difference`, `interval95`, `probability_better` and `status`; `find(quantity)`.
+        `differences`, each with `difference`, `interval95`, `probability_better` and `status`;
+        `find(quantity)`.
 
     Raises
     ------
@@ -50,9 +57,10 @@ def compare(
     >>> from charact.api import mtf
     >>> from scipy.special import erf
     >>> row, col = np.mgrid[:60, :80]
+    >>> distance_px = col - 40 + 0.1 * (row - 30)
     >>> rng = np.random.default_rng(1)
     >>> sharp, soft = (
-    ...     mtf(rng.poisson(1000 + 400 * erf((col - 40 + 0.1 * (row - 30)) / blur_px)), method="edge-slanted")
+    ...     mtf(rng.poisson(1000 + 400 * erf(distance_px / blur_px)), method="edge-slanted")
     ...     for blur_px in (1.5, 2.5)
     ... )
     >>> compare(sharp, soft).find("mtf50")[0].probability_better < 0.001
@@ -65,13 +73,18 @@ def compare(
     if sessions is not None and not anyway:  # before an analysis that takes minutes
         require_alike(*sessions, remedy="anyway=True")
     results = (_result(a, one, seed, progress), _result(b, other, seed, progress))
-    return compare_results(*results, sessions=sessions, anyway=anyway, rng=np.random.default_rng(seed))
+    return compare_results(
+        *results, sessions=sessions, anyway=anyway, rng=np.random.default_rng(seed)
+    )
 
 
 def check(
-    source: Measured, limits: str | Path | Limits | Sequence[Mapping[str, Any]], *, seed: int = 0,
+    source: Measured,
+    limits: str | Path | Limits | Sequence[Mapping[str, Any]],
+    *,
+    seed: int = 0,
     progress: Progress = ignore_progress,
-) -> LimitCheck:  # fmt: skip
+) -> LimitCheck:
     """Check the measurements of a session against limits.
 
     Parameters
@@ -79,8 +92,8 @@ def check(
     source
         A session, its folder, or a result, as for `compare`.
     limits
-        A limits file, or a list of mappings with its keys: quantity, min, max, and where needed unit, stack,
-        frequency_cy_per_px, orientation_deg.
+        A limits file, or a list of mappings with its keys: quantity, min, max, and where needed
+        unit, stack, frequency_cy_per_px, orientation_deg.
     seed, progress
         As for `compare`.
 
@@ -97,7 +110,8 @@ def check(
     Examples
     --------
     >>> from labdata.measurement import Result, measurement_from_sd
-    >>> result = Result(measurements=(measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, method="edge-forward"),))
+    >>> mtf50 = measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, method="edge-forward")
+    >>> result = Result(measurements=(mtf50,))
     >>> check(result, [{"quantity": "mtf50", "min": 0.3}]).verdict
     'fail'
     """

@@ -19,14 +19,19 @@ Frames = Any
 
 
 def frames_of(
-    source: Frames, *, plane: str | None = None, axis: str | None = None, black_dn: float | None = None
+    source: Frames,
+    *,
+    plane: str | None = None,
+    axis: str | None = None,
+    black_dn: float | None = None,
 ) -> FrameStack:
     """Return the frames of an array, a file or a stack.
 
     Parameters
     ----------
     source
-        Array of shape (row, col), (frame, row, col) or with colours last, DN; path of a file of frames; or a stack.
+        Array of shape (row, col), (frame, row, col) or with colours last, DN; path of a file of
+        frames; or a stack.
     plane, axis
         Colour plane and frame axis, as for `labdata.importers.read_frames`.
     black_dn
@@ -54,7 +59,8 @@ def frames_of(
     highest = float(stack.data.max())
     if not -float("inf") < black_dn < highest:
         raise BadInput(
-            f"--black-dn must be below the largest grey value of the frames, {highest:g} DN, got {black_dn:g}"
+            f"--black-dn must be below the largest grey value of the frames, {highest:g} DN, got "
+            f"{black_dn:g}"
         )
     return replace(stack, black_level_dn=black_dn)
 
@@ -87,15 +93,24 @@ def stack(
     if unknown := sorted(set(conditions) - known):
         raise BadInput(f"a condition must be one of {', '.join(sorted(known))}, got {unknown[0]!r}")
     return LoadedStackEntry(
-        label=label or kind, kind=kind, frames=(), folder=Path(), kept=frames_of(frames),
-        conditions=Conditions(**conditions), target=target or Target(),
-    )  # fmt: skip
+        label=label or kind,
+        kind=kind,
+        frames=(),
+        folder=Path(),
+        kept=frames_of(frames),
+        conditions=Conditions(**conditions),
+        target=target or Target(),
+    )
 
 
 def session(
-    stacks: Iterable[StackEntry], *, sensor: str | Path | Sensor | None = None, bit_depth: int | None = None,
-    interlaced: bool | None = None, name: str = "arrays",
-) -> Session:  # fmt: skip
+    stacks: Iterable[StackEntry],
+    *,
+    sensor: str | Path | Sensor | None = None,
+    bit_depth: int | None = None,
+    interlaced: bool | None = None,
+    name: str = "arrays",
+) -> Session:
     """Return a session of stacks in memory; labels that repeat are numbered.
 
     Parameters
@@ -107,7 +122,8 @@ def session(
     bit_depth
         Bits of the digitiser; None: found from the data.
     interlaced
-        Whether the two fields of a frame are exposed one after the other; None: as the sensor description says.
+        Whether the two fields of a frame are exposed one after the other; None: as the sensor
+        description says.
     name
         Name in reports.
 
@@ -131,7 +147,12 @@ def session(
         raise BadInput("a session must have at least one stack, got none")
     camera = sensor if sensor is None or isinstance(sensor, Sensor) else load_camera(str(sensor))
     return Session(
-        folder=Path(), name=name, stacks=tuple(entries), camera=camera, bit_depth=bit_depth, interlaced=interlaced
+        folder=Path(),
+        name=name,
+        stacks=tuple(entries),
+        camera=camera,
+        bit_depth=bit_depth,
+        interlaced=interlaced,
     )
 
 
@@ -142,10 +163,12 @@ def _with_bit_depth(entry: StackEntry, bit_depth: int | None) -> StackEntry:
     full_scale_dn = float(2**bit_depth - 1)
     if (highest := entry.kept.data.max()) > full_scale_dn:
         raise BadInput(
-            f"pixels must not exceed the {full_scale_dn:.0f} DN of {bit_depth} bits, got {highest} in stack "
-            f"{entry.label!r}"
+            f"pixels must not exceed the {full_scale_dn:.0f} DN of {bit_depth} bits, got "
+            f"{highest} in stack {entry.label!r}"
         )
-    return replace(entry, bit_depth=bit_depth, kept=replace(entry.kept, full_scale_dn=full_scale_dn))
+    return replace(
+        entry, bit_depth=bit_depth, kept=replace(entry.kept, full_scale_dn=full_scale_dn)
+    )
 
 
 def session_of(source: str | Path | Session) -> Session:

@@ -21,17 +21,29 @@ LIGHT = ("photons_per_px", "illuminance_lux", "illuminance_relative_sd", "wavele
 
 
 def mtf(
-    frames: Frames, kind: str = "edge", *, roi: Region | None = None, method: str = "auto",
-    within_percent: float = 2.0, quick: bool = False, seed: int = 0, sensor: str | Path | Sensor | None = None,
-    plane: str | None = None, axis: str | None = None, black_dn: float | None = None, max_targets: int = 24,
-    progress: Progress = ignore_progress, **target: Any,
-) -> Analysis:  # fmt: skip
+    frames: Frames,
+    kind: str = "edge",
+    *,
+    roi: Region | None = None,
+    method: str = "auto",
+    within_percent: float = 2.0,
+    quick: bool = False,
+    seed: int = 0,
+    sensor: str | Path | Sensor | None = None,
+    plane: str | None = None,
+    axis: str | None = None,
+    black_dn: float | None = None,
+    max_targets: int = 24,
+    progress: Progress = ignore_progress,
+    **target: Any,
+) -> Analysis:
     """Measure the MTF of the targets in an image or stack.
 
     Parameters
     ----------
     frames
-        Array (row, col) or (frame, row, col), DN; a file of frames; or a `labdata.frames.FrameStack`.
+        Array (row, col) or (frame, row, col), DN; a file of frames; or a
+        `labdata.frames.FrameStack`.
     kind
         "edge" (slanted), "bars" or "point".
     roi
@@ -51,7 +63,8 @@ def mtf(
     progress
         Called with a sentence and the fraction done (0..1).
     target
-        For bars, if known, `bars` (number) and `frequency_cy_per_px`; for a point `pinhole_px` (diameter, px).
+        For bars, if known, `bars` (number) and `frequency_cy_per_px`; for a point `pinhole_px`
+        (diameter, px).
 
     Returns
     -------
@@ -78,7 +91,9 @@ def mtf(
     read = frames_of(frames, plane=plane, axis=axis, black_dn=black_dn)
     described = sensor_of(sensor)
     interlaced = described is not None and described.video.interlaced
-    context = Context(seed=seed, quick=quick, sensor=described, interlaced=interlaced, progress=progress)
+    context = Context(
+        seed=seed, quick=quick, sensor=described, interlaced=interlaced, progress=progress
+    )
     chosen = {"method": method, "within_percent": within_percent, "context": context, **target}
     if roi is None:
         result = measure_all(kind, read, max_targets=max_targets, **chosen)
@@ -90,11 +105,19 @@ def mtf(
 
 
 def noise(
-    source: str | Path | Session | None = None, *, flats: Sequence[Frames] = (), darks: Sequence[Frames] = (),
-    method: str = "auto", within_percent: float = 2.0, quick: bool = False, seed: int = 0,
-    sensor: str | Path | Sensor | None = None, bit_depth: int | None = None, progress: Progress = ignore_progress,
+    source: str | Path | Session | None = None,
+    *,
+    flats: Sequence[Frames] = (),
+    darks: Sequence[Frames] = (),
+    method: str = "auto",
+    within_percent: float = 2.0,
+    quick: bool = False,
+    seed: int = 0,
+    sensor: str | Path | Sensor | None = None,
+    bit_depth: int | None = None,
+    progress: Progress = ignore_progress,
     **conditions: Any,
-) -> Analysis:  # fmt: skip
+) -> Analysis:
     """Measure noise against gain from flats and darks.
 
     Parameters
@@ -102,19 +125,21 @@ def noise(
     source
         A session or its folder; None: the frames of `flats` and `darks`.
     flats, darks
-        Stacks of one level each: arrays (frame, row, col), files, or stacks made by `charact.stack`.
+        Stacks of one level each: arrays (frame, row, col), files, or stacks made by
+        `charact.stack`.
     method, within_percent, quick, seed, sensor, progress
         As for `mtf`.
     bit_depth
         Bits of the digitiser; None: found from the data.
     conditions
-        Fields of `labdata.conditions.Conditions`: a number for all stacks (of light: for the flats), or a sequence
-        with one number for each flat.
+        Fields of `labdata.conditions.Conditions`: a number for all stacks (of light: for the
+        flats), or a sequence with one number for each flat.
 
     Raises
     ------
     BadInput
-        If there are no frames, both a session and frames, or a sequence has not one entry for each flat.
+        If there are no frames, both a session and frames, or a sequence has not one entry for each
+        flat.
 
     Examples
     --------
@@ -133,16 +158,23 @@ def noise(
 
 
 def bloom(
-    source: Frames | Session, *, method: str = "auto", within_percent: float = 2.0, quick: bool = False, seed: int = 0,
-    sensor: str | Path | Sensor | None = None, progress: Progress = ignore_progress, label: str = "point",
-) -> Analysis:  # fmt: skip
+    source: Frames | Session,
+    *,
+    method: str = "auto",
+    within_percent: float = 2.0,
+    quick: bool = False,
+    seed: int = 0,
+    sensor: str | Path | Sensor | None = None,
+    progress: Progress = ignore_progress,
+    label: str = "point",
+) -> Analysis:
     """Measure halo and blooming of overexposed point sources.
 
     Parameters
     ----------
     source
-        A session or its folder (a series of source levels with darks), or one image or stack of a source, of which
-        only the quantities of a single level can be measured.
+        A session or its folder (a series of source levels with darks), or one image or stack of a
+        source, of which only the quantities of a single level can be measured.
     method, within_percent, quick, seed, sensor, progress
         As for `mtf`.
     label
@@ -152,7 +184,9 @@ def bloom(
     from charact.bloom.single_frame import measure_frame
 
     if isinstance(source, Session) or _is_session(source):
-        return _analyse(measure, session_of(source), source, method, within_percent, quick, seed, progress)
+        return _analyse(
+            measure, session_of(source), source, method, within_percent, quick, seed, progress
+        )
     frames = frames_of(source)
     given = session([stack(frames, "point", label=label)], sensor=sensor)
     context = _context(given, quick, seed, progress)
@@ -164,9 +198,13 @@ def bloom(
 
 
 def measure(
-    source: str | Path | Session, *, within_percent: float = 2.0, quick: bool = False, seed: int = 0,
+    source: str | Path | Session,
+    *,
+    within_percent: float = 2.0,
+    quick: bool = False,
+    seed: int = 0,
     progress: Progress = ignore_progress,
-) -> Analysis:  # fmt: skip
+) -> Analysis:
     """Measure everything that the stacks of a session support.
 
     Parameters
@@ -184,14 +222,22 @@ def measure(
     from charact.session_measurement import measure as measure_session
 
     given = session_of(source)
-    result = measure_session(given, quick=quick, seed=seed, within_percent=within_percent, progress=progress)
+    result = measure_session(
+        given, quick=quick, seed=seed, within_percent=within_percent, progress=progress
+    )
     return Analysis.of(result, _name(source), given)
 
 
 def _analyse(
-    analysis: Callable[..., Result], given: Session, source: object, method: str, within_percent: float, quick: bool,
-    seed: int, progress: Progress,
-) -> Analysis:  # fmt: skip
+    analysis: Callable[..., Result],
+    given: Session,
+    source: object,
+    method: str,
+    within_percent: float,
+    quick: bool,
+    seed: int,
+    progress: Progress,
+) -> Analysis:
     context = _context(given, quick, seed, progress)
     result = analysis(given, method=method, within_percent=within_percent, context=context)
     return Analysis.of(result, _name(source), given)
@@ -204,24 +250,39 @@ def _context(given: Session, quick: bool, seed: int, progress: Progress) -> Cont
 
 
 def _session(
-    source: str | Path | Session | None, flats: Sequence[Frames], darks: Sequence[Frames], conditions: dict[str, Any],
-    *, sensor: str | Path | Sensor | None, bit_depth: int | None,
-) -> Session:  # fmt: skip
+    source: str | Path | Session | None,
+    flats: Sequence[Frames],
+    darks: Sequence[Frames],
+    conditions: dict[str, Any],
+    *,
+    sensor: str | Path | Sensor | None,
+    bit_depth: int | None,
+) -> Session:
     """Return the session given, or one of flats and darks."""
     if source is not None:
         if len(flats) or len(darks) or conditions:
-            raise BadInput("noise takes a session, or flats and darks with their conditions, got both")
+            raise BadInput(
+                "noise takes a session, or flats and darks with their conditions, got both"
+            )
         return session_of(source)
     per_flat = {
-        name: value for name, value in conditions.items() if isinstance(value, Sequence) or hasattr(value, "shape")
+        name: value
+        for name, value in conditions.items()
+        if isinstance(value, Sequence) or hasattr(value, "shape")
     }
     for name, values in per_flat.items():
         if len(values) != len(flats):
-            raise BadInput(f"{name} must have one entry for each of {len(flats)} flats, got {len(values)}")
+            raise BadInput(
+                f"{name} must have one entry for each of {len(flats)} flats, got {len(values)}"
+            )
     common = {name: value for name, value in conditions.items() if name not in per_flat}
     of_darks = {name: value for name, value in common.items() if name not in LIGHT}
     stacks = [
-        _stack(one, "flat", {**common, **{name: float(values[number]) for name, values in per_flat.items()}})
+        _stack(
+            one,
+            "flat",
+            {**common, **{name: float(values[number]) for name, values in per_flat.items()}},
+        )
         for number, one in enumerate(flats)
     ]
     stacks += [_stack(one, "dark", of_darks) for one in darks]
@@ -239,7 +300,9 @@ def _stack(frames: Frames | StackEntry, kind: Any, conditions: dict[str, Any]) -
 def _is_session(source: object) -> bool:
     from labdata.session import MANIFEST
 
-    return isinstance(source, str | Path) and (Path(source).name == MANIFEST or (Path(source) / MANIFEST).is_file())
+    return isinstance(source, str | Path) and (
+        Path(source).name == MANIFEST or (Path(source) / MANIFEST).is_file()
+    )
 
 
 def _name(source: object) -> str:
@@ -250,14 +313,18 @@ def _name(source: object) -> str:
 
 
 def in_file_coordinates(result: Result, frames: FrameStack) -> Result:
-    """Return the result with regions in coordinates of the file and with the notes of the importer."""
+    """Return the result with regions in coordinates of the file and with the notes of the
+    importer.
+    """
     from charact.mtf.dispatch import REGION_NAME
 
     def shift(region: Region) -> Region:
         return region[0] + frames.origin[0], region[1] + frames.origin[1], region[2], region[3]
 
     names = {
-        REGION_NAME.format(*m.region): REGION_NAME.format(*shift(m.region)) for m in result.measurements if m.region
+        REGION_NAME.format(*m.region): REGION_NAME.format(*shift(m.region))
+        for m in result.measurements
+        if m.region
     }
 
     def rename(name: str) -> str:

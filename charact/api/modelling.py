@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 
 def fit(
-    source: str | Path | Session, result: Result | None = None, *, seed: int = 0, progress: Progress = ignore_progress
+    source: str | Path | Session,
+    result: Result | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress = ignore_progress,
 ) -> Sensor | SolidStateCamera:
     """Fit the description of a session's sensor to its measurements.
 
@@ -47,14 +51,20 @@ def fit(
     from charact.fit import fit_sensor
 
     given = session_of(source)
-    return fit_sensor(given, result or measure(given, seed=seed, progress=progress), seed=seed, progress=progress)
+    return fit_sensor(
+        given, result or measure(given, seed=seed, progress=progress), seed=seed, progress=progress
+    )
 
 
 def validate(
-    source: str | Path | Session, sensor: str | Path | Sensor | SolidStateCamera, *, seed: int = 0,
+    source: str | Path | Session,
+    sensor: str | Path | Sensor | SolidStateCamera,
+    *,
+    seed: int = 0,
     progress: Progress = ignore_progress,
-) -> "Validation":  # fmt: skip
-    """Compare the frames of a session with frames simulated from a fitted sensor, by tests that can fail.
+) -> "Validation":
+    """Compare the frames of a session with frames simulated from a fitted sensor, by tests that can
+    fail.
 
     Parameters
     ----------
@@ -74,9 +84,14 @@ def validate(
 
 
 def report(
-    source: str | Path | Session, out: str | Path | None = None, *, result: Result | None = None,
-    validation: "Validation | None" = None, pdf: bool = False, seed: int = 0,
-) -> Path:  # fmt: skip
+    source: str | Path | Session,
+    out: str | Path | None = None,
+    *,
+    result: Result | None = None,
+    validation: "Validation | None" = None,
+    pdf: bool = False,
+    seed: int = 0,
+) -> Path:
     """Write the report of a session as one HTML file.
 
     Parameters
@@ -115,22 +130,36 @@ def report(
         result = result or result_io.load(given.folder)
         validation = validation or load(given.folder)
     return write(
-        given, result or measure(given, seed=seed), out or given.folder / "report.html", validation=validation, pdf=pdf
+        given,
+        result or measure(given, seed=seed),
+        out or given.folder / "report.html",
+        validation=validation,
+        pdf=pdf,
     )
 
 
 def simulate(
-    source: Frames, *, sensor: str | Path | Camera, frames: int = 1, seed: int = 0,
-    out: str | Path | None = None, kind: Any = None, error_budget_percent: float | None = 10.0,
-    photoelectrons_per_dn: float | None = None, black_dn: float | None = None, target: Any = None,
-    progress: Callable[[str, float], None] = ignore_progress, **conditions: Any,
-) -> FrameStack:  # fmt: skip
+    source: Frames,
+    *,
+    sensor: str | Path | Camera,
+    frames: int = 1,
+    seed: int = 0,
+    out: str | Path | None = None,
+    kind: Any = None,
+    error_budget_percent: float | None = 10.0,
+    photoelectrons_per_dn: float | None = None,
+    black_dn: float | None = None,
+    target: Any = None,
+    progress: Callable[[str, float], None] = ignore_progress,
+    **conditions: Any,
+) -> FrameStack:
     """Simulate frames of an image or a scene by a described camera.
 
     Parameters
     ----------
     source
-        An array (row, col), DN; a file of an image; a radiance cube (.npz); or a scene (.toml, or a shipped name).
+        An array (row, col), DN; a file of an image; a radiance cube (.npz); or a scene (.toml, or a
+        shipped name).
     sensor
         The camera: a shipped name, a TOML file, or a description, such as that of `fit`.
     frames
@@ -142,9 +171,11 @@ def simulate(
     kind, target
         Kind of the stack and target on the bench, as for `simulate.api.SimulationRequest`.
     error_budget_percent
-        Largest sum of neglected effects, percent of the temporal noise; None: no effect is neglected.
+        Largest sum of neglected effects, percent of the temporal noise; None: no effect is
+        neglected.
     photoelectrons_per_dn, black_dn
-        Of an image: mean photoelectrons per pixel and exposure for each DN above the black level, and this level, DN.
+        Of an image: mean photoelectrons per pixel and exposure for each DN above the black level,
+        and this level, DN.
     progress
         Called with a sentence and the fraction done (0..1).
     conditions
@@ -180,10 +211,14 @@ def simulate(
         request = replace(request, target=target)
     shot = api.simulate(request, described, settings, progress)
     if out is not None:
-        session_files.save_session(shot, described, Path(out), frames=frames, seed=seed, progress=progress)
+        session_files.save_session(
+            shot, described, Path(out), frames=frames, seed=seed, progress=progress
+        )
         return session_of(out).stacks[0].read()
     data = np.stack(list(shot.frames(seed=seed, count=frames)))
     bits = described.video.bit_depth
     return FrameStack(
-        data=data, full_scale_dn=float(2**bits - 1), notes=(f"simulated, seed {seed}", *shot.notes, shot.economy_note)
+        data=data,
+        full_scale_dn=float(2**bits - 1),
+        notes=(f"simulated, seed {seed}", *shot.notes, shot.economy_note),
     )

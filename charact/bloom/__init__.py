@@ -18,8 +18,11 @@ make_callable(__name__)
 EXTENDED = "lit-edge"
 
 
-def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
-    """Measure halo diameter, bloom diameter and streak length from the point sources of a session, else from its edges.
+def measure(
+    session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context
+) -> Result:
+    """Measure halo diameter, bloom diameter and streak length from the point sources of a session,
+    else from its edges.
 
     Parameters
     ----------
@@ -37,19 +40,34 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     BadInput
         If the session has no point source, or the method is unknown.
     """
-    if method == EXTENDED or (method == "auto" and session.of_kind("edge") and not session.of_kind("point")):
+    if method == EXTENDED or (
+        method == "auto" and session.of_kind("edge") and not session.of_kind("point")
+    ):
         return _with_findings(choose(EXTENDED).function(session, context=context))
     session, bad = with_sound_pixels(session)
     chosen = choose("bloom", method, within_percent=within_percent)
     if not session.of_kind("point"):
-        raise BadInput(f"blooming needs stacks of kind point, got only {sorted({s.kind for s in session.stacks})}")
-    notes = (f"{bad} stuck, hot or hit pixels are excluded or replaced by their neighbours' mean",) if bad else ()
+        raise BadInput(
+            "blooming needs stacks of kind point, got only "
+            f"{sorted({s.kind for s in session.stacks})}"
+        )
+    notes = (
+        (f"{bad} stuck, hot or hit pixels are excluded or replaced by their neighbours' mean",)
+        if bad
+        else ()
+    )
     return _with_findings(chosen.function(session, context=context), notes)
 
 
 def _with_findings(result: Result, notes: tuple[str, ...] = ()) -> Result:
     """Add the effect and the remedy of each flag to a result."""
     forms = result.evidence.get("bloom-forms", {}).get("table", [])
-    effects = {"model-misfit": f"rings deviate by {forms[0]['off_percent']:.2g} % of their signal"} if forms else {}
-    out = (add_findings(one.with_(notes=(*one.notes, *notes)), effects) for one in result.measurements)
+    effects = (
+        {"model-misfit": f"rings deviate by {forms[0]['off_percent']:.2g} % of their signal"}
+        if forms
+        else {}
+    )
+    out = (
+        add_findings(one.with_(notes=(*one.notes, *notes)), effects) for one in result.measurements
+    )
     return replace(result, measurements=tuple(out))

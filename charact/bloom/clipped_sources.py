@@ -24,9 +24,10 @@ STREAK_PX = 7
 class ClippedSource:
     """Source that the frame clips.
 
-    `row`, `col`: centre, px; `shape`: "point" or "patch"; `region`, `illuminated_pixels`: flat indices of its clipped
-    pixels, and of those assumed to be illuminated; `light_dn_px`: signal without glare, DN times pixels, of every draw
-    of the PSF, shape (draw,), NaN where unknown; `reason`: refusal reason, empty where known.
+    `row`, `col`: centre, px; `shape`: "point" or "patch"; `region`, `illuminated_pixels`: flat
+    indices of its clipped pixels, and of those assumed to be illuminated; `light_dn_px`: signal
+    without glare, DN times pixels, of every draw of the PSF, shape (draw,), NaN where unknown;
+    `reason`: refusal reason, empty where known.
     """
 
     row: float
@@ -45,7 +46,9 @@ class ClippedSource:
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """Pixels that determine the signal of a group of neighbouring sources; clipped ones (`floor`) as lower limits."""
+    """Pixels that determine the signal of a group of neighbouring sources; clipped ones (`floor`)
+    as lower limits.
+    """
 
     places: Pixels
     signal: Array
@@ -56,7 +59,9 @@ class Surroundings:
 
 @dataclass(frozen=True, kw_only=True)
 class ClippedSourceFit:
-    """Signal of the sources of a group, DN px, its standard uncertainty, and the misfit (median-based and rms)."""
+    """Signal of the sources of a group, DN px, its standard uncertainty, and the misfit
+    (median-based and rms).
+    """
 
     light: Array
     sd: Array
@@ -65,12 +70,19 @@ class ClippedSourceFit:
 
 
 def find_clipped_sources(
-    signal: NDArray, clipped: Mask, spread: PosteriorPsf, grid: FrameGrid, *, noise_dn: NDArray, clip_dn: float,
+    signal: NDArray,
+    clipped: Mask,
+    spread: PosteriorPsf,
+    grid: FrameGrid,
+    *,
+    noise_dn: NDArray,
+    clip_dn: float,
     rng: np.random.Generator,
-) -> tuple[ClippedSource, ...]:  # fmt: skip
+) -> tuple[ClippedSource, ...]:
     """Find the clipped sources of a frame and estimate their signal for every draw of the PSF.
 
-    `signal`: frame above dark, shape (row, col), DN, with its pixels' noise `noise_dn` and full scale `clip_dn`.
+    `signal`: frame above dark, shape (row, col), DN, with its pixels' noise `noise_dn` and full
+    scale `clip_dn`.
     """
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial.distance import cdist
@@ -82,8 +94,8 @@ def find_clipped_sources(
     out: list[ClippedSource] = []
     for one in range(count):
         own, found = [regions[number] for number in np.flatnonzero(group == one)], []
-        # First without the steep flank, where the core width matters; if the halo is too faint, with all but noisy
-        # pixels.
+        # First without the steep flank, where the core width matters; if the halo is too faint,
+        # with all but noisy pixels.
         for margin in (4, 1):
             around = _surroundings(own, signal, clipped, grid, reach, margin, noise_dn, clip_dn)
             found = _sources(own, spread, grid, around, rng)
@@ -104,12 +116,24 @@ def _regions(clipped: Mask) -> list[Pixels]:
     return [np.ravel_multi_index(place, clipped.shape) for _, place in sorted(found.items())]  # pyright: ignore
 
 
-def _surroundings(regions: list[Pixels], signal: NDArray, clipped: Mask, grid: FrameGrid, reach: float, margin: int,
-                  noise_dn: NDArray, clip_dn: float) -> Surroundings:  # fmt: skip
-    """Select the unclipped pixels near any source of the group, and the clipped ones as lower limits."""
+def _surroundings(
+    regions: list[Pixels],
+    signal: NDArray,
+    clipped: Mask,
+    grid: FrameGrid,
+    reach: float,
+    margin: int,
+    noise_dn: NDArray,
+    clip_dn: float,
+) -> Surroundings:
+    """Select the unclipped pixels near any source of the group, and the clipped ones as lower
+    limits.
+    """
     from scipy import ndimage
 
-    spoilt = np.asarray(ndimage.binary_dilation(clipped, np.ones((2 * margin + 1,) * 2, bool)), bool)
+    spoilt = np.asarray(
+        ndimage.binary_dilation(clipped, np.ones((2 * margin + 1,) * 2, bool)), bool
+    )
     for region in regions:
         spoilt[:, np.abs(np.arange(signal.shape[1]) - grid.middle(region)[1]) <= 2] = True
     shut = np.concatenate(regions)
@@ -122,34 +146,55 @@ def _surroundings(regions: list[Pixels], signal: NDArray, clipped: Mask, grid: F
     steep = np.where(floor, 0.0, np.hypot(*np.gradient(np.asarray(signal, float))).ravel()[places])
     # Relative PSF error well above the noise, 5 %, and position error on steep flanks, 0.25 px.
     sd = np.sqrt(noise_dn.ravel()[places] ** 2 + (0.05 * values) ** 2 + (0.25 * steep) ** 2)
-    return Surroundings(places=places, signal=np.where(floor, clip_dn, values), sd=sd, floor=floor, subsampling=step)
+    return Surroundings(
+        places=places, signal=np.where(floor, clip_dn, values), sd=sd, floor=floor, subsampling=step
+    )
 
 
-def _sources(regions: list[Pixels], spread: PosteriorPsf, grid: FrameGrid, around: Surroundings,
-             rng: np.random.Generator) -> list[ClippedSource]:  # fmt: skip
+def _sources(
+    regions: list[Pixels],
+    spread: PosteriorPsf,
+    grid: FrameGrid,
+    around: Surroundings,
+    rng: np.random.Generator,
+) -> list[ClippedSource]:
     """Sources of one group with their signal, from given surroundings."""
     unknown = np.full(len(spread), np.nan)
     halo_px = 0.5 * float(np.median(spread.halo_diameter_px))
     shapes = [_possible_shape(region, around, grid, halo_px) for region in regions]
     sources = [
-        ClippedSource(row=row, col=col, shape=shape or "point", region=region, illuminated_pixels=region,
-                      light_dn_px=unknown)
-        for (row, col), shape, region in zip(map(grid.middle, regions), shapes, regions, strict=True)
-    ]  # fmt: skip
+        ClippedSource(
+            row=row,
+            col=col,
+            shape=shape or "point",
+            region=region,
+            illuminated_pixels=region,
+            light_dn_px=unknown,
+        )
+        for (row, col), shape, region in zip(
+            map(grid.middle, regions), shapes, regions, strict=True
+        )
+    ]
     reason = _reason(regions, shapes, around, grid)
     if not reason:
         sources, reason = _choose_shapes(sources, spread.centre(), grid, around)
     if reason:
         return [replace(source, reason=reason) for source in sources]
     known = profiles(spread), spread.transfer(grid.frequency)
-    fits = [_fit(_templates(sources, known, draw, grid, around), around) for draw in range(len(spread))]
+    fits = [
+        _fit(_templates(sources, known, draw, grid, around), around) for draw in range(len(spread))
+    ]
     light = np.array([one.light + one.sd * rng.standard_normal(len(one.light)) for one in fits])
     clear = np.median([one.light / np.maximum(one.sd, 1e-12) for one in fits], axis=0)
     return [
         replace(source, light_dn_px=np.maximum(of, 0.0))
         if seen >= SEEN
         else replace(
-            source, reason=f"its halo is {seen:.1f} standard errors above its surroundings, at least {SEEN:g} needed"
+            source,
+            reason=(
+                f"its halo is {seen:.1f} standard errors above its surroundings, at least "
+                f"{SEEN:g} needed"
+            ),
         )
         for source, of, seen in zip(sources, light.T, clear, strict=True)
     ]
@@ -171,7 +216,9 @@ def _possible_shape(region: Pixels, around: Surroundings, grid: FrameGrid, halo_
 def _reason(regions: list[Pixels], shapes: list[str], around: Surroundings, grid: FrameGrid) -> str:
     """Refusal reason for a group, or an empty string."""
     rows, cols = np.divmod(np.concatenate(regions), grid.shape[1])
-    if ((rows == 0) | (cols == 0) | (rows == grid.shape[0] - 1) | (cols == grid.shape[1] - 1)).any():
+    if (
+        (rows == 0) | (cols == 0) | (rows == grid.shape[0] - 1) | (cols == grid.shape[1] - 1)
+    ).any():
         return "it touches the border of the frame"
     if (count := int((~around.floor).sum())) < LEAST_PIXELS:
         return f"only {count} pixels around it are unclipped, at least {LEAST_PIXELS} needed"
@@ -181,7 +228,9 @@ def _reason(regions: list[Pixels], shapes: list[str], around: Surroundings, grid
 def _choose_shapes(
     sources: list[ClippedSource], centre: PosteriorPsf, grid: FrameGrid, around: Surroundings
 ) -> tuple[list[ClippedSource], str]:
-    """Sources with the shapes that fit best, and a refusal reason where these are ambiguous or fit poorly."""
+    """Sources with the shapes that fit best, and a refusal reason where these are ambiguous or fit
+    poorly.
+    """
     known, reason = (profiles(centre), centre.transfer(grid.frequency)), ""
     best = _fit(_templates(sources, known, 0, grid, around), around)
     for one, source in enumerate(sources):
@@ -190,11 +239,17 @@ def _choose_shapes(
             other = [*sources[:one], patch, *sources[one + 1 :]]
             found = _fit(_templates(other, known, 0, grid, around), around)
             if point is not None and _alike(point, found, one):
-                reason = "its surroundings fit a point source with halo and a uniform patch about equally well"
+                reason = (
+                    "its surroundings fit a point source with halo and a uniform patch about "
+                    "equally well"
+                )
             if found.rms < best.rms:
                 sources, best = other, found
     if best.misfit > 2.5:
-        reason = f"its surroundings deviate from the PSF by {best.misfit:.1f} times the noise and model error"
+        reason = (
+            f"its surroundings deviate from the PSF by {best.misfit:.1f} times the noise and "
+            f"model error"
+        )
     return sources, reason
 
 
@@ -206,15 +261,21 @@ def _alike(point: ClippedSourceFit, patch: ClippedSourceFit, one: int) -> bool:
 
 
 def _patches(source: ClippedSource, grid: FrameGrid) -> Iterator[ClippedSource]:
-    """Uniform patches as large as the clipped pixels and smaller, since blur clips pixels next to a bright patch."""
+    """Uniform patches as large as the clipped pixels and smaller, since blur clips pixels next to a
+    bright patch.
+    """
     from scipy import ndimage
 
     mask, (first, left) = _mask_of(source.region, grid, 1)
     for smaller in range(3):
-        down, across = np.nonzero(ndimage.binary_erosion(mask, iterations=smaller) if smaller else mask)
+        down, across = np.nonzero(
+            ndimage.binary_erosion(mask, iterations=smaller) if smaller else mask
+        )
         if len(down) < 9:
             return
-        yield replace(source, shape="patch", illuminated_pixels=(down + first) * grid.shape[1] + across + left)
+        yield replace(
+            source, shape="patch", illuminated_pixels=(down + first) * grid.shape[1] + across + left
+        )
 
 
 def _mask_of(region: Pixels, grid: FrameGrid, margin: int) -> tuple[Mask, tuple[int, int]]:
@@ -227,7 +288,11 @@ def _mask_of(region: Pixels, grid: FrameGrid, margin: int) -> tuple[Mask, tuple[
 
 
 def _templates(
-    sources: list[ClippedSource], tables: tuple[Array, Array], draw: int, grid: FrameGrid, around: Surroundings
+    sources: list[ClippedSource],
+    tables: tuple[Array, Array],
+    draw: int,
+    grid: FrameGrid,
+    around: Surroundings,
 ) -> Array:
     """Signal of one unit of every source in the surrounding pixels, shape (pixel, source)."""
     laid = [
@@ -240,18 +305,24 @@ def _templates(
 
 
 def _fit(templates: Array, around: Surroundings) -> ClippedSourceFit:
-    """Weighted least squares with a common background; a clipped pixel counts only where the model is below full scale.
+    """Weighted least squares with a common background; a clipped pixel counts only where the model
+    is below full scale.
 
-    Residuals beyond two standard deviations are down-weighted (Huber), since a scene has other content.
+    Residuals beyond two standard deviations are down-weighted (Huber), since a scene has other
+    content.
     """
     design = np.concatenate([templates, np.ones((len(templates), 1))], axis=1)
     scale = np.abs(design).max(axis=0)
     weight, best = ~around.floor / around.sd, np.zeros(design.shape[1])
     for _ in range(8):
-        best = np.linalg.lstsq(design / scale * weight[:, None], around.signal * weight, rcond=None)[0]
+        best = np.linalg.lstsq(
+            design / scale * weight[:, None], around.signal * weight, rcond=None
+        )[0]
         pull = (design / scale @ best - around.signal) / around.sd
         counted = ~around.floor | (pull < 0)
-        weight = counted / around.sd * np.minimum(1.0, np.sqrt(2.0 / np.maximum(np.abs(pull), 1e-9)))
+        weight = (
+            counted / around.sd * np.minimum(1.0, np.sqrt(2.0 / np.maximum(np.abs(pull), 1e-9)))
+        )
     # Up to half of the pixels may show other content of the scene.
     misfit = 1.4826 * float(np.median(np.abs(pull[counted])))
     rms = float(np.sqrt(np.mean(np.minimum(pull[counted] ** 2, 100.0))))
@@ -259,5 +330,8 @@ def _fit(templates: Array, around: Surroundings) -> ClippedSourceFit:
     # About ten pixels have correlated noise.
     covariance = np.linalg.pinv(weighted.T @ weighted) * 10.0 * max(misfit, 0.3) ** 2
     return ClippedSourceFit(
-        light=(best / scale)[:-1], sd=(np.sqrt(np.diag(covariance)) / scale)[:-1], misfit=misfit, rms=rms
+        light=(best / scale)[:-1],
+        sd=(np.sqrt(np.diag(covariance)) / scale)[:-1],
+        misfit=misfit,
+        rms=rms,
     )

@@ -1,4 +1,6 @@
-"""Column artefacts: streaks of overflowing wells, smear, and the noise of the mean frame around them."""
+"""Column artefacts: streaks of overflowing wells, smear, and the noise of the mean frame around
+them.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -26,10 +28,11 @@ ROUNDED_DN = 0.02
 class ColumnArtefacts:
     """Signal above and below a source in excess of that at the same distance left and right.
 
-    `first_col`: first column of the arrays; `row_offset`: distance of each row from the source, column pitches, shape
-    (row,); `round_dn`: mean at the same distance left and right, above its minimum, shape (row, col), DN; `excess_dn`,
-    `sd_dn`: excess over it, and the noise of one pixel, shape (row, col), DN; `block_factor`: variance of the mean of
-    some successive rows over that of as many independent pixels, dimensionless.
+    `first_col`: first column of the arrays; `row_offset`: distance of each row from the source,
+    column pitches, shape (row,); `round_dn`: mean at the same distance left and right, above its
+    minimum, shape (row, col), DN; `excess_dn`, `sd_dn`: excess over it, and the noise of one pixel,
+    shape (row, col), DN; `block_factor`: variance of the mean of some successive rows over that of
+    as many independent pixels, dimensionless.
     """
 
     first_col: int
@@ -41,17 +44,20 @@ class ColumnArtefacts:
 
 
 def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
-    """Return the pixels of a mean frame that column blooming or smear has brightened, shape (row, col).
+    """Return the pixels of a mean frame that column blooming or smear has brightened, shape (row,
+    col).
 
-    For each column near the source the rows with a visible streak, all of them under smear; a radial profile excludes
-    these pixels. The core, which outshines the column signal, is not included.
+    For each column near the source the rows with a visible streak, all of them under smear; a
+    radial profile excludes these pixels. The core, which outshines the column signal, is not
+    included.
     """
     from scipy import ndimage
 
     mask = np.zeros(spot.image.shape, bool)
     found = compare_columns(spot, context)
     (above, up), (below, down) = (_reach(found, side) for side in (-1, 1))
-    # Smear is equal above and below; if one side is outside the frame, the other must be more significant.
+    # Smear is equal above and below; if one side is outside the frame, the other must be more
+    # significant.
     both = np.isfinite(up).all() and np.isfinite(down).all()
     smeared = (np.minimum(up, down) if both else np.fmax(up, down)) > (3.0 if both else 6.0)
     far = np.abs(found.row_offset)[:, None]
@@ -69,7 +75,9 @@ def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
     return mask
 
 
-def compare_columns(spot: PointStack, context: Context, *, half_width_px: int | None = None) -> ColumnArtefacts:
+def compare_columns(
+    spot: PointStack, context: Context, *, half_width_px: int | None = None
+) -> ColumnArtefacts:
     """Compare the columns near the source with pixels at the same distance left and right.
 
     `half_width_px`: columns on either side of the source; None: those that may overflow or smear.
@@ -88,16 +96,24 @@ def compare_columns(spot: PointStack, context: Context, *, half_width_px: int | 
     far = np.abs(dx) > max(2.0 * _half_width(spot), 0.3 * cols)
     # Cameras may deviate from rotational symmetry by 5 % of the source's signal.
     return ColumnArtefacts(
-        first_col=first, row_offset=dy, round_dn=light - floor, excess_dn=spot.image[:, first:last] - light,
-        sd_dn=np.hypot(noise, 0.05 * (light - floor)), block_factor=_block_factor(spot.image[:, far]),
-    )  # fmt: skip
+        first_col=first,
+        row_offset=dy,
+        round_dn=light - floor,
+        excess_dn=spot.image[:, first:last] - light,
+        sd_dn=np.hypot(noise, 0.05 * (light - floor)),
+        block_factor=_block_factor(spot.image[:, far]),
+    )
 
 
 def _half_width(spot: PointStack) -> int:
-    """Columns on either side that may overflow or smear: those bright in the source's rows, with a margin."""
+    """Columns on either side that may overflow or smear: those bright in the source's rows, with a
+    margin.
+    """
     row, col = round(spot.row), round(spot.col)
     near = spot.image[max(0, row - 1) : row + 2].mean(axis=0)
-    bright = near - spot.dark_dn > 0.5 * min(near.max() - spot.dark_dn, 0.5 * (spot.full_scale_dn - spot.dark_dn))
+    bright = near - spot.dark_dn > 0.5 * min(
+        near.max() - spot.dark_dn, 0.5 * (spot.full_scale_dn - spot.dark_dn)
+    )
     run = np.flatnonzero(_around(bright, col))
     reach = int(np.abs(run - col).max()) if len(run) else 0
     # Video filter or smear carry the signal into at least 5 columns, 3 beyond the bright ones.
@@ -105,7 +121,8 @@ def _half_width(spot: PointStack) -> int:
 
 
 def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tuple[Array, Array]:
-    """Mean and scatter of pixels by distance left and right of the source; the fainter side where they differ.
+    """Mean and scatter of pixels by distance left and right of the source; the fainter side where
+    they differ.
 
     Only pixels closer in rows than in columns count, outside the columns of the source.
     """
@@ -122,12 +139,16 @@ def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tu
     full = count >= 4
     error = np.sqrt((sd**2 / np.maximum(count, 1)).sum(axis=0))
     differ = np.abs(mean[0] - mean[1]) > 6.0 * np.maximum(error, 1e-9)
-    both = np.where(differ, mean.min(axis=0), (mean * count).sum(axis=0) / np.maximum(count.sum(axis=0), 1))
+    both = np.where(
+        differ, mean.min(axis=0), (mean * count).sum(axis=0) / np.maximum(count.sum(axis=0), 1)
+    )
     light = np.where(full.all(axis=0), both, np.where(full[0], mean[0], mean[1]))
     scatter = np.where(full.all(axis=0), sd.max(axis=0), np.where(full[0], sd[0], sd[1]))
     grid, known = np.arange(reach), np.flatnonzero(full.any(axis=0))
     least = max(0.5 * float(np.median(scatter[known])) if len(known) else 0.5, ROUNDED_DN)
-    return np.interp(grid, known, light[known]), np.maximum(np.interp(grid, known, scatter[known]), least)
+    return np.interp(grid, known, light[known]), np.maximum(
+        np.interp(grid, known, scatter[known]), least
+    )
 
 
 def _block_factor(image: Array) -> float:
@@ -143,7 +164,8 @@ def _block_factor(image: Array) -> float:
 
 
 def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
-    """Distance over which each column stays brighter than its surroundings on one side, px, and its significance.
+    """Distance over which each column stays brighter than its surroundings on one side, px, and its
+    significance.
 
     The significance is that of the mean over the outer half of its rows; NaN with too few rows.
     """
@@ -163,7 +185,10 @@ def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
         bright = np.flatnonzero((excess[:, place] > 5.0 * error[:, place]) & filled[:, place])
         out[place] = ends[bright[-1]] + BLOCK_ROWS if len(bright) else 0.0
     outer = slice(count // 2, None)
-    noise = np.sqrt(np.maximum((error[outer] ** 2).mean(axis=0), excess[outer].var(axis=0)) / (count - count // 2))
+    noise = np.sqrt(
+        np.maximum((error[outer] ** 2).mean(axis=0), excess[outer].var(axis=0))
+        / (count - count // 2)
+    )
     return out, excess[outer].mean(axis=0) / noise
 
 
@@ -184,9 +209,10 @@ PATCH_PX = 6
 class MeanFrameNoise:
     """Noise of a mean frame.
 
-    `floor_variance`: variance of a pixel of the background, DN^2; `per_light`: variance of a pixel over its signal, DN;
-    0 where the background is too faint to measure it; `neighbours`: variance of the sum of many adjacent pixels over
-    that of as many independent ones, dimensionless; `background_dn`: background above dark, DN.
+    `floor_variance`: variance of a pixel of the background, DN^2; `per_light`: variance of a pixel
+    over its signal, DN; 0 where the background is too faint to measure it; `neighbours`: variance
+    of the sum of many adjacent pixels over that of as many independent ones, dimensionless;
+    `background_dn`: background above dark, DN.
     """
 
     floor_variance: float
@@ -206,8 +232,9 @@ class MeanFrameNoise:
 def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     """Estimate the noise of a mean frame far from a source.
 
-    `image`: mean frame, shape (row, col), DN; `col`: column of the source, px; `dark_dn`: black level, DN. The scatter
-    of patches includes temporal noise and fixed pattern, since both affect a single mean frame.
+    `image`: mean frame, shape (row, col), DN; `col`: column of the source, px; `dark_dn`: black
+    level, DN. The scatter of patches includes temporal noise and fixed pattern, since both affect a
+    single mean frame.
     """
     rows, cols = (n // PATCH_PX * PATCH_PX for n in image.shape)
     tiles = image[:rows, :cols].reshape(rows // PATCH_PX, PATCH_PX, cols // PATCH_PX, PATCH_PX)
@@ -225,9 +252,11 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     # Below 0.5 DN the noise is not photon noise.
     measurable = background > 0.5
     return MeanFrameNoise(
-        floor_variance=floor, per_light=floor / background if measurable else 0.0,
-        neighbours=float(np.clip(PATCH_PX**2 * patch / floor, 1.0, 12.0)), background_dn=max(background, 0.0),
-    )  # fmt: skip
+        floor_variance=floor,
+        per_light=floor / background if measurable else 0.0,
+        neighbours=float(np.clip(PATCH_PX**2 * patch / floor, 1.0, 12.0)),
+        background_dn=max(background, 0.0),
+    )
 
 
 LEAST_ROWS = 3
@@ -239,11 +268,12 @@ FULL_SHARE = 0.5
 class Streak:
     """Streak of one source.
 
-    `length_px`, `length_sd_px`: rows of the source's column at or above half of full scale, core included, and their
-    standard error; 0 without any; `overflows`: whether wells overflow: the column is far brighter than the same
-    distance left and right of the source; `level_dn`, `level_sd_dn`: signal above dark of full wells, DN; NaN without
-    overflow; `clipped`: whether that signal is at full scale, a lower limit of the full well; `meets_border`, `uneven`:
-    whether the streak ends at the frame's border; whether it is longer on one side, unlike overflow.
+    `length_px`, `length_sd_px`: rows of the source's column at or above half of full scale, core
+    included, and their standard error; 0 without any; `overflows`: whether wells overflow: the
+    column is far brighter than the same distance left and right of the source; `level_dn`,
+    `level_sd_dn`: signal above dark of full wells, DN; NaN without overflow; `clipped`: whether
+    that signal is at full scale, a lower limit of the full well; `meets_border`, `uneven`: whether
+    the streak ends at the frame's border; whether it is longer on one side, unlike overflow.
     """
 
     length_px: float
@@ -259,9 +289,10 @@ class Streak:
 def streak_of(spot: PointStack, context: Context) -> Streak:
     """Measure the column of a source.
 
-    Charge beyond the full well spreads up and down until every well holds its part: the column is full to sharp ends,
-    with partly filled last pixels. Rows count by the probability that their mean is above the threshold. In interlaced
-    frames the two fields overflow separately, so that every second row counts near the ends.
+    Charge beyond the full well spreads up and down until every well holds its part: the column is
+    full to sharp ends, with partly filled last pixels. Rows count by the probability that their
+    mean is above the threshold. In interlaced frames the two fields overflow separately, so that
+    every second row counts near the ends.
     """
     found = compare_columns(spot, context)
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
@@ -278,16 +309,26 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
     value = float(np.median(level))
     spread = robust.robust_sd(level)
     error = 1.25 * max(spread, 1.0 / np.sqrt(12.0 * spot.frames)) / np.sqrt(len(level))
-    ends = [float(np.abs(found.row_offset[side]).max()) if len(side) else 0.0 for side in (above, below)]
+    ends = [
+        float(np.abs(found.row_offset[side]).max()) if len(side) else 0.0 for side in (above, below)
+    ]
     return Streak(
-        length_px=length, length_sd_px=sd, overflows=len(full) >= LEAST_ROWS, level_dn=value, level_sd_dn=error,
-        clipped=len(full) > 0 and value > spot.full_scale_dn - spot.dark_dn - max(1.0, 4.0 * spread),
-        meets_border=meets, uneven=not meets and abs(ends[0] - ends[1]) > 4.0 + 0.2 * max(ends),
-    )  # fmt: skip
+        length_px=length,
+        length_sd_px=sd,
+        overflows=len(full) >= LEAST_ROWS,
+        level_dn=value,
+        level_sd_dn=error,
+        clipped=len(full) > 0
+        and value > spot.full_scale_dn - spot.dark_dn - max(1.0, 4.0 * spread),
+        meets_border=meets,
+        uneven=not meets and abs(ends[0] - ends[1]) > 4.0 + 0.2 * max(ends),
+    )
 
 
 def _rows_above(spot: PointStack, grain: MeanFrameNoise, col: int) -> tuple[float, float]:
-    """Number of rows of a column with a mean at or above half of full scale, and its standard error."""
+    """Number of rows of a column with a mean at or above half of full scale, and its standard
+    error.
+    """
     from scipy.special import ndtr
 
     half = 0.5 * (spot.full_scale_dn - spot.dark_dn)
@@ -298,7 +339,9 @@ def _rows_above(spot: PointStack, grain: MeanFrameNoise, col: int) -> tuple[floa
     spilled = float(grain.sum_variance(half * rows)) / (2.0 * half) ** 2 if rows > 12 else 0.0
     frames = spot.frame_streak_px
     seen = float(frames.var(ddof=1)) / len(frames) if len(frames) > 1 else 0.0
-    return rows, float(np.sqrt(max(counted, spilled, seen) + (2.0 / np.sqrt(12.0) / np.sqrt(2.0)) ** 2))
+    return rows, float(
+        np.sqrt(max(counted, spilled, seen) + (2.0 / np.sqrt(12.0) / np.sqrt(2.0)) ** 2)
+    )
 
 
 def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[np.int64]:
@@ -311,7 +354,8 @@ def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[n
     top = float(np.sort(excess)[-2])
     if top < 0.2 * (spot.full_scale_dn - spot.dark_dn):
         return outward[:0]
-    # Smear is uniform along the column: the last rows are no streak, unless they are bright enough for full wells.
+    # Smear is uniform along the column: the last rows are no streak, unless they are bright enough
+    # for full wells.
     even = float(np.median(excess[-max(4, len(excess) // 8) :]))
     if even > 0.5 * top and even < FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
         return outward[:0]
@@ -323,7 +367,8 @@ def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[n
 def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> list[Measurement]:
     """Return length and signal of one stack's streak.
 
-    The length is defined with or without overflow, as a chord of the bloom. The level is refused without overflow.
+    The length is defined with or without overflow, as a chord of the bloom. The level is refused
+    without overflow.
     """
     half, common = spot.half_dn, {"stack": spot.label, **fields}
     if reason := spot.why_undetected:
@@ -342,19 +387,31 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
             column = spot.image[:, int(np.clip(round(spot.col), 0, spot.image.shape[1] - 1))]
             lower = float((column >= 0.5 * spot.full_scale_dn).sum()) - spot.streak_px
             sd = float(np.hypot(sd, lower / 1.96))
-        length = measurement_from_sd("streak_length", "px", streak.length_px, sd, flags=flags, **common)
+        length = measurement_from_sd(
+            "streak_length", "px", streak.length_px, sd, flags=flags, **common
+        )
     reason = ""
     if not streak.overflows:
-        reason = "no wells overflow: the column is no brighter than the same distance left and right"
+        reason = (
+            "no wells overflow: the column is no brighter than the same distance left and right"
+        )
     elif streak.clipped and streak.meets_border:
-        reason = "the column is at full scale up to the frame's border: a streak and smear look alike there"
+        reason = (
+            "the column is at full scale up to the frame's border: a streak and smear look "
+            "alike there"
+        )
     elif streak.clipped:
         flags += ("clipped",)
-        common["notes"] = (*common.get("notes", ()), "lower limit of the full well: the streak is at full scale")
+        common["notes"] = (
+            *common.get("notes", ()),
+            "lower limit of the full well: the streak is at full scale",
+        )
     if reason:
         kind = "failed" if streak.overflows else "not-applicable"
         return [length, make_refusal("streak_level", "DN", reason, refusal=kind, **common)]
     return [
         length,
-        measurement_from_sd("streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common),
+        measurement_from_sd(
+            "streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common
+        ),
     ]

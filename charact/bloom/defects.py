@@ -38,7 +38,8 @@ class SoundEntry(StackEntry):
 
 
 def with_sound_pixels(session: Session) -> tuple[Session, int]:
-    """Return a session whose darks and point stacks are read without defective pixels, and the number of those pixels.
+    """Return a session whose darks and point stacks are read without defective pixels, and the
+    number of those pixels.
 
     `session`: with stacks of kind "point", and darks where there are any.
     """
@@ -63,8 +64,12 @@ def bad_pixels(entry: StackEntry, shape: tuple[int, ...]) -> Mask:
 
 
 def _hot(session: Session) -> Mask:
-    """Pixels that stand out of a dark and of the faintest point stack; pulses stand out of one of them only."""
-    points = sorted(session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0)
+    """Pixels that stand out of a dark and of the faintest point stack; pulses stand out of one of
+    them only.
+    """
+    points = sorted(
+        session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0
+    )
     darks = session.of_kind("dark")
     if not points or not darks:
         return np.zeros((0, 0), bool)
@@ -79,10 +84,11 @@ def _hot(session: Session) -> Mask:
 
 
 def lone_pixels(image: Array) -> Mask:
-    """Return the pixels of a mean frame that stand out while their neighbours do not, shape (row, col).
+    """Return the pixels of a mean frame that stand out while their neighbours do not, shape (row,
+    col).
 
-    A Gaussian of 0.35 px, sharper than any lens, still gives the one or two pixels next to its brightest one 30 % of
-    the signal.
+    A Gaussian of 0.35 px, sharper than any lens, still gives the one or two pixels next to its
+    brightest one 30 % of the signal.
     """
     excess, sd = _excess(image)
     out = np.zeros(image.shape, bool)
@@ -94,7 +100,9 @@ def lone_pixels(image: Array) -> Mask:
         lit = adjacent[:-1].sum()
         near = excess[max(0, row - 3) : row + 4, max(0, col - 3) : col + 4]
         local = 1.4826 * float(np.median(np.abs(near)))
-        out[row, col] = own > DEFECT_SD * local and lit < LIT_NEIGHBOURS * own + NEIGHBOUR_SD * local
+        out[row, col] = (
+            own > DEFECT_SD * local and lit < LIT_NEIGHBOURS * own + NEIGHBOUR_SD * local
+        )
     # Single bright pixels all over a frame are unblurred pulses, photon noise.
     return out if out.mean() < MOST_DEFECTS else np.zeros(image.shape, bool)
 
@@ -115,7 +123,9 @@ def replace_bad_pixels(data: NDArray, bad: Mask) -> NDArray:
     for row, col in np.argwhere(bad):
         reach = 1
         while True:
-            window = np.s_[max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1]
+            window = np.s_[
+                max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1
+            ]
             sound = ~bad[window]
             if sound.any():
                 break

@@ -1,4 +1,6 @@
-"""Bloom extent: area around a source at or above a signal threshold, by a contour fitted to the adjacent pixels."""
+"""Bloom extent: area around a source at or above a signal threshold, by a contour fitted to the
+adjacent pixels.
+"""
 
 from dataclasses import dataclass, replace
 from statistics import NormalDist
@@ -12,7 +14,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 DRAWS = 200
-# A single contour is fitted if the 95 % range of crossings is narrower than this, px and fraction of the radius.
+# A single contour is fitted if the 95 % range of crossings is narrower than this, px and fraction
+# of the radius.
 ONE_CONTOUR = (3.0, 0.1)
 # Radius below which sectors are narrow, so that one pixel is significant, px.
 NARROW_PX = 4.0
@@ -26,10 +29,10 @@ DIRECTIONS = np.linspace(-np.pi, np.pi, 72, endpoint=False)
 class Contour:
     """Closed contour around a source.
 
-    `radius`: radius in each of `DIRECTIONS`, column pitches, shape (direction,); `area`, `area_sd`: area inside and its
-    standard error, square column pitches; `slope`: fall of the logarithm of the signal at the contour, per column
-    pitch; `oval`, `oval_sd`: second harmonic of the squared radius over its mean, cosine and sine, and its standard
-    error; dimensionless.
+    `radius`: radius in each of `DIRECTIONS`, column pitches, shape (direction,); `area`, `area_sd`:
+    area inside and its standard error, square column pitches; `slope`: fall of the logarithm of the
+    signal at the contour, per column pitch; `oval`, `oval_sd`: second harmonic of the squared
+    radius over its mean, cosine and sine, and its standard error; dimensionless.
     """
 
     radius: Array
@@ -45,20 +48,33 @@ class Contour:
         return polar.radius <= np.interp(angle, DIRECTIONS, self.radius, period=2 * np.pi)
 
     def shift(self) -> tuple[float, float]:
-        """Offset of the centre of the contour from the assumed one, rows and columns, column pitches."""
-        down, along = (2.0 * float((self.radius * wave(DIRECTIONS)).mean()) for wave in (np.sin, np.cos))
+        """Offset of the centre of the contour from the assumed one, rows and columns, column
+        pitches.
+        """
+        down, along = (
+            2.0 * float((self.radius * wave(DIRECTIONS)).mean()) for wave in (np.sin, np.cos)
+        )
         return down, along
 
 
 def fit_contour(
-    signal: Array, polar: Polar, profile: tuple[Array, Array], level: float, radius: float, noise: PixelNoise,
-    top: float, sectors: NDArray[np.bool_], *, width: float = 1.0,
-) -> Contour | None:  # fmt: skip
+    signal: Array,
+    polar: Polar,
+    profile: tuple[Array, Array],
+    level: float,
+    radius: float,
+    noise: PixelNoise,
+    top: float,
+    sectors: NDArray[np.bool_],
+    *,
+    width: float = 1.0,
+) -> Contour | None:
     """Fit the contour at a threshold near a radius; None where the pixels there do not cross it.
 
-    `signal`: mean frame above dark, shape (row, col), DN; `profile`: radius and mean signal of rings, which select the
-    pixels near the threshold; `level`: threshold above dark, DN; `radius`: start radius, column pitches; `top`: full
-    scale above dark, DN; `sectors`: sectors used; `width`: fraction of the usual annulus that is fitted.
+    `signal`: mean frame above dark, shape (row, col), DN; `profile`: radius and mean signal of
+    rings, which select the pixels near the threshold; `level`: threshold above dark, DN; `radius`:
+    start radius, column pitches; `top`: full scale above dark, DN; `sectors`: sectors used;
+    `width`: fraction of the usual annulus that is fitted.
     """
     base = _surroundings(profile, level, radius)
     # Close to full scale the rings are clipped on one side and locate the threshold less well.
@@ -77,8 +93,16 @@ def fit_contour(
     if clear.sum() > 2 * basis.shape[1]:
         # Clipped pixels are extrapolated from the others, since clipping resembles a plateau.
         lever = np.exp(linear[clear])[:, None]
-        linear = basis @ np.linalg.lstsq(lever * basis[clear], lever[:, 0] * linear[clear], rcond=None)[0]
-    weight, own, working, normal = np.ones(len(value)), np.ones(len(value)), linear, np.eye(len(beta))
+        linear = (
+            basis
+            @ np.linalg.lstsq(lever * basis[clear], lever[:, 0] * linear[clear], rcond=None)[0]
+        )
+    weight, own, working, normal = (
+        np.ones(len(value)),
+        np.ones(len(value)),
+        linear,
+        np.eye(len(beta)),
+    )
     for _ in range(4):
         mean = above * np.exp(np.clip(linear, -4.0, 4.0))
         expected, share = mean_with_clipping(base + mean, noise, top)
@@ -86,12 +110,16 @@ def fit_contour(
         variance = noise.sd(base + mean) ** 2 / noise.frames
         weight = lever**2 / (variance + (0.05 * mean) ** 2)
         working = linear + (value - expected) * lever / np.maximum(lever**2, 1e-3 * above**2)
-        weighted, own = basis * weight[:, None], weight**2 * variance / np.maximum(lever**2, 1e-3 * above**2)
+        weighted, own = (
+            basis * weight[:, None],
+            weight**2 * variance / np.maximum(lever**2, 1e-3 * above**2),
+        )
         normal = np.asarray(np.linalg.pinv(weighted.T @ basis, hermitian=True), np.float64)
         beta = normal @ (weighted.T @ working)
         linear = basis @ beta
     scores = basis * (weight * (working - linear))[:, None]
-    # Noise correlated over an area is correlated along a line by its square root; scatter gives a second estimate.
+    # Noise correlated over an area is correlated along a line by its square root; scatter gives a
+    # second estimate.
     noisy = np.sqrt(noise.tied) * normal @ (basis * own[:, None]).T @ basis @ normal
     # Up to a radius of 2 px the contour is so short that its noise is that of an area.
     analytic = noise.tied * normal if radius <= 2.0 else noisy
@@ -105,8 +133,14 @@ def _surroundings(profile: tuple[Array, Array], level: float, radius: float) -> 
     return float(np.clip(0.97 * profile[1][outside].min(initial=level), 0.0, 0.8 * level))
 
 
-def _near(polar: Polar, profile: tuple[Array, Array], levels: tuple[float, float], radius: float,
-          sectors: NDArray[np.bool_], widths: tuple[float, float]) -> NDArray[np.bool_]:  # fmt: skip
+def _near(
+    polar: Polar,
+    profile: tuple[Array, Array],
+    levels: tuple[float, float],
+    radius: float,
+    sectors: NDArray[np.bool_],
+    widths: tuple[float, float],
+) -> NDArray[np.bool_]:
     """Pixels with a ring near the radius and a signal near the threshold."""
     (level, base), (width, nearest) = levels, widths
     apart = np.abs(polar.radius - radius)
@@ -128,9 +162,19 @@ FEW = ("1", "t", "x", "y")
 
 
 def _basis(x: Array, y: Array, terms: tuple[str, ...]) -> Array:
-    """Terms in the relative squared distance, (r/r0)^2 - 1, and in the direction, shape (.., term)."""
+    """Terms in the relative squared distance, (r/r0)^2 - 1, and in the direction, shape (..,
+    term).
+    """
     t = x**2 + y**2 - 1.0
-    known = {"1": np.ones_like(x), "t": t, "x": x, "y": y, "tt": t**2, "xx-yy": x**2 - y**2, "2xy": 2 * x * y}
+    known = {
+        "1": np.ones_like(x),
+        "t": t,
+        "x": x,
+        "y": y,
+        "tt": t**2,
+        "xx-yy": x**2 - y**2,
+        "2xy": 2 * x * y,
+    }
     return np.stack([known[term] for term in terms], axis=-1)
 
 
@@ -140,8 +184,12 @@ def _scatter(scores: Array, tied: float) -> Array:
     return scores.T @ scores * tied * len(scores) / spare
 
 
-def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[str, ...]) -> Contour | None:
-    """Solve for the contour radius in every direction, and propagate the covariance of the coefficients."""
+def _solve_contour(
+    beta: Array, covariance: Array, radius: float, terms: tuple[str, ...]
+) -> Contour | None:
+    """Solve for the contour radius in every direction, and propagate the covariance of the
+    coefficients.
+    """
     t = np.zeros(len(DIRECTIONS))
     bend = float(beta[terms.index("tt")]) if "tt" in terms else 0.0
     for _ in range(5):
@@ -154,15 +202,21 @@ def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[s
     shifts = -rows / fall[:, None] * radius**2
     mean = float(squared.mean())
     waves = [2.0 * wave(2 * DIRECTIONS) / mean for wave in (np.cos, np.sin)]
-    toward = [np.pi * shifts.mean(axis=0), *((shifts * wave[:, None]).mean(axis=0) for wave in waves)]
+    toward = [
+        np.pi * shifts.mean(axis=0),
+        *((shifts * wave[:, None]).mean(axis=0) for wave in waves),
+    ]
     sds = [float(np.sqrt(max(one @ covariance @ one, 0.0))) for one in toward]
     oval = (float((squared * waves[0]).mean()), float((squared * waves[1]).mean()))
     # Neglected higher harmonics may reach 5 % of the second.
     return Contour(
-        radius=np.sqrt(squared), area=np.pi * mean,
+        radius=np.sqrt(squared),
+        area=np.pi * mean,
         area_sd=float(np.hypot(sds[0], 0.05 * np.hypot(*oval) * np.pi * mean)),
-        slope=float(-2.0 * np.mean(fall) / radius), oval=oval, oval_sd=float(np.hypot(sds[1], sds[2]) / np.sqrt(2.0)),
-    )  # fmt: skip
+        slope=float(-2.0 * np.mean(fall) / radius),
+        oval=oval,
+        oval_sd=float(np.hypot(sds[1], sds[2]) / np.sqrt(2.0)),
+    )
 
 
 def _along(t: Array, terms: tuple[str, ...]) -> Array:
@@ -175,10 +229,10 @@ def _along(t: Array, terms: tuple[str, ...]) -> Array:
 class Extent:
     """Region around a source at or above a threshold.
 
-    `level_dn`: threshold, DN; `area`: square column pitches; `draws`: equal-area diameters, column pitches, shape
-    (draw,); `region`: its pixels, shape (row, col); `contour`: contour of its round part; None where noise prevents a
-    fit; `touches_border`: whether it extends to the border of the frame; `pulled`: whether some sectors extend beyond a
-    round source.
+    `level_dn`: threshold, DN; `area`: square column pitches; `draws`: equal-area diameters, column
+    pitches, shape (draw,); `region`: its pixels, shape (row, col); `contour`: contour of its round
+    part; None where noise prevents a fit; `touches_border`: whether it extends to the border of the
+    frame; `pulled`: whether some sectors extend beyond a round source.
     """
 
     level_dn: float
@@ -200,12 +254,15 @@ class Extent:
         return self.contour is not None
 
 
-def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed: int = 0) -> Extent | None:
-    """Return the region around the source at or above a threshold; None where the source stays below it.
+def extent_at(
+    view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed: int = 0
+) -> Extent | None:
+    """Return the region around the source at or above a threshold; None where the source stays
+    below it.
 
-    `view`: mean frame around the source; `level_dn`, `level_sd`: threshold and its standard error, DN; `seed`: seed of
-    the draws. Rings are averages over hundreds of pixels. A threshold within their noise (halo plateaus) has several
-    possible crossings, which the draws cover.
+    `view`: mean frame around the source; `level_dn`, `level_sd`: threshold and its standard error,
+    DN; `seed`: seed of the draws. Rings are averages over hundreds of pixels. A threshold within
+    their noise (halo plateaus) has several possible crossings, which the draws cover.
     """
     level = level_dn - view.dark_dn
     visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])
@@ -241,7 +298,9 @@ def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed:
 
 
 def contour_at(view: SourceView, level: float) -> tuple[Contour, bool] | None:
-    """Return the contour at a threshold above dark, DN, and whether it covers all sectors; None without a contour."""
+    """Return the contour at a threshold above dark, DN, and whether it covers all sectors; None
+    without a contour.
+    """
     visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])
     first = _crossings(view.profile[0], view.profile[1][None], visible)[0]
     if np.isinf(first):
@@ -249,18 +308,24 @@ def contour_at(view: SourceView, level: float) -> tuple[Contour, bool] | None:
     sectors = ~_find_pulled_sectors(view, visible, first)
     if sectors.sum() < SECTORS // 3:
         return None
-    found = fit_contour(view.signal, view.polar, view.profile, level, max(first, 0.7), view.noise, view.top, sectors)
+    found = fit_contour(
+        view.signal, view.polar, view.profile, level, max(first, 0.7), view.noise, view.top, sectors
+    )
     return None if found is None else (found, bool(sectors.all()))
 
 
 def _crossings(radius: Array, means: Array, level: Array | float) -> Array:
-    """Radius where each profile first falls below a threshold, shape (draw,); inf where it never does."""
+    """Radius where each profile first falls below a threshold, shape (draw,); inf where it never
+    does.
+    """
     level = np.broadcast_to(np.asarray(level, float).reshape(-1, 1), (len(means), 1))
     below = means < level
     never = ~below.any(axis=1)
     last = np.argmax(below, axis=1)
     rows, inner = np.arange(len(means)), np.maximum(last - 1, 0)
-    logs = [np.log(np.maximum(means[rows, at], 1e-3) / level[:, 0].clip(1e-3)) for at in (inner, last)]
+    logs = [
+        np.log(np.maximum(means[rows, at], 1e-3) / level[:, 0].clip(1e-3)) for at in (inner, last)
+    ]
     share = np.clip(logs[0] / np.maximum(logs[0] - logs[1], 1e-9), 0.0, 1.0)
     out = radius[inner] + share * (radius[last] - radius[inner])
     return np.where(never, np.inf, np.where(last == 0, 0.7 * radius[0], out))
@@ -283,8 +348,12 @@ def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask
     picture = view.smooth if first > NARROW_PX else view.signal
     region = _component(view, picture >= min(sure, 0.5 * (visible + view.top)))
     margin = max(min(2.0, 0.4 * first), 0.1 * first, 1.0)
-    pixels = np.bincount(view.polar.sector[region & (view.polar.radius > first + margin)], minlength=SECTORS)
-    pulled = (pixels >= (3 if first > NARROW_PX else 1)) | _along_columns(view, visible, first + margin)
+    pixels = np.bincount(
+        view.polar.sector[region & (view.polar.radius > first + margin)], minlength=SECTORS
+    )
+    pulled = (pixels >= (3 if first > NARROW_PX else 1)) | _along_columns(
+        view, visible, first + margin
+    )
     # A streak extends into the adjacent sectors.
     return pulled | (np.roll(pulled, 1) & (pixels > 0)) | (np.roll(pulled, -1) & (pixels > 0))
 
@@ -305,12 +374,21 @@ def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask
     found, width = None, 1.0
     for _ in range(4):
         fitted = fit_contour(
-            view.signal, view.polar, view.profile, level, radius, view.noise, view.top, sectors, width=width
+            view.signal,
+            view.polar,
+            view.profile,
+            level,
+            radius,
+            view.noise,
+            view.top,
+            sectors,
+            width=width,
         )
         if fitted is None:
             return found
         again = float(np.sqrt(fitted.area / np.pi))
-        # If the radius is known to 0.04 px, half the annulus suffices and suits a polynomial better.
+        # If the radius is known to 0.04 px, half the annulus suffices and suits a polynomial
+        # better.
         narrow = width == 1.0 and fitted.area_sd / (2.0 * np.pi * again) < 0.04
         if width < 1.0 and found is not None:
             # A quarter of the difference between the two annuli is a systematic uncertainty.
@@ -324,7 +402,12 @@ def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask
 
 
 def _extent_from_contour(
-    view: SourceView, level_dn: float, visible: float, contour: Contour, sectors: Mask, level_sd: float
+    view: SourceView,
+    level_dn: float,
+    visible: float,
+    contour: Contour,
+    sectors: Mask,
+    level_sd: float,
 ) -> Extent:
     """Area inside the contour, with pixels counted in the sectors that extend beyond it."""
     inside = contour.inside(view.polar)
@@ -336,28 +419,49 @@ def _extent_from_contour(
         area += float(extra.sum()) * view.polar.row_pitch
         noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
         open_ = (extra > 0) & (np.abs(view.signal - visible) < noise)
-        variance += view.polar.row_pitch**2 * (0.25 * open_.sum() + (0.5 * (extra > 0).sum() ** 0.5) ** 2)
+        variance += view.polar.row_pitch**2 * (
+            0.25 * open_.sum() + (0.5 * (extra > 0).sum() ** 0.5) ** 2
+        )
         region = inside | (extra > 0.5)
     radius = float(np.sqrt(area / np.pi))
     # Model error of a contour, px; larger where clipping hides the inner side.
     off = 0.0225 if level_dn - view.dark_dn > CUT_SHARE * view.top else 0.004
     sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * off)
-    moved = 2.0 * np.pi * radius * level_sd / max(level_dn - view.dark_dn, 1e-6) / max(contour.slope, 1e-3)
+    moved = (
+        2.0
+        * np.pi
+        * radius
+        * level_sd
+        / max(level_dn - view.dark_dn, 1e-6)
+        / max(contour.slope, 1e-3)
+    )
     areas = area + float(np.hypot(sd, moved)) * NORMAL
     return Extent(
-        level_dn=level_dn, area=float(area), draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi), region=region,
-        contour=contour, touches_border=_touches(region), pulled=not sectors.all(),
-    )  # fmt: skip
+        level_dn=level_dn,
+        area=float(area),
+        draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi),
+        region=region,
+        contour=contour,
+        touches_border=_touches(region),
+        pulled=not sectors.all(),
+    )
 
 
 def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) -> Extent:
-    """Extent at a threshold within the noise of a plateau, from the crossings of the rings alone."""
+    """Extent at a threshold within the noise of a plateau, from the crossings of the rings
+    alone.
+    """
     finite = np.minimum(crossings, float(view.rings.radius[-1]))
     radius = float(np.median(finite))
     return Extent(
-        level_dn=level_dn, area=np.pi * radius**2, draws=2.0 * finite, region=view.polar.radius <= radius, contour=None,
-        touches_border=bool(np.isinf(crossings).mean() > 0.025), pulled=False,
-    )  # fmt: skip
+        level_dn=level_dn,
+        area=np.pi * radius**2,
+        draws=2.0 * finite,
+        region=view.polar.radius <= radius,
+        contour=None,
+        touches_border=bool(np.isinf(crossings).mean() > 0.025),
+        pulled=False,
+    )
 
 
 def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Extent | None:
@@ -374,9 +478,14 @@ def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Ex
     area = pixels * view.polar.row_pitch
     areas = area + spread * NORMAL
     return Extent(
-        level_dn=level_dn, area=area, draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi), region=region, contour=None,
-        touches_border=_touches(region), pulled=True,
-    )  # fmt: skip
+        level_dn=level_dn,
+        area=area,
+        draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi),
+        region=region,
+        contour=None,
+        touches_border=_touches(region),
+        pulled=True,
+    )
 
 
 def _touches(region: Mask) -> bool:

@@ -17,8 +17,9 @@ Array = NDArray[np.float64]
 class Profile:
     """Ring means of one stack.
 
-    `radius_px`: mean radius of each ring, column pitches; `mean_dn`, `sd_dn`: ring means and their standard errors, DN;
-    `used`: rings neither saturated nor next to a saturated one; shape (ring,) each.
+    `radius_px`: mean radius of each ring, column pitches; `mean_dn`, `sd_dn`: ring means and their
+    standard errors, DN; `used`: rings neither saturated nor next to a saturated one; shape (ring,)
+    each.
     """
 
     radius_px: Array
@@ -28,17 +29,23 @@ class Profile:
 
 
 def profile_of(spot: PointStack, *, context: Context) -> Profile:
-    """Average a stack's mean frame over rings one column pitch wide, without the source's columns beyond 6 px.
+    """Average a stack's mean frame over rings one column pitch wide, without the source's columns
+    beyond 6 px.
 
-    Standard errors come from the scatter of sectors of each ring, which includes correlated noise of pixels and
-    successive frames, and are smoothed over rings.
+    Standard errors come from the scatter of sectors of each ring, which includes correlated noise
+    of pixels and successive frames, and are smoothed over rings.
     """
     rows, cols = spot.image.shape
     reach = int(max(8, min(60, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
     dx, dy = np.arange(cols) - spot.col, (np.arange(rows)[:, None] - spot.row) * context.pitch_ratio
     column = (np.abs(dx) <= 2.5) & (np.hypot(dx, dy) >= 6.0)
     geometry = geometry_of(
-        (rows, cols), spot.row, spot.col, pitch_ratio=context.pitch_ratio, spoiled=column, reach_px=reach
+        (rows, cols),
+        spot.row,
+        spot.col,
+        pitch_ratio=context.pitch_ratio,
+        spoiled=column,
+        reach_px=reach,
     )
     pixels = geometry.pixels(spot.image[None])[0]
     mean, brightest = geometry.means(pixels), geometry.largest(pixels)
@@ -53,9 +60,13 @@ def profile_of(spot: PointStack, *, context: Context) -> Profile:
     used[: int(inner[-1]) + 3 if len(inner) else 0] = False
     used[int(outer[0]) if len(outer) else len(used) :] = False
     return Profile(
-        radius_px=geometry.radius_px, mean_dn=mean, used=used,
-        sd_dn=np.maximum(np.sqrt(smooth_variance(raw * geometry.count, 0.06) / geometry.count), 1e-3),
-    )  # fmt: skip
+        radius_px=geometry.radius_px,
+        mean_dn=mean,
+        used=used,
+        sd_dn=np.maximum(
+            np.sqrt(smooth_variance(raw * geometry.count, 0.06) / geometry.count), 1e-3
+        ),
+    )
 
 
 FIRST_RING = 8
@@ -63,10 +74,11 @@ STEP_SEEN = 6.0
 
 
 def step_significance(profile: Profile) -> Array:
-    """Return the excess of each ring's step over its neighbours' in standard errors, shape (ring,); 0 where unusable.
+    """Return the excess of each ring's step over its neighbours' in standard errors, shape (ring,);
+    0 where unusable.
 
-    A smooth wing falls ever more slowly, so that the step at r is about the mean of the steps inside and outside. At
-    the edge of a disc it exceeds them.
+    A smooth wing falls ever more slowly, so that the step at r is about the mean of the steps
+    inside and outside. At the edge of a disc it exceeds them.
     """
     mean, variance, half = profile.mean_dn, profile.sd_dn**2, 2
     out = np.zeros(len(mean))

@@ -36,8 +36,8 @@ def nodes() -> tuple[Array, Array]:
 class EdgeHaloLikelihood:
     """Likelihood of the whitened strips of all stacks of one edge.
 
-    `strips`: strips of every stack; `line`: the edge, of an area of finite or infinite width; `core`: a name of
-    `CORES`; `halo`: whether there is one.
+    `strips`: strips of every stack; `line`: the edge, of an area of finite or infinite width;
+    `core`: a name of `CORES`; `halo`: whether there is one.
     """
 
     strips: tuple[Strips, ...]
@@ -49,15 +49,22 @@ class EdgeHaloLikelihood:
     def parameters(self) -> tuple[ModelParameter, ...]:
         """Parameters in the order of a point's coordinates."""
         offset = (-10.0, 1.0) if all(one.cut for one in self.strips) else (-1.5, 1.5)
-        # Elastic shares slightly beyond 0..1, since a bound at 0 would bias the diameter of a halo without rim.
+        # Elastic shares slightly beyond 0..1, since a bound at 0 would bias the diameter of a halo
+        # without rim.
         bounds = {
-            ("halo_diameter", "px"): (LEAST_DIAMETER_PX, max(2.0 * self.line.dark_px, LEAST_DIAMETER_PX + 4.0)),
+            ("halo_diameter", "px"): (
+                LEAST_DIAMETER_PX,
+                max(2.0 * self.line.dark_px, LEAST_DIAMETER_PX + 4.0),
+            ),
             ("elastic_share", "1"): (-0.15, 1.15),
             ("halo_fraction", "1"): (0.0, 0.6),
             ("edge_offset", "px"): offset,
             ("core_spread", "px2"): (0.05, 25.0),
         }
-        common = (ModelParameter(name=name, unit=unit, low=a, high=b) for (name, unit), (a, b) in bounds.items())
+        common = (
+            ModelParameter(name=name, unit=unit, low=a, high=b)
+            for (name, unit), (a, b) in bounds.items()
+        )
         return (*common, *CORES[self.core])
 
     @cached_property
@@ -67,11 +74,14 @@ class EdgeHaloLikelihood:
 
     @cached_property
     def _of_strips(self) -> tuple[tuple[Array, Array, Array], ...]:
-        """Whitening matrix of each stack's used strips, and sine and cosine of the frequencies at all of them."""
+        """Whitening matrix of each stack's used strips, and sine and cosine of the frequencies at
+        all of them.
+        """
         out = []
         for one in self.strips:
             above = one.mean_dn[one.used] - np.median(one.mean_dn[one.used][-8:])
-            # A model of straight edges has a relative error of 0.4 % of the signal above background.
+            # A model of straight edges has a relative error of 0.4 % of the signal above
+            # background.
             covariance = one.covariance() + np.diag((0.004 * above) ** 2)
             turn = 2.0 * np.pi * np.outer(nodes()[0], one.distance_px)
             out.append((np.linalg.inv(np.linalg.cholesky(covariance)), np.sin(turn), np.cos(turn)))
@@ -85,7 +95,9 @@ class EdgeHaloLikelihood:
 
     def residuals(self, points: Array) -> Array:
         """Normalised residuals, those of the prior first, shape (point, number)."""
-        mean, sd = (np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd"))
+        mean, sd = (
+            np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd")
+        )
         out = [(points - mean) / sd]
         for number, strips in enumerate(self.strips):
             left, amplitudes = self.fit_level(number, points)
@@ -95,7 +107,9 @@ class EdgeHaloLikelihood:
         return np.concatenate(out, axis=1)
 
     def fit_level(self, number: int, points: Array) -> tuple[Array, Array]:
-        """Whitened residuals of one stack, shape (point, strip), and its signal and background, (point, 2)."""
+        """Whitened residuals of one stack, shape (point, strip), and its signal and background,
+        (point, 2).
+        """
         strips, white = self.strips[number], self._of_strips[number][0]
         light = self.shape(number, points)[:, strips.used] @ white.T
         data, flat = white @ strips.mean_dn[strips.used], white.sum(axis=1)
@@ -103,7 +117,9 @@ class EdgeHaloLikelihood:
         ad, bd = light @ data, float(flat @ data)
         determinant = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb)
         level, ground = (bb * ad - ab * bd) / determinant, (aa * bd - ab * ad) / determinant
-        return data - level[:, None] * light - ground[:, None] * flat, np.stack([level, ground], axis=1)
+        return data - level[:, None] * light - ground[:, None] * flat, np.stack(
+            [level, ground], axis=1
+        )
 
     def shape(self, number: int, points: Array) -> Array:
         """Profile across an edge of unit signal, shape (point, strip)."""
@@ -133,7 +149,9 @@ class EdgeHaloLikelihood:
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeHaloOptimum:
-    """Best fit of a model: point, (parameter,), covariance, (parameter, parameter), and log-probability."""
+    """Best fit of a model: point, (parameter,), covariance, (parameter, parameter), and
+    log-probability.
+    """
 
     problem: EdgeHaloLikelihood
     point: Array
@@ -151,30 +169,47 @@ class EdgeHaloOptimum:
         """Posterior draws of the parameters."""
         names, units = zip(*((one.name, one.unit) for one in self.problem.parameters), strict=True)
         return (laplace if context.quick else importance_sample)(
-            self.problem.log_probability, names=names, units=units, start=self.point, covariance=self.covariance,
-            seed=context.seed, bounds=self.problem.bounds,
-        )  # fmt: skip
+            self.problem.log_probability,
+            names=names,
+            units=units,
+            start=self.point,
+            covariance=self.covariance,
+            seed=context.seed,
+            bounds=self.problem.bounds,
+        )
 
 
-def optimise_edge_halo(problem: EdgeHaloLikelihood, *, diameter_px: float | None = None) -> EdgeHaloOptimum:
-    """Return the best fit from several start diameters, since the disc edge causes many local optima.
+def optimise_edge_halo(
+    problem: EdgeHaloLikelihood, *, diameter_px: float | None = None
+) -> EdgeHaloOptimum:
+    """Return the best fit from several start diameters, since the disc edge causes many local
+    optima.
 
     `diameter_px` fixes the diameter.
     """
     low, high = problem.bounds[0]
-    diameters = np.linspace(low + 2, high - 2, 24) if problem.halo else np.array([0.5 * (low + high)])
+    diameters = (
+        np.linspace(low + 2, high - 2, 24) if problem.halo else np.array([0.5 * (low + high)])
+    )
     if diameter_px is not None:
         diameters = np.array([diameter_px])
     offset, core = 0.5 * problem.bounds[3].sum(), [one.first for one in CORES[problem.core]]
-    points = np.array([[d, w, 0.1, offset, s, *core] for d in diameters for w in (0.3, 0.8) for s in (1.0, 3.0)])
+    points = np.array(
+        [[d, w, 0.1, offset, s, *core] for d in diameters for w in (0.3, 0.8) for s in (1.0, 3.0)]
+    )
     order = np.argsort(problem.log_probability(points))[::-1]
     free = np.ones(points.shape[1], bool)
     free[0] = problem.halo and diameter_px is None
     free[1:3] = problem.halo
-    return max((_optimise_from(problem, points[one], free) for one in order[:2]), key=lambda peak: peak.log_probability)
+    return max(
+        (_optimise_from(problem, points[one], free) for one in order[:2]),
+        key=lambda peak: peak.log_probability,
+    )
 
 
-def _optimise_from(problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.bool_]) -> EdgeHaloOptimum:
+def _optimise_from(
+    problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.bool_]
+) -> EdgeHaloOptimum:
     """Optimise the free parameters by least squares; covariance from the Jacobian."""
     from scipy.optimize import least_squares
 
@@ -189,17 +224,29 @@ def _optimise_from(problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.b
     def slopes(point: Array) -> Array:
         # Inside the bounds on either side.
         sign = np.where(point + step > high, -1.0, 1.0)
-        left = problem.residuals(all_parameters(np.concatenate([point[None], point + np.diag(sign * step)])))
+        left = problem.residuals(
+            all_parameters(np.concatenate([point[None], point + np.diag(sign * step)]))
+        )
         return ((left[1:] - left[0]) / (sign * step)[:, None]).T
 
     first = np.clip(start[free], low + step, high - step)
-    found = least_squares(lambda point: problem.residuals(all_parameters(point[None]))[0], first, jac=slopes,  # pyright: ignore[reportArgumentType]
-                          bounds=(low, high), x_scale=high - low, max_nfev=40)  # fmt: skip
+    found = least_squares(
+        lambda point: problem.residuals(all_parameters(point[None]))[0],
+        first,
+        jac=slopes,  # pyright: ignore[reportArgumentType]
+        bounds=(low, high),
+        x_scale=high - low,
+        max_nfev=40,
+    )
     point = all_parameters(found.x[None])[0]
     covariance = np.zeros((len(start), len(start)))
-    covariance[np.ix_(free, free)] = np.linalg.pinv(found.jac.T @ found.jac + np.diag(((high - low) / 2.0) ** -2.0))
+    covariance[np.ix_(free, free)] = np.linalg.pinv(
+        found.jac.T @ found.jac + np.diag(((high - low) / 2.0) ** -2.0)
+    )
     value = float(problem.log_probability(point[None])[0])
-    return EdgeHaloOptimum(problem=problem, point=point, covariance=covariance, log_probability=value)
+    return EdgeHaloOptimum(
+        problem=problem, point=point, covariance=covariance, log_probability=value
+    )
 
 
 @register("lit-edge", METHOD)
@@ -209,48 +256,65 @@ def measure_lit_edge(session: Session, *, context: Context) -> Result:
     Parameters
     ----------
     session
-        Session with stacks of kind "edge", all of one target at several illuminances; preferably with darks.
+        Session with stacks of kind "edge", all of one target at several illuminances; preferably
+        with darks.
     context
         Seed and settings.
 
     Notes
     -----
-    An unclipped stack locates the edge and gives the signal of the illuminated side; brighter ones show the halo. With
-    clipped stacks alone the edge position is free in the fit, the diameter less certain, and the halo fraction unknown.
+    An unclipped stack locates the edge and gives the signal of the illuminated side; brighter ones
+    show the halo. With clipped stacks alone the edge position is free in the fit, the diameter less
+    certain, and the halo fraction unknown.
     """
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     evidence: dict[str, dict[str, Any]] = {}
     try:
         measurements = _measure(session, context, fields, evidence)
     except Unmeasurable as refusal:
-        measurements = [make_refusal(quantity, unit, str(refusal), **fields) for quantity, unit in QUANTITIES]
+        measurements = [
+            make_refusal(quantity, unit, str(refusal), **fields) for quantity, unit in QUANTITIES
+        ]
     return Result(measurements=tuple(measurements), evidence=evidence)
 
 
-def _measure(session: Session, context: Context, fields: dict[str, Any], evidence: dict[str, Any]) -> list[Measurement]:
+def _measure(
+    session: Session, context: Context, fields: dict[str, Any], evidence: dict[str, Any]
+) -> list[Measurement]:
     line, strips = _levels(session, context)
     if min(int(one.used.sum()) for one in strips) < LEAST_STRIPS:
         raise Unmeasurable(f"fewer than {LEAST_STRIPS} px next to the edge are unclipped")
     fits = {
-        halo: [optimise_edge_halo(EdgeHaloLikelihood(strips=strips, line=line, core=core, halo=halo)) for core in CORES]
+        halo: [
+            optimise_edge_halo(EdgeHaloLikelihood(strips=strips, line=line, core=core, halo=halo))
+            for core in CORES
+        ]
         for halo in (True, False)
     }
     best, without = (min(found, key=lambda one: one.bic) for found in fits.values())
     evidence["lit-edge"] = {**_evidence(best), "bic_gain_of_halo": without.bic - best.bic}
     if without.bic - best.bic < 20.0:
-        raise Unmeasurable("the profile next to the edge is that of a core alone: no halo is visible")
+        raise Unmeasurable(
+            "the profile next to the edge is that of a core alone: no halo is visible"
+        )
     _check_edge_of_halo(best)
     context.progress("posterior of the halo next to an edge", 0.7)
     posterior = best.posterior(context)
     diameter, fraction = _average_models(best, fits[True], posterior, context)
     if diameter.std() > 0.1 * float(np.median(diameter)):
-        raise Unmeasurable("the halo diameter is uncertain by more than 10 %: a fainter, unclipped stack would locate "
-                           "the edge")  # fmt: skip
+        raise Unmeasurable(
+            "the halo diameter is uncertain by more than 10 %: a fainter, unclipped stack would "
+            "locate the edge"
+        )
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound") + _misfit(best)
     # Maximum halo radius over the distance to the border.
     flags += ("window-too-small",) if float(np.median(diameter)) > 2 * 0.85 * line.dark_px else ()
-    notes = ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
-    notes += () if session.of_kind("dark") else ("the black level is estimated from the darkest pixels",)
+    notes = (
+        ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
+    )
+    notes += (
+        () if session.of_kind("dark") else ("the black level is estimated from the darkest pixels",)
+    )
     common = {"flags": flags, "notes": notes, "posterior": posterior, **fields}
     out = [measurement_from_draws("halo_diameter", "px", diameter, **common)]
     if all(one.cut for one in strips):
@@ -267,21 +331,29 @@ def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Stri
     order = sorted(entries, key=lambda entry: entry.conditions.illuminance_lux or 0.0)
     first = order[-1].target.region
     frames = [_frame(entry, session, context) for entry in order if entry.target.region == first]
-    kept = [one for one in frames if np.percentile(one[0], 99.0) - one[2] > 0.03 * (one[3] - one[2])]
+    kept = [
+        one for one in frames if np.percentile(one[0], 99.0) - one[2] > 0.03 * (one[3] - one[2])
+    ]
     if not kept:
         raise Unmeasurable("no stack exceeds its dark frames by 3 % of full scale")
     # The brightest unclipped stack locates the edge best, else the faintest one.
     whole = [one for one in kept if np.percentile(one[0], 99.0) < one[2] + 0.75 * (one[3] - one[2])]
     image, _, dark, full = whole[-1] if whole else kept[0]
-    level = 0.5 * float(sum(np.percentile(image, (2.0, 98.0)))) if whole else dark + 0.5 * (full - dark)
+    level = (
+        0.5 * float(sum(np.percentile(image, (2.0, 98.0)))) if whole else dark + 0.5 * (full - dark)
+    )
     line = edge_line(image, level, context.pitch_ratio)
     return line, tuple(
-        strips_of(image, line, label=label, dark_dn=dark, full_dn=full, pitch_ratio=context.pitch_ratio)
+        strips_of(
+            image, line, label=label, dark_dn=dark, full_dn=full, pitch_ratio=context.pitch_ratio
+        )
         for image, label, dark, full in kept
     )
 
 
-def _frame(entry: StackEntry, session: Session, context: Context) -> tuple[Array, str, float, float]:
+def _frame(
+    entry: StackEntry, session: Session, context: Context
+) -> tuple[Array, str, float, float]:
     """Mean frame, label, dark level and full scale of a stack."""
     stack = entry.read()
     full = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
@@ -298,13 +370,21 @@ def _check_edge_of_halo(best: EdgeHaloOptimum) -> None:
         off = float(np.clip(factor * diameter, *best.problem.bounds[0]))
         if off in best.problem.bounds[0]:
             continue
-        if best.log_probability - optimise_edge_halo(best.problem, diameter_px=off).log_probability < 6.0:
-            raise Unmeasurable("the profile next to the edge falls off smoothly, without the end of a halo")
+        if (
+            best.log_probability - optimise_edge_halo(best.problem, diameter_px=off).log_probability
+            < 6.0
+        ):
+            raise Unmeasurable(
+                "the profile next to the edge falls off smoothly, without the end of a halo"
+            )
     if diameter > 2 * line.dark_px:
-        raise Unmeasurable(f"the halo extends to the border of the frame, {line.dark_px:.0f} px from the edge")
+        raise Unmeasurable(
+            f"the halo extends to the border of the frame, {line.dark_px:.0f} px from the edge"
+        )
     if 0.5 * diameter > line.ends_px:
         raise Unmeasurable(
-            f"the edge is too short: its ends are {line.ends_px:.0f} px from the measured part, the halo is wider"
+            f"the edge is too short: its ends are {line.ends_px:.0f} px from the measured part, "
+            "the halo is wider"
         )
 
 
@@ -327,7 +407,9 @@ def _misfit(best: EdgeHaloOptimum) -> tuple[str, ...]:
     from scipy.special import chdtrc
 
     problem, point = best.problem, best.point[None]
-    total = sum(float((problem.fit_level(one, point)[0] ** 2).sum()) for one in range(len(problem.strips)))
+    total = sum(
+        float((problem.fit_level(one, point)[0] ** 2).sum()) for one in range(len(problem.strips))
+    )
     freedom = sum(int(one.used.sum()) - 2 for one in problem.strips) - len(best.point)
     return ("model-misfit",) if chdtrc(max(freedom, 1), total) < 1e-4 else ()
 
@@ -339,9 +421,14 @@ def _evidence(best: EdgeHaloOptimum) -> dict[str, Any]:
         light, ground = best.problem.fit_level(number, point)[1][0]
         model.append((light * best.problem.shape(number, point)[0] + ground).tolist())
     of_strips = {
-        name: [getattr(one, name).tolist() for one in strips] for name in ("distance_px", "mean_dn", "sd_dn", "used")
+        name: [getattr(one, name).tolist() for one in strips]
+        for name in ("distance_px", "mean_dn", "sd_dn", "used")
     }
     return {
-        "figure": "lit-edge", "label": [one.label for one in strips], **of_strips, "model_dn": model,
-        "edge_px": float(best.point[3]), "halo_diameter_px": float(best.point[0]),
-    }  # fmt: skip
+        "figure": "lit-edge",
+        "label": [one.label for one in strips],
+        **of_strips,
+        "model_dn": model,
+        "edge_px": float(best.point[3]),
+        "halo_diameter_px": float(best.point[0]),
+    }

@@ -17,13 +17,15 @@ PARTS, LAGS = 12, 6
 
 @dataclass(frozen=True, kw_only=True)
 class LitEdgeLine:
-    """Straight edge: column `at` + `slope` * row of the frame, or of the transposed frame for an edge along a row.
+    """Straight edge: column `at` + `slope` * row of the frame, or of the transposed frame for an
+    edge along a row.
 
-    `upright`: whether the edge runs along columns; `side`: 1 where the dark side has the higher column, else -1; `at`,
-    `slope`: column at row 0, and columns per row; `first`, `last`: first and last row, without ends that lie in the
-    frame; `room_px`: distance of the border on the dark side, column pitches; `ends_px`: omitted length at the nearer
-    end inside the frame, column pitches; inf without one; `width_px`: distance of the opposite edge, column pitches;
-    inf where it is outside the frame.
+    `upright`: whether the edge runs along columns; `side`: 1 where the dark side has the higher
+    column, else -1; `at`, `slope`: column at row 0, and columns per row; `first`, `last`: first and
+    last row, without ends that lie in the frame; `room_px`: distance of the border on the dark
+    side, column pitches; `ends_px`: omitted length at the nearer end inside the frame, column
+    pitches; inf without one; `width_px`: distance of the opposite edge, column pitches; inf where
+    it is outside the frame.
     """
 
     upright: bool
@@ -43,7 +45,9 @@ class LitEdgeLine:
         return float(min(self.room_px, 90))
 
     def distance(self, shape: tuple[int, int], pitch_ratio: float) -> Array:
-        """Distance of every pixel from the edge, positive on the dark side, column pitches, shape (row, col)."""
+        """Distance of every pixel from the edge, positive on the dark side, column pitches, shape
+        (row, col).
+        """
         rows, cols = np.indices(shape if self.upright else shape[::-1], float)
         across, along = (1.0, pitch_ratio) if self.upright else (pitch_ratio, 1.0)
         slope = self.slope * across / along
@@ -55,11 +59,12 @@ class LitEdgeLine:
 class Strips:
     """Mean signal by distance from an edge.
 
-    `label`: label of the stack. `distance_px`: mean distance of each strip from the line, positive on the dark side,
-    column pitches, shape (strip,). `mean_dn`, `sd_dn`: mean and its standard error, shape (strip,), DN. `correlation`:
-    correlation of strips 1, 2, ... apart, shape (lag,). `used`: strips that are not clipped, shape (strip,). `cut`:
-    whether the illuminated side reaches full scale. `least_light_dn`: minimum signal of the illuminated side, DN above
-    dark: full scale where it is clipped, else 0.
+    `label`: label of the stack. `distance_px`: mean distance of each strip from the line, positive
+    on the dark side, column pitches, shape (strip,). `mean_dn`, `sd_dn`: mean and its standard
+    error, shape (strip,), DN. `correlation`: correlation of strips 1, 2, ... apart, shape (lag,).
+    `used`: strips that are not clipped, shape (strip,). `cut`: whether the illuminated side reaches
+    full scale. `least_light_dn`: minimum signal of the illuminated side, DN above dark: full scale
+    where it is clipped, else 0.
     """
 
     label: str
@@ -82,7 +87,9 @@ class Strips:
 
 
 def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLine:
-    """Return the straight edge of the illuminated area, at a threshold, with most dark room; else Unmeasurable."""
+    """Return the straight edge of the illuminated area, at a threshold, with most dark room; else
+    Unmeasurable.
+    """
     from scipy import ndimage
 
     labels = np.asarray(ndimage.label(image >= level_dn)[0])  # pyright: ignore[reportIndexIssue]
@@ -97,11 +104,20 @@ def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLin
     straight = [line for line in found if line is not None]
     if not straight:
         raise Unmeasurable(f"the illuminated area has no straight edge of {LEAST_ROWS} px or more")
-    return max(straight, key=lambda line: min(line.room_px, line.ends_px, 1.0 * (line.last - line.first)))
+    return max(
+        straight, key=lambda line: min(line.room_px, line.ends_px, 1.0 * (line.last - line.first))
+    )
 
 
-def _side(image: NDArray, lit: NDArray[np.bool_], level: float, *, upright: bool, side: int, pitch_ratio: float
-          ) -> LitEdgeLine | None:  # fmt: skip
+def _side(
+    image: NDArray,
+    lit: NDArray[np.bool_],
+    level: float,
+    *,
+    upright: bool,
+    side: int,
+    pitch_ratio: float,
+) -> LitEdgeLine | None:
     """The edge on one side of an illuminated area."""
     crossing, opposite = _crossings(image, lit, level, side), _crossings(image, lit, level, -side)
     rows = np.flatnonzero(np.isfinite(crossing))
@@ -123,11 +139,18 @@ def _side(image: NDArray, lit: NDArray[np.bool_], level: float, *, upright: bool
     wide = side * (crossing[good] - opposite[good])
     cosine = 1.0 / np.hypot(1.0, slope * across / along)
     return LitEdgeLine(
-        upright=upright, side=side, at=float(at), slope=float(slope), first=int(first), last=int(last),
+        upright=upright,
+        side=side,
+        at=float(at),
+        slope=float(slope),
+        first=int(first),
+        last=int(last),
         room_px=room * across * cosine,
         ends_px=left_out * along if any(inside) else float("inf"),
-        width_px=float(np.median(wide)) * across * cosine if np.isfinite(wide).mean() > 0.5 else float("inf"),
-    )  # fmt: skip
+        width_px=float(np.median(wide)) * across * cosine
+        if np.isfinite(wide).mean() > 0.5
+        else float("inf"),
+    )
 
 
 def _crossings(image: NDArray, lit: NDArray[np.bool_], level: float, side: int) -> Array:
@@ -138,7 +161,10 @@ def _crossings(image: NDArray, lit: NDArray[np.bool_], level: float, side: int) 
     ok = mask.any(axis=1) & (last < width - 3)
     at = np.where(ok, last, 0)
     rows = np.arange(len(at))
-    inner, outer = values[rows, at].astype(float), values[rows, np.minimum(at + 1, width - 1)].astype(float)
+    inner, outer = (
+        values[rows, at].astype(float),
+        values[rows, np.minimum(at + 1, width - 1)].astype(float),
+    )
     out = np.where(ok, at + (inner - level) / np.maximum(inner - outer, 1e-9), np.nan)
     return out if side > 0 else width - 1 - out
 
@@ -151,7 +177,13 @@ def _line(x: Array, y: Array) -> tuple[float, float]:
 
 
 def strips_of(
-    image: NDArray, line: LitEdgeLine, *, label: str, dark_dn: float, full_dn: float, pitch_ratio: float
+    image: NDArray,
+    line: LitEdgeLine,
+    *,
+    label: str,
+    dark_dn: float,
+    full_dn: float,
+    pitch_ratio: float,
 ) -> Strips:
     """Average a frame over strips one column pitch wide along an edge.
 
@@ -160,10 +192,14 @@ def strips_of(
     distance = line.distance((image.shape[0], image.shape[1]), pitch_ratio)
     along = np.indices(image.shape)[0 if line.upright else 1]
     lit = min(70, 0.5 * line.width_px)
-    inside = (along >= line.first) & (along <= line.last) & (distance > -lit) & (distance < line.dark_px)
+    inside = (
+        (along >= line.first) & (along <= line.last) & (distance > -lit) & (distance < line.dark_px)
+    )
     strip = np.floor(distance[inside]).astype(int)
     strip -= strip.min()
-    part = np.minimum((along[inside] - line.first) * PARTS // (line.last - line.first + 1), PARTS - 1)
+    part = np.minimum(
+        (along[inside] - line.first) * PARTS // (line.last - line.first + 1), PARTS - 1
+    )
     value, count, cell = image[inside].astype(float), strip.max() + 1, strip * PARTS + part
     cells = np.bincount(cell, minlength=count * PARTS).reshape(count, PARTS)
     sums = np.bincount(cell, value, minlength=count * PARTS).reshape(count, PARTS)
@@ -182,14 +218,21 @@ def strips_of(
     if over.any():
         used[: int(np.flatnonzero(over)[-1]) + 1] = False
     return Strips(
-        label=label, distance_px=where, mean_dn=mean, sd_dn=np.maximum(np.sqrt(variance), 1e-3),
-        correlation=_correlation(rest, where), used=used, cut=bool(over.any()),
+        label=label,
+        distance_px=where,
+        mean_dn=mean,
+        sd_dn=np.maximum(np.sqrt(variance), 1e-3),
+        correlation=_correlation(rest, where),
+        used=used,
+        cut=bool(over.any()),
         least_light_dn=full_dn - dark_dn if over.any() else 0.0,
-    )  # fmt: skip
+    )
 
 
 def smooth_variance(variance: Array, bias: float) -> Array:
-    """Geometric mean over five neighbours, since each comes from few parts; `bias` is that of its logarithm."""
+    """Geometric mean over five neighbours, since each comes from few parts; `bias` is that of its
+    logarithm.
+    """
     padded = np.pad(np.log(np.maximum(variance, 1e-8)), 2, mode="edge")
     return np.exp(np.convolve(padded, np.full(5, 0.2), mode="valid") + bias)
 
@@ -200,4 +243,9 @@ def _correlation(rest: Array, distance: Array) -> Array:
     outer = outer / np.maximum(np.sqrt((outer**2).mean(axis=1, keepdims=True)), 1e-12)
     if len(outer) <= LAGS + 4:
         return np.zeros(LAGS)
-    return np.array([float(np.clip((outer[lag:] * outer[:-lag]).mean(), 0.0, 0.95)) for lag in range(1, LAGS + 1)])
+    return np.array(
+        [
+            float(np.clip((outer[lag:] * outer[:-lag]).mean(), 0.0, 0.95))
+            for lag in range(1, LAGS + 1)
+        ]
+    )

@@ -1,4 +1,6 @@
-"""Frame-by-frame analysis of a point stack: background, source position and signal, noise, drift and switch-off."""
+"""Frame-by-frame analysis of a point stack: background, source position and signal, noise, drift
+and switch-off.
+"""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -32,12 +34,13 @@ LEAST_ON, LEAST_OUT = 2, 2
 class FrameSeries:
     """Frame-by-frame statistics of one stack.
 
-    `spot`: position and thresholds of the source; `time_s`: time of each frame, shape (frame,), s, empty if unknown;
-    `background_dn`, `background_sd_dn`, `background_by_frame_dn`: mean far from the source above dark, its standard
-    error, and that of each frame; `centre_px`: row and column of the centre of the bright region of each frame, shape
-    (frame, 2), NaN without a source; `light_by_frame`, `light_noise`: signal of the unsaturated pixels over the mean,
-    and its pixel noise, NaN without a source; `noise`: signal above dark, temporal variance and its standard error,
-    shape (3, level).
+    `spot`: position and thresholds of the source; `time_s`: time of each frame, shape (frame,), s,
+    empty if unknown; `background_dn`, `background_sd_dn`, `background_by_frame_dn`: mean far from
+    the source above dark, its standard error, and that of each frame; `centre_px`: row and column
+    of the centre of the bright region of each frame, shape (frame, 2), NaN without a source;
+    `light_by_frame`, `light_noise`: signal of the unsaturated pixels over the mean, and its pixel
+    noise, NaN without a source; `noise`: signal above dark, temporal variance and its standard
+    error, shape (3, level).
     """
 
     spot: PointStack
@@ -65,13 +68,16 @@ def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> Frame
     variance = data.var(axis=0, ddof=1, dtype=np.float64) if len(data) > 1 else np.zeros(mean.shape)
     light, noise = _light(data, mean, radius, by_frame, tiles, spot)
     return FrameSeries(
-        spot=spot, time_s=np.asarray(stack.time_s, np.float64), background_dn=float(level.mean()),
+        spot=spot,
+        time_s=np.asarray(stack.time_s, np.float64),
+        background_dn=float(level.mean()),
         background_sd_dn=float(np.hypot(level.std(ddof=1) / np.sqrt(level.size), scatter)),
         background_by_frame_dn=by_frame,
         centre_px=_centres(data, mean, float(np.sqrt(np.median(_tiles(variance)[tiles]))), spot),
-        light_by_frame=light, light_noise=noise,
+        light_by_frame=light,
+        light_noise=noise,
         noise=_noise(data, mean, variance, radius, np.arctan2(down, along), tiles, spot),
-    )  # fmt: skip
+    )
 
 
 def _tiles(image: NDArray) -> Array:
@@ -92,23 +98,35 @@ def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
 
 
 def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> Array:
-    """Centre of the pixels brighter than half the peak, or than half of full scale, in each frame."""
+    """Centre of the pixels brighter than half the peak, or than half of full scale, in each
+    frame.
+    """
     row, col = round(spot.row), round(spot.col)
     span = spot.full_scale_dn - spot.dark_dn
     near = mean[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3]
     floor = float(np.median(mean))
-    threshold = max(min(0.5 * (floor + float(near.max())), spot.dark_dn + 0.5 * span), floor + 5.0 * noise_dn)
+    threshold = max(
+        min(0.5 * (floor + float(near.max())), spot.dark_dn + 0.5 * span), floor + 5.0 * noise_dn
+    )
     # A moving source may be far from the mean contour.
     half = int(np.ceil(0.5 * spot.bloom_px)) + 24
     found = _middles(data, threshold, 0.2 * span, row - half, col - half, 2 * half + 1)
     # A source that no frame shows near its position is switched off or elsewhere.
-    return found if np.isfinite(found).all() else _middles(data, threshold, 0.2 * span, 0, 0, max(mean.shape))
+    return (
+        found
+        if np.isfinite(found).all()
+        else _middles(data, threshold, 0.2 * span, 0, 0, max(mean.shape))
+    )
 
 
 def _middles(data: NDArray, threshold: float, most: float, row: int, col: int, side: int) -> Array:
-    """Centre of the signal above a threshold inside a window of each frame; NaN where there is none."""
+    """Centre of the signal above a threshold inside a window of each frame; NaN where there is
+    none.
+    """
     first, left = max(0, row), max(0, col)
-    weight = np.clip(data[:, first : row + side, left : col + side].astype(np.float64) - threshold, 0.0, most)
+    weight = np.clip(
+        data[:, first : row + side, left : col + side].astype(np.float64) - threshold, 0.0, most
+    )
     total = weight.sum(axis=(1, 2))
     total = np.where(total > 0, total, np.nan)
     rows = (weight.sum(axis=2) @ (first + np.arange(weight.shape[1]))) / total
@@ -119,7 +137,9 @@ def _middles(data: NDArray, threshold: float, most: float, row: int, col: int, s
 def _light(
     data: NDArray, mean: Array, radius: Array, background: Array, tiles: Mask, spot: PointStack
 ) -> tuple[Array, float]:
-    """Signal of the source's unclipped, bright pixels by frame, relative to the mean frame, and its noise."""
+    """Signal of the source's unclipped, bright pixels by frame, relative to the mean frame, and its
+    noise.
+    """
     over = mean - (float(background.mean()) + spot.dark_dn)
     cut = (data >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)).any(axis=0)
     near = radius < max(12.0, spot.bloom_px)
@@ -134,9 +154,18 @@ def _light(
     return light, TILE_PX * float(np.sqrt(tile * (weight**2).sum()))
 
 
-def _noise(data: NDArray, mean: Array, variance: Array, radius: Array, angle: Array, tiles: Mask,
-           spot: PointStack) -> Array:  # fmt: skip
-    """Signal, temporal variance and its standard error of the background and of groups of rings, shape (3, level)."""
+def _noise(
+    data: NDArray,
+    mean: Array,
+    variance: Array,
+    radius: Array,
+    angle: Array,
+    tiles: Mask,
+    spot: PointStack,
+) -> Array:
+    """Signal, temporal variance and its standard error of the background and of groups of rings,
+    shape (3, level).
+    """
     ring = radius.astype(int)
     count = np.maximum(np.bincount(ring.ravel()), 1)
     # Rings are selected by their mean, since selection by the pixel's own value would be biased.
@@ -149,7 +178,10 @@ def _noise(data: NDArray, mean: Array, variance: Array, radius: Array, angle: Ar
     cut = (np.bincount(ring.ravel(), cut.ravel()) > 0.02 * count)[ring] | cut
     # Blur spreads variance less far than signal, so that variance is too small near a steep edge.
     cut |= (np.abs(np.gradient(by_ring)) > 0.3 * (by_ring - floor))[ring]
-    above, sector = (by_ring - floor)[ring], ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    above, sector = (
+        (by_ring - floor)[ring],
+        ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS,
+    )
     for low, high in pairwise((3.0, 6.0, 12.0, 24.0, 48.0)):
         take = (above >= low) & (above < high) & (radius > 8.0) & ~cut
         held = np.bincount(sector[take], minlength=SECTORS)
@@ -163,7 +195,9 @@ def _noise(data: NDArray, mean: Array, variance: Array, radius: Array, angle: Ar
 
 
 def drift_of(watched: FrameSeries) -> tuple[float, float]:
-    """Motion of the source through a stack, px, and relative drift of its signal or the background; 0 where none."""
+    """Motion of the source through a stack, px, and relative drift of its signal or the background;
+    0 where none.
+    """
     row, col = watched.centre_px.T
     background = watched.background_by_frame_dn
     level = max(abs(float(background.mean())), 1.0)
@@ -173,7 +207,9 @@ def drift_of(watched: FrameSeries) -> tuple[float, float]:
 
 
 def _trend(values: Array, least: float) -> float:
-    """Change of a straight-line fit over successive values; 0 if not significant or below the limit."""
+    """Change of a straight-line fit over successive values; 0 if not significant or below the
+    limit.
+    """
     from scipy.special import stdtr
 
     count = len(values)
@@ -183,7 +219,10 @@ def _trend(values: Array, least: float) -> float:
     slope = float(place @ off) / float(place @ place)
     # Student's t of the slope; `scipy.stats` would take longer to import than all fits.
     error = np.sqrt(float(np.sum((off - slope * place) ** 2)) / (count - 2) / float(place @ place))
-    chance, run = 2.0 * float(stdtr(count - 2, -abs(slope) / max(error, 1e-300))), abs(slope) * (count - 1)
+    chance, run = (
+        2.0 * float(stdtr(count - 2, -abs(slope) / max(error, 1e-300))),
+        abs(slope) * (count - 1),
+    )
     return run if chance < 1e-4 and run > least else 0.0
 
 
@@ -194,7 +233,12 @@ def frames_before_switch_off(watched: FrameSeries) -> int | None:
         return None
     on = light > 0.6 * light.max()
     count = int(np.argmin(on)) if not on.all() else len(on)
-    if count < LEAST_ON or count > len(on) - LEAST_OUT or on[count:].any() or light[-1] > 0.5 * light[:count].mean():
+    if (
+        count < LEAST_ON
+        or count > len(on) - LEAST_OUT
+        or on[count:].any()
+        or light[-1] > 0.5 * light[:count].mean()
+    ):
         return None
     # Frames at the start of the decay are excluded.
     early = light[: max(LEAST_ON, count // 2)]
@@ -205,14 +249,20 @@ def frames_before_switch_off(watched: FrameSeries) -> int | None:
 
 
 def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> list[Measurement]:
-    """Return the times until 10 % and 1 % of the source signal remain, for each stack with a switch-off.
+    """Return the times until 10 % and 1 % of the source signal remain, for each stack with a
+    switch-off.
 
-    Switch-off happens between two frames, which the interval includes. Between frames the decay is exponential. Pixels
-    saturated by the source are excluded.
+    Switch-off happens between two frames, which the interval includes. Between frames the decay is
+    exponential. Pixels saturated by the source are excluded.
     """
-    found = [(one, count) for one in watched if (count := frames_before_switch_off(one)) is not None]
+    found = [
+        (one, count) for one in watched if (count := frames_before_switch_off(one)) is not None
+    ]
     if not found:
-        reason = "no stack shows a switch-off: the source must be on in at least two frames and off in all later ones"
+        reason = (
+            "no stack shows a switch-off: the source must be on in at least two frames and "
+            "off in all later ones"
+        )
         return [make_refusal(name, "s", reason, refusal="missing", **fields) for name in SHARES]
     return [_recovery(one, count, name, seed, **fields) for one, count in found for name in SHARES]
 
@@ -226,7 +276,9 @@ def _recovery(watched: FrameSeries, count: int, name: str, seed: int, **fields: 
     if len(times) == 0:
         reason = "the times of the frames are unknown"
     elif noise > 0.35 * share:
-        reason = f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % is below it"
+        reason = (
+            f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % is below it"
+        )
     elif left[-1] > share - 2.0 * noise:
         reason = f"at the end of the stack {100 * max(left[-1], 0.0):.2g} % of the light is left"
     if reason:
@@ -240,5 +292,7 @@ def _recovery(watched: FrameSeries, count: int, name: str, seed: int, **fields: 
             continue
         begin = out if last == 1 else times[count + last - 2]
         high, low = np.log(light[last - 1]), np.log(max(light[last], 0.1 * share))
-        draws.append(begin + (high - np.log(share)) / (high - low) * (times[count + last - 1] - begin) - out)
+        draws.append(
+            begin + (high - np.log(share)) / (high - low) * (times[count + last - 1] - begin) - out
+        )
     return measurement_from_draws(name, "s", np.array(draws), **common)

@@ -30,9 +30,9 @@ DIRECTIONS = 16
 class SourcePosition:
     """Position of a point source in a frame, px.
 
-    `row`, `col`: centre, px; `significance`: height above the surroundings in standard deviations; `cut`: whether its
-    peak is at full scale, so that its identity is uncertain; `settled`: whether it is the centre of a contour over all
-    sectors.
+    `row`, `col`: centre, px; `significance`: height above the surroundings in standard deviations;
+    `cut`: whether its peak is at full scale, so that its identity is uncertain; `settled`: whether
+    it is the centre of a contour over all sectors.
     """
 
     row: float
@@ -44,7 +44,9 @@ class SourcePosition:
 
 @dataclass(frozen=True, kw_only=True)
 class Contrast:
-    """Smoothed mean frame, its difference from the local surroundings, and the spread of that difference, DN."""
+    """Smoothed mean frame, its difference from the local surroundings, and the spread of that
+    difference, DN.
+    """
 
     smooth: Array
     difference: Array
@@ -64,7 +66,9 @@ def contrast_of(image: Array) -> Contrast:
 
 
 def brightest(image: Array, region: tuple[int, int, int, int] | None) -> SourcePosition:
-    """Return the position with the highest contrast, moved to the centre of its connected bright region."""
+    """Return the position with the highest contrast, moved to the centre of its connected bright
+    region.
+    """
     from scipy import ndimage
 
     found = contrast_of(image)
@@ -79,15 +83,23 @@ def brightest(image: Array, region: tuple[int, int, int, int] | None) -> SourceP
     floor = float(np.median(image[::THIN, ::THIN]))
     above = found.smooth > floor + 0.5 * (found.smooth[top] - floor)
     labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
-    rows, cols = np.nonzero(labels == labels[top]) if labels[top] else (np.array([top[0]]), np.array([top[1]]))
+    rows, cols = (
+        np.nonzero(labels == labels[top])
+        if labels[top]
+        else (np.array([top[0]]), np.array([top[1]]))
+    )
     # Medians: a streak has few pixels compared with the spot, and is symmetric about it.
-    return SourcePosition(row=float(np.median(rows)), col=float(np.median(cols)), significance=significance)
+    return SourcePosition(
+        row=float(np.median(rows)), col=float(np.median(cols)), significance=significance
+    )
 
 
 def middle(view: SourceView, row: float, col: float) -> tuple[float, float, bool] | None:
-    """Return the centre of the contour at half height, and whether no sector is excluded; None without a contour.
+    """Return the centre of the contour at half height, and whether no sector is excluded; None
+    without a contour.
 
-    Sectors distorted by a streak or another source are excluded; clipped pixels lie inside the contour.
+    Sectors distorted by a streak or another source are excluded; clipped pixels lie inside the
+    contour.
     """
     profile = view.profile[1]
     floor = float(np.median(profile))
@@ -104,32 +116,47 @@ def middle(view: SourceView, row: float, col: float) -> tuple[float, float, bool
 
 
 def is_bright_at(image: Array, own: SourcePosition, other: SourcePosition) -> bool:
-    """Whether another position is within a pixel or two, or as bright as the source detected here."""
+    """Whether another position is within a pixel or two, or as bright as the source detected
+    here.
+    """
     if np.hypot(own.row - other.row, own.col - other.col) < NEAR_PX or own.significance < 16.0:
         return True
     places = ((round(place.row), round(place.col)) for place in (own, other))
-    here, there = (image[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2].mean() for row, col in places)
+    here, there = (
+        image[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2].mean() for row, col in places
+    )
     floor = float(np.median(image[::THIN, ::THIN]))
     return bool(there - floor > 0.7 * (here - floor))
 
 
-def others(image: Array, place: SourcePosition, span_dn: float, row_pitch: float) -> tuple[SourcePosition, ...]:
-    """Return further sources in a frame, brightest first; they fall off in every direction, unlike streaks.
+def others(
+    image: Array, place: SourcePosition, span_dn: float, row_pitch: float
+) -> tuple[SourcePosition, ...]:
+    """Return further sources in a frame, brightest first; they fall off in every direction, unlike
+    streaks.
 
-    `image`: mean frame, shape (row, col), DN; `place`: the known source; `span_dn`: full scale above dark, DN;
-    `row_pitch`: row pitch over column pitch.
+    `image`: mean frame, shape (row, col), DN; `place`: the known source; `span_dn`: full scale
+    above dark, DN; `row_pitch`: row pitch over column pitch.
     """
     from skimage.feature import peak_local_max
 
     found = contrast_of(image)
     least = max(0.04 * span_dn, 16.0 * found.spread)
-    peaks = peak_local_max(found.difference, min_distance=APART_PX, threshold_abs=least, exclude_border=False)
+    peaks = peak_local_max(
+        found.difference, min_distance=APART_PX, threshold_abs=least, exclude_border=False
+    )
     own = np.hypot((peaks[:, 0] - place.row) * row_pitch, peaks[:, 1] - place.col)
     held = [
-        SourcePosition(row=float(row), col=float(col), significance=float(found.difference[row, col] / found.spread))
+        SourcePosition(
+            row=float(row),
+            col=float(col),
+            significance=float(found.difference[row, col] / found.spread),
+        )
         for (row, col), apart in zip(peaks, own, strict=True)
         if apart > APART_PX
-        and _falls_off(found.smooth, int(row), int(col), float(found.difference[row, col]), row_pitch)
+        and _falls_off(
+            found.smooth, int(row), int(col), float(found.difference[row, col]), row_pitch
+        )
     ]
     return tuple(sorted(held, key=lambda one: -one.significance))
 
@@ -156,13 +183,15 @@ HALF_STEP_DN = 0.5
 class PointStack:
     """One stack of a point source.
 
-    `label`, `conditions`: as in the session; `image`: mean of its frames, shape (row, col), DN; `frames`: number of
-    frames; `dark_dn`, `full_scale_dn`: black level and full scale; `dark_known`: whether the black level was measured
-    or recorded; `row`, `col`: centre, px; `significance`: height of the smoothed source above its surroundings in
-    standard deviations; `frame_streak_px`: streak length of single frames, shape (frame,), px; `row_pitch`: row pitch
-    over column pitch; `half`, `background`, `clip`: region at or above half of full scale, twice the background above
-    dark, and full scale; None where the source stays below the threshold or the background is not measurable; `light`:
-    the background; `others`: further sources in the frame.
+    `label`, `conditions`: as in the session; `image`: mean of its frames, shape (row, col), DN;
+    `frames`: number of frames; `dark_dn`, `full_scale_dn`: black level and full scale;
+    `dark_known`: whether the black level was measured or recorded; `row`, `col`: centre, px;
+    `significance`: height of the smoothed source above its surroundings in standard deviations;
+    `frame_streak_px`: streak length of single frames, shape (frame,), px; `row_pitch`: row pitch
+    over column pitch; `half`, `background`, `clip`: region at or above half of full scale, twice
+    the background above dark, and full scale; None where the source stays below the threshold or
+    the background is not measurable; `light`: the background; `others`: further sources in the
+    frame.
     """
 
     label: str
@@ -180,7 +209,9 @@ class PointStack:
     half: Extent | None = None
     background: Extent | None = None
     clip: Extent | None = None
-    light: Background = field(default_factory=lambda: Background(level_dn=0.0, sd_dn=0.0, even=False))
+    light: Background = field(
+        default_factory=lambda: Background(level_dn=0.0, sd_dn=0.0, even=False)
+    )
     others: tuple[SourcePosition, ...] = ()
 
     @property
@@ -188,7 +219,10 @@ class PointStack:
         """Refusal reason without a detected source; empty with one."""
         if self.significance >= DETECTED:
             return ""
-        return f"no point source: the brightest spot has {self.significance:.1f} standard deviations, at least 8 needed"
+        return (
+            f"no point source: the brightest spot has {self.significance:.1f} standard "
+            f"deviations, at least 8 needed"
+        )
 
     @property
     def half_dn(self) -> float:
@@ -197,7 +231,9 @@ class PointStack:
 
     @property
     def bloom_px(self) -> float:
-        """Bloom diameter at half of full scale, column pitches; 0 where the source stays below it."""
+        """Bloom diameter at half of full scale, column pitches; 0 where the source stays below
+        it.
+        """
         return 0.0 if self.half is None else self.half.diameter_px
 
     @property
@@ -208,7 +244,9 @@ class PointStack:
 
     @property
     def exposure_lux_ns(self) -> float | None:
-        """Illuminance times gate, lx ns (times 1 without a gate); None if the illuminance is unknown."""
+        """Illuminance times gate, lx ns (times 1 without a gate); None if the illuminance is
+        unknown.
+        """
         lux = self.conditions.illuminance_lux
         return None if lux is None else lux * (self.conditions.gate_ns or 1.0)
 
@@ -221,18 +259,29 @@ class PointStack:
 def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack, ...]:
     """Read all point stacks one at a time, in two passes: locate the sources, then measure them."""
     levels = {dark.label: dark.read().mean_dn for dark in session.of_kind("dark")}
-    entries = sorted(session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0)
-    darks = [None if (d := session.dark_like(entry.conditions)) is None else levels[d.label] for entry in entries]
+    entries = sorted(
+        session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0
+    )
+    darks = [
+        None if (d := session.dark_like(entry.conditions)) is None else levels[d.label]
+        for entry in entries
+    ]
     places = []
     for entry, dark in zip(entries, darks, strict=True):
         stack = entry.read()
         level = black_level_of(stack, dark)[0]
-        places.append(place_of(stack, entry.target.region, level, full_scale_of(stack, context), context))
+        places.append(
+            place_of(stack, entry.target.region, level, full_scale_of(stack, context), context)
+        )
     spots: list[PointStack] = []
     behind: list[tuple[Conditions, Background]] = []
     for done, (entry, dark, place) in enumerate(zip(entries, darks, places, strict=True)):
         context.progress(f"blooming of {entry.label}", done / len(entries))
-        same = [other for other, one in zip(places, entries, strict=True) if one.target.region == entry.target.region]
+        same = [
+            other
+            for other, one in zip(places, entries, strict=True)
+            if one.target.region == entry.target.region
+        ]
         stack = entry.read()
         place = common_position(place, same, stack.data.mean(axis=0, dtype=np.float64))
         spots.append(spot_of(entry, stack, dark, place, context, behind))
@@ -240,7 +289,9 @@ def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack
     return tuple(spots)
 
 
-def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, context: Context) -> SourcePosition:
+def place_of(
+    stack: FrameStack, region, dark_dn: float, full_scale_dn: float, context: Context
+) -> SourcePosition:
     """Locate the source of a stack, at the centre of its contour where it has one."""
     found = brightest(stack.data.mean(axis=0, dtype=np.float64), region)
     if found.significance < DETECTED:
@@ -253,22 +304,29 @@ def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, co
     for _ in range(5):
         better = middle(view, row, col)
         # The contour of a cropped bloom may be centred outside the frame.
-        if better is None or any(not -0.5 <= at < n - 0.5 for at, n in zip(better, view.signal.shape, strict=False)):
+        if better is None or any(
+            not -0.5 <= at < n - 0.5 for at, n in zip(better, view.signal.shape, strict=False)
+        ):
             break
         moved = float(np.hypot(better[0] - row, better[1] - col))
         row, col, settled = better
         if moved < 0.4:
             break
         view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
-    return SourcePosition(row=row, col=col, significance=found.significance, cut=cut, settled=settled)
+    return SourcePosition(
+        row=row, col=col, significance=found.significance, cut=cut, settled=settled
+    )
 
 
-def common_position(own: SourcePosition, places: list[SourcePosition], image: Array) -> SourcePosition:
+def common_position(
+    own: SourcePosition, places: list[SourcePosition], image: Array
+) -> SourcePosition:
     """Return the position common to the stacks, unless this stack's source is elsewhere.
 
-    The clearest stack locates the source best: it is neither faint nor saturated. Where two spots have merged, the
-    common position still lies inside; where the source has moved, it does not. Positions are ordered by illuminance:
-    two sources at full scale look alike, and the faintest stack identifies the brighter one.
+    The clearest stack locates the source best: it is neither faint nor saturated. Where two spots
+    have merged, the common position still lies inside; where the source has moved, it does not.
+    Positions are ordered by illuminance: two sources at full scale look alike, and the faintest
+    stack identifies the brighter one.
     """
     clear = [place for place in places if place.significance > 2 * DETECTED]
     whole = [place for place in clear if not place.cut]
@@ -287,23 +345,40 @@ def full_scale_of(stack: FrameStack, context: Context) -> float:
 
 
 def black_level_of(stack: FrameStack, dark: float | None) -> tuple[float, bool]:
-    """Return the black level, DN, and whether it is known: measured, recorded, else the median of the mean frame."""
+    """Return the black level, DN, and whether it is known: measured, recorded, else the median of
+    the mean frame.
+    """
     known = dark if dark is not None else stack.black_level_dn
-    return (float(np.median(stack.data.mean(axis=0, dtype=np.float64))), False) if known is None else (known, True)
+    return (
+        (float(np.median(stack.data.mean(axis=0, dtype=np.float64))), False)
+        if known is None
+        else (known, True)
+    )
 
 
-def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: SourcePosition, context: Context,
-            behind: list[tuple[Conditions, Background]]) -> PointStack:  # fmt: skip
+def spot_of(
+    entry: StackEntry,
+    stack: FrameStack,
+    dark: float | None,
+    place: SourcePosition,
+    context: Context,
+    behind: list[tuple[Conditions, Background]],
+) -> PointStack:
     """Measure position, extents and background of one stack.
 
-    `entry`, `stack`: the stack and its frames. `dark`: black level from dark frames, DN. `place`: position of the
-    source. `behind`: conditions and backgrounds of the previous stacks, the faintest first. The background of the
-    faintest stack with the same conditions is used, since a bright source illuminates the whole frame.
+    `entry`, `stack`: the stack and its frames. `dark`: black level from dark frames, DN. `place`:
+    position of the source. `behind`: conditions and backgrounds of the previous stacks, the
+    faintest first. The background of the faintest stack with the same conditions is used, since a
+    bright source illuminates the whole frame.
     """
     full, (level, known) = full_scale_of(stack, context), black_level_of(stack, dark)
     view = view_of(stack.data, level, full, place.row, place.col, context.pitch_ratio)
     own = background_of(view)
-    alike = [light for conditions, light in behind if has_same_settings(conditions, entry.conditions) and light.even]
+    alike = [
+        light
+        for conditions, light in behind
+        if has_same_settings(conditions, entry.conditions) and light.even
+    ]
     light = alike[0] if alike else own
     half = level + 0.5 * (full - level)
     found: dict[str, Extent | None] = {"half": None, "background": None, "clip": None}
@@ -312,7 +387,11 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
         if not known and found["half"] is not None:
             # An unknown black level lies between 0 and the median of the frame.
             lowest = extent_at(view, 0.5 * full, seed=context.seed)
-            draws = found["half"].draws if lowest is None else np.concatenate([found["half"].draws, lowest.draws])
+            draws = (
+                found["half"].draws
+                if lowest is None
+                else np.concatenate([found["half"].draws, lowest.draws])
+            )
             found["half"] = replace(found["half"], draws=draws)
         found["clip"] = extent_at(view, full - HALF_STEP_DN, seed=context.seed)
         if light.is_illuminated and light.even:
@@ -323,12 +402,24 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
     col = int(np.clip(round(place.col), 0, image.shape[1] - 1))
     clear = place.significance >= DETECTED
     return PointStack(
-        label=entry.label, conditions=entry.conditions, image=image, frames=len(stack), dark_dn=level,
-        full_scale_dn=full, dark_known=known, row=place.row, col=place.col,
-        significance=place.significance, frame_streak_px=(stack.data[:, :, col] >= half).sum(axis=1).astype(float),
-        row_pitch=context.pitch_ratio, half=found["half"], background=found["background"], clip=found["clip"],
-        light=light, others=others(image, place, full - level, context.pitch_ratio) if clear else (),
-    )  # fmt: skip
+        label=entry.label,
+        conditions=entry.conditions,
+        image=image,
+        frames=len(stack),
+        dark_dn=level,
+        full_scale_dn=full,
+        dark_known=known,
+        row=place.row,
+        col=place.col,
+        significance=place.significance,
+        frame_streak_px=(stack.data[:, :, col] >= half).sum(axis=1).astype(float),
+        row_pitch=context.pitch_ratio,
+        half=found["half"],
+        background=found["background"],
+        clip=found["clip"],
+        light=light,
+        others=others(image, place, full - level, context.pitch_ratio) if clear else (),
+    )
 
 
 def has_same_settings(one: Conditions, other: Conditions) -> bool:

@@ -37,7 +37,8 @@ NO_HALO = {"halo_diameter_px": 1.0, "elastic_share": 0.0, "halo_fraction": 0.0}
 
 @dataclass(frozen=True, kw_only=True)
 class PosteriorPsf:
-    """Point spread function of a camera, one per draw; each field has shape (draw,) or is one number for all.
+    """Point spread function of a camera, one per draw; each field has shape (draw,) or is one
+    number for all.
 
     Parameters
     ----------
@@ -48,16 +49,18 @@ class PosteriorPsf:
     halo_fraction
         Fraction of the light in the halo, dimensionless.
     core_frequency_cy_per_px, core_exponent
-        Parameters of the core's transfer exp(-(f/fc)^n - 2 pi^2 f^2 s^2); an infinite fc leaves the Gaussian alone.
+        Parameters of the core's transfer exp(-(f/fc)^n - 2 pi^2 f^2 s^2); an infinite fc leaves the
+        Gaussian alone.
     core_spread_px2
         s^2 of the core, px^2.
     wing_share, wing_radius_px, wing_exponent
-        Fraction of the light outside halo and glare in a Moffat wing (1 + r^2/a^2)^-b, its a and its b.
+        Fraction of the light outside halo and glare in a Moffat wing (1 + r^2/a^2)^-b, its a and
+        its b.
     wing_sd_px, wing_peak
         Width of a Matern wing instead, and its p (`charact.bloom.transfer.matern`); 0 px: Moffat.
     flat_share, rising_share, rim_share
-        Fractions of the halo that are flat, rise as x^2 and as x^12 to its edge; the remainder has uniformly
-        distributed energies.
+        Fractions of the halo that are flat, rise as x^2 and as x^12 to its edge; the remainder has
+        uniformly distributed energies.
     glare_fraction
         Fraction of the light that is spread uniformly, dimensionless.
     glare_area_px
@@ -87,7 +90,9 @@ class PosteriorPsf:
     glare_area_px: float | None = None
 
     def __post_init__(self) -> None:
-        arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(getattr(self, name), float)) for name in _per_draw()))
+        arrays = np.broadcast_arrays(
+            *(np.atleast_1d(np.asarray(getattr(self, name), float)) for name in _per_draw())
+        )
         for name, array in zip(_per_draw(), arrays, strict=True):
             if name in SHARES and not ((array >= 0) & (array <= 1)).all():
                 raise BadInput(f"{name} must lie in 0 to 1, got {array.min():g} to {array.max():g}")
@@ -108,26 +113,40 @@ class PosteriorPsf:
 
     def centre(self) -> "PosteriorPsf":
         """Return one draw: the median of every parameter."""
-        return replace(self, **{name: np.median(getattr(self, name), keepdims=True) for name in _per_draw()})
+        return replace(
+            self, **{name: np.median(getattr(self, name), keepdims=True) for name in _per_draw()}
+        )
 
     def transfer(self, frequency_cy_per_px: ArrayLike) -> Array:
-        """Return the transfer function without the veiling glare, 1 at frequency 0, shape (draw, frequency)."""
+        """Return the transfer function without the veiling glare, 1 at frequency 0, shape (draw,
+        frequency).
+        """
         frequency = np.asarray(frequency_cy_per_px, float)
         blur = transfer.tube(frequency, self.core_frequency_cy_per_px, self.core_exponent)
         blur = blur * transfer.gaussian(frequency, self.core_spread_px2)
         if np.any(self.wing_share):
             if np.any(self.wing_sd_px):
-                wing = transfer.matern(frequency, np.asarray(self.wing_sd_px), np.asarray(self.wing_peak))
+                wing = transfer.matern(
+                    frequency, np.asarray(self.wing_sd_px), np.asarray(self.wing_peak)
+                )
             else:
-                wing = transfer.moffat(frequency, np.asarray(self.wing_radius_px), np.asarray(self.wing_exponent))
+                wing = transfer.moffat(
+                    frequency, np.asarray(self.wing_radius_px), np.asarray(self.wing_exponent)
+                )
             blur = transfer.mix(blur, np.asarray(self.wing_share), wing)
-        flat, rising, rim = (np.asarray(one) for one in (self.flat_share, self.rising_share, self.rim_share))
+        flat, rising, rim = (
+            np.asarray(one) for one in (self.flat_share, self.rising_share, self.rim_share)
+        )
         profile = [self.elastic_share, 1.0 - self.elastic_share - flat - rising - rim, rising, rim]
         halo = transfer.disc(frequency, self.halo_diameter_px, np.stack(profile, axis=-1))
-        return blur * transfer.mix(1.0, self.halo_fraction / (1.0 - np.asarray(self.glare_fraction)), halo)
+        return blur * transfer.mix(
+            1.0, self.halo_fraction / (1.0 - np.asarray(self.glare_fraction)), halo
+        )
 
     def density(self, radius_px: ArrayLike) -> Array:
-        """Return the PSF at distances from the source, column pitches, up to 150, 1/px2, shape (draw, radius)."""
+        """Return the PSF at distances from the source, column pitches, up to 150, 1/px2, shape
+        (draw, radius).
+        """
         return np.maximum(self.transfer(nodes()[0]) @ density_matrix(radius_px), 0.0)
 
 
@@ -147,16 +166,20 @@ def density_matrix(radius_px: ArrayLike) -> Array:
     return transfer.hankel_matrix(nodes(), np.asarray(radius_px, float))
 
 
-def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayLike) -> PosteriorPsf:
+def spread_of(
+    posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayLike
+) -> PosteriorPsf:
     """Return the point spread functions described by a posterior.
 
-    The draws have the names of `NAMES`, or `core_sd`, the core before the pixel aperture, as fitted to point series;
-    `pitch_ratio`, row pitch over column pitch, is for that aperture. `known` are fields that the posterior lacks.
-    Raises BadInput if a required parameter is missing, or the halo model has no edge.
+    The draws have the names of `NAMES`, or `core_sd`, the core before the pixel aperture, as fitted
+    to point series; `pitch_ratio`, row pitch over column pitch, is for that aperture. `known` are
+    fields that the posterior lacks. Raises BadInput if a required parameter is missing, or the halo
+    model has no edge.
     """
     found = {field: posterior[name] for name, field in NAMES.items() if name in posterior.names}
     if "core_sd" in posterior.names:
-        # The pixel aperture has the variance of a twelfth of its squared pitch; rows and columns are averaged.
+        # The pixel aperture has the variance of a twelfth of its squared pitch; rows and columns
+        # are averaged.
         found["core_spread_px2"] = posterior["core_sd"] ** 2 + (1.0 + pitch_ratio**2) / 24.0
     if "even_share" in posterior.names:
         found["flat_share"] = 1.0 - np.sum([posterior[name] for name in transfer.PROFILE], axis=0)
@@ -166,7 +189,10 @@ def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayL
     if not {"halo_diameter_px", "halo_fraction"} & given.keys():
         given = {**given, **NO_HALO}
     if needed := [name for name in list(NAMES.values())[:6] if name not in given]:
-        raise BadInput(f"the PSF needs {', '.join(needed)}; the posterior has only {', '.join(posterior.names)}")
+        raise BadInput(
+            f"the PSF needs {', '.join(needed)}; the posterior has only "
+            f"{', '.join(posterior.names)}"
+        )
     shares = {name: np.clip(given[name], 0.0, 1.0) for name in SHARES if name in given}
     return PosteriorPsf(**{**given, **shares})  # pyright: ignore[reportArgumentType]
 
@@ -178,7 +204,9 @@ RADIUS_STEP_PX, REACH_PX = 0.1, 150.0
 
 @dataclass(frozen=True, kw_only=True)
 class FrameGrid:
-    """Pixels of a frame of a shape (row, col), padded by `room_px` so that blur does not wrap around."""
+    """Pixels of a frame of a shape (row, col), padded by `room_px` so that blur does not wrap
+    around.
+    """
 
     shape: tuple[int, int]
     room_px: int
@@ -194,7 +222,9 @@ class FrameGrid:
 
     @cached_property
     def frequency_index(self) -> NDArray[np.int32]:
-        """Table index (step `FREQUENCY_STEP`) of every frequency of a transform, shape (row, half col)."""
+        """Table index (step `FREQUENCY_STEP`) of every frequency of a transform, shape (row, half
+        col).
+        """
         rows, cols = self.transform_shape
         down = np.fft.fftfreq(rows) / self.pitch_ratio
         frequency = np.hypot(down[:, None], np.fft.rfftfreq(cols)[None, :])
@@ -203,10 +233,14 @@ class FrameGrid:
     @cached_property
     def frequency(self) -> Array:
         """Frequencies of the table, cycles per column pitch."""
-        return np.asarray(FREQUENCY_STEP * np.arange(int(self.frequency_index.max()) + 1), np.float64)
+        return np.asarray(
+            FREQUENCY_STEP * np.arange(int(self.frequency_index.max()) + 1), np.float64
+        )
 
     def blur(self, image: NDArray, table: Array) -> NDArray[np.float32]:
-        """Apply a rotationally symmetric transfer function, a table over `frequency`, to a frame."""
+        """Apply a rotationally symmetric transfer function, a table over `frequency`, to a
+        frame.
+        """
         from scipy.fft import irfft2, rfft2
 
         transform = np.asarray(rfft2(np.asarray(image, np.float32), s=self.transform_shape))
@@ -215,7 +249,9 @@ class FrameGrid:
         return np.asarray(irfft2(transform, s=self.transform_shape, overwrite_x=True))[:rows, :cols]
 
     def distance(self, row: float, col: float, pixels: NDArray[np.int64] | None = None) -> Array:
-        """Distance of all pixels, shape (row, col), or of those of flat indices, from a position, column pitches."""
+        """Distance of all pixels, shape (row, col), or of those of flat indices, from a position,
+        column pitches.
+        """
         if pixels is None:
             rows, cols = np.indices(self.shape, sparse=True)
         else:
@@ -228,7 +264,10 @@ class FrameGrid:
 
         away = np.ones(self.shape, bool)
         away.ravel()[pixels] = False
-        return np.asarray(ndimage.distance_transform_edt(away, sampling=(self.pitch_ratio, 1.0))) <= reach_px
+        return (
+            np.asarray(ndimage.distance_transform_edt(away, sampling=(self.pitch_ratio, 1.0)))
+            <= reach_px
+        )
 
     def around(self, row: float, col: float) -> tuple[slice, slice]:
         """Rows and columns within the range of the tabulated PSF around a position."""
@@ -244,7 +283,9 @@ class FrameGrid:
         return float(rows.mean()), float(cols.mean())
 
     def patch(self, pixels: NDArray[np.int64], table: Array) -> NDArray[np.float32]:
-        """Image of a unit source spread uniformly over some pixels, from a tabulated transfer function."""
+        """Image of a unit source spread uniformly over some pixels, from a tabulated transfer
+        function.
+        """
         image = np.zeros(self.shape, np.float32)
         image.ravel()[pixels] = 1.0 / len(pixels)
         return self.blur(image, table)
@@ -257,7 +298,9 @@ def profiles(spread: PosteriorPsf) -> Array:
 
 @cache
 def _kernel() -> Array:
-    """Matrix from a transfer function on `nodes` to the PSF at multiples of `RADIUS_STEP_PX`, shape (node, radius)."""
+    """Matrix from a transfer function on `nodes` to the PSF at multiples of `RADIUS_STEP_PX`, shape
+    (node, radius).
+    """
     return density_matrix(RADIUS_STEP_PX * np.arange(int(REACH_PX / RADIUS_STEP_PX) + 1))
 
 

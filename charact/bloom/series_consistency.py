@@ -1,4 +1,6 @@
-"""Consistency of a point series: gain, dark level, source position and signal across stacks and frames."""
+"""Consistency of a point series: gain, dark level, source position and signal across stacks and
+frames.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,7 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.over_time import FrameSeries, drift_of, frame_series, frames_before_switch_off, recoveries
+from charact.bloom.over_time import (
+    FrameSeries,
+    drift_of,
+    frame_series,
+    frames_before_switch_off,
+    recoveries,
+)
 from charact.bloom.point_stack import DETECTED, PointStack, has_same_settings
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
@@ -24,8 +32,8 @@ DECIBEL = 20.0 / np.log(10.0)
 class SeriesConsistency:
     """Inconsistencies of a series.
 
-    `flags`: flags of each stack's measurements, by label; `measurements`: background depression of every stack but the
-    faintest, and recovery times; `evidence`: figure data.
+    `flags`: flags of each stack's measurements, by label; `measurements`: background depression of
+    every stack but the faintest, and recovery times; `evidence`: figure data.
     """
 
     flags: dict[str, tuple[str, ...]]
@@ -41,15 +49,20 @@ class SeriesConsistency:
 def check_consistency(
     session: Session, spots: tuple[PointStack, ...], context: Context, **fields: Any
 ) -> SeriesConsistency:
-    """Check a series from stack to stack and from frame to frame; `fields` are common to its measurements.
+    """Check a series from stack to stack and from frame to frame; `fields` are common to its
+    measurements.
 
-    Flags: `agc` where the background falls below that of the faintest stack at the same settings; `drift` where the
-    source moves, or its signal or the background drifts; `lag` where the source is switched off and decays;
-    `dark-mismatch` where noise contradicts the dark level, or the background lies below it. Decay of a constant source
-    changes no mean and is not flagged.
+    Flags: `agc` where the background falls below that of the faintest stack at the same settings;
+    `drift` where the source moves, or its signal or the background drifts; `lag` where the source
+    is switched off and decays; `dark-mismatch` where noise contradicts the dark level, or the
+    background lies below it. Decay of a constant source changes no mean and is not flagged.
     """
-    shown = [spot for spot in spots if spot.significance >= DETECTED and min(spot.image.shape) >= 24]
-    watched = tuple(frame_series(spot, session.stack(spot.label).read(), context.pitch_ratio) for spot in shown)
+    shown = [
+        spot for spot in spots if spot.significance >= DETECTED and min(spot.image.shape) >= 24
+    ]
+    watched = tuple(
+        frame_series(spot, session.stack(spot.label).read(), context.pitch_ratio) for spot in shown
+    )
     flags = {spot.label: () for spot in spots} | {one.spot.label: _in_time(one) for one in watched}
     for label, own_flags in _between(watched, flags, _dark_variance(session)).items():
         flags[label] += own_flags
@@ -67,7 +80,9 @@ def check_consistency(
         "col_px": [_finite_or_none(one.centre_px[:, 1]) for one in watched],
         "light": [_finite_or_none(one.light_by_frame) for one in watched],
     }
-    return SeriesConsistency(flags=flags, measurements=tuple(out), evidence={"bloom-constancy": evidence})
+    return SeriesConsistency(
+        flags=flags, measurements=tuple(out), evidence={"bloom-constancy": evidence}
+    )
 
 
 def _finite_or_none(values: Array) -> list[float | None]:
@@ -92,7 +107,9 @@ def _between(
     for one in watched:
         reference = _faintest(watched, one)
         # Stacks with the same dark level have the same error.
-        same = tuple(o for o in watched if o.spot.dark_dn == one.spot.dark_dn and not flags[o.spot.label])
+        same = tuple(
+            o for o in watched if o.spot.dark_dn == one.spot.dark_dn and not flags[o.spot.label]
+        )
         misfit = dark_level_error(same, dark_variance) if one.spot.dark_known and rest else None
         wrong = one.spot.dark_known and one.background_dn < -max(4.0 * one.background_sd_dn, 0.3)
         if misfit is not None:
@@ -105,23 +122,29 @@ def _between(
 
 def _faintest(watched: tuple[FrameSeries, ...], stack: FrameSeries) -> FrameSeries:
     """The stack of least illuminance at the same settings."""
-    alike = (one for one in watched if has_same_settings(one.spot.conditions, stack.spot.conditions))
+    alike = (
+        one for one in watched if has_same_settings(one.spot.conditions, stack.spot.conditions)
+    )
     return min(alike, key=lambda one: one.spot.conditions.illuminance_lux or 0.0)
 
 
 def _has_background_fallen(reference: FrameSeries, stack: FrameSeries) -> bool:
     """Whether a stack's background lies below the reference's; independent of the dark level."""
-    fall = reference.background_dn + reference.spot.dark_dn - stack.background_dn - stack.spot.dark_dn
+    fall = (
+        reference.background_dn + reference.spot.dark_dn - stack.background_dn - stack.spot.dark_dn
+    )
     return fall > SEEN * np.hypot(reference.background_sd_dn, stack.background_sd_dn)
 
 
 def _depressions(
     watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]], **fields: Any
 ) -> list[Measurement]:
-    """Return the fall of each stack's background below that of the faintest stack at the same settings, dB.
+    """Return the fall of each stack's background below that of the faintest stack at the same
+    settings, dB.
 
-    20 log10(B0 / B). Automatic gain lowers the background of a bright frame, glare of the source raises it: the value
-    is a lower limit of the gain change. A background that rises is glare alone, and the value is refused.
+    20 log10(B0 / B). Automatic gain lowers the background of a bright frame, glare of the source
+    raises it: the value is a lower limit of the gain change. A background that rises is glare
+    alone, and the value is refused.
     """
     out: list[Measurement] = []
     for one in watched:
@@ -129,15 +152,28 @@ def _depressions(
         common: dict[str, Any] = {"stack": one.spot.label, **fields}
         if one is reference:
             continue
-        dim = [each for each in (reference, one) if each.background_dn < max(10.0 * each.background_sd_dn, 0.2)]
+        dim = [
+            each
+            for each in (reference, one)
+            if each.background_dn < max(10.0 * each.background_sd_dn, 0.2)
+        ]
         reason = ""
         if dim:
-            level = f"the background of {dim[0].spot.label} is {dim[0].background_dn:.3g} DN above dark"
+            level = (
+                f"the background of {dim[0].spot.label} is {dim[0].background_dn:.3g} DN above dark"
+            )
             reason = f"{level}: too faint to detect a fall"
         elif _has_background_fallen(one, reference):
-            reason = "the background is brighter than that of the faintest stack: it contains the source's own light"
+            reason = (
+                "the background is brighter than that of the faintest stack: it contains the "
+                "source's own light"
+            )
         if reason:
-            out.append(make_refusal("background_depression", "dB", reason, refusal="not-applicable", **common))
+            out.append(
+                make_refusal(
+                    "background_depression", "dB", reason, refusal="not-applicable", **common
+                )
+            )
             continue
         value = DECIBEL * float(np.log(reference.background_dn / one.background_dn))
         relative = [each.background_sd_dn / each.background_dn for each in (reference, one)]
@@ -146,16 +182,22 @@ def _depressions(
         own_flags = tuple(flag for flag in flags.get(one.spot.label, ()) if flag != "agc")
         own_flags += () if one.spot.dark_known else ("no-darks",)
         common["notes"] = (*common.get("notes", ()), BOUND)
-        out.append(measurement_from_sd("background_depression", "dB", value, sd, flags=own_flags, **common))
+        out.append(
+            measurement_from_sd("background_depression", "dB", value, sd, flags=own_flags, **common)
+        )
     return out
 
 
-def dark_level_error(stacks: tuple[FrameSeries, ...], dark_variance: float | None) -> tuple[float, float] | None:
-    """Return the black level above the dark frames' mean and its standard error, DN; None if not measurable.
+def dark_level_error(
+    stacks: tuple[FrameSeries, ...], dark_variance: float | None
+) -> tuple[float, float] | None:
+    """Return the black level above the dark frames' mean and its standard error, DN; None if not
+    measurable.
 
-    `stacks` have this dark and a stationary source; `dark_variance`: temporal variance of the dark frames, DN^2.
-    Temporal variance grows with the signal from that of the dark frames. The signal at which the line through
-    background and halo reaches the dark variance is the black level, independent of the dark frames' mean.
+    `stacks` have this dark and a stationary source; `dark_variance`: temporal variance of the dark
+    frames, DN^2. Temporal variance grows with the signal from that of the dark frames. The signal
+    at which the line through background and halo reaches the dark variance is the black level,
+    independent of the dark frames' mean.
     """
     if dark_variance is None or dark_variance < 0.24:
         return None

@@ -1,4 +1,6 @@
-"""Forward model of a point series: halo, core and glare from all stacks, clipping included in the model."""
+"""Forward model of a point series: halo, core and glare from all stacks, clipping included in the
+model.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -6,7 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.extent_measurements import add_common_measurements, provenance, quantisation_flags
+from charact.bloom.extent_measurements import (
+    add_common_measurements,
+    provenance,
+    quantisation_flags,
+)
 from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of
 from charact.bloom.point_stack import DETECTED, PointStack, read_point_stacks
 from charact.bloom.series.extent_comparison import MISFIT, compare_extents
@@ -41,7 +47,9 @@ Array = NDArray[np.float64]
 
 
 def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
-    """Ring means of all stacks with the selected model, normalised residuals, and each stack's own halo."""
+    """Ring means of all stacks with the selected model, normalised residuals, and each stack's own
+    halo.
+    """
     problem, point, own = fit.best.problem, fit.best.peak.point[None], fit.own
     series = problem.series
     model, solved = problem.rings(point)[..., 0], problem.solve_amplitudes(point)
@@ -69,7 +77,11 @@ def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
         return {"point-profile": data}
     names = ("halo_diameter", "elastic_share", "halo_fraction")
     joint, elastic, share = (float(np.median(fit.posterior[name])) for name in names)
-    data |= {"halo_diameter_px": joint, "elastic_share": elastic, "halo_share": [share] * len(series.labels)}
+    data |= {
+        "halo_diameter_px": joint,
+        "elastic_share": elastic,
+        "halo_share": [share] * len(series.labels),
+    }
     seen = np.isfinite(own[0])
     diameter, sd = own[0][seen], np.maximum(own[1][seen], 1e-6)
     uniformity = {
@@ -88,7 +100,11 @@ def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
 
 def forms_evidence(forms: list[FittedHaloModel], *, quick: bool) -> dict[str, Any]:
     """Information criterion of every fitted model, and its cross-validation."""
-    foretold = [None] * len(forms) if quick else [cross_validate(one) for one in forms[:3]] + [None] * len(forms)
+    foretold = (
+        [None] * len(forms)
+        if quick
+        else [cross_validate(one) for one in forms[:3]] + [None] * len(forms)
+    )
     least = forms[0].bic
     rows = [
         {
@@ -108,7 +124,8 @@ def forms_evidence(forms: list[FittedHaloModel], *, quick: bool) -> dict[str, An
 def cross_validate(candidate: FittedHaloModel) -> float | None:
     """Reduced chi squared of stacks that a model was not fitted to; None with one stack.
 
-    Every second stack is excluded in turn: core and halo come from one half, each stack's amplitudes from itself.
+    Every second stack is excluded in turn: core and halo come from one half, each stack's
+    amplitudes from itself.
     """
     series = candidate.problem.series
     count = len(series.labels)
@@ -117,7 +134,9 @@ def cross_validate(candidate: FittedHaloModel) -> float | None:
     total = 0.0
     for fold in (0, 1):
         seen = np.arange(count) % 2 == fold
-        peak = optimise(replace(candidate.problem, series=select_levels(series, seen)), candidate.peak.point)
+        peak = optimise(
+            replace(candidate.problem, series=select_levels(series, seen)), candidate.peak.point
+        )
         total += float(
             replace(candidate.problem, series=select_levels(series, ~seen))
             .solve_amplitudes(peak.point[None])
@@ -143,10 +162,11 @@ def series_forward(session: Session, *, context: Context) -> Result:
 
     Notes
     -----
-    Cores (Gaussian, image tube, Gaussian with a Moffat wing) and halos (none, a disc of backscattered electrons,
-    Gaussian) are fitted to the ring means of all stacks together and selected by the Bayesian information criterion.
-    Each stack has its own source signal and background. A halo is reported only if the disc is clearly the best model
-    with a well-determined edge.
+    Cores (Gaussian, image tube, Gaussian with a Moffat wing) and halos (none, a disc of
+    backscattered electrons, Gaussian) are fitted to the ring means of all stacks together and
+    selected by the Bayesian information criterion. Each stack has its own source signal and
+    background. A halo is reported only if the disc is clearly the best model with a well-determined
+    edge.
     """
     spots = read_point_stacks(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
@@ -164,7 +184,9 @@ def series_forward(session: Session, *, context: Context) -> Result:
         return result
     # Measured extents are compared with the fitted signal, or flagged where the fit is poor.
     if fit.best.problem.misfit.share <= MISFIT_SHARE and not is_uneven(fit.best.problem.series):
-        return replace(result, measurements=compare_extents(fit.best, fit.group, result.measurements))
+        return replace(
+            result, measurements=compare_extents(fit.best, fit.group, result.measurements)
+        )
     labels = {one.label for one in fit.group}
     flagged = (
         one.with_(flags=MISFIT) if one.quantity in EXTENTS and one.stack in labels else one
@@ -193,9 +215,13 @@ def _fit_series(
     # The stack that shows the halo's edge most significantly.
     edges = [edge_radius(profile_of(spot, context=context)) for spot in group]
     radius, seen = max(edges, key=lambda one: one[1])
-    forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor,
-                       has_tube=_has_tube(group, context),
-                       first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"))  # fmt: skip
+    forms = candidates(
+        series,
+        pitch_ratio=context.pitch_ratio,
+        sensor=context.sensor,
+        has_tube=_has_tube(group, context),
+        first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"),
+    )
     context.progress("posterior of the series", 0.95)
     posterior = _posterior(forms[0], context)
     reason = halo_refusal_reason(forms)
@@ -203,9 +229,15 @@ def _fit_series(
     flags = _flags(forms[0], posterior, own)
     flags += quantisation_flags(min(group, key=lambda one: one.full_scale_dn - one.dark_dn))
     return FittedSeries(
-        forms=forms, reason=reason, posterior=posterior, own=own, group=group, flags=flags,
-        notes=_notes(context, group, spots), fields=fields,
-    )  # fmt: skip
+        forms=forms,
+        reason=reason,
+        posterior=posterior,
+        own=own,
+        group=group,
+        flags=flags,
+        notes=_notes(context, group, spots),
+        fields=fields,
+    )
 
 
 def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
@@ -223,7 +255,9 @@ def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
         if not _is_cut(best, gaussian):
             return gaussian
     enough = 100.0 if context.quick else 1000.0
-    return importance_sample(best.problem.log_probability, enough=enough, first_draws=2000, **arguments)
+    return importance_sample(
+        best.problem.log_probability, enough=enough, first_draws=2000, **arguments
+    )
 
 
 def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
@@ -232,11 +266,15 @@ def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
         loss = best.peak.log_probability - best.problem.log_probability(gaussian.draws[:100])
         return float(np.median(loss)) > 2.0 * len(best.form.names)
     diameter = gaussian["halo_diameter"]
-    away = float(best.peak.point[best.form.names.index("halo_diameter")]) - float(np.median(diameter))
+    away = float(best.peak.point[best.form.names.index("halo_diameter")]) - float(
+        np.median(diameter)
+    )
     return abs(away) > CUT_SD * float(np.std(diameter))
 
 
-def _flags(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None) -> tuple[str, ...]:
+def _flags(
+    best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None
+) -> tuple[str, ...]:
     """Flags of the series; bounds of nuisance parameters are ignored."""
     from scipy.special import chdtrc
 
@@ -253,10 +291,24 @@ def _flags(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array,
     return flags + (("model-misfit",) if freedom and chdtrc(freedom, apart) < 1e-4 else ())
 
 
-def _notes(context: Context, group: tuple[PointStack, ...], spots: tuple[PointStack, ...]) -> tuple[str, ...]:
-    notes = ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
+def _notes(
+    context: Context, group: tuple[PointStack, ...], spots: tuple[PointStack, ...]
+) -> tuple[str, ...]:
+    notes = (
+        ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
+    )
     if np.isfinite(nearest_px(group)):
-        notes += (f"pixels nearer to another source, {nearest_px(group):.0f} px away or more, are excluded",)
+        notes += (
+            (
+                f"pixels nearer to another source, {nearest_px(group):.0f} px away or more, are "
+                f"excluded"
+            ),
+        )
     if len(group) < len(spots):
-        notes += (f"{len(group)} of {len(spots)} stacks show a source at one position, the others are excluded",)
+        notes += (
+            (
+                f"{len(group)} of {len(spots)} stacks show a source at one position, the others "
+                "are excluded"
+            ),
+        )
     return notes

@@ -27,7 +27,8 @@ FLANK_PX = 8
 # Minimum rows on each side of the streak for a comparison of both.
 LEAST_SIDE = 6
 APART = 5.0
-# Relative uncertainty of the stated light between stacks: neutral-density steps are rarely known better.
+# Relative uncertainty of the stated light between stacks: neutral-density steps are rarely known
+# better.
 LIGHT_SD = 0.03
 # Minimum ratio of the light of two stacks with smear for a test of proportionality.
 LEAST_RATIO = 2.5
@@ -37,9 +38,10 @@ LEAST_RATIO = 2.5
 class Core:
     """Columns of the core, and their signal.
 
-    `half_width_px`: columns on either side of the source's column; `light`: stated light; `light_dn`, `light_sd_dn`:
-    mean over these columns of their summed signal above that of their neighbours', per unit light, and its standard
-    error, DN; `stack`: label of the unsaturated stack.
+    `half_width_px`: columns on either side of the source's column; `light`: stated light;
+    `light_dn`, `light_sd_dn`: mean over these columns of their summed signal above that of their
+    neighbours', per unit light, and its standard error, DN; `stack`: label of the unsaturated
+    stack.
     """
 
     half_width_px: int
@@ -53,9 +55,9 @@ class Core:
 class Smear:
     """Uniform column signal of one stack.
 
-    `label`: the stack; `light`: stated light; `level_dn`, `level_sd_dn`: mean of the core's columns above their
-    neighbours far from the source, and its standard error, DN; `uneven`: whether it differs between above and below the
-    source.
+    `label`: the stack; `light`: stated light; `level_dn`, `level_sd_dn`: mean of the core's columns
+    above their neighbours far from the source, and its standard error, DN; `uneven`: whether it
+    differs between above and below the source.
     """
 
     label: str
@@ -68,12 +70,14 @@ class Smear:
 def smear_measurement(
     spots: tuple[PointStack, ...], context: Context, **fields: Any
 ) -> tuple[Measurement, dict[str, Any]]:
-    """Return the smear fraction of stacks of one source at several known illuminances, and its figure data.
+    """Return the smear fraction of stacks of one source at several known illuminances, and its
+    figure data.
 
-    The fraction f refers to the summed signal S of a column of R rows, each of which receives f S / R. A stack with
-    visible smear has a saturated core, so that S is scaled from an unsaturated stack by the ratio of stated light.
-    Linearity of the tube is verified only by a second stack with proportional smear: with one alone the number is
-    flagged `extrapolated`. Without visible smear it is refused with an upper limit that assumes linearity.
+    The fraction f refers to the summed signal S of a column of R rows, each of which receives f S /
+    R. A stack with visible smear has a saturated core, so that S is scaled from an unsaturated
+    stack by the ratio of stated light. Linearity of the tube is verified only by a second stack
+    with proportional smear: with one alone the number is flagged `extrapolated`. Without visible
+    smear it is refused with an upper limit that assumes linearity.
     """
     clear = [spot for spot in spots if spot.significance > DETECTED]
     found, reasons = [], []
@@ -122,11 +126,20 @@ def _core_of(spots: list[PointStack], context: Context) -> Core:
     value, sd = _contrast(spot.image, near, half, col)
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
     light, value = spot.exposure_lux_ns or 1.0, value * near.sum()
-    noise = np.hypot(sd * near.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1))
+    noise = np.hypot(
+        sd * near.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1)
+    )
     if not value > 0 or noise > 0.25 * value:
-        raise Unmeasurable("the signal of the core's columns is too uncertain: the unsaturated stacks are too faint")
+        raise Unmeasurable(
+            "the signal of the core's columns is too uncertain: the unsaturated stacks are too "
+            "faint"
+        )
     return Core(
-        half_width_px=half, light=light, light_dn=value / light, light_sd_dn=float(noise) / light, stack=spot.label
+        half_width_px=half,
+        light=light,
+        light_dn=value / light,
+        light_sd_dn=float(noise) / light,
+        stack=spot.label,
     )
 
 
@@ -139,7 +152,8 @@ def _is_linear(spot: PointStack) -> bool:
 def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, float]:
     """Mean of the core's columns less their neighbours' over some rows, and its standard error.
 
-    The error is the scatter of the same difference elsewhere along these rows, which includes correlated noise.
+    The error is the scatter of the same difference elsewhere along these rows, which includes
+    correlated noise.
     """
     along = image[rows].mean(axis=0)
     reach = half + 3 + FLANK_PX
@@ -149,10 +163,18 @@ def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, flo
     padded = np.pad(along, reach, mode="reflect")
     everywhere = np.correlate(padded, weight, mode="valid")
     places = np.arange(len(along))
-    inside = (places >= reach) & (places < len(along) - reach) & (np.abs(places - col) > reach + half)
-    others = everywhere[inside] if inside.sum() >= 4 * reach else everywhere[np.abs(places - col) > reach + half]
+    inside = (
+        (places >= reach) & (places < len(along) - reach) & (np.abs(places - col) > reach + half)
+    )
+    others = (
+        everywhere[inside]
+        if inside.sum() >= 4 * reach
+        else everywhere[np.abs(places - col) > reach + half]
+    )
     if len(others) < reach:
-        raise Unmeasurable("the frame is too narrow: there are no columns far from the source for comparison")
+        raise Unmeasurable(
+            "the frame is too narrow: there are no columns far from the source for comparison"
+        )
     spread = max(1.4826 * float(np.median(np.abs(others))), float(np.std(others)))
     return float(everywhere[col]), max(spread, ROUNDED_DN / np.sqrt(rows.sum()))
 
@@ -167,21 +189,30 @@ def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear:
     above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
     if far.sum() < 16:
         raise Unmeasurable(
-            "the source's streak or halo extends to the frame's top and bottom: smear is not separable from them"
+            "the source's streak or halo extends to the frame's top and bottom: smear is not "
+            "separable from them"
         )
     # One full column is sufficient, since a streak's columns differ in length.
     even = float(np.median(spot.image[far, middle], axis=0).max()) - spot.dark_dn
     if even > FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
-        raise Unmeasurable("the columns are bright from top to bottom: smear is not separable from a streak")
+        raise Unmeasurable(
+            "the columns are bright from top to bottom: smear is not separable from a streak"
+        )
     level, sd = _contrast(found.excess_dn, far, half, col)
     # Halo and wing add noise to these columns.
     sd *= float(np.sqrt((found.sd_dn[far, middle] ** 2).mean() / np.median(found.sd_dn[far]) ** 2))
     uneven = False
     if min(above.sum(), below.sum()) >= LEAST_SIDE:
-        (up, up_sd), (down, down_sd) = (_contrast(found.excess_dn, rows, half, col) for rows in (above, below))
+        (up, up_sd), (down, down_sd) = (
+            _contrast(found.excess_dn, rows, half, col) for rows in (above, below)
+        )
         uneven = abs(up - down) > APART * np.hypot(up_sd, down_sd)
     return Smear(
-        label=spot.label, light=spot.exposure_lux_ns or 0.0, level_dn=level, level_sd_dn=sd, uneven=bool(uneven)
+        label=spot.label,
+        light=spot.exposure_lux_ns or 0.0,
+        level_dn=level,
+        level_sd_dn=sd,
+        uneven=bool(uneven),
     )
 
 
@@ -189,7 +220,9 @@ def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> M
     """Rows beyond the streak and outside the noisy part of the halo."""
     excess = found.excess_dn[:, middle].max(axis=1)
     noise = np.sqrt(grain.floor_variance)
-    quiet = found.sd_dn[:, middle].max(axis=1) < 1.3 * max(noise, float(np.median(found.sd_dn[[0, -1]])))
+    quiet = found.sd_dn[:, middle].max(axis=1) < 1.3 * max(
+        noise, float(np.median(found.sd_dn[[0, -1]]))
+    )
     out = np.zeros(len(excess), bool)
     for side in (-1, 1):
         rows = np.flatnonzero(found.row_offset * side > 0)[::side]
@@ -221,7 +254,10 @@ def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measu
     total = float(np.sqrt(weight**2 @ (sd**2 + between**2) + known**2))
     if not seen.any():
         most = max(mean, 0.0) + 2.0 * total
-        reason = f"no stack shows smear: it is at most {most:.2g} of a column's signal, if the light is as stated"
+        reason = (
+            f"no stack shows smear: it is at most {most:.2g} of a column's signal, if the "
+            f"light is as stated"
+        )
         return make_refusal("smear_fraction", "1", reason, refusal="not-applicable", **fields)
     flags = ()
     if light[seen].max() < LEAST_RATIO * light[seen].min():
@@ -234,7 +270,9 @@ def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measu
 
 
 def _between(share: Array, sd: Array) -> float:
-    """Relative scatter of stacks beyond their errors (DerSimonian and Laird, Control. Clin. Trials 7, 177, 1986)."""
+    """Relative scatter of stacks beyond their errors (DerSimonian and Laird, Control. Clin. Trials
+    7, 177, 1986).
+    """
     if len(share) < 2:
         return 0.0
     weight = 1.0 / sd**2

@@ -18,9 +18,10 @@ SECTORS = 24
 class Polar:
     """Polar coordinates of the pixels around a source.
 
-    `dx`, `dy`: distances from the source along rows and columns, column pitches, shape (row, col); `radius`: distance,
-    column pitches, shape (row, col); `ring`, `sector`: index of the ring, one column pitch wide, and of the sector,
-    shape (row, col); `row_pitch`: row pitch over column pitch.
+    `dx`, `dy`: distances from the source along rows and columns, column pitches, shape (row, col);
+    `radius`: distance, column pitches, shape (row, col); `ring`, `sector`: index of the ring, one
+    column pitch wide, and of the sector, shape (row, col); `row_pitch`: row pitch over column
+    pitch.
     """
 
     dx: Array
@@ -42,15 +43,18 @@ def polar_of(shape: tuple[int, int], row: float, col: float, row_pitch: float) -
     dx, dy = np.broadcast_arrays((np.arange(shape[1]) - col)[None, :], down)
     radius = np.hypot(dx, dy)
     sector = ((np.arctan2(dy, dx) / (2 * np.pi) + 0.5) * SECTORS).astype(np.intp) % SECTORS
-    return Polar(dx=dx, dy=dy, radius=radius, ring=radius.astype(np.intp), sector=sector, row_pitch=row_pitch)
+    return Polar(
+        dx=dx, dy=dy, radius=radius, ring=radius.astype(np.intp), sector=sector, row_pitch=row_pitch
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rings:
     """Sums over ring and sector cells of an image.
 
-    `total`, `count`: sum and number of pixels of each cell, shape (ring, sector); `radius`: mean radius of each ring,
-    column pitches, shape (ring,); `whole`: fraction of each ring that lies inside the frame, shape (ring,).
+    `total`, `count`: sum and number of pixels of each cell, shape (ring, sector); `radius`: mean
+    radius of each ring, column pitches, shape (ring,); `whole`: fraction of each ring that lies
+    inside the frame, shape (ring,).
     """
 
     total: Array
@@ -61,25 +65,35 @@ class Rings:
     def mean(self, sectors: NDArray[np.bool_] | None = None) -> Array:
         """Ring means over the selected sectors, shape (ring,)."""
         chosen = np.ones(SECTORS, bool) if sectors is None else sectors
-        return self.total[:, chosen].sum(axis=1) / np.maximum(self.count[:, chosen].sum(axis=1), 1.0)
+        return self.total[:, chosen].sum(axis=1) / np.maximum(
+            self.count[:, chosen].sum(axis=1), 1.0
+        )
 
     def median(self) -> Array:
-        """Median over the sectors of each ring, shape (ring,); robust against a streak or another source."""
-        cells = np.sort(np.where(self.count > 0, self.total / np.maximum(self.count, 1.0), np.inf), axis=1)
+        """Median over the sectors of each ring, shape (ring,); robust against a streak or another
+        source.
+        """
+        cells = np.sort(
+            np.where(self.count > 0, self.total / np.maximum(self.count, 1.0), np.inf), axis=1
+        )
         occupied = (self.count > 0).sum(axis=1)
         rows, upper = np.arange(len(cells)), np.minimum(occupied // 2, SECTORS - 1)
         lower = np.maximum((occupied - 1) // 2, 0)
         return np.where(occupied > 0, 0.5 * (cells[rows, lower] + cells[rows, upper]), 0.0)
 
-    def draws(self, pixel_sd: Array, count: int, rng: np.random.Generator, sectors: NDArray[np.bool_]) -> Array:
+    def draws(
+        self, pixel_sd: Array, count: int, rng: np.random.Generator, sectors: NDArray[np.bool_]
+    ) -> Array:
         """Draw ring means by a block bootstrap over sectors, shape (draw, ring).
 
-        Random weights of the sectors preserve the correlation of noise between pixels, rings and frames. `pixel_sd` is
-        the noise of a pixel of the mean frame in each ring, shape (ring,).
+        Random weights of the sectors preserve the correlation of noise between pixels, rings and
+        frames. `pixel_sd` is the noise of a pixel of the mean frame in each ring, shape (ring,).
         """
         mean, number = self.mean(sectors), np.maximum(self.count[:, sectors].sum(axis=1), 1.0)
         apart = (self.total - mean[:, None] * self.count)[:, sectors] / number[:, None]
-        weights = rng.standard_normal((count, apart.shape[1])) * np.sqrt(apart.shape[1] / max(apart.shape[1] - 1, 1))
+        weights = rng.standard_normal((count, apart.shape[1])) * np.sqrt(
+            apart.shape[1] / max(apart.shape[1] - 1, 1)
+        )
         near = np.where(self.radius < 4, pixel_sd / np.sqrt(number), 0.0)
         return mean + weights @ apart.T + near * rng.standard_normal((count, len(mean)))
 
@@ -108,7 +122,8 @@ APART_ROWS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class PixelNoise:
-    """Variance of a pixel in one frame, `floor + slope * signal`, DN^2, and the number of averaged frames.
+    """Variance of a pixel in one frame, `floor + slope * signal`, DN^2, and the number of averaged
+    frames.
 
     `tied` is the variance of a sum of many pixels over that of as many independent ones.
     """
@@ -124,7 +139,9 @@ class PixelNoise:
 
 
 def mean_with_clipping(mean: Array, noise: PixelNoise, top: float) -> tuple[Array, Array]:
-    """Return the mean of a noisy signal clipped at `top`, and the unclipped fraction; shapes of `mean`."""
+    """Return the mean of a noisy signal clipped at `top`, and the unclipped fraction; shapes of
+    `mean`.
+    """
     from scipy.special import ndtr
 
     sd = noise.sd(np.minimum(mean, top))
@@ -134,20 +151,26 @@ def mean_with_clipping(mean: Array, noise: PixelNoise, top: float) -> tuple[Arra
     return np.where(z >= 30.0, mean, mean * below - sd * density + top * (1.0 - below)), below
 
 
-def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: Polar, rings: Rings) -> PixelNoise:
-    """Estimate pixel noise from frame differences or, in a single frame, from differences within rings.
+def noise_of(
+    frames: NDArray, signal: Array, smooth: Array, top: float, polar: Polar, rings: Rings
+) -> PixelNoise:
+    """Estimate pixel noise from frame differences or, in a single frame, from differences within
+    rings.
 
-    `frames`, `signal`, `smooth`: frames, shape (frame, row, col), their mean above dark and that smoothed by one pixel,
-    shape (row, col), DN; `top`: full scale above dark, DN; `polar`, `rings`: polar coordinates of the pixels, and sums
-    over cells of the mean.
+    `frames`, `signal`, `smooth`: frames, shape (frame, row, col), their mean above dark and that
+    smoothed by one pixel, shape (row, col), DN; `top`: full scale above dark, DN; `polar`, `rings`:
+    polar coordinates of the pixels, and sums over cells of the mean.
     """
     profile = rings.median()
     expected = np.interp(polar.radius, rings.radius, profile)
     if len(frames) > 1:
         variance = frames.var(axis=0, ddof=1, dtype=np.float64)
     else:
-        # Differences are no measure of noise where rings fall steeply; along columns they are, even in a streak.
-        level = (np.abs(np.gradient(profile)) < np.maximum(0.015 * profile, 0.004 * top))[polar.ring]
+        # Differences are no measure of noise where rings fall steeply; along columns they are, even
+        # in a streak.
+        level = (np.abs(np.gradient(profile)) < np.maximum(0.015 * profile, 0.004 * top))[
+            polar.ring
+        ]
         level[:APART_ROWS] = level[-APART_ROWS:] = False
         around = 0.5 * (np.roll(signal, APART_ROWS, axis=0) + np.roll(signal, -APART_ROWS, axis=0))
         variance = np.where(level, (signal - around) ** 2 / 1.5, np.nan)
@@ -170,13 +193,18 @@ def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) 
         # Noise of intensified cameras is mostly photon noise.
         slope = max(of_faint - ROUNDING, 0.0) / max(at_faint, 1.0)
         return PixelNoise(floor=ROUNDING, slope=slope, frames=frames, tied=tied)
-    # Medians, since pixels at the end of a streak or under a moving source vary by more than their noise.
+    # Medians, since pixels at the end of a streak or under a moving source vary by more than their
+    # noise.
     at_lit = float(np.median(signal[lit]))
     of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
     if at_lit < 1.5 * at_faint:
-        return PixelNoise(floor=ROUNDING, slope=max(of_lit - ROUNDING, 0.0) / at_lit, frames=frames, tied=tied)
+        return PixelNoise(
+            floor=ROUNDING, slope=max(of_lit - ROUNDING, 0.0) / at_lit, frames=frames, tied=tied
+        )
     slope = max(of_lit - of_faint, 0.0) / max(at_lit - at_faint, 1e-6)
-    return PixelNoise(floor=max(of_faint - slope * at_faint, ROUNDING), slope=slope, frames=frames, tied=tied)
+    return PixelNoise(
+        floor=max(of_faint - slope * at_faint, ROUNDING), slope=slope, frames=frames, tied=tied
+    )
 
 
 def _median_share(freedom: int) -> float:
@@ -188,9 +216,9 @@ def _median_share(freedom: int) -> float:
 class SourceView:
     """Mean frame around a source.
 
-    `signal`: mean frame above dark, shape (row, col), DN; `smooth`: the same smoothed by one pixel; `dark_dn`: black
-    level, DN; `top`: full scale above dark, DN; `polar`, `rings`, `noise`: polar coordinates of the pixels, sums over
-    cells, and noise of a pixel.
+    `signal`: mean frame above dark, shape (row, col), DN; `smooth`: the same smoothed by one pixel;
+    `dark_dn`: black level, DN; `top`: full scale above dark, DN; `polar`, `rings`, `noise`: polar
+    coordinates of the pixels, sums over cells, and noise of a pixel.
     """
 
     signal: Array
@@ -212,8 +240,8 @@ def view_of(
 ) -> SourceView:
     """Compute rings, sectors and pixel noise of frames around (row, col).
 
-    `frames`: shape (frame, row, col), DN; `dark_dn`, `full_scale_dn`: black level and full scale, DN; `row`, `col`:
-    centre of the source, px; `row_pitch`: row pitch over column pitch.
+    `frames`: shape (frame, row, col), DN; `dark_dn`, `full_scale_dn`: black level and full scale,
+    DN; `row`, `col`: centre of the source, px; `row_pitch`: row pitch over column pitch.
     """
     from scipy import ndimage
 
@@ -222,14 +250,21 @@ def view_of(
     rings, top = rings_of(signal, polar), full_scale_dn - dark_dn
     smooth = np.asarray(ndimage.gaussian_filter(signal, SMOOTHING_PX))
     return SourceView(
-        signal=signal, smooth=smooth, dark_dn=dark_dn, top=top, polar=polar, rings=rings,
+        signal=signal,
+        smooth=smooth,
+        dark_dn=dark_dn,
+        top=top,
+        polar=polar,
+        rings=rings,
         noise=noise_of(frames, signal, smooth, top, polar, rings),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Background:
-    """Signal far from the source above dark and its standard uncertainty, DN, and whether it is uniform."""
+    """Signal far from the source above dark and its standard uncertainty, DN, and whether it is
+    uniform.
+    """
 
     level_dn: float
     sd_dn: float
@@ -242,7 +277,9 @@ class Background:
 
 
 def background_of(view: SourceView) -> Background:
-    """Estimate the background from the outermost rings; medians over sectors exclude other sources."""
+    """Estimate the background from the outermost rings; medians over sectors exclude other
+    sources.
+    """
     first = int(0.6 * view.polar.rings)
     half = (first + view.polar.rings) // 2
     inner, outer = _level(view, slice(first, half)), _level(view, slice(half, None))

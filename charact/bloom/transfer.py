@@ -10,8 +10,9 @@ Array = NDArray[np.float64]
 # Logarithmic arguments and orders of the Moffat table.
 ARGUMENTS = np.linspace(-10.0, 4.0, 1400)
 ORDERS = np.linspace(0.02, 3.2, 160)
-# Fractions of the halo's light with the densities 1/sqrt(1 - x^2) (rim), arccos(x)/x (central peak), x^2 and x^12 (rim
-# of finite width), with x the radius over the disc's radius; half of the highest power.
+# Fractions of the halo's light with the densities 1/sqrt(1 - x^2) (rim), arccos(x)/x (central
+# peak), x^2 and x^12 (rim of finite width), with x the radius over the disc's radius; half of the
+# highest power.
 PROFILE = ("elastic_share", "even_share", "rising_share", "rim_share")
 RIM = 6
 # Arguments of the disc table: 160 px at 1.25 cy/px.
@@ -23,7 +24,10 @@ LEAST_CY_PER_PX = 1e-9
 def pixel(frequency: Array, pitch_ratio: float) -> Array:
     """Transfer function of the pixel aperture, averaged over all directions, shape (frequency,)."""
     angle = (np.arange(64) + 0.5) * (np.pi / 128)
-    across, along = np.cos(angle)[:, None] * frequency, pitch_ratio * np.sin(angle)[:, None] * frequency
+    across, along = (
+        np.cos(angle)[:, None] * frequency,
+        pitch_ratio * np.sin(angle)[:, None] * frequency,
+    )
     return (np.sinc(across) * np.sinc(along)).mean(axis=0)
 
 
@@ -38,39 +42,50 @@ def tube(frequency: Array, cut_off: Array, exponent: Array) -> Array:
 
 
 def moffat(frequency: Array, radius_px: Array, exponent: Array) -> Array:
-    """Transform of (1 + (r/a)^2)^-b, 2^(2-b)/Gamma(b-1) u^(b-1) K_(b-1)(u), u = 2 pi a f; tabulated."""
+    """Transform of (1 + (r/a)^2)^-b, 2^(2-b)/Gamma(b-1) u^(b-1) K_(b-1)(u), u = 2 pi a f;
+    tabulated.
+    """
     with np.errstate(divide="ignore"):
         log_argument = np.log(2.0 * np.pi * radius_px[:, None] * frequency)
     row, weight = _four(ORDERS, exponent - 1.0)
     lines = np.einsum("dr,dra->da", weight, _moffat_table()[row])
     place, share = _four(ARGUMENTS, np.clip(log_argument, ARGUMENTS[0], ARGUMENTS[-1]))
-    out = sum(share[..., one] * np.take_along_axis(lines, place[..., one], axis=1) for one in range(4))
+    out = sum(
+        share[..., one] * np.take_along_axis(lines, place[..., one], axis=1) for one in range(4)
+    )
     return np.where(log_argument < ARGUMENTS[-1], out, 0.0)
 
 
 def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
-    """(1 + p (2 pi f s)^2/2)^(-1/p): variance s^2 along each axis, Gaussian at p = 0, exp(-r/L) at 2/3, s^2 = 3 L^2."""
+    """(1 + p (2 pi f s)^2/2)^(-1/p): variance s^2 along each axis, Gaussian at p = 0, exp(-r/L) at
+    2/3, s^2 = 3 L^2.
+    """
     power = np.maximum(peak, 1e-6)[:, None]
     return np.exp(-np.log1p(0.5 * power * (2.0 * np.pi * sd_px[:, None] * frequency) ** 2) / power)
 
 
 def mix(of: Array | float, share: Array, part: Array) -> Array:
-    """Replace a fraction, shape (draw,), of a transfer function by another one, shape (draw, frequency)."""
+    """Replace a fraction, shape (draw,), of a transfer function by another one, shape (draw,
+    frequency).
+    """
     return of * (1.0 - share[:, None]) + share[:, None] * part
 
 
 def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     """Transfer function of a halo disc of finite diameter and any smooth profile.
 
-    `frequency`, `diameter_px`: as in the module docstring; `profile`: fractions of its light with the radial densities
-    of `PROFILE`, shape (draw, fraction); the rest is flat. With x the radius over that of the disc and u = pi f D:
-    elastically backscattered electrons have the density 1/sqrt(1 - x^2), those with uniformly distributed energies
-    arccos(x)/x (range 2 d e sin 2t in the gap, cosine law), with the transforms sin(u)/u and Si(u)/u. Powers of x are
-    sums of (1 - x^2)^k, with Sonine's transforms Gamma(k + 2) (2/u)^(k + 1) J_(k+1)(u).
+    `frequency`, `diameter_px`: as in the module docstring; `profile`: fractions of its light with
+    the radial densities of `PROFILE`, shape (draw, fraction); the rest is flat. With x the radius
+    over that of the disc and u = pi f D: elastically backscattered electrons have the density
+    1/sqrt(1 - x^2), those with uniformly distributed energies arccos(x)/x (range 2 d e sin 2t in
+    the gap, cosine law), with the transforms sin(u)/u and Si(u)/u. Powers of x are sums of (1 -
+    x^2)^k, with Sonine's transforms Gamma(k + 2) (2/u)^(k + 1) J_(k+1)(u).
     """
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
     first, weight = _four(DISC_ARGUMENTS, np.minimum(u, DISC_ARGUMENTS[-1]))
-    flat, *parts = (sum(weight[..., one] * part[first[..., one]] for one in range(4)) for part in _disc_table())
+    flat, *parts = (
+        sum(weight[..., one] * part[first[..., one]] for one in range(4)) for part in _disc_table()
+    )
     return flat + np.einsum("dp,pdf->df", profile, np.stack(parts) - flat)
 
 
@@ -102,20 +117,31 @@ def _four(even: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
     at = (value - even[0]) / (even[1] - even[0])
     first = np.clip(at.astype(np.intp) - 1, 0, len(even) - 4)
     t = at - first
-    weight = np.stack([-(t - 1) * (t - 2) * (t - 3) / 6, t * (t - 2) * (t - 3) / 2, -t * (t - 1) * (t - 3) / 2,
-                       t * (t - 1) * (t - 2) / 6], axis=-1)  # fmt: skip
+    weight = np.stack(
+        [
+            -(t - 1) * (t - 2) * (t - 3) / 6,
+            t * (t - 2) * (t - 3) / 2,
+            -t * (t - 1) * (t - 3) / 2,
+            t * (t - 1) * (t - 2) / 6,
+        ],
+        axis=-1,
+    )
     return first[..., None] + np.arange(4), weight
 
 
 @cache
 def quadrature(highest_cy_per_px: float, count: int) -> tuple[Array, Array]:
-    """Return frequencies, cy/px, and weights of the integral over a transfer function (Gauss-Legendre)."""
+    """Return frequencies, cy/px, and weights of the integral over a transfer function
+    (Gauss-Legendre).
+    """
     node, weight = np.polynomial.legendre.leggauss(count)
     return 0.5 * highest_cy_per_px * (node + 1.0), 0.5 * highest_cy_per_px * weight
 
 
 def hankel_matrix(nodes: tuple[Array, Array], radius_px: Array) -> Array:
-    """Matrix from a transfer function at quadrature nodes to light at radii, 1/px^2, shape (node, radius)."""
+    """Matrix from a transfer function at quadrature nodes to light at radii, 1/px^2, shape (node,
+    radius).
+    """
     from scipy.special import j0
 
     frequency, weight = (one[:, None] for one in nodes)
@@ -133,7 +159,9 @@ def frequencies() -> Array:
 
 
 def onto_nodes(node_px: Array) -> Array:
-    """Return the matrix that takes transforms to light at radii, shape (frequency, node); not to be written to."""
+    """Return the matrix that takes transforms to light at radii, shape (frequency, node); not to be
+    written to.
+    """
     return _onto_nodes(np.asarray(node_px, np.float64).tobytes())
 
 

@@ -11,23 +11,27 @@ from charact.cli.outputs import Force, require_free_session
 
 
 def acquire(
-    plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")],
+    plan: Annotated[
+        Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")
+    ],
     out: Annotated[Path, typer.Argument(help="Output session folder.")],
     resume: Annotated[
         bool, typer.Option("--resume", help="Resume an interrupted run; completed steps are kept.")
     ] = False,
     inject_faults: Annotated[
         Path | None,
-        typer.Option(metavar="FAULTS.toml", help="Inject the faults of FAULTS.toml into the virtual bench."),
+        typer.Option(
+            metavar="FAULTS.toml", help="Inject the faults of FAULTS.toml into the virtual bench."
+        ),
     ] = None,
     force: Force = False,
     events: options.Events = False,
 ) -> None:
     """Run an acquisition plan on real or virtual instruments and store a session.
 
-    The first Ctrl-C finishes the step, closes the gate and saves; the second closes the gate at once. SIGUSR1 pauses
-    after the current step with the gate closed and the light off; a second SIGUSR1 resumes. Events are logged to
-    OUT/log.jsonl.
+    The first Ctrl-C finishes the step, closes the gate and saves; the second closes the gate at
+    once. SIGUSR1 pauses after the current step with the gate closed and the light off; a second
+    SIGUSR1 resumes. Events are logged to OUT/log.jsonl.
 
     Example: charact acquire plan.toml day1; kill -USR1 PID; charact acquire plan.toml day1 --resume
 
@@ -35,25 +39,36 @@ def acquire(
     Faults to inject; --resume continues with those not yet injected:
       [[fault]]
       instrument = "high_voltage"  # or delay_generator, light_source, filter_wheel, camera, ...
-      kind = "garbage"             # half lines, silence, no answers, late answers, unplugged, power cycle, trip,
-                                   # packet loss, stalled camera, clock jump
+      kind = "garbage"             # half lines, silence, no answers, late answers, unplugged,
+                                   # power cycle, trip, packet loss, stalled camera, clock jump
       at_step = "flat-700V"        # default: at_s counts from the start of the run
       at_s = 0.5
       for_s = 2.0
     """
-    interrupted = f"interrupted; frames acquired so far are kept. Resume with: charact acquire {plan} {out} --resume"
-    with exit_on_bad_input(str(plan), events=events, interrupted=interrupted), progress_bar(events=events) as progress:
+    interrupted = (
+        f"interrupted; frames acquired so far are kept. Resume with: charact acquire "
+        f"{plan} {out} --resume"
+    )
+    with (
+        exit_on_bad_input(str(plan), events=events, interrupted=interrupted),
+        progress_bar(events=events) as progress,
+    ):
         from charact.cli.benches import acquire_session, load_plan, remove_run
         from labdata.errors import BadInput
         from labdata.serialiser import from_toml
         from simulate.virtual_bench.rehearsal import FaultScript
 
         if resume and force:
-            raise BadInput("--resume continues a session and --force replaces it: one of them must be given, got both")
+            raise BadInput(
+                "--resume continues a session and --force replaces it: one of them must be given, "
+                "got both"
+            )
         loaded = load_plan(plan)
         if not resume:
             replayed = (loaded.wires.camera or "").removeprefix("replay:").partition("#")[0]
-            require_free_session(out, "plan", force=force, sources=(plan, Path(replayed) / "session.toml"))
+            require_free_session(
+                out, "plan", force=force, sources=(plan, Path(replayed) / "session.toml")
+            )
         if force:
             remove_run(loaded, out)
         session = acquire_session(
@@ -68,18 +83,24 @@ def acquire(
 
 
 def demo(
-    out: Annotated[Path, typer.Argument(help="Folder for the session, the fitted sensor and the report.")] = Path(
-        "demo"
-    ),
-    quick: Annotated[bool, typer.Option("--quick", help="Reduced run: fewer frames, no Markov chains.")] = False,
+    out: Annotated[
+        Path, typer.Argument(help="Folder for the session, the fitted sensor and the report.")
+    ] = Path("demo"),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Reduced run: fewer frames, no Markov chains.")
+    ] = False,
     seed: Annotated[
         int | None,
-        typer.Option(help="Random seed of the device under test and of all noise (default: from the clock).", min=0),
+        typer.Option(
+            help="Random seed of the device under test and of all noise (default: from the clock).",
+            min=0,
+        ),
     ] = None,
     force: Force = False,
     events: options.Events = False,
 ) -> None:
-    """Run the complete loop on the virtual bench: acquire, characterize, fit, simulate, validate, report.
+    """Run the complete loop on the virtual bench: acquire, characterize, fit, simulate, validate,
+    report.
 
     Example: charact demo
     """
@@ -92,13 +113,15 @@ def demo(
 
 def safe(
     plan: Annotated[
-        Path | None, typer.Argument(help="Plan of the bench (default: the last real bench of this machine).")
+        Path | None,
+        typer.Argument(help="Plan of the bench (default: the last real bench of this machine)."),
     ] = None,
     events: options.Events = False,
 ) -> None:
     """Close the gate and switch the high voltage and the lamp off, without camera or session.
 
-    Works while another program uses the ports; waits 15 s for a missing port. Exit 0: the safe state is verified.
+    Works while another program uses the ports; waits 15 s for a missing port. Exit 0: the safe
+    state is verified.
 
     Example: charact safe plan.toml
     """

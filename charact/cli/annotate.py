@@ -1,4 +1,6 @@
-"""Annotated image: the mean frame with every region found, its MTF50 and its status, or why it has none."""
+"""Annotated image: the mean frame with every region found, its MTF50 and its status, or why it has
+none.
+"""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,10 +22,11 @@ Box = tuple[int, int, int, int]
 def place_captions(
     boxes: Sequence[Box], sizes: Sequence[tuple[int, int]], frame: tuple[int, ...]
 ) -> list[tuple[int, int]]:
-    """Return top and left of the caption of each box, from its height and width; inside the frame if it fits, px.
+    """Return top and left of the caption of each box, from its height and width; inside the frame
+    if it fits, px.
 
-    Greedy: each caption takes the position nearest to the centre of its box that covers no earlier caption and, if
-    possible, not the inner half of a region.
+    Greedy: each caption takes the position nearest to the centre of its box that covers no earlier
+    caption and, if possible, not the inner half of a region.
     """
     taken: list[Box] = []
     hearts = [_inner_part(box) for box in boxes]
@@ -31,10 +34,16 @@ def place_captions(
         middle, area = np.array(_middle(box)), size[0] * size[1]
 
         def cost(option: Box, middle: NDArray = middle, area: int = area) -> float:
-            """Return the distance from the centre of the box plus the cost of what is covered, px."""
+            """Return the distance from the centre of the box plus the cost of what is covered,
+            px.
+            """
             covered = sum(_overlap(option, heart) for heart in hearts) / area
             over = sum(_overlap(option, other) for other in taken)
-            return float(np.hypot(*(np.array(_middle(option)) - middle))) + 250.0 * covered + 100.0 * over
+            return (
+                float(np.hypot(*(np.array(_middle(option)) - middle)))
+                + 250.0 * covered
+                + 100.0 * over
+            )
 
         taken.append(min(_around(box, size, frame), key=cost))
     return [place[:2] for place in taken]
@@ -76,18 +85,35 @@ Image = NDArray[np.uint8]
 Unusable = Sequence[tuple[Box, str]]
 """Row, column, height and width of edges that are not measured, px, and why."""
 
-# Blue, orange, vermilion and grey, distinct for all colour vision (Okabe and Ito); blue, green, red order.
+# Blue, orange, vermilion and grey, distinct for all colour vision (Okabe and Ito); blue, green, red
+# order.
 NOT_MEASURED = "not measured"
-COLOURS = {"ok": (230, 170, 70), "suspect": (0, 160, 240), "refused": (60, 80, 235), NOT_MEASURED: (170, 170, 170)}
-LINE_STYLES = {"ok": "solid line", "suspect": "dashed line", "refused": "crossed out", NOT_MEASURED: "grey line"}
+COLOURS = {
+    "ok": (230, 170, 70),
+    "suspect": (0, 160, 240),
+    "refused": (60, 80, 235),
+    NOT_MEASURED: (170, 170, 170),
+}
+LINE_STYLES = {
+    "ok": "solid line",
+    "suspect": "dashed line",
+    "refused": "crossed out",
+    NOT_MEASURED: "grey line",
+}
 LINE_PX, DASH_PX = 18, 12
 INK, PAPER = (255, 255, 255), (25, 25, 25)
 
 
 def write_annotated_image(
-    stack: FrameStack, result: Result, path: Path, frequency: Frequency = in_cycles_per_pixel, unusable: Unusable = ()
+    stack: FrameStack,
+    result: Result,
+    path: Path,
+    frequency: Frequency = in_cycles_per_pixel,
+    unusable: Unusable = (),
 ) -> None:
-    """Write the mean frame with the regions of a result as PNG, atomically; captions in the unit of `frequency`."""
+    """Write the mean frame with the regions of a result as PNG, atomically; captions in the unit of
+    `frequency`.
+    """
     import cv2
 
     ok, encoded = cv2.imencode(".png", render_annotations(stack, result, frequency, unusable))
@@ -97,10 +123,14 @@ def write_annotated_image(
 
 
 def unusable_edges(stack: FrameStack, result: Result) -> Unusable:
-    """Return the edges of a frame that could not be measured, but for those in a measured region."""
+    """Return the edges of a frame that could not be measured, but for those in a measured
+    region.
+    """
     from charact.mtf.target_detection.edges import find_unusable_edges
 
-    measured = [_in_stack(m.region, stack) for m in result.measurements if m.value is not None and m.region]
+    measured = [
+        _in_stack(m.region, stack) for m in result.measurements if m.value is not None and m.region
+    ]
 
     def is_measured(edge: Box) -> bool:
         row, col = edge[0] + edge[2] / 2, edge[1] + edge[3] / 2
@@ -110,7 +140,9 @@ def unusable_edges(stack: FrameStack, result: Result) -> Unusable:
 
 
 def _in_stack(region: Box, stack: FrameStack) -> Box:
-    """Return a region of the file (row, col, height, width) in the stack, whose border may be cropped."""
+    """Return a region of the file (row, col, height, width) in the stack, whose border may be
+    cropped.
+    """
     return region[0] - stack.origin[0], region[1] - stack.origin[1], region[2], region[3]
 
 
@@ -121,13 +153,16 @@ def require_png(path: Path) -> None:
 
 
 def render_annotations(
-    stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel, unusable: Unusable = ()
+    stack: FrameStack,
+    result: Result,
+    frequency: Frequency = in_cycles_per_pixel,
+    unusable: Unusable = (),
 ) -> Image:
     """Return the annotated image, shape (row, col, 3), blue, green, red.
 
-    Every region has an outline in the colour and line style of its status and a caption with the value and its 95 %
-    interval, or why it has none; a leader connects it to the region's centre. `unusable` edges are grey. A legend is
-    below the image.
+    Every region has an outline in the colour and line style of its status and a caption with the
+    value and its 95 % interval, or why it has none; a leader connects it to the region's centre.
+    `unusable` edges are grey. A legend is below the image.
     """
     import cv2
 
@@ -143,10 +178,14 @@ def render_annotations(
     statuses = [*(m.status for m in shown), *(NOT_MEASURED for _ in unusable)]
     for box, status in zip(boxes, statuses, strict=True):
         _outline(image, box, status)
-    captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown] + [[why] for _, why in unusable]
+    captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown] + [
+        [why] for _, why in unusable
+    ]
     sizes = [(LINE_PX * len(lines) + 8, max(map(_width, lines)) + 12) for lines in captions]
     places = place_captions(boxes, sizes, image.shape[:2])
-    for status, lines, place, size, box in zip(statuses, captions, places, sizes, boxes, strict=True):
+    for status, lines, place, size, box in zip(
+        statuses, captions, places, sizes, boxes, strict=True
+    ):
         _write(image, lines, place, size, box, status)
     return np.concatenate([image, _legend(shown, statuses, frequency, image.shape[1])])
 
@@ -157,7 +196,9 @@ def _one_per_region(result: Result) -> list[Measurement]:
     Measurements without a region, such as a joint MTF, are left out unless there are no others.
     """
     by_region: dict[object, Measurement] = {}
-    placed_ones = [measurement for measurement in result.measurements if measurement.region is not None]
+    placed_ones = [
+        measurement for measurement in result.measurements if measurement.region is not None
+    ]
     for measurement in placed_ones or result.measurements:
         held = by_region.get(measurement.region)
         if held is None or (measurement.quantity == "mtf50" and held.quantity != "mtf50"):
@@ -166,7 +207,9 @@ def _one_per_region(result: Result) -> list[Measurement]:
 
 
 def _box(region: Box, scale: int) -> Box:
-    """Return top, left, bottom and right of a region (row, col, height, width) in the enlarged image."""
+    """Return top, left, bottom and right of a region (row, col, height, width) in the enlarged
+    image.
+    """
     row, col, height, width = region
     return scale * row, scale * col, scale * (row + height) - 1, scale * (col + width) - 1
 
@@ -175,10 +218,17 @@ def _caption(m: Measurement, frequency: Frequency, *, alone: bool) -> list[str]:
     """Return the lines of a caption: complete for a single region, else value and interval."""
     name = f"{m.quantity} " if alone else ""
     if m.value is None:
-        return [f"{name}refused", *([str(m.reason)[:90]] if alone else m.flags[:1] or [str(m.reason)[:30]])]
+        return [
+            f"{name}refused",
+            *([str(m.reason)[:90]] if alone else m.flags[:1] or [str(m.reason)[:30]]),
+        ]
     value, unit, ends = in_unit(m, frequency)
     of = f" {unit}" if alone and unit != "1" else ""
-    at = "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
+    at = (
+        ""
+        if m.frequency_cy_per_px is None
+        else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
+    )
     lines = [f"{name}{value:#.4g}{of}{at}"]
     if ends:
         lines.append(f"{ends[0]:#.4g} to {ends[1]:#.4g}" + (" (95 %)" if alone else ""))
@@ -205,7 +255,12 @@ def _outline(image: Image, box: Box, status: str) -> None:
 
 
 def _line(
-    image: Image, start: tuple[int, int], end: tuple[int, int], colour: tuple[int, int, int], *, dashed: bool
+    image: Image,
+    start: tuple[int, int],
+    end: tuple[int, int],
+    colour: tuple[int, int, int],
+    *,
+    dashed: bool,
 ) -> None:
     import cv2
 
@@ -213,7 +268,10 @@ def _line(
     stops = np.arange(0.0, length, DASH_PX) if dashed else np.array([0.0])
     ends = np.minimum(stops + 0.6 * DASH_PX, length) if dashed else np.array([length])
     for first, last in zip(stops / max(length, 1.0), ends / max(length, 1.0), strict=True):
-        one, other = ([round(a + share * (b - a)) for a, b in zip(start, end, strict=True)] for share in (first, last))
+        one, other = (
+            [round(a + share * (b - a)) for a, b in zip(start, end, strict=True)]
+            for share in (first, last)
+        )
         cv2.line(image, one, other, PAPER, 3)
         cv2.line(image, one, other, colour, 2)
 
@@ -225,7 +283,12 @@ def _text(image: Image, line: str, left: int, bottom: int) -> None:
 
 
 def _write(
-    image: Image, lines: list[str], place: tuple[int, int], size: tuple[int, int], box: Box, status: str
+    image: Image,
+    lines: list[str],
+    place: tuple[int, int],
+    size: tuple[int, int],
+    box: Box,
+    status: str,
 ) -> None:
     """Write a caption on a dark background, with a leader if it lies outside its region."""
     import cv2
@@ -233,7 +296,10 @@ def _write(
     (top, left), (height, width) = place, size
     middle = ((box[1] + box[3]) // 2, (box[0] + box[2]) // 2)
     if not (left <= middle[0] <= left + width and top <= middle[1] <= top + height):
-        nearest = (int(np.clip(middle[0], left, left + width)), int(np.clip(middle[1], top, top + height)))
+        nearest = (
+            int(np.clip(middle[0], left, left + width)),
+            int(np.clip(middle[1], top, top + height)),
+        )
         cv2.line(image, nearest, middle, PAPER, 3, cv2.LINE_AA)
         cv2.line(image, nearest, middle, COLOURS[status], 1, cv2.LINE_AA)
         cv2.circle(image, middle, 4, PAPER, -1, cv2.LINE_AA)
@@ -244,11 +310,18 @@ def _write(
         _text(image, line, left + 6, top + LINE_PX * (number + 1))
 
 
-def _legend(shown: list[Measurement], statuses: list[str], frequency: Frequency, width: int) -> Image:
+def _legend(
+    shown: list[Measurement], statuses: list[str], frequency: Frequency, width: int
+) -> Image:
     """Return the legend below the image: quantities, line styles of the status, and flags."""
-    quantities = dict.fromkeys(f"{m.quantity}, {frequency(0.0, m)[1] if m.unit == 'cy/px' else m.unit}" for m in shown)
+    quantities = dict.fromkeys(
+        f"{m.quantity}, {frequency(0.0, m)[1] if m.unit == 'cy/px' else m.unit}" for m in shown
+    )
     flags = dict.fromkeys(flag for m in shown for flag in m.flags)
-    lines = [f"{'; '.join(quantities)}: value and 95 % interval", *(f"{flag}: {FLAGS[flag]}" for flag in flags)]
+    lines = [
+        f"{'; '.join(quantities)}: value and 95 % interval",
+        *(f"{flag}: {FLAGS[flag]}" for flag in flags),
+    ]
     strip = np.full((LINE_PX * (len(lines) + 1) + 16, width, 3), PAPER, np.uint8)
     left = 10
     for status in (status for status in COLOURS if status in statuses):

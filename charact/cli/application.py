@@ -44,7 +44,8 @@ def charact(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    """Characterize, simulate and validate image-intensified cameras, with a posterior for every value.
+    """Characterize, simulate and validate image-intensified cameras, with a posterior for every
+    value.
 
     First steps: charact demo; charact mtf edge my-edge.tif; charact measure my-session
     """

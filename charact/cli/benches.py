@@ -55,8 +55,8 @@ def acquire_session(
 ) -> Session:
     """Run a plan on its bench and return the session.
 
-    `inject_faults`: faults to inject into a virtual bench; `time_scale`: how many times faster than real ones the
-    instruments of a virtual bench move.
+    `inject_faults`: faults to inject into a virtual bench; `time_scale`: how many times faster than
+    real ones the instruments of a virtual bench move.
     """
     from drivers.errors import BenchError
 
@@ -77,7 +77,9 @@ def acquire_session(
 
 
 def remove_run(plan: Plan, session: Path) -> None:
-    """Delete the session of an earlier run and its virtual bench, after the check of the plan that replaces it."""
+    """Delete the session of an earlier run and its virtual bench, after the check of the plan that
+    replaces it.
+    """
     from drivers.acquisition.plan_check import check_plan
     from labdata.plan import in_volts
     from labdata.sensors import load_sensor
@@ -91,15 +93,24 @@ def remove_run(plan: Plan, session: Path) -> None:
 
 
 def _ledger(plan: Plan, session: Path) -> DoseLedger:
-    """Return the dose ledger of the plan's tube; that of an unnamed tube is a file next to the session."""
+    """Return the dose ledger of the plan's tube; that of an unnamed tube is a file next to the
+    session.
+    """
     if plan.tube is not None:
         return ledger_of(plan.tube)
     real = plan.wires.bench == "real"
-    return DoseLedger(session.with_name(f"{session.name}.{DOSE}") if real else bench_folder(session) / DOSE)
+    return DoseLedger(
+        session.with_name(f"{session.name}.{DOSE}") if real else bench_folder(session) / DOSE
+    )
 
 
 def _on_virtual_bench(
-    plan: Plan, session: Path, script: "FaultScript | None", time_scale: float, tell: Callable[[str], None], **run: Any
+    plan: Plan,
+    session: Path,
+    script: "FaultScript | None",
+    time_scale: float,
+    tell: Callable[[str], None],
+    **run: Any,
 ) -> Session:
     """Run a plan on virtual instruments, with the faults of a script."""
     from drivers.acquisition.acquire import LOG
@@ -112,19 +123,42 @@ def _on_virtual_bench(
     if plan.sensor is None:
         raise BadInput("a plan for the virtual bench must name its sensor, got none")
     if plan.gating.sync == "line-locked" and plan.gating.line_hz != LINE_HZ:
-        raise BadInput(f"the mains frequency of the virtual bench must be {LINE_HZ:g} Hz, got {plan.gating.line_hz:g}")
+        raise BadInput(
+            f"the mains frequency of the virtual bench must be {LINE_HZ:g} Hz, got "
+            f"{plan.gating.line_hz:g}"
+        )
     sensor, folder = load_sensor(plan.sensor), bench_folder(session)
     with ExitStack() as stack:
         virtual = stack.enter_context(
-            VirtualBench(folder, sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, time_scale=time_scale, say=tell)
+            VirtualBench(
+                folder,
+                sensor,
+                plan.seed,
+                wires=plan.wires,
+                lamp=plan.lamp,
+                time_scale=time_scale,
+                say=tell,
+            )
         )
         if script is not None:
             log = folder / "rehearsal.jsonl"
-            stack.enter_context(Rehearsal(script, provoke=virtual.provoke, steps=session / LOG, log=log, say=tell))
+            stack.enter_context(
+                Rehearsal(script, provoke=virtual.provoke, steps=session / LOG, log=log, say=tell)
+            )
         session.parent.mkdir(parents=True, exist_ok=True)
         lines = None if virtual.inside is None else lines_on(virtual.inside.ports, virtual.wires)
-        bench = _bench(plan, session, sensor, wires=virtual.wires, log=folder / SAFETY_LOG, lines=lines)
-        return _run(plan, session, _virtual_camera(plan, virtual, tell), bench, virtual.operator, tell, **run)
+        bench = _bench(
+            plan, session, sensor, wires=virtual.wires, log=folder / SAFETY_LOG, lines=lines
+        )
+        return _run(
+            plan,
+            session,
+            _virtual_camera(plan, virtual, tell),
+            bench,
+            virtual.operator,
+            tell,
+            **run,
+        )
 
 
 def _virtual_camera(
@@ -146,48 +180,91 @@ def _on_real_bench(plan: Plan, session: Path, tell: Callable[[str], None], **run
 
     sensor = None if plan.sensor is None else load_sensor(plan.sensor)
     camera = camera_named(plan.wires.camera, tell=tell)
-    bench = _bench(plan, session, sensor, wires=plan.wires, log=session.with_name(f"{session.name}.{SAFETY_LOG}"))
-    return _run(plan, session, camera, bench, PromptingOperator() if plan.lamp is None else TargetPlacer(), tell, **run)
+    bench = _bench(
+        plan,
+        session,
+        sensor,
+        wires=plan.wires,
+        log=session.with_name(f"{session.name}.{SAFETY_LOG}"),
+    )
+    return _run(
+        plan,
+        session,
+        camera,
+        bench,
+        PromptingOperator() if plan.lamp is None else TargetPlacer(),
+        tell,
+        **run,
+    )
 
 
 def _bench(
-    plan: Plan, session: Path, sensor: Sensor | None, *, wires: InstrumentConfig, log: Path,
+    plan: Plan,
+    session: Path,
+    sensor: Sensor | None,
+    *,
+    wires: InstrumentConfig,
+    log: Path,
     lines: "Mapping[Role, InstrumentLine] | None" = None,
-) -> "BenchClient | LocalBench":  # fmt: skip
+) -> "BenchClient | LocalBench":
     """Return the bench of a plan; `lines` replace its serial ports."""
     from drivers.acquisition.plan_check import field_hz
     from drivers.bench.local_bench import open_bench
 
     return open_bench(
-        wires, limits_in_force(plan.limits, sensor, plan.overrides), log=log, lines=lines, lamp=plan.lamp,
-        meters=plan.meters, field_hz=field_hz(sensor), gating=plan.gating, dose=_ledger(plan, session),
+        wires,
+        limits_in_force(plan.limits, sensor, plan.overrides),
+        log=log,
+        lines=lines,
+        lamp=plan.lamp,
+        meters=plan.meters,
+        field_hz=field_hz(sensor),
+        gating=plan.gating,
+        dose=_ledger(plan, session),
         session=str(session),
-    )  # fmt: skip
+    )
 
 
 def _run(
-    plan: Plan, session: Path, camera: "AbstractContextManager[Camera]", bench: "BenchClient | LocalBench",
-    operator: "Operator", tell: Callable[[str], None], *, resume: bool, progress: Progress,
-) -> Session:  # fmt: skip
+    plan: Plan,
+    session: Path,
+    camera: "AbstractContextManager[Camera]",
+    bench: "BenchClient | LocalBench",
+    operator: "Operator",
+    tell: Callable[[str], None],
+    *,
+    resume: bool,
+    progress: Progress,
+) -> Session:
     from drivers.acquisition.acquire import acquire
     from drivers.acquisition.run_control import RunControl
 
     try:
         return acquire(
-            plan, session, camera=camera, bench=bench, operator=operator, judge=SaturationJudge(), resume=resume,
-            progress=progress, requests=RunControl(tell),
-        )  # fmt: skip
+            plan,
+            session,
+            camera=camera,
+            bench=bench,
+            operator=operator,
+            judge=SaturationJudge(),
+            resume=resume,
+            progress=progress,
+            requests=RunControl(tell),
+        )
     finally:
         if bench.last_words:
             tell(f"The tube: {bench.last_words}.")
 
 
-def camera_named(name: str | None, *, tell: Callable[[str], None] = print_message) -> "AbstractContextManager[Camera]":
+def camera_named(
+    name: str | None, *, tell: Callable[[str], None] = print_message
+) -> "AbstractContextManager[Camera]":
     """Return the camera of a name, not opened.
 
-    "v4l2:/dev/video0", "v4l2:/dev/video0#1" (input 1 of a capture card); "replay:FOLDER" (each capture replays the
-    session's next stack), "replay:FOLDER#LABEL" (every capture replays that stack); anything else is an Aravis
-    identifier or an IP address; None: the only camera that Aravis lists.
+    "v4l2:/dev/video0", "v4l2:/dev/video0#1" (input 1 of a capture card); "replay:FOLDER" (each
+    capture replays the session's next stack), "replay:FOLDER#LABEL" (every capture replays that
+    stack); anything else is an Aravis identifier or an IP address; None: the only camera that
+    Aravis lists.
     """
     kind, colon, rest = (name or "").partition(":")
     if not colon or kind not in ("v4l2", "replay"):
@@ -196,7 +273,9 @@ def camera_named(name: str | None, *, tell: Callable[[str], None] = print_messag
         return AravisCamera(name, say=tell)
     place, _, part = rest.partition("#")
     if not place:
-        raise BadInput(f"a camera {kind}: must name its {'file' if kind == 'v4l2' else 'folder'}, got {name!r}")
+        raise BadInput(
+            f"a camera {kind}: must name its {'file' if kind == 'v4l2' else 'folder'}, got {name!r}"
+        )
     if kind == "replay":
         from drivers.cameras.replay import ReplayCamera
 
@@ -204,14 +283,18 @@ def camera_named(name: str | None, *, tell: Callable[[str], None] = print_messag
     from drivers.cameras.v4l2 import V4l2Camera
 
     if part and not part.isdigit():
-        raise BadInput(f"the input of a capture card must be a whole number, got {part!r} in {name!r}")
+        raise BadInput(
+            f"the input of a capture card must be a whole number, got {part!r} in {name!r}"
+        )
     return V4l2Camera(place, input_number=int(part) if part else None)
 
 
 def builtin_plan_names() -> tuple[str, ...]:
     """Names of the shipped plans."""
     files = (resources.files("charact.cli") / "plans").iterdir()
-    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+    return tuple(
+        sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
+    )
 
 
 def load_plan(path: Path) -> Plan:
@@ -223,19 +306,30 @@ def load_plan(path: Path) -> Plan:
         If there is no such plan or it is invalid.
     """
     if str(path) in builtin_plan_names():
-        with resources.as_file(resources.files("charact.cli") / "plans" / f"{path}.toml") as shipped:
+        with resources.as_file(
+            resources.files("charact.cli") / "plans" / f"{path}.toml"
+        ) as shipped:
             return read_plan(shipped)
     if not os.path.exists(path):
-        raise BadInput(f"a plan must be a file or one of {', '.join(builtin_plan_names())}, got {path}")
+        raise BadInput(
+            f"a plan must be a file or one of {', '.join(builtin_plan_names())}, got {path}"
+        )
     written = read_toml(path)
-    files = {key: name for key in ("gain_table", "lamp") if isinstance(name := written.get(key), str)}
+    files = {
+        key: name for key in ("gain_table", "lamp") if isinstance(name := written.get(key), str)
+    }
     placed = {**written, **{key: str(path.parent / name) for key, name in files.items()}}
     plan = plan_of(placed, where=path.name)
     sensor = path.parent / (plan.sensor or "")
-    return replace(plan, sensor=str(sensor.resolve())) if plan.sensor is not None and os.path.isfile(sensor) else plan
+    return (
+        replace(plan, sensor=str(sensor.resolve()))
+        if plan.sensor is not None and os.path.isfile(sensor)
+        else plan
+    )
 
 
-# Allowed fraction of pixels at full scale (point sources are exempt), and that of a saturated stack.
+# Allowed fraction of pixels at full scale (point sources are exempt), and that of a saturated
+# stack.
 MAX_SATURATED_FRACTION, SATURATED_FRACTION = 1e-3, 0.01
 
 
@@ -275,8 +369,9 @@ class StackWatcher:
         if half_dn > until.mean_within_dn:
             return None
         return (
-            f"stopped after {taken} of at most {self._step.frames} frames: the mean of {np.mean(self._means_dn):.6g} "
-            f"DN is known within {half_dn:.2g} DN, requested {until.mean_within_dn:g}"
+            f"stopped after {taken} of at most {self._step.frames} frames: the mean of "
+            f"{np.mean(self._means_dn):.6g} DN is known within {half_dn:.2g} DN, requested "
+            f"{until.mean_within_dn:g}"
         )
 
     def is_saturated(self) -> bool:
@@ -287,7 +382,9 @@ class StackWatcher:
         """Return a sentence on saturated pixels, or None."""
         if self._step.kind == "point" or self._share <= MAX_SATURATED_FRACTION:
             return None
-        return f"{100 * self._share:.2g} % of all pixels are at full scale, {self._full_scale_dn:g} DN"
+        return (
+            f"{100 * self._share:.2g} % of all pixels are at full scale, {self._full_scale_dn:g} DN"
+        )
 
     @property
     def _share(self) -> float:
@@ -299,8 +396,9 @@ def half_interval_dn(means_dn: NDArray) -> float:
 
     Notes
     -----
-    Student's interval with the effective number of frames, n / tau, because of image lag and drift. The
-    autocorrelation time tau = 1 + 2 sum rho is summed while rho stays positive (Geyer, Stat. Sci. 7, 473 (1992)).
+    Student's interval with the effective number of frames, n / tau, because of image lag and drift.
+    The autocorrelation time tau = 1 + 2 sum rho is summed while rho stays positive (Geyer, Stat.
+    Sci. 7, 473 (1992)).
     """
     from scipy.special import stdtrit
 

@@ -14,9 +14,15 @@ from charact.cli.output import exit_on_bad_input
 from charact.cli.sessions import SessionFolder, load_or_measure, open_session_only, session_in
 
 EXIT_CODES = {"pass": 0, "fail": 3, "undecided": 4}
-Anyway = Annotated[bool, typer.Option("--anyway", help="Compare sessions of unlike conditions, with a flag.")]
+Anyway = Annotated[
+    bool, typer.Option("--anyway", help="Compare sessions of unlike conditions, with a flag.")
+]
 LimitsFile = Annotated[
-    Path, typer.Option("--limits", help="TOML file of limits: [[limit]] with quantity, min, max, and unit or stack.")
+    Path,
+    typer.Option(
+        "--limits",
+        help="TOML file of limits: [[limit]] with quantity, min, max, and unit or stack.",
+    ),
 ]
 
 
@@ -25,7 +31,9 @@ def compare(
     b: Annotated[Path, typer.Argument(help="Session folder B.", metavar="B", callback=session_in)],
     anyway: Anyway = False,
     seed: options.Seed = 0,
-    everything: Annotated[bool, typer.Option("--all", help="Print every difference and condition.")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Print every difference and condition.")
+    ] = False,
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
@@ -46,7 +54,9 @@ def compare(
             require_alike(*sessions, remedy=remedy)
         one, other = (load_or_measure(folder, seed=seed, events=events) for folder in (a, b))
         rng = np.random.default_rng(seed)
-        found = compare_results(one, other, sessions=sessions, anyway=anyway, remedy=remedy, rng=rng)
+        found = compare_results(
+            one, other, sessions=sessions, anyway=anyway, remedy=remedy, rng=rng
+        )
         if as_json:
             whole = {"charact": __version__, "input": [str(a), str(b)], **comparison_json(found)}
             print(json.dumps(whole, allow_nan=False))
@@ -54,7 +64,11 @@ def compare(
         from charact.report.comparison import comparison_text
 
         names = str(a), str(b)
-        print(comparison_text(found, names=names, sessions=sessions, everything=everything, width=_columns()))
+        print(
+            comparison_text(
+                found, names=names, sessions=sessions, everything=everything, width=_columns()
+            )
+        )
         _suggest(f"charact report {b}")
 
 

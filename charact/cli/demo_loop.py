@@ -22,13 +22,16 @@ if TYPE_CHECKING:
 
 # Probability that a correct session has a z-score beyond the limit.
 CHANCE = 1e-3
-# How many times faster than real ones the virtual instruments move: the high voltage rises at 50 V/s to 800 V.
+# How many times faster than real ones the virtual instruments move: the high voltage rises at 50
+# V/s to 800 V.
 QUICK_TIME_SCALE = 20.0
 MARKER_FILE = "demo.txt"
 
 
 def demonstrate(out: Path, *, quick: bool, seed: int | None, force: bool, events: bool) -> bool:
-    """Run the loop into a folder; return whether all values agree with the truth and the validation passed."""
+    """Run the loop into a folder; return whether all values agree with the truth and the validation
+    passed.
+    """
     seed = time.time_ns() % 2**31 if seed is None else seed
     session = out / "session"
     _make_room(out, session, seed, force=force)
@@ -36,9 +39,13 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, force: bool, events
     left_out: list[str] = []
     with _step("acquire", events), progress_bar(events=events) as progress:
         acquire_session(
-            demo_plan(seed, quick=quick), session, resume=False, progress=progress, tell=left_out.append,
+            demo_plan(seed, quick=quick),
+            session,
+            resume=False,
+            progress=progress,
+            tell=left_out.append,
             time_scale=QUICK_TIME_SCALE if quick else 1.0,
-        )  # fmt: skip
+        )
     for sentence in left_out:
         print_message(sentence, events=events)
     with _step("measure", events):
@@ -62,20 +69,27 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, force: bool, events
     within = all(abs(row.z) <= largest for row in trusted)
     print(f"\nvalidation: {'passed' if validation.passed else 'FAILED'}")
     verdict = "yes" if within else "NO"
-    print(f"truth within {largest:.2f} standard errors of all {len(trusted)} values with status ok: {verdict}")
+    print(
+        f"truth within {largest:.2f} standard errors of all {len(trusted)} values with status ok: "
+        f"{verdict}"
+    )
     print(f"report: {report}")
     return within and validation.passed
 
 
 def max_z(numbers: int) -> float:
-    """Return the |z| that the largest of `numbers` correct values exceeds with probability `CHANCE`."""
+    """Return the |z| that the largest of `numbers` correct values exceeds with probability
+    `CHANCE`.
+    """
     from scipy.special import ndtri
 
     return float(-ndtri(0.5 * -math.expm1(math.log1p(-CHANCE) / max(numbers, 1))))
 
 
 def demo_plan(seed: int, *, quick: bool) -> Plan:
-    """Return the shipped plan with a seed; `quick`: with fewer frames, and a bench without wires and processes."""
+    """Return the shipped plan with a seed; `quick`: with fewer frames, and a bench without wires
+    and processes.
+    """
     plan = replace(load_plan(Path("demo")), seed=seed)
     if not quick:
         return plan
@@ -84,19 +98,28 @@ def demo_plan(seed: int, *, quick: bool) -> Plan:
 
 
 def _make_room(out: Path, session: Path, seed: int, *, force: bool) -> None:
-    """Raise BadInput if there is an earlier demonstration, or with `force` delete its session and bench."""
+    """Raise BadInput if there is an earlier demonstration, or with `force` delete its session and
+    bench.
+    """
     marker = out / MARKER_FILE
     taken = is_taken(session, "plan") or (out.exists() and not out.is_dir())
     require_free(
-        out, force=force, taken=taken,
-        kept=lambda: why_kept(session, "plan") if marker.is_file() else f"something without {MARKER_FILE}",
-    )  # fmt: skip
+        out,
+        force=force,
+        taken=taken,
+        kept=lambda: (
+            why_kept(session, "plan") if marker.is_file() else f"something without {MARKER_FILE}"
+        ),
+    )
     if force:
         remove_session(session, "plan")
     if marker.is_file() and bench_folder(session).is_dir():
         shutil.rmtree(bench_folder(session))
     out.mkdir(parents=True, exist_ok=True)
-    marker.write_text(f"Written by charact demo (seed {seed}); charact demo --force replaces its session and report.\n")
+    marker.write_text(
+        f"Written by charact demo (seed {seed}); charact demo --force replaces its session and "
+        f"report.\n"
+    )
 
 
 @contextmanager
@@ -109,7 +132,8 @@ def _step(name: str, events: bool) -> Iterator[None]:
 def bench_truth(folder: Path, session: Session) -> "Truth":
     """Return the truth of a virtual bench by quantity name.
 
-    The MTF is a function of frequency and direction; gains are those at the MCP voltage of the flats.
+    The MTF is a function of frequency and direction; gains are those at the MCP voltage of the
+    flats.
     """
     from simulate.iiccd.true_quantities import true_crossing_frequency, true_mtf, true_quantities
     from simulate.virtual_bench.true_sensor import TRUTH, read_truth
@@ -117,14 +141,22 @@ def bench_truth(folder: Path, session: Session) -> "Truth":
     sensor = read_truth(folder / TRUTH).sensor
     voltages = {stack.conditions.mcp_v for stack in session.of_kind("flat")}
     if len(voltages) != 1:
-        raise BadInput(f"the truth needs flats at one MCP voltage, got flats at {sorted(map(str, voltages))} V")
+        raise BadInput(
+            f"the truth needs flats at one MCP voltage, got flats at {sorted(map(str, voltages))} V"
+        )
     found = true_quantities(sensor, session.of_kind("flat")[0].conditions)
 
     def at_level(level: float) -> Callable[..., float]:
         return lambda _, angle: true_crossing_frequency(sensor, level, angle or 0.0)
 
     # Without the read noise: dark frames of an intensifier also have scintillation noise.
-    compared = ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor", "halo_diameter")
+    compared = (
+        "covariance_gain",
+        "blur_factor",
+        "photoelectron_gain",
+        "excess_noise_factor",
+        "halo_diameter",
+    )
     return {
         **{name: found[name] for name in compared},
         # Targets that state no direction are vertical bars.
@@ -136,11 +168,20 @@ def bench_truth(folder: Path, session: Session) -> "Truth":
 
 def lines(rows: Sequence["TruthComparison"]) -> Iterator[str]:
     """Yield the lines of the table."""
-    yield f"\n{'quantity':44} {'stack, or method':18} {'truth':>10} {'measured':>26} {'z':>6}  status"
+    yield (
+        f"\n{'quantity':44} {'stack, or method':18} {'truth':>10} {'measured':>26} {'z':>6}  status"
+    )
     for row in rows:
         m = row.measurement
-        name = m.quantity if m.frequency_cy_per_px is None else f"{m.quantity} at {m.frequency_cy_per_px:.3g} cy/px"
+        name = (
+            m.quantity
+            if m.frequency_cy_per_px is None
+            else f"{m.quantity} at {m.frequency_cy_per_px:.3g} cy/px"
+        )
         name += "" if m.orientation_deg is None else f" along {m.orientation_deg:.3g} deg"
         unit = "" if m.unit == "1" else f" {m.unit}"
         measured = f"{row.value_text}{unit}"
-        yield f"{name:44} {m.stack or m.method:18} {row.truth_text:>10} {measured:>26} {row.z:6.2f}  {m.status}"
+        yield (
+            f"{name:44} {m.stack or m.method:18} {row.truth_text:>10} {measured:>26} "
+            f"{row.z:6.2f}  {m.status}"
+        )

@@ -1,4 +1,6 @@
-"""The verbs `import`, `convert` and `view`: frames of other programs as sessions, sessions as files, and pictures."""
+"""The verbs `import`, `convert` and `view`: frames of other programs as sessions, sessions as
+files, and pictures.
+"""
 
 from collections import Counter
 from collections.abc import Callable
@@ -10,7 +12,13 @@ import typer
 
 from charact.cli.options import Axis, Plane, parse_kind
 from charact.cli.output import exit_on_bad_input
-from charact.cli.outputs import Force, manifest_to_replace, require_free, require_free_session, why_other_kind
+from charact.cli.outputs import (
+    Force,
+    manifest_to_replace,
+    require_free,
+    require_free_session,
+    why_other_kind,
+)
 from labdata.errors import BadInput
 from labdata.target import Kind
 
@@ -21,9 +29,13 @@ if TYPE_CHECKING:
 import_app = typer.Typer(no_args_is_help=True, help="Create a session from existing frames.")
 Out = Annotated[Path, typer.Argument(help="Output session folder.")]
 
-NO_KIND_HINT = "set the kind of the stacks in {}/session.toml, or import with --kind: scene stacks are not measured"
+NO_KIND_HINT = (
+    "set the kind of the stacks in {}/session.toml, or import with --kind: scene "
+    "stacks are not measured"
+)
 
-# Kinds of stacks, conditions of which measurements use one, and what for; those of a bench matter to its owner alone.
+# Kinds of stacks, conditions of which measurements use one, and what for; those of a bench matter
+# to its owner alone.
 NEEDED: tuple[tuple[tuple[Kind, ...], tuple[str, ...], str], ...] = (
     (("dark", "flat"), ("exposure_s",), "dark current"),
     (("flat",), ("illuminance_lux", "photons_per_px"), "sensitivity, linearity"),
@@ -33,7 +45,9 @@ NEEDED: tuple[tuple[tuple[Kind, ...], tuple[str, ...], str], ...] = (
 
 @import_app.command()
 def emva1288(
-    file: Annotated[Path, typer.Argument(help="EMVA 1288 descriptor file.")], out: Out, force: Force = False
+    file: Annotated[Path, typer.Argument(help="EMVA 1288 descriptor file.")],
+    out: Out,
+    force: Force = False,
 ) -> None:
     """Import a photon-transfer series from an EMVA 1288 descriptor file.
 
@@ -50,23 +64,36 @@ def emva1288(
 
 @import_app.command()
 def frames(
-    files: Annotated[list[Path], typer.Argument(help="Frames, then the session's folder: FILES... OUT")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Frames, then the session's folder: FILES... OUT")
+    ],
     kind: Annotated[
         str | None,
         typer.Option(
-            help="Kind of the stacks: dark, flat, edge, bars, point or scene (default: by FITS headers, else scene)."
+            help=(
+                "Kind of the stacks: dark, flat, edge, bars, point or scene (default: by FITS "
+                "headers, else scene)."
+            )
         ),
     ] = None,
     name: Annotated[
-        str | None, typer.Option(help="Pattern of conditions in the file names, e.g. '{mcp_v}V_{gate_ns}ns_*'.")
+        str | None,
+        typer.Option(
+            help="Pattern of conditions in the file names, e.g. '{mcp_v}V_{gate_ns}ns_*'."
+        ),
     ] = None,
-    stack: Annotated[str | None, typer.Option(help="Label of one stack that has all files as its frames.")] = None,
+    stack: Annotated[
+        str | None, typer.Option(help="Label of one stack that has all files as its frames.")
+    ] = None,
     axis: Axis = None,
     plane: Plane = None,
-    add: Annotated[bool, typer.Option("--add", help="Add the stacks to a session that exists.")] = False,
+    add: Annotated[
+        bool, typer.Option("--add", help="Add the stacks to a session that exists.")
+    ] = False,
     force: Force = False,
 ) -> None:
-    """Import image files as stacks: one a file; FITS files of one frame are grouped by what their headers state.
+    """Import image files as stacks: one a file; FITS files of one frame are grouped by what their
+    headers state.
 
     Example: charact import frames 780V_*.tif mine --kind flat --name '{mcp_v}V_*'
 
@@ -75,30 +102,49 @@ def frames(
     *sources, out = files
     with exit_on_bad_input(" ".join(map(str, sources))):
         if not sources:
-            raise BadInput(f"import frames needs at least one file and the folder of the session, got only {out}")
+            raise BadInput(
+                "import frames needs at least one file and the folder of the session, got only "
+                f"{out}"
+            )
         if add and force:
-            raise BadInput("--add keeps the session that is there, --force replaces it: give one of them")
+            raise BadInput(
+                "--add keeps the session that is there, --force replaces it: give one of them"
+            )
         if not add:
             require_free_session(out, "import", force=force)
         from labdata.session_import import import_frames
 
         with nullcontext() if add else manifest_to_replace(out):
             session = import_frames(
-                sources, out, kind=None if kind is None else parse_kind(kind), name_pattern=name, label=stack,
-                axis=axis, plane=plane, add=add,
-            )  # fmt: skip
+                sources,
+                out,
+                kind=None if kind is None else parse_kind(kind),
+                name_pattern=name,
+                label=stack,
+                axis=axis,
+                plane=plane,
+                add=add,
+            )
         measurable = any(one.kind != "scene" for one in session.stacks)
-        _summarise(session, out, f"charact measure {out}" if measurable else NO_KIND_HINT.format(out))
+        _summarise(
+            session, out, f"charact measure {out}" if measurable else NO_KIND_HINT.format(out)
+        )
 
 
 def _summarise(session: "Session", out: Path, next_verb: str) -> None:
     counts = Counter(stack.kind for stack in session.stacks)
-    number, kinds = len(session.stacks), ", ".join(f"{count} {kind}" for kind, count in counts.items())
+    number, kinds = (
+        len(session.stacks),
+        ", ".join(f"{count} {kind}" for kind, count in counts.items()),
+    )
     print(f"{out}: {number} stack{'s' if number != 1 else ''} ({kinds})")
     unknown = [
         f"{' or '.join(names)} ({use})"
         for kinds, names, use in NEEDED
-        if any(all(getattr(one.conditions, name) is None for name in names) for one in session.of_kind(*kinds))
+        if any(
+            all(getattr(one.conditions, name) is None for name in names)
+            for one in session.of_kind(*kinds)
+        )
     ]
     if unknown:
         print(f"unknown for some stacks: {'; '.join(unknown)}")
@@ -110,13 +156,16 @@ def _summarise(session: "Session", out: Path, next_verb: str) -> None:
 # Beginnings of the files of results.
 BEGINNINGS = {"csv": b"file,", "json": b'{"charact":', "emva": b"<EMVA1288 "}
 FORMATS = ("tif", "npy", "fits", "h5", "png", *BEGINNINGS)
-Source = Annotated[str, typer.Argument(help="File of frames, session folder, or SESSION#LABEL for one stack.")]
+Source = Annotated[
+    str, typer.Argument(help="File of frames, session folder, or SESSION#LABEL for one stack.")
+]
 
 
 def view(
     source: Source,
     out: Annotated[
-        Path | None, typer.Option(help="Output PNG file (default: LABEL-view.png in the working folder).")
+        Path | None,
+        typer.Option(help="Output PNG file (default: LABEL-view.png in the working folder)."),
     ] = None,
 ) -> None:
     """Write the mean frame of a stack as a PNG picture and print its path and levels.
@@ -138,18 +187,24 @@ def view(
             write_frames(stack, path)
             frames, rows, cols = stack.shape
             low, high = stack.data.min(), stack.data.max()
-            print(f"{path}: mean of {frames} frames of {rows} x {cols} px, {low:g} to {high:g} {stack.unit}")
+            print(
+                f"{path}: mean of {frames} frames of {rows} x {cols} px, {low:g} to {high:g} "
+                f"{stack.unit}"
+            )
             if out is not None:
                 return
 
 
 def convert(
     source: Source,
-    out: Annotated[Path, typer.Argument(help="Output folder; for csv, json and emva the output file.")],
+    out: Annotated[
+        Path, typer.Argument(help="Output folder; for csv, json and emva the output file.")
+    ],
     to: Annotated[str, typer.Option("--to", help=f"Format: {', '.join(FORMATS)}.")] = "tif",
     force: Force = False,
 ) -> None:
-    """Write the frames of a session as files (tif, npy, fits, h5, png), or its results as CSV, JSON or EMVA 1288 XML.
+    """Write the frames of a session as files (tif, npy, fits, h5, png), or its results as CSV, JSON
+    or EMVA 1288 XML.
 
     Example: charact convert day1 day1-fits --to fits
 
@@ -184,7 +239,10 @@ def _write_results(folder: Path, out: Path, to: str) -> None:
     session = open_session(folder)
     result = result_io.load(session.folder)
     if result is None:
-        raise BadInput(f"{to} needs the results of a session, got none in {folder}: run charact measure {folder}")
+        raise BadInput(
+            f"{to} needs the results of a session, got none in {folder}: run charact measure "
+            f"{folder}"
+        )
     if to == "csv":
         text = exports.table_of_files({session.name: result})
     elif to == "json":

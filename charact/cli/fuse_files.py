@@ -26,7 +26,12 @@ def require_free_output(out: Path, *, force: bool) -> None:
     else:
         taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
         ours = (out / SETTINGS).is_file() or (out / PAGE).is_file()
-        require_free(out, force=force, taken=taken, kept=lambda: None if ours else f"something without a {SETTINGS}")
+        require_free(
+            out,
+            force=force,
+            taken=taken,
+            kept=lambda: None if ours else f"something without a {SETTINGS}",
+        )
 
 
 def picture_of(out: Path, method: str | None = None) -> Path:
@@ -37,7 +42,9 @@ def picture_of(out: Path, method: str | None = None) -> Path:
 
 
 def region_of(picture: Path) -> Region | None:
-    """Return the region of the visible frame that a fused picture shows, by the settings in its folder."""
+    """Return the region of the visible frame that a fused picture shows, by the settings in its
+    folder.
+    """
     settings = picture.parent / SETTINGS
     try:
         region = json.loads(settings.read_text())["region"]
@@ -47,15 +54,22 @@ def region_of(picture: Path) -> Region | None:
 
 
 def write(
-    found: dict[str, Fused], shown: Sequence[NDArray[np.uint8]], out: Path, given: Sequence[str], region: Region | None
+    found: dict[str, Fused],
+    shown: Sequence[NDArray[np.uint8]],
+    out: Path,
+    given: Sequence[str],
+    region: Region | None,
 ) -> None:
-    """Write bands as codes of 8 bits and fused pictures to a folder, or one picture to a .png or .tif.
+    """Write bands as codes of 8 bits and fused pictures to a folder, or one picture to a .png or
+    .tif.
 
     Of several methods each has a folder in it.
     """
     first = next(iter(found.values()))
     if out.suffix:
-        write_atomically(out, _png(first.codes) if out.suffix.lower() == ".png" else _tiff(first.picture))
+        write_atomically(
+            out, _png(first.codes) if out.suffix.lower() == ".png" else _tiff(first.picture)
+        )
         return
     out.mkdir(parents=True, exist_ok=True)
     for name, band in zip(first.names, shown, strict=True):
@@ -70,31 +84,48 @@ def write(
 
 
 def write_sequence(
-    frames: Sequence[Fused], out: Path, given: Sequence[str], region: Region | None, time_s: list[float] | None
+    frames: Sequence[Fused],
+    out: Path,
+    given: Sequence[str],
+    region: Region | None,
+    time_s: list[float] | None,
 ) -> None:
     """Write a sequence: fused.tif and sd.tif with all frames, and the maps of the first one."""
     first = frames[0]
     out.mkdir(parents=True, exist_ok=True)
     _write_maps(first, out)
     more: dict[str, Any] = {"frames": len(frames), "time_s": time_s}
-    write_atomically(out / SETTINGS, _settings(first, first.measurements[0].method, given, region, **more))
-    for file, pictures in (("fused.tif", [f.picture for f in frames]), ("sd.tif", [f.sd for f in frames])):
+    write_atomically(
+        out / SETTINGS, _settings(first, first.measurements[0].method, given, region, **more)
+    )
+    for file, pictures in (
+        ("fused.tif", [f.picture for f in frames]),
+        ("sd.tif", [f.sd for f in frames]),
+    ):
         write_atomically(out / file, _tiff(np.stack(pictures)))
 
 
 def _write_maps(found: Fused, folder: Path) -> None:
     contents = {
-        "fused.png": _png(found.codes), "share.tif": _tiff(found.share), "mask.png": _png(found.marks)
-    }  # fmt: skip
+        "fused.png": _png(found.codes),
+        "share.tif": _tiff(found.share),
+        "mask.png": _png(found.marks),
+    }
     for name, content in contents.items():
         write_atomically(folder / name, content)
 
 
-def _settings(found: Fused, method: str, given: Sequence[str], region: Region | None, **more: Any) -> bytes:
+def _settings(
+    found: Fused, method: str, given: Sequence[str], region: Region | None, **more: Any
+) -> bytes:
     document = {
-        "method": method, "bands": dict(zip(found.names, given, strict=True)), "spans": found.spans, "region": region,
-        "marks": MARKS, **more,
-    }  # fmt: skip
+        "method": method,
+        "bands": dict(zip(found.names, given, strict=True)),
+        "spans": found.spans,
+        "region": region,
+        "marks": MARKS,
+        **more,
+    }
     return json.dumps(document, indent=1).encode()
 
 
@@ -116,6 +147,9 @@ def _tiff(values: NDArray) -> bytes:
     content = io.BytesIO()
     colour = values.ndim > 2 and values.shape[-1] == 3
     tifffile.imwrite(
-        content, np.ascontiguousarray(values, np.float32), photometric="rgb" if colour else "minisblack", metadata=None
+        content,
+        np.ascontiguousarray(values, np.float32),
+        photometric="rgb" if colour else "minisblack",
+        metadata=None,
     )
     return content.getvalue()

@@ -1,4 +1,6 @@
-"""Images of a simulation as PNG: scene radiance, the image after each stage, and surface temperatures."""
+"""Images of a simulation as PNG: scene radiance, the image after each stage, and surface
+temperatures.
+"""
 
 import io
 import math
@@ -37,23 +39,39 @@ def save_png(figure: Any, path: Path, dpi: int = 120) -> None:
 
 
 def plot_image(
-    figure: Any, axes: Any, image: NDArray, low: float, high: float, label: str, *, cmap: str = "gray",
+    figure: Any,
+    axes: Any,
+    image: NDArray,
+    low: float,
+    high: float,
+    label: str,
+    *,
+    cmap: str = "gray",
     logarithmic: bool = False,
-) -> Any:  # fmt: skip
-    """Plot an image with a colour bar, whose ends show whether values lie beyond; return the bar."""
+) -> Any:
+    """Plot an image with a colour bar, whose ends show whether values lie beyond; return the
+    bar.
+    """
     from matplotlib.colors import LogNorm, Normalize
 
     norm = (LogNorm if logarithmic else Normalize)(low, high)
     shown = np.maximum(image, low) if logarithmic else image
     drawn = axes.imshow(shown, cmap=cmap, norm=norm, interpolation="nearest")
-    ends = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
+    ends = {
+        (False, False): "neither",
+        (True, False): "min",
+        (False, True): "max",
+        (True, True): "both",
+    }
     beyond = ends[bool(np.nanmin(image) < low), bool(np.nanmax(image) > high)]
     bar = figure.colorbar(drawn, ax=axes, extend=beyond, shrink=0.9, pad=0.02)
     bar.set_label(label)
     return bar
 
 
-def frame_figure(image: NDArray, title: str, low: float, high: float, label: str, **options: Any) -> Any:
+def frame_figure(
+    image: NDArray, title: str, low: float, high: float, label: str, **options: Any
+) -> Any:
     """Return the figure of one image of a frame, with pixel axes."""
     rows, columns = image.shape
     figure = new_figure(WIDTH_INCHES, WIDTH_INCHES * rows / columns * 0.87 + 0.5)
@@ -70,15 +88,21 @@ def save_radiance(cube: "RadianceCube", title: str, path: Path) -> None:
 
     image = cube.sum_bands(band_widths(cube.wavelength_nm))
     lit = image[image > 0.0]
-    low, high = (float(end) for end in np.percentile(lit, (1.0, 99.8))) if lit.size else (1e-12, 1e-11)
+    low, high = (
+        (float(end) for end in np.percentile(lit, (1.0, 99.8))) if lit.size else (1e-12, 1e-11)
+    )
     first, last = cube.wavelength_nm[0], cube.wavelength_nm[-1]
     label = f"radiance from {first:.0f} to {last:.0f} nm, W m$^{{-2}}$ sr$^{{-1}}$"
     path.parent.mkdir(parents=True, exist_ok=True)
     save_png(frame_figure(image, title, low, max(high, 10.0 * low), label, logarithmic=True), path)
 
 
-def save_apparent_temperature(kelvin: NDArray, title: str, path: Path, pixel_aspect: float = 1.0) -> None:
-    """Plot apparent temperatures (row, col), K, between percentiles, with pixels of a height over width."""
+def save_apparent_temperature(
+    kelvin: NDArray, title: str, path: Path, pixel_aspect: float = 1.0
+) -> None:
+    """Plot apparent temperatures (row, col), K, between percentiles, with pixels of a height over
+    width.
+    """
     celsius = kelvin - 273.15
     low, high = (float(end) for end in np.percentile(celsius, (2.0, 99.5)))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,7 +114,9 @@ def save_apparent_temperature(kelvin: NDArray, title: str, path: Path, pixel_asp
 
 
 def save_stages(stages: Iterable[tuple[str, str, NDArray]], folder: Path, title: str) -> int:
-    """Write every stage's name, quantity and image (row, col) as a numbered TIFF, and the contact sheet; count them."""
+    """Write every stage's name, quantity and image (row, col) as a numbered TIFF, and the contact
+    sheet; count them.
+    """
     import tifffile
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -98,7 +124,9 @@ def save_stages(stages: Iterable[tuple[str, str, NDArray]], folder: Path, title:
     for number, (name, quantity, image) in enumerate(stages, 1):
         values = np.asarray(image, np.float32)
         file = folder / f"{number:02d}-{name.replace(' ', '-')}.tif"
-        tifffile.imwrite(file, values, description=f"{name}: {quantity}", software="charact", metadata=None)
+        tifffile.imwrite(
+            file, values, description=f"{name}: {quantity}", software="charact", metadata=None
+        )
         shown.append((f"{number} {name}", quantity, values))
     save_png(sheet(shown, title), folder / SHEET, dpi=110)
     return len(shown)
@@ -118,7 +146,11 @@ def sheet(stages: list[tuple[str, str, NDArray[np.float32]]], title: str) -> Any
         # Finer images are averaged over blocks, so that no pulse is lost.
         block = max(1, math.ceil(max(image.shape) / 420))
         height, width = (size // block for size in image.shape)
-        means = image[: height * block, : width * block].reshape(height, block, width, block).mean(axis=(1, 3))
+        means = (
+            image[: height * block, : width * block]
+            .reshape(height, block, width, block)
+            .mean(axis=(1, 3))
+        )
         # The brightest 0.3 % may be single pulses.
         low, high = (float(end) for end in np.percentile(means, (0.1, 99.7)))
         if not high > low:

@@ -29,17 +29,31 @@ def _option(kind: Any, default: Any, name: str, words: str) -> tuple[Any, Any]:
 
 SOURCE: dict[str, tuple[Any, Any]] = {
     "camera": _option(
-        str | None, None, "--camera", "Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL."
+        str | None,
+        None,
+        "--camera",
+        "Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL.",
     ),
-    "plan": _option(Path | None, None, "--plan", "Plan whose camera is shown (virtual bench: its first edge)."),
-    "session": _option(Path | None, None, "--session", "Session being acquired; the camera is not accessed."),
+    "plan": _option(
+        Path | None, None, "--plan", "Plan whose camera is shown (virtual bench: its first edge)."
+    ),
+    "session": _option(
+        Path | None, None, "--session", "Session being acquired; the camera is not accessed."
+    ),
     "roi": (options.Roi, None),
-    "bits": _option(int | None, None, "--bits", "Bit depth, if the pixel format does not state it."),
+    "bits": _option(
+        int | None, None, "--bits", "Bit depth, if the pixel format does not state it."
+    ),
     "host": _option(
-        str, "127.0.0.1", "--host", "Address to listen on; addresses other than loopback require the printed token."
+        str,
+        "127.0.0.1",
+        "--host",
+        "Address to listen on; addresses other than loopback require the printed token.",
     ),
     "port": _option(int, 8600, "--port", "Port of the page; 0 selects a free port."),
-    "terminal": _option(bool, False, "--terminal", "Show statistics in the terminal instead of a web page."),
+    "terminal": _option(
+        bool, False, "--terminal", "Show statistics in the terminal instead of a web page."
+    ),
     "seed": (options.Seed, 0),
 }
 
@@ -48,7 +62,8 @@ SOURCE: dict[str, tuple[Any, Any]] = {
 def live(**settings: Any) -> None:
     """Live view in a local web page: newest frame, statistics and histogram.
 
-    Read-only: no camera or tube setting is changed. While a plan runs, use --session to view the frames it stores.
+    Read-only: no camera or tube setting is changed. While a plan runs, use --session to view the
+    frames it stores.
 
     Example: charact live --camera Aravis-Fake-GV01
     """
@@ -64,7 +79,9 @@ def focus(**settings: Any) -> None:
     _show("charact focus", **settings)
 
 
-def _show(title: str, *, roi: str | None, host: str, port: int, terminal: bool, **source_of: Any) -> None:
+def _show(
+    title: str, *, roi: str | None, host: str, port: int, terminal: bool, **source_of: Any
+) -> None:
     with exit_on_bad_input(title, interrupted="closed"):
         from charact.live.focus import FocusReader
         from charact.live.live_loop import LiveLoop
@@ -82,9 +99,13 @@ def _show(title: str, *, roi: str | None, host: str, port: int, terminal: bool, 
                 watch_on_terminal(running, title=heading)
                 return
             serve(
-                running, title=heading, focus_first=title == "charact focus", host=host, port=port,
+                running,
+                title=heading,
+                focus_first=title == "charact focus",
+                host=host,
+                port=port,
                 tell=lambda address: print_message(f"{address}   (Ctrl-C to quit)"),
-            )  # fmt: skip
+            )
 
 
 VIRTUAL_SENSOR = "pulnix-ag5745ef3"
@@ -92,15 +113,23 @@ VIRTUAL_SENSOR = "pulnix-ag5745ef3"
 
 @contextmanager
 def live_source(
-    *, camera: str | None, plan: Path | None, session: Path | None, bits: int | None, seed: int,
+    *,
+    camera: str | None,
+    plan: Path | None,
+    session: Path | None,
+    bits: int | None,
+    seed: int,
     tell: Callable[[str], None],
-) -> "Iterator[FrameSource]":  # fmt: skip
-    """Yield the frame source: a camera, that of a plan (or the virtual bench at its first edge), or a growing session.
+) -> "Iterator[FrameSource]":
+    """Yield the frame source: a camera, that of a plan (or the virtual bench at its first edge), or
+    a growing session.
 
     `bits`: bit depth, if the pixel format does not state it; `seed`: of the virtual bench.
     """
     if sum(given is not None for given in (camera, plan, session)) > 1:
-        raise BadInput("a live view must have one source, got several of --camera, --plan and --session")
+        raise BadInput(
+            "a live view must have one source, got several of --camera, --plan and --session"
+        )
     if bits is not None and not 1 <= bits <= 32:
         raise BadInput(f"--bits must lie between 1 and 32, got {bits}")
     full_scale_dn = None if bits is None else float(2**bits - 1)
@@ -114,19 +143,25 @@ def live_source(
     from charact.live.frame_source import CameraSource
 
     loaded = None if plan is None else load_plan(plan)
-    if camera is None and (loaded is None or (loaded.wires.bench != "real" and loaded.wires.camera is None)):
+    if camera is None and (
+        loaded is None or (loaded.wires.bench != "real" and loaded.wires.camera is None)
+    ):
         with _virtual(loaded, seed, full_scale_dn, tell) as source:
             yield source
         return
     name = camera or (loaded.wires.camera if loaded else None)
     yield CameraSource(
-        camera_named(name, tell=tell), frames_each=_frames_each(name or ""), name=f"camera {name or '(the only one)'}",
+        camera_named(name, tell=tell),
+        frames_each=_frames_each(name or ""),
+        name=f"camera {name or '(the only one)'}",
         context=_context(loaded.sensor if loaded else None, full_scale_dn),
-    )  # fmt: skip
+    )
 
 
 def _frames_each(camera: str) -> int:
-    """Return the number of frames of one capture: that of the shortest stack of a recording, else unlimited."""
+    """Return the number of frames of one capture: that of the shortest stack of a recording, else
+    unlimited.
+    """
     from charact.live.frame_source import ENDLESS
     from labdata.lazy_stack import open_lazy_stack
     from labdata.session import open_session
@@ -155,11 +190,14 @@ def _virtual(
     sensor, step = load_sensor(name), _step(plan)
     field_hz = float(sensor.video.field_rate_hz)
     left_at = Outputs(
-        mcp_v=step.conditions.mcp_v or 0.0, gate_open=True, gate_ns=step.conditions.gate_ns or 0.0, gate_hz=field_hz
+        mcp_v=step.conditions.mcp_v or 0.0,
+        gate_open=True,
+        gate_ns=step.conditions.gate_ns or 0.0,
+        gate_hz=field_hz,
     )
     tell(
-        f"virtual bench: {sensor.name} at {left_at.mcp_v:g} V before the {step.kind} of step {step.label!r}; "
-        "simulating the first frame"
+        f"virtual bench: {sensor.name} at {left_at.mcp_v:g} V before the {step.kind} of step "
+        f"{step.label!r}; simulating the first frame"
     )
     with TemporaryDirectory(prefix="charact-live-") as made:
         folder = Path(made)
@@ -175,7 +213,9 @@ def _virtual(
 
 
 def _step(plan: "Plan | None") -> "Step":
-    """Return the step to show: the first edge, else the first with light; without a plan, from the demo's plan."""
+    """Return the step to show: the first edge, else the first with light; without a plan, from the
+    demo's plan.
+    """
     if plan is None:
         from charact.cli.demo_loop import demo_plan
 
@@ -199,10 +239,15 @@ def _context(sensor: str | None, full_scale_dn: float | None) -> "Context":
 
 def watch(
     session: Annotated[
-        Path, typer.Argument(help="Session folder of a running acquisition, or a folder of plain files.")
+        Path,
+        typer.Argument(help="Session folder of a running acquisition, or a folder of plain files."),
     ],
-    kind: Annotated[str, typer.Option(help="Plain files: kind of their targets, edge, bars or point.")] = "edge",
-    once: Annotated[bool, typer.Option("--once", help="Process the stacks present now, then exit.")] = False,
+    kind: Annotated[
+        str, typer.Option(help="Plain files: kind of their targets, edge, bars or point.")
+    ] = "edge",
+    once: Annotated[
+        bool, typer.Option("--once", help="Process the stacks present now, then exit.")
+    ] = False,
     patience_s: Annotated[
         float, typer.Option("--patience-s", help="Maximum wait for the next stack, s.", min=0.0)
     ] = 1800.0,
@@ -210,23 +255,34 @@ def watch(
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """Measure each stack of a running acquisition, or each new file of a folder, as it is completed: one line each.
+    """Measure each stack of a running acquisition, or each new file of a folder, as it is
+    completed: one line each.
 
-    With --json each line is one JSON object. Ends with the run; a folder of plain files is watched until Ctrl-C, or
-    until no file has come for --patience-s.
+    With --json each line is one JSON object. Ends with the run; a folder of plain files is watched
+    until Ctrl-C, or until no file has come for --patience-s.
 
     Example: charact watch day1
 
     Example: charact watch incoming --kind edge
     """
-    interrupted = f"stopped watching; the acquisition continues. Resume with: charact watch {session}"
+    interrupted = (
+        f"stopped watching; the acquisition continues. Resume with: charact watch {session}"
+    )
     with exit_on_bad_input(str(session), as_json=as_json, events=events, interrupted=interrupted):
         from charact.live.quick_look import look_at, watch_stacks
         from labdata.session import MANIFEST
 
         require_session(session)
         if session.is_dir() and not (session / MANIFEST).is_file():
-            _watch_files(session, kind, once=once, patience_s=patience_s, seed=seed, as_json=as_json, events=events)
+            _watch_files(
+                session,
+                kind,
+                once=once,
+                patience_s=patience_s,
+                seed=seed,
+                as_json=as_json,
+                events=events,
+            )
             return
         for so_far, entry in watch_stacks(session, once=once, patience_s=patience_s):
             try:
@@ -238,7 +294,14 @@ def watch(
 
 
 def _watch_files(
-    folder: Path, kind: str, *, once: bool, patience_s: float, seed: int, as_json: bool, events: bool
+    folder: Path,
+    kind: str,
+    *,
+    once: bool,
+    patience_s: float,
+    seed: int,
+    as_json: bool,
+    events: bool,
 ) -> None:
     """Measure the targets of each new file of a folder."""
     from charact.api import mtf
@@ -262,11 +325,12 @@ def _line(looked: "QuickLook") -> str:
     """Return the line of a stack: frames, mean, saturation, values with intervals, and flags."""
     entry = looked.entry
     level = (
-        f"{entry.label} ({entry.kind}): {looked.frames} frames, {entry.lost_frames} lost, "
-        f"mean {looked.mean_dn:.4g} DN, at most {looked.saturated_px} px at {looked.full_scale_dn:g} DN"
+        f"{entry.label} ({entry.kind}): {looked.frames} frames, {entry.lost_frames} lost, mean "
+        f"{looked.mean_dn:.4g} DN, at most {looked.saturated_px} px at {looked.full_scale_dn:g} DN"
     )
     numbers = [
-        f"{_name(m, looked.leading)} {number_of(m)}" + ("" if m.value is not None else f": {m.reason}")
+        f"{_name(m, looked.leading)} {number_of(m)}"
+        + ("" if m.value is not None else f": {m.reason}")
         for m in looked.leading
     ]
     flags = dict.fromkeys(flag for m in looked.leading for flag in m.flags)
@@ -276,7 +340,9 @@ def _line(looked: "QuickLook") -> str:
 def _name(m: "Measurement", among: "tuple[Measurement, ...]") -> str:
     """Return a quantity with its frequency, and its direction if there are several of that name."""
     at = "" if m.frequency_cy_per_px is None else f" at {m.frequency_cy_per_px:.3g} cy/px"
-    several = sum(other.quantity == m.quantity for other in among) > 1 and m.orientation_deg is not None
+    several = (
+        sum(other.quantity == m.quantity for other in among) > 1 and m.orientation_deg is not None
+    )
     return m.quantity + at + (f" along {m.orientation_deg:.3g} deg" if several else "")
 
 

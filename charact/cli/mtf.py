@@ -20,11 +20,15 @@ if TYPE_CHECKING:
     from labdata.session import Session
 
 app = typer.Typer(
-    no_args_is_help=True, help="Measure the MTF from a slanted edge, bar target, point source or flat-field noise."
+    no_args_is_help=True,
+    help="Measure the MTF from a slanted edge, bar target, point source or flat-field noise.",
 )
 
 Files = Annotated[
-    list[Path], typer.Argument(help="Images or stacks: .tif .npy .fits .png .jpg .dng .h5 ...; several make a table.")
+    list[Path],
+    typer.Argument(
+        help="Images or stacks: .tif .npy .fits .png .jpg .dng .h5 ...; several make a table."
+    ),
 ]
 
 
@@ -45,9 +49,14 @@ def edge(files: Files, **settings: Any) -> None:
 def bars(
     files: Files,
     frequency: Annotated[
-        float | None, typer.Option(help="Bar frequency, cy/px (default: groups along rows and columns are found).")
+        float | None,
+        typer.Option(
+            help="Bar frequency, cy/px (default: groups along rows and columns are found)."
+        ),
     ] = None,
-    bars: Annotated[int | None, typer.Option(help="Number of bars (default: counted in the image).", min=2)] = None,
+    bars: Annotated[
+        int | None, typer.Option(help="Number of bars (default: counted in the image).", min=2)
+    ] = None,
     **settings: Any,
 ) -> None:
     """Measure the MTF at the frequency of a bar target.
@@ -62,7 +71,8 @@ def bars(
 def point(
     files: Files,
     pinhole_px: Annotated[
-        float | None, typer.Option(help="Diameter of the pinhole's image, px (default: ideal point).")
+        float | None,
+        typer.Option(help="Diameter of the pinhole's image, px (default: ideal point)."),
     ] = None,
     **settings: Any,
 ) -> None:
@@ -75,14 +85,40 @@ def point(
 
 @app.command()
 @options.with_options(
-    "plane", "axis", "method", "within", "quick", "seed", "sensor", "units", "pitch_um", "demagnification",
-    "focal_length_mm", "everything", "as_json", "events",
-)  # fmt: skip
+    "plane",
+    "axis",
+    "method",
+    "within",
+    "quick",
+    "seed",
+    "sensor",
+    "units",
+    "pitch_um",
+    "demagnification",
+    "focal_length_mm",
+    "everything",
+    "as_json",
+    "events",
+)
 def flats(
-    file: Annotated[Path, typer.Argument(help="Folder of a session with flats and darks, or one stack of flats.")],
-    *, plane: str | None, axis: str | None, method: str, within: float, quick: bool, seed: int, sensor: str | None,
-    units: str, everything: bool, as_json: bool, events: bool, **lengths: Any,
-) -> None:  # fmt: skip
+    file: Annotated[
+        Path,
+        typer.Argument(help="Folder of a session with flats and darks, or one stack of flats."),
+    ],
+    *,
+    plane: str | None,
+    axis: str | None,
+    method: str,
+    within: float,
+    quick: bool,
+    seed: int,
+    sensor: str | None,
+    units: str,
+    everything: bool,
+    as_json: bool,
+    events: bool,
+    **lengths: Any,
+) -> None:
     """Measure the post-gain MTF from the noise power spectrum of flat fields (no target needed).
 
     Example: charact mtf flats my-session --quick
@@ -97,15 +133,26 @@ def flats(
         frequency = FrequencyUnit.of(session.sensor, rows=rows, unit=units, **lengths)
         with progress_bar(events=events) as progress:
             context = method_context(session, quick=quick, seed=seed, progress=progress)
-            result = mtf.measure_flats(session, method=method, within_percent=within, context=context)
+            result = mtf.measure_flats(
+                session, method=method, within_percent=within, context=context
+            )
         print_result(
-            result, given=str(file), verb="mtf flats", as_json=as_json, events=events, everything=everything,
+            result,
+            given=str(file),
+            verb="mtf flats",
+            as_json=as_json,
+            events=events,
+            everything=everything,
             frequency=frequency,
-            next_verb="charact mtf edge FILE: the MTF of the complete camera with lens and proximity gap",
-        )  # fmt: skip
+            next_verb=(
+                "charact mtf edge FILE: the MTF of the complete camera with lens and proximity gap"
+            ),
+        )
 
 
-def _flats_of(file: Path, sensor: "Sensor | None", plane: str | None, axis: str | None) -> "Session":
+def _flats_of(
+    file: Path, sensor: "Sensor | None", plane: str | None, axis: str | None
+) -> "Session":
     """Return the session in a folder, or a session of one stack of flats."""
     from labdata.conditions import Conditions
     from labdata.session import MANIFEST, Session, StackEntry, open_session
@@ -114,19 +161,36 @@ def _flats_of(file: Path, sensor: "Sensor | None", plane: str | None, axis: str 
         session = open_session(file)
         return session if sensor is None else replace(session, camera=sensor)
     if not file.exists() or (file.is_dir() and not (file / "zarr.json").is_file()):
-        raise BadInput(f"flats must be a session folder with a {MANIFEST}, or a file of frames, got {file}")
+        raise BadInput(
+            f"flats must be a session folder with a {MANIFEST}, or a file of frames, got {file}"
+        )
     entry = StackEntry(
-        label=file.stem, kind="flat", frames=file.name, conditions=Conditions(), folder=file.parent, axis=axis,
+        label=file.stem,
+        kind="flat",
+        frames=file.name,
+        conditions=Conditions(),
+        folder=file.parent,
+        axis=axis,
         plane=plane,
-    )  # fmt: skip
+    )
     return Session(folder=file.parent, name=file.name, stacks=(entry,), camera=sensor)
 
 
 def _measure(
-    kind: str, files: list[Path], *, annotate: Path | None, plot: Path | None, csv: Path | None, as_json: bool,
-    events: bool, everything: bool, **settings: Any,
-) -> None:  # fmt: skip
-    """Measure the targets of a kind in each file, and print the result, or a table of several files."""
+    kind: str,
+    files: list[Path],
+    *,
+    annotate: Path | None,
+    plot: Path | None,
+    csv: Path | None,
+    as_json: bool,
+    events: bool,
+    everything: bool,
+    **settings: Any,
+) -> None:
+    """Measure the targets of a kind in each file, and print the result, or a table of several
+    files.
+    """
     with exit_on_bad_input(str(files[0]), as_json=as_json, events=events):
         if plot is not None:  # before an analysis that takes minutes
             from charact.report.style import require_figure_file
@@ -149,49 +213,103 @@ def _measure(
             if annotate is not None:
                 from charact.cli.annotate import unusable_edges, write_annotated_image
 
-                unusable = unusable_edges(stack, result) if kind == "edge" and settings["roi"] is None else ()
+                unusable = (
+                    unusable_edges(stack, result)
+                    if kind == "edge" and settings["roi"] is None
+                    else ()
+                )
                 write_annotated_image(stack, result, annotate, frequency, unusable)
                 left = f"; {len(unusable)} further edges cannot be measured" if unusable else ""
-                print_message(f"{annotate}: every region with its value, or why it has none{left}", events=events)
+                print_message(
+                    f"{annotate}: every region with its value, or why it has none{left}",
+                    events=events,
+                )
             _write_table_and_plot({str(file): result}, plot=plot, csv=csv)
 
         print_result(
-            result, given=str(file), verb=f"mtf {kind}", as_json=as_json, events=events, everything=everything,
-            frequency=frequency, then=write,
+            result,
+            given=str(file),
+            verb=f"mtf {kind}",
+            as_json=as_json,
+            events=events,
+            everything=everything,
+            frequency=frequency,
+            then=write,
             next_verb=f"charact import frames {file} mine --kind {kind}, then charact measure mine",
-        )  # fmt: skip
+        )
 
 
 def _measure_file(
-    kind: str, file: Path, *, roi: str | None, method: str, within: float, quick: bool, seed: int, max_targets: int,
-    plane: str | None, axis: str | None, sensor: str | None, events: bool, units: str, pitch_um: float | None,
-    demagnification: float | None, focal_length_mm: float | None, black_dn: float | None = None, **target: Any,
-) -> "tuple[Analysis, FrameStack, FrequencyUnit]":  # fmt: skip
+    kind: str,
+    file: Path,
+    *,
+    roi: str | None,
+    method: str,
+    within: float,
+    quick: bool,
+    seed: int,
+    max_targets: int,
+    plane: str | None,
+    axis: str | None,
+    sensor: str | None,
+    events: bool,
+    units: str,
+    pitch_um: float | None,
+    demagnification: float | None,
+    focal_length_mm: float | None,
+    black_dn: float | None = None,
+    **target: Any,
+) -> "tuple[Analysis, FrameStack, FrequencyUnit]":
     """Measure a region of a stack or, without one, all detected targets of a kind."""
     from charact.api import frames_of, mtf
     from charact.report.frequency_unit import FrequencyUnit
     from labdata.session import MANIFEST
 
     if (file / MANIFEST).is_file():
-        raise BadInput(f"mtf {kind} takes images or stacks, got the session {file}: charact measure {file}")
+        raise BadInput(
+            f"mtf {kind} takes images or stacks, got the session {file}: charact measure {file}"
+        )
     description, region = _sensor(sensor), options.parse_region(roi)
     stack = frames_of(file, plane=plane, axis=axis, black_dn=black_dn)
     frequency = FrequencyUnit.of(
-        description, rows=stack.shape[1], sample_pitch_px=stack.sample_pitch_px, unit=units, pitch_um=pitch_um,
-        demagnification=demagnification, focal_length_mm=focal_length_mm,
-    )  # fmt: skip
+        description,
+        rows=stack.shape[1],
+        sample_pitch_px=stack.sample_pitch_px,
+        unit=units,
+        pitch_um=pitch_um,
+        demagnification=demagnification,
+        focal_length_mm=focal_length_mm,
+    )
     with progress_bar(events=events) as progress:
         result = mtf(
-            stack, kind, roi=region, method=method, within_percent=within, quick=quick, seed=seed, sensor=description,
-            max_targets=max_targets, progress=progress, **target,
-        )  # fmt: skip
+            stack,
+            kind,
+            roi=region,
+            method=method,
+            within_percent=within,
+            quick=quick,
+            seed=seed,
+            sensor=description,
+            max_targets=max_targets,
+            progress=progress,
+            **target,
+        )
     return result, stack, frequency
 
 
 def _measure_each(
-    kind: str, files: list[Path], *, plot: Path | None, csv: Path | None, as_json: bool, events: bool, **settings: Any,
-) -> None:  # fmt: skip
-    """Measure several files: one line, or with --json one object, each; a bad one does not stop the others."""
+    kind: str,
+    files: list[Path],
+    *,
+    plot: Path | None,
+    csv: Path | None,
+    as_json: bool,
+    events: bool,
+    **settings: Any,
+) -> None:
+    """Measure several files: one line, or with --json one object, each; a bad one does not stop the
+    others.
+    """
     results: dict[str, Analysis] = {}
     failed = []
     for file in files:
@@ -207,7 +325,9 @@ def _measure_each(
         if as_json:
             from labdata.result_io import to_json
 
-            print(json.dumps(to_json(result, given=str(file), version=__version__), allow_nan=False))
+            print(
+                json.dumps(to_json(result, given=str(file), version=__version__), allow_nan=False)
+            )
         else:
             from charact.report.summary import rows_of_file
 
@@ -217,11 +337,15 @@ def _measure_each(
     with exit_on_bad_input("", events=events):
         _write_table_and_plot(results, plot=plot, csv=csv)
     if failed:
-        print_message(f"{len(failed)} of {len(files)} files gave no value: {', '.join(failed)}", events=events)
+        print_message(
+            f"{len(failed)} of {len(files)} files gave no value: {', '.join(failed)}", events=events
+        )
         raise typer.Exit(1)
 
 
-def _write_table_and_plot(results: "dict[str, Analysis]", *, plot: Path | None, csv: Path | None) -> None:
+def _write_table_and_plot(
+    results: "dict[str, Analysis]", *, plot: Path | None, csv: Path | None
+) -> None:
     """Write the measurements of files as CSV, and their curves as a figure."""
     from labdata.file_io import write_atomically
 

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 Frequency = Callable[[float, "Measurement | None"], tuple[float, str]]
 
 
-def in_cycles_per_pixel(frequency_cy_per_px: float, of: "Measurement | None" = None) -> tuple[float, str]:
+def in_cycles_per_pixel(
+    frequency_cy_per_px: float, of: "Measurement | None" = None
+) -> tuple[float, str]:
     """Return the frequency unchanged, with its unit."""
     return frequency_cy_per_px, "cy/px"
 
@@ -47,7 +49,9 @@ def fail(sentence: str, *, given: str, as_json: bool, events: bool = False) -> N
 def exit_on_bad_input(
     given: str, *, as_json: bool = False, events: bool = False, interrupted: str = "interrupted"
 ) -> Iterator[None]:
-    """Exit with code 1 and one sentence on bad input and file system errors, with code 130 on an interrupt."""
+    """Exit with code 1 and one sentence on bad input and file system errors, with code 130 on an
+    interrupt.
+    """
     try:
         yield
     except BadInput as error:
@@ -60,11 +64,19 @@ def exit_on_bad_input(
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(1) from None
     except MemoryError as error:
-        reason = f"the frames must fit into memory, got: {error or 'too little memory'}; give fewer or smaller frames"
+        reason = (
+            f"the frames must fit into memory, got: {error or 'too little memory'}; give "
+            f"fewer or smaller frames"
+        )
         fail(reason, given=given, as_json=as_json, events=events)
     except OSError as error:
         named = f" ({error.filename})" if error.filename else ""
-        fail(f"file system error: {error.strerror or error}{named}", given=given, as_json=as_json, events=events)
+        fail(
+            f"file system error: {error.strerror or error}{named}",
+            given=given,
+            as_json=as_json,
+            events=events,
+        )
 
 
 def print_result(
@@ -81,9 +93,10 @@ def print_result(
 ) -> None:
     """Print a result; exit with code 1 and a sentence if no measurement has a value.
 
-    `verb` and `given` are the title; `everything`: print all values and notes, not a summary. `frequency` converts
-    cy/px to the display unit (JSON is always in cy/px), `next_verb` is suggested on a terminal. `then` writes further
-    output files after the result; its failure is reported on stderr, with exit code 1.
+    `verb` and `given` are the title; `everything`: print all values and notes, not a summary.
+    `frequency` converts cy/px to the display unit (JSON is always in cy/px), `next_verb` is
+    suggested on a terminal. `then` writes further output files after the result; its failure is
+    reported on stderr, with exit code 1.
     """
     if as_json:
         from labdata.result_io import to_json
@@ -98,7 +111,9 @@ def print_result(
             then()
     if all(m.value is None for m in result.measurements):
         reasons = list(dict.fromkeys(m.reason for m in result.measurements if m.reason))
-        print_message(f"charact: {reasons[0] if reasons else 'nothing could be measured'}", events=events)
+        print_message(
+            f"charact: {reasons[0] if reasons else 'nothing could be measured'}", events=events
+        )
         raise typer.Exit(1)
     if next_verb and sys.stdout.isatty() and not as_json:
         print(f"\nNext: {next_verb}")
@@ -115,29 +130,41 @@ def _text(result: "Result", title: str, frequency: Frequency, everything: bool) 
         lines = list(lines_of_regions(result.measurements, frequency))
         if everything:
             return "\n".join(lines)
-        wrapped = [part for line in lines for part in textwrap.wrap(line, width, subsequent_indent=" " * 8)]
-        more = [f"and {len(wrapped) - LINES + 1} more lines (--all)"] if len(wrapped) > LINES else []
+        wrapped = [
+            part for line in lines for part in textwrap.wrap(line, width, subsequent_indent=" " * 8)
+        ]
+        more = (
+            [f"and {len(wrapped) - LINES + 1} more lines (--all)"] if len(wrapped) > LINES else []
+        )
         return "\n".join([*wrapped[: LINES - len(more)], *more])
     if everything:
         return "\n".join(lines_of(result.measurements, frequency))
     return summary(result, title=title, frequency=frequency, width=width)
 
 
-def lines_of(measurements: Iterable["Measurement"], frequency: Frequency = in_cycles_per_pixel) -> Iterator[str]:
-    """Yield one line per measurement and, after those of one stack and method, one per flag and note."""
+def lines_of(
+    measurements: Iterable["Measurement"], frequency: Frequency = in_cycles_per_pixel
+) -> Iterator[str]:
+    """Yield one line per measurement and, after those of one stack and method, one per flag and
+    note.
+    """
     for _, group in groupby(measurements, key=lambda m: (m.stack, m.method)):
         members = tuple(group)
         counts = Counter((m.quantity, m.frequency_cy_per_px) for m in members)
         placed = len({m.region for m in members}) > 1
         for m in members:
-            yield _line(m, frequency, directed=counts[m.quantity, m.frequency_cy_per_px] > 1, placed=placed)
+            yield _line(
+                m, frequency, directed=counts[m.quantity, m.frequency_cy_per_px] > 1, placed=placed
+            )
         flags, notes = _flags_and_notes(members)
         yield from (f"    {flag}" for flag in flags)
         yield from (f"    note: {note}" for note in notes)
 
 
 def _flags_and_notes(members: Iterable["Measurement"]) -> tuple[list[str], list[str]]:
-    """Return one line for each flag (its findings, else its sentence), and the other notes, without repetition."""
+    """Return one line for each flag (its findings, else its sentence), and the other notes, without
+    repetition.
+    """
     measurements = tuple(members)
     notes = list(dict.fromkeys(note for m in measurements for note in m.notes))
     lines: list[str] = []
@@ -148,11 +175,15 @@ def _flags_and_notes(members: Iterable["Measurement"]) -> tuple[list[str], list[
 
 
 def _line(m: "Measurement", frequency: Frequency, *, directed: bool, placed: bool) -> str:
-    """Return the line of a measurement; `directed` adds its direction, `placed` its region in the format of --roi."""
+    """Return the line of a measurement; `directed` adds its direction, `placed` its region in the
+    format of --roi.
+    """
     from charact.method.stopwatch import time_text
 
     where = _at(m, frequency)
-    where += f" along {m.orientation_deg:.3g} deg" if directed and m.orientation_deg is not None else ""
+    where += (
+        f" along {m.orientation_deg:.3g} deg" if directed and m.orientation_deg is not None else ""
+    )
     where += f" of {m.stack}" if m.stack else ""
     where += f" in {_place(m.region)}" if placed and m.region is not None else ""
     spent = f", {time_text(m.seconds)}" if m.seconds is not None else ""
@@ -168,15 +199,27 @@ def _place(region: tuple[int, int, int, int]) -> str:
 
 def _at(m: "Measurement", frequency: Frequency) -> str:
     """Return " at FREQUENCY" of a measurement at one frequency, else an empty string."""
-    return "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
+    return (
+        ""
+        if m.frequency_cy_per_px is None
+        else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
+    )
 
 
-def in_unit(m: "Measurement", frequency: Frequency) -> tuple[float, str, tuple[float, float] | None]:
-    """Return value, unit and 95 % interval of a measurement with a value, frequencies in the display unit."""
+def in_unit(
+    m: "Measurement", frequency: Frequency
+) -> tuple[float, str, tuple[float, float] | None]:
+    """Return value, unit and 95 % interval of a measurement with a value, frequencies in the
+    display unit.
+    """
     assert m.value is not None
     if m.unit != "cy/px":
         return m.value, m.unit, m.interval95
-    ends = None if m.interval95 is None else (frequency(m.interval95[0], m)[0], frequency(m.interval95[1], m)[0])
+    ends = (
+        None
+        if m.interval95 is None
+        else (frequency(m.interval95[0], m)[0], frequency(m.interval95[1], m)[0])
+    )
     return *frequency(m.value, m), ends
 
 
@@ -211,7 +254,9 @@ def lines_of_regions(
 def _region_line(members: list["Measurement"], frequency: Frequency) -> str:
     """Return the line of a region: its position, then its main quantity in each direction."""
     first = members[0]
-    leading = [m for m in members if m.quantity == "mtf50"] or [m for m in members if m.quantity == first.quantity]
+    leading = [m for m in members if m.quantity == "mtf50"] or [
+        m for m in members if m.quantity == first.quantity
+    ]
     place = "all together" if first.region is None else _place(first.region)
     if all(m.value is None for m in leading):
         return f"{place:<16} {first.quantity} refused: {leading[0].reason}"
@@ -226,8 +271,16 @@ def _region_line(members: list["Measurement"], frequency: Frequency) -> str:
 
 def _where(note: str, by_region: dict[object, list["Measurement"]]) -> str:
     """Return the numbers of the regions that a note concerns, unless it concerns all."""
-    having = [k for k, members in enumerate(by_region.values(), 1) if any(note in m.notes for m in members)]
-    return "" if len(having) == len(by_region) else " of " + ", ".join(str(number) for number in having)
+    having = [
+        k
+        for k, members in enumerate(by_region.values(), 1)
+        if any(note in m.notes for m in members)
+    ]
+    return (
+        ""
+        if len(having) == len(by_region)
+        else " of " + ", ".join(str(number) for number in having)
+    )
 
 
 Progress = Callable[[str, float], None]
@@ -235,7 +288,8 @@ Progress = Callable[[str, float], None]
 
 @contextmanager
 def progress_bar(*, events: bool = False) -> Iterator[Progress]:
-    """Yield a function of a sentence and the fraction done (0..1): a bar on a terminal, JSON lines with `events`.
+    """Yield a function of a sentence and the fraction done (0..1): a bar on a terminal, JSON lines
+    with `events`.
 
     Compilation is announced on stderr.
     """
@@ -253,9 +307,23 @@ def progress_bar(*, events: bool = False) -> Iterator[Progress]:
             yield report
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar, announce_compilation(announce):
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with (
+        Progress(*columns, console=Console(stderr=True), transient=True) as bar,
+        announce_compilation(announce),
+    ):
         task = bar.add_task("", total=1.0)
         yield lambda sentence, share: bar.update(task, description=sentence, completed=share)

@@ -26,11 +26,16 @@ MAX_LINES = 40
 
 
 def plan(
-    plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")],
+    plan: Annotated[
+        Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")
+    ],
     as_json: options.Json = False,
-    every: Annotated[bool, typer.Option("--all", help=f"Print every step instead of the first {MAX_LINES}.")] = False,
+    every: Annotated[
+        bool, typer.Option("--all", help=f"Print every step instead of the first {MAX_LINES}.")
+    ] = False,
 ) -> None:
-    """Forecast an acquisition plan: steps, time, disk space, tube dose, hottest step. Nothing is switched on.
+    """Forecast an acquisition plan: steps, time, disk space, tube dose, hottest step. Nothing is
+    switched on.
 
     Example: charact plan gain-by-light
 
@@ -66,7 +71,9 @@ def plan(
                 print(f"\nNext: charact acquire {plan} OUT")
 
 
-def _document(given: str, plan: "Plan", prediction: "Forecast", sensor: "Sensor | None") -> dict[str, Any]:
+def _document(
+    given: str, plan: "Plan", prediction: "Forecast", sensor: "Sensor | None"
+) -> dict[str, Any]:
     from labdata.limits import LIMITS
 
     before = _before(plan)
@@ -123,18 +130,28 @@ def _dose_document(dose: "Dose") -> dict[str, float]:
     return {name: getattr(dose, name) for name in names}
 
 
-def _lines(plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, every: bool) -> list[str]:
+def _lines(
+    plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, every: bool
+) -> list[str]:
     from drivers.acquisition.run_progress import duration
 
     shown = prediction.steps if every else prediction.steps[:MAX_LINES]
     left = len(prediction.steps) - len(shown)
-    hottest, before, dose, table = prediction.hottest, _before(plan), prediction.dose, prediction.gain_table
+    hottest, before, dose, table = (
+        prediction.hottest,
+        _before(plan),
+        prediction.dose,
+        prediction.gain_table,
+    )
     limit = prediction.limits.largest_anode_na_per_cm2(point=hottest.step.kind == "point")
     points = f", and {dose.point_c_per_cm2:.2g} inside pinholes" if dose.point_c_per_cm2 else ""
     earlier = (
         "unknown, the plan names no tube"
         if before is None
-        else f"{before.charge_c_per_cm2:.2g} C/cm2, {before.hours_at_gain:.3g} h at gain of tube {plan.tube}"
+        else (
+            f"{before.charge_c_per_cm2:.2g} C/cm2, {before.hours_at_gain:.3g} h at gain of tube "
+            f"{plan.tube}"
+        )
     )
     known = "No sensor description: default tube limits apply, and the tube load is an estimate."
     return [
@@ -143,8 +160,8 @@ def _lines(plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, eve
         *([f"... and {left} more; --all prints them"] if left else []),
         f"time: {duration(prediction.seconds)}",
         f"disk: {prediction.bytes / 1e6:.0f} MB" if sensor else "disk: unknown without a sensor",
-        f"dose: {dose.screen_c_per_cm2:.2g} C/cm2 at the phosphor{points}, within a factor of {dose.factor95:.2g} "
-        f"(95 %); {60 * dose.hours_at_gain:.3g} min at gain",
+        f"dose: {dose.screen_c_per_cm2:.2g} C/cm2 at the phosphor{points}, within a factor of "
+        f"{dose.factor95:.2g} (95 %); {60 * dose.hours_at_gain:.3g} min at gain",
         f"dose before: {earlier}",
         f"hottest: {hottest.step.label}, {hottest.anode_na_per_cm2:.3g} nA/cm2 MCP output current, "
         f"{hottest.share_of_limit:.0%} of the limit {limit:g}",
@@ -156,8 +173,12 @@ def _lines(plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, eve
     ]
 
 
-def _table(shown: "Sequence[StepForecast]", plan: "Plan", table: "GainTable | None") -> Iterator[str]:
-    """Yield the header and one line per step, with columns for a gain table and a lamp if there are."""
+def _table(
+    shown: "Sequence[StepForecast]", plan: "Plan", table: "GainTable | None"
+) -> Iterator[str]:
+    """Yield the header and one line per step, with columns for a gain table and a lamp if there
+    are.
+    """
     from labdata.plan import by_calibration
 
     gain = "" if table is None else f" {'lm/lm':>9}"
@@ -170,11 +191,16 @@ def _table(shown: "Sequence[StepForecast]", plan: "Plan", table: "GainTable | No
             gain = f" {by_calibration(table, conditions.mcp_v).luminous_gain or 0.0:>9.4g}"
         if plan.lamp is not None:
             lamp = f" {'out':>8} {'':>6}"
-            lamp = lamp if lit is None else f" {1e3 * (lit.lamp_a or 0.0):>8g} {lit.filter_density:>6g}"
+            lamp = (
+                lamp
+                if lit is None
+                else f" {1e3 * (lit.lamp_a or 0.0):>8g} {lit.filter_density:>6g}"
+            )
         yield (
-            f"{one.step.label:<32} {one.step.kind:<6} {one.step.most_frames:>6} {conditions.mcp_v or 0.0:>6g}{gain} "
-            f"{(conditions.gate_ns or 0.0) * 1e-6:>8.4g} {conditions.illuminance_lux or 0.0:>9.3g}{lamp} "
-            f"{one.anode_na_per_cm2:>9.3g} {one.share_of_limit:>6.1%}"
+            f"{one.step.label:<32} {one.step.kind:<6} {one.step.most_frames:>6} "
+            f"{conditions.mcp_v or 0.0:>6g}{gain} {(conditions.gate_ns or 0.0) * 1e-6:>8.4g} "
+            f"{conditions.illuminance_lux or 0.0:>9.3g}{lamp} {one.anode_na_per_cm2:>9.3g} "
+            f"{one.share_of_limit:>6.1%}"
         )
 
 
@@ -184,7 +210,9 @@ def _before(plan: "Plan") -> "Dose | None":
     return None if plan.tube is None else ledger_of(plan.tube).total()
 
 
-def _warnings(prediction: "Forecast", before: "Dose | None", sensor: "Sensor | None") -> tuple[str, ...]:
+def _warnings(
+    prediction: "Forecast", before: "Dose | None", sensor: "Sensor | None"
+) -> tuple[str, ...]:
     from labdata.tube_dose import total_dose, warnings
 
     doses = warnings(total_dose([prediction.dose, *([] if before is None else [before])]), sensor)

@@ -1,7 +1,7 @@
 """Operator of a real bench: prompts a person on the terminal to place targets and to set the light.
 
-The tube may be on while the person or the terminal (Ctrl-S) is slow: no wait is longer than 0.1 s without a call of
-`while_waiting`.
+The tube may be on while the person or the terminal (Ctrl-S) is slow: no wait is longer than 0.1 s
+without a call of `while_waiting`.
 """
 
 import os
@@ -43,7 +43,9 @@ class _Terminal:
         descriptor = _descriptor(sys.stdin)
         line = "" if descriptor is None else self._line_of(descriptor)
         if not line:
-            raise BadInput(f"a person must answer {purpose}, got the end of the input; run it on a terminal")
+            raise BadInput(
+                f"a person must answer {purpose}, got the end of the input; run it on a terminal"
+            )
         return line.strip()
 
     def _line_of(self, descriptor: int) -> str:
@@ -75,7 +77,12 @@ class PromptingOperator(_Terminal):
         self._show("Block the light now.\n")
 
     def place(
-        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+        self,
+        *,
+        kind: Kind,
+        target: Target,
+        illuminance_lux: float,
+        filter_density: float | None = None,
     ) -> Conditions:
         """Ask for a target, a filter and an illuminance; return the reading of the light meter."""
         if illuminance_lux == 0.0:
@@ -107,11 +114,19 @@ class TargetPlacer(_Terminal):
         """Do nothing: the bench switches its lamp off."""
 
     def place(
-        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+        self,
+        *,
+        kind: Kind,
+        target: Target,
+        illuminance_lux: float,
+        filter_density: float | None = None,
     ) -> Conditions:
         """Ask for a new target and wait until it is placed; a dark needs none."""
         if kind != "dark" and (kind, target) != self._placed:
-            self._answer(f"Place the {_words(kind, target)}, then press Enter. ", f"once the {kind} target is placed")
+            self._answer(
+                f"Place the {_words(kind, target)}, then press Enter. ",
+                f"once the {kind} target is placed",
+            )
             self._placed = (kind, target)
         return Conditions(illuminance_lux=0.0)
 
@@ -125,5 +140,7 @@ def _descriptor(stream: object) -> int | None:
 
 
 def _words(kind: Kind, target: Target) -> str:
-    details = ", ".join(f"{name} {value}" for name, value in vars(target).items() if value is not None)
+    details = ", ".join(
+        f"{name} {value}" for name, value in vars(target).items() if value is not None
+    )
     return f"{kind} target ({details or 'no details'})"

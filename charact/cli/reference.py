@@ -1,4 +1,6 @@
-"""The verbs `methods`, `schema`, `chart`, `stability`, `doctor` and `conform`: references and checks."""
+"""The verbs `methods`, `schema`, `chart`, `stability`, `doctor` and `conform`: references and
+checks.
+"""
 
 import contextlib
 import json
@@ -31,19 +33,34 @@ def methods(as_json: options.Json = False) -> None:
 
     rows = []
     for row in describe_methods():
-        charted = [r for q in row["quantities"] for r in chart_table(q) if r["method"] == row["name"]]
-        rows.append(row | ({key: charted[0][key] for key in ("error_percent", "seconds")} if charted else {}))
+        charted = [
+            r for q in row["quantities"] for r in chart_table(q) if r["method"] == row["name"]
+        ]
+        rows.append(
+            row
+            | ({key: charted[0][key] for key in ("error_percent", "seconds")} if charted else {})
+        )
     if as_json:
         print(json.dumps({"methods": rows}))
         return
     for row in rows:
-        cost = f"{row['error_percent']:.3g} % in {time_text(row['seconds'])}" if "seconds" in row else "not charted"
-        print(f"{row['kind']:6} {row['name']:16} {cost:22} {', '.join(row['quantities'])}\n{'':24}{row['scope']}")
+        cost = (
+            f"{row['error_percent']:.3g} % in {time_text(row['seconds'])}"
+            if "seconds" in row
+            else "not charted"
+        )
+        print(
+            f"{row['kind']:6} {row['name']:16} {cost:22} "
+            f"{', '.join(row['quantities'])}\n{'':24}{row['scope']}"
+        )
 
 
 def schema(
     kind: Annotated[
-        str, typer.Argument(help="session, sensor, solid-state, infrared, plan, limits, scene (outdoor) or bench.")
+        str,
+        typer.Argument(
+            help="session, sensor, solid-state, infrared, plan, limits, scene (outdoor) or bench."
+        ),
     ],
 ) -> None:
     """Print the JSON Schema of a file format, for editors.
@@ -68,7 +85,10 @@ Out = Annotated[Path, typer.Option(help="Folder for the table and the figure.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Reduced run: fewer cases, no Markov chains.")]
 
 
-Measure = Annotated[bool, typer.Option("--measure", help="Measure anew (minutes) instead of showing what is shipped.")]
+Measure = Annotated[
+    bool,
+    typer.Option("--measure", help="Measure anew (minutes) instead of showing what is shipped."),
+]
 
 
 def chart(
@@ -82,7 +102,8 @@ def chart(
     seed: options.Seed = 0,
     events: options.Events = False,
 ) -> None:
-    """Show error against computing time of every method of a quantity; --measure measures them on common cases.
+    """Show error against computing time of every method of a quantity; --measure measures them on
+    common cases.
 
     Example: charact chart mtf50 --out study
     """
@@ -94,16 +115,27 @@ def chart(
         if update and not measure:
             raise BadInput("--update needs --measure: it stores what is measured")
         if not measure and not rows:
-            charted = ", ".join(dict.fromkeys(name for name, _ in CHARTED.values() if chart_table(name)))
-            raise BadInput(f"a chart is shipped of {charted}, got {quantity!r}: --measure measures one")
+            charted = ", ".join(
+                dict.fromkeys(name for name, _ in CHARTED.values() if chart_table(name))
+            )
+            raise BadInput(
+                f"a chart is shipped of {charted}, got {quantity!r}: --measure measures one"
+            )
         if not measure:
             print("\n".join(chart_lines(quantity, rows)))
-            print(f"{write_chart(quantity, rows, out)}\nMeasure anew: charact chart {quantity} --measure")
+            print(
+                f"{write_chart(quantity, rows, out)}\nMeasure anew: charact chart {quantity} "
+                f"--measure"
+            )
             return
         from charact import study
 
         _announce(rows, events)
-        print(study.chart(quantity, seed=seed, out=out, quick=quick, update=update, progress=progress).text())
+        print(
+            study.chart(
+                quantity, seed=seed, out=out, quick=quick, update=update, progress=progress
+            ).text()
+        )
 
 
 def stability(
@@ -114,7 +146,8 @@ def stability(
     seed: options.Seed = 0,
     events: options.Events = False,
 ) -> None:
-    """Show how every method of a quantity failed on the shipped cases; --measure sweeps it past its breaking point.
+    """Show how every method of a quantity failed on the shipped cases; --measure sweeps it past its
+    breaking point.
 
     Example: charact stability mtf50 --measure --out study
     """
@@ -139,11 +172,15 @@ def _announce(rows: list[dict[str, Any]], events: bool) -> None:
     """Say how long a measurement takes at least, by the shipped table."""
     seconds = sum(row["seconds"] * row["cases"] for row in rows)
     if seconds > 0:
-        print_message(f"at least {seconds / 60.0:.1f} min on one core like that of the shipped table", events=events)
+        print_message(
+            f"at least {seconds / 60.0:.1f} min on one core like that of the shipped table",
+            events=events,
+        )
 
 
 def doctor(
-    folder: Annotated[Path, typer.Argument(help="Folder for sessions.")] = Path(), as_json: options.Json = False
+    folder: Annotated[Path, typer.Argument(help="Folder for sessions.")] = Path(),
+    as_json: options.Json = False,
 ) -> None:
     """Check versions, disk, cameras, ports, permissions and network; report ok or how to fix it.
 
@@ -159,20 +196,32 @@ def doctor(
             found.append(one)
             if not as_json:
                 mark = "ok " if one.ok else "FIX"
-                print(f"{mark}  {one.area:14} {one.says}" + ("" if one.ok else f"\n{'':19} -> {one.fix}"), flush=True)
+                print(
+                    f"{mark}  {one.area:14} {one.says}"
+                    + ("" if one.ok else f"\n{'':19} -> {one.fix}"),
+                    flush=True,
+                )
         lacking = [one for one in found if one.core and not one.ok]
         if as_json:
             findings = [{**vars(one), "ok": one.ok} for one in found]
-            print(json.dumps({"charact": __version__, "core_can_work": not lacking, "findings": findings}))
+            print(
+                json.dumps(
+                    {"charact": __version__, "core_can_work": not lacking, "findings": findings}
+                )
+            )
         elif not lacking:
-            print(f"\nThe core works; {sum(not one.ok for one in found)} other findings have a fix.")
+            print(
+                f"\nThe core works; {sum(not one.ok for one in found)} other findings have a fix."
+            )
         if lacking:
             print(f"charact: the core does not work: {lacking[0].says}", file=sys.stderr)
             raise typer.Exit(1)
 
 
 def conform(
-    names: Annotated[list[str] | None, typer.Argument(help="Models, such as dg645 (default: all).")] = None,
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Models, such as dg645 (default: all).")
+    ] = None,
 ) -> None:
     """Run the conformance tests of drivers against their virtual instruments.
 
@@ -223,7 +272,9 @@ _FAULTS: dict[str, dict[str, Any]] = {
 
 
 class VirtualPair(AbstractContextManager["VirtualPair"]):
-    """Driver and virtual instrument of a model over a pseudo-terminal, running within a `with` block."""
+    """Driver and virtual instrument of a model over a pseudo-terminal, running within a `with`
+    block.
+    """
 
     def __init__(self, name: str, folder: Path) -> None:
         from drivers.instruments.models import models
@@ -236,7 +287,11 @@ class VirtualPair(AbstractContextManager["VirtualPair"]):
         self.model = known[name]
         self._virtual, self._folder = virtual_model(name), Path(folder)
         self._instruments = VirtualInstruments(
-            self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=20.0
+            self._folder,
+            models=(name,),
+            gate_address=ADDRESS,
+            supply_address=ADDRESS,
+            time_scale=20.0,
         )
         self._line: InstrumentLine | None = None
         self._power_cycles, self._tripped = 0, False
@@ -263,7 +318,9 @@ class VirtualPair(AbstractContextManager["VirtualPair"]):
         return found
 
     def suffer(self, wrong: str, setting: str = "") -> None:
-        """Start one fault and end all others; "panel" changes a setting at the instrument's front panel."""
+        """Start one fault and end all others; "panel" changes a setting at the instrument's front
+        panel.
+        """
         self._power_cycles += wrong == "power-cycle"
         self._tripped = wrong == "trip"
         if wrong == "panel":
@@ -279,7 +336,9 @@ class VirtualPair(AbstractContextManager["VirtualPair"]):
     def _now(self, **faults: Any) -> None:
         from simulate.virtual_bench.faults import Faults, inject_faults
 
-        inject_faults(self._folder, self._virtual.place, Faults(**faults, power_cycles=self._power_cycles))
+        inject_faults(
+            self._folder, self._virtual.place, Faults(**faults, power_cycles=self._power_cycles)
+        )
         # Time until a virtual instrument reads its fault file, s.
         time.sleep(0.06)
 

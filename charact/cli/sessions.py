@@ -55,8 +55,9 @@ def require_session(path: Path) -> None:
     """Raise BadInput if the path is a file of frames."""
     if is_image(path):
         raise BadInput(
-            f"a session must be a folder with a session.toml, got the file {path}; create one with charact import "
-            f"frames {path} OUT --kind KIND, or use charact bloom or charact mtf"
+            f"a session must be a folder with a session.toml, got the file {path}; create one "
+            f"with charact import frames {path} OUT --kind KIND, or use charact bloom or charact "
+            "mtf"
         )
 
 
@@ -68,12 +69,14 @@ def open_session_only(path: Path) -> "Session":
     return open_session(path)
 
 
-@options.with_options("method", "within", "quick", "seed", "scheduler", "everything", "as_json", "events")
+@options.with_options(
+    "method", "within", "quick", "seed", "scheduler", "everything", "as_json", "events"
+)
 def noise(sessions: SessionFolders, **settings: Any) -> None:
     """Measure noise and gain from flat and dark stacks of one or more sessions.
 
-    Each session prints its own result (with --json one object per line). A failed session does not stop the others;
-    the exit code is 1 if any session gives no value.
+    Each session prints its own result (with --json one object per line). A failed session does not
+    stop the others; the exit code is 1 if any session gives no value.
 
     Example: charact noise ccd12 --json
     """
@@ -95,12 +98,27 @@ def noise(sessions: SessionFolders, **settings: Any) -> None:
 
 
 @options.with_options(
-    "method", "within", "quick", "seed", "everything", "as_json", "events", "map_to", "map_of", "plane", "axis"
+    "method",
+    "within",
+    "quick",
+    "seed",
+    "everything",
+    "as_json",
+    "events",
+    "map_to",
+    "map_of",
+    "plane",
+    "axis",
 )
 def bloom(
-    session: SessionFolder, *, map_to: Path | None, map_of: str | None, plane: str | None, axis: str | None,
+    session: SessionFolder,
+    *,
+    map_to: Path | None,
+    map_of: str | None,
+    plane: str | None,
+    axis: str | None,
     **settings: Any,
-) -> None:  # fmt: skip
+) -> None:
     """Measure halo and bloom extent from point sources; optionally write a bloom map.
 
     A single image may be given instead of a session; only single-frame quantities are measured.
@@ -121,13 +139,30 @@ def bloom(
 
 
 def _analyse(
-    room: str, folder: Path, *, method: str, within: float, quick: bool, seed: int, everything: bool, as_json: bool,
+    room: str,
+    folder: Path,
+    *,
+    method: str,
+    within: float,
+    quick: bool,
+    seed: int,
+    everything: bool,
+    as_json: bool,
     events: bool,
-    scheduler: str | None = None, drawn: "Callable[[Session, Result, Context], None] | None" = None,
-) -> None:  # fmt: skip
-    with exit_on_bad_input(str(folder), as_json=as_json, events=events), progress_bar(events=events) as progress:
+    scheduler: str | None = None,
+    drawn: "Callable[[Session, Result, Context], None] | None" = None,
+) -> None:
+    with (
+        exit_on_bad_input(str(folder), as_json=as_json, events=events),
+        progress_bar(events=events) as progress,
+    ):
         from charact.method.registry import parallel_map
-        from charact.session_measurement import measure_bloom, measure_noise, method_context, with_inputs
+        from charact.session_measurement import (
+            measure_bloom,
+            measure_noise,
+            method_context,
+            with_inputs,
+        )
         from labdata import result_io
 
         given = open_session_only(folder)
@@ -137,23 +172,42 @@ def _analyse(
             try:
                 result_io.save_into(with_inputs(result, given), given.folder)
             except OSError as error:  # a folder of others may be read-only
-                print_message(f"the result is not kept in {given.folder}: {error.strerror or error}", events=events)
+                print_message(
+                    f"the result is not kept in {given.folder}: {error.strerror or error}",
+                    events=events,
+                )
             if drawn is not None:
                 drawn(given, result, context)
 
         with parallel_map(scheduler) as spread:
-            context = method_context(given, quick=quick, seed=seed, progress=progress, spread=spread)
+            context = method_context(
+                given, quick=quick, seed=seed, progress=progress, spread=spread
+            )
             result = analysis(given, method=method, within_percent=within, context=context)
         print_result(
-            result, given=str(folder), verb=room, as_json=as_json, events=events, everything=everything,
-            next_verb=f"charact measure {folder}", then=lambda: keep(given, result, context),
-        )  # fmt: skip
+            result,
+            given=str(folder),
+            verb=room,
+            as_json=as_json,
+            events=events,
+            everything=everything,
+            next_verb=f"charact measure {folder}",
+            then=lambda: keep(given, result, context),
+        )
 
 
 def _bloom_of_image(
-    path: Path, *, mapped: bool, plane: str | None, axis: str | None, within: float, everything: bool, as_json: bool,
-    events: bool, **settings: Any,
-) -> None:  # fmt: skip
+    path: Path,
+    *,
+    mapped: bool,
+    plane: str | None,
+    axis: str | None,
+    within: float,
+    everything: bool,
+    as_json: bool,
+    events: bool,
+    **settings: Any,
+) -> None:
     """Measure and print the bloom extent of a point source in a single image."""
     with exit_on_bad_input(str(path), as_json=as_json, events=events):
         from charact.api import bloom, frames_of
@@ -165,22 +219,46 @@ def _bloom_of_image(
             )
         frames = frames_of(path, plane=plane, axis=axis)
         with progress_bar(events=events) as progress:
-            result = bloom(frames, within_percent=within, progress=progress, label=path.stem, **settings)
+            result = bloom(
+                frames, within_percent=within, progress=progress, label=path.stem, **settings
+            )
         further = f"charact import frames {path} mine --kind point, then charact measure mine"
         print_result(
-            result, given=str(path), verb="bloom", as_json=as_json, events=events, everything=everything,
+            result,
+            given=str(path),
+            verb="bloom",
+            as_json=as_json,
+            events=events,
+            everything=everything,
             next_verb=further,
-        )  # fmt: skip
+        )
 
 
 @options.with_options(
-    "within", "quick", "seed", "scheduler", "units", "pitch_um", "demagnification", "focal_length_mm", "everything",
-    "as_json", "events",
-)  # fmt: skip
+    "within",
+    "quick",
+    "seed",
+    "scheduler",
+    "units",
+    "pitch_um",
+    "demagnification",
+    "focal_length_mm",
+    "everything",
+    "as_json",
+    "events",
+)
 def measure(
-    session: SessionFolder, *, units: str, pitch_um: float | None, demagnification: float | None,
-    focal_length_mm: float | None, everything: bool, as_json: bool, events: bool, **settings: Any,
-) -> None:  # fmt: skip
+    session: SessionFolder,
+    *,
+    units: str,
+    pitch_um: float | None,
+    demagnification: float | None,
+    focal_length_mm: float | None,
+    everything: bool,
+    as_json: bool,
+    events: bool,
+    **settings: Any,
+) -> None:
     """Measure everything the stacks of a session support and store the result in the session.
 
     Example: charact measure day1 --quick
@@ -193,22 +271,38 @@ def measure(
         given = open_session_only(session)
         first = given.stacks[0] if given.stacks else None
         frequency = FrequencyUnit.of(
-            given.camera, rows=open_lazy_stack(first).shape[1] if first else None,
-            sample_pitch_px=first.sampling()[1] if first else 1, unit=units, pitch_um=pitch_um,
-            demagnification=demagnification, focal_length_mm=focal_length_mm,
-        )  # fmt: skip
+            given.camera,
+            rows=open_lazy_stack(first).shape[1] if first else None,
+            sample_pitch_px=first.sampling()[1] if first else 1,
+            unit=units,
+            pitch_um=pitch_um,
+            demagnification=demagnification,
+            focal_length_mm=focal_length_mm,
+        )
         result = measure_folder(session, events=events, **settings)
         print_result(
-            result, given=str(session), verb="measure", as_json=as_json, events=events, everything=everything,
-            frequency=frequency, next_verb=f"charact report {session}",
+            result,
+            given=str(session),
+            verb="measure",
+            as_json=as_json,
+            events=events,
+            everything=everything,
+            frequency=frequency,
+            next_verb=f"charact report {session}",
             then=lambda: result_io.save(result, open_session_only(session).folder),
-        )  # fmt: skip
+        )
 
 
 def measure_folder(
-    folder: Path, *, quick: bool = False, seed: int = 0, within: float = 2.0, events: bool = False,
-    scheduler: str | None = None, save: bool = False,
-) -> "Result":  # fmt: skip
+    folder: Path,
+    *,
+    quick: bool = False,
+    seed: int = 0,
+    within: float = 2.0,
+    events: bool = False,
+    scheduler: str | None = None,
+    save: bool = False,
+) -> "Result":
     """Measure a session; `save`: store the result in it."""
     from charact.method.registry import parallel_map
     from charact.session_measurement import measure as measure_session
@@ -242,12 +336,15 @@ def load_or_measure(folder: Path, *, seed: int, events: bool) -> "Result":
 
 def fit(
     session: SessionFolder,
-    sensor_out: Annotated[Path, typer.Option("--sensor-out", help="Output TOML file of the fitted sensor.")],
+    sensor_out: Annotated[
+        Path, typer.Option("--sensor-out", help="Output TOML file of the fitted sensor.")
+    ],
     force: Force = False,
     seed: options.Seed = 0,
     events: options.Events = False,
 ) -> None:
-    """Fit the sensor: identified parameters with joint posterior draws, the others at their priors and marked.
+    """Fit the sensor: identified parameters with joint posterior draws, the others at their priors
+    and marked.
 
     Example: charact fit day1 --sensor-out day1/fitted.toml
     """
@@ -272,18 +369,26 @@ def _findings_in(fitted: "VisibleCamera") -> tuple[str, ...]:
 
 
 def _why_no_fit(path: Path, session: Path) -> str | None:
-    """Return what a file is that is no fitted sensor, or is the camera of the session; else None."""
+    """Return what a file is that is no fitted sensor, or is the camera of the session; else
+    None.
+    """
     from labdata.sensors import load_camera
 
     if path.resolve() == (session / "sensor.toml").resolve():
         return "the camera of the session"
     try:
-        return None if getattr(load_camera(path), "draws", Draws()).values else "a sensor that was not fitted"
+        return (
+            None
+            if getattr(load_camera(path), "draws", Draws()).values
+            else "a sensor that was not fitted"
+        )
     except BadInput:
         return "a file that is no sensor"
 
 
-def fit_and_save(folder: Path, result: "Result", out: Path, *, seed: int, events: bool) -> "VisibleCamera":
+def fit_and_save(
+    folder: Path, result: "Result", out: Path, *, seed: int, events: bool
+) -> "VisibleCamera":
     """Fit the sensor of a session and save it as a TOML file."""
     from charact.fit import fit_sensor
     from labdata.sensors import save_sensor
@@ -296,10 +401,15 @@ def fit_and_save(folder: Path, result: "Result", out: Path, *, seed: int, events
 
 
 def _frames_note(name: str, result: "Result") -> str:
-    """Return the note by which validate knows the frames that a sensor was fitted to: a digest of their digests."""
+    """Return the note by which validate knows the frames that a sensor was fitted to: a digest of
+    their digests.
+    """
     known = [m.provenance.inputs for m in result.measurements if m.provenance is not None]
     digests = sorted({digest for inputs in known for digest in inputs.values()})
-    return f"Fitted to the frames of {name}, digest {sha256(''.join(digests).encode()).hexdigest()[:16]}."
+    return (
+        f"Fitted to the frames of {name}, digest "
+        f"{sha256(''.join(digests).encode()).hexdigest()[:16]}."
+    )
 
 
 def _of_same_frames(fitted: "VisibleCamera", session: "Session") -> bool:
@@ -310,7 +420,10 @@ def _of_same_frames(fitted: "VisibleCamera", session: "Session") -> bool:
     if result is None:
         return False
     digest = _frames_note("", result).rpartition(", ")[2]
-    return any(note.startswith("Fitted to the frames of ") and note.endswith(digest) for note in fitted.notes)
+    return any(
+        note.startswith("Fitted to the frames of ") and note.endswith(digest)
+        for note in fitted.notes
+    )
 
 
 def validate(
@@ -329,7 +442,11 @@ def validate(
         if as_json:
             from charact.validation import as_json as document
 
-            print(json.dumps({"charact": __version__, "input": str(session), "validation": document(done)}))
+            print(
+                json.dumps(
+                    {"charact": __version__, "input": str(session), "validation": document(done)}
+                )
+            )
         else:
             print("\n".join(_lines(done)))
             print(f"Next: charact report {session}")
@@ -344,13 +461,18 @@ def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bo
     session = open_session_only(folder)
     if isinstance(sensor, Path) and not sensor.is_file():
         raise BadInput(
-            f"validate needs a fitted sensor, got no file {sensor}; run charact fit {folder} --sensor-out {sensor}"
+            f"validate needs a fitted sensor, got no file {sensor}; run charact fit {folder} "
+            f"--sensor-out {sensor}"
         )
     fitted = load_camera(sensor)
     if isinstance(fitted, InfraredImager):
-        raise BadInput(f"validate needs a camera of visible light, got {fitted.name!r} of the thermal infrared")
+        raise BadInput(
+            f"validate needs a camera of visible light, got {fitted.name!r} of the thermal infrared"
+        )
     if not fitted.draws.values:
-        sentence = f"{fitted.name} has no posterior draws: it is simulated without parameter uncertainty"
+        sentence = (
+            f"{fitted.name} has no posterior draws: it is simulated without parameter uncertainty"
+        )
         print_message(sentence, events=events)
     with progress_bar(events=events) as progress:
         done = validation.validate(session, fitted, seed=seed, progress=progress)
@@ -362,7 +484,9 @@ def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bo
 
 
 def _lines(validation: "Validation") -> Iterator[str]:
-    """Yield one line per statistic, what the controls noticed and did not, detectable errors, and the verdict."""
+    """Yield one line per statistic, what the controls noticed and did not, detectable errors, and
+    the verdict.
+    """
     for one in validation.statistics:
         yield f"{one.title}: p {one.p_text}, {'agrees' if one.passed else 'DIFFERS'}"
         if not one.passed:
@@ -370,7 +494,9 @@ def _lines(validation: "Validation") -> Iterator[str]:
     for control in validation.controls:
         if control.name == "null":
             failing = "" if control.passed else f": {', '.join(control.noticed_by)}"
-            yield f"null control, {control.title}: {'passes' if control.passed else 'FAILS'}{failing}"
+            yield (
+                f"null control, {control.title}: {'passes' if control.passed else 'FAILS'}{failing}"
+            )
     negative = [one for one in validation.controls if one.name == "negative"]
     unseen = [one.title for one in negative if not one.passed]
     yield f"negative controls: {len(negative) - len(unseen)} of {len(negative)} noticed" + (
@@ -387,13 +513,16 @@ def _lines(validation: "Validation") -> Iterator[str]:
 
 def report(
     session: SessionFolder,
-    out: Annotated[Path | None, typer.Option(help="Output HTML file (default: report.html in the session).")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Output HTML file (default: report.html in the session).")
+    ] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Also write a PDF.")] = False,
     force: Force = False,
     seed: options.Seed = 0,
     events: options.Events = False,
 ) -> None:
-    """Write a self-contained HTML report: figures, quantities with intervals, validation, provenance.
+    """Write a self-contained HTML report: figures, quantities with intervals, validation,
+    provenance.
 
     Example: charact report day1 --pdf
     """
@@ -402,7 +531,19 @@ def report(
         from charact.validation import load
 
         for path in () if out is None else (out, *((out.with_suffix(".pdf"),) if pdf else ())):
-            require_free(path, force=force, kept=lambda path=path: why_other_kind(path, b"<!doctype html", b"%PDF"))
+            require_free(
+                path,
+                force=force,
+                kept=lambda path=path: why_other_kind(path, b"<!doctype html", b"%PDF"),
+            )
         given = open_session_only(session)
         result = load_or_measure(session, seed=seed, events=events)
-        print(write(given, result, out or session / "report.html", validation=load(given.folder), pdf=pdf))
+        print(
+            write(
+                given,
+                result,
+                out or session / "report.html",
+                validation=load(given.folder),
+                pdf=pdf,
+            )
+        )

@@ -18,17 +18,33 @@ if TYPE_CHECKING:
     from simulate.shot import Shot
 
 Source = Annotated[
-    Path, typer.Argument(help="Scene (.toml, or a name), image (.tif .png .npy .fits ...) or radiance cube (.npz).")
+    Path,
+    typer.Argument(
+        help="Scene (.toml, or a name), image (.tif .png .npy .fits ...) or radiance cube (.npz)."
+    ),
 ]
 Sensors = Annotated[
     list[str],
-    typer.Option("--sensor", help="Name of a shipped sensor description, or path to a TOML file; several for a rig."),
+    typer.Option(
+        "--sensor",
+        help="Name of a shipped sensor description, or path to a TOML file; several for a rig.",
+    ),
 ]
-Gain = Annotated[float | None, typer.Option(help="Luminous gain of the tube, lm/lm, or EM gain of an EMCCD.")]
-Gate = Annotated[float | None, typer.Option(help="Gate time per exposure, ns (default: whole exposure).", min=0.0)]
-Lux = Annotated[float | None, typer.Option(help="Bench: photocathode illuminance, lx (default: 1e-4).", min=0.0)]
+Gain = Annotated[
+    float | None, typer.Option(help="Luminous gain of the tube, lm/lm, or EM gain of an EMCCD.")
+]
+Gate = Annotated[
+    float | None,
+    typer.Option(help="Gate time per exposure, ns (default: whole exposure).", min=0.0),
+]
+Lux = Annotated[
+    float | None, typer.Option(help="Bench: photocathode illuminance, lx (default: 1e-4).", min=0.0)
+]
 PerDn = Annotated[
-    float | None, typer.Option(help="Image input: mean photoelectrons per pixel and exposure for each DN above black.")
+    float | None,
+    typer.Option(
+        help="Image input: mean photoelectrons per pixel and exposure for each DN above black."
+    ),
 ]
 
 
@@ -39,49 +55,83 @@ def simulate(
     kind: Annotated[
         str | None,
         typer.Option(
-            help="Target kind: dark, flat, edge, bars, point or scene (default: edge on a bench, otherwise scene)."
+            help=(
+                "Target kind: dark, flat, edge, bars, point or scene (default: edge on a bench, "
+                "otherwise scene)."
+            )
         ),
     ] = None,
     frames: Annotated[int, typer.Option(help="Number of frames of each sensor.", min=1)] = 8,
     seed: options.Seed = 0,
     photoelectrons_per_dn: PerDn = None,
-    black_dn: Annotated[float | None, typer.Option(help="Black level of the input image, DN (default: 0).")] = None,
+    black_dn: Annotated[
+        float | None, typer.Option(help="Black level of the input image, DN (default: 0).")
+    ] = None,
     phosphor: Annotated[
         str | None,
-        typer.Option(help="Phosphor: p20, p43, p46, p47 or a TOML file; total light per photoelectron is unchanged."),
+        typer.Option(
+            help=(
+                "Phosphor: p20, p43, p46, p47 or a TOML file; total light per photoelectron is "
+                "unchanged."
+            )
+        ),
     ] = None,
     gain: Gain = None,
     mcp_v: Annotated[float | None, typer.Option(help="MCP voltage, V (default: nominal).")] = None,
-    gain_control: Annotated[float | None, typer.Option(help="Tube gain control word, counts.", min=0.0)] = None,
+    gain_control: Annotated[
+        float | None, typer.Option(help="Tube gain control word, counts.", min=0.0)
+    ] = None,
     automatic_gain: Annotated[
-        bool | None, typer.Option("--automatic-gain", help="Enable the camera's automatic gain control (AGC).")
+        bool | None,
+        typer.Option("--automatic-gain", help="Enable the camera's automatic gain control (AGC)."),
     ] = None,
     brightness_control: Annotated[
-        bool | None, typer.Option("--brightness-control", help="Enable the tube's automatic brightness control (ABC).")
+        bool | None,
+        typer.Option(
+            "--brightness-control", help="Enable the tube's automatic brightness control (ABC)."
+        ),
     ] = None,
     gate_ns: Gate = None,
-    temperature_c: Annotated[float | None, typer.Option(help="Camera temperature, °C (default: 25).")] = None,
+    temperature_c: Annotated[
+        float | None, typer.Option(help="Camera temperature, °C (default: 25).")
+    ] = None,
     illuminance_lux: Lux = None,
     frequency: Annotated[float | None, typer.Option(help="Bench, bars: frequency, cy/px.")] = None,
-    pinhole_px: Annotated[float | None, typer.Option(help="Bench, point: pinhole image diameter, px.")] = None,
+    pinhole_px: Annotated[
+        float | None, typer.Option(help="Bench, point: pinhole image diameter, px.")
+    ] = None,
     error_budget: Annotated[
-        float, typer.Option(help="Error budget for neglected effects, percent of the temporal noise.", min=0.0)
+        float,
+        typer.Option(
+            help="Error budget for neglected effects, percent of the temporal noise.", min=0.0
+        ),
     ] = 10.0,
     exact: Annotated[
-        bool, typer.Option("--exact", help="Neglect no effect and sample every photoelectron pulse (slow).")
+        bool,
+        typer.Option(
+            "--exact", help="Neglect no effect and sample every photoelectron pulse (slow)."
+        ),
     ] = False,
     explain: Annotated[
-        bool, typer.Option("--explain", help="Print the bound on each effect and which effects are neglected.")
+        bool,
+        typer.Option(
+            "--explain", help="Print the bound on each effect and which effects are neglected."
+        ),
     ] = False,
     preview: Annotated[
         bool, typer.Option("--preview", help="Outdoor scene: render the radiance only, no frames.")
     ] = False,
     stage_images: Annotated[
-        Path | None, typer.Option(help="Folder for the image after each stage: float TIFF files and a contact sheet.")
+        Path | None,
+        typer.Option(
+            help="Folder for the image after each stage: float TIFF files and a contact sheet."
+        ),
     ] = None,
     radiance: Annotated[
         str | None,
-        typer.Option(help="Outdoor scene: write radiance/NAME with bands and geometry: npz, fits, envi, exr."),
+        typer.Option(
+            help="Outdoor scene: write radiance/NAME with bands and geometry: npz, fits, envi, exr."
+        ),
     ] = None,
     force: Force = False,
     events: options.Events = False,
@@ -94,7 +144,8 @@ def simulate(
 
     Example: charact simulate hangar night --sensor pulnix-ag5745ef3 --sensor scanning-lwir
 
-    Example: charact simulate house.tif frames --sensor gen3-digital-iccd --photoelectrons-per-dn 0.01
+    Example: charact simulate house.tif frames --sensor gen3-digital-iccd --photoelectrons-per-dn
+    0.01
     """
     interrupted = f"interrupted; frames simulated so far are kept in {out}"
     with (
@@ -107,10 +158,15 @@ def simulate(
 
         _require_radiance_format(radiance)
         given = {
-            "gain": gain, "mcp_v": mcp_v, "gain_control": gain_control, "automatic_gain": automatic_gain,
-            "brightness_control": brightness_control, "gate_ns": gate_ns, "temperature_c": temperature_c,
+            "gain": gain,
+            "mcp_v": mcp_v,
+            "gain_control": gain_control,
+            "automatic_gain": automatic_gain,
+            "brightness_control": brightness_control,
+            "gate_ns": gate_ns,
+            "temperature_c": temperature_c,
             "illuminance_lux": illuminance_lux,
-        }  # fmt: skip
+        }
         rig = _set_cameras(_load_cameras(sensor, phosphor), given, events)
         request = api.SimulationRequest(
             source=source,
@@ -123,8 +179,13 @@ def simulate(
             sensor=next(iter(rig)),
         )
         if preview:
-            _save_previews(request, rig, out, stage_images, force=force, explain=explain, events=events)
-            print(f"Next: charact simulate {source} {out} {' '.join(f'--sensor {name}' for name in sensor)}")
+            _save_previews(
+                request, rig, out, stage_images, force=force, explain=explain, events=events
+            )
+            print(
+                f"Next: charact simulate {source} {out} "
+                f"{' '.join(f'--sensor {name}' for name in sensor)}"
+            )
             return
         shots = _simulate(request, rig, progress)
         for shot in shots.values():
@@ -160,18 +221,26 @@ def _require_radiance_format(form: str | None) -> None:
 
 
 def _load_cameras(sensors: list[str], phosphor: str | None) -> "dict[str, Camera]":
-    """Return the descriptions of the sensors by the stems of their names; equal ones raise BadInput."""
+    """Return the descriptions of the sensors by the stems of their names; equal ones raise
+    BadInput.
+    """
     from labdata.errors import BadInput
     from simulate import api
 
     names = [Path(name).stem for name in sensors]
     if repeated := {name for name in names if names.count(name) > 1}:
         raise BadInput(f"sensors of one rig must have different names, got {min(repeated)!r} twice")
-    return dict(zip(names, (api.load_described_camera(name, phosphor) for name in sensors), strict=True))
+    return dict(
+        zip(names, (api.load_described_camera(name, phosphor) for name in sensors), strict=True)
+    )
 
 
-def _set_cameras(cameras: "dict[str, Camera]", given: dict[str, Any], events: bool) -> dict[str, _Sensor]:
-    """Return the cameras with the options `given`; with visible ones a thermal imager takes none."""
+def _set_cameras(
+    cameras: "dict[str, Camera]", given: dict[str, Any], events: bool
+) -> dict[str, _Sensor]:
+    """Return the cameras with the options `given`; with visible ones a thermal imager takes
+    none.
+    """
     from simulate import api
 
     visible, found = not all(camera.is_thermal for camera in cameras.values()), {}
@@ -190,9 +259,15 @@ def _set_cameras(cameras: "dict[str, Camera]", given: dict[str, Any], events: bo
 
 
 def _save_previews(
-    request: "SimulationRequest", rig: dict[str, _Sensor], out: Path, stage_images: Path | None, *, force: bool,
-    explain: bool, events: bool,
-) -> None:  # fmt: skip
+    request: "SimulationRequest",
+    rig: dict[str, _Sensor],
+    out: Path,
+    stage_images: Path | None,
+    *,
+    force: bool,
+    explain: bool,
+    events: bool,
+) -> None:
     """Render an outdoor scene in few pixels for each sensor and write the pictures."""
     from labdata.errors import BadInput
     from simulate import api, session_files
@@ -230,9 +305,13 @@ def _simulate(
 
 
 def _save_frames(
-    shots: "dict[str, Shot]", rig: dict[str, _Sensor], out: Path, frames: int, seed: int,
+    shots: "dict[str, Shot]",
+    rig: dict[str, _Sensor],
+    out: Path,
+    frames: int,
+    seed: int,
     progress: Callable[[str, float], None],
-) -> None:  # fmt: skip
+) -> None:
     """Simulate the frames of all sensors and store them as one session."""
     from simulate import session_files
 
@@ -249,9 +328,16 @@ def _save_frames(
 def _summary(shots: "dict[str, Shot]", out: Path, frames: int) -> tuple[str, str]:
     """Return the lines that name what was written and what comes next."""
     if len(shots) > 1:
-        return f"{out}: {frames} frames each of {', '.join(shots)}", f"{out}/sensor has their descriptions"
+        return (
+            f"{out}: {frames} frames each of {', '.join(shots)}",
+            f"{out}/sensor has their descriptions",
+        )
     (shot,) = shots.values()
-    further = f"{out}/sensor.toml is its camera" if shot.kind == "scene" else f"Next: charact measure {out}"
+    further = (
+        f"{out}/sensor.toml is its camera"
+        if shot.kind == "scene"
+        else f"Next: charact measure {out}"
+    )
     return f"{out}: {frames} frames", further
 
 
@@ -265,7 +351,9 @@ def _save_light(shots: "dict[str, Shot]", out: Path, form: str | None) -> None:
             if form is not None:
                 raise BadInput("--radiance needs an outdoor scene, got another source")
             continue
-        _save_pictures(shot.view, out / "radiance.png" if len(shots) == 1 else out / "radiance" / f"{name}.png")
+        _save_pictures(
+            shot.view, out / "radiance.png" if len(shots) == 1 else out / "radiance" / f"{name}.png"
+        )
         if form is not None:
             save_view_radiance(shot.view, out / "radiance" / f"{name}{FORMATS[form]}")
 
@@ -281,7 +369,9 @@ def _save_pictures(view: Any, path: Path) -> None:
         save_radiance(view.picture.cube, view.title, path)
 
 
-def _save_stages(shots: "dict[str, Shot]", rig: dict[str, _Sensor], folder: Path, seed: int) -> None:
+def _save_stages(
+    shots: "dict[str, Shot]", rig: dict[str, _Sensor], folder: Path, seed: int
+) -> None:
     """Write the images after each stage of each sensor."""
     from charact.cli.image_figures import save_stages
 

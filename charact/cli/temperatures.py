@@ -21,23 +21,33 @@ if TYPE_CHECKING:
 
 
 def temperatures(
-    scene: Annotated[Path, typer.Argument(help="Outdoor scene (.toml, or name of a shipped scene).")],
+    scene: Annotated[
+        Path, typer.Argument(help="Outdoor scene (.toml, or name of a shipped scene).")
+    ],
     out: Annotated[Path, typer.Argument(help="New folder for tables and figures.")],
     sensor: Annotated[
-        str, typer.Option(help="Sensor description whose lens and pixels define the map: name or TOML file.")
+        str,
+        typer.Option(
+            help="Sensor description whose lens and pixels define the map: name or TOML file."
+        ),
     ] = "pulnix-ag5745ef3",
     within_mk: Annotated[
-        float, typer.Option(help="Error budget for neglected terms at the scene's time, mK.", min=0.0)
+        float,
+        typer.Option(help="Error budget for neglected terms at the scene's time, mK.", min=0.0),
     ] = 20.0,
     seed: options.Seed = 0,
     force: Force = False,
     explain: Annotated[
-        bool, typer.Option("--explain", help="Print the bound on each term and which terms are neglected.")
+        bool,
+        typer.Option(
+            "--explain", help="Print the bound on each term and which terms are neglected."
+        ),
     ] = False,
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """Compute surface temperatures of a scene over the day before its time, and their map at its time.
+    """Compute surface temperatures of a scene over the day before its time, and their map at its
+    time.
 
     Example: charact temperatures hangar warm --explain
     """
@@ -46,7 +56,11 @@ def temperatures(
         progress_bar(events=events) as progress,
     ):
         taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
-        other = None if (out / "temperatures.json").is_file() else "something without a temperatures.json"
+        other = (
+            None
+            if (out / "temperatures.json").is_file()
+            else "something without a temperatures.json"
+        )
         require_free(out, force=force, taken=taken, kept=lambda: other)
         import numpy as np
 
@@ -62,8 +76,12 @@ def temperatures(
 
         loaded = load_scene(scene)
         if isinstance(loaded, LabScene):
-            raise BadInput(f"surface temperatures need an outdoor scene, got the lab bench {loaded.name!r}")
-        view = OutdoorRendering(loaded, camera_from_description(load_described_camera(sensor)), Conditions()).view
+            raise BadInput(
+                f"surface temperatures need an outdoor scene, got the lab bench {loaded.name!r}"
+            )
+        view = OutdoorRendering(
+            loaded, camera_from_description(load_described_camera(sensor)), Conditions()
+        ).view
         progress("heat balance", 0.0)
         began = time.perf_counter()
         found = temperatures_of(loaded, tolerance_mk=within_mk, seed=seed)
@@ -73,11 +91,16 @@ def temperatures(
             print_message(note, events=events)
         if explain:
             print("\n".join(_terms(found, within_mk)), file=sys.stderr if as_json else sys.stdout)
-        title = f"{loaded.name}, {found.balance.weather.moment.isoformat(sep=' ', timespec='minutes')}"
+        title = (
+            f"{loaded.name}, {found.balance.weather.moment.isoformat(sep=' ', timespec='minutes')}"
+        )
         out.mkdir(parents=True, exist_ok=True)
         write_atomically(out / "temperatures.csv", _table(found).encode())
         write_atomically(out / "temperatures.json", json.dumps(_document(found), indent=1).encode())
-        for name, figure in (("temperatures.png", _curves(found, title)), ("map.png", _map(kelvin, title))):
+        for name, figure in (
+            ("temperatures.png", _curves(found, title)),
+            ("map.png", _map(kelvin, title)),
+        ):
             save_png(figure, out / name)
         content = io.BytesIO()
         np.savez_compressed(content, temperature_k=kelvin)
@@ -86,7 +109,10 @@ def temperatures(
             print_result(result, given=str(scene), verb="temperatures", as_json=True, events=events)
             return
         print("\n".join(_last_row(result)))
-        print(f"{out}: temperatures.csv, temperatures.png, map.png, map.npz (kelvin), temperatures.json (numbers used)")
+        print(
+            f"{out}: temperatures.csv, temperatures.png, map.png, map.npz (kelvin), "
+            f"temperatures.json (numbers used)"
+        )
 
 
 def _result(found: "Temperatures", seconds: float, seed: int) -> "Result":
@@ -95,7 +121,10 @@ def _result(found: "Temperatures", seconds: float, seed: int) -> "Result":
     from labdata.measurement import Provenance, Result, measurement_from_sd
 
     of_library = {slab.source for slab in found.balance.slabs if slab.source}
-    notes = (*found.balance.weather.notes, *(f"slabs: {source}" for source in sorted(of_library)[:1]))
+    notes = (
+        *found.balance.weather.notes,
+        *(f"slabs: {source}" for source in sorted(of_library)[:1]),
+    )
     _, _, surfaces = found.means_c()
     return Result(
         measurements=tuple(
@@ -140,7 +169,13 @@ def _terms(found: "Temperatures", within_mk: float) -> list[str]:
     lines.append(f"left out together: at most {together:.3g} mK; each may have {within_mk:g} mK")
     lines.append(f"{'uncertain input':58}  {'1 sd, at most, mK':>20}")
     errors = {name: 1e3 * float(abs(error).max()) for name, error in solution.errors_k.items()}
-    return [*lines, *(f"{name:58}  {size:20.3g}" for name, size in sorted(errors.items(), key=lambda one: -one[1]))]
+    return [
+        *lines,
+        *(
+            f"{name:58}  {size:20.3g}"
+            for name, size in sorted(errors.items(), key=lambda one: -one[1])
+        ),
+    ]
 
 
 def _table(found: "Temperatures") -> str:
@@ -151,7 +186,13 @@ def _table(found: "Temperatures") -> str:
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["hour", "air_c", *(f"{name}_c" for name in surfaces)])
     for row, hour in enumerate(hours):
-        rows.writerow([f"{hour:g}", f"{air[row]:.3f}", *(f"{values[row]:.3f}" for values in surfaces.values())])
+        rows.writerow(
+            [
+                f"{hour:g}",
+                f"{air[row]:.3f}",
+                *(f"{values[row]:.3f}" for values in surfaces.values()),
+            ]
+        )
     return text.getvalue()
 
 
@@ -170,7 +211,8 @@ def _document(found: "Temperatures") -> dict:
         ],
         "standard_deviation_k": found.last_sd_k(),
         "slabs": {
-            name: {"label": slab.label} | {key: asdict(number) for key, number in slab.parameters().items()}
+            name: {"label": slab.label}
+            | {key: asdict(number) for key, number in slab.parameters().items()}
             for name, slab in slabs.items()
         },
     }
@@ -187,12 +229,30 @@ def _curves(found: "Temperatures", title: str) -> Any:
     ordered = sorted(surfaces.items(), key=lambda item: -item[1][-1])
     for number, (name, values) in enumerate(ordered):
         style = ("-", "--", ":")[number // 10 % 3]
-        axes.plot(hours, values, style, color=f"C{number % 10}", lw=1.3, label=f"{name}  {values[-1]:.1f} C")
+        axes.plot(
+            hours,
+            values,
+            style,
+            color=f"C{number % 10}",
+            lw=1.3,
+            label=f"{name}  {values[-1]:.1f} C",
+        )
     axes.plot(hours, air, color="black", lw=2.0, label=f"air  {air[-1]:.1f} C")
-    axes.set(xlabel="hours before the scene's time", ylabel="temperature, C", xlim=(-24, 0), xticks=range(-24, 1, 3))
+    axes.set(
+        xlabel="hours before the scene's time",
+        ylabel="temperature, C",
+        xlim=(-24, 0),
+        xticks=range(-24, 1, 3),
+    )
     axes.set_title(title, fontsize=10, loc="left")
     axes.grid(alpha=0.3)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7, frameon=False, title="mean at that time")
+    axes.legend(
+        loc="center left",
+        bbox_to_anchor=(1.0, 0.5),
+        fontsize=7,
+        frameon=False,
+        title="mean at that time",
+    )
     return figure
 
 

@@ -15,7 +15,21 @@ from charact.comparison.limits import (
 )
 
 __all__ = [
-    "Comparison", "ConditionPair", "Difference", "Limit", "LimitCheck", "Limits", "Outcome", "check", "check_json",
-    "compare", "comparison_json", "condition_pairs", "draws_of", "load_check", "load_limits", "require_alike",
+    "Comparison",
+    "ConditionPair",
+    "Difference",
+    "Limit",
+    "LimitCheck",
+    "Limits",
+    "Outcome",
+    "check",
+    "check_json",
+    "compare",
+    "comparison_json",
+    "condition_pairs",
+    "draws_of",
+    "load_check",
+    "load_limits",
+    "require_alike",
     "save_check",
-]  # fmt: skip
+]

@@ -1,7 +1,7 @@
 """Differences between two sets of measurements, by draws from their intervals.
 
-Measurements of one quantity and unit are matched by stack, direction and frequency. Each side is described by its
-intervals alone, and the two sides are independent.
+Measurements of one quantity and unit are matched by stack, direction and frequency. Each side is
+described by its intervals alone, and the two sides are independent.
 """
 
 from dataclasses import dataclass
@@ -17,15 +17,39 @@ from labdata.flags import order_flags
 from labdata.measurement import Interval, Measurement, Result, intervals_of
 from labdata.session import Session
 
-HIGHER_IS_BETTER = frozenset({
-    "mtf50", "mtf10", "mtf", "snr", "snr_area", "snr_max", "tube_snr", "dynamic_range", "quantum_efficiency",
-    "limiting_resolution", "figure_of_merit",
-})  # fmt: skip
-LOWER_IS_BETTER = frozenset({
-    "read_noise", "dark_current", "halo_diameter", "halo_fraction", "halo_plateau", "bloom_diameter",
-    "bloom_diameter_background", "bloom_diameter_clip", "ebi", "dsnu", "prnu", "excess_noise_factor", "linearity_error",
-    "mrc",
-})  # fmt: skip
+HIGHER_IS_BETTER = frozenset(
+    {
+        "mtf50",
+        "mtf10",
+        "mtf",
+        "snr",
+        "snr_area",
+        "snr_max",
+        "tube_snr",
+        "dynamic_range",
+        "quantum_efficiency",
+        "limiting_resolution",
+        "figure_of_merit",
+    }
+)
+LOWER_IS_BETTER = frozenset(
+    {
+        "read_noise",
+        "dark_current",
+        "halo_diameter",
+        "halo_fraction",
+        "halo_plateau",
+        "bloom_diameter",
+        "bloom_diameter_background",
+        "bloom_diameter_clip",
+        "ebi",
+        "dsnu",
+        "prnu",
+        "excess_noise_factor",
+        "linearity_error",
+        "mrc",
+    }
+)
 # Standard scores of the upper limits of the 68 % and 95 % intervals, and one beyond all draws.
 SCORES, FARTHEST = (0.994458, 1.959964), 10.0
 
@@ -37,9 +61,15 @@ class Difference:
     a: Measurement  #: The measurement of the first result
     b: Measurement  #: The measurement of the second result
     difference: float  #: Value of B minus value of A, unit of both
-    interval68: Interval | None  #: Equal-tailed interval of the difference; None if a side has no interval
-    interval95: Interval | None  #: Equal-tailed interval of the difference; None if a side has no interval
-    probability_greater: float | None  #: Probability that B is greater than A; None if a side has no interval
+    interval68: (
+        Interval | None
+    )  #: Equal-tailed interval of the difference; None if a side has no interval
+    interval95: (
+        Interval | None
+    )  #: Equal-tailed interval of the difference; None if a side has no interval
+    probability_greater: (
+        float | None
+    )  #: Probability that B is greater than A; None if a side has no interval
     flags: tuple[str, ...] = ()  #: Flags of either side, and "unlike-conditions"
 
     @property
@@ -49,7 +79,9 @@ class Difference:
 
     @property
     def probability_better(self) -> float | None:
-        """Return the probability that B is better; None for a quantity without a better direction."""
+        """Return the probability that B is better; None for a quantity without a better
+        direction.
+        """
         if self.probability_greater is None or self.a.quantity in HIGHER_IS_BETTER:
             return self.probability_greater
         return 1.0 - self.probability_greater if self.a.quantity in LOWER_IS_BETTER else None
@@ -71,13 +103,22 @@ class Comparison:
 
     def find(self, quantity: str, stack: str | None = None) -> tuple[Difference, ...]:
         """Return the differences of a quantity, of one stack if given."""
-        return tuple(one for one in self.differences if one.a.quantity == quantity and stack in (None, one.a.stack))
+        return tuple(
+            one
+            for one in self.differences
+            if one.a.quantity == quantity and stack in (None, one.a.stack)
+        )
 
 
 def compare(
-    a: Result, b: Result, *, sessions: tuple[Session, Session] | None = None, anyway: bool = False,
-    remedy: str = "anyway=True", rng: np.random.Generator,
-) -> Comparison:  # fmt: skip
+    a: Result,
+    b: Result,
+    *,
+    sessions: tuple[Session, Session] | None = None,
+    anyway: bool = False,
+    remedy: str = "anyway=True",
+    rng: np.random.Generator,
+) -> Comparison:
     r"""Return the difference B - A of every quantity with a value in both results.
 
     Parameters
@@ -96,21 +137,27 @@ def compare(
     Raises
     ------
     BadInput
-        If the sessions are unlike, have no stack in common, or there is no quantity with a value in both.
+        If the sessions are unlike, have no stack in common, or there is no quantity with a value in
+        both.
 
     Notes
     -----
-    Each side is drawn by its quantile function: piecewise linear in the standard score through the value and the
-    limits of the 68 and 95 % intervals, and linear beyond. This is a normal distribution for a Gaussian measurement, a
-    split normal for an asymmetric 95 % interval alone, and always reproduces the given intervals. Errors that both
-    sessions have in common, such as that of one light meter, are counted twice: the interval is then too wide.
+    Each side is drawn by its quantile function: piecewise linear in the standard score through the
+    value and the limits of the 68 and 95 % intervals, and linear beyond. This is a normal
+    distribution for a Gaussian measurement, a split normal for an asymmetric 95 % interval alone,
+    and always reproduces the given intervals. Errors that both sessions have in common, such as
+    that of one light meter, are counted twice: the interval is then too wide.
 
     Examples
     --------
     >>> import numpy as np
     >>> from labdata.measurement import Result, measurement_from_sd
     >>> a, b = (
-    ...     Result(measurements=(measurement_from_sd("mtf50", "cy/px", value, 0.003, method="edge-forward"),))
+    ...     Result(
+    ...         measurements=(
+    ...             measurement_from_sd("mtf50", "cy/px", value, 0.003, method="edge-forward"),
+    ...         )
+    ...     )
     ...     for value in (0.200, 0.220)
     ... )
     >>> found = compare(a, b, rng=np.random.default_rng(1)).differences[0]
@@ -124,7 +171,9 @@ def compare(
         pairs, stacks = condition_pairs(*sessions), len(pair_stacks(*sessions))
     matched = pair_measurements(a, b)
     if not matched:
-        raise BadInput("two results must have a quantity with a value in both to be compared, got none")
+        raise BadInput(
+            "two results must have a quantity with a value in both to be compared, got none"
+        )
     unlike = {pair.stack for pair in pairs if pair.unlike}
     valued = [sum(m.value is not None for m in one.measurements) for one in (a, b)]
     return Comparison(
@@ -136,10 +185,12 @@ def compare(
 
 
 def pair_measurements(a: Result, b: Result) -> tuple[tuple[Measurement, Measurement], ...]:
-    """Return the measurements with values that measure the same thing in two results, in the order of the first.
+    """Return the measurements with values that measure the same thing in two results, in the order
+    of the first.
 
-    Quantity, unit and stack are equal, frequency and direction agree within `LIMITS`, and regions overlap. Of several
-    possible partners the same method comes first, then the nearest direction and frequency.
+    Quantity, unit and stack are equal, frequency and direction agree within `LIMITS`, and regions
+    overlap. Of several possible partners the same method comes first, then the nearest direction
+    and frequency.
     """
     groups: dict[tuple[str, str, str | None], list[tuple[int, Measurement]]] = {}
     for index, m in enumerate(b.measurements):
@@ -184,7 +235,9 @@ def turn_deg(one: float, other: float) -> float:
 
 
 def _overlap(one: tuple[int, int, int, int], other: tuple[int, int, int, int]) -> bool:
-    return all(max(one[i], other[i]) < min(one[i] + one[i + 2], other[i] + other[i + 2]) for i in (0, 1))
+    return all(
+        max(one[i], other[i]) < min(one[i] + one[i + 2], other[i] + other[i + 2]) for i in (0, 1)
+    )
 
 
 def _unlikeness(one: Measurement, other: Measurement) -> tuple[bool, float, float, float]:
@@ -198,11 +251,18 @@ def _apart_px(one: Measurement, other: Measurement) -> float:
     """Return the distance between the centres of two regions along rows and columns, px."""
     if one.region is None or other.region is None:
         return 0.0
-    (row, col, height, width), (other_row, other_col, other_height, other_width) = one.region, other.region
-    return abs(row - other_row + 0.5 * (height - other_height)) + abs(col - other_col + 0.5 * (width - other_width))
+    (row, col, height, width), (other_row, other_col, other_height, other_width) = (
+        one.region,
+        other.region,
+    )
+    return abs(row - other_row + 0.5 * (height - other_height)) + abs(
+        col - other_col + 0.5 * (width - other_width)
+    )
 
 
-def _difference(a: Measurement, b: Measurement, unlike: set[str | None], rng: np.random.Generator) -> Difference:
+def _difference(
+    a: Measurement, b: Measurement, unlike: set[str | None], rng: np.random.Generator
+) -> Difference:
     assert a.value is not None and b.value is not None
     # Quantities of the session depend on all its stacks.
     doubtful = bool(unlike) if a.stack is None else None in unlike or a.stack in unlike
@@ -213,25 +273,38 @@ def _difference(a: Measurement, b: Measurement, unlike: set[str | None], rng: np
         _, interval68, interval95 = intervals_of(draws_b - draws_a)
         probability = float(np.mean(draws_b > draws_a) + 0.5 * np.mean(draws_b == draws_a))
     return Difference(
-        a=a, b=b, difference=b.value - a.value, interval68=interval68, interval95=interval95,
-        probability_greater=probability, flags=flags,
-    )  # fmt: skip
+        a=a,
+        b=b,
+        difference=b.value - a.value,
+        interval68=interval68,
+        interval95=interval95,
+        probability_greater=probability,
+        flags=flags,
+    )
 
 
-def draws_of(m: Measurement, *, count: int = LIMITS.draws, rng: np.random.Generator) -> NDArray[np.float64] | None:
-    """Return draws of a measurement by its intervals, shape (count,); None without a value or an interval.
+def draws_of(
+    m: Measurement, *, count: int = LIMITS.draws, rng: np.random.Generator
+) -> NDArray[np.float64] | None:
+    """Return draws of a measurement by its intervals, shape (count,); None without a value or an
+    interval.
 
     Examples
     --------
     >>> import numpy as np
     >>> from labdata.measurement import make_measurement
-    >>> gain = make_measurement("photoelectron_gain", "DN/pe", 3.1, None, (2.3, 5.2), method="covariance-sum")
-    >>> low, high = np.quantile(draws_of(gain, count=200_000, rng=np.random.default_rng(1)), [0.025, 0.975])
+    >>> gain = make_measurement(
+    ...     "photoelectron_gain", "DN/pe", 3.1, None, (2.3, 5.2), method="covariance-sum"
+    ... )
+    >>> draws = draws_of(gain, count=200_000, rng=np.random.default_rng(1))
+    >>> low, high = np.quantile(draws, [0.025, 0.975])
     >>> print(f"{low:.1f} {high:.1f}")
     2.3 5.2
     """
     known = [
-        (score, ends) for score, ends in zip(SCORES, (m.interval68, m.interval95), strict=True) if ends is not None
+        (score, ends)
+        for score, ends in zip(SCORES, (m.interval68, m.interval95), strict=True)
+        if ends is not None
     ]
     if m.value is None or not known:
         return None
@@ -243,11 +316,14 @@ def draws_of(m: Measurement, *, count: int = LIMITS.draws, rng: np.random.Genera
 
 
 def _arm(known: list[tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return standard scores and distances from the value on one side, extended linearly to `FARTHEST`."""
+    """Return standard scores and distances from the value on one side, extended linearly to
+    `FARTHEST`.
+    """
     scores, lengths = [0.0], [0.0]
     for score, length in known:
         scores.append(score)
-        # A value may lie outside its interval by rounding, and intervals may be nested the wrong way.
+        # A value may lie outside its interval by rounding, and intervals may be nested the wrong
+        # way.
         lengths.append(max(length, lengths[-1]))
     slope = (lengths[-1] - lengths[-2]) / (scores[-1] - scores[-2])
     scores.append(FARTHEST)
@@ -256,7 +332,9 @@ def _arm(known: list[tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray
 
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """Return a comparison as JSON-ready mappings: the differences, and the conditions that differ."""
+    """Return a comparison as JSON-ready mappings: the differences, and the conditions that
+    differ.
+    """
     return {
         "differences": [_document(one) for one in comparison.differences],
         "conditions": [vars(pair) for pair in comparison.conditions],
@@ -272,7 +350,10 @@ def _document(one: Difference) -> dict[str, Any]:
         **{name: value for name in places if (value := getattr(one.a, name)) is not None},
         "a": one.a.value,
         "b": one.b.value,
-        **{name: getattr(one, name) for name in ("difference", "interval68", "interval95", "probability_greater")},
+        **{
+            name: getattr(one, name)
+            for name in ("difference", "interval68", "interval95", "probability_greater")
+        },
         **({} if better is None else {"probability_better": better}),
         "status": one.status,
         "flags": list(one.flags),

@@ -1,8 +1,9 @@
 """Conditions of two sessions side by side, and those that make them unlike.
 
-Stacks are matched by their labels. Two sessions are unlike if the camera differs, or if a matched stack was acquired
-with another gain, gate, exposure or illumination, with another kind of target, or from another plane of the camera.
-Values are alike within the tolerances of `charact.comparison.thresholds`, illuminances also within their uncertainty.
+Stacks are matched by their labels. Two sessions are unlike if the camera differs, or if a matched
+stack was acquired with another gain, gate, exposure or illumination, with another kind of target,
+or from another plane of the camera. Values are alike within the tolerances of
+`charact.comparison.thresholds`, illuminances also within their uncertainty.
 """
 
 from collections.abc import Iterator
@@ -16,17 +17,28 @@ from labdata.serialiser import to_mapping
 from labdata.session import Session, StackEntry
 
 GAIN_AND_TIME = (
-    "mcp_v", "gain_control", "luminous_gain", "camera_gain_db", "em_gain", "automatic_gain", "brightness_control",
-    "gate_ns", "exposure_s", "blackbody_c", "background_c",
-)  # fmt: skip
+    "mcp_v",
+    "gain_control",
+    "luminous_gain",
+    "camera_gain_db",
+    "em_gain",
+    "automatic_gain",
+    "brightness_control",
+    "gate_ns",
+    "exposure_s",
+    "blackbody_c",
+    "background_c",
+)
 # Measures of the illumination; the first that is known on both sides decides.
 LIGHT = ("illuminance_lux", "photons_per_px", "filter_density", "lamp_a")
 # Times and readings of meters; the conditions in force are compared instead.
 READINGS = ("metered_time_s", "temperature_time_s", "metered_w", "metered_lux")
 ABSOLUTE = {
-    "camera_gain_db": LIMITS.gain_db, "filter_density": LIMITS.filter_density, "blackbody_c": LIMITS.infrared_c,
+    "camera_gain_db": LIMITS.gain_db,
+    "filter_density": LIMITS.filter_density,
+    "blackbody_c": LIMITS.infrared_c,
     "background_c": LIMITS.infrared_c,
-}  # fmt: skip
+}
 RELATIVE = {"mcp_v": LIMITS.relative_gain_control, "gain_control": LIMITS.relative_gain_control}
 
 
@@ -52,17 +64,24 @@ def condition_pairs(a: Session, b: Session) -> tuple[ConditionPair, ...]:
     Returns
     -------
     tuple of ConditionPair
-        Those of the sessions first. A condition that is unknown on one side is listed and is not unlike.
+        Those of the sessions first. A condition that is unknown on one side is listed and is not
+        unlike.
 
     Examples
     --------
     >>> import numpy as np
     >>> from charact.api import session, stack
-    >>> day1, day2 = (session([stack(np.zeros((2, 8, 8)), "dark", mcp_v=volts)]) for volts in (780.0, 800.0))
-    >>> [(pair.stack, pair.name, pair.a, pair.b, pair.unlike) for pair in condition_pairs(day1, day2)]
+    >>> frames = np.zeros((2, 8, 8))
+    >>> day1 = session([stack(frames, "dark", mcp_v=780.0)])
+    >>> day2 = session([stack(frames, "dark", mcp_v=800.0)])
+    >>> pairs = condition_pairs(day1, day2)
+    >>> [(pair.stack, pair.name, pair.a, pair.b, pair.unlike) for pair in pairs]
     [('dark', 'mcp_v', 780.0, 800.0, True)]
     """
-    return (*_of_cameras(a, b), *(pair for one, other in pair_stacks(a, b) for pair in _of_stacks(one, other)))
+    return (
+        *_of_cameras(a, b),
+        *(pair for one, other in pair_stacks(a, b) for pair in _of_stacks(one, other)),
+    )
 
 
 def pair_stacks(a: Session, b: Session) -> tuple[tuple[StackEntry, StackEntry], ...]:
@@ -72,7 +91,9 @@ def pair_stacks(a: Session, b: Session) -> tuple[tuple[StackEntry, StackEntry], 
 
 
 def require_alike(a: Session, b: Session, *, remedy: str) -> None:
-    """Raise BadInput, which names a remedy, if two sessions are unlike or have no stack label in common."""
+    """Raise BadInput, which names a remedy, if two sessions are unlike or have no stack label in
+    common.
+    """
     unlike = [pair for pair in condition_pairs(a, b) if pair.unlike]
     if unlike:
         first, more = unlike[0], len(unlike) - 1
@@ -85,8 +106,8 @@ def require_alike(a: Session, b: Session, *, remedy: str) -> None:
         )
     if not pair_stacks(a, b):
         raise BadInput(
-            f"compared sessions must have the label of a stack in common, got none; {remedy} compares the quantities "
-            "of the whole session"
+            f"compared sessions must have the label of a stack in common, got none; {remedy} "
+            "compares the quantities of the whole session"
         )
 
 
@@ -100,7 +121,10 @@ def _of_cameras(a: Session, b: Session) -> Iterator[ConditionPair]:
     if descriptions[0] != descriptions[1]:
         names = [None if one is None else one.name for one in cameras]
         if names[0] == names[1]:
-            names = [f"{name} ({which} parameters)" for name, which in zip(names, ("its", "other"), strict=True)]
+            names = [
+                f"{name} ({which} parameters)"
+                for name, which in zip(names, ("its", "other"), strict=True)
+            ]
         yield ConditionPair(name="sensor", a=names[0], b=names[1], unlike=True)
     for name in ("bit_depth", "interlaced"):
         one, other = getattr(a, name), getattr(b, name)
@@ -111,7 +135,9 @@ def _of_cameras(a: Session, b: Session) -> Iterator[ConditionPair]:
 def _of_stacks(a: StackEntry, b: StackEntry) -> Iterator[ConditionPair]:
     for name in ("kind", "plane"):
         if getattr(a, name) != getattr(b, name):
-            yield ConditionPair(name=name, a=getattr(a, name), b=getattr(b, name), stack=a.label, unlike=True)
+            yield ConditionPair(
+                name=name, a=getattr(a, name), b=getattr(b, name), stack=a.label, unlike=True
+            )
     known = [name for name in LIGHT if _is_known_in_both(a.conditions, b.conditions, name)]
     deciding = (*GAIN_AND_TIME, *known[:1], "wavelength_nm")
     for item in fields(Conditions):

@@ -1,7 +1,7 @@
 """Limits of a specification, and the verdict of measurements on them.
 
-A limit passes if the whole 95 % interval lies inside and fails if the whole interval lies outside; anything else is
-undecided. The verdicts are saved in the session's folder.
+A limit passes if the whole 95 % interval lies inside and fails if the whole interval lies outside;
+anything else is undecided. The verdicts are saved in the session's folder.
 """
 
 import difflib
@@ -39,13 +39,21 @@ SENTENCES: dict[str, str] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """One [[limit]] of a limits file: the allowed range of a quantity, for all its measurements in the session."""
+    """One [[limit]] of a limits file: the allowed range of a quantity, for all its measurements in
+    the session.
+    """
 
     quantity: str  #: Name of the quantity, such as mtf50
-    unit: str | None = None  #: Unit of the quantity and of min and max; required for a quantity with several units
+    unit: str | None = (
+        None  #: Unit of the quantity and of min and max; required for a quantity with several units
+    )
     stack: str | None = None  #: Label of a stack; default: the whole session and every stack
-    frequency_cy_per_px: float | None = None  #: Frequency of an MTF value, cycles per pixel; default: all
-    orientation_deg: float | None = None  #: Direction within 10 degrees, 0 is horizontal frequency; default: all
+    frequency_cy_per_px: float | None = (
+        None  #: Frequency of an MTF value, cycles per pixel; default: all
+    )
+    orientation_deg: float | None = (
+        None  #: Direction within 10 degrees, 0 is horizontal frequency; default: all
+    )
     min: float | None = None  #: Smallest allowed value
     max: float | None = None  #: Largest allowed value
 
@@ -53,7 +61,9 @@ class Limit:
         if self.quantity not in QUANTITIES:
             near = difflib.get_close_matches(self.quantity, QUANTITIES, n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""
-            raise BadInput(f"quantity must be one that charact measures, got {self.quantity!r}{hint}")
+            raise BadInput(
+                f"quantity must be one that charact measures, got {self.quantity!r}{hint}"
+            )
         units = QUANTITIES[self.quantity].units
         if self.unit not in units and (self.unit is not None or len(units) > 1):
             got = "none" if self.unit is None else repr(self.unit)
@@ -62,7 +72,9 @@ class Limit:
             raise BadInput(f"a limit must have min or max, got neither for {self.quantity}")
         check_numbers(self, finite="min max orientation_deg", positive="frequency_cy_per_px")
         if self.min is not None and self.max is not None and self.min > self.max:
-            raise BadInput(f"min must not exceed max, got {self.min:g} and {self.max:g} for {self.quantity}")
+            raise BadInput(
+                f"min must not exceed max, got {self.min:g} and {self.max:g} for {self.quantity}"
+            )
 
     def applies_to(self, m: Measurement) -> bool:
         """Return whether the limit is one of this measurement."""
@@ -70,12 +82,16 @@ class Limit:
             m.quantity == self.quantity
             and self.unit in (None, m.unit)
             and self.stack in (None, m.stack)
-            and (self.frequency_cy_per_px is None or same_frequency(m.frequency_cy_per_px, self.frequency_cy_per_px))
+            and (
+                self.frequency_cy_per_px is None
+                or same_frequency(m.frequency_cy_per_px, self.frequency_cy_per_px)
+            )
             and (
                 self.orientation_deg is None
                 or (
                     m.orientation_deg is not None
-                    and turn_deg(m.orientation_deg, self.orientation_deg) <= LIMITS.limit_direction_deg
+                    and turn_deg(m.orientation_deg, self.orientation_deg)
+                    <= LIMITS.limit_direction_deg
                 )
             )
         )
@@ -121,7 +137,9 @@ class Outcome:
 class LimitCheck:
     """Verdicts of a session on the limits of a file."""
 
-    outcomes: tuple[Outcome, ...]  #: One for each measurement to which a limit applies, in the order of the limits
+    outcomes: tuple[
+        Outcome, ...
+    ]  #: One for each measurement to which a limit applies, in the order of the limits
     name: str = "limits"  #: Name of the limits file
 
     @property
@@ -150,19 +168,22 @@ def check(result: Result, limits: Limits, *, name: str = "limits") -> LimitCheck
     Returns
     -------
     LimitCheck
-        A limit of a quantity that was not measured has one undecided outcome. A refusal because the camera has no such
-        quantity is disregarded where the quantity has other measurements.
+        A limit of a quantity that was not measured has one undecided outcome. A refusal because the
+        camera has no such quantity is disregarded where the quantity has other measurements.
 
     Examples
     --------
     >>> from labdata.measurement import Result, measurement_from_sd
-    >>> result = Result(measurements=(measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, method="edge-forward"),))
+    >>> mtf50 = measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, method="edge-forward")
+    >>> result = Result(measurements=(mtf50,))
     >>> check(result, Limits(limit=(Limit(quantity="mtf50", min=0.15),))).verdict
     'pass'
     >>> check(result, Limits(limit=(Limit(quantity="mtf50", min=0.19),))).outcomes[0].reason
     'the 95 % interval contains a limit'
     """
-    return LimitCheck(outcomes=tuple(one for limit in limits.limit for one in _outcomes(limit, result)), name=name)
+    return LimitCheck(
+        outcomes=tuple(one for limit in limits.limit for one in _outcomes(limit, result)), name=name
+    )
 
 
 def _outcomes(limit: Limit, result: Result) -> Iterator[Outcome]:
@@ -171,16 +192,33 @@ def _outcomes(limit: Limit, result: Result) -> Iterator[Outcome]:
     for m in applicable or found[:1]:
         verdict, cause, detail = _judge(limit, m)
         yield Outcome(
-            quantity=m.quantity, unit=m.unit, min=limit.min, max=limit.max, verdict=verdict, cause=cause,
-            detail=detail, value=m.value, interval95=m.interval95, status=m.status, method=m.method, stack=m.stack,
-            frequency_cy_per_px=m.frequency_cy_per_px, orientation_deg=m.orientation_deg,
-        )  # fmt: skip
+            quantity=m.quantity,
+            unit=m.unit,
+            min=limit.min,
+            max=limit.max,
+            verdict=verdict,
+            cause=cause,
+            detail=detail,
+            value=m.value,
+            interval95=m.interval95,
+            status=m.status,
+            method=m.method,
+            stack=m.stack,
+            frequency_cy_per_px=m.frequency_cy_per_px,
+            orientation_deg=m.orientation_deg,
+        )
     if not found:
         yield Outcome(
-            quantity=limit.quantity, unit=limit.unit or QUANTITIES[limit.quantity].units[0], min=limit.min,
-            max=limit.max, verdict="undecided", cause="absent", stack=limit.stack,
-            frequency_cy_per_px=limit.frequency_cy_per_px, orientation_deg=limit.orientation_deg,
-        )  # fmt: skip
+            quantity=limit.quantity,
+            unit=limit.unit or QUANTITIES[limit.quantity].units[0],
+            min=limit.min,
+            max=limit.max,
+            verdict="undecided",
+            cause="absent",
+            stack=limit.stack,
+            frequency_cy_per_px=limit.frequency_cy_per_px,
+            orientation_deg=limit.orientation_deg,
+        )
 
 
 def _judge(limit: Limit, m: Measurement) -> tuple[Verdict, Cause, str]:
@@ -196,11 +234,16 @@ def _judge(limit: Limit, m: Measurement) -> tuple[Verdict, Cause, str]:
     highest = float("inf") if limit.max is None else limit.max
     if lowest <= low and high <= highest:
         return "pass", "", ""
-    return ("fail", "outside", "") if high < lowest or low > highest else ("undecided", "straddles", "")
+    return (
+        ("fail", "outside", "")
+        if high < lowest or low > highest
+        else ("undecided", "straddles", "")
+    )
 
 
 def load_limits(source: str | Path | Limits | Sequence[Mapping[str, Any]]) -> Limits:
-    """Return the limits of a TOML file, or of a list of mappings with the keys of its [[limit]] tables.
+    """Return the limits of a TOML file, or of a list of mappings with the keys of its [[limit]]
+    tables.
 
     Raises
     ------
@@ -222,10 +265,16 @@ def load_limits(source: str | Path | Limits | Sequence[Mapping[str, Any]]) -> Li
 
 
 def check_json(checked: LimitCheck) -> dict[str, Any]:
-    """Return verdicts as JSON-ready mappings; of an outcome always limits, value, interval and status."""
+    """Return verdicts as JSON-ready mappings; of an outcome always limits, value, interval and
+    status.
+    """
     always = ("min", "max", "value", "interval95", "status")
     outcomes = [
-        {name: value for name, value in asdict(one).items() if name in always or value not in (None, "")}
+        {
+            name: value
+            for name, value in asdict(one).items()
+            if name in always or value not in (None, "")
+        }
         | ({"reason": one.reason} if one.reason else {})
         for one in checked.outcomes
     ]
@@ -233,18 +282,27 @@ def check_json(checked: LimitCheck) -> dict[str, Any]:
 
 
 def save_check(checked: LimitCheck, folder: str | Path) -> Path:
-    """Save the verdicts in a session's folder, with the digest of the result on which they are based."""
+    """Save the verdicts in a session's folder, with the digest of the result on which they are
+    based.
+    """
     folder = Path(folder)
     document = {
-        "format": FORMAT, "charact": __version__, "limits": checked.name, "verdict": checked.verdict,
-        "results_sha256": _digest(folder), "outcomes": [asdict(one) for one in checked.outcomes],
-    }  # fmt: skip
-    write_atomically(folder / CHECKED, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+        "format": FORMAT,
+        "charact": __version__,
+        "limits": checked.name,
+        "verdict": checked.verdict,
+        "results_sha256": _digest(folder),
+        "outcomes": [asdict(one) for one in checked.outcomes],
+    }
+    write_atomically(
+        folder / CHECKED, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+    )
     return folder / CHECKED
 
 
 def load_check(folder: str | Path) -> tuple[LimitCheck, bool] | None:
-    """Return the verdicts saved in a session's folder, and whether its result is still the same; None without.
+    """Return the verdicts saved in a session's folder, and whether its result is still the same;
+    None without.
 
     Raises
     ------
@@ -259,15 +317,21 @@ def load_check(folder: str | Path) -> tuple[LimitCheck, bool] | None:
     try:
         stored = json.loads(path.read_bytes())
         if stored["format"] != FORMAT:
-            raise BadInput(f"a saved check must have format {FORMAT}, got {stored['format']} in {path}")
+            raise BadInput(
+                f"a saved check must have format {FORMAT}, got {stored['format']} in {path}"
+            )
         outcomes = tuple(from_mapping(one, Outcome, where=CHECKED) for one in stored["outcomes"])
         if any(one.unit not in QUANTITIES[one.quantity].units for one in outcomes):
             raise ValueError
-        return LimitCheck(outcomes=outcomes, name=stored["limits"]), stored["results_sha256"] == _digest(path.parent)
+        return LimitCheck(outcomes=outcomes, name=stored["limits"]), stored[
+            "results_sha256"
+        ] == _digest(path.parent)
     except BadInput:
         raise
     except (OSError, ValueError, KeyError, TypeError):
-        raise BadInput(f"a saved check must be whole and readable, got {path}; run charact check again") from None
+        raise BadInput(
+            f"a saved check must be whole and readable, got {path}; run charact check again"
+        ) from None
 
 
 def _digest(folder: Path) -> str | None:

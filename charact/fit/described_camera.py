@@ -10,7 +10,8 @@ from labdata.sensor import Sensor
 
 
 def describe_camera(sensor: Sensor, mcp_v: float) -> tuple[NoiseLaw, PosteriorPsf]:
-    """Return the noise law of a frame at an MCP voltage, V, and the point spread function: best values, one draw.
+    """Return the noise law of a frame at an MCP voltage, V, and the point spread function: best
+    values, one draw.
 
     Examples
     --------
@@ -24,9 +25,10 @@ def describe_camera(sensor: Sensor, mcp_v: float) -> tuple[NoiseLaw, PosteriorPs
     blur = 1.0 if sensor.video.digital else float(predicted.blur_factor(values, gain)[0])
     read_dn = float(sensor.ccd.read_noise_e) * float(sensor.video.conversion_gain_dn_per_e)
     law = NoiseLaw(
-        gain_dn=float(predicted.covariance_gain(values, gain)[0]), read_dn=(read_dn**2 + 1.0 / 12.0) ** 0.5,
+        gain_dn=float(predicted.covariance_gain(values, gain)[0]),
+        read_dn=(read_dn**2 + 1.0 / 12.0) ** 0.5,
         blur_px=blur_px_of(blur),
-    )  # fmt: skip
+    )
     pitch_mm = float(sensor.ccd.pitch_x_um) * 1e-3 * float(sensor.taper.demagnification)
     aberration_px = float(sensor.optics.aberration_blur_um) * 1e-3 / pitch_mm
     return law, PosteriorPsf(

@@ -1,4 +1,6 @@
-"""Observations of the fit: measured numbers with covariance and predicted quantity; likely causes of a misfit."""
+"""Observations of the fit: measured numbers with covariance and predicted quantity; likely causes
+of a misfit.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,7 +20,16 @@ Array = NDArray[np.float64]
 # Of cameras without a tube, relative: nonlinearity of the photon transfer curve.
 NOISE_MODEL_SD = 0.01
 # Flags that add no bias; any other flag excludes a measurement from the fit.
-MILD = {"defects", "drift", "flicker", "gradient", "low-signal", "not-converged", "prior-bound", "too-few-frames"}
+MILD = {
+    "defects",
+    "drift",
+    "flicker",
+    "gradient",
+    "low-signal",
+    "not-converged",
+    "prior-bound",
+    "too-few-frames",
+}
 
 
 def is_admissible(m: Measurement) -> bool:
@@ -26,8 +37,12 @@ def is_admissible(m: Measurement) -> bool:
     return m.status != "refused" and m.interval68 is not None and set(m.flags) <= MILD
 
 
-def admissible_measurements(result: Result, quantity: str, unit: str | None = None) -> list[Measurement]:
-    """Return the measurements of a quantity with status ok, or the mildly suspect ones where there are none."""
+def admissible_measurements(
+    result: Result, quantity: str, unit: str | None = None
+) -> list[Measurement]:
+    """Return the measurements of a quantity with status ok, or the mildly suspect ones where there
+    are none.
+    """
     found = [m for m in result.find(quantity) if is_admissible(m) and unit in (None, m.unit)]
     return [m for m in found if m.status == "ok"] or found
 
@@ -43,7 +58,8 @@ Predict = Callable[[Values], Array]
 
 @dataclass(frozen=True, kw_only=True)
 class Ridge:
-    """Surface on which a posterior is narrow: a number of many parameters that is known far better than any of them.
+    """Surface on which a posterior is narrow: a number of many parameters that is known far better
+    than any of them.
 
     In coordinates with the number itself in place of one parameter the surface is a plane.
     """
@@ -63,7 +79,9 @@ class Observation:
     predict: Predict  # predictions for parameter draws: values of shape (n,) each -> (n, k)
     is_bound: bool = False  # whether a prediction beyond the value agrees
     speaks_of: tuple[str, ...]  # paths of the sensor parameters that it depends on
-    ridge: "Ridge | None" = None  # the product that it determines far better than any of its parameters
+    ridge: "Ridge | None" = (
+        None  # the product that it determines far better than any of its parameters
+    )
 
     def chi_squared(self, values: Values) -> Array:
         """Return each draw's chi squared, shape (n,)."""
@@ -76,39 +94,61 @@ class Observation:
 
     @cached_property
     def _whitening(self) -> Array:
-        """Root of the inverse covariance: residuals times it are independent and of unit variance."""
+        """Root of the inverse covariance: residuals times it are independent and of unit
+        variance.
+        """
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)).T, np.float64)
 
 
 def one(
-    name: str, value: float, sd: float, predict: Callable[[Values], Array], speaks_of: tuple[str, ...]
+    name: str,
+    value: float,
+    sd: float,
+    predict: Callable[[Values], Array],
+    speaks_of: tuple[str, ...],
 ) -> Observation:
     """Return an observation of one number; its prediction has shape (n,)."""
     return Observation(
-        name=name, value=np.array([value]), covariance=np.array([[sd**2]]),
-        predict=lambda values: predict(values)[:, None], speaks_of=speaks_of,
-    )  # fmt: skip
+        name=name,
+        value=np.array([value]),
+        covariance=np.array([[sd**2]]),
+        predict=lambda values: predict(values)[:, None],
+        speaks_of=speaks_of,
+    )
 
 
-def at_least(name: str, value: float, sd: float, predict: Callable[[Values], Array], speaks_of: tuple[str, ...]
-             ) -> Observation:  # fmt: skip
+def at_least(
+    name: str,
+    value: float,
+    sd: float,
+    predict: Callable[[Values], Array],
+    speaks_of: tuple[str, ...],
+) -> Observation:
     """Return the observation of a lower bound: a prediction above it agrees."""
     bound = one(name, value, sd, lambda values: np.minimum(predict(values), value), speaks_of)
     return replace(bound, is_bound=True)
 
 
-# Flags by which a measurement speaks of a stage of the camera or bench that the fit does not know. Others are of the
-# target, the number of frames or the method.
+# Flags by which a measurement speaks of a stage of the camera or bench that the fit does not know.
+# Others are of the target, the number of frames or the method.
 CAUSES = {
-    "agc": AUTOMATIC, "nonlinear": CURVED, "gamma": CURVED, "processed": PROCESSING, "correlated-noise": SPREAD,
-    "drift": UNSTEADY, "flicker": UNSTEADY,
-}  # fmt: skip
+    "agc": AUTOMATIC,
+    "nonlinear": CURVED,
+    "gamma": CURVED,
+    "processed": PROCESSING,
+    "correlated-noise": SPREAD,
+    "drift": UNSTEADY,
+    "flicker": UNSTEADY,
+}
 # What an observation that no parameters explain may come from, by its name.
 CAUSES_OF_MISFIT = {
     "levels": CURVED,
     "photon transfer": CURVED,
     "noise": Cause(
-        stage=f"{CURVED.stage}, or sharpening, interpolation or averaging of frames in camera or grabber",
+        stage=(
+            f"{CURVED.stage}, or sharpening, interpolation or averaging of frames in camera or "
+            f"grabber"
+        ),
         remedy="raw frames of a gamma of 1, of the linear range only",
     ),
     "image lag": LAGGING,
@@ -125,11 +165,14 @@ def has_automatic_gain(conditions: Conditions) -> bool:
 def findings_of(result: Result) -> tuple[Finding, ...]:
     """Return what flags of measurements say of the camera's stages: one finding a flag.
 
-    The fit leaves measurements with most of these flags out, but not the levels and the noise of the same frames. Flags
-    of the whole session, which are of its flats, count before those of single targets. The noise spectrum is left
-    out: ions change its shape from level to level as a bend would.
+    The fit leaves measurements with most of these flags out, but not the levels and the noise of
+    the same frames. Flags of the whole session, which are of its flats, count before those of
+    single targets. The noise spectrum is left out: ions change its shape from level to level as a
+    bend would.
     """
-    kept = [m for m in result.measurements if m.status != "refused" and m.method != "noise-spectrum"]
+    kept = [
+        m for m in result.measurements if m.status != "refused" and m.method != "noise-spectrum"
+    ]
     whole = _findings_among([m for m in kept if m.stack is None])
     return whole or _findings_among(kept)
 
@@ -139,7 +182,9 @@ def _findings_among(measurements: list[Measurement]) -> tuple[Finding, ...]:
     for flag, cause in CAUSES.items():
         own = [m for m in measurements if flag in m.flags]
         if own:
-            notes = dict.fromkeys(n.partition(": ")[2] for m in own for n in m.notes if n.startswith(f"{flag}: "))
+            notes = dict.fromkeys(
+                n.partition(": ")[2] for m in own for n in m.notes if n.startswith(f"{flag}: ")
+            )
             seen = next(iter(notes), f"flag of {own[0].quantity}").partition("; what settles it")[0]
             found.append(cause.finding(flag, seen))
     return tuple(found)
@@ -160,8 +205,8 @@ def misfit_finding(parts: dict[str, float], numbers: int, factor: float) -> Find
     worst = max(parts, key=lambda name: parts[name])
     cause = CAUSES_OF_MISFIT.get(worst)
     said = (
-        f"chi-squared {sum(parts.values()):.0f} for {numbers} numbers, {parts[worst]:.0f} of it from {worst}; "
-        f"all errors were multiplied by {factor:.1f}"
+        f"chi-squared {sum(parts.values()):.0f} for {numbers} numbers, {parts[worst]:.0f} of it "
+        f"from {worst}; all errors were multiplied by {factor:.1f}"
     )
     return Finding(
         flag="model-misfit",

@@ -15,17 +15,20 @@ ELEMENTARY_CHARGE_C = 1.602176634e-19
 BROADBAND_NM = 700.0
 
 
-def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0, wavelength_nm: float = BROADBAND_NM) -> Array:
+def mtf(
+    values: Values, across: ArrayLike, along: ArrayLike = 0.0, wavelength_nm: float = BROADBAND_NM
+) -> Array:
     """Return the system MTF.
 
-    `across`: horizontal frequencies, shape (m,), cycles per column pitch; `along`: vertical frequencies, shape (m,),
-    cycles per row pitch of the sensor; a field row of interlaced video is the sum of two sensor rows;
-    `wavelength_nm`: wavelength of the light, nm, of which diffraction depends.
+    `across`: horizontal frequencies, shape (m,), cycles per column pitch; `along`: vertical
+    frequencies, shape (m,), cycles per row pitch of the sensor; a field row of interlaced video is
+    the sum of two sensor rows; `wavelength_nm`: wavelength of the light, nm, of which diffraction
+    depends.
 
     Returns Array, shape (n, m).
 
-    lens x [(1 - q) + q halo] x tube x fibres x pixel x video, each a function of the frequency at its own plane; a
-    camera without a tube has lens x pixel only.
+    lens x [(1 - q) + q halo] x tube x fibres x pixel x video, each a function of the frequency at
+    its own plane; a camera without a tube has lens x pixel only.
     """
     fx, fy = np.broadcast_arrays(np.atleast_1d(np.asarray(across, float)), np.asarray(along, float))
     detector = _per_mm_at_detector(values, fx, fy)
@@ -34,10 +37,17 @@ def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0, wavelength_nm
     cathode = detector / _column(values, "taper.demagnification")
     share = _column(values, "photocathode.halo_fraction")
     halo = halo_transfer(
-        cathode, _column(values, "photocathode.gap_mm"), _column(values, "photocathode.halo_elastic_share")
+        cathode,
+        _column(values, "photocathode.gap_mm"),
+        _column(values, "photocathode.halo_elastic_share"),
     )
     before = _lens(values, cathode, wavelength_nm) * ((1.0 - share) + share * halo)
-    return before * _tube(values, cathode, 1.0) * _coupling(values, detector) * _readout(values, fx, fy)
+    return (
+        before
+        * _tube(values, cathode, 1.0)
+        * _coupling(values, detector)
+        * _readout(values, fx, fy)
+    )
 
 
 def blur_factor(values: Values, gain_dn_per_pe: Array) -> Array:
@@ -46,13 +56,15 @@ def blur_factor(values: Values, gain_dn_per_pe: Array) -> Array:
 
 
 def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
-    """Return blur factor and horizontal neighbour correlation of a field's noise, shape (n,), dimensionless.
+    """Return blur factor and horizontal neighbour correlation of a field's noise, shape (n,),
+    dimensionless.
 
-    A photoelectron's light spreads with the transfer H of all stages after the gain. Poisson events on the photocathode
-    have, x pixels apart, the covariance (rate) integral of |H|^2 cos(2 pi fx x) over the frequency plane in cycles per
-    field pixel, and the covariance sum (rate) |H(0)|^2 = (rate), since the pixels tile the plane. Electrons counted in
-    the detector are white before the video filter, which correlates them by its weights. The two contributions have the
-    ratio k F^2 to K.
+    A photoelectron's light spreads with the transfer H of all stages after the gain. Poisson events
+    on the photocathode have, x pixels apart, the covariance (rate) integral of |H|^2 cos(2 pi fx x)
+    over the frequency plane in cycles per field pixel, and the covariance sum (rate) |H(0)|^2 =
+    (rate), since the pixels tile the plane. Electrons counted in the detector are white before the
+    video filter, which correlates them by its weights. The two contributions have the ratio k F^2
+    to K.
     """
     weights = _video_weights(values)
     across = aperture_transfer(_ACROSS) * video_filter_transfer(weights, _ACROSS)
@@ -60,7 +72,9 @@ def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
         values, *(plane.ravel() for plane in np.meshgrid(_ACROSS, _ALONG / rows_per_pixel(values)))
     )
     cathode = detector / _column(values, "taper.demagnification")
-    after = _tube(values, cathode, _column(values, "tube.post_gain_share")) * _coupling(values, detector)
+    after = _tube(values, cathode, _column(values, "tube.post_gain_share")) * _coupling(
+        values, detector
+    )
     down = aperture_transfer(_ALONG) ** 2 * _ALONG_WEIGHT
     columns = down @ after.reshape(-1, _ALONG.size, _ACROSS.size) ** 2
     power = 4.0 * columns * across**2 * _ACROSS_WEIGHT
@@ -70,14 +84,19 @@ def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
         (event * pulses + electron * filtered) / (event + electron)
         for pulses, filtered in (
             (power.sum(axis=1), np.sum(weights**2, axis=1)),
-            (power @ np.cos(2.0 * np.pi * _ACROSS), np.sum(weights[:, 1:] * weights[:, :-1], axis=1)),
+            (
+                power @ np.cos(2.0 * np.pi * _ACROSS),
+                np.sum(weights[:, 1:] * weights[:, :-1], axis=1),
+            ),
         )
     )
     return variance, neighbour / variance
 
 
 def excess_noise_factor(values: Values) -> Array:
-    """Return F^2 = (1 + 1/shape)/p of Polya pulse heights and the detection probability p, shape (n,)."""
+    """Return F^2 = (1 + 1/shape)/p of Polya pulse heights and the detection probability p, shape
+    (n,).
+    """
     shape = values["microchannel_plate.pulse_height_shape"]
     return (1.0 + 1.0 / shape) / values["microchannel_plate.detection_probability"]
 
@@ -85,12 +104,16 @@ def excess_noise_factor(values: Values) -> Array:
 def photoelectron_gain(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
     """Return k, the mean signal per photoelectron, undetected ones included, shape (n,), DN.
 
-    A tube of luminous gain G emits G/(efficacy x photon energy) photons per lumen on the photocathode, which releases
-    S/e electrons; the taper transmits T of the photons, the detector converts QE of them to electrons of K DN each. The
-    gain depends on the MCP voltage as (V/V0)^m.
+    A tube of luminous gain G emits G/(efficacy x photon energy) photons per lumen on the
+    photocathode, which releases S/e electrons; the taper transmits T of the photons, the detector
+    converts QE of them to electrons of K DN each. The gain depends on the MCP voltage as (V/V0)^m.
     """
     electrons = values["taper.transmission"] * values["ccd.quantum_efficiency"]
-    return _photons_per_pe(values, mcp_v, reference_v) * electrons * values["video.conversion_gain_dn_per_e"]
+    return (
+        _photons_per_pe(values, mcp_v, reference_v)
+        * electrons
+        * values["video.conversion_gain_dn_per_e"]
+    )
 
 
 def covariance_gain(values: Values, gain_dn_per_pe: Array) -> Array:
@@ -100,38 +123,63 @@ def covariance_gain(values: Values, gain_dn_per_pe: Array) -> Array:
 
 
 def photoelectrons(values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike) -> Array:
-    """Return photoelectrons of an illuminance per field pixel and exposure, without EBI, shape (n,)."""
-    return np.asarray(illuminance_lux) * _electrons_per_lumen(values) * _field_pixel_m2(values) * np.asarray(gate_s)
+    """Return photoelectrons of an illuminance per field pixel and exposure, without EBI, shape
+    (n,).
+    """
+    return (
+        np.asarray(illuminance_lux)
+        * _electrons_per_lumen(values)
+        * _field_pixel_m2(values)
+        * np.asarray(gate_s)
+    )
 
 
 def background_rate(values: Values) -> Array:
     """Return the EBI in photoelectrons per field pixel and second, shape (n,)."""
-    return values["photocathode.ebi_lm_per_cm2"] * 1e4 * _electrons_per_lumen(values) * _field_pixel_m2(values)
+    return (
+        values["photocathode.ebi_lm_per_cm2"]
+        * 1e4
+        * _electrons_per_lumen(values)
+        * _field_pixel_m2(values)
+    )
 
 
 def mcp_load(
-    values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike, mcp_v: ArrayLike, reference_v: float
+    values: Values,
+    illuminance_lux: ArrayLike,
+    gate_s: ArrayLike,
+    mcp_v: ArrayLike,
+    reference_v: float,
 ) -> Array:
     """Return the mean MCP output current over the current at half gain, shape (n,).
 
     G_loaded = G/(1 + load), load = j/(a j_strip), j = E S G gate/field averaged over the MCP.
     """
     per_pe = _photons_per_pe(values, mcp_v, reference_v) / values["phosphor.photons_per_electron"]
-    cathode_a_per_cm2 = np.asarray(illuminance_lux) * 1e-4 * _electrons_per_lumen(values) * ELEMENTARY_CHARGE_C
+    cathode_a_per_cm2 = (
+        np.asarray(illuminance_lux) * 1e-4 * _electrons_per_lumen(values) * ELEMENTARY_CHARGE_C
+    )
     limit = values["microchannel_plate.strip_current_ua_per_cm2"] * 1e-6
     limit = limit * values["microchannel_plate.saturation_fraction"]
     return cathode_a_per_cm2 * per_pe * np.asarray(gate_s) * values["video.field_rate_hz"] / limit
 
 
 def gain_loss(values: Values, signal_dn: ArrayLike) -> Array:
-    """Return the fraction of the MCP's gain that is lost at a signal above the dark, shape (n,), dimensionless.
+    """Return the fraction of the MCP's gain that is lost at a signal above the dark, shape (n,),
+    dimensionless.
 
-    load/(1 + load) of `mcp_load`, from the signal instead of the light: signal/(K QE T y) electrons leave the MCP per
-    field pixel and field, y photons per electron of the screen.
+    load/(1 + load) of `mcp_load`, from the signal instead of the light: signal/(K QE T y) electrons
+    leave the MCP per field pixel and field, y photons per electron of the screen.
     """
     electrons = values["taper.transmission"] * values["ccd.quantum_efficiency"]
-    electrons = electrons * values["video.conversion_gain_dn_per_e"] * values["phosphor.photons_per_electron"]
-    current_a = np.asarray(signal_dn) / electrons * ELEMENTARY_CHARGE_C * values["video.field_rate_hz"]
+    electrons = (
+        electrons
+        * values["video.conversion_gain_dn_per_e"]
+        * values["phosphor.photons_per_electron"]
+    )
+    current_a = (
+        np.asarray(signal_dn) / electrons * ELEMENTARY_CHARGE_C * values["video.field_rate_hz"]
+    )
     limit = values["microchannel_plate.strip_current_ua_per_cm2"] * 1e-6
     limit = limit * values["microchannel_plate.saturation_fraction"]
     return current_a / (_field_pixel_m2(values) * 1e4) / limit
@@ -140,13 +188,19 @@ def gain_loss(values: Values, signal_dn: ArrayLike) -> Array:
 def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
     """Return the temporal variance of a dark frame, shape (n,), DN^2.
 
-    K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: read noise r and dark charge d pass the video filter w; the n
-    photoelectrons of the EBI are blurred (B, `blur`), and phosphor decay over several fields reduces their noise to the
-    fraction sum l^2.
+    K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: read noise r and dark charge d pass the
+    video filter w; the n photoelectrons of the EBI are blurred (B, `blur`), and phosphor decay over
+    several fields reduces their noise to the fraction sum l^2.
     """
     filtered = np.sum(_video_weights(values) ** 2, axis=1)
-    dark_e = rows_per_pixel(values) * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
-    reading = values["video.conversion_gain_dn_per_e"] ** 2 * (values["ccd.read_noise_e"] ** 2 + dark_e) * filtered
+    dark_e = (
+        rows_per_pixel(values) * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
+    )
+    reading = (
+        values["video.conversion_gain_dn_per_e"] ** 2
+        * (values["ccd.read_noise_e"] ** 2 + dark_e)
+        * filtered
+    )
     events = background_rate(values) * gate_s
     pulses = covariance_gain(values, gain_dn_per_pe) * gain_dn_per_pe * events * blur
     return reading + pulses * lag_noise_fraction(values, gate_s) + 1.0 / 12.0
@@ -155,12 +209,15 @@ def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: fl
 def ion_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
     """Return the variance that ion pulses add to a dark frame, shape (n,), DN^2.
 
-    A pulse of a Poisson number of detected photoelectrons, mean m, has the mean square (k/p)^2 (m^2 + m + m/shape).
+    A pulse of a Poisson number of detected photoelectrons, mean m, has the mean square (k/p)^2 (m^2
+    + m + m/shape).
     """
     plate = "microchannel_plate."
     rate = ion_rate(values) * gate_s
     size, shape = values[plate + "ion_event_size_pe"], values[plate + "pulse_height_shape"]
-    square = (gain_dn_per_pe / values[plate + "detection_probability"]) ** 2 * (size**2 + size + size / shape)
+    square = (gain_dn_per_pe / values[plate + "detection_probability"]) ** 2 * (
+        size**2 + size + size / shape
+    )
     return rate * square * blur * lag_noise_fraction(values, gate_s)
 
 
@@ -172,22 +229,32 @@ def ion_rate(values: Values) -> Array:
 def ion_light(values: Values) -> Array:
     """Return the mean light of ion pulses in photoelectrons per field pixel and second, shape (n,).
 
-    A pulse of m detected photoelectrons has the light of m/p released ones, of which the fraction p is detected.
+    A pulse of m detected photoelectrons has the light of m/p released ones, of which the fraction p
+    is detected.
     """
     plate = "microchannel_plate."
-    return ion_rate(values) * values[plate + "ion_event_size_pe"] / values[plate + "detection_probability"]
+    return (
+        ion_rate(values)
+        * values[plate + "ion_event_size_pe"]
+        / values[plate + "detection_probability"]
+    )
 
 
 def lag_noise_fraction(values: Values, gate_s: float) -> Array:
-    """Return the fraction of a field's scintillation variance that remains with phosphor decay, shape (n,).
+    """Return the fraction of a field's scintillation variance that remains with phosphor decay,
+    shape (n,).
 
-    Mean of sum_j l_j^2 over the arrival of a pulse within the gate at the start of a field; l_j is the fraction of its
-    light in the j-th field after it, of two exponential components.
+    Mean of sum_j l_j^2 over the arrival of a pulse within the gate at the start of a field; l_j is
+    the fraction of its light in the j-th field after it, of two exponential components.
     """
     field_s = 1.0 / values["video.field_rate_hz"][:, None, None]
     fast = values["phosphor.fast_fraction"]
-    light = np.stack([fast * values["phosphor.fast_decay_ms"], (1.0 - fast) * values["phosphor.slow_decay_ms"]])
-    decay_s = [values[f"phosphor.{name}_decay_ms"][:, None, None] * 1e-3 for name in ("fast", "slow")]
+    light = np.stack(
+        [fast * values["phosphor.fast_decay_ms"], (1.0 - fast) * values["phosphor.slow_decay_ms"]]
+    )
+    decay_s = [
+        values[f"phosphor.{name}_decay_ms"][:, None, None] * 1e-3 for name in ("fast", "slow")
+    ]
     node, weight = _nodes((0.0, 1.0), (12,))
     arrival_s = gate_s * node[None, :, None]
     ends_s = np.maximum((np.arange(13)[None, None, :]) * field_s - arrival_s, 0.0)
@@ -206,10 +273,11 @@ def halo_diameter_px(values: Values) -> Array:
 
 
 def spatial_variance(values: Values) -> Array:
-    """Return the relative variance of the fixed pattern of a flat behind a tube, shape (n,), dimensionless.
+    """Return the relative variance of the fixed pattern of a flat behind a tube, shape (n,),
+    dimensionless.
 
-    PRNU of the detector, white before the video filter, and granularity of the screen, coarser than the blur; borders
-    of multi-fibres are left to the model error.
+    PRNU of the detector, white before the video filter, and granularity of the screen, coarser than
+    the blur; borders of multi-fibres are left to the model error.
     """
     filtered = np.sum(_video_weights(values) ** 2, axis=1)
     return values["ccd.prnu"] ** 2 * filtered + values["phosphor.gain_nonuniformity"] ** 2
@@ -221,7 +289,9 @@ def has_tube(values: Values) -> bool:
 
 
 def rows_per_pixel(values: Values) -> float:
-    """Return the sensor rows that a row of a field sums: two of interlaced analog video, else one."""
+    """Return the sensor rows that a row of a field sums: two of interlaced analog video, else
+    one.
+    """
     if "video.rows_per_pixel" in values:
         return float(np.ravel(values["video.rows_per_pixel"])[0])
     return 2.0 if "video.bandwidth_mhz" in values else 1.0
@@ -238,19 +308,27 @@ def _per_mm_at_detector(values: Values, fx: Array, fy: Array) -> Array:
 
 
 def _lens(values: Values, image_plane: Array, wavelength_nm: float) -> Array:
-    blur_um, f_number = _column(values, "optics.aberration_blur_um"), _column(values, "optics.f_number")
+    blur_um, f_number = (
+        _column(values, "optics.aberration_blur_um"),
+        _column(values, "optics.f_number"),
+    )
     return lens_transfer(image_plane, blur_um, f_number, wavelength_nm)
 
 
 def _tube(values: Values, cathode: Array, share: Array | float) -> Array:
     return tube_transfer(
-        cathode, _column(values, "tube.mtf_frequency_lp_per_mm"), _column(values, "tube.mtf_exponent"), share
+        cathode,
+        _column(values, "tube.mtf_frequency_lp_per_mm"),
+        _column(values, "tube.mtf_exponent"),
+        share,
     )
 
 
 def _coupling(values: Values, detector: Array) -> Array:
     return fibre_transfer(
-        detector, _column(values, "taper.fibre_pitch_um"), _column(values, "taper.interface_mtf_lp_per_mm")
+        detector,
+        _column(values, "taper.fibre_pitch_um"),
+        _column(values, "taper.interface_mtf_lp_per_mm"),
     )
 
 
@@ -262,13 +340,18 @@ def _readout(values: Values, fx: Array, fy: Array) -> Array:
 def _video_weights(values: Values) -> Array:
     if "video.bandwidth_mhz" not in values:
         return np.eye(1, LENGTH_PX)
-    clock_mhz, order = float(values["video.pixel_clock_mhz"][0]), int(values["video.filter_order"][0])
+    clock_mhz, order = (
+        float(values["video.pixel_clock_mhz"][0]),
+        int(values["video.filter_order"][0]),
+    )
     return video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
 
 
 def _photons_per_pe(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
     photon_j = values["phosphor.photon_energy_ev"] * ELEMENTARY_CHARGE_C
-    photons_per_lumen = values["tube.luminous_gain"] / (values["phosphor.luminous_efficacy_lm_per_w"] * photon_j)
+    photons_per_lumen = values["tube.luminous_gain"] / (
+        values["phosphor.luminous_efficacy_lm_per_w"] * photon_j
+    )
     voltage = (np.asarray(mcp_v) / reference_v) ** values["microchannel_plate.gain_exponent"]
     return photons_per_lumen / _electrons_per_lumen(values) * voltage
 
@@ -292,24 +375,31 @@ def _nodes(edges: tuple[float, ...], counts: tuple[int, ...]) -> tuple[Array, Ar
     return np.concatenate(points), np.concatenate(weights)
 
 
-# Nodes of a quadrant of the frequency plane, cycles per field pixel, up to the limit of fibres and gaps.
+# Nodes of a quadrant of the frequency plane, cycles per field pixel, up to the limit of fibres and
+# gaps.
 _ACROSS, _ACROSS_WEIGHT = _nodes((0.0, 0.2, 0.8, 2.5), (5, 7, 10))
 _ALONG, _ALONG_WEIGHT = _nodes((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))
 
 
-def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array, wavelength_nm: float) -> Array:
+def lens_transfer(
+    frequency_per_mm: Array, blur_um: Array, f_number: Array, wavelength_nm: float
+) -> Array:
     """Return diffraction times exp(-2 (pi f s)^2), a lens with Gaussian aberration blur of width s.
 
-    Diffraction of a circular pupil, (2/pi)(acos x - x sqrt(1 - x^2)) with x = f wavelength N, falls as 1 - 4x/pi: by 3
-    % for a fast lens at the central wavelength of the photocathode.
+    Diffraction of a circular pupil, (2/pi)(acos x - x sqrt(1 - x^2)) with x = f wavelength N, falls
+    as 1 - 4x/pi: by 3 % for a fast lens at the central wavelength of the photocathode.
     """
     x = np.minimum(frequency_per_mm * 1e-6 * wavelength_nm * f_number, 1.0)
     diffraction = (2.0 / np.pi) * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
     return diffraction * np.exp(-2.0 * (np.pi * frequency_per_mm * blur_um * 1e-3) ** 2)
 
 
-def tube_transfer(frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, share: Array | float = 1.0) -> Array:
-    """Return exp(-share (f/fc)^n), the part `share` of an image tube's transfer (Johnson's form)."""
+def tube_transfer(
+    frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, share: Array | float = 1.0
+) -> Array:
+    """Return exp(-share (f/fc)^n), the part `share` of an image tube's transfer (Johnson's
+    form).
+    """
     logarithm = exponent * np.log(np.maximum(frequency_per_mm / cut_off_per_mm, 1e-9))
     return np.exp(-share * np.exp(np.minimum(logarithm, 700.0)))
 
@@ -317,10 +407,10 @@ def tube_transfer(frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Arra
 def halo_transfer(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:
     """Return the transfer of the halo of back-scattered photoelectrons.
 
-    An electron re-emitted at the angle t with the fraction e of its energy lands at r = 2 e d sin 2t. Emission by the
-    cosine law makes sin^2 t uniform, so that x = r/(2 e d) has the density x/sqrt(1 - x^2) and the Hankel transform
-    sin(u)/u with u = 2 pi f 2 d e. Elastic electrons have e = 1; uniformly distributed energies give the mean over e in
-    0..1, Si(u)/u.
+    An electron re-emitted at the angle t with the fraction e of its energy lands at r = 2 e d sin
+    2t. Emission by the cosine law makes sin^2 t uniform, so that x = r/(2 e d) has the density
+    x/sqrt(1 - x^2) and the Hankel transform sin(u)/u with u = 2 pi f 2 d e. Elastic electrons have
+    e = 1; uniformly distributed energies give the mean over e in 0..1, Si(u)/u.
     """
     argument = 4.0 * np.pi * np.asarray(frequency_per_mm * gap_mm, float)
     safe = np.maximum(argument, 1e-6)
@@ -328,9 +418,13 @@ def halo_transfer(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) 
 
 
 def fibre_transfer(frequency_per_mm: Array, pitch_um: Array, interface_per_mm: Array) -> Array:
-    """Return |2 J1(pi p f)/(pi p f)| exp(-(f/f0)^2), a fibre taper with its interfaces; f at the detector."""
+    """Return |2 J1(pi p f)/(pi p f)| exp(-(f/f0)^2), a fibre taper with its interfaces; f at the
+    detector.
+    """
     argument = np.maximum(np.pi * np.asarray(frequency_per_mm * pitch_um, float) * 1e-3, 1e-9)
-    return np.abs(2.0 * j1(argument) / argument) * np.exp(-((frequency_per_mm / interface_per_mm) ** 2))
+    return np.abs(2.0 * j1(argument) / argument) * np.exp(
+        -((frequency_per_mm / interface_per_mm) ** 2)
+    )
 
 
 def aperture_transfer(frequency_cy_per_width: Array) -> Array:
@@ -342,15 +436,19 @@ def aperture_transfer(frequency_cy_per_width: Array) -> Array:
 LENGTH_PX = 14
 
 
-def video_filter_weights(bandwidth_mhz: Array, clock_mhz: float, order: int, phase: float = 1.0) -> Array:
+def video_filter_weights(
+    bandwidth_mhz: Array, clock_mhz: float, order: int, phase: float = 1.0
+) -> Array:
     """Return the weights of earlier pixels in one pixel, shape (n, LENGTH_PX), with sum 1.
 
-    `bandwidth_mhz`: frequency of 3 dB loss, shape (n,), MHz; `clock_mhz`: pixel clock, MHz; `order`: order of the
-    Butterworth filter; `phase`: sampling time within the pixel clock, 0 (start) to 1 (end).
+    `bandwidth_mhz`: frequency of 3 dB loss, shape (n,), MHz; `clock_mhz`: pixel clock, MHz;
+    `order`: order of the Butterworth filter; `phase`: sampling time within the pixel clock, 0
+    (start) to 1 (end).
 
-    Poles p_k = w exp(i pi (2k + order + 1)/(2 order)); step response 1 + sum_k r_k exp(p_k t)/p_k with the residues r_k
-    = w^order / prod_{j != k} (p_k - p_j). A step that begins j clocks before the sampled pixel has risen to s(j +
-    phase) and, with its successor, contributes s(j + phase) - s(j + phase - 1).
+    Poles p_k = w exp(i pi (2k + order + 1)/(2 order)); step response 1 + sum_k r_k exp(p_k t)/p_k
+    with the residues r_k = w^order / prod_{j != k} (p_k - p_j). A step that begins j clocks before
+    the sampled pixel has risen to s(j + phase) and, with its successor, contributes s(j + phase) -
+    s(j + phase - 1).
     """
     angle = np.pi * (2.0 * np.arange(order) + order + 1) / (2.0 * order)
     unit = np.exp(1j * angle)
@@ -365,6 +463,8 @@ def video_filter_weights(bandwidth_mhz: Array, clock_mhz: float, order: int, pha
 
 
 def video_filter_transfer(weight: Array, frequency_cy_per_px: Array) -> Array:
-    """Return |sum_j w_j exp(-2 pi i f j)| of weights (n, pixel) at frequencies (m,), shape (n, m)."""
+    """Return |sum_j w_j exp(-2 pi i f j)| of weights (n, pixel) at frequencies (m,), shape (n,
+    m).
+    """
     turns = np.exp(-2j * np.pi * np.outer(np.arange(weight.shape[1]), frequency_cy_per_px))
     return np.abs(weight @ turns)

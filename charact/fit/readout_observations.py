@@ -1,8 +1,10 @@
-"""Observations of noise of a digital read-out that is not white: rows, neighbours along a row, interference.
+"""Observations of noise of a digital read-out that is not white: rows, neighbours along a row,
+interference.
 
-All are taken from the power spectrum of what changes from frame to frame in darks. Rows that are offset as a whole have
-their power at the horizontal frequency 0; interference is a peak; read noise of neighbours that differ more, or less,
-than independent ones has a density that rises, or falls, with the horizontal frequency.
+All are taken from the power spectrum of what changes from frame to frame in darks. Rows that are
+offset as a whole have their power at the horizontal frequency 0; interference is a peak; read noise
+of neighbours that differ more, or less, than independent ones has a density that rises, or falls,
+with the horizontal frequency.
 """
 
 from collections.abc import Callable
@@ -47,8 +49,11 @@ class ReadoutSpectrum:
     """Power spectrum of the changes of a dark, its interference removed."""
 
     shape: tuple[int, int, int]  # frames, rows, columns
-    power: Array  # mean over frames, whole plane, shape (row, col), 1 for white noise of variance 1, DN^2
-    row_power: Array  # power of the rows' means times columns at the vertical frequencies above 0, DN^2
+    # mean over frames, whole plane, shape (row, col), 1 for white noise of variance 1, DN^2
+    power: Array
+    row_power: (
+        Array  # power of the rows' means times columns at the vertical frequencies above 0, DN^2
+    )
     row_frequency: Array  # those frequencies, cy/row
     interference: Interference | None
 
@@ -59,7 +64,9 @@ class ReadoutSpectrum:
 
     @property
     def neighbour_covariance(self) -> tuple[float, float]:
-        """Covariance of neighbours along a row without that of rows, and its standard error, DN^2."""
+        """Covariance of neighbours along a row without that of rows, and its standard error,
+        DN^2.
+        """
         frames, rows, columns = self.shape
         density = self.power.mean(axis=0)
         # The bin of the rows' offsets stands for the density of pixels there.
@@ -73,8 +80,8 @@ def readout_spectrum(data: NDArray) -> ReadoutSpectrum | None:
 
     Notes
     -----
-    Changes are frames less the mean frame, scaled to the variance of a frame. The power of a bin is a mean of
-    exponential numbers, one a frame: its relative standard error is 1/sqrt(frames - 1).
+    Changes are frames less the mean frame, scaled to the variance of a frame. The power of a bin is
+    a mean of exponential numbers, one a frame: its relative standard error is 1/sqrt(frames - 1).
     """
     frames, rows, columns = data.shape
     if frames < READOUT.fewest_frames or min(rows, columns) < READOUT.fewest_pixels:
@@ -85,27 +92,36 @@ def readout_spectrum(data: NDArray) -> ReadoutSpectrum | None:
         total += np.abs(np.fft.fft2(frame - mean)) ** 2
     power = total / ((frames - 1) * rows * columns)
     # Mean power of the frames themselves: that of their changes and of their mean.
-    whole = total / (frames * rows * columns) + np.abs(np.fft.fft2(mean - mean.mean())) ** 2 / (rows * columns)
+    whole = total / (frames * rows * columns) + np.abs(np.fft.fft2(mean - mean.mean())) ** 2 / (
+        rows * columns
+    )
     found = _highest_peak(power, whole, frames)
     half = np.arange(1, (rows - 1) // 2 + 1)
     return ReadoutSpectrum(
-        shape=(frames, rows, columns), power=power, row_power=power[half, 0], row_frequency=half / rows,
+        shape=(frames, rows, columns),
+        power=power,
+        row_power=power[half, 0],
+        row_frequency=half / rows,
         interference=found,
-    )  # fmt: skip
+    )
 
 
 def _highest_peak(power: Array, whole: Array, frames: int) -> Interference | None:
-    """Return the highest peak off both axes if noise does not explain it; its bin then has the median power.
+    """Return the highest peak off both axes if noise does not explain it; its bin then has the
+    median power.
 
-    `power` is that of changes, `whole` that of frames with their fixed pattern: the latter does not depend on the
-    phases that the frames happen to have, and is used for the height.
+    `power` is that of changes, `whole` that of frames with their fixed pattern: the latter does not
+    depend on the phases that the frames happen to have, and is used for the height.
     """
     from scipy.ndimage import uniform_filter1d
     from scipy.special import gammaincc, gammaincinv
 
     rows, columns = power.shape
-    # Density of each column of the spectrum, from the median of its exponential numbers: peaks do not raise it.
-    level = uniform_filter1d(np.median(power[1:], axis=0), 2 * READOUT.near_columns + 1, mode="wrap")
+    # Density of each column of the spectrum, from the median of its exponential numbers: peaks do
+    # not raise it.
+    level = uniform_filter1d(
+        np.median(power[1:], axis=0), 2 * READOUT.near_columns + 1, mode="wrap"
+    )
     level = level * (frames - 1) / float(gammaincinv(frames - 1, 0.5))
     if not np.all(level > 0.0):
         # Frames of a digitiser too coarse for their noise repeat each other.
@@ -115,23 +131,31 @@ def _highest_peak(power: Array, whole: Array, frames: int) -> Interference | Non
     row, column = (int(at) for at in np.unravel_index(np.argmax(searched), power.shape))
     real = (2 * row) % rows == 0 and (2 * column) % columns == 0
     degrees = (0.5 if real else 1.0) * (frames - 1)
-    if power.size / 2 * float(gammaincc(degrees, degrees * searched[row, column])) > READOUT.chance_of_peak:
+    if (
+        power.size / 2 * float(gammaincc(degrees, degrees * searched[row, column]))
+        > READOUT.chance_of_peak
+    ):
         return None
     if column > columns // 2:
         row, column = -row % rows, -column % columns
-    near = [((row + i) % rows, (column + j) % columns) for i in (-2, -1, 1, 2) for j in (-2, -1, 1, 2)]
+    near = [
+        ((row + i) % rows, (column + j) % columns) for i in (-2, -1, 1, 2) for j in (-2, -1, 1, 2)
+    ]
     ground = float(np.mean([whole[at] for at in near]))
     bins = 1.0 if real else 2.0
     height = max(float(whole[row, column]) - ground, 1e-12)
-    # Of a bin's power with signal s and noise b: b^2 + 2 s b, twice that of a real bin, over frames.
+    # Of a bin's power with signal s and noise b: b^2 + 2 s b, twice that of a real bin, over
+    # frames.
     variance = (ground**2 + 2.0 * height * ground) * (2.0 / bins) / frames + ground**2 / len(near)
     for at in ((row, column), (-row % rows, -column % columns)):
         power[at] = level[at[1]]
     size = rows * columns
     return Interference(
-        x_cy_per_px=column / columns, y_cy_per_px=row / rows, mean_square_dn2=bins * height / size,
+        x_cy_per_px=column / columns,
+        y_cy_per_px=row / rows,
+        mean_square_dn2=bins * height / size,
         sd_dn2=bins * float(np.sqrt(variance)) / size,
-    )  # fmt: skip
+    )
 
 
 def row_density(values: Values, frequency: Array) -> Array:
@@ -147,7 +171,9 @@ def row_variance(values: Values, rows: int) -> Array:
 
 
 def neighbour_variance(values: Values, rows: int) -> Array:
-    """Return the variance that offsets of rows and interference add to a pixel, shape (n,), DN^2."""
+    """Return the variance that offsets of rows and interference add to a pixel, shape (n,),
+    DN^2.
+    """
     return row_variance(values, rows) + values[INTERFERENCE]
 
 
@@ -165,8 +191,8 @@ def readout_observations(
 ) -> list[Observation]:
     """Observe the noise of the read-out in a dark (frame, row, col), DN.
 
-    `read_noise_dn`: read noise from values, DN; `gain_paths`: parameters on which it depends. What the dark does not
-    show is not observed: interference without a peak.
+    `read_noise_dn`: read noise from values, DN; `gain_paths`: parameters on which it depends. What
+    the dark does not show is not observed: interference without a peak.
     """
     found = readout_spectrum(data)
     if found is None:
@@ -174,21 +200,41 @@ def readout_observations(
     covariance, sd = found.neighbour_covariance
     out = [
         _rows(found),
-        one("covariance of neighbours in a row", covariance, sd,
-            lambda values: neighbour_covariance(values, read_noise_dn(values)), (FINE_RATIO, *gain_paths)),
-    ]  # fmt: skip
+        one(
+            "covariance of neighbours in a row",
+            covariance,
+            sd,
+            lambda values: neighbour_covariance(values, read_noise_dn(values)),
+            (FINE_RATIO, *gain_paths),
+        ),
+    ]
     peak = found.interference
     if peak is None:
         return out
     _, rows, columns = found.shape
     out.append(
-        one("interference", peak.mean_square_dn2,
-            float(np.hypot(peak.sd_dn2, NOISE_MODEL_SD * peak.mean_square_dn2)), lambda values: values[INTERFERENCE],
-            (INTERFERENCE,))
-    )  # fmt: skip
-    for path, value, pixels in ((ACROSS, peak.x_cy_per_px, columns), (DOWN, peak.y_cy_per_px, rows)):
+        one(
+            "interference",
+            peak.mean_square_dn2,
+            float(np.hypot(peak.sd_dn2, NOISE_MODEL_SD * peak.mean_square_dn2)),
+            lambda values: values[INTERFERENCE],
+            (INTERFERENCE,),
+        )
+    )
+    for path, value, pixels in (
+        (ACROSS, peak.x_cy_per_px, columns),
+        (DOWN, peak.y_cy_per_px, rows),
+    ):
         sd = READOUT.frequency_cycles_sd / pixels
-        out.append(one("frequency of interference", value, sd, lambda values, path=path: values[path], (path,)))
+        out.append(
+            one(
+                "frequency of interference",
+                value,
+                sd,
+                lambda values, path=path: values[path],
+                (path,),
+            )
+        )
     return out
 
 
@@ -211,6 +257,9 @@ def _rows(found: ReadoutSpectrum) -> Observation:
 
     # The logarithm of a mean of n exponential numbers has the variance 1/n and lies 1/(2n) low.
     return Observation(
-        name="offsets of rows", value=np.log(power) + 0.5 / number, predict=predict,
-        covariance=np.diag(1.0 / number + READOUT.row_model_sd**2), speaks_of=(ROW_NOISE, ROW_EXPONENT),
-    )  # fmt: skip
+        name="offsets of rows",
+        value=np.log(power) + 0.5 / number,
+        predict=predict,
+        covariance=np.diag(1.0 / number + READOUT.row_model_sd**2),
+        speaks_of=(ROW_NOISE, ROW_EXPONENT),
+    )

@@ -1,6 +1,8 @@
-"""Draws of a posterior of many parameters by elliptical slice sampling of many chains about an adapted normal law.
+"""Draws of a posterior of many parameters by elliptical slice sampling of many chains about an
+adapted normal law.
 
-For posteriors of some 25 parameters with narrow curved ridges, of which importance sampling keeps few effective draws.
+For posteriors of some 25 parameters with narrow curved ridges, of which importance sampling keeps
+few effective draws.
 """
 
 from collections.abc import Callable
@@ -42,16 +44,18 @@ def slice_sample(
     Returns
     -------
     Posterior
-        Flag `not-converged` if the chains' distribution still changes at the largest number of steps: mean or standard
-        deviation of a parameter over the chains differ between half of the steps and all.
+        Flag `not-converged` if the chains' distribution still changes at the largest number of
+        steps: mean or standard deviation of a parameter over the chains differ between half of the
+        steps and all.
 
     Notes
     -----
-    The density is continued beyond each bound by reflection, since of many parameters at a bound hardly any proposal
-    were inside; the draws are reflected back. Generalised elliptical slice sampling (Nishihara, Murray & Adams, JMLR
-    15, 2087 (2014)): with the normal law N of mean m and covariance C, a proposal m + (x - m) cos t + v sin t with v ~
-    N(0, C) is accepted above the slice of p(x)/N(x); the bracket of t shrinks towards 0 until one is. Chains start
-    from weighted draws of the adaptation; each doubling of the steps begins with their own mean and covariance.
+    The density is continued beyond each bound by reflection, since of many parameters at a bound
+    hardly any proposal were inside; the draws are reflected back. Generalised elliptical slice
+    sampling (Nishihara, Murray & Adams, JMLR 15, 2087 (2014)): with the normal law N of mean m and
+    covariance C, a proposal m + (x - m) cos t + v sin t with v ~ N(0, C) is accepted above the
+    slice of p(x)/N(x); the bracket of t shrinks towards 0 until one is. Chains start from weighted
+    draws of the adaptation; each doubling of the steps begins with their own mean and covariance.
     """
     rng = np.random.default_rng(seed)
 
@@ -69,19 +73,25 @@ def slice_sample(
             break
         before = chains
     return Posterior(
-        names=names, units=("1",) * len(names), draws=_reflect(chains, bounds), sampler="slice", seed=seed, flags=flags,
+        names=names,
+        units=("1",) * len(names),
+        draws=_reflect(chains, bounds),
+        sampler="slice",
+        seed=seed,
+        flags=flags,
         effective_sample_size=np.full(len(names), float(len(chains))),
-    )  # fmt: skip
+    )
 
 
 def adapt(
     log_probability: LogProbability, point: Array, covariance: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Return mean and covariance of a posterior, of a maximum and the curvature there, and draws to start chains from.
+    """Return mean and covariance of a posterior, of a maximum and the curvature there, and draws to
+    start chains from.
 
-    Population Monte Carlo: weighted draws of a Student t give the mean and covariance of the next one. Weights are cut
-    at their mean times the root of the number of draws, so that no draw decides (Ionides 2008, doi
-    10.1198/106186008X320456).
+    Population Monte Carlo: weighted draws of a Student t give the mean and covariance of the next
+    one. Weights are cut at their mean times the root of the number of draws, so that no draw
+    decides (Ionides 2008, doi 10.1198/106186008X320456).
     """
     count, freedom = SAMPLING.round_draws, SAMPLING.freedom
     points, weight = point[None], np.ones(1)
@@ -89,7 +99,9 @@ def adapt(
         normal = rng.standard_normal((count, point.size))
         stretch = np.sqrt(freedom / rng.chisquare(freedom, count))
         points = point + (normal * stretch[:, None]) @ root_of(covariance).T
-        tail = -0.5 * (freedom + point.size) * np.log1p((normal**2).sum(axis=1) * stretch**2 / freedom)
+        tail = (
+            -0.5 * (freedom + point.size) * np.log1p((normal**2).sum(axis=1) * stretch**2 / freedom)
+        )
         log_weight = log_probability(points) - tail
         weight = np.exp(log_weight - log_weight.max())
         weight = np.minimum(weight, weight.mean() * np.sqrt(count))
@@ -101,8 +113,14 @@ def adapt(
         point = np.average(points, axis=0, weights=weight)
         # Few effective draws change the covariance by little.
         share = effective / (effective + SAMPLING.prior_draws * point.size)
-        covariance = (1.0 - share) * covariance + share * np.atleast_2d(np.cov(points.T, aweights=weight))
-    return point, covariance, points[rng.choice(len(points), SAMPLING.kept, p=weight / weight.sum())]
+        covariance = (1.0 - share) * covariance + share * np.atleast_2d(
+            np.cov(points.T, aweights=weight)
+        )
+    return (
+        point,
+        covariance,
+        points[rng.choice(len(points), SAMPLING.kept, p=weight / weight.sum())],
+    )
 
 
 def _reflect(points: Array, bounds: Array) -> Array:
@@ -113,7 +131,8 @@ def _reflect(points: Array, bounds: Array) -> Array:
 
 
 def root_of(covariance: Array) -> Array:
-    """Return a root of a covariance; a direction of less than the least relative variance, as by rounding, gets that.
+    """Return a root of a covariance; a direction of less than the least relative variance, as by
+    rounding, gets that.
 
     Examples
     --------
@@ -123,7 +142,9 @@ def root_of(covariance: Array) -> Array:
     """
     scale = np.sqrt(np.diag(covariance))
     value, vector = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * vector * np.sqrt(np.maximum(value, SAMPLING.least_variance)), np.float64)
+    return np.asarray(
+        scale[:, None] * vector * np.sqrt(np.maximum(value, SAMPLING.least_variance)), np.float64
+    )
 
 
 def _run(
@@ -148,7 +169,12 @@ def _run(
 
 
 def _step(
-    excess: LogProbability, point: Array, root: Array, chains: Array, height: Array, rng: np.random.Generator
+    excess: LogProbability,
+    point: Array,
+    root: Array,
+    chains: Array,
+    height: Array,
+    rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Return the next place of every chain, and p/N there."""
     count = len(chains)

@@ -1,7 +1,7 @@
 """Model errors and limits of the fit, one a line.
 
-Relative errors and fractions are dimensionless. Without another source a model error is the largest disagreement of
-formula and simulated frames over specimens drawn from the shipped descriptions.
+Relative errors and fractions are dimensionless. Without another source a model error is the largest
+disagreement of formula and simulated frames over specimens drawn from the shipped descriptions.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,8 @@ class ModelErrors:
 
     # Noise power and variance, relative: integrals of the blur agree within 0.2 % (tests/physics).
     noise: float = 0.002
-    # Noise power at frequency 0, relative: extrapolation by blur models; 1.7 % of 24 specimens, 1.0 % stated.
+    # Noise power at frequency 0, relative: extrapolation by blur models; 1.7 % of 24 specimens, 1.0
+    # % stated.
     power: float = 0.012
     # Correlation of neighbouring pixels, absolute: 0.0011 of 24 specimens.
     neighbour: float = 0.0015
@@ -21,25 +22,28 @@ class ModelErrors:
     level: float = 0.0015
     # Level of every dark and flat, DN: clamp, ions of a dark, rounding.
     black_dn: float = 0.05
-    # Mean, DN, and variance, DN^2, of a stack whose noise is below `least_noise_dn`: attracted to whole numbers, by up
-    # to exp(-2 pi^2 s^2)/pi, and noise hidden or raised by rounding, by -1/12 to 1/6 DN^2.
+    # Mean, DN, and variance, DN^2, of a stack whose noise is below `least_noise_dn`: attracted to
+    # whole numbers, by up to exp(-2 pi^2 s^2)/pi, and noise hidden or raised by rounding, by -1/12
+    # to 1/6 DN^2.
     leaning_dn: float = 0.15
     rounding_dn2: float = 0.1
-    # MTF, absolute, and distance over which its errors are correlated, cy/px: the window of an edge of 100 px.
+    # MTF, absolute, and distance over which its errors are correlated, cy/px: the window of an edge
+    # of 100 px.
     mtf: float = 0.004
     mtf_correlation_cy_per_px: float = 0.08
-    # Veiling glare, relative: it follows the mean of the field of view, which is larger than the frame.
+    # Veiling glare, relative: it follows the mean of the field of view, which is larger than the
+    # frame.
     glare: float = 0.1
-    # Contrast of a target, as two decimals are stated: 0.01/sqrt(12); transmittance of an opaque one: chrome of optical
-    # density 3.
+    # Contrast of a target, as two decimals are stated: 0.01/sqrt(12); transmittance of an opaque
+    # one: chrome of optical density 3.
     contrast_sd: float = 0.003
     opaque_transmittance: float = 0.001
     # Halo diameter, px: its edge is located on pixels.
     halo_px: float = 0.1
     # Variance of a tube's fixed pattern, relative: blur of the screen's grain.
     pattern: float = 0.05
-    # Variance of a hexagonal pattern of lines over its squared contrast, 2 w^2/(p P): lines of w = 6 um, a fibre or
-    # two, seen by pixels of p = 18 um at the pitch P of 0.5 mm.
+    # Variance of a hexagonal pattern of lines over its squared contrast, 2 w^2/(p P): lines of w =
+    # 6 um, a fibre or two, seen by pixels of p = 18 um at the pitch P of 0.5 mm.
     line_area: float = 0.008
 
 
@@ -49,17 +53,19 @@ class FitLimits:
 
     # Noise at which quantisation is additive, DN: the first term of rounding is below 1 % there.
     least_noise_dn: float = 0.5
-    # Spacing of the MTF's points, cy/px: half the distance over which errors are correlated; range, and least MTF.
+    # Spacing of the MTF's points, cy/px: half the distance over which errors are correlated; range,
+    # and least MTF.
     mtf_spacing_cy_per_px: float = 0.04
     mtf_highest_cy_per_px: float = 0.45
     least_mtf: float = 0.03
-    # Distance from an edge beyond which its sides show glare alone, px: more than three widths of the widest lens blur
-    # of 20 um on pixels of 4 um; fewest pixels of a side.
+    # Distance from an edge beyond which its sides show glare alone, px: more than three widths of
+    # the widest lens blur of 20 um on pixels of 4 um; fewest pixels of a side.
     glare_px: float = 15.0
     glare_pixels: int = 500
     # p-value of a misfit, at which all errors are scaled.
     misfit: float = 1e-4
-    # A parameter is identified if its posterior is narrower than this fraction of its prior, in standard deviations.
+    # A parameter is identified if its posterior is narrower than this fraction of its prior, in
+    # standard deviations.
     identified: float = 0.7
     # Quantile of its posterior below which, or above its complement, the mode is no typical value.
     edge: float = 0.1
@@ -79,7 +85,9 @@ class Sampling:
     # Steps of the chains: after 10 no coordinate keeps a correlation above 0.5 with its start.
     least_steps: int = 10
     most_steps: int = 320
-    most_change_se: float = 5.0  # change of mean or spread over the second half of the steps, standard errors
+    most_change_se: float = (
+        5.0  # change of mean or spread over the second half of the steps, standard errors
+    )
     least_variance: float = 1e-8  # of a direction of the parameters, each over its own
     least_angle: float = 1e-6  # bracket of a step, rad, below which a chain stays
     candidates: int = 400  # prior draws of a truncated parameter
@@ -89,22 +97,27 @@ class Sampling:
 class TubeFrames:
     """Frames of flats behind a tube: what is used of them, and model errors."""
 
-    # Frames and pixels of a stack that are used: beyond them the model error of the correlation dominates.
+    # Frames and pixels of a stack that are used: beyond them the model error of the correlation
+    # dominates.
     most_frames: int = 32
     most_rows: int = 480
     most_columns: int = 768
-    # Fewest frames that show a correlation, and largest lag, frames: slow screens have faded by then.
+    # Fewest frames that show a correlation, and largest lag, frames: slow screens have faded by
+    # then.
     least_frames: int = 4
     largest_lag: int = 4
     # Flats whose frames are correlated, brightest first.
     most_flats: int = 3
-    # Standard deviation of a pixel above which rounding adds noise of its own, DN: 1 % of the variance at most.
+    # Standard deviation of a pixel above which rounding adds noise of its own, DN: 1 % of the
+    # variance at most.
     least_noise_dn: float = 0.6
     # Blocks of an image, rows and columns, whose scatter gives the standard errors.
     blocks: tuple[int, int] = (8, 8)
-    # Model error of a correlation: the shape of the blur enters the correlation of successive fields.
+    # Model error of a correlation: the shape of the blur enters the correlation of successive
+    # fields.
     correlation_model_sd: float = 0.001
-    # Parts of a line whose covariance is that of the line noise: parts next to each other share pulses.
+    # Parts of a line whose covariance is that of the line noise: parts next to each other share
+    # pulses.
     line_parts: int = 8
 
 
@@ -112,13 +125,13 @@ class TubeFrames:
 class TubeDarks:
     """Pulses, quiet pixels and ions in the darks of a tube."""
 
-    # Values that stand out of the noise by so much are pulses, standard deviations and DN; so are their surroundings,
-    # rows and columns.
+    # Values that stand out of the noise by so much are pulses, standard deviations and DN; so are
+    # their surroundings, rows and columns.
     pulse_sd: float = 4.5
     pulse_dn: float = 1.5
     pulse_reach: tuple[int, int] = (7, 9)
-    # Fewest values below a grey value and largest fraction of them that locate the noise of a coarse digitiser, and
-    # both fractions for a fine one.
+    # Fewest values below a grey value and largest fraction of them that locate the noise of a
+    # coarse digitiser, and both fractions for a fine one.
     least_count: int = 50
     most_below: float = 0.9
     fine_below: tuple[float, float] = (0.05, 0.5)
@@ -127,13 +140,14 @@ class TubeDarks:
     # Fewest quiet values, as a fraction, and fewest frames.
     least_quiet: float = 0.05
     least_frames: int = 4
-    # Charge of an ion event over k F^2, and of each pixel of its window, DN: hardly a pulse is as large, and no noise
-    # that rounding doubles along a line.
+    # Charge of an ion event over k F^2, and of each pixel of its window, DN: hardly a pulse is as
+    # large, and no noise that rounding doubles along a line.
     ion_charge: float = 8.0
     ion_pixel_dn: float = 1.5
     # Window, field rows and columns, in which the charge of a pulse is summed.
     window: tuple[int, int] = (3, 5)
-    # Least charge of an ion event over the noise of the window, and the area that its light reaches, rows and columns.
+    # Least charge of an ion event over the noise of the window, and the area that its light
+    # reaches, rows and columns.
     ion_sd: float = 7.0
     ion_reach: tuple[int, int] = (13, 13)
 
@@ -142,8 +156,8 @@ class TubeDarks:
 class IonErrors:
     """Ion events in the darks of a tube: limits and model errors."""
 
-    # Fewest events whose mean charge is observed; relative model errors of the root of their number, of the charge, and
-    # of the number of pulses that coincide.
+    # Fewest events whose mean charge is observed; relative model errors of the root of their
+    # number, of the charge, and of the number of pulses that coincide.
     least_events: int = 4
     number: float = 0.05
     charge: float = 0.1
@@ -159,7 +173,8 @@ class DarkErrors:
     # Mean light of a pulse outside its surroundings, and its error; relative.
     wing: float = 0.04
     wing_sd: float = 0.04
-    # Relative model errors: of the pulses' covariance, of fine and of coarse digitisers, and of what rounding does.
+    # Relative model errors: of the pulses' covariance, of fine and of coarse digitisers, and of
+    # what rounding does.
     covariance_sd: float = 0.05
     coarse_covariance_sd: float = 0.08
     rounding_sd: float = 0.25
@@ -170,7 +185,8 @@ class DarkErrors:
     coarse_quiet_sd: float = 0.07
     # Fixed pattern that rounding and few pulses leave in a coarse digitiser's quiet pixels, DN.
     coarse_pattern_dn: float = 0.03
-    # Standard deviation below which rounding is no noise of its own, DN; slope below which it hides a dark pattern.
+    # Standard deviation below which rounding is no noise of its own, DN; slope below which it hides
+    # a dark pattern.
     coarse_dn: float = 0.6
     least_slope: float = 0.4
 
@@ -179,11 +195,13 @@ class DarkErrors:
 class TubePattern:
     """Pattern of the flats of a tube."""
 
-    # Frames left out between two halves, whose lag would correlate their noise, where there are enough.
+    # Frames left out between two halves, whose lag would correlate their noise, where there are
+    # enough.
     gap_frames: int = 4
     least_frames: int = 12
-    # Variance over squared contrast of what the borders of multi-fibres leave: a twentieth of their own, which is 2 w/P
-    # sqrt(pi)/2 of Gaussian lines of the width w of a fibre or two at the pitch P of 0.5 mm.
+    # Variance over squared contrast of what the borders of multi-fibres leave: a twentieth of their
+    # own, which is 2 w/P sqrt(pi)/2 of Gaussian lines of the width w of a fibre or two at the pitch
+    # P of 0.5 mm.
     border_residue: float = 0.05 * 0.03
     # Relative model error of the variance.
     pattern_sd: float = 0.08
@@ -193,7 +211,8 @@ class TubePattern:
 class Readout:
     """Noise of the read-out of a digital camera."""
 
-    # Fewest frames and pixels along an axis from which a spectrum is taken: two frames have one phase of interference.
+    # Fewest frames and pixels along an axis from which a spectrum is taken: two frames have one
+    # phase of interference.
     fewest_frames: int = 4
     fewest_pixels: int = 48
     # Probability of the highest of all bins of white noise above which a peak is interference.
@@ -204,7 +223,8 @@ class Readout:
     row_bands: int = 6
     # Relative model error of a band of the rows' spectrum: no camera has the exact law f^-a.
     row_model_sd: float = 0.05
-    # Error of a frequency of interference, cycles over the frame: a clock of the camera divides its pixel clock.
+    # Error of a frequency of interference, cycles over the frame: a clock of the camera divides its
+    # pixel clock.
     frequency_cycles_sd: float = 0.02
 
 
@@ -212,9 +232,11 @@ class Readout:
 class SiliconErrors:
     """Observations of a camera without a tube: limits and model errors."""
 
-    # Signal over full scale to which the photon transfer curve is fitted (EMVA 1288 release 4, section 6.4).
+    # Signal over full scale to which the photon transfer curve is fitted (EMVA 1288 release 4,
+    # section 6.4).
     emva_reach: float = 0.7
-    # Fewest flats whose variances are observed one by one, and least signal of each over the dark's noise.
+    # Fewest flats whose variances are observed one by one, and least signal of each over the dark's
+    # noise.
     fewest_flats: int = 3
     least_signal: float = 0.5
     # Dark current and DSNU are stated at this temperature.
@@ -225,7 +247,8 @@ class SiliconErrors:
     least_noise_dn: float = 0.4
     # Relative error of a flat's level, from linearity and the light's repeatability.
     level_model_sd: float = 0.003
-    # Relative error of the electrons per lumen of a table of quantum efficiencies; see `table_sensitivity_ua_per_lm`.
+    # Relative error of the electrons per lumen of a table of quantum efficiencies; see
+    # `table_sensitivity_ua_per_lm`.
     lumen_model_sd: float = 0.002
     # Relative error of the level of saturation: the variance peaks somewhat below the full well.
     saturation_model_sd: float = 0.03
@@ -235,7 +258,8 @@ class SiliconErrors:
 class Levels:
     """Stacks within the linear range."""
 
-    # Fraction of pixels at an end of the scale, and level over full scale, up to which a stack is in the linear range.
+    # Fraction of pixels at an end of the scale, and level over full scale, up to which a stack is
+    # in the linear range.
     most_clipped: float = 0.001
     highest_level: float = 0.85
 

@@ -39,7 +39,9 @@ class Darks:
 
 
 def darks_of(ions: IonEvents) -> Darks | None:
-    """Return the frames of a dark and what is quiet in them, or None where its noise cannot be located."""
+    """Return the frames of a dark and what is quiet in them, or None where its noise cannot be
+    located.
+    """
     from scipy.ndimage import maximum_filter
 
     data = ions.data
@@ -49,16 +51,25 @@ def darks_of(ions: IonEvents) -> Darks | None:
     pulse = data >= first[0] + max(DARKS.pulse_dn, DARKS.pulse_sd * first[1])
     quiet = maximum_filter(pulse, size=(1, *DARKS.pulse_reach)) == 0
     noise = quiet_noise(data[quiet]) if quiet.mean() > DARKS.least_quiet else None
-    # Pulses among all pixels raise their noise by up to a seventh, among quiet ones by some percent.
+    # Pulses among all pixels raise their noise by up to a seventh, among quiet ones by some
+    # percent.
     noise, relative_sd = (noise, 0.03) if noise else (first, 0.15)
     return Darks(
-        data=data, level=ions.level, sensor=ions.sensor, level_dn=noise[0], noise_dn=noise[1],
-        noise_relative_sd=relative_sd, quiet=quiet, ions=ions,
-    )  # fmt: skip
+        data=data,
+        level=ions.level,
+        sensor=ions.sensor,
+        level_dn=noise[0],
+        noise_dn=noise[1],
+        noise_relative_sd=relative_sd,
+        quiet=quiet,
+        ions=ions,
+    )
 
 
 def thresholds_of(values: NDArray[np.floating]) -> tuple[float, float] | None:
-    """Return two levels between grey values that locate the lower side and the middle of the noise, DN."""
+    """Return two levels between grey values that locate the lower side and the middle of the noise,
+    DN.
+    """
     codes, counts = np.unique(values, return_counts=True)
     below = np.cumsum(counts)
     fine = counts.max() < DARKS.fine_fraction * values.size
@@ -71,8 +82,8 @@ def thresholds_of(values: NDArray[np.floating]) -> tuple[float, float] | None:
 def quiet_noise(values: NDArray[np.floating]) -> tuple[float, float] | None:
     """Return level and standard deviation before rounding of normal noise, from its lower side, DN.
 
-    The fraction below a level c between grey values is the normal distribution at (c - level)/sd, rounded or not.
-    Pulses only raise values. None of noise that reaches no second grey value.
+    The fraction below a level c between grey values is the normal distribution at (c - level)/sd,
+    rounded or not. Pulses only raise values. None of noise that reaches no second grey value.
     """
     levels = thresholds_of(values)
     if levels is None:
@@ -81,7 +92,9 @@ def quiet_noise(values: NDArray[np.floating]) -> tuple[float, float] | None:
 
 
 def level_and_sd(below: Array, levels: tuple[float, float]) -> tuple[float, float]:
-    """Return level and standard deviation of normal noise from the fractions below two levels, shape (2,), DN."""
+    """Return level and standard deviation of normal noise from the fractions below two levels,
+    shape (2,), DN.
+    """
     from scipy.special import ndtri
 
     low, high = ndtri(below)

@@ -1,4 +1,6 @@
-"""Observation of ion feedback: number and charge of the events in a dark that are larger than pulses."""
+"""Observation of ion feedback: number and charge of the events in a dark that are larger than
+pulses.
+"""
 
 from dataclasses import dataclass
 from typing import Any, cast
@@ -20,7 +22,10 @@ Array = NDArray[np.float64]
 
 RATE, SIZE = "microchannel_plate.ion_event_rate_per_s_cm2", "microchannel_plate.ion_event_size_pe"
 IONS = (RATE, SIZE)
-DETECTED, SHAPE = "microchannel_plate.detection_probability", "microchannel_plate.pulse_height_shape"
+DETECTED, SHAPE = (
+    "microchannel_plate.detection_probability",
+    "microchannel_plate.pulse_height_shape",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +35,9 @@ class IonEvents:
     level: StackMean
     sensor: Sensor
     data: NDArray[np.float32]  # frames of the dark, shape (frame, row, col), DN
-    reached: NDArray[np.bool_]  # pixels that the light of an event may reach in any frame, shape (row, col)
+    reached: NDArray[
+        np.bool_
+    ]  # pixels that the light of an event may reach in any frame, shape (row, col)
     charge_dn: tuple[float, ...]  # charge of each event in its window and brightest field, DN
     least_dn: float  # charge in the window from which an event counts as that of an ion, DN
     in_window: float  # fraction of a pulse's light in a field that its window contains
@@ -39,18 +46,25 @@ class IonEvents:
 
 
 def light_in_window(values: Values) -> float:
-    """Return the fraction of a pulse's light that its window contains, of a Gaussian of the described blur."""
+    """Return the fraction of a pulse's light that its window contains, of a Gaussian of the
+    described blur.
+    """
     from scipy.special import erf
 
     blur = pulse_covariance(values, ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0)))[0]
     # Two such Gaussians r px apart have the covariance exp(-r^2/(4 s^2)).
     sizes = [1.0 / np.sqrt(4.0 * np.log(blur[0] / near)) for near in blur[1:]]
-    sides = [erf(wide / (2.0 * np.sqrt(2.0) * size)) for wide, size in zip(DARKS.window, sizes, strict=True)]
+    sides = [
+        erf(wide / (2.0 * np.sqrt(2.0) * size))
+        for wide, size in zip(DARKS.window, sizes, strict=True)
+    ]
     return float(np.prod(sides))
 
 
 def ions_of(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> IonEvents | None:
-    """Return the ion events of the dark with most frames, or None without one of enough frames or a measured gain."""
+    """Return the ion events of the dark with most frames, or None without one of enough frames or a
+    measured gain.
+    """
     stacks = [level for level in levels if level.dark and level.entry is not None]
     # A scale of the charge of pulses, for which any estimate will do.
     gains = [m.value for m in result.find("covariance_gain") if m.value]
@@ -63,7 +77,9 @@ def ions_of(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> Io
     return find_ions(data, level, sensor, gains[0])
 
 
-def find_ions(data: NDArray[np.float32], level: StackMean, sensor: Sensor, event_dn: float) -> IonEvents:
+def find_ions(
+    data: NDArray[np.float32], level: StackMean, sensor: Sensor, event_dn: float
+) -> IonEvents:
     """Return the ion events of a dark's frames (frame, row, col); `event_dn`: k F^2, DN."""
     from scipy.ndimage import label, maximum, maximum_filter, uniform_filter
 
@@ -75,19 +91,29 @@ def find_ions(data: NDArray[np.float32], level: StackMean, sensor: Sensor, event
         charge[:, parity::step] = uniform_filter(data[:, parity::step], size=window) - data.mean()
     charge *= DARKS.window[0] * DARKS.window[1]
     low, middle = np.quantile(charge[0], (0.16, 0.5))
-    noise_dn = max(DARKS.ion_sd * float(middle - low), DARKS.ion_pixel_dn * DARKS.window[0] * DARKS.window[1])
+    noise_dn = max(
+        DARKS.ion_sd * float(middle - low), DARKS.ion_pixel_dn * DARKS.window[0] * DARKS.window[1]
+    )
     least = max(DARKS.ion_charge * event_dn * in_field, noise_dn)
     seed = charge > least
     # An event is seen in both fields and in later frames: what touches is one event.
     near = np.asarray(maximum_filter(seed, size=(1, 5, 5)), bool)
     parts, count = cast(Any, label(near, structure=np.ones((3, 3, 3))))
-    largest = np.atleast_1d(maximum(charge, parts, np.arange(1, count + 1))) if count else np.empty(0)
+    largest = (
+        np.atleast_1d(maximum(charge, parts, np.arange(1, count + 1))) if count else np.empty(0)
+    )
     reached = maximum_filter(seed.any(axis=0), size=DARKS.ion_reach) > 0
     return IonEvents(
-        level=level, sensor=sensor, data=data, reached=reached, least_dn=least, in_window=in_window,
-        event_dn=event_dn, variance_dn2=float(np.sum((data[near] - data.mean()) ** 2)) / data.size,
+        level=level,
+        sensor=sensor,
+        data=data,
+        reached=reached,
+        least_dn=least,
+        in_window=in_window,
+        event_dn=event_dn,
+        variance_dn2=float(np.sum((data[near] - data.mean()) ** 2)) / data.size,
         charge_dn=tuple(float(one) for one in largest),
-    )  # fmt: skip
+    )
 
 
 def moment_below(shape: Array, mean: Array | float, limit: Array, order: int) -> Array:
@@ -95,16 +121,21 @@ def moment_below(shape: Array, mean: Array | float, limit: Array, order: int) ->
     from scipy.special import gammainc, poch
 
     shape, scale = np.asarray(shape, float), np.asarray(mean) / shape
-    return scale**order * poch(shape, order) * gammainc(shape + order, np.maximum(limit, 0.0) / scale)
+    return (
+        scale**order * poch(shape, order) * gammainc(shape + order, np.maximum(limit, 0.0) / scale)
+    )
 
 
 def single_pulse_limit(values: Values, events: IonEvents) -> Array:
-    """Return the charge from which an event counts as that of an ion, in mean detected pulses, shape (n,)."""
+    """Return the charge from which an event counts as that of an ion, in mean detected pulses,
+    shape (n,).
+    """
     return events.least_dn / _in_window(values, events)
 
 
 def weak_ions(values: Values, events: IonEvents) -> tuple[Array, Array]:
-    """Return mean and mean square light of ion events too small to be counted, by field pixel and field.
+    """Return mean and mean square light of ion events too small to be counted, by field pixel and
+    field.
 
     Shapes (n,), DN and DN^2.
     """
@@ -114,12 +145,13 @@ def weak_ions(values: Values, events: IonEvents) -> tuple[Array, Array]:
 
 
 def ion_observation(events: IonEvents) -> Observation:
-    """Observe the square root of the number of counted ion events and the logarithm of their mean charge.
+    """Observe the square root of the number of counted ion events and the logarithm of their mean
+    charge.
 
     Notes
     -----
-    The root of a Poisson number plus 3/8 has the variance 1/4 nearly (Anscombe 1948). No event says that few are above
-    the limit; then the charge is left out.
+    The root of a Poisson number plus 3/8 has the variance 1/4 nearly (Anscombe 1948). No event says
+    that few are above the limit; then the charge is left out.
     """
     charges = np.array(events.charge_dn)
     number = charges.size
@@ -128,12 +160,18 @@ def ion_observation(events: IonEvents) -> Observation:
     sheet = values_of_description(events.sensor)
     pulse_dn = events.event_dn / (1.0 + 1.0 / sheet[SHAPE])
     limit = single_pulse_limit(sheet, events) * _pulse_dn(sheet, events) / pulse_dn
-    groups = float(_coincidences(sheet, limit, events.level.gate_s)[0]) * _exposure_of_pixels_s(events)
+    groups = float(_coincidences(sheet, limit, events.level.gate_s)[0]) * _exposure_of_pixels_s(
+        events
+    )
     unsure = ION_ERRORS.number * value[0], 0.5 * ION_ERRORS.coincidences * groups / value[0]
     sd = [float(np.hypot.reduce([0.5, *unsure]))]
     if number >= ION_ERRORS.least_events:
         value.append(float(np.log(charges.mean())))
-        sd.append(float(np.hypot(charges.std(ddof=1) / charges.mean() / np.sqrt(number), ION_ERRORS.charge)))
+        sd.append(
+            float(
+                np.hypot(charges.std(ddof=1) / charges.mean() / np.sqrt(number), ION_ERRORS.charge)
+            )
+        )
 
     def predict(values: Values) -> Array:
         ions = predicted.ion_rate(values) * _exposure_of_pixels_s(events)
@@ -145,11 +183,17 @@ def ion_observation(events: IonEvents) -> Observation:
         # Where none is expected, an event is one at the limit.
         few = 1e-9
         charge = (above + (pulses + few) * (limit + 1.0)) / (found + few)
-        columns = [np.sqrt(found + 0.375), np.log(charge * _in_window(values, events))][: len(value)]
+        columns = [np.sqrt(found + 0.375), np.log(charge * _in_window(values, events))][
+            : len(value)
+        ]
         return np.stack(np.broadcast_arrays(*columns), axis=1)
 
     return Observation(
-        name="ion events", value=np.array(value), covariance=np.diag(np.square(sd)), predict=predict, speaks_of=IONS
+        name="ion events",
+        value=np.array(value),
+        covariance=np.diag(np.square(sd)),
+        predict=predict,
+        speaks_of=IONS,
     )
 
 
@@ -165,26 +209,30 @@ def _pulse_dn(values: Values, events: IonEvents) -> Array:
 
 
 def _in_window(values: Values, events: IonEvents) -> Array:
-    """Return the charge of the mean detected pulse in its window and brightest field, shape (n,), DN."""
+    """Return the charge of the mean detected pulse in its window and brightest field, shape (n,),
+    DN.
+    """
     in_field = np.sqrt(field_products(values, events.level.gate_s, 1)[:, 0])
     return _pulse_dn(values, events) * events.in_window * in_field
 
 
 def _moment_of_weak(values: Values, events: IonEvents, order: int) -> Array:
-    """Return the part of a moment of the charge of ion events that is below the limit, in mean detected pulses.
+    """Return the part of a moment of the charge of ion events that is below the limit, in mean
+    detected pulses.
 
-    The charge of an event is the sum of a Poisson number of pulses, here as the gamma distribution of its mean m and
-    variance m (1 + 1/shape).
+    The charge of an event is the sum of a Poisson number of pulses, here as the gamma distribution
+    of its mean m and variance m (1 + 1/shape).
     """
     size, spread = values[SIZE], 1.0 + 1.0 / values[SHAPE]
     return moment_below(size / spread, size, single_pulse_limit(values, events), order)
 
 
 def _coincidences(values: Values, limit: Array, gate_s: float) -> Array:
-    """Return the number of pulses and groups of pulses above a limit, by field pixel and second, shape (n,).
+    """Return the number of pulses and groups of pulses above a limit, by field pixel and second,
+    shape (n,).
 
-    Of k pulses besides one in its window, a Poisson number, the charge is gamma distributed of the shape (1 + k) a; the
-    group is one event.
+    Of k pulses besides one in its window, a Poisson number, the charge is gamma distributed of the
+    shape (1 + k) a; the group is one event.
     """
     from scipy.special import gammaincc
     from scipy.stats import poisson

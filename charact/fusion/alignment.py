@@ -1,4 +1,6 @@
-"""Bands on the pixels of the first one: warp by the geometry of the cameras, then by the shift that is left."""
+"""Bands on the pixels of the first one: warp by the geometry of the cameras, then by the shift that
+is left.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,17 +17,23 @@ from labdata.errors import BadInput
 
 
 def align_bands(
-    bands: Sequence[Band], sources: Sequence[Source], *, distance_m: float | None = None, registered: bool = False
+    bands: Sequence[Band],
+    sources: Sequence[Source],
+    *,
+    distance_m: float | None = None,
+    registered: bool = False,
 ) -> tuple[list[Band], list[Placement | None]]:
-    """Return bands on the pixels of the first one, and the place of these in each frame (None: unmoved).
+    """Return bands on the pixels of the first one, and the place of these in each frame (None:
+    unmoved).
 
-    `sources`: where the bands are from; `distance_m`: distance at which all is taken to lie, None: range of each pixel
-    where it is known, else infinite; `registered`: whether the shift that geometry leaves is neither measured nor
-    corrected. Frames of unlike size with a lens unknown are BadInput.
+    `sources`: where the bands are from; `distance_m`: distance at which all is taken to lie, None:
+    range of each pixel where it is known, else infinite; `registered`: whether the shift that
+    geometry leaves is neither measured nor corrected. Frames of unlike size with a lens unknown are
+    BadInput.
 
-    A shift is corrected where the 95 % intervals of `residual_shift` lie beyond `FUSION.flagged_shift_px`, but not if
-    poses are known: they are closer than a shift measured from edges that two bands do not share. Geometry and shift
-    are one interpolation.
+    A shift is corrected where the 95 % intervals of `residual_shift` lie beyond
+    `FUSION.flagged_shift_px`, but not if poses are known: they are closer than a shift measured
+    from edges that two bands do not share. Geometry and shift are one interpolation.
     """
     fixed, found = bands[0], [bands[0]]
     places: list[Placement | None] = [None]
@@ -39,8 +47,11 @@ def align_bands(
                 placement = (placement or _identity(band)).shifted(shift.shift_px)
                 moved = move_band(band, placement)
                 across, down = shift.shift_px
-                notes = (*notes, f"{band.name} was moved by its measured shift of {down:.2f} rows and {across:.2f} "
-                                 "columns")  # fmt: skip
+                notes = (
+                    *notes,
+                    f"{band.name} was moved by its measured shift of {down:.2f} rows and "
+                    f"{across:.2f} columns",
+                )
         found.append(replace(moved, notes=(*moved.notes, *notes)))
         places.append(placement)
     return found, places
@@ -49,35 +60,57 @@ def align_bands(
 def place_source(
     fixed: Source, moving: Source, distance_m: float | None = None
 ) -> tuple[Placement | None, tuple[str, ...]]:
-    """Return the place of fixed pixels in a moving frame, None if the frames are on one grid, and notes on the way."""
+    """Return the place of fixed pixels in a moving frame, None if the frames are on one grid, and
+    notes on the way.
+    """
     one, other = fixed.geometry, moving.geometry
     same = fixed.stack.shape[1:] == moving.stack.shape[1:]
     if one is None or other is None or (same and not are_posed(one, other)):
         if not same:
-            sizes = " and ".join(f"{source.name} {source.stack.shape[1]} x {source.stack.shape[2]}"
-                                 for source in (fixed, moving))  # fmt: skip
+            sizes = " and ".join(
+                f"{source.name} {source.stack.shape[1]} x {source.stack.shape[2]}"
+                for source in (fixed, moving)
+            )
             known = "unless both lenses are known (--sensor, --imager)"
             raise BadInput(f"bands must have the same rows and columns {known}, got {sizes}")
         if distance_m is not None:
-            raise BadInput("--range-m needs the poses of both cameras, as in the truth of a simulated session")
-        return None, (f"{moving.name}: warp and parallax were left out: poses of the cameras are unknown",)
+            raise BadInput(
+                "--range-m needs the poses of both cameras, as in the truth of a simulated session"
+            )
+        return None, (
+            f"{moving.name}: warp and parallax were left out: poses of the cameras are unknown",
+        )
     placement = place_pixels(one, other, distance_m=distance_m)
     if placement.outside.all():
-        raise BadInput(f"the fields of view must overlap, got none of {fixed.name} in {moving.name}")
+        raise BadInput(
+            f"the fields of view must overlap, got none of {fixed.name} in {moving.name}"
+        )
     return placement, (_way(one, other, distance_m, moving.name, placement),)
 
 
-def _way(fixed: CameraGeometry, moving: CameraGeometry, distance_m: float | None, name: str, placed: Placement) -> str:
+def _way(
+    fixed: CameraGeometry,
+    moving: CameraGeometry,
+    distance_m: float | None,
+    name: str,
+    placed: Placement,
+) -> str:
     """Return the sentence on how a frame was placed."""
     if fixed.position_m is None or moving.position_m is None:
-        way = "the focal lengths alone: parallel axes in one place; parallax was left out, for poses are unknown"
+        way = (
+            "the focal lengths alone: parallel axes in one place; parallax was left out, for "
+            "poses are unknown"
+        )
     elif distance_m is not None:
         way = f"poses and lenses, all at {distance_m:g} m"
     elif fixed.range_m is None:
         way = "poses and lenses, all at infinity: parallax was left out, for the range is unknown"
     else:
         way = "poses, lenses and the range of each pixel"
-    lost = f"{100.0 * placed.outside.mean():.2g} % outside its field, {100.0 * placed.occluded.mean():.2g} % occluded"
+    lost = (
+        f"{100.0 * placed.outside.mean():.2g} % outside its field, "
+        f"{100.0 * placed.occluded.mean():.2g} % occluded"
+    )
     return f"{name} was placed by {way}; {lost}"
 
 
@@ -88,7 +121,9 @@ def _identity(band: Band) -> Placement:
 
 
 def move_band(band: Band, placement: Placement) -> Band:
-    """Return a band at the places of another frame's pixels, with the noise that the warp leaves."""
+    """Return a band at the places of another frame's pixels, with the noise that the warp
+    leaves.
+    """
     rows, cols = band.image.shape
     away = np.abs(placement.col - 0.5 * (cols - 1)), np.abs(placement.row - 0.5 * (rows - 1))
     beyond = (away[0] > 0.5 * cols) | (away[1] > 0.5 * rows)
@@ -107,7 +142,8 @@ def move_band(band: Band, placement: Placement) -> Band:
 def common_field(places: Sequence[Placement | None]) -> tuple[int, int, int, int] | None:
     """Return ROW, COL, HEIGHT, WIDTH of the pixels that lie inside all frames; None: all pixels do.
 
-    From the whole frame, the side with the largest share of pixels outside is moved inwards until there is none.
+    From the whole frame, the side with the largest share of pixels outside is moved inwards until
+    there is none.
     """
     outside = [place.outside for place in places if place is not None]
     if not outside or not (lost := np.logical_or.reduce(outside)).any():
@@ -115,12 +151,16 @@ def common_field(places: Sequence[Placement | None]) -> tuple[int, int, int, int
     top, left, bottom, right = 0, 0, *lost.shape
     while top < bottom and left < right and (part := lost[top:bottom, left:right]).any():
         sides = [part[0].mean(), part[-1].mean(), part[:, 0].mean(), part[:, -1].mean()]
-        # A side without pixels outside stays; pixels outside within the frame are reached from the nearest side.
+        # A side without pixels outside stays; pixels outside within the frame are reached from the
+        # nearest side.
         worst = int(np.argmax(sides))
         top, bottom = top + (worst == 0), bottom - (worst == 1)
         left, right = left + (worst == 2), right - (worst == 3)
     if bottom - top < 16 or right - left < 16:
-        raise BadInput("the fields of view must have 16 rows and columns in common: --whole fuses the whole frame")
+        raise BadInput(
+            "the fields of view must have 16 rows and columns in common: --whole fuses the whole "
+            "frame"
+        )
     return top, left, bottom - top, right - left
 
 
@@ -131,10 +171,19 @@ def crop_band(band: Band, region: tuple[int, int, int, int]) -> Band:
     bloom = band.bloom
     if bloom is not None:
         moved = [replace(one, row=one.row - row, col=one.col - col) for one in bloom.sources]
-        inside = [one for one in moved if not one.has_known_signal or (0 <= one.row < height and 0 <= one.col < width)]
+        inside = [
+            one
+            for one in moved
+            if not one.has_known_signal or (0 <= one.row < height and 0 <= one.col < width)
+        ]
         bloom = replace(
-            bloom, fraction=bloom.fraction[cut], sd=bloom.sd[cut], blooming_dn=bloom.blooming_dn[cut],
-            clipped=bloom.clipped[cut], near_border=bloom.near_border[cut], sources=tuple(inside),
-        )  # fmt: skip
+            bloom,
+            fraction=bloom.fraction[cut],
+            sd=bloom.sd[cut],
+            blooming_dn=bloom.blooming_dn[cut],
+            clipped=bloom.clipped[cut],
+            near_border=bloom.near_border[cut],
+            sources=tuple(inside),
+        )
     no_data = None if band.no_data is None or not band.no_data[cut].any() else band.no_data[cut]
     return replace(band, image=band.image[cut], bloom=bloom, no_data=no_data)

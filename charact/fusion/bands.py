@@ -1,4 +1,6 @@
-"""Bands of a fusion: frames with their noise law and blooming, and their display values with noise and holes."""
+"""Bands of a fusion: frames with their noise law and blooming, and their display values with noise
+and holes.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,8 +21,8 @@ Image = NDArray[Any]  # float32
 Mask = NDArray[np.bool_]
 # Lowest and highest value of a band that are shown as 0 and 1.
 Span = tuple[float, float]
-# Means of 4 x 4 px from which a span is taken; percentiles of 8,000 are known within a tenth of their distance to the
-# ends.
+# Means of 4 x 4 px from which a span is taken; percentiles of 8,000 are known within a tenth of
+# their distance to the ends.
 SPAN_SAMPLES = 8000
 
 
@@ -28,11 +30,12 @@ SPAN_SAMPLES = 8000
 class Band:
     """One frame of a fusion.
 
-    `image`: frame above dark, shape (row, col), DN, or K of a thermal imager; `noise`: noise law of the camera, None:
-    estimated from the frame, and flagged; `clip`: full scale above dark, in the unit of the image, None: nothing is
-    clipped; `bloom`: bloom map of the frame, subtracted by the methods that know blooming; `no_data`: pixels that
-    another camera does not see, such as occluded ones, shape (row, col); `flags`, `notes`: reasons to distrust the
-    frame, and remarks. An image that is not a finite two-dimensional array is BadInput.
+    `image`: frame above dark, shape (row, col), DN, or K of a thermal imager; `noise`: noise law of
+    the camera, None: estimated from the frame, and flagged; `clip`: full scale above dark, in the
+    unit of the image, None: nothing is clipped; `bloom`: bloom map of the frame, subtracted by the
+    methods that know blooming; `no_data`: pixels that another camera does not see, such as occluded
+    ones, shape (row, col); `flags`, `notes`: reasons to distrust the frame, and remarks. An image
+    that is not a finite two-dimensional array is BadInput.
     """
 
     name: str
@@ -47,13 +50,25 @@ class Band:
     def __post_init__(self) -> None:
         image = np.asarray(self.image, np.float32)
         if image.ndim != 2 or min(image.shape) < 16:
-            raise BadInput(f"the band {self.name!r} must have 16 rows and columns or more, got shape {image.shape}")
+            raise BadInput(
+                f"the band {self.name!r} must have 16 rows and columns or more, got shape "
+                f"{image.shape}"
+            )
         if not np.isfinite(image.sum()):
             bad = int(np.count_nonzero(~np.isfinite(image)))
-            raise BadInput(f"every pixel must be finite, got {bad} that are NaN or infinite in the band {self.name!r}")
-        for what, given in (("bloom map", self.bloom and self.bloom.fraction), ("no_data", self.no_data)):
+            raise BadInput(
+                f"every pixel must be finite, got {bad} that are NaN or infinite in the band "
+                f"{self.name!r}"
+            )
+        for what, given in (
+            ("bloom map", self.bloom and self.bloom.fraction),
+            ("no_data", self.no_data),
+        ):
             if given is not None and given.shape != image.shape:
-                raise BadInput(f"the {what} of band {self.name!r} must have its shape {image.shape}, got {given.shape}")
+                raise BadInput(
+                    f"the {what} of band {self.name!r} must have its shape {image.shape}, got "
+                    f"{given.shape}"
+                )
         object.__setattr__(self, "image", image)
 
 
@@ -61,9 +76,10 @@ class Band:
 class Plane:
     """A band as it is fused: display values, noise power, and pixels without information.
 
-    `value`: display values, shape (row, col), 0 and 1 at the ends of `span`, holes filled; `clipped`, `hole`: pixels of
-    lamps at full scale, and all pixels whose value is filled, shape (row, col), None: none; `restored`: whether
-    blooming was subtracted. Maps of noise have the rows and columns of `FUSION.map_level` for all finer levels.
+    `value`: display values, shape (row, col), 0 and 1 at the ends of `span`, holes filled;
+    `clipped`, `hole`: pixels of lamps at full scale, and all pixels whose value is filled, shape
+    (row, col), None: none; `restored`: whether blooming was subtracted. Maps of noise have the rows
+    and columns of `FUSION.map_level` for all finer levels.
     """
 
     band: Band
@@ -83,11 +99,14 @@ class Plane:
     @cached_property
     def gains(self) -> tuple[NoiseGains, NoiseGains]:
         """Variances of the noise of the light and of the noise without it."""
-        return noise_gains(self.law.blur_px, self.levels), noise_gains(self.law.read_blur_px, self.levels)
+        return noise_gains(self.law.blur_px, self.levels), noise_gains(
+            self.law.read_blur_px, self.levels
+        )
 
     @cached_property
     def powers(self) -> tuple["list[Image] | None", float]:
-        """Noise power of the light from `FUSION.map_level` on (None: none), and without light, display units squared.
+        """Noise power of the light from `FUSION.map_level` on (None: none), and without light,
+        display units squared.
 
         The mean is the total light, blooming included, since subtraction leaves its noise.
         """
@@ -96,12 +115,19 @@ class Plane:
         if self.law.gain_dn == 0.0:
             return None, dark
         means = reduce_image(self.band.image, self.levels)[FUSION.map_level :]
-        return [np.maximum(mean, np.float32(0.0)) * np.float32(self.law.gain_dn / scale) for mean in means], dark
+        return [
+            np.maximum(mean, np.float32(0.0)) * np.float32(self.law.gain_dn / scale)
+            for mean in means
+        ], dark
 
     def variance(self, level: int) -> Image | np.float32:
-        """Return the variance of the coefficients of a level (the last one: base), display units squared."""
+        """Return the variance of the coefficients of a level (the last one: base), display units
+        squared.
+        """
         shot, read = self.gains
-        return self._variance(max(level - FUSION.map_level, 0), shot.detail[level], read.detail[level])
+        return self._variance(
+            max(level - FUSION.map_level, 0), shot.detail[level], read.detail[level]
+        )
 
     def _variance(self, at: int, shot: float, read: float) -> Image | np.float32:
         light, dark = self.powers
@@ -110,7 +136,9 @@ class Plane:
 
     @cached_property
     def known(self) -> "list[Image] | None":
-        """Share of known pixels in the kernel from `FUSION.map_level` on, squared; None: all are known."""
+        """Share of known pixels in the kernel from `FUSION.map_level` on, squared; None: all are
+        known.
+        """
         if self.hole is None:
             return None
         shares = reduce_image((~self.hole).astype(np.float32), self.levels)[FUSION.map_level :]
@@ -124,10 +152,12 @@ class Plane:
 
     @cached_property
     def bloom_sd(self) -> Image | None:
-        """Standard deviation of the subtracted blooming b, common to a halo, display units, at `FUSION.map_level`.
+        """Standard deviation of the subtracted blooming b, common to a halo, display units, at
+        `FUSION.map_level`.
 
-        The amplitude of a halo has the relative deviation of its fit, and one by the structure of the ground around the
-        lamp, s, which is not larger than the halo: s b/sqrt(s^2 + b^2), b over its median, the blooming of the ground.
+        The amplitude of a halo has the relative deviation of its fit, and one by the structure of
+        the ground around the lamp, s, which is not larger than the halo: s b/sqrt(s^2 + b^2), b
+        over its median, the blooming of the ground.
         """
         if not self.restored or self.band.bloom is None:
             return None
@@ -137,7 +167,9 @@ class Plane:
         amount = np.asarray(bloom.blooming_dn, np.float32)
         lost = np.isnan(amount) if self.hole is None else np.isnan(amount) | self.hole
         amount = fill_holes(amount, lost) if lost.any() else amount
-        small = cv2.resize(np.maximum(amount, np.float32(0.0)), self.map_shape[::-1], interpolation=cv2.INTER_AREA)
+        small = cv2.resize(
+            np.maximum(amount, np.float32(0.0)), self.map_shape[::-1], interpolation=cv2.INTER_AREA
+        )
         small *= np.float32(1.0 / (self.span[1] - self.span[0]))
         blocks = cv2.resize(self.value, (8, 8), interpolation=cv2.INTER_AREA)
         ground = np.float32(FUSION.halo_ground_sd * blocks.std() + 1e-9)
@@ -151,11 +183,14 @@ class Plane:
         return rows, cols
 
 
-def display_plane(band: Band, *, bloom: bool, span: Span | None = None, min_max: bool = False) -> Plane:
+def display_plane(
+    band: Band, *, bloom: bool, span: Span | None = None, min_max: bool = False
+) -> Plane:
     """Return a band in display units.
 
-    `bloom`: whether blooming is subtracted and clipped lamps are masked and filled; `span`: values shown as 0 and 1, of
-    the band's unit, None: of the frame, with `min_max` its least and highest pixel, else `trusted_span`.
+    `bloom`: whether blooming is subtracted and clipped lamps are masked and filled; `span`: values
+    shown as 0 and 1, of the band's unit, None: of the frame, with `min_max` its least and highest
+    pixel, else `trusted_span`.
     """
     image, clipped, hole = band.image, None, band.no_data
     if bloom and band.clip is not None:
@@ -173,16 +208,29 @@ def display_plane(band: Band, *, bloom: bool, span: Span | None = None, min_max:
     else:
         hole = None
     if span is None:
-        full = hole if bloom else None if band.clip is None else band.image >= FUSION.clip_share * band.clip
+        full = (
+            hole
+            if bloom
+            else None
+            if band.clip is None
+            else band.image >= FUSION.clip_share * band.clip
+        )
         span = cv2.minMaxLoc(image)[:2] if min_max else trusted_span(image, full)
     low, high = span
     if not high > low:
-        raise BadInput(f"the span of band {band.name!r} must be wider than 0, got {low:g} to {high:g}")
+        raise BadInput(
+            f"the span of band {band.name!r} must be wider than 0, got {low:g} to {high:g}"
+        )
     value = cv2.addWeighted(image, 1.0 / (high - low), image, 0.0, -low / (high - low))
     return Plane(
-        band=band, value=value, span=(low, high), levels=level_count(image.shape), clipped=clipped, hole=hole,
+        band=band,
+        value=value,
+        span=(low, high),
+        levels=level_count(image.shape),
+        clipped=clipped,
+        hole=hole,
         restored=restored,
-    )  # fmt: skip
+    )
 
 
 def lamp_pixels(clipped: Mask) -> Mask | None:
@@ -210,8 +258,8 @@ def lamp_pixels(clipped: Mask) -> Mask | None:
 def subtract_bloom(image: Image, bloom: BloomMap) -> tuple[Image, Mask | None]:
     """Return a frame without its blooming, and pixels that cannot be restored (None: none).
 
-    Where a pixel has no signal its blooming is interpolated; where a source of unknown light may have put it, the pixel
-    cannot be restored.
+    Where a pixel has no signal its blooming is interpolated; where a source of unknown light may
+    have put it, the pixel cannot be restored.
     """
     amount = np.asarray(bloom.blooming_dn, np.float32)
     unknown = np.isnan(amount)
@@ -231,16 +279,26 @@ def trusted_span(image: Image, hole: Mask | None) -> Span:
     whole = np.s_[: 4 * rows, : 4 * cols]
     small = cv2.resize(image[whole], (cols, rows), interpolation=cv2.INTER_AREA)
     if hole is not None and hole.any():
-        kept = cv2.resize(hole[whole].astype(np.float32), (cols, rows), interpolation=cv2.INTER_AREA) == 0
+        kept = (
+            cv2.resize(hole[whole].astype(np.float32), (cols, rows), interpolation=cv2.INTER_AREA)
+            == 0
+        )
         small = small[kept] if np.count_nonzero(kept) > 0.02 * kept.size else small
     sample = small.ravel()[:: max(1, small.size // SPAN_SAMPLES)]
-    ends = [round(percent / 100.0 * (sample.size - 1)) for percent in (FUSION.low_percent, FUSION.high_percent)]
+    ends = [
+        round(percent / 100.0 * (sample.size - 1))
+        for percent in (FUSION.low_percent, FUSION.high_percent)
+    ]
     low, high = np.partition(sample, ends)[ends]
     return float(low), float(high)
 
 
 def display_planes(
-    bands: Sequence[Band], *, bloom: bool, spans: Mapping[str, Span] | None = None, min_max: bool = False
+    bands: Sequence[Band],
+    *,
+    bloom: bool,
+    spans: Mapping[str, Span] | None = None,
+    min_max: bool = False,
 ) -> tuple[Plane, ...]:
     """Return two bands or more, of one shape and different names, in display units.
 
@@ -249,11 +307,22 @@ def display_planes(
     if len(bands) < 2:
         raise BadInput(f"a fusion needs two bands or more, got {len(bands)}")
     if len({band.name for band in bands}) < len(bands):
-        raise BadInput(f"bands must have different names, got {', '.join(band.name for band in bands)}")
+        raise BadInput(
+            f"bands must have different names, got {', '.join(band.name for band in bands)}"
+        )
     if len({band.image.shape for band in bands}) > 1:
         sizes = ", ".join("{} {} x {}".format(band.name, *band.image.shape) for band in bands)
-        raise BadInput(f"bands must have the same rows and columns, got {sizes}: register them to one grid first")
+        raise BadInput(
+            f"bands must have the same rows and columns, got {sizes}: register them to one grid "
+            "first"
+        )
     spans = spans or {}
     if unknown := spans.keys() - {band.name for band in bands}:
-        raise BadInput(f"a span must be of one of the bands {', '.join(b.name for b in bands)}, got {sorted(unknown)}")
-    return tuple(display_plane(band, bloom=bloom, span=spans.get(band.name), min_max=min_max) for band in bands)
+        raise BadInput(
+            f"a span must be of one of the bands {', '.join(b.name for b in bands)}, got "
+            f"{sorted(unknown)}"
+        )
+    return tuple(
+        display_plane(band, bloom=bloom, span=spans.get(band.name), min_max=min_max)
+        for band in bands
+    )

@@ -22,7 +22,11 @@ def find_problems(
     """
     findings, notes = [], []
     for number, plane in enumerate(planes):
-        found = (noise_finding(plane, finest[number] if finest else None), *rim_findings(plane), hole_finding(plane))
+        found = (
+            noise_finding(plane, finest[number] if finest else None),
+            *rim_findings(plane),
+            hole_finding(plane),
+        )
         findings += [one for one in found if one]
     if not any(plane.clipped is not None or plane.restored for plane in planes):
         notes.append("no lamp in view: the bloom step was left out")
@@ -30,7 +34,8 @@ def find_problems(
 
 
 def registration_finding(planes: Sequence[Plane]) -> tuple[Finding | None, tuple[str, ...]]:
-    """Return the finding of a band shifted against the first one, and notes on shifts that cannot be measured.
+    """Return the finding of a band shifted against the first one, and notes on shifts that cannot
+    be measured.
 
     A shift surely beyond 2 px is BadInput.
     """
@@ -39,12 +44,15 @@ def registration_finding(planes: Sequence[Plane]) -> tuple[Finding | None, tuple
         found = measure_shift(fixed, plane)
         name = f"{plane.band.name} against {fixed.band.name}"
         if not np.isfinite(found.magnitude_px):
-            notes.append(f"the shift of {name} could not be measured ({found.reason}): registration is as given")
+            notes.append(
+                f"the shift of {name} could not be measured ({found.reason}): registration is as "
+                "given"
+            )
             continue
         across, down = found.interval_px(0.95)
         text = (
-            f"{found.shift_px[1]:.2f} rows [{down[0]:.2f}, {down[1]:.2f}] and {found.shift_px[0]:.2f} columns "
-            f"[{across[0]:.2f}, {across[1]:.2f}] (95 %)"
+            f"{found.shift_px[1]:.2f} rows [{down[0]:.2f}, {down[1]:.2f}] and "
+            f"{found.shift_px[0]:.2f} columns [{across[0]:.2f}, {across[1]:.2f}] (95 %)"
         )
         if found.least_px > FUSION.refused_shift_px:
             rule = f"bands must be registered within {FUSION.refused_shift_px:g} px"
@@ -64,15 +72,18 @@ def measure_shift(fixed: Plane, moving: Plane) -> Residual:
 
 
 def noise_finding(plane: Plane, detail: Image | None = None) -> Finding | None:
-    """Return the finding of an unknown noise law, or of one that the finest details of the frame contradict.
+    """Return the finding of an unknown noise law, or of one that the finest details of the frame
+    contradict.
 
-    `detail`: finest details of `map_samples`, if they are there already. The median of squares over their expectation
-    outside holes is compared: of Gaussian noise, 0.4549 times the variance.
+    `detail`: finest details of `map_samples`, if they are there already. The median of squares over
+    their expectation outside holes is compared: of Gaussian noise, 0.4549 times the variance.
     """
     name = plane.band.name
     if not plane.law.is_known:
-        effect = (f"noise of {name} was estimated from quiet blocks of the frame: weights and standard deviations may "
-                  "be off by a factor of 2")  # fmt: skip
+        effect = (
+            f"noise of {name} was estimated from quiet blocks of the frame: weights and standard "
+            "deviations may be off by a factor of 2"
+        )
         return Finding(flag="uncalibrated", effect=effect, remedy="--sensor, or a measured session")
     detail = map_samples(decompose(plane.value, 1)[0]) if detail is None else detail
     relative = detail * detail / np.maximum(plane.variance(0), np.float32(1e-12))
@@ -90,19 +101,25 @@ def hole_finding(plane: Plane) -> Finding | None:
     share = 0.0 if plane.hole is None else float(plane.hole.mean())
     if share <= FUSION.most_holes:
         return None
-    effect = (f"{100 * share:.2g} % of {plane.band.name} are clipped, occluded or of unknown blooming; they hold the "
-              "other bands alone")  # fmt: skip
+    effect = (
+        f"{100 * share:.2g} % of {plane.band.name} are clipped, occluded or of unknown blooming; "
+        "they hold the other bands alone"
+    )
     return Finding(flag="clipped", effect=effect, remedy="a shorter exposure or lower gain")
 
 
 def rim_findings(plane: Plane) -> list[Finding]:
-    """Return the findings of halos whose rim is left in the frame after subtraction: radius or amount is wrong."""
+    """Return the findings of halos whose rim is left in the frame after subtraction: radius or
+    amount is wrong.
+    """
     found = []
     for source in plane.band.bloom.sources if plane.band.bloom else ():
         place = f"at row {source.row:.0f}, col {source.col:.0f} of {plane.band.name}"
         if not source.has_known_signal:
             effect = f"a lamp {place} has unknown blooming ({source.reason})"
-            found.append(Finding(flag="saturated", effect=effect, remedy="a shorter exposure or lower gain"))
+            found.append(
+                Finding(flag="saturated", effect=effect, remedy="a shorter exposure or lower gain")
+            )
             continue
         step = rim_step(plane, source.row, source.col)
         if step is not None and abs(step[0]) > max(FUSION.most_rim_share, FUSION.rim_sd * step[1]):
@@ -112,16 +129,18 @@ def rim_findings(plane: Plane) -> list[Finding]:
     return found
 
 
-# Width of the rings inside and outside of a rim, px: a radius 4 px off puts most of the step into one of the rings; the
-# largest distance from a lamp; and the number of sectors.
+# Width of the rings inside and outside of a rim, px: a radius 4 px off puts most of the step into
+# one of the rings; the largest distance from a lamp; and the number of sectors.
 RING_PX, REACH_PX, SECTORS = 5, 100, 24
 
 
 def rim_step(plane: Plane, row: float, col: float) -> tuple[float, float] | None:
-    """Return the largest step left across a circle around a lamp, and its standard error; None if no halo is visible.
+    """Return the largest step left across a circle around a lamp, and its standard error; None if
+    no halo is visible.
 
-    Both are relative to the largest such step of the blooming that was subtracted. A step is the mean of a ring of 5 px
-    less that of the next one; the median over 24 sectors, so that scene structure counts as noise.
+    Both are relative to the largest such step of the blooming that was subtracted. A step is the
+    mean of a ring of 5 px less that of the next one; the median over 24 sectors, so that scene
+    structure counts as noise.
     """
     bloom = plane.band.bloom
     assert bloom is not None
@@ -158,9 +177,14 @@ def rim_step(plane: Plane, row: float, col: float) -> tuple[float, float] | None
 
 
 def _ring_steps(total: NDArray, count: NDArray) -> NDArray:
-    """Return the mean of the ring inside less that outside of each radius, shape (radius, sector); NaN if unknown."""
+    """Return the mean of the ring inside less that outside of each radius, shape (radius, sector);
+    NaN if unknown.
+    """
     sums, numbers = (np.cumsum(np.pad(one, ((1, 0), (0, 0))), axis=0) for one in (total, count))
-    ends = np.clip(np.arange(REACH_PX) + RING_PX, 0, REACH_PX), np.clip(np.arange(REACH_PX) - RING_PX, 0, REACH_PX)
+    ends = (
+        np.clip(np.arange(REACH_PX) + RING_PX, 0, REACH_PX),
+        np.clip(np.arange(REACH_PX) - RING_PX, 0, REACH_PX),
+    )
     at = np.arange(REACH_PX)
     with np.errstate(invalid="ignore", divide="ignore"):
         inside = (sums[at] - sums[ends[1]]) / (numbers[at] - numbers[ends[1]])

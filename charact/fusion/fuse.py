@@ -18,10 +18,14 @@ COLOURED, AWARE = ("noise-aware-colour", "opponent"), ("noise-aware", "noise-awa
 
 
 def fuse(
-    bands: Sequence[Band], *, method: str = "auto", colour: bool = False,
-    spans: Mapping[str, Span] | None = None, registered: bool = False,
+    bands: Sequence[Band],
+    *,
+    method: str = "auto",
+    colour: bool = False,
+    spans: Mapping[str, Span] | None = None,
+    registered: bool = False,
     within_percent: float = FUSION.tolerance_percent,
-) -> Fused:  # fmt: skip
+) -> Fused:
     """Fuse two bands or more of one size into one picture with uncertainty, shares and marks.
 
     Parameters
@@ -29,8 +33,9 @@ def fuse(
     bands
         Bands on one grid, the intensified one first.
     method
-        A registered method of kind "fusion"; "auto": the quickest one of the accuracy chart whose restoration error
-        meets `within_percent` of the truth's spread, otherwise the most accurate one, grey or, with `colour`, coloured.
+        A registered method of kind "fusion"; "auto": the quickest one of the accuracy chart whose
+        restoration error meets `within_percent` of the truth's spread, otherwise the most accurate
+        one, grey or, with `colour`, coloured.
     spans
         Values shown as 0 and 1, by the name of the band; None: from the frames.
     registered
@@ -39,34 +44,60 @@ def fuse(
     Raises
     ------
     BadInput
-        If bands differ in shape, hold values that are not finite or are shifted by more than 2 px, or the method is
-        unknown.
+        If bands differ in shape, hold values that are not finite or are shifted by more than 2 px,
+        or the method is unknown.
     """
     pictures = fuse_all(
-        bands, (method,), colour=colour, spans=spans, registered=registered, within_percent=within_percent
+        bands,
+        (method,),
+        colour=colour,
+        spans=spans,
+        registered=registered,
+        within_percent=within_percent,
     )
     return next(iter(pictures.values()))
 
 
 def fuse_all(
-    bands: Sequence[Band], methods: Sequence[str], *, colour: bool = False, spans: Mapping[str, Span] | None = None,
-    registered: bool = False, within_percent: float = FUSION.tolerance_percent,
-) -> dict[str, Fused]:  # fmt: skip
-    """Return the pictures of several methods by their names; the shift is measured once. See `fuse`."""
+    bands: Sequence[Band],
+    methods: Sequence[str],
+    *,
+    colour: bool = False,
+    spans: Mapping[str, Span] | None = None,
+    registered: bool = False,
+    within_percent: float = FUSION.tolerance_percent,
+) -> dict[str, Fused]:
+    """Return the pictures of several methods by their names; the shift is measured once. See
+    `fuse`.
+    """
     if colour and (grey := [name for name in methods if name not in ("auto", *COLOURED)]):
-        raise BadInput(f"--colour needs the method auto or one of {', '.join(COLOURED)}, got {grey[0]!r}")
-    among = COLOURED if colour else [name for name in DESCRIPTIONS["fusion"] if name not in COLOURED]
-    chosen = [choose("fusion", name, within_percent=within_percent, among=among) for name in methods]
+        raise BadInput(
+            f"--colour needs the method auto or one of {', '.join(COLOURED)}, got {grey[0]!r}"
+        )
+    among = (
+        COLOURED if colour else [name for name in DESCRIPTIONS["fusion"] if name not in COLOURED]
+    )
+    chosen = [
+        choose("fusion", name, within_percent=within_percent, among=among) for name in methods
+    ]
     planes = display_planes(bands, bloom=True, spans=spans)
     shift, notes = (None, ()) if registered else registration_finding(planes)
     # Every method states a standard deviation by the noise law.
-    noise = [noise_finding(plane) for plane in planes] if any(one.name not in AWARE for one in chosen) else []
+    noise = (
+        [noise_finding(plane) for plane in planes]
+        if any(one.name not in AWARE for one in chosen)
+        else []
+    )
     pictures = {}
     for one in chosen:
         found = one.function(bands, spans=spans)
         assert isinstance(found, Fused)
-        findings = [finding for finding in (shift, *(() if one.name in AWARE else noise)) if finding]
-        rows = tuple(row.with_(notes=(*row.notes, *notes), findings=findings) for row in found.measurements)
+        findings = [
+            finding for finding in (shift, *(() if one.name in AWARE else noise)) if finding
+        ]
+        rows = tuple(
+            row.with_(notes=(*row.notes, *notes), findings=findings) for row in found.measurements
+        )
         marks = found.marks | np.uint8(MARKS["unregistered"]) if shift else found.marks
         pictures[one.name] = replace(found, measurements=rows, marks=marks)
     return pictures

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from charact import __version__
 from charact.fusion.bands import Image, Plane, Span
-from charact.fusion.pyramid import collapse, decompose, fill_means, halved, object_response, resized, variance_of
+from charact.fusion.pyramid import (
+    collapse,
+    decompose,
+    fill_means,
+    halved,
+    object_response,
+    resized,
+    variance_of,
+)
 from charact.fusion.thresholds import FUSION
 from labdata.flags import Finding
 from labdata.measurement import Measurement, Provenance, Result, make_measurement
@@ -22,10 +30,11 @@ MARKS = {"filled": 1, "clipped": 2, "occluded": 4, "unregistered": 8, "no-band":
 class Fused(Result):
     """A fused picture, with its status as measurements.
 
-    `picture`: display values, mostly 0 to 1, shape (row, col), or (row, col, 3) in colour (red, green, blue); `sd`:
-    standard deviation of its noise, same shape; `share`: share of each band in the contrast of an object of 3 px, shape
-    (band, row, col), sums to 1 where a band is known; `marks`: bits of `MARKS`, shape (row, col); `names`, `spans`:
-    band names, and values shown as 0 and 1. `sd` and `share` are empty where they were not asked for.
+    `picture`: display values, mostly 0 to 1, shape (row, col), or (row, col, 3) in colour (red,
+    green, blue); `sd`: standard deviation of its noise, same shape; `share`: share of each band in
+    the contrast of an object of 3 px, shape (band, row, col), sums to 1 where a band is known;
+    `marks`: bits of `MARKS`, shape (row, col); `names`, `spans`: band names, and values shown as 0
+    and 1. `sd` and `share` are empty where they were not asked for.
     """
 
     picture: Image
@@ -38,7 +47,9 @@ class Fused(Result):
 
     @property
     def codes(self) -> NDArray[np.uint8]:
-        """Picture in codes of 8 bits: display values 0 to 1, or each colour between its percentiles `shown_percent`."""
+        """Picture in codes of 8 bits: display values 0 to 1, or each colour between its percentiles
+        `shown_percent`.
+        """
         if self.shown_percent is None:
             return codes_of(self.picture)
         low, high = np.percentile(self.picture, self.shown_percent, axis=(0, 1))
@@ -50,21 +61,29 @@ def codes_of(values: NDArray) -> NDArray[np.uint8]:
     return np.clip(255.0 * values + 0.5, 0.0, 255.0).astype(np.uint8)
 
 
-# Weights of a band at each detail level, finest first, and at the base: maps of any size or numbers.
+# Weights of a band at each detail level, finest first, and at the base: maps of any size or
+# numbers.
 LevelWeights = Sequence[Image | np.float32 | float]
 EMPTY: Image = np.empty(0, np.float32)
 # Shifts of holes, in rows and columns of the frame.
-FILL_SHIFTS = [(down / 4.0, across / 4.0) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across]
+FILL_SHIFTS = [
+    (down / 4.0, across / 4.0) for down in (-1, 0, 1) for across in (-1, 0, 1) if down or across
+]
 
 
-def level_uncertainty(planes: Sequence[Plane], weights: Sequence[LevelWeights]) -> tuple[Image, Image]:
-    """Return standard deviation (row, col) and shares (band, row, col) of a picture built with weights of each level.
+def level_uncertainty(
+    planes: Sequence[Plane], weights: Sequence[LevelWeights]
+) -> tuple[Image, Image]:
+    """Return standard deviation (row, col) and shares (band, row, col) of a picture built with
+    weights of each level.
 
-    `weights`: of each band; used at the rows and columns of `FUSION.map_level`, since weights vary slowly.
+    `weights`: of each band; used at the rows and columns of `FUSION.map_level`, since weights vary
+    slowly.
 
-    The variance is that of repeated frames, `pyramid.variance_of` for the noise of the light and without light, and of
-    the subtracted blooming, whose error has the shape of the halo, and of the level filled into holes. The share of a
-    band is |sum_l q_l w_l| over that sum of all bands, q_l the share of a level in an object.
+    The variance is that of repeated frames, `pyramid.variance_of` for the noise of the light and
+    without light, and of the subtracted blooming, whose error has the shape of the halo, and of the
+    level filled into holes. The share of a band is |sum_l q_l w_l| over that sum of all bands, q_l
+    the share of a level in an object.
     """
     shape, small = planes[0].value.shape, planes[0].map_shape
     answer = object_response(planes[0].levels)
@@ -78,11 +97,18 @@ def level_uncertainty(planes: Sequence[Plane], weights: Sequence[LevelWeights]) 
             variance += light[0] * variance_of(maps, shot.joint)
         if plane.bloom_sd is not None:
             halo = decompose(plane.bloom_sd, plane.levels - FUSION.map_level)
-            coarse = [resized(weight, level.shape) for weight, level in zip(own[FUSION.map_level :], halo, strict=True)]
-            variance += collapse([weight * level for weight, level in zip(coarse, halo, strict=True)]) ** 2
+            coarse = [
+                resized(weight, level.shape)
+                for weight, level in zip(own[FUSION.map_level :], halo, strict=True)
+            ]
+            variance += (
+                collapse([weight * level for weight, level in zip(coarse, halo, strict=True)]) ** 2
+            )
         if plane.hole is not None:
             variance += fill_variance(plane, plane.hole, maps)
-        contrast.append(np.abs(sum(np.float32(q) * one for q, one in zip(answer, maps, strict=True))))
+        contrast.append(
+            np.abs(sum(np.float32(q) * one for q, one in zip(answer, maps, strict=True)))
+        )
     total = np.maximum(sum(contrast), np.float32(1e-9))
     share = np.stack([resized(one / total, shape) for one in contrast])
     return resized(np.sqrt(variance), shape), share
@@ -91,9 +117,10 @@ def level_uncertainty(planes: Sequence[Plane], weights: Sequence[LevelWeights]) 
 def fill_variance(plane: Plane, hole: NDArray[np.bool_], maps: Sequence[Image]) -> Image:
     """Return the variance that filled holes leave in a picture, shape `Plane.map_shape`.
 
-    Holes and their weights are shifted to places where the frame is known and filled there: the error against the frame
-    itself, through the levels, is a draw of the error in the hole. Its square is averaged over shifts by a quarter
-    of the frame and over 7 x 7 pixels of the map. The noise of the frame is part of it.
+    Holes and their weights are shifted to places where the frame is known and filled there: the
+    error against the frame itself, through the levels, is a draw of the error in the hole. Its
+    square is averaged over shifts by a quarter of the frame and over 7 x 7 pixels of the map. The
+    noise of the frame is part of it.
     """
     frame = cv2.resize(halved(plane.value, FUSION.map_level), plane.map_shape[::-1])
     known = cv2.resize(halved((~hole).astype(np.float32), FUSION.map_level), plane.map_shape[::-1])
@@ -114,24 +141,36 @@ def fill_variance(plane: Plane, hole: NDArray[np.bool_], maps: Sequence[Image]) 
     return (known < 1.0) * cv2.blur(total, size) / cv2.blur(count, size)
 
 
-def pixel_uncertainty(planes: Sequence[Plane], weights: Sequence[Image | np.float32 | float]) -> tuple[Image, Image]:
-    """Return standard deviation and shares of a sum of bands times weights; see `level_uncertainty`.
+def pixel_uncertainty(
+    planes: Sequence[Plane], weights: Sequence[Image | np.float32 | float]
+) -> tuple[Image, Image]:
+    """Return standard deviation and shares of a sum of bands times weights; see
+    `level_uncertainty`.
 
     `weights`: of each band, maps of any size or numbers.
     """
     shape, small = planes[0].value.shape, planes[0].map_shape
-    variance, maps = np.zeros(small, np.float32), [np.abs(resized(weight, small)) for weight in weights]
+    variance, maps = (
+        np.zeros(small, np.float32),
+        [np.abs(resized(weight, small)) for weight in weights],
+    )
     for plane, weight in zip(planes, maps, strict=True):
         variance += weight**2 * plane.pixel_variance
     total = np.maximum(sum(maps), np.float32(1e-9))
-    return resized(np.sqrt(variance), shape), np.stack([resized(one / total, shape) for one in maps])
+    return resized(np.sqrt(variance), shape), np.stack(
+        [resized(one / total, shape) for one in maps]
+    )
 
 
 def marks_of(planes: Sequence[Plane]) -> NDArray[np.uint8]:
     """Return the bits of `MARKS` of every pixel, shape (row, col)."""
     marks = np.zeros(planes[0].value.shape, np.uint8)
     for plane in planes:
-        for name, mask in (("clipped", plane.clipped), ("filled", plane.hole), ("occluded", plane.band.no_data)):
+        for name, mask in (
+            ("clipped", plane.clipped),
+            ("filled", plane.hole),
+            ("occluded", plane.band.no_data),
+        ):
             if mask is not None:
                 marks |= mask.astype(np.uint8) * np.uint8(MARKS[name])
     holes = [plane.hole for plane in planes if plane.hole is not None]
@@ -141,22 +180,41 @@ def marks_of(planes: Sequence[Plane]) -> NDArray[np.uint8]:
 
 
 def finish(
-    method: str, planes: Sequence[Plane], picture: Image, uncertainty: tuple[Image, Image] | None, *,
-    findings: Sequence[Finding] = (), notes: Sequence[str] = (), shown_percent: tuple[float, float] | None = None,
-) -> Fused:  # fmt: skip
-    """Return the fused picture with its measurements: median noise, filled area, and median share of each band.
+    method: str,
+    planes: Sequence[Plane],
+    picture: Image,
+    uncertainty: tuple[Image, Image] | None,
+    *,
+    findings: Sequence[Finding] = (),
+    notes: Sequence[str] = (),
+    shown_percent: tuple[float, float] | None = None,
+) -> Fused:
+    """Return the fused picture with its measurements: median noise, filled area, and median share
+    of each band.
 
-    `uncertainty`: standard deviation and shares of the picture, see `level_uncertainty`; None: not asked for.
+    `uncertainty`: standard deviation and shares of the picture, see `level_uncertainty`; None: not
+    asked for.
     """
     sd, share = uncertainty or (EMPTY, EMPTY)
     flags = tuple(dict.fromkeys(flag for plane in planes for flag in plane.band.flags))
     remarks = tuple(dict.fromkeys((*(n for plane in planes for n in plane.band.notes), *notes)))
     spans = {plane.band.name: plane.span for plane in planes}
-    provenance = Provenance(version=__version__, settings={"spans": {name: list(one) for name, one in spans.items()}})
+    provenance = Provenance(
+        version=__version__, settings={"spans": {name: list(one) for name, one in spans.items()}}
+    )
 
     def measured(quantity: str, value: float, **fields: str) -> Measurement:
         return make_measurement(
-            quantity, "1", value, None, None, method=method, flags=flags, notes=remarks, provenance=provenance, **fields
+            quantity,
+            "1",
+            value,
+            None,
+            None,
+            method=method,
+            flags=flags,
+            notes=remarks,
+            provenance=provenance,
+            **fields,
         ).with_(findings=findings)
 
     marks = marks_of(planes)
@@ -170,6 +228,12 @@ def finish(
             for plane, own in zip(planes, share, strict=True)
         ]
     return Fused(
-        measurements=tuple(rows), picture=picture, sd=sd, share=share, marks=marks,
-        names=tuple(spans), spans=spans, shown_percent=shown_percent,
-    )  # fmt: skip
+        measurements=tuple(rows),
+        picture=picture,
+        sd=sd,
+        share=share,
+        marks=marks,
+        names=tuple(spans),
+        spans=spans,
+        shown_percent=shown_percent,
+    )

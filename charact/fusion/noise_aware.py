@@ -1,4 +1,6 @@
-"""Fusion that knows its cameras: weights from the noise of each pyramid level, blooming removed, holes filled."""
+"""Fusion that knows its cameras: weights from the noise of each pyramid level, blooming removed,
+holes filled.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,23 +17,29 @@ from charact.method.registry import register
 
 @register("fusion", "noise-aware")
 def fuse_noise_aware(
-    bands: Sequence[Band], *, spans: Mapping[str, Span] | None = None, uncertainty: bool = True, check: bool = True
+    bands: Sequence[Band],
+    *,
+    spans: Mapping[str, Span] | None = None,
+    uncertainty: bool = True,
+    check: bool = True,
 ) -> Fused:
     """Fuse bands into a grey picture, each detail weighted by the noise of its camera.
 
-    `spans`: fixed display spans by the name of the band, None: from the trusted pixels; `uncertainty`, `check`: whether
-    standard deviation and shares are computed, and noise law and blooming are checked against the frames. Bands of
-    unlike shape, and an empty span, are BadInput.
+    `spans`: fixed display spans by the name of the band, None: from the trusted pixels;
+    `uncertainty`, `check`: whether standard deviation and shares are computed, and noise law and
+    blooming are checked against the frames. Bands of unlike shape, and an empty span, are BadInput.
 
     Notes
     -----
-    At each level of a Laplacian pyramid the details D_b of the bands have the noise variance n_b(x) = s_l (gain mu(x) +
-    r^2), with mu the light including the blooming that is subtracted and s_l the variance of the level for the camera's
-    noise spectrum (`charact.fusion.pyramid.noise_gains`). The estimate of a contrast common to the bands is D = sum
-    (D_b/n_b) / sum 1/n_b with the variance n = 1/sum 1/n_b, shrunk by P/(P + n), P = mean(D^2 - n) of the level. Where
-    a band is clipped or occluded its 1/n_b is 0, so that the other bands fill its details; its base level is
-    interpolated. The base is the mean of the bands: levels are no evidence. A band that holds nothing beyond its noise
-    is left out. Opposite contrasts of equal evidence cancel in any grey picture; `noise-aware-colour` keeps them.
+    At each level of a Laplacian pyramid the details D_b of the bands have the noise variance n_b(x)
+    = s_l (gain mu(x) + r^2), with mu the light including the blooming that is subtracted and s_l
+    the variance of the level for the camera's noise spectrum
+    (`charact.fusion.pyramid.noise_gains`). The estimate of a contrast common to the bands is D =
+    sum (D_b/n_b) / sum 1/n_b with the variance n = 1/sum 1/n_b, shrunk by P/(P + n), P = mean(D^2 -
+    n) of the level. Where a band is clipped or occluded its 1/n_b is 0, so that the other bands
+    fill its details; its base level is interpolated. The base is the mean of the bands: levels are
+    no evidence. A band that holds nothing beyond its noise is left out. Opposite contrasts of equal
+    evidence cancel in any grey picture; `noise-aware-colour` keeps them.
 
     Examples
     --------
@@ -40,7 +48,8 @@ def fuse_noise_aware(
     >>> law = NoiseLaw(gain_dn=0.0, read_dn=1.0)
     >>> frames = rng.normal(0.0, 1.0, (2, 64, 64))
     >>> frames[:, 24:40, 24:40] += 5.0
-    >>> out = fuse_noise_aware([Band(name="a", image=frames[0], noise=law), Band(name="b", image=frames[1], noise=law)])
+    >>> bands = [Band(name=n, image=image, noise=law) for n, image in zip("ab", frames)]
+    >>> out = fuse_noise_aware(bands)
     >>> bool(np.allclose(out.share[0], 0.5))
     True
     """
@@ -53,8 +62,11 @@ def fuse_noise_aware(
     return finish("noise-aware", planes, picture, spread, findings=findings, notes=notes)
 
 
-def fuse_levels(planes: Sequence[Plane]) -> tuple[Image, list[list[Image | np.float32]], list[Image]]:
-    """Return the fused picture, the weights of each band at each level, and finest details of each band, sampled.
+def fuse_levels(
+    planes: Sequence[Plane],
+) -> tuple[Image, list[list[Image | np.float32]], list[Image]]:
+    """Return the fused picture, the weights of each band at each level, and finest details of each
+    band, sampled.
 
     See `fuse_noise_aware`; the samples are those of `charact.fusion.pyramid.map_samples`.
     """
@@ -75,7 +87,8 @@ def fuse_levels(planes: Sequence[Plane]) -> tuple[Image, list[list[Image | np.fl
         # Where no band is known the noise is a million times higher, and there are no details.
         mean_noise = float(np.mean(noise[noise < 1e3 * np.min(noise)]))
         power = max(
-            float(cv2.norm(detail, cv2.NORM_L2SQR)) / detail.size - mean_noise, FUSION.signal_floor * mean_noise
+            float(cv2.norm(detail, cv2.NORM_L2SQR)) / detail.size - mean_noise,
+            FUSION.signal_floor * mean_noise,
         )
         shrink = np.float32(power) / (np.float32(power) + noise)
         out.append(weigh(detail, shrink, details[0]))
@@ -89,19 +102,26 @@ def fuse_levels(planes: Sequence[Plane]) -> tuple[Image, list[list[Image | np.fl
 
 
 def has_signal(plane: Plane, pyramid: Sequence[Image]) -> bool:
-    """Return whether a band holds more than its noise: in the power of a coarser level, or in a single detail."""
+    """Return whether a band holds more than its noise: in the power of a coarser level, or in a
+    single detail.
+    """
     for level in range(FUSION.map_level, plane.levels):
         noise = np.maximum(plane.variance(level), np.float32(1e-12))
         relative = pyramid[level] ** 2 / noise
         # Neighbouring coefficients are correlated: half of them count.
         error = 2.0 / np.sqrt(relative.size)
-        if relative.mean() > 1.0 + FUSION.signal_floor + 3.0 * error or relative.max() > FUSION.signal_sd**2:
+        if (
+            relative.mean() > 1.0 + FUSION.signal_floor + 3.0 * error
+            or relative.max() > FUSION.signal_sd**2
+        ):
             return True
     return False
 
 
 def _precision(plane: Plane, level: int) -> Image | np.float32:
-    """Return 1/n of the details of a level; nearly 0 in holes, so that a pixel without any band has no details."""
+    """Return 1/n of the details of a level; nearly 0 in holes, so that a pixel without any band has
+    no details.
+    """
     inverse = np.float32(1.0) / np.maximum(plane.variance(level), np.float32(1e-12))
     if plane.known is None:
         return inverse
@@ -110,14 +130,20 @@ def _precision(plane: Plane, level: int) -> Image | np.float32:
 
 @register("fusion", "noise-aware-colour")
 def fuse_colour(
-    bands: Sequence[Band], *, spans: Mapping[str, Span] | None = None, uncertainty: bool = True, check: bool = True
+    bands: Sequence[Band],
+    *,
+    spans: Mapping[str, Span] | None = None,
+    uncertainty: bool = True,
+    check: bool = True,
 ) -> Fused:
-    """Fuse bands into a colour picture of restored bands: green the first, red the second, blue the third.
+    """Fuse bands into a colour picture of restored bands: green the first, red the second, blue the
+    third.
 
-    The parameters are those of `fuse_noise_aware`. Of two bands, blue is 0.5 + 0.5 (first - second): contrasts of
-    opposite sign differ in hue, where a grey picture would lose them. Each band is restored by itself: blooming is
-    subtracted, clipped pixels are filled by the level of their surroundings, and the details of each pyramid level are
-    shrunk by P/(P + n) as in `fuse_noise_aware`. Of more than three bands, blue is the mean of all from the third.
+    The parameters are those of `fuse_noise_aware`. Of two bands, blue is 0.5 + 0.5 (first -
+    second): contrasts of opposite sign differ in hue, where a grey picture would lose them. Each
+    band is restored by itself: blooming is subtracted, clipped pixels are filled by the level of
+    their surroundings, and the details of each pyramid level are shrunk by P/(P + n) as in
+    `fuse_noise_aware`. Of more than three bands, blue is the mean of all from the third.
     """
     planes = display_planes(bands, bloom=True, spans=spans)
     restored, weights, finest = restore_bands(planes)
@@ -133,21 +159,31 @@ def fuse_colour(
     picture = cv2.merge([red, green, blue])
     spread = None
     if uncertainty:
-        sd = np.sqrt(np.square(deviations(planes, weights)).transpose(1, 2, 0) @ np.square(mixture).T)
+        sd = np.sqrt(
+            np.square(deviations(planes, weights)).transpose(1, 2, 0) @ np.square(mixture).T
+        )
         # The share of a band is that in the contrasts of all colours.
         seen = np.abs(mixture).sum(axis=0)
-        _, share = level_uncertainty(planes, [[one * seen[k] for one in own] for k, own in enumerate(weights)])
+        _, share = level_uncertainty(
+            planes, [[one * seen[k] for one in own] for k, own in enumerate(weights)]
+        )
         spread = sd, share
     findings, notes = find_problems(planes, finest) if check else ((), ())
     return finish("noise-aware-colour", planes, picture, spread, findings=findings, notes=notes)
 
 
-def restore_bands(planes: Sequence[Plane]) -> tuple[list[Image], list[list[Image | np.float32]], list[Image]]:
-    """Return each band restored by itself, its weight at each level, and its finest details; see `fuse_levels`."""
+def restore_bands(
+    planes: Sequence[Plane],
+) -> tuple[list[Image], list[list[Image | np.float32]], list[Image]]:
+    """Return each band restored by itself, its weight at each level, and its finest details; see
+    `fuse_levels`.
+    """
     pictures, weights, finest = zip(*(fuse_levels([plane]) for plane in planes), strict=True)
     return list(pictures), [own for (own,) in weights], [own for (own,) in finest]
 
 
 def deviations(planes: Sequence[Plane], weights: Sequence[LevelWeights]) -> list[Image]:
     """Return the standard deviation of each restored band, shape (row, col)."""
-    return [level_uncertainty([plane], [own])[0] for plane, own in zip(planes, weights, strict=True)]
+    return [
+        level_uncertainty([plane], [own])[0] for plane, own in zip(planes, weights, strict=True)
+    ]

@@ -1,4 +1,6 @@
-"""Noise law of a band: described, measured from successive frames, or estimated from quiet blocks of the frame."""
+"""Noise law of a band: described, measured from successive frames, or estimated from quiet blocks
+of the frame.
+"""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -25,12 +27,14 @@ LINEAR_SHARE = 0.8
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseLaw:
-    """Noise power of a camera at the scale of objects: gain_dn * (mean above dark) + read_dn^2, per pixel.
+    """Noise power of a camera at the scale of objects: gain_dn * (mean above dark) + read_dn^2, per
+    pixel.
 
-    `gain_dn`: covariance gain K + k F^2, in the unit of the band (0 of a thermal imager); `read_dn`: standard deviation
-    of the noise without light (NETD of a thermal imager); `blur_px`: standard deviation of the Gaussian blur after the
-    gain, that hides noise of single pixels; `read_blur_px`: that of the noise without light, by a warp; `is_known`:
-    whether it was measured or described, not estimated from the frame to be fused.
+    `gain_dn`: covariance gain K + k F^2, in the unit of the band (0 of a thermal imager);
+    `read_dn`: standard deviation of the noise without light (NETD of a thermal imager); `blur_px`:
+    standard deviation of the Gaussian blur after the gain, that hides noise of single pixels;
+    `read_blur_px`: that of the noise without light, by a warp; `is_known`: whether it was measured
+    or described, not estimated from the frame to be fused.
     """
 
     gain_dn: float
@@ -57,15 +61,17 @@ def blur_px_of(blur_factor: float) -> float:
 
 
 def measure_noise(stack: FrameStack, black_dn: float, *, of_light: bool = True) -> NoiseLaw | None:
-    """Return the noise law of one frame from the differences of successive frames; None of less than four.
+    """Return the noise law of one frame from the differences of successive frames; None of less
+    than four.
 
-    `of_light`: whether the noise grows with the mean; otherwise one number is found. Of the frames the first 33 are
-    used; objects that move are outliers.
+    `of_light`: whether the noise grows with the mean; otherwise one number is found. Of the frames
+    the first 33 are used; objects that move are outliers.
 
-    At `FUSION.map_level` of the pyramid, whose coefficients hardly feel the blur after the gain, the variance of half
-    the squared differences is the noise power times that of white noise; against the mean it is a line through 16
-    groups of places with equal weight of relative deviations, each the median of its places. The blur is that which
-    lowers the variance of pixels as found, median over the groups.
+    At `FUSION.map_level` of the pyramid, whose coefficients hardly feel the blur after the gain,
+    the variance of half the squared differences is the noise power times that of white noise;
+    against the mean it is a line through 16 groups of places with equal weight of relative
+    deviations, each the median of its places. The blur is that which lowers the variance of pixels
+    as found, median over the groups.
     """
     if len(stack) < LEAST_FRAMES:
         return None
@@ -86,7 +92,10 @@ def measure_noise(stack: FrameStack, black_dn: float, *, of_light: bool = True) 
     groups = np.array_split(usable[np.argsort(mean.ravel()[usable])], 16 if of_light else 1)
     if min(len(group) for group in groups) < 16:
         return None
-    mid, found, own = (np.array([np.median(one.ravel()[group]) for group in groups]) for one in (mean, power, pixel))
+    mid, found, own = (
+        np.array([np.median(one.ravel()[group]) for group in groups])
+        for one in (mean, power, pixel)
+    )
     if not (found > 0.0).all():
         return None
     blur = blur_px_of(min(1.0, float(np.median(own / found))))
@@ -99,11 +108,12 @@ def measure_noise(stack: FrameStack, black_dn: float, *, of_light: bool = True) 
 def estimate_noise(image: Image) -> NoiseLaw:
     """Estimate the noise law of a camera from one frame.
 
-    Of blocks of equal brightness those with the least variance hold noise and no structure. The variances of the two
-    finest pyramid levels are taken from a low quantile of the blocks' mean squares, over the same quantile of white
-    noise; constant blocks, clipped or without data, are left out. The ratio of the two levels gives the blur of the
-    noise, the coarser one its power in groups of equal brightness, through which goes the line gain * mean + read^2.
-    Where every block holds structure, this structure is counted as noise.
+    Of blocks of equal brightness those with the least variance hold noise and no structure. The
+    variances of the two finest pyramid levels are taken from a low quantile of the blocks' mean
+    squares, over the same quantile of white noise; constant blocks, clipped or without data, are
+    left out. The ratio of the two levels gives the blur of the noise, the coarser one its power in
+    groups of equal brightness, through which goes the line gain * mean + read^2. Where every block
+    holds structure, this structure is counted as noise.
     """
     pyramid = decompose(image, 2)
     light = _block_means(image, FUSION.noise_block_px)
@@ -111,7 +121,9 @@ def estimate_noise(image: Image) -> NoiseLaw:
     # The brightest blocks hold lamps.
     groups = np.array_split(order[: max(1, int(0.97 * order.size))], FUSION.noise_groups)
     mean = np.array([light.ravel()[group].mean() if group.size else 0.0 for group in groups])
-    fine, coarse = (_quiet_variances(pyramid[level], level, light.shape, groups) for level in (0, 1))
+    fine, coarse = (
+        _quiet_variances(pyramid[level], level, light.shape, groups) for level in (0, 1)
+    )
     usable = (fine > 0.0) & (coarse > 0.0)
     if not usable.any():
         return NoiseLaw(gain_dn=0.0, read_dn=float(image.std()) * 1e-3, is_known=False)
@@ -124,17 +136,27 @@ def estimate_noise(image: Image) -> NoiseLaw:
     rises = (power[1:] - power[0]) / np.maximum(mean[1:] - mean[0], 1e-6)
     slope = max(0.0, float(np.median(rises))) if rises.size else 0.0
     read = max(float(np.median(power - slope * mean)), 1e-3 * float(power.mean()))
-    return NoiseLaw(gain_dn=slope, read_dn=float(np.sqrt(read)), blur_px=blur, read_blur_px=blur, is_known=False)
+    return NoiseLaw(
+        gain_dn=slope, read_dn=float(np.sqrt(read)), blur_px=blur, read_blur_px=blur, is_known=False
+    )
 
 
 def _block_means(image: Image, side: int) -> Array:
     """Return the means of square blocks."""
     rows, cols = (size // side for size in image.shape)
-    return image[: rows * side, : cols * side].reshape(rows, side, cols, side).mean(axis=(1, 3), dtype=np.float64)
+    return (
+        image[: rows * side, : cols * side]
+        .reshape(rows, side, cols, side)
+        .mean(axis=(1, 3), dtype=np.float64)
+    )
 
 
-def _quiet_variances(detail: Image, level: int, shape: tuple[int, ...], groups: list[NDArray[np.intp]]) -> Array:
-    """Return the variance of noise in the details of each group of blocks; 0 where all blocks are constant."""
+def _quiet_variances(
+    detail: Image, level: int, shape: tuple[int, ...], groups: list[NDArray[np.intp]]
+) -> Array:
+    """Return the variance of noise in the details of each group of blocks; 0 where all blocks are
+    constant.
+    """
     squares = _block_means(np.square(detail), FUSION.noise_block_px >> level)
     # Halving rounds up, so that a level may hold one row or column of blocks more than the frame.
     squares = squares[: shape[0], : shape[1]]
@@ -144,7 +166,11 @@ def _quiet_variances(detail: Image, level: int, shape: tuple[int, ...], groups: 
         inside = (row < squares.shape[0]) & (col < squares.shape[1])
         own = squares[row[inside], col[inside]]
         own = own[own > 1e-6 * float(squares.mean())]
-        found.append(np.quantile(own, FUSION.quiet_share) / _quantile_of_white_noise(level) if own.size else 0.0)
+        found.append(
+            np.quantile(own, FUSION.quiet_share) / _quantile_of_white_noise(level)
+            if own.size
+            else 0.0
+        )
     return np.array(found)
 
 

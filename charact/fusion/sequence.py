@@ -1,4 +1,6 @@
-"""Sequences: frames of several stacks paired by time, filtered, and fused one by one with spans that are held."""
+"""Sequences: frames of several stacks paired by time, filtered, and fused one by one with spans
+that are held.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -26,17 +28,22 @@ SPAN_FRAMES = 8
 def pair_frames(sources: Sequence[Source]) -> tuple[list[tuple[int, ...]], tuple[str, ...]]:
     """Return numbers of frames that belong together, one of each source, and notes.
 
-    Each frame of the first source goes with the frame nearest in time of every other; frames of the first that are
-    farther from all of another than half of its frame interval are left out. Without time stamps frames go by their
-    number. No frames that agree in time, or stacks of unlike length without time stamps, are BadInput.
+    Each frame of the first source goes with the frame nearest in time of every other; frames of the
+    first that are farther from all of another than half of its frame interval are left out. Without
+    time stamps frames go by their number. No frames that agree in time, or stacks of unlike length
+    without time stamps, are BadInput.
     """
     first, *others = sources
     count = len(first.stack)
     if any(source.stack.time_s.size == 0 for source in sources):
         if any(len(source.stack) != count for source in others):
             lengths = " and ".join(f"{len(source.stack)} of {source.name}" for source in sources)
-            raise BadInput(f"stacks without time stamps must have equally many frames, got {lengths}")
-        return [(i,) * len(sources) for i in range(count)], ("frames were paired by their number: no time stamps",)
+            raise BadInput(
+                f"stacks without time stamps must have equally many frames, got {lengths}"
+            )
+        return [(i,) * len(sources) for i in range(count)], (
+            "frames were paired by their number: no time stamps",
+        )
     columns, kept = [np.arange(count)], np.ones(count, bool)
     worst = 0.0
     for other in others:
@@ -48,34 +55,59 @@ def pair_frames(sources: Sequence[Source]) -> tuple[list[tuple[int, ...]], tuple
         columns.append(nearest)
         worst = max(worst, float(apart[kept].max(initial=0.0)))
     if not kept.any():
-        raise BadInput("frames must be taken at the same time, got no pair within half a frame interval")
+        raise BadInput(
+            "frames must be taken at the same time, got no pair within half a frame interval"
+        )
     notes = [f"frames were paired by time, at most {1e3 * worst:.3g} ms apart"]
     if not kept.all():
-        notes.append(f"{np.count_nonzero(~kept)} of {count} frames of {first.name} have no partner and were left out")
+        notes.append(
+            f"{np.count_nonzero(~kept)} of {count} frames of {first.name} have no partner and "
+            f"were left out"
+        )
     return [tuple(int(column[i]) for column in columns) for i in np.flatnonzero(kept)], tuple(notes)
 
 
-def held_spans(bands: Callable[[tuple[int, ...]], list[Band]], pairs: Sequence[tuple[int, ...]]) -> dict[str, Span]:
-    """Return one display span of each band for a sequence: medians over frames, so that brightness does not flicker."""
+def held_spans(
+    bands: Callable[[tuple[int, ...]], list[Band]], pairs: Sequence[tuple[int, ...]]
+) -> dict[str, Span]:
+    """Return one display span of each band for a sequence: medians over frames, so that brightness
+    does not flicker.
+    """
     some = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, SPAN_FRAMES).astype(int))]
-    spans = [{plane.band.name: plane.span for plane in display_planes(bands(pair), bloom=True)} for pair in some]
+    spans = [
+        {plane.band.name: plane.span for plane in display_planes(bands(pair), bloom=True)}
+        for pair in some
+    ]
     return {
-        name: (float(np.median([one[name][0] for one in spans])), float(np.median([one[name][1] for one in spans])))
+        name: (
+            float(np.median([one[name][0] for one in spans])),
+            float(np.median([one[name][1] for one in spans])),
+        )
         for name in spans[0]
     }
 
 
 def fuse_sequence(
-    sources: Sequence[Source], pairs: Sequence[tuple[int, ...]], *, method: str = "auto", colour: bool = False,
-    spans: dict[str, Span] | None = None, places: Sequence[Placement | None],
-    region: tuple[int, int, int, int] | None = None, distance_m: float | None = None, recursive: float | None = None,
-    bloom: bool = True, seed: int = 0, within_percent: float = FUSION.tolerance_percent,
-) -> Iterator[Fused]:  # fmt: skip
+    sources: Sequence[Source],
+    pairs: Sequence[tuple[int, ...]],
+    *,
+    method: str = "auto",
+    colour: bool = False,
+    spans: dict[str, Span] | None = None,
+    places: Sequence[Placement | None],
+    region: tuple[int, int, int, int] | None = None,
+    distance_m: float | None = None,
+    recursive: float | None = None,
+    bloom: bool = True,
+    seed: int = 0,
+    within_percent: float = FUSION.tolerance_percent,
+) -> Iterator[Fused]:
     """Yield the fused picture of each pair of frames, all with one span.
 
-    `places`: place of each band's pixels in a still scene, see `charact.fusion.alignment.align_bands`; if frames have
-    poses and ranges of their own, those are used, without a measured shift. `region`: ROW, COL, HEIGHT, WIDTH to which
-    pictures are cut. `recursive`: gain of `reduce_noise`, which filters each band before the fusion; None: none.
+    `places`: place of each band's pixels in a still scene, see
+    `charact.fusion.alignment.align_bands`; if frames have poses and ranges of their own, those are
+    used, without a measured shift. `region`: ROW, COL, HEIGHT, WIDTH to which pictures are cut.
+    `recursive`: gain of `reduce_noise`, which filters each band before the fusion; None: none.
     """
     moving = any(source.is_moving for source in sources)
 
@@ -87,19 +119,28 @@ def fuse_sequence(
         if moving:
             now = [source.at_frame(frame) for source, frame in zip(sources, pair, strict=True)]
             at = [None, *(place_source(now[0], other, distance_m)[0] for other in now[1:])]
-        moved = [band if one is None else move_band(band, one) for band, one in zip(found, at, strict=True)]
+        moved = [
+            band if one is None else move_band(band, one)
+            for band, one in zip(found, at, strict=True)
+        ]
         return moved if region is None else [crop_band(band, region) for band in moved]
 
     count = range(len(sources))
-    spans = held_spans(lambda pair: place([read(k, pair) for k in count], pair), pairs) | (spans or {})
+    spans = held_spans(lambda pair: place([read(k, pair) for k in count], pair), pairs) | (
+        spans or {}
+    )
     streams = [map(read, repeat(number), pairs) for number in count]
     if recursive is not None:
         streams = [filter_bands(stream, recursive) for stream in streams]
     for pair, *found in zip(pairs, *streams, strict=True):
         yield fuse(
-            place(found, pair), method=method, colour=colour, spans=spans, registered=True,
+            place(found, pair),
+            method=method,
+            colour=colour,
+            spans=spans,
+            registered=True,
             within_percent=within_percent,
-        )  # fmt: skip
+        )
 
 
 def filter_bands(bands: Iterator[Band], gain: float) -> Iterator[Band]:
@@ -125,17 +166,18 @@ def reduce_noise(
 ) -> Iterator[Image]:
     """Yield filtered frames: each pixel is a running mean that starts again where something moves.
 
-    `frames`: registered frames above dark in the order of time, each (row, col), in the unit of the noise law of one
-    frame; `gain`: share g of the newest frame, above 0 to 1; `motion`: whether the mean starts again where something
-    moves. Another gain, and frames of unlike size, are BadInput.
+    `frames`: registered frames above dark in the order of time, each (row, col), in the unit of the
+    noise law of one frame; `gain`: share g of the newest frame, above 0 to 1; `motion`: whether the
+    mean starts again where something moves. Another gain, and frames of unlike size, are BadInput.
 
     Notes
     -----
-    y_t = y_(t-1) + g_t (x_t - y_(t-1)). The first frames have g_t = 1/t until that is g, so that the variance falls
-    from the start to g/(2 - g) of one frame's, see `variance_ratio`. The filter is linear in the light: its mean is
-    unbiased whatever the law of the pulse heights, so that no variance-stabilising transform has to be inverted. The
-    gate raises g_t up to 1 around places where the difference x_t - y_(t-1), between Gaussians of the size of an object
-    and of its surroundings, exceeds several times its standard deviation by the noise law at the local mean.
+    y_t = y_(t-1) + g_t (x_t - y_(t-1)). The first frames have g_t = 1/t until that is g, so that
+    the variance falls from the start to g/(2 - g) of one frame's, see `variance_ratio`. The filter
+    is linear in the light: its mean is unbiased whatever the law of the pulse heights, so that no
+    variance-stabilising transform has to be inverted. The gate raises g_t up to 1 around places
+    where the difference x_t - y_(t-1), between Gaussians of the size of an object and of its
+    surroundings, exceeds several times its standard deviation by the noise law at the local mean.
 
     Examples
     --------
@@ -146,7 +188,9 @@ def reduce_noise(
     0.11
     """
     if not 0.0 < gain <= 1.0:
-        raise BadInput(f"the gain of the recursive filter must be above 0 and at most 1, got {gain:g}")
+        raise BadInput(
+            f"the gain of the recursive filter must be above 0 and at most 1, got {gain:g}"
+        )
     mean: Image | None = None
     number = np.zeros(0, np.float32)  # frames in the mean of each pixel
     for frame in frames:
@@ -154,20 +198,25 @@ def reduce_noise(
         if mean is None:
             mean, number = image.copy(), np.ones(image.shape, np.float32)
         elif image.shape != mean.shape:
-            raise BadInput(f"filtered frames must have one size, got {mean.shape} and {image.shape}")
+            raise BadInput(
+                f"filtered frames must have one size, got {mean.shape} and {image.shape}"
+            )
         else:
             number += 1.0
             if motion:
-                number = 1.0 + (number - 1.0) * (1.0 - motion_of(image, mean, law, number, variance_ratio(gain)))
+                number = 1.0 + (number - 1.0) * (
+                    1.0 - motion_of(image, mean, law, number, variance_ratio(gain))
+                )
             mean = mean + np.maximum(1.0 / number, np.float32(gain)) * (image - mean)
         yield mean
 
 
 def motion_of(image: Image, mean: Image, law: NoiseLaw, number: Image, settled: float) -> Image:
-    """Return how surely a frame differs from the mean of earlier ones by more than noise, 0 to 1, shape (row, col).
+    """Return how surely a frame differs from the mean of earlier ones by more than noise, 0 to 1,
+    shape (row, col).
 
-    `number`: frames in the mean including this one, shape (row, col); `settled`: variance of a mean of many frames over
-    that of one.
+    `number`: frames in the mean including this one, shape (row, col); `settled`: variance of a mean
+    of many frames over that of one.
     """
     difference = image - mean
     small, large = (cv2.GaussianBlur(difference, (0, 0), sigma) for sigma in FILTER.scales_px)
@@ -183,7 +232,8 @@ def motion_of(image: Image, mean: Image, law: NoiseLaw, number: Image, settled: 
 
 
 def band_variance(blur_px: float) -> float:
-    """Return the variance of the difference of two Gaussians of noise of power 1, white before a blur.
+    """Return the variance of the difference of two Gaussians of noise of power 1, white before a
+    blur.
 
     1/(4 pi) (1/s1^2 + 1/s2^2 - 4/(s1^2 + s2^2)), s the width of a Gaussian and the blur together.
     """
@@ -194,13 +244,15 @@ def band_variance(blur_px: float) -> float:
 def variance_ratio(gain: float, correlation: float = 0.0) -> float:
     """Return the noise variance of a filtered frame over that of one frame.
 
-    It is g/(2 - g) (1 + r (1 - g))/(1 - r (1 - g)) for noise whose correlation from frame to frame is r, r^2, ... as of
-    image lag; r = 0: g/(2 - g).
+    It is g/(2 - g) (1 + r (1 - g))/(1 - r (1 - g)) for noise whose correlation from frame to frame
+    is r, r^2, ... as of image lag; r = 0: g/(2 - g).
     """
     kept = correlation * (1.0 - gain)
     return gain / (2.0 - gain) * (1.0 + kept) / (1.0 - kept)
 
 
 def filtered_law(law: NoiseLaw, gain: float, correlation: float = 0.0) -> NoiseLaw:
-    """Return the noise law of filtered frames of a static scene, for `charact.fusion.bands.Band`."""
+    """Return the noise law of filtered frames of a static scene, for
+    `charact.fusion.bands.Band`.
+    """
     return law.scaled(variance_ratio(gain, correlation))

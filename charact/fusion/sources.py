@@ -1,4 +1,6 @@
-"""Sources of a fusion: a picture or stack with what a session and descriptions say of its camera, as bands."""
+"""Sources of a fusion: a picture or stack with what a session and descriptions say of its camera,
+as bands.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -33,9 +35,10 @@ Describe = Callable[[Sensor, float], Described]
 class Source:
     """Frames of a band, and what is known of their camera.
 
-    `sensor`, `imager`: description of an intensified or of a thermal camera; `described`: noise law and point
-    spread function by it; `session`, `entry`, `result`: where the frames are from, and the session's measurements;
-    `black_dn`: stated black level; `geometry`: pose, lens and range; `notes`: what was left out, and why.
+    `sensor`, `imager`: description of an intensified or of a thermal camera; `described`: noise law
+    and point spread function by it; `session`, `entry`, `result`: where the frames are from, and
+    the session's measurements; `black_dn`: stated black level; `geometry`: pose, lens and range;
+    `notes`: what was left out, and why.
     """
 
     name: str
@@ -66,20 +69,26 @@ class Source:
 
     @cached_property
     def noise(self) -> NoiseLaw | None:
-        """Noise law of a frame, DN, measured from the differences of the frames; None of too few."""
+        """Noise law of a frame, DN, measured from the differences of the frames; None of too
+        few.
+        """
         of_light = self.imager is None
         return measure_noise(self.stack, self.black[0] if of_light else 0.0, of_light=of_light)
 
     @cached_property
     def truth_files(self) -> dict[int, Path]:
-        """Files of the truth of a simulated stack by the number of the first frame that they are of."""
+        """Files of the truth of a simulated stack by the number of the first frame that they are
+        of.
+        """
         if self.session is None or self.entry is None:
             return {}
         stem = self.session.folder / "truth" / self.entry.label
         if len(self.session.stacks) == 1 and not stem.with_name(f"{stem.name}.npz").is_file():
             stem = self.session.folder / "truth"
         first = stem.with_name(f"{stem.name}.npz")
-        numbers = {path: path.stem[len(stem.name) + 1 :] for path in stem.parent.glob(f"{stem.name}-*.npz")}
+        numbers = {
+            path: path.stem[len(stem.name) + 1 :] for path in stem.parent.glob(f"{stem.name}-*.npz")
+        }
         numbered = {int(number): path for path, number in numbers.items() if number.isdigit()}
         return ({0: first} if first.is_file() else {}) | numbered
 
@@ -96,18 +105,30 @@ class Source:
 
     def values_of(self, quantity: str) -> list[float]:
         """Return the measured values of a quantity of the session."""
-        return [float(one.value) for one in (self.result.find(quantity) if self.result else ()) if one.value]
+        return [
+            float(one.value)
+            for one in (self.result.find(quantity) if self.result else ())
+            if one.value
+        ]
 
 
 def read_source(
-    given: str, name: str, *, sensor: Sensor | None = None, imager: InfraredImager | None = None,
-    mcp_v: float | None = None, black_dn: float | None = None, describe: Describe | None = None,
-) -> Source:  # fmt: skip
-    """Read a picture, or SESSION#LABEL with all that the session states of the camera of that stack.
+    given: str,
+    name: str,
+    *,
+    sensor: Sensor | None = None,
+    imager: InfraredImager | None = None,
+    mcp_v: float | None = None,
+    black_dn: float | None = None,
+    describe: Describe | None = None,
+) -> Source:
+    """Read a picture, or SESSION#LABEL with all that the session states of the camera of that
+    stack.
 
-    `sensor`, `imager`: description of the camera, instead of the session's; `mcp_v`: MCP voltage, V, instead of the
-    session's; `describe`: noise law and point spread function of a description at a voltage, such as
-    `charact.fit.described_camera.describe_camera`; None: descriptions state neither.
+    `sensor`, `imager`: description of the camera, instead of the session's; `mcp_v`: MCP voltage,
+    V, instead of the session's; `describe`: noise law and point spread function of a description at
+    a voltage, such as `charact.fit.described_camera.describe_camera`; None: descriptions state
+    neither.
     """
     path, _, label = given.partition("#")
     session = entry = result = None
@@ -135,15 +156,24 @@ def read_source(
             notes.append(f"{name}: MCP voltage unknown, {volts:g} V assumed (--mcp-v)")
         described = None if describe is None else describe(sensor, volts)
     source = Source(
-        name=name, stack=stack, sensor=sensor, imager=imager, described=described, session=session, entry=entry,
-        result=result, black_dn=black_dn,
-    )  # fmt: skip
+        name=name,
+        stack=stack,
+        sensor=sensor,
+        imager=imager,
+        described=described,
+        session=session,
+        entry=entry,
+        result=result,
+        black_dn=black_dn,
+    )
     geometry, left_out = _geometry(source)
     return replace(source, geometry=geometry, notes=(*notes, *left_out))
 
 
 def _require_no_palette(path: Path) -> None:
-    """Raise BadInput for a picture whose pixels are numbers of a palette of colours: their luminance is no signal."""
+    """Raise BadInput for a picture whose pixels are numbers of a palette of colours: their
+    luminance is no signal.
+    """
     if path.suffix.lower() not in (".png", ".bmp", ".tif", ".tiff") or not path.is_file():
         return
     from PIL import Image, UnidentifiedImageError
@@ -153,13 +183,20 @@ def _require_no_palette(path: Path) -> None:
             palette = picture.getpalette() if picture.mode == "P" else None
     except (UnidentifiedImageError, OSError, ValueError):
         return  # the reader of frames says what is wrong
-    if palette is not None and any(palette[i] != palette[i + 1] or palette[i] != palette[i + 2]
-                                   for i in range(0, len(palette) - 2, 3)):  # fmt: skip
-        raise BadInput(f"a band must hold grey values, got the palette picture {path}: export raw values of the camera")
+    if palette is not None and any(
+        palette[i] != palette[i + 1] or palette[i] != palette[i + 2]
+        for i in range(0, len(palette) - 2, 3)
+    ):
+        raise BadInput(
+            f"a band must hold grey values, got the palette picture {path}: export raw values of "
+            "the camera"
+        )
 
 
 def _geometry(source: Source) -> tuple[CameraGeometry | None, tuple[str, ...]]:
-    """Return pose, lens and range of a simulated session's truth, else the lens of a description, and notes."""
+    """Return pose, lens and range of a simulated session's truth, else the lens of a description,
+    and notes.
+    """
     name, shape, camera = source.name, source.stack.shape[1:], source.sensor or source.imager
     truth = source.truth_files.get(0)
     found = None if truth is None else _read_geometry(truth)
@@ -169,14 +206,20 @@ def _geometry(source: Source) -> tuple[CameraGeometry | None, tuple[str, ...]]:
         return None, (f"{name}: lens unknown without a description of the camera",)
     if isinstance(camera, InfraredImager):
         if camera.shape != shape or camera.array is None:
-            return None, (f"{name}: {camera.name} describes no lens of a frame of {shape[0]} x {shape[1]} px",)
+            return None, (
+                f"{name}: {camera.name} describes no lens of a frame of {shape[0]} x {shape[1]} px",
+            )
         down, across = camera.pitch_mrad
         return CameraGeometry(shape=shape, focal_px=(1e3 / across, 1e3 / down)), ()
     focal_um = 1e3 * float(camera.optics.focal_length_mm) / float(camera.taper.demagnification)
     return CameraGeometry(
-        shape=shape, focal_px=(focal_um / float(camera.ccd.pitch_x_um), focal_um / float(camera.ccd.pitch_y_um)),
-        frame_distortion=(float(camera.optics.distortion_fraction), float(camera.taper.distortion_fraction)),
-    ), ()  # fmt: skip
+        shape=shape,
+        focal_px=(focal_um / float(camera.ccd.pitch_x_um), focal_um / float(camera.ccd.pitch_y_um)),
+        frame_distortion=(
+            float(camera.optics.distortion_fraction),
+            float(camera.taper.distortion_fraction),
+        ),
+    ), ()
 
 
 @lru_cache(maxsize=4)
@@ -188,16 +231,22 @@ def _read_geometry(truth: Path) -> CameraGeometry | None:
         x, y = (float(one) for one in file["focal_px"])
         rows, cols = file["range_m"].shape
         return CameraGeometry(
-            shape=(rows, cols), focal_px=(x, y), position_m=file["position_m"], rotation=file["rotation"],
+            shape=(rows, cols),
+            focal_px=(x, y),
+            position_m=file["position_m"],
+            rotation=file["rotation"],
             distortion_fraction=float(file["distortion_fraction"]),
-            frame_distortion=tuple(float(one) for one in file["frame_distortion"]), range_m=file["range_m"],
-        )  # fmt: skip
+            frame_distortion=tuple(float(one) for one in file["frame_distortion"]),
+            range_m=file["range_m"],
+        )
 
 
 def band_of(source: Source, frame: int | None = None, *, bloom: bool = True, seed: int = 0) -> Band:
-    """Return the mean of all frames of a source, or one frame, as a band with its noise law and blooming.
+    """Return the mean of all frames of a source, or one frame, as a band with its noise law and
+    blooming.
 
-    `bloom`: whether the blooming of clipped lamps is estimated, with `seed` for draws of the point spread function.
+    `bloom`: whether the blooming of clipped lamps is estimated, with `seed` for draws of the point
+    spread function.
     """
     stack, name = source.stack, source.name
     frames = len(stack) if frame is None else 1
@@ -205,7 +254,11 @@ def band_of(source: Source, frame: int | None = None, *, bloom: bool = True, see
     if frames > 1:
         moving = ", of a scene that moves: --sequence fuses each" if source.is_moving else ""
         notes.append(f"{name} is the mean of {frames} frames{moving}")
-    image = stack.data.mean(axis=0, dtype=np.float64) if frame is None else np.asarray(stack.data[frame], np.float64)
+    image = (
+        stack.data.mean(axis=0, dtype=np.float64)
+        if frame is None
+        else np.asarray(stack.data[frame], np.float64)
+    )
     if source.imager is not None:
         kelvin, law = _thermal_scale(source, frames)
         return Band(name=name, image=image * kelvin, noise=law, notes=tuple(notes))
@@ -222,7 +275,13 @@ def band_of(source: Source, frame: int | None = None, *, bloom: bool = True, see
         law = law.scaled(1.0 / frames)
     found = None
     if full is None or source.described is None or not bloom:
-        why = "no full scale" if full is None else "no description of the camera" if bloom else "--no-bloom"
+        why = (
+            "no full scale"
+            if full is None
+            else "no description of the camera"
+            if bloom
+            else "--no-bloom"
+        )
         notes.append(f"{name}: blooming was left out: {why}")
     else:
         shown = stack.data if frame is None else stack.data[frame : frame + 1]
@@ -230,13 +289,19 @@ def band_of(source: Source, frame: int | None = None, *, bloom: bool = True, see
         if np.count_nonzero(clipped) >= FUSION.lamp_px:
             found = _bloom(signal, full - black, clipped, source, seed, notes)
     return Band(
-        name=name, image=signal, noise=law, clip=None if full is None else full - black, bloom=found, flags=flags,
+        name=name,
+        image=signal,
+        noise=law,
+        clip=None if full is None else full - black,
+        bloom=found,
+        flags=flags,
         notes=tuple(notes),
-    )  # fmt: skip
+    )
 
 
 def _thermal_scale(source: Source, frames: int) -> tuple[float, NoiseLaw]:
-    """Return kelvin per DN and the noise law of a mean of frames; in DN where the description states no span.
+    """Return kelvin per DN and the noise law of a mean of frames; in DN where the description
+    states no span.
 
     The fixed pattern of pixels, columns and rows is the same in all frames.
     """
@@ -252,15 +317,26 @@ def _thermal_scale(source: Source, frames: int) -> tuple[float, NoiseLaw]:
         netd_k = 1e-3 * (measured[0] if measured else float(array.netd_mk) if array else 0.0)
     else:
         return kelvin, NoiseLaw(gain_dn=0.0, read_dn=0.0, is_known=False)
-    parts = () if array is None else (array.pixel_pattern_after_shutter, array.column_pattern, array.row_pattern)
+    parts = (
+        ()
+        if array is None
+        else (array.pixel_pattern_after_shutter, array.column_pattern, array.row_pattern)
+    )
     pattern2 = sum(float(one) ** 2 for one in parts)
     return kelvin, NoiseLaw(gain_dn=0.0, read_dn=netd_k * (1.0 / frames + pattern2) ** 0.5)
 
 
 def _bloom(
-    signal: NDArray[np.float64], clip: float, clipped: NDArray[np.bool_], source: Source, seed: int, notes: list[str]
+    signal: NDArray[np.float64],
+    clip: float,
+    clipped: NDArray[np.bool_],
+    source: Source,
+    seed: int,
+    notes: list[str],
 ) -> BloomMap:
-    """Return the bloom map of a frame from the measured point spread function, else from the described one."""
+    """Return the bloom map of a frame from the measured point spread function, else from the
+    described one.
+    """
     sensor, rng = source.sensor, np.random.default_rng(seed)
     assert sensor is not None and source.described is not None
     ratio = float(sensor.ccd.pitch_y_um) / float(sensor.ccd.pitch_x_um)
@@ -270,5 +346,10 @@ def _bloom(
         spread = spread_from(source.result, area_px=float(signal.size), pitch_ratio=ratio, rng=rng)
     except BadInput:
         _, spread = source.described
-        notes.append("blooming is that of the sensor description; a point series of this camera would measure it")
-    return bloom_map(signal, spread, clip_dn=clip, clipped=clipped, pitch_ratio=ratio, most_draws=8, rng=rng)
+        notes.append(
+            "blooming is that of the sensor description; a point series of this camera would "
+            "measure it"
+        )
+    return bloom_map(
+        signal, spread, clip_dn=clip, clipped=clipped, pitch_ratio=ratio, most_draws=8, rng=rng
+    )

@@ -1,4 +1,6 @@
-"""Infrared cameras: signal transfer (SiTF), NETD and 3-D noise in kelvin from black-body flats, and MRTD."""
+"""Infrared cameras: signal transfer (SiTF), NETD and 3-D noise in kelvin from black-body flats, and
+MRTD.
+"""
 
 from charact.infrared.blackbody_flats import blackbody_flats, is_linear, measure
 from charact.infrared.mrtd import add_mrtd

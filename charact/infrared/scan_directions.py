@@ -1,4 +1,6 @@
-"""Lines of a two-way scanner by their direction: each direction has a place and an electronic delay of its own."""
+"""Lines of a two-way scanner by their direction: each direction has a place and an electronic delay
+of its own.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,10 +17,10 @@ def scan_directions(
 ) -> Iterator[tuple[str, FrameStack, Region | None, Context]]:
     """Yield the frames of each scan direction with the region and the context that belong to them.
 
-    A camera that is no two-way scanner has one direction, "". Of a scanner, successive lines of a field alternate:
-    rows 4 n and 4 n + 1 of an interlaced frame, of either field, are scanned to the right, 4 n + 2 and 4 n + 3 to the
-    left; 2 n and 2 n + 1 of a frame without fields. The frames of one direction are interlaced like the whole ones, at
-    twice their row pitch.
+    A camera that is no two-way scanner has one direction, "". Of a scanner, successive lines of a
+    field alternate: rows 4 n and 4 n + 1 of an interlaced frame, of either field, are scanned to
+    the right, 4 n + 2 and 4 n + 3 to the left; 2 n and 2 n + 1 of a frame without fields. The
+    frames of one direction are interlaced like the whole ones, at twice their row pitch.
 
     Parameters
     ----------

@@ -4,9 +4,10 @@ The camera's signal is taken as linear in band radiance, mean = a + s x with
 
     x = (L(T) - L(T0)) / L'(T0),
 
-so that the slope s is in DN/K at T0, and s L'(T)/L'(T0) at another temperature T. Where the band is unknown, bands and
-wavelengths of both atmospheric windows and a signal linear in temperature are candidates, weighted by their evidence:
-levels far apart select one, levels close together leave the bend of L(T) in the interval.
+so that the slope s is in DN/K at T0, and s L'(T)/L'(T0) at another temperature T. Where the band is
+unknown, bands and wavelengths of both atmospheric windows and a signal linear in temperature are
+candidates, weighted by their evidence: levels far apart select one, levels close together leave the
+bend of L(T) in the interval.
 """
 
 from collections.abc import Sequence
@@ -24,7 +25,8 @@ Array = NDArray[np.float64]
 ZERO_C = 273.15
 # Radiation constants, CODATA 2018: 2 h c^2 in W um^4 m-2 sr-1, and h c / k in um K.
 C1, C2 = 1.191042972e8, 1.438776877e4
-# Candidates of an unknown band, um: common bands, and wavelengths of both windows of the atmosphere.
+# Candidates of an unknown band, um: common bands, and wavelengths of both windows of the
+# atmosphere.
 BANDS_UM = ((3.0, 5.0), (3.4, 4.9), (8.0, 12.0), (8.0, 14.0), (7.5, 13.5))
 WAVELENGTHS_UM = (3.2, 3.6, 4.0, 4.4, 4.8, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0)
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
@@ -32,18 +34,21 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 @dataclass(frozen=True, kw_only=True)
 class Response:
-    """Signal per temperature of a camera: to radiance or photons of a band, or linear in temperature.
+    """Signal per temperature of a camera: to radiance or photons of a band, or linear in
+    temperature.
 
     Examples
     --------
     >>> eight_to_twelve = Response(low_um=8.0, high_um=12.0)
-    >>> round(float(eight_to_twelve.radiance(300.0)), 3), round(float(eight_to_twelve.derivative(300.0)), 4)
+    >>> radiance, slope = eight_to_twelve.radiance(300.0), eight_to_twelve.derivative(300.0)
+    >>> round(float(radiance), 3), round(float(slope), 4)
     (38.5, 0.6297)
     """
 
     low_um: float  # limits of the band, um; both 0: linear in temperature
     high_um: float
-    photons: bool = False  # whether photons count, not energy; then the unit of radiance is 1/um of that of energy
+    # whether photons count, not energy; then the unit of radiance is 1/um of that of energy
+    photons: bool = False
 
     @property
     def name(self) -> str:
@@ -78,9 +83,14 @@ class Response:
 
 
 def responses(band_um: tuple[float, float] | None) -> tuple[Response, ...]:
-    """Return the candidate responses of a camera: of its band, else of both windows and linear in temperature."""
+    """Return the candidate responses of a camera: of its band, else of both windows and linear in
+    temperature.
+    """
     if band_um is not None:
-        return tuple(Response(low_um=band_um[0], high_um=band_um[1], photons=photons) for photons in (False, True))
+        return tuple(
+            Response(low_um=band_um[0], high_um=band_um[1], photons=photons)
+            for photons in (False, True)
+        )
     limits = (*BANDS_UM, *((um, um) for um in WAVELENGTHS_UM), (0.0, 0.0))
     return tuple(Response(low_um=low, high_um=high) for low, high in limits)
 
@@ -102,7 +112,9 @@ class SignalTransfer:
     residual_dn: Array  # mean less that law, shape (level,), DN
     chi2: float  # of the most probable law, for the stated errors
     parabola_chi2: float  # of that law with a quadratic term; infinite for fewer than four levels
-    parabola_slope: float  # change of the slope at the background by that term, fraction of the slope
+    parabola_slope: (
+        float  # change of the slope at the background by that term, fraction of the slope
+    )
 
     def slope_at(self, temperature_k: float | Array) -> Array:
         """Return the slope at a temperature, or at one of each draw, shape (draw,), DN/K."""
@@ -129,16 +141,22 @@ class SignalTransfer:
 
 
 def fit_signal_transfer(
-    temperature_k: Array, mean_dn: Array, sd_dn: Array, *, background_k: float | None,
-    band_um: tuple[float, float] | None, rng: np.random.Generator,
-) -> SignalTransfer:  # fmt: skip
+    temperature_k: Array,
+    mean_dn: Array,
+    sd_dn: Array,
+    *,
+    background_k: float | None,
+    band_um: tuple[float, float] | None,
+    rng: np.random.Generator,
+) -> SignalTransfer:
     """Fit mean DN against black-body temperature.
 
     Parameters
     ----------
     temperature_k, mean_dn, sd_dn
-        Levels of at least two temperatures: black body, K, mean of all pixels and frames and its standard error by
-        noise and drift, DN, shape (level,) each. The error of the black body is added.
+        Levels of at least two temperatures: black body, K, mean of all pixels and frames and its
+        standard error by noise and drift, DN, shape (level,) each. The error of the black body is
+        added.
     background_k
         Background temperature, K; None: anywhere between the levels, with equal probability.
     band_um
@@ -153,21 +171,30 @@ def fit_signal_transfer(
 
     Notes
     -----
-    Each response gives a weighted line. The scatter of the levels about it, relative to the stated errors, has an
-    inverse chi-squared prior of mean about 1 and `scatter_freedom` degrees of freedom; slopes are then Student's t, and
-    a response has the evidence (nu + chi2)^(-(nu + n - 2)/2) sqrt(det covariance) (Gelman et al., Bayesian Data
-    Analysis, 3rd ed., 14.2).
+    Each response gives a weighted line. The scatter of the levels about it, relative to the stated
+    errors, has an inverse chi-squared prior of mean about 1 and `scatter_freedom` degrees of
+    freedom; slopes are then Student's t, and a response has the evidence (nu + chi2)^(-(nu + n -
+    2)/2) sqrt(det covariance) (Gelman et al., Bayesian Data Analysis, 3rd ed., 14.2).
 
     Examples
     --------
     >>> kelvin = 295.0 + np.arange(5.0)
-    >>> done = fit_signal_transfer(kelvin, 100.0 + 20.0 * (kelvin - 297.0), np.full(5, 0.01), background_k=297.0,
-    ...                            band_um=None, rng=np.random.default_rng(1))
+    >>> done = fit_signal_transfer(
+    ...     kelvin,
+    ...     100.0 + 20.0 * (kelvin - 297.0),
+    ...     np.full(5, 0.01),
+    ...     background_k=297.0,
+    ...     band_um=None,
+    ...     rng=np.random.default_rng(1),
+    ... )
     >>> bool(abs(np.median(done.sitf) - 20.0) < 0.2)
     True
     """
     if len(np.unique(temperature_k)) < 2:
-        raise BadInput(f"a signal transfer must have two temperatures or more, got {len(np.unique(temperature_k))}")
+        raise BadInput(
+            "a signal transfer must have two temperatures or more, got "
+            f"{len(np.unique(temperature_k))}"
+        )
     reference, levels = float(np.mean(temperature_k)), len(mean_dn)
     crude = float(np.polyfit(temperature_k - reference, mean_dn, 1)[0])
     sd = np.hypot(sd_dn, crude * INFRARED.blackbody_sd_k)
@@ -176,7 +203,9 @@ def fit_signal_transfer(
     fits = [linear_fit([np.ones(levels), place], mean_dn, sd) for place in places]
     freedom = INFRARED.scatter_freedom + levels - 2
     sums = np.array([INFRARED.scatter_freedom + fit.chi2 for fit in fits])
-    logs = 0.5 * np.log([np.linalg.det(fit.covariance) for fit in fits]) - 0.5 * freedom * np.log(sums)
+    logs = 0.5 * np.log([np.linalg.det(fit.covariance) for fit in fits]) - 0.5 * freedom * np.log(
+        sums
+    )
     share = np.exp(logs - logs.max())
     share /= share.sum()
     draws = INFRARED.draws
@@ -187,18 +216,30 @@ def fit_signal_transfer(
     between = rng.uniform(temperature_k.min(), temperature_k.max(), draws)
     background = between if background_k is None else np.full(draws, background_k)
     top = int(np.argmax(share))
-    bent, change = _parabola(places[top], mean_dn, sd, candidates[top], reference, float(np.mean(background)))
+    bent, change = _parabola(
+        places[top], mean_dn, sd, candidates[top], reference, float(np.mean(background))
+    )
     law = fits[top].best
     return SignalTransfer(
-        responses=candidates, share=share, choice=choice, slope_dn_per_k=slope, reference_k=reference,
-        background_k=background, law=law, residual_dn=mean_dn - law[0] - law[1] * places[top], chi2=fits[top].chi2,
-        parabola_chi2=bent, parabola_slope=change,
-    )  # fmt: skip
+        responses=candidates,
+        share=share,
+        choice=choice,
+        slope_dn_per_k=slope,
+        reference_k=reference,
+        background_k=background,
+        law=law,
+        residual_dn=mean_dn - law[0] - law[1] * places[top],
+        chi2=fits[top].chi2,
+        parabola_chi2=bent,
+        parabola_slope=change,
+    )
 
 
 def _place(response: Response, temperature_k: float | Array, reference_k: float) -> Array:
     """Return the radiance of a temperature, less that of the reference, in K at the reference."""
-    return (response.radiance(temperature_k) - response.radiance(reference_k)) / response.derivative(reference_k)
+    return (
+        response.radiance(temperature_k) - response.radiance(reference_k)
+    ) / response.derivative(reference_k)
 
 
 def _slope(fit) -> tuple[float, float]:
@@ -209,7 +250,9 @@ def _slope(fit) -> tuple[float, float]:
 def _parabola(
     place: Array, mean_dn: Array, sd: Array, response: Response, reference: float, background: float
 ) -> tuple[float, float]:
-    """Return chi squared of the law with a quadratic term, and the relative change of the slope at the background."""
+    """Return chi squared of the law with a quadratic term, and the relative change of the slope at
+    the background.
+    """
     if len(place) < 4:
         return np.inf, 0.0
     fit = linear_fit([np.ones(len(place)), place, place**2], mean_dn, sd)
@@ -219,7 +262,9 @@ def _parabola(
 
 
 def band_note(band_um: Sequence[float] | None, transfer: SignalTransfer) -> str:
-    """Return the note on the law of the fit: the band's radiance, or how much an unknown band bends it."""
+    """Return the note on the law of the fit: the band's radiance, or how much an unknown band bends
+    it.
+    """
     middle = float(np.median(transfer.background_k))
     if band_um is not None:
         energy = next(one for one in transfer.responses if not one.photons)
@@ -229,10 +274,13 @@ def band_note(band_um: Sequence[float] | None, transfer: SignalTransfer) -> str:
             f"{float(energy.derivative(middle)):.4g} W m-2 sr-1 K-1 at {middle:.1f} K."
         )
     bands = [Response(low_um=low, high_um=high) for low, high in ((8.0, 12.0), (3.0, 5.0))]
-    growth = [100.0 * (float(one.derivative(middle + 5.0) / one.derivative(middle)) - 1.0) for one in bands]
+    growth = [
+        100.0 * (float(one.derivative(middle + 5.0) / one.derivative(middle)) - 1.0)
+        for one in bands
+    ]
     return (
-        f"The band is unknown, so both windows and a signal linear in temperature were fitted (most probable "
-        f"{transfer.likeliest.name}): dL/dT grows {growth[0]:.1f} % in 8-12 µm and {growth[1]:.1f} % in 3-5 µm from "
-        f"{middle:.0f} K to {middle + 5.0:.0f} K, which the interval holds; a sensor with its band in session.toml "
-        "narrows it."
+        "The band is unknown, so both windows and a signal linear in temperature were fitted "
+        f"(most probable {transfer.likeliest.name}): dL/dT grows {growth[0]:.1f} % in 8-12 µm and "
+        f"{growth[1]:.1f} % in 3-5 µm from {middle:.0f} K to {middle + 5.0:.0f} K, which the "
+        "interval holds; a sensor with its band in session.toml narrows it."
     )

@@ -1,1 +1,3 @@
-"""Live view and quick results during an acquisition; read-only, no tube or camera setting is changed."""
+"""Live view and quick results during an acquisition; read-only, no tube or camera setting is
+changed.
+"""

@@ -1,4 +1,6 @@
-"""Checks of this machine: versions, disk, cameras, ports, permissions and network, each with its fix."""
+"""Checks of this machine: versions, disk, cameras, ports, permissions and network, each with its
+fix.
+"""
 
 import grp
 import os
@@ -24,7 +26,9 @@ from labdata.session_writer import SessionWriter
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check: subject, sentence, remedy (None if ok), and whether measuring needs it."""
+    """Result of one check: subject, sentence, remedy (None if ok), and whether measuring needs
+    it.
+    """
 
     area: str
     says: str
@@ -38,7 +42,9 @@ class Finding:
 
 
 # Name, least version and extra, as in: starlette>=0.46; extra == "live"
-_REQUIREMENT = re.compile(r"^([\w.-]+)\s*(?:>=\s*([0-9.]+))?.*?(?:;.*extra\s*==\s*['\"]([\w-]+)['\"])?$")
+_REQUIREMENT = re.compile(
+    r"^([\w.-]+)\s*(?:>=\s*([0-9.]+))?.*?(?:;.*extra\s*==\s*['\"]([\w-]+)['\"])?$"
+)
 
 
 def software_findings() -> Iterator[Finding]:
@@ -47,7 +53,11 @@ def software_findings() -> Iterator[Finding]:
     try:
         requires = metadata.requires("charact") or []
     except metadata.PackageNotFoundError:
-        yield Finding("packages", "charact is not installed, its requirements are unknown", fix="pip install charact")
+        yield Finding(
+            "packages",
+            "charact is not installed, its requirements are unknown",
+            fix="pip install charact",
+        )
         return
     yield from package_findings(requires, _version_of)
 
@@ -59,8 +69,12 @@ def python_finding(version: tuple[int, ...]) -> Finding:
     return Finding("python", f"Python {text}", fix=fix, core=True)
 
 
-def package_findings(requires: Iterable[str], installed: Callable[[str], str | None]) -> Iterator[Finding]:
-    """Yield one finding for the required packages and one for each extra; `installed` returns a version or None."""
+def package_findings(
+    requires: Iterable[str], installed: Callable[[str], str | None]
+) -> Iterator[Finding]:
+    """Yield one finding for the required packages and one for each extra; `installed` returns a
+    version or None.
+    """
     wanting: dict[str | None, list[str]] = {}
     for requirement in requires:
         if (parsed := _REQUIREMENT.match(requirement.strip())) is None:
@@ -80,7 +94,9 @@ def package_findings(requires: Iterable[str], installed: Callable[[str], str | N
 
 
 def _lack(name: str, least: str | None, version: str | None) -> str | None:
-    """Return what is wrong with a package; release numbers are compared, so that 1.10 is later than 1.9."""
+    """Return what is wrong with a package; release numbers are compared, so that 1.10 is later than
+    1.9.
+    """
 
     def numbers(text: str) -> tuple[int, ...]:
         parts = re.match(r"[0-9]+(?:\.[0-9]+)*", text)
@@ -111,7 +127,9 @@ def disk_findings(folder: Path) -> Iterator[Finding]:
         rate_hz = write_rate_hz(folder)
     except (OSError, BadInput) as error:
         why = error.strerror if isinstance(error, OSError) else error
-        yield Finding("disk", f"{folder} is not writable: {why}", fix="choose another folder", core=True)
+        yield Finding(
+            "disk", f"{folder} is not writable: {why}", fix="choose another folder", core=True
+        )
         return
     yield speed_finding(folder, rate_hz)
     yield room_finding(folder, shutil.disk_usage(folder).free)
@@ -130,16 +148,25 @@ def write_rate_hz(folder: Path) -> float:
             began = time.perf_counter()
             for first in range(1, TRIED_FRAMES, TOGETHER):
                 numbers = range(first, first + TOGETHER)
-                stack.extend([Frame(pixels=frame, number=number, time_s=float(number)) for number in numbers])
+                stack.extend(
+                    [Frame(pixels=frame, number=number, time_s=float(number)) for number in numbers]
+                )
             return TRIED_FRAMES / (time.perf_counter() - began)
 
 
 def speed_finding(folder: Path, rate_hz: float) -> Finding:
     """Return whether a write rate is sufficient for video, Hz."""
-    rate = f"{folder}: {rate_hz:.1f} frames/s of {SHAPE[1]} x {SHAPE[0]} px, 16 bit, synchronised to disk"
+    rate = (
+        f"{folder}: {rate_hz:.1f} frames/s of {SHAPE[1]} x {SHAPE[0]} px, 16 bit, synchronised "
+        f"to disk"
+    )
     if rate_hz >= 2.0 * VIDEO_HZ:
         return Finding("disk", rate)
-    return Finding("disk", f"{rate}; video needs {VIDEO_HZ:g}, and a margin of as many", fix="choose a faster disk")
+    return Finding(
+        "disk",
+        f"{rate}; video needs {VIDEO_HZ:g}, and a margin of as many",
+        fix="choose a faster disk",
+    )
 
 
 def room_finding(folder: Path, free_bytes: int) -> Finding:
@@ -158,7 +185,9 @@ def device_finding(area: str, path: Path, title: str) -> Finding:
     return Finding(
         area,
         f"{path}: {title}; this user may not open it",
-        fix=f"sudo usermod -a -G {group} $USER, then log in again" if group else f"change the permissions of {path}",
+        fix=f"sudo usermod -a -G {group} $USER, then log in again"
+        if group
+        else f"change the permissions of {path}",
     )
 
 
@@ -199,12 +228,17 @@ def aravis_cameras() -> Iterator[Finding]:
         yield Finding("aravis", str(error), fix="apt-get install libaravis-0.8-0 (Debian)")
         return
     for camera in found:
-        yield Finding("aravis", f"{camera.identifier}: {camera.model}, {camera.serial}, at {camera.address}")
+        yield Finding(
+            "aravis", f"{camera.identifier}: {camera.model}, {camera.serial}, at {camera.address}"
+        )
     if not found:
         yield Finding(
             "aravis",
             "the library is installed; no GigE Vision or USB3 Vision camera answers",
-            fix="connect a camera and switch it on; its address must be in the subnet of its network port",
+            fix=(
+                "connect a camera and switch it on; its address must be in the subnet of its "
+                "network port"
+            ),
         )
 
 
@@ -213,11 +247,17 @@ def video_devices(
     kernel: Path = Path("/sys/class/video4linux"),
     offered: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[Finding]:
-    """Yield the V4L2 devices with their names and, by device file, what they offer; folders for tests."""
-    paths = sorted(devices.glob("video[0-9]*"), key=lambda path: int(path.name.removeprefix("video")))
+    """Yield the V4L2 devices with their names and, by device file, what they offer; folders for
+    tests.
+    """
+    paths = sorted(
+        devices.glob("video[0-9]*"), key=lambda path: int(path.name.removeprefix("video"))
+    )
     for path in paths:
         formats = offered.get(str(path), "no readable capture format")
-        yield device_finding("video", path, f"{_read(kernel / path.name / 'name') or 'nameless'}, {formats}")
+        yield device_finding(
+            "video", path, f"{_read(kernel / path.name / 'name') or 'nameless'}, {formats}"
+        )
     if not paths:
         yield Finding("video", "no video device", fix="connect a capture card, for analog video")
     yield from group_findings("video", "video")
@@ -229,7 +269,10 @@ def _capture_formats() -> dict[str, str]:
 
     offers = {}
     for one in list_devices():
-        formats = ", ".join(dict.fromkeys(offer.name for offer in one.formats if offer.name)) or "no readable format"
+        formats = (
+            ", ".join(dict.fromkeys(offer.name for offer in one.formats if offer.name))
+            or "no readable format"
+        )
         inputs = ", ".join(f"#{entry.number} {entry.name}" for entry in one.inputs)
         offers[one.path] = f"inputs {inputs or 'none'}; {formats}"
     return offers
@@ -239,7 +282,9 @@ def port_findings() -> Iterator[Finding]:
     """Yield the serial ports and whether this user may open them."""
     from serial.tools.list_ports import comports
 
-    yield from serial_ports((Path(port.device), port.description or "nameless") for port in comports())
+    yield from serial_ports(
+        (Path(port.device), port.description or "nameless") for port in comports()
+    )
 
 
 def serial_ports(ports: Iterable[tuple[Path, str]]) -> Iterator[Finding]:
@@ -259,7 +304,9 @@ def network_findings() -> Iterator[Finding]:
 
 
 def socket_buffer(limits: Path) -> Finding:
-    """Return whether the socket buffer of the kernel is sufficient for a frame; `limits`: folder of its limits."""
+    """Return whether the socket buffer of the kernel is sufficient for a frame; `limits`: folder of
+    its limits.
+    """
     try:
         granted = int((limits / "rmem_max").read_text())
     except (OSError, ValueError):
@@ -269,13 +316,21 @@ def socket_buffer(limits: Path) -> Finding:
         return Finding("network", size)
     return Finding(
         "network",
-        f"{size}; a camera at full rate needs {SOCKET_BUFFER_BYTES / 2**20:.3g} MiB, or packets are lost",
-        fix=f"sudo sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES} (and keep it in /etc/sysctl.d/)",
+        (
+            f"{size}; a camera at full rate needs {SOCKET_BUFFER_BYTES / 2**20:.3g} MiB, or "
+            "packets are lost"
+        ),
+        fix=(
+            f"sudo sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES} (and keep it in "
+            f"/etc/sysctl.d/)"
+        ),
     )
 
 
 def packet_sizes(interfaces: Path) -> Iterator[Finding]:
-    """Yield the packet size of each active interface but the loopback; `interfaces`: folder of their attributes."""
+    """Yield the packet size of each active interface but the loopback; `interfaces`: folder of
+    their attributes.
+    """
     for interface in sorted(interfaces.glob("*")):
         if interface.name == "lo" or _read(interface / "operstate") != "up":
             continue
@@ -284,7 +339,9 @@ def packet_sizes(interfaces: Path) -> Iterator[Finding]:
         if bytes_ < 1500:  # plain Ethernet
             yield Finding("network", size, fix=f"sudo ip link set dev {interface.name} mtu 1500")
         else:
-            more = "" if bytes_ >= 9000 else "; use 9000 (jumbo frames) for cameras of many megapixels"
+            more = (
+                "" if bytes_ >= 9000 else "; use 9000 (jumbo frames) for cameras of many megapixels"
+            )
             yield Finding("network", size + more)
 
 
@@ -296,7 +353,9 @@ def _read(path: Path) -> str:
 
 
 def examine(folder: Path) -> Iterator[Finding]:
-    """Yield the findings one by one; test frames are written to `folder` and removed, no instrument is contacted."""
+    """Yield the findings one by one; test frames are written to `folder` and removed, no instrument
+    is contacted.
+    """
     yield from software_findings()
     yield from disk_findings(folder)
     yield from camera_findings()

@@ -21,7 +21,9 @@ WINDOW_PX = 220
 
 @dataclass(frozen=True, kw_only=True)
 class Focus:
-    """One reading of the focus: MTF50 across the edge, direction of its normal, region, flags or refusal."""
+    """One reading of the focus: MTF50 across the edge, direction of its normal, region, flags or
+    refusal.
+    """
 
     mtf50_cy_per_px: float | None = None
     interval95: Interval | None = None
@@ -38,10 +40,10 @@ class BestFocus:
 
     Notes
     -----
-    The best value changes when the complete intervals of two successive readings of disjoint frames lie above it; the
-    lower of the two replaces it. The maximum of single readings would be biased: at constant focus the highest of
-    3,000 readings is 3.4 standard errors too high. With this rule half of the best values are less than 1.5 standard
-    errors too high, and 0.2 % more than three.
+    The best value changes when the complete intervals of two successive readings of disjoint frames
+    lie above it; the lower of the two replaces it. The maximum of single readings would be biased:
+    at constant focus the highest of 3,000 readings is 3.4 standard errors too high. With this rule
+    half of the best values are less than 1.5 standard errors too high, and 0.2 % more than three.
     """
 
     best: Focus | None = None
@@ -76,9 +78,14 @@ def read_focus(frames: NDArray, region: Region | None, context: Context) -> Focu
     from charact.mtf import measure
 
     # Takes 0.04 s on a window of `WINDOW_PX`; the fits take ten times as long.
-    result = measure("edge", FrameStack(data=frames), region=region, method="edge-gradient", context=context)
+    result = measure(
+        "edge", FrameStack(data=frames), region=region, method="edge-gradient", context=context
+    )
     (found, *_) = result.find("mtf50")
-    same = {name: getattr(found, name) for name in ("interval95", "orientation_deg", "region", "flags", "reason")}
+    same = {
+        name: getattr(found, name)
+        for name in ("interval95", "orientation_deg", "region", "flags", "reason")
+    }
     return Focus(mtf50_cy_per_px=found.value, seconds=found.seconds or 0.0, **same)
 
 
@@ -95,11 +102,13 @@ AVERAGED_FRAMES = 4
 class FocusReader(AbstractContextManager["FocusReader"]):
     """Reads the focus of the newest frames in another process, so that frames do not wait for it.
 
-    `region`: ROW, COL, HEIGHT, WIDTH of the edge; None: the edge is found and then followed in a window. `executor`: of
-    the measurement; None: a process pool of one.
+    `region`: ROW, COL, HEIGHT, WIDTH of the edge; None: the edge is found and then followed in a
+    window. `executor`: of the measurement; None: a process pool of one.
     """
 
-    def __init__(self, context: Context, region: Region | None = None, executor: Executor | None = None) -> None:
+    def __init__(
+        self, context: Context, region: Region | None = None, executor: Executor | None = None
+    ) -> None:
         self._context, self._region = context, region
         self._executor = executor or ProcessPoolExecutor(
             1, mp_context=multiprocessing.get_context("spawn"), initializer=_ignore_interrupt
@@ -107,7 +116,8 @@ class FocusReader(AbstractContextManager["FocusReader"]):
         self._frames: deque[NDArray] = deque(maxlen=AVERAGED_FRAMES)
         self._window = region
         self._reading: Future[Focus] | None = None
-        # Frames since the reading last compared with the best; whether the pending reading shares none with it.
+        # Frames since the reading last compared with the best; whether the pending reading shares
+        # none with it.
         self._unread, self._reads_new = 0, False
         self.newest: Focus | None = None
         """The last reading."""
@@ -134,7 +144,9 @@ class FocusReader(AbstractContextManager["FocusReader"]):
         if self._reading is None and len(self._frames) == AVERAGED_FRAMES:
             self._reads_new = self._unread >= AVERAGED_FRAMES
             self._unread = 0 if self._reads_new else self._unread
-            self._reading = self._executor.submit(read_focus, np.stack(self._frames), self._window, self._context)
+            self._reading = self._executor.submit(
+                read_focus, np.stack(self._frames), self._window, self._context
+            )
 
     def take_up(self) -> bool:
         """Collect a completed reading; return whether there was one."""

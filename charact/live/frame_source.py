@@ -26,7 +26,9 @@ ENDLESS = 2**40  # frames; at a thousand a second, 35 years
 
 @dataclass(frozen=True, kw_only=True)
 class SourceFrame:
-    """A frame, its camera or stack, full scale, frames lost since the start, and conditions as read back."""
+    """A frame, its camera or stack, full scale, frames lost since the start, and conditions as read
+    back.
+    """
 
     frame: Frame
     of: str
@@ -58,8 +60,8 @@ class FrameSource(Protocol):
 class CameraSource:
     """Endless capture of a camera with its present settings.
 
-    The full scale of the context overrides that of the pixel format; `most_hz`: frame rate limit of a camera without
-    clock, Hz; `frames_each`: frames of one capture.
+    The full scale of the context overrides that of the pixel format; `most_hz`: frame rate limit of
+    a camera without clock, Hz; `frames_each`: frames of one capture.
     """
 
     def __init__(
@@ -90,15 +92,19 @@ class CameraSource:
                 full_scale_dn = self.context.full_scale_dn or own_scale_dn
                 lost = capture.lost_frames
                 yield SourceFrame(
-                    frame=frame, of=camera.identifier, full_scale_dn=full_scale_dn, lost_frames=lost,
+                    frame=frame,
+                    of=camera.identifier,
+                    full_scale_dn=full_scale_dn,
+                    lost_frames=lost,
                     conditions=conditions,
-                )  # fmt: skip
+                )
                 due_s = max(due_s + self._period_s, time.monotonic())
                 time.sleep(max(due_s - time.monotonic(), 0.0) if self._period_s else 0.0)
 
 
 class SessionSource:
-    """Newest frames of a session during its acquisition, read from disk; intermediate frames are skipped.
+    """Newest frames of a session during its acquisition, read from disk; intermediate frames are
+    skipped.
 
     `look_s`: interval between two reads of the journal, s. Raises BadInput if there is no session.
     """
@@ -109,7 +115,11 @@ class SessionSource:
             raise BadInput(f"a session must be a folder with a {MANIFEST}, got {folder}")
         self.name = f"session {self.folder.name}"
         self._form, self._written_ns = self._read()
-        camera = None if self._form.sensor is None else load_camera(self._form.sensor, relative_to=self.folder)
+        camera = (
+            None
+            if self._form.sensor is None
+            else load_camera(self._form.sensor, relative_to=self.folder)
+        )
         self._bit_depth = self._form.bit_depth
         self.context = Context(
             quick=True,
@@ -151,7 +161,9 @@ class _Stack:
         self._first_number: int | None = None
 
     def newest(self) -> tuple[SourceFrame, ...]:
-        """Return the newest frame since the last read, at the first up to four, sufficient for noise and focus."""
+        """Return the newest frame since the last read, at the first up to four, sufficient for
+        noise and focus.
+        """
         news = self._following.news()
         shown = news[-1:]
         if news and self._first_number is None:
@@ -171,5 +183,7 @@ class _Stack:
 
 def _array_of(stack: StackRecord) -> str:
     if not isinstance(stack.frames, str):
-        raise BadInput(f"the session must be acquired by charact acquire, got {len(stack.frames)} files")
+        raise BadInput(
+            f"the session must be acquired by charact acquire, got {len(stack.frames)} files"
+        )
     return stack.frames

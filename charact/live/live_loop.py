@@ -46,9 +46,13 @@ class LatestView:
             self._changed.notify_all()
 
     def after(self, number: int, *, timeout_s: float) -> LiveView | None:
-        """Wait for a view with a number above `number`; None after the time-out or when the views ended."""
+        """Wait for a view with a number above `number`; None after the time-out or when the views
+        ended.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._is_after(number) or self._ended is not None, timeout=timeout_s)
+            self._changed.wait_for(
+                lambda: self._is_after(number) or self._ended is not None, timeout=timeout_s
+            )
             return self._view if self._is_after(number) else None
 
     def _is_after(self, number: int) -> bool:
@@ -78,7 +82,9 @@ class LiveLoop:
     `region`: ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
     """
 
-    def __init__(self, source: FrameSource, *, focus: FocusReader | None = None, region: Region | None = None) -> None:
+    def __init__(
+        self, source: FrameSource, *, focus: FocusReader | None = None, region: Region | None = None
+    ) -> None:
         self._source, self._focus, self._region = source, focus, region
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
@@ -132,11 +138,17 @@ class LiveLoop:
         # Shortest interval between two views, s; frames in between are read but not measured.
         self._due_s = max(self._due_s + 1.0 / 30.0, now_s)
         pixels, previous = seen.frame.pixels, None
-        if before is not None and before.of == seen.of and before.frame.pixels.shape == pixels.shape:
+        if (
+            before is not None
+            and before.of == seen.of
+            and before.frame.pixels.shape == pixels.shape
+        ):
             previous = before.frame.pixels
         if self._focus is not None:
             self._focus.look_at(pixels)
-        meters = measure_frame(pixels, previous, full_scale_dn=seen.full_scale_dn, region=self._region)
+        meters = measure_frame(
+            pixels, previous, full_scale_dn=seen.full_scale_dn, region=self._region
+        )
         self._number += 1
         self.newest.publish(
             LiveView(
@@ -156,4 +168,6 @@ class LiveLoop:
         view = self.newest.view
         if view is not None and self._focus is not None and self._focus.take_up():
             self._number += 1
-            self.newest.publish(replace(view, number=self._number, focus=self._focus.newest, best=self._focus.best))
+            self.newest.publish(
+                replace(view, number=self._number, focus=self._focus.newest, best=self._focus.best)
+            )

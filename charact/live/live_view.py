@@ -19,8 +19,9 @@ BINS = 256
 class FrameStatistics:
     """Statistics of one frame and of its difference to the previous one.
 
-    Mean and temporal noise (with its standard error; None without a previous frame) are over the region, DN; highest
-    pixel, saturated pixels and histogram over the whole frame. The last bin holds all values above full scale.
+    Mean and temporal noise (with its standard error; None without a previous frame) are over the
+    region, DN; highest pixel, saturated pixels and histogram over the whole frame. The last bin
+    holds all values above full scale.
     """
 
     mean_dn: float
@@ -37,36 +38,52 @@ class FrameStatistics:
 
 
 def measure_frame(
-    frame: NDArray, before: NDArray | None = None, *, full_scale_dn: float, region: Region | None = None
+    frame: NDArray,
+    before: NDArray | None = None,
+    *,
+    full_scale_dn: float,
+    region: Region | None = None,
 ) -> FrameStatistics:
-    """Measure the statistics of a frame (row, col) of unsigned integers, DN, and its difference to the previous one.
+    """Measure the statistics of a frame (row, col) of unsigned integers, DN, and its difference to
+    the previous one.
 
-    `region`: ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame. Raises BadInput if the pixels are not
-    unsigned integers, the frames differ in shape, or the region exceeds them.
+    `region`: ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame. Raises BadInput if
+    the pixels are not unsigned integers, the frames differ in shape, or the region exceeds them.
     """
     if frame.ndim != 2 or frame.dtype.kind != "u":
         raise BadInput(
-            f"frame statistics need a frame (row, col) of unsigned integers, got {frame.ndim} axes of {frame.dtype}"
+            f"frame statistics need a frame (row, col) of unsigned integers, got {frame.ndim} "
+            f"axes of {frame.dtype}"
         )
     if before is not None and before.shape != frame.shape:
-        raise BadInput(f"two frames must have one shape to be compared, got {before.shape} and {frame.shape}")
+        raise BadInput(
+            f"two frames must have one shape to be compared, got {before.shape} and {frame.shape}"
+        )
     inside = _inside(frame, region)
-    noise, error = (None, None) if before is None else temporal_noise(inside, _inside(before, region))
+    noise, error = (
+        (None, None) if before is None else temporal_noise(inside, _inside(before, region))
+    )
     histogram, bin_dn = _histogram(frame, full_scale_dn)
     return FrameStatistics(
-        mean_dn=float(inside.mean()), highest_dn=float(frame.max()), pixels=frame.size, noise_dn=noise,
-        saturated_px=int(np.count_nonzero(frame >= full_scale_dn)), noise_se_dn=error, histogram=histogram,
+        mean_dn=float(inside.mean()),
+        highest_dn=float(frame.max()),
+        pixels=frame.size,
+        noise_dn=noise,
+        saturated_px=int(np.count_nonzero(frame >= full_scale_dn)),
+        noise_se_dn=error,
+        histogram=histogram,
         bin_dn=bin_dn,
-    )  # fmt: skip
+    )
 
 
 def temporal_noise(frame: NDArray, before: NDArray) -> tuple[float, float | None]:
-    """Return the temporal noise of two frames (row, col), root mean square over the pixels, and its standard error, DN.
+    """Return the temporal noise of two frames (row, col), root mean square over the pixels, and its
+    standard error, DN.
 
-    Half the variance of the difference, which removes the scene, the fixed pattern and uniform flicker. Image lag
-    biases it low. The standard error is from the scatter between neighbouring tiles, half the mean square of
-    successive differences (J. von Neumann, Ann. Math. Statist. 12 (1941) 367); it accounts for correlated and for
-    non-uniform noise.
+    Half the variance of the difference, which removes the scene, the fixed pattern and uniform
+    flicker. Image lag biases it low. The standard error is from the scatter between neighbouring
+    tiles, half the mean square of successive differences (J. von Neumann, Ann. Math. Statist. 12
+    (1941) 367); it accounts for correlated and for non-uniform noise.
     """
     difference = frame.astype(np.float32) - before
     difference -= difference.mean()
@@ -82,7 +99,9 @@ def temporal_noise(frame: NDArray, before: NDArray) -> tuple[float, float | None
 
 
 def _tiles(values: NDArray) -> NDArray[np.float64]:
-    """Return the means of square tiles, shape (tile row, tile col); incomplete tiles are dropped."""
+    """Return the means of square tiles, shape (tile row, tile col); incomplete tiles are
+    dropped.
+    """
     # Wider than the blur, so that the means are independent; smaller in a small region.
     side = int(np.clip(min(values.shape) // 8, 8, 32))
     rows, cols = (length // side for length in values.shape)
@@ -106,7 +125,9 @@ SATURATED_BGR = (255, 200, 0)
 
 @dataclass(frozen=True, kw_only=True)
 class PreviewImage:
-    """Preview of a frame as JPEG: every step-th pixel, and the grey values shown as black and white, DN."""
+    """Preview of a frame as JPEG: every step-th pixel, and the grey values shown as black and
+    white, DN.
+    """
 
     jpeg: bytes
     step: int
@@ -114,8 +135,11 @@ class PreviewImage:
     white_dn: float
 
 
-def render_preview(frame: NDArray, meters: FrameStatistics, *, full_scale_dn: float) -> PreviewImage:
-    """Return the preview of a frame (row, col), DN: subsampled, stretched, every saturated pixel marked.
+def render_preview(
+    frame: NDArray, meters: FrameStatistics, *, full_scale_dn: float
+) -> PreviewImage:
+    """Return the preview of a frame (row, col), DN: subsampled, stretched, every saturated pixel
+    marked.
 
     The histogram sets black and white; a skipped pixel at or above full scale is marked too.
     """
@@ -138,7 +162,9 @@ def render_preview(frame: NDArray, meters: FrameStatistics, *, full_scale_dn: fl
 
 
 def _levels(meters: FrameStatistics) -> tuple[float, float]:
-    """Return the grey values shown as black and white, at least eight bins apart so that noise is not stretched."""
+    """Return the grey values shown as black and white, at least eight bins apart so that noise is
+    not stretched.
+    """
     below = np.cumsum(meters.histogram) / max(meters.pixels, 1)
     # Quantiles of the grey values shown as black and white.
     black, white = np.searchsorted(below, (0.002, 0.998))
@@ -156,7 +182,9 @@ def _any_in_blocks(mask: NDArray[np.bool_], step: int) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, kw_only=True)
 class LiveView:
-    """One frame as shown: statistics, preview, frame rate (Hz, None before two frames), focus and region."""
+    """One frame as shown: statistics, preview, frame rate (Hz, None before two frames), focus and
+    region.
+    """
 
     number: int
     source_frame: SourceFrame

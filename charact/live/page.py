@@ -23,8 +23,8 @@ FILES = {
 def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlette:
     """Return the application; put it behind a `charact.live.server.PageAccess`.
 
-    `focus_first`: whether the focus is the main value. No route accesses an instrument; the only action is to forget
-    the best focus.
+    `focus_first`: whether the focus is the main value. No route accesses an instrument; the only
+    action is to forget the best focus.
     """
     about = {"title": title, "source": running.source.name, "focus_first": focus_first}
 
@@ -34,7 +34,9 @@ def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlet
     async def view(request: Request) -> Response:
         newest = running.newest.view
         if newest is None:
-            return JSONResponse({"waiting": running.newest.end_reason or "no frame yet"}, status_code=503)
+            return JSONResponse(
+                {"waiting": running.newest.end_reason or "no frame yet"}, status_code=503
+            )
         return JSONResponse({**about, **newest.as_json()})
 
     async def picture(request: Request) -> Response:

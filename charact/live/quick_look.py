@@ -34,7 +34,8 @@ BLOCK_FRAMES = 16
 class QuickLook:
     """Quick look at one stack.
 
-    Mean over all pixels and frames, DN; largest number of pixels at or above full scale in any frame; all measurements.
+    Mean over all pixels and frames, DN; largest number of pixels at or above full scale in any
+    frame; all measurements.
     """
 
     entry: StackEntry
@@ -54,7 +55,9 @@ class QuickLook:
 
 
 def look_at(session: Session, entry: StackEntry, *, seed: int = 0) -> QuickLook:
-    """Measure one stack of a session quickly; a flat or point uses the last dark with its settings."""
+    """Measure one stack of a session quickly; a flat or point uses the last dark with its
+    settings.
+    """
     means, most_saturated, full_scale_dn = _levels(entry)
     return QuickLook(
         entry=entry,
@@ -62,7 +65,9 @@ def look_at(session: Session, entry: StackEntry, *, seed: int = 0) -> QuickLook:
         mean_dn=float(means.mean()),
         saturated_px=most_saturated,
         full_scale_dn=full_scale_dn,
-        result=_measure_stack(replace(session, stacks=(*_dark_of(session, entry), entry)), entry, seed),
+        result=_measure_stack(
+            replace(session, stacks=(*_dark_of(session, entry), entry)), entry, seed
+        ),
     )
 
 
@@ -89,7 +94,9 @@ def _setting(entry: StackEntry) -> tuple[object, ...]:
 
 
 def _levels(entry: StackEntry) -> tuple[np.ndarray, int, float]:
-    """Return frame means, the largest number of saturated pixels of a frame, and full scale, DN; read in blocks."""
+    """Return frame means, the largest number of saturated pixels of a frame, and full scale, DN;
+    read in blocks.
+    """
     stack = open_lazy_stack(entry)
     full_scale_dn = stack.full_scale_dn or full_scale_of(stack.dtype)
     means, most = [], 0
@@ -117,7 +124,8 @@ def watch_stacks(
     Raises
     ------
     BadInput
-        If there is no session, the run ended before its plan was completed, or no stack was completed in time.
+        If there is no session, the run ended before its plan was completed, or no stack was
+        completed in time.
     """
     folder, seen, since_s = Path(folder), set[str](), time.monotonic()
     if not (folder / MANIFEST).is_file():
@@ -136,7 +144,8 @@ def watch_stacks(
             raise BadInput(f"the run ended before its plan was completed: {ended}")
         if time.monotonic() - since_s > patience_s:
             raise BadInput(
-                f"a stack must be completed within {patience_s:g} s, got none; resume with charact acquire --resume"
+                f"a stack must be completed within {patience_s:g} s, got none; resume with "
+                f"charact acquire --resume"
             )
         time.sleep(look_s)
 
@@ -145,7 +154,9 @@ def run_outcome(folder: Path) -> str | None:
     """Return None while a plan runs, "" once it is completed (or has no log), else why it ended."""
     try:
         runs = [
-            event for event in read_events(folder / "log.jsonl") if event.get("event") in ("run begins", "run ends")
+            event
+            for event in read_events(folder / "log.jsonl")
+            if event.get("event") in ("run begins", "run ends")
         ]
     except FileNotFoundError:
         return ""
@@ -165,12 +176,17 @@ def _stacks_on_disk(folder: Path) -> Iterator[tuple[Session, StackEntry]]:
 
 
 def watch_files(
-    folder: Path, *, once: bool, patience_s: float, poll_s: float = 0.5, sleep: Callable[[float], None] = time.sleep
+    folder: Path,
+    *,
+    once: bool,
+    patience_s: float,
+    poll_s: float = 0.5,
+    sleep: Callable[[float], None] = time.sleep,
 ) -> Iterator[Path]:
     """Yield each file of frames in a folder once it is complete, in the order of their times.
 
-    A file is complete when its size has not changed for one poll. Ends with `once` after the files that are there, else
-    when no file has come for `patience_s`.
+    A file is complete when its size has not changed for one poll. Ends with `once` after the files
+    that are there, else when no file has come for `patience_s`.
     """
     from labdata.importers import module_of
 

@@ -15,14 +15,17 @@ from labdata.errors import BadInput
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 HEADERS = (
-    (b"content-security-policy", b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
-     b"connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"),
+    (
+        b"content-security-policy",
+        b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+        b"connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
     (b"cross-origin-opener-policy", b"same-origin"),
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"referrer-policy", b"no-referrer"),
     (b"x-content-type-options", b"nosniff"),
     (b"cache-control", b"no-store"),
-)  # fmt: skip
+)
 
 
 def is_loopback(host: str) -> bool:
@@ -38,16 +41,19 @@ def is_loopback(host: str) -> bool:
 class PageAccess:
     """ASGI middleware that passes only requests for this server, from its own page, with its token.
 
-    Another page in the same browser must not read the frames. It can send requests here, and can make its own name
-    resolve to this address, but cannot choose the headers Host, Origin and Sec-Fetch-Site
-    (https://fetch.spec.whatwg.org, https://www.w3.org/TR/fetch-metadata). `hosts`: names of this server, without port;
-    `token`: secret of every request, in the first address and then in a cookie; None: only on the loopback, else
-    BadInput.
+    Another page in the same browser must not read the frames. It can send requests here, and can
+    make its own name resolve to this address, but cannot choose the headers Host, Origin and
+    Sec-Fetch-Site (https://fetch.spec.whatwg.org, https://www.w3.org/TR/fetch-metadata). `hosts`:
+    names of this server, without port; `token`: secret of every request, in the first address and
+    then in a cookie; None: only on the loopback, else BadInput.
     """
 
     def __init__(self, app: Any, *, hosts: tuple[str, ...], port: int, token: str | None) -> None:
         if token is None and (open_ := [host for host in hosts if not is_loopback(host)]):
-            raise BadInput(f"a page on an address other than loopback must have a token, got none for {open_[0]}")
+            raise BadInput(
+                f"a page on an address other than loopback must have a token, got none for "
+                f"{open_[0]}"
+            )
         self._app, self._token, self._cookie = app, token, f"charact-{port}"
         self._hosts = {f"{host.lower()}:{port}" for host in hosts}
         if port == 80:
@@ -91,7 +97,9 @@ class PageAccess:
 
     def _shows(self, shown: str | None) -> bool:
         # Constant time: the duration must not depend on the correct part of a guess.
-        return shown is not None and hmac.compare_digest(shown.encode(), (self._token or "").encode())
+        return shown is not None and hmac.compare_digest(
+            shown.encode(), (self._token or "").encode()
+        )
 
     def _cookie_of(self, scope: dict) -> str | None:
         try:
@@ -135,7 +143,10 @@ def _with_security_headers(send: Any) -> Any:
 
 async def _answer(send: Any, status: int, sentence: str, headers: tuple = ()) -> None:
     body = sentence.encode()
-    plain = ((b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(body)).encode()))
+    plain = (
+        (b"content-type", b"text/plain; charset=utf-8"),
+        (b"content-length", str(len(body)).encode()),
+    )
     hardened = _with_security_headers(send)
     await hardened({"type": "http.response.start", "status": status, "headers": [*plain, *headers]})
     await hardened({"type": "http.response.body", "body": body})
@@ -160,8 +171,8 @@ def serve(
     running, title, focus_first
         As `charact.live.page.page`.
     host, port
-        Address or name to listen on, and port (0: a free one). Addresses other than loopback require a token, new for
-        every start and printed with the address.
+        Address or name to listen on, and port (0: a free one). Addresses other than loopback
+        require a token, new for every start and printed with the address.
     tell
         Prints the address of the page.
 
@@ -180,7 +191,10 @@ def serve(
         port = listener.getsockname()[1]
         token = None if is_loopback(host) else new_token()
         app = PageAccess(
-            page(running, title=title, focus_first=focus_first), hosts=_names(host, token), port=port, token=token
+            page(running, title=title, focus_first=focus_first),
+            hosts=_names(host, token),
+            port=port,
+            token=token,
         )
         server = uvicorn.Server(
             uvicorn.Config(
@@ -205,16 +219,22 @@ def _listening(host: str, port: int) -> socket.socket:
     if not 0 <= port <= 65535:
         raise BadInput(f"a port must lie between 0 and 65535, got {port}")
     try:
-        family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)[0]
+        family, _, _, _, address = socket.getaddrinfo(
+            host.strip("[]"), port, type=socket.SOCK_STREAM
+        )[0]
         listener = socket.socket(family, socket.SOCK_STREAM)
     except OSError as error:
-        raise BadInput(f"--host must be an address of this machine, got {host!r} ({error.strerror})") from None
+        raise BadInput(
+            f"--host must be an address of this machine, got {host!r} ({error.strerror})"
+        ) from None
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
     except OSError as error:
         listener.close()
-        raise BadInput(f"--port must be a free port of this machine, got {host}:{port} ({error.strerror})") from None
+        raise BadInput(
+            f"--port must be a free port of this machine, got {host}:{port} ({error.strerror})"
+        ) from None
     return listener
 
 

@@ -16,7 +16,9 @@ HISTOGRAM_WIDTH = 64
 
 
 def watch_on_terminal(running: LiveLoop, *, title: str, console: "Console | None" = None) -> None:
-    """Show the newest view until the user interrupts; raise BadInput with the reason when the frames end."""
+    """Show the newest view until the user interrupts; raise BadInput with the reason when the
+    frames end.
+    """
     from rich.live import Live
 
     number = 0
@@ -49,9 +51,13 @@ def lines(view: LiveView) -> dict[str, str]:
         "saturated": f"{meters.saturated_px} of {meters.pixels} px ({share:.3g} %) at or above "
         f"{view.source_frame.full_scale_dn:g} DN",
         "mean": f"{meters.mean_dn:.4g} DN",
-        "temporal noise": "needs two frames" if meters.noise_dn is None else f"{meters.noise_dn:.4g}{error} DN",
+        "temporal noise": "needs two frames"
+        if meters.noise_dn is None
+        else f"{meters.noise_dn:.4g}{error} DN",
         "highest pixel": f"{meters.highest_dn:g} DN",
-        "frame rate": "needs two frames" if view.frame_rate_hz is None else f"{view.frame_rate_hz:.2f} Hz",
+        "frame rate": "needs two frames"
+        if view.frame_rate_hz is None
+        else f"{view.frame_rate_hz:.2f} Hz",
         "lost frames": str(view.source_frame.lost_frames),
         f"histogram 0 to {view.source_frame.full_scale_dn:g} DN": sparkline(view),
     }
@@ -74,9 +80,13 @@ def sparkline(view: LiveView) -> str:
     """Return the histogram as one line of block characters, logarithmic."""
     counts = view.statistics.histogram
     together = -(-len(counts) // HISTOGRAM_WIDTH)
-    sums = [int(counts[first : first + together].sum()) for first in range(0, len(counts), together)]
+    sums = [
+        int(counts[first : first + together].sum()) for first in range(0, len(counts), together)
+    ]
     most = math.log(1 + max(sums))
-    return "".join(BLOCKS[math.ceil((len(BLOCKS) - 1) * math.log(1 + number) / most)] for number in sums)
+    return "".join(
+        BLOCKS[math.ceil((len(BLOCKS) - 1) * math.log(1 + number) / most)] for number in sums
+    )
 
 
 def _bar(share: float) -> str:

@@ -29,9 +29,9 @@ Spread = Callable[[Callable[..., Any], Sequence[Any]], Iterable[Any]]
 def parallel_map(scheduler: str | None, *, timeout_s: float = 10.0) -> Iterator[Spread]:
     """Yield a function that maps another function over parts of the work, results in order.
 
-    `scheduler`: address of a Dask scheduler, such as "tcp://host:8786", whose workers see the session's files under the
-    same paths; None: `map` in this process. Raises BadInput if Dask is not installed, no scheduler answers, or a worker
-    dies.
+    `scheduler`: address of a Dask scheduler, such as "tcp://host:8786", whose workers see the
+    session's files under the same paths; None: `map` in this process. Raises BadInput if Dask is
+    not installed, no scheduler answers, or a worker dies.
     """
     if scheduler is None:
         yield map
@@ -40,20 +40,29 @@ def parallel_map(scheduler: str | None, *, timeout_s: float = 10.0) -> Iterator[
         from distributed import Client, KilledWorker
         from distributed.comm.addressing import get_address_host_port
     except ImportError:
-        raise BadInput("--scheduler needs Dask (pip install 'charact[dask]'), which is not installed") from None
+        raise BadInput(
+            "--scheduler needs Dask (pip install 'charact[dask]'), which is not installed"
+        ) from None
     try:
-        # A client without a scheduler prints a traceback when it is garbage-collected, so the port is tried first.
+        # A client without a scheduler prints a traceback when it is garbage-collected, so the port
+        # is tried first.
         create_connection(get_address_host_port(scheduler), timeout=timeout_s).close()
         client = Client(scheduler, timeout=timeout_s, set_as_default=False)
     except (OSError, OverflowError, ValueError, TimeoutError):
-        raise BadInput(f"--scheduler must be the address of a running Dask scheduler, got {scheduler!r}") from None
+        raise BadInput(
+            f"--scheduler must be the address of a running Dask scheduler, got {scheduler!r}"
+        ) from None
     with client:
         if not client.scheduler_info()["workers"]:
-            raise BadInput(f"a Dask scheduler must have at least one worker, got none at {scheduler}")
+            raise BadInput(
+                f"a Dask scheduler must have at least one worker, got none at {scheduler}"
+            )
         try:
             yield lambda function, parts: _in_order(client.map(function, parts, pure=False))
         except KilledWorker as error:
-            raise BadInput(f"Dask workers must survive their part of the work, got: {error}") from None
+            raise BadInput(
+                f"Dask workers must survive their part of the work, got: {error}"
+            ) from None
 
 
 def _in_order(futures: list[Any]) -> Iterator[Any]:
@@ -64,11 +73,13 @@ def _in_order(futures: list[Any]) -> Iterator[Any]:
 
 ENTRY_POINTS = "charact.methods"  # Group of entry points by which other packages add methods
 MODULES: dict[str, dict[str, str]] = {
-    kind: {name: method.module for name, method in methods.items()} for kind, methods in DESCRIPTIONS.items()
+    kind: {name: method.module for name, method in methods.items()}
+    for kind, methods in DESCRIPTIONS.items()
 }
 
 
-# By kind of target: the quantity in the accuracy chart of its methods, and the default of "auto" without a chart.
+# By kind of target: the quantity in the accuracy chart of its methods, and the default of "auto"
+# without a chart.
 CHARTED: dict[str, tuple[str, str]] = {
     "edge": ("mtf50", "edge-forward"),
     "bars": ("mtf", "bars-forward"),
@@ -84,8 +95,8 @@ CHARTED: dict[str, tuple[str, str]] = {
 def load(kind: str, name: str | None = None) -> None:
     """Import the modules that register the methods of a kind, or only the named method.
 
-    A name that is not ours, and None, also load the entry points `charact.methods` of other packages, which name
-    modules that call `register`; one that cannot be imported is BadInput.
+    A name that is not ours, and None, also load the entry points `charact.methods` of other
+    packages, which name modules that call `register`; one that cannot be imported is BadInput.
 
     Examples
     --------
@@ -103,14 +114,17 @@ def load(kind: str, name: str | None = None) -> None:
         try:
             point.load()
         except Exception as error:  # another package may raise anything
-            raise BadInput(f"the method {point.name!r} must be importable, got {error!r} from {point.value}") from None
+            raise BadInput(
+                f"the method {point.name!r} must be importable, got {error!r} from {point.value}"
+            ) from None
 
 
 @contextmanager
 def single_blas_thread() -> Iterator[None]:
     """Use one BLAS thread and restore the previous number afterwards.
 
-    On two cores an edge takes twice as long on two threads as on one, and forty times as long when other work runs.
+    On two cores an edge takes twice as long on two threads as on one, and forty times as long when
+    other work runs.
     """
     with _libraries().limit(limits=1):
         yield
@@ -118,7 +132,9 @@ def single_blas_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _libraries() -> "ThreadpoolController":
-    """Return the BLAS libraries of this process: NumPy's, and SciPy's, which compiled functions call."""
+    """Return the BLAS libraries of this process: NumPy's, and SciPy's, which compiled functions
+    call.
+    """
     import scipy.linalg  # noqa: F401  # loads its own
     from threadpoolctl import ThreadpoolController
 
@@ -128,7 +144,8 @@ def _libraries() -> "ThreadpoolController":
 def meets(row: Mapping[str, Any], within_percent: float) -> bool:
     """Return whether a method's row in a chart meets a tolerance.
 
-    The upper confidence limit of the 95th error percentile must meet it; older tables contain the percentile alone.
+    The upper confidence limit of the 95th error percentile must meet it; older tables contain the
+    percentile alone.
     """
     return row.get("error_limit_percent", row["error_percent"]) <= within_percent
 
@@ -145,7 +162,10 @@ def beyond_note(measurement: "Measurement", within_percent: float) -> str | None
     reach = reach_percent(measurement.value, measurement.interval95)
     if reach <= within_percent:
         return None
-    return f"95 % interval extends {reach:.2g} % from the value, beyond the tolerance --within {within_percent:g} %."
+    return (
+        f"95 % interval extends {reach:.2g} % from the value, beyond the tolerance --within "
+        f"{within_percent:g} %."
+    )
 
 
 Progress = Callable[[str, float], None]
@@ -174,13 +194,15 @@ class Context:
     interlaced
         Whether each frame consists of two interlaced fields.
     linear
-        Whether the response was measured to be linear, as by the signal transfer of an infrared camera.
+        Whether the response was measured to be linear, as by the signal transfer of an infrared
+        camera.
     full_scale_dn
         Full scale, DN; None: determined from the data.
     progress
         Called with a message and the completed fraction (0..1) during long work.
     spread
-        Maps a function over parts of the work, as `map` does, in this process or on the workers of a cluster.
+        Maps a function over parts of the work, as `map` does, in this process or on the workers of
+        a cluster.
     """
 
     seed: int = 0
@@ -209,8 +231,8 @@ class Context:
 class Method:
     """A registered estimator: kind of target, name on the command line, and range of validity.
 
-    The accuracy chart shows the first of the measured quantities. The arguments of the function depend on the kind, see
-    the package of that kind.
+    The accuracy chart shows the first of the measured quantities. The arguments of the function
+    depend on the kind, see the package of that kind.
     """
 
     kind: str
@@ -235,7 +257,9 @@ def register(
 
     def enter(function: "Callable[..., Result]") -> "Callable[..., Result]":
         function = with_timing(function, single_blas_thread)
-        METHODS[kind, name] = Method(kind=kind, name=name, quantities=quantities, scope=scope, function=function)
+        METHODS[kind, name] = Method(
+            kind=kind, name=name, quantities=quantities, scope=scope, function=function
+        )
         return function
 
     return enter
@@ -244,12 +268,19 @@ def register(
 def describe_methods() -> list[dict[str, Any]]:
     """Return kind, name, quantities and scope of all methods; ours are not imported for it."""
     load("")
-    ours = [(kind, name, *one[1:]) for kind, methods in DESCRIPTIONS.items() for name, one in methods.items()]
+    ours = [
+        (kind, name, *one[1:])
+        for kind, methods in DESCRIPTIONS.items()
+        for name, one in methods.items()
+    ]
     others = [
-        (m.kind, m.name, m.quantities, m.scope) for m in METHODS.values() if m.name not in MODULES.get(m.kind, "")
+        (m.kind, m.name, m.quantities, m.scope)
+        for m in METHODS.values()
+        if m.name not in MODULES.get(m.kind, "")
     ]
     rows: list[dict[str, Any]] = [
-        dict(zip(("kind", "name", "quantities", "scope"), row, strict=True)) for row in (*ours, *others)
+        dict(zip(("kind", "name", "quantities", "scope"), row, strict=True))
+        for row in (*ours, *others)
     ]
     return [row for kind in MODULES for row in rows if row["kind"] == kind]
 
@@ -262,19 +293,29 @@ def methods_of_kind(kind: str) -> dict[str, Method]:
 
 
 def chart_table(quantity: str) -> list[dict[str, Any]]:
-    """Return the rows of the measured speed and accuracy table of a quantity; empty if there is none."""
+    """Return the rows of the measured speed and accuracy table of a quantity; empty if there is
+    none.
+    """
     path = resources.files("charact.method") / "tables" / f"{quantity}.json"
     return json.loads(path.read_text())["methods"] if path.is_file() else []
 
 
-def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0, among: Sequence[str] | None = None) -> Method:
-    """Return the named method, or for "auto" the fastest one whose measured error meets the tolerance.
+def choose(
+    kind: str,
+    name: str = "auto",
+    *,
+    within_percent: float = 2.0,
+    among: Sequence[str] | None = None,
+) -> Method:
+    """Return the named method, or for "auto" the fastest one whose measured error meets the
+    tolerance.
 
     Parameters
     ----------
     within_percent
-        Tolerance on the relative error, percent: the 95th percentile over the chart's cases must be below it by its
-        upper confidence limit. If no method meets it, the most accurate one is taken.
+        Tolerance on the relative error, percent: the 95th percentile over the chart's cases must be
+        below it by its upper confidence limit. If no method meets it, the most accurate one is
+        taken.
     among
         Names of methods from which "auto" chooses, the first of them without a chart; None: all.
 
@@ -286,10 +327,15 @@ def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0, among:
     if name != "auto":
         load(kind, name)
         if (kind, name) not in METHODS:
-            raise BadInput(f"--method must be auto or one of {', '.join(sorted(methods_of_kind(kind)))}, got {name!r}")
+            raise BadInput(
+                f"--method must be auto or one of {', '.join(sorted(methods_of_kind(kind)))}, got "
+                f"{name!r}"
+            )
         return METHODS[kind, name]
     if kind not in MODULES:
-        raise BadInput(f"the kind of target must be one of {', '.join(sorted(MODULES))}, got {kind!r}")
+        raise BadInput(
+            f"the kind of target must be one of {', '.join(sorted(MODULES))}, got {kind!r}"
+        )
     quantity, preferred = CHARTED[kind]
     names = among or {*MODULES[kind], *(method for of, method in METHODS if of == kind)}
     preferred = among[0] if among else preferred
@@ -297,5 +343,9 @@ def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0, among:
     if not rows:
         return choose(kind, preferred)
     inside = [row for row in rows if meets(row, within_percent)]
-    best = min(inside, key=lambda row: row["seconds"]) if inside else min(rows, key=lambda row: row["error_percent"])
+    best = (
+        min(inside, key=lambda row: row["seconds"])
+        if inside
+        else min(rows, key=lambda row: row["error_percent"])
+    )
     return choose(kind, best["method"])

@@ -1,8 +1,8 @@
 """Run time of a measurement without numba's compilation.
 
-Excluded is all that numba does once per process: compilation (half a minute on a fresh machine), loading of cached
-functions (0.4 s for an edge) and waiting for another thread's compilation. Other work of a first call is included, such
-as importing parts of SciPy (0.3 s).
+Excluded is all that numba does once per process: compilation (half a minute on a fresh machine),
+loading of cached functions (0.4 s for an edge) and waiting for another thread's compilation. Other
+work of a first call is included, such as importing parts of SciPy (0.3 s).
 """
 
 import sys
@@ -41,11 +41,14 @@ class Stopwatch:
 
 
 def with_timing(
-    function: "Callable[Arguments, Result]", inside: Callable[[], AbstractContextManager[Any]] = nullcontext
+    function: "Callable[Arguments, Result]",
+    inside: Callable[[], AbstractContextManager[Any]] = nullcontext,
 ) -> "Callable[Arguments, Result]":
-    """Return a function that records its run time, without compilation, in each of its measurements.
+    """Return a function that records its run time, without compilation, in each of its
+    measurements.
 
-    A measurement that already has a time keeps it: an inner timed call made it. `inside`: context of each call.
+    A measurement that already has a time keeps it: an inner timed call made it. `inside`: context
+    of each call.
     """
 
     @wraps(function)
@@ -54,14 +57,18 @@ def with_timing(
         with inside():
             result = function(*args, **kwargs)
         seconds = watch.seconds()
-        each = (m if m.seconds is not None else m.with_(seconds=seconds) for m in result.measurements)
+        each = (
+            m if m.seconds is not None else m.with_(seconds=seconds) for m in result.measurements
+        )
         return replace(result, measurements=tuple(each))
 
     return timing
 
 
 def time_text(seconds: float) -> str:
-    """Return a time with two significant digits in the unit that fits it: "9.4 ms", "0.45 s", "12 s", "2.1 min"."""
+    """Return a time with two significant digits in the unit that fits it: "9.4 ms", "0.45 s", "12
+    s", "2.1 min".
+    """
     name, unit = next((one for one in UNITS if seconds < 99.5 * one[1]), UNITS[-1])
     return f"{seconds / unit:.2g} {name}"
 
@@ -85,7 +92,9 @@ _ANNOUNCERS: list[Callable[[], None]] = []
 
 @contextmanager
 def announce_compilation(say: Callable[[str], None]) -> Iterator[None]:
-    """Announce a long compilation within this block once, and the number of compiled functions at its end."""
+    """Announce a long compilation within this block once, and the number of compiled functions at
+    its end.
+    """
     Stopwatch()
     before_s, functions, said = _HERE.seconds(), 0, False
 

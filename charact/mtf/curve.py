@@ -6,7 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.measurement import QUANTILES, Curve, Measurement, Posterior, make_refusal, measurement_from_draws
+from labdata.measurement import (
+    QUANTILES,
+    Curve,
+    Measurement,
+    Posterior,
+    make_refusal,
+    measurement_from_draws,
+)
 
 Array = NDArray[np.float64]
 
@@ -31,7 +38,9 @@ def curve_of(frequency: Array, draws: Array) -> Curve:
 
 
 def quantiles(draws: Array, shares: tuple[float, ...]) -> Array:
-    """Return quantiles of draws (draw, ...), shape (quantile, ...); equal to `numpy.quantile`, with a single sort."""
+    """Return quantiles of draws (draw, ...), shape (quantile, ...); equal to `numpy.quantile`, with
+    a single sort.
+    """
     ordered = np.sort(np.ascontiguousarray(draws.T)).T
     position = np.asarray(shares) * (len(draws) - 1)
     low = np.minimum(position.astype(int), max(len(draws) - 2, 0))
@@ -69,7 +78,8 @@ def mtf_measurements(
     finish: Callable[[Measurement, Array], Measurement] | None = None,
     names: tuple[str, ...] = ("mtf50", "mtf10", "mtf"),
 ) -> tuple[list[Measurement], Curve, Array, dict[str, Any]]:
-    """Return MTF50, MTF10 and the MTF at pinned frequencies, its curve, the draws of MTF50, and the shared fields.
+    """Return MTF50, MTF10 and the MTF at pinned frequencies, its curve, the draws of MTF50, and the
+    shared fields.
 
     Parameters
     ----------
@@ -80,7 +90,8 @@ def mtf_measurements(
     posterior
         Recorded with the crossing frequencies.
     doubt
-        Relative standard uncertainty of what is known of the transfer, shape (f,) -> (f,); None: exact.
+        Relative standard uncertainty of what is known of the transfer, shape (f,) -> (f,); None:
+        exact.
     finish
         Changes a measurement according to its draws, before the doubt widens it.
     names
@@ -89,10 +100,14 @@ def mtf_measurements(
     every = 6
     coarse_at = np.append(FINE[:-1:every], FINE[-1])
     draws = mtf(np.concatenate([coarse_at, PINNED, np.maximum(REPORTED, 1e-6)]))
-    coarse, pinned, reported = np.split(draws, [coarse_at.size, coarse_at.size + len(PINNED)], axis=1)
+    coarse, pinned, reported = np.split(
+        draws, [coarse_at.size, coarse_at.size + len(PINNED)], axis=1
+    )
 
     def crossings(level: float) -> Array:
-        """Return where each draw falls to a level, NaN where it never does: finely where the coarse ones do."""
+        """Return where each draw falls to a level, NaN where it never does: finely where the coarse
+        ones do.
+        """
         below = coarse < level
         falls = below.any(axis=1)
         first = np.argmax(below[falls], axis=1)
@@ -116,55 +131,84 @@ def mtf_measurements(
             ]
         finished = [one if finish is None else finish(one, drawn) for one, drawn in each]
         found += [
-            flag_filter_uncertainty(one, doubt, lambda level: float(np.nanmedian(crossings(level)))) for one in finished
+            flag_filter_uncertainty(one, doubt, lambda level: float(np.nanmedian(crossings(level))))
+            for one in finished
         ]
     return found, curve_of(REPORTED, reported), halves, shared
 
 
-def crossing_measurement(quantity: str, curves: Array, posterior: Posterior, common: dict[str, Any]) -> Measurement:
-    """Return MTF50 or MTF10 of drawn curves at `FINE`; refused where over 2 % of them do not fall to the level."""
-    return _crossing_measurement(quantity, crossing_frequency(FINE, curves, LEVELS[quantity]), posterior, common)
+def crossing_measurement(
+    quantity: str, curves: Array, posterior: Posterior, common: dict[str, Any]
+) -> Measurement:
+    """Return MTF50 or MTF10 of drawn curves at `FINE`; refused where over 2 % of them do not fall
+    to the level.
+    """
+    return _crossing_measurement(
+        quantity, crossing_frequency(FINE, curves, LEVELS[quantity]), posterior, common
+    )
 
 
-def _crossing_measurement(quantity: str, draws: Array, posterior: Posterior, common: dict[str, Any]) -> Measurement:
+def _crossing_measurement(
+    quantity: str, draws: Array, posterior: Posterior, common: dict[str, Any]
+) -> Measurement:
     lost = float(np.mean(~np.isfinite(draws)))
     if lost > 0.02:
         level = LEVELS[quantity]
-        reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px; {100 * lost:.0f} % of its draws do not"
+        reason = (
+            f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px; {100 * lost:.0f} % "
+            f"of its draws do not"
+        )
         return make_refusal(quantity, "cy/px", reason, **common)
-    return measurement_from_draws(quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common)
+    return measurement_from_draws(
+        quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common
+    )
 
 
 def flag_filter_uncertainty(
     found: Measurement, doubt: Callable[[Array], Array] | None, crossing: Callable[[float], float]
 ) -> Measurement:
-    """Return a measurement whose intervals include the systematic uncertainty of the known transfer.
+    """Return a measurement whose intervals include the systematic uncertainty of the known
+    transfer.
 
     Parameters
     ----------
     found
         An MTF at a frequency, MTF50 or MTF10; other quantities are returned unchanged.
     doubt
-        Relative standard uncertainty of the known transfer at frequencies, cy/px, shape (f,) -> (f,); None: exact.
+        Relative standard uncertainty of the known transfer at frequencies, cy/px, shape (f,) ->
+        (f,); None: exact.
     crossing
         From a level to the frequency at which the measured MTF falls to it, cy/px.
     """
-    if doubt is None or found.value is None or found.interval68 is None or found.quantity not in (*LEVELS, "mtf"):
+    if (
+        doubt is None
+        or found.value is None
+        or found.interval68 is None
+        or found.quantity not in (*LEVELS, "mtf")
+    ):
         return found
     frequency = found.value if found.frequency_cy_per_px is None else found.frequency_cy_per_px
     fraction = float(doubt(np.array([frequency]))[0])
     if fraction == 0.0:
         return found
     level = LEVELS.get(found.quantity)
-    moved = fraction * found.value if level is None else crossing(level * np.exp(-fraction)) - found.value
+    moved = (
+        fraction * found.value
+        if level is None
+        else crossing(level * np.exp(-fraction)) - found.value
+    )
     return found.with_(
         interval68=_widen(found.value, found.interval68, 0.994458 * moved),
         interval95=_widen(found.value, found.interval95, 1.959964 * moved),
     )
 
 
-def _widen(value: float, interval: tuple[float, float] | None, by: float) -> tuple[float, float] | None:
+def _widen(
+    value: float, interval: tuple[float, float] | None, by: float
+) -> tuple[float, float] | None:
     if interval is None:
         return None
     low, high = interval
-    return max(value - float(np.hypot(value - low, by)), 0.0), value + float(np.hypot(high - value, by))
+    return max(value - float(np.hypot(value - low, by)), 0.0), value + float(
+        np.hypot(high - value, by)
+    )

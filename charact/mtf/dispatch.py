@@ -17,9 +17,10 @@ from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
 from labdata.session import Session
 
-# Default methods for a camera with a sensor description. Its stages are known within ranges, which the chart's cases,
-# of one blur each, do not represent: on edges of 38 simulated cameras MTF10 erred by 1.6 standard uncertainties (rms)
-# with parametric models alone and by 0.7 with model departures and a free video bandwidth.
+# Default methods for a camera with a sensor description. Its stages are known within ranges, which
+# the chart's cases, of one blur each, do not represent: on edges of 38 simulated cameras MTF10
+# erred by 1.6 standard uncertainties (rms) with parametric models alone and by 0.7 with model
+# departures and a free video bandwidth.
 FOR_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
 # Fallback of `auto` where the data reject every blur model of the first method.
 WITHOUT_MODEL = {"edge-parametric": "edge-free"}
@@ -32,8 +33,8 @@ NAMES = {"edge": "edges", "bars": "groups of bars", "point": "points"}
 def drop_duplicate_frames(stack: FrameStack) -> FrameStack:
     """Return a stack without frames identical to an earlier one, with a note of their number.
 
-    Noise never produces two identical frames. Identical frames would make the noise, estimated from frame differences,
-    too small.
+    Noise never produces two identical frames. Identical frames would make the noise, estimated from
+    frame differences, too small.
     """
     step = max(1, stack.shape[1] // ACCURACY.compared_rows)
     alike: dict[bytes, list[int]] = defaultdict(list)
@@ -49,8 +50,15 @@ def drop_duplicate_frames(stack: FrameStack) -> FrameStack:
     if len(first) == 1:
         note = f"All {frames} frames are identical and count as one."
     else:
-        note = f"{frames - len(first)} of {frames} frames are identical to an earlier one and do not count."
-    stamps = {name: getattr(stack, name)[first] for name in ("time_s", "frame_number") if getattr(stack, name).size}
+        note = (
+            f"{frames - len(first)} of {frames} frames are identical to an earlier one and do "
+            f"not count."
+        )
+    stamps = {
+        name: getattr(stack, name)[first]
+        for name in ("time_s", "frame_number")
+        if getattr(stack, name).size
+    }
     return replace(stack, data=stack.data[first], notes=(*stack.notes, note), **stamps)
 
 
@@ -81,13 +89,14 @@ def measure(
     context
         Seed, speed and camera.
     target
-        For bars, if known, their number `bars` and `frequency_cy_per_px`; for a point, if known, its diameter
-        `pinhole_px` in column pitches.
+        For bars, if known, their number `bars` and `frequency_cy_per_px`; for a point, if known,
+        its diameter `pinhole_px` in column pitches.
 
     Raises
     ------
     BadInput
-        If the kind or method is unknown, the region leaves the frame, or the stated bars are impossible.
+        If the kind or method is unknown, the region leaves the frame, or the stated bars are
+        impossible.
     """
     if kind not in ("edge", "bars", "point"):
         raise BadInput(f"a target must be an edge, bars or a point, got {kind!r}")
@@ -96,19 +105,27 @@ def measure(
         stack.region(*region)  # type: ignore[misc]
     if kind == "bars":
         _require_valid_bars(**target)
-    described = FOR_DESCRIBED_CAMERAS.get(kind) if method == "auto" and context.sensor is not None else None
+    described = (
+        FOR_DESCRIBED_CAMERAS.get(kind) if method == "auto" and context.sensor is not None else None
+    )
     chosen = choose(kind, described or method, within_percent=within_percent)
     counted = drop_duplicate_frames(stack)
     found = chosen.function(counted, region=region, context=context, **target)
     own, notes = found.find(chosen.quantities[0]), counted.notes[len(stack.notes) :]
-    if method == "auto" and chosen.name in WITHOUT_MODEL and any("model-misfit" in one.flags for one in own):
+    if (
+        method == "auto"
+        and chosen.name in WITHOUT_MODEL
+        and any("model-misfit" in one.flags for one in own)
+    ):
         chosen = choose(kind, WITHOUT_MODEL[chosen.name])
         without = chosen.function(counted, region=region, context=context, **target)
         if without.find(chosen.quantities[0]):
             found, notes = without, (NO_MODEL, *notes)
 
     def finish(one: Measurement) -> Measurement:
-        """Add notes unless they are there, that on the tolerance to the charted quantity, and the colour plane."""
+        """Add notes unless they are there, that on the tolerance to the charted quantity, and the
+        colour plane.
+        """
         beyond = None
         if method == "auto" and one.quantity == chosen.quantities[0] and one.status != "refused":
             beyond = beyond_note(one, within_percent)
@@ -122,7 +139,9 @@ def measure(
     return replace(found, measurements=tuple(map(finish, found.measurements)))
 
 
-def measure_flats(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
+def measure_flats(
+    session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context
+) -> Result:
     """Measure the post-gain MTF from the flats of a session.
 
     Parameters
@@ -141,7 +160,10 @@ def measure_flats(session: Session, *, method: str = "auto", within_percent: flo
     """
     chosen = choose("post-gain", method, within_percent=within_percent)
     if not session.of_kind("flat"):
-        raise BadInput(f"a noise spectrum needs flat stacks, got only {sorted({s.kind for s in session.stacks})}")
+        raise BadInput(
+            "a noise spectrum needs flat stacks, got only "
+            f"{sorted({s.kind for s in session.stacks})}"
+        )
     return chosen.function(session, context=context)
 
 
@@ -149,7 +171,9 @@ def _require_valid_bars(bars: Any = None, frequency_cy_per_px: Any = None) -> No
     if bars is not None and int(bars) < 2:
         raise BadInput(f"a bar target must have at least 2 bars, got {bars}")
     if frequency_cy_per_px is not None and not 0 < float(frequency_cy_per_px) <= 1:
-        raise BadInput(f"the frequency of bars must lie in (0, 1] cycles per pixel, got {frequency_cy_per_px}")
+        raise BadInput(
+            f"the frequency of bars must lie in (0, 1] cycles per pixel, got {frequency_cy_per_px}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,16 +201,17 @@ def measure_all(
     kind, stack, method, within_percent, context, target
         As for `measure`; for bars `frequency_cy_per_px` may be None: it is measured.
     max_targets
-        Maximum number of targets measured; a note states how many are not. Edges and points are taken from all parts of
-        the frame, the clearest of each part first; bar groups by clarity.
+        Maximum number of targets measured; a note states how many are not. Edges and points are
+        taken from all parts of the frame, the clearest of each part first; bar groups by clarity.
 
     Returns
     -------
     Result
-        Measurements of every region in reading order. Curves carry their region, as in "mtf:100,200,80,60"; the curve
-        "mtf" is the most precise one, as a note states. For bars "mtf" and "mtf_vertical" pass through the groups along
-        rows and along columns, with an `mtf50` each and no region, where groups of two frequencies are ok. For a frame
-        with at most one target the result is that of `measure`.
+        Measurements of every region in reading order. Curves carry their region, as in
+        "mtf:100,200,80,60"; the curve "mtf" is the most precise one, as a note states. For bars
+        "mtf" and "mtf_vertical" pass through the groups along rows and along columns, with an
+        `mtf50` each and no region, where groups of two frequencies are ok. For a frame with at most
+        one target the result is that of `measure`.
 
     Raises
     ------
@@ -206,7 +231,9 @@ def measure_all(
     results = []
     for done, one in enumerate(chosen):
         context.progress(f"{kind} in {one.region}", done / len(chosen))
-        results.append(measure(kind, stack, region=one.region, **arguments, **{**target, **one.requested}))
+        results.append(
+            measure(kind, stack, region=one.region, **arguments, **{**target, **one.requested})
+        )
     together = _merge_results(results, chosen, len(found) - len(chosen), kind)
     if kind != "bars":
         return together
@@ -221,7 +248,10 @@ def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> li
         return [LocatedTarget(region=edge.region) for edge in find_edges(stack)]
     if kind == "point":
         full_scale_dn = context.full_scale_dn or stack.full_scale_dn
-        return [LocatedTarget(region=point.region) for point in find_pinholes(stack, full_scale_dn=full_scale_dn)]
+        return [
+            LocatedTarget(region=point.region)
+            for point in find_pinholes(stack, full_scale_dn=full_scale_dn)
+        ]
     if kind == "bars":
         ratio = {0.0: 1.0, 90.0: context.pitch_ratio}
         return [
@@ -238,10 +268,13 @@ def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> li
     raise BadInput(f"a target must be an edge, bars or a point, got {kind!r}")
 
 
-def spread_over_frame(found: list[LocatedTarget], shape: tuple[int, ...], max_targets: int) -> list[LocatedTarget]:
+def spread_over_frame(
+    found: list[LocatedTarget], shape: tuple[int, ...], max_targets: int
+) -> list[LocatedTarget]:
     """Order targets, given best first, so that the first `max_targets` cover the frame.
 
-    The frame is divided into about `max_targets` parts; the best target of every part precedes the second of any.
+    The frame is divided into about `max_targets` parts; the best target of every part precedes the
+    second of any.
     """
     parts = int(np.ceil(np.sqrt(max_targets)))
     taken: Counter[tuple[int, ...]] = Counter()
@@ -255,16 +288,23 @@ def spread_over_frame(found: list[LocatedTarget], shape: tuple[int, ...], max_ta
     return [found[index] for index in np.argsort(turns, kind="stable")]
 
 
-def _merge_results(results: list[Result], chosen: list[LocatedTarget], left_out: int, kind: str) -> Result:
-    """Merge the results of several regions; the unsuffixed curves are those of the most precise region."""
+def _merge_results(
+    results: list[Result], chosen: list[LocatedTarget], left_out: int, kind: str
+) -> Result:
+    """Merge the results of several regions; the unsuffixed curves are those of the most precise
+    region.
+    """
     best = min(range(len(results)), key=lambda number: _quality_rank(results[number]))
     merged = Result(curves=dict(results[best].curves))
     for number, (result, one) in enumerate(zip(results, chosen, strict=True)):
-        notes = tuple(_notes(number == best, len(results), left_out, number == 0, kind, bool(merged.curves)))
+        notes = tuple(
+            _notes(number == best, len(results), left_out, number == 0, kind, bool(merged.curves))
+        )
         suffix = REGION_NAME.format(*one.region)
         merged += Result(
             measurements=tuple(
-                m.with_(region=m.region or one.region, notes=(*m.notes, *notes)) for m in result.measurements
+                m.with_(region=m.region or one.region, notes=(*m.notes, *notes))
+                for m in result.measurements
             ),
             curves={name + suffix: curve for name, curve in result.curves.items()},
             evidence={name + suffix: dict(shown) for name, shown in result.evidence.items()},
@@ -272,11 +312,16 @@ def _merge_results(results: list[Result], chosen: list[LocatedTarget], left_out:
     return merged
 
 
-def _notes(best: bool, count: int, left_out: int, first: bool, kind: str, curves: bool) -> Iterator[str]:
+def _notes(
+    best: bool, count: int, left_out: int, first: bool, kind: str, curves: bool
+) -> Iterator[str]:
     if best and curves and count > 1:
         yield f"Curve `mtf` is from this region, the most precise of {count}."
     if first and left_out:
-        yield f"{left_out} further {NAMES[kind]} were not measured (limit {count}; see --max-targets)."
+        yield (
+            f"{left_out} further {NAMES[kind]} were not measured (limit {count}; see "
+            f"--max-targets)."
+        )
 
 
 def _quality_rank(result: Result) -> tuple[int, float]:

@@ -18,7 +18,8 @@ class ImageLagModel:
     Parameters
     ----------
     mean_same, mean_other
-        Covariance of the mean of all frames times their number, for rows of the same and of different fields.
+        Covariance of the mean of all frames times their number, for rows of the same and of
+        different fields.
     frame_same, frame_other
         Expected covariance between frames (ddof 1), likewise.
     """
@@ -29,7 +30,9 @@ class ImageLagModel:
     frame_other: float
 
     def between_rows(self, parity: NDArray[np.bool_]) -> Array:
-        """Return the factors of pairs of pixels from their fields, shape (pixel,) -> (pixel, pixel)."""
+        """Return the factors of pairs of pixels from their fields, shape (pixel,) -> (pixel,
+        pixel).
+        """
         return np.where(parity[:, None] == parity, self.frame_same, self.frame_other)
 
     @property
@@ -57,7 +60,9 @@ def image_lag_model(context: Context, frames: int) -> ImageLagModel:
     return _memory(same, other, frame, between, frames)
 
 
-def _memory(mean_same: float, mean_other: float, same: float, other: float, frames: int) -> ImageLagModel:
+def _memory(
+    mean_same: float, mean_other: float, same: float, other: float, frames: int
+) -> ImageLagModel:
     count = max(frames, 2)
     return ImageLagModel(
         mean_same=mean_same,
@@ -68,7 +73,9 @@ def _memory(mean_same: float, mean_other: float, same: float, other: float, fram
 
 
 def _light_fractions(context: Context) -> Array:
-    """Return the fraction of a pulse's light in each field from its arrival on, shape (pulse, field)."""
+    """Return the fraction of a pulse's light in each field from its arrival on, shape (pulse,
+    field).
+    """
     if context.sensor is None:
         return np.ones((1, 1))
     phosphor = context.sensor.phosphor

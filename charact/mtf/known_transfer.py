@@ -7,7 +7,11 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.blur_models import transfer as forms
-from charact.mtf.blur_models.one_dimensional import ExtendedComponent, HaloComponent, ScatterComponent
+from charact.mtf.blur_models.one_dimensional import (
+    ExtendedComponent,
+    HaloComponent,
+    ScatterComponent,
+)
 from charact.mtf.mean_frame import OrientedFrame
 from charact.video_filter import VideoFilter
 
@@ -38,13 +42,17 @@ class KnownTransfer:
 
     def __call__(self, frequency: Array) -> NDArray[np.complex128]:
         """Return the known transfer at frequencies along the direction, complex."""
-        plain = forms.aperture(frequency, self.angle_rad, self.along_px, self.across_px).astype(complex)
+        plain = forms.aperture(frequency, self.angle_rad, self.along_px, self.across_px).astype(
+            complex
+        )
         if self.video is None:
             return plain
         return plain * self._as_read(self.video(frequency * np.cos(self.angle_rad)))
 
     def bend(self, frequency: Array) -> NDArray[np.complex128] | None:
-        """Return the derivatives of ln transfer by ln bandwidth, see `VideoFilter.bend`; None: no dependence."""
+        """Return the derivatives of ln transfer by ln bandwidth, see `VideoFilter.bend`; None: no
+        dependence.
+        """
         if self.video is None or not self.video.parameters:
             return None
         return self._as_read(self.video.bend(frequency * np.cos(self.angle_rad)))
@@ -63,20 +71,28 @@ def known_transfer(picture: OrientedFrame, angle_rad: float, context: Context) -
     """Return the known transfer across an edge of an oriented frame."""
     rows_summed = 2.0 if context.sensor is not None and context.interlaced else 1.0
     along, across = (
-        (rows_summed, picture.pitch_ratio) if picture.transposed else (1.0, rows_summed * picture.pitch_ratio)
+        (rows_summed, picture.pitch_ratio)
+        if picture.transposed
+        else (1.0, rows_summed * picture.pitch_ratio)
     )
     video = None if picture.transposed else VideoFilter.of(context.sensor)
     return KnownTransfer(
-        angle_rad=angle_rad, along_px=along / picture.sample_pitch_px, across_px=across / picture.sample_pitch_px,
-        video=video, mirrored=picture.mirrored,
-    )  # fmt: skip
+        angle_rad=angle_rad,
+        along_px=along / picture.sample_pitch_px,
+        across_px=across / picture.sample_pitch_px,
+        video=video,
+        mirrored=picture.mirrored,
+    )
 
 
-def halo_of(picture: OrientedFrame, half_width_px: float, context: Context) -> tuple[ExtendedComponent | None, bool]:
-    """Return the prior of a halo that the window contains, and whether the description states a halo.
+def halo_of(
+    picture: OrientedFrame, half_width_px: float, context: Context
+) -> tuple[ExtendedComponent | None, bool]:
+    """Return the prior of a halo that the window contains, and whether the description states a
+    halo.
 
-    The halo is four proximity gaps wide. For a camera without a description only scattered light that ends inside the
-    window can be separated from an illumination gradient.
+    The halo is four proximity gaps wide. For a camera without a description only scattered light
+    that ends inside the window can be separated from an illumination gradient.
     """
     if context.sensor is None:
         longest = 0.25 * half_width_px
@@ -88,10 +104,15 @@ def halo_of(picture: OrientedFrame, half_width_px: float, context: Context) -> t
 
 
 def halo_diameters_px(context: Context, *, transposed: bool) -> tuple[float, float]:
-    """Return the range of the halo diameter, four proximity gaps, in pitches of the direction, px."""
+    """Return the range of the halo diameter, four proximity gaps, in pitches of the direction,
+    px.
+    """
     sensor = context.sensor
     assert sensor is not None
-    gap, pitch = sensor.photocathode.gap_mm, sensor.ccd.pitch_y_um if transposed else sensor.ccd.pitch_x_um
+    gap, pitch = (
+        sensor.photocathode.gap_mm,
+        sensor.ccd.pitch_y_um if transposed else sensor.ccd.pitch_x_um,
+    )
     px_per_mm = 1e3 / (float(pitch) * float(sensor.taper.demagnification))
     low = float(gap.low if gap.low is not None else 0.85 * gap.value)
     high = float(gap.high if gap.high is not None else 1.15 * gap.value)

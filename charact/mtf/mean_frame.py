@@ -57,7 +57,9 @@ class OrientedFrame:
 
     def turned(self, *, transpose: bool, mirror: bool) -> "OrientedFrame":
         """Return the frame transposed and then mirrored."""
-        value, row_index = (self.value.T, self.row_index.T) if transpose else (self.value, self.row_index)
+        value, row_index = (
+            (self.value.T, self.row_index.T) if transpose else (self.value, self.row_index)
+        )
         step = -1 if mirror else 1
         return replace(
             self,
@@ -74,7 +76,9 @@ class OrientedFrame:
         return np.ascontiguousarray(turned[:, :, ::-1] if self.mirrored else turned, np.float64)
 
 
-def mean_oriented_frame(stack: FrameStack, pitch_ratio: float, *, interlaced: bool) -> OrientedFrame:
+def mean_oriented_frame(
+    stack: FrameStack, pitch_ratio: float, *, interlaced: bool
+) -> OrientedFrame:
     """Return the mean frame of a stack, not yet reoriented."""
     data = stack.data
     frames, rows, cols = data.shape

@@ -25,11 +25,12 @@ def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...
 
     Notes
     -----
-    Noise spreads over several grey values, of which the outermost are the rarest. A pile-up is an extreme value that
-    many pixels have and that is several times as frequent as the adjacent value. A bright plateau of a single value is
-    clipped if the darker side shows noise. Data without noise, such as rendered or averaged frames, are not clipped for
-    having a flat plateau. Clipped pixels alternate between the extreme value and values several steps away; where they
-    do, the extreme value may be as rare as the adjacent one.
+    Noise spreads over several grey values, of which the outermost are the rarest. A pile-up is an
+    extreme value that many pixels have and that is several times as frequent as the adjacent value.
+    A bright plateau of a single value is clipped if the darker side shows noise. Data without
+    noise, such as rendered or averaged frames, are not clipped for having a flat plateau. Clipped
+    pixels alternate between the extreme value and values several steps away; where they do, the
+    extreme value may be as rare as the adjacent one.
     """
     # Without a pile-up the histogram of all values is not needed.
     extremes = np.count_nonzero(data == data.max()), np.count_nonzero(data == data.min())
@@ -45,14 +46,24 @@ def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...
         return ("clipped",) if data.size > 64 else ()
     fraction, middle = counts / data.size, 0.5 * (float(values[0]) + float(values[-1]))
     least_noise = LIMITS.min_relative_noise * float(values[-1] - values[0])
-    clipped = full_scale_dn is not None and bool(values[-1] >= full_scale_dn and fraction[-1] > LIMITS.pile_up_fraction)
+    clipped = full_scale_dn is not None and bool(
+        values[-1] >= full_scale_dn and fraction[-1] > LIMITS.pile_up_fraction
+    )
     noise, step = _noise_below(data[0], middle), float(np.diff(values).min())
     noisy = noise > least_noise and values.size > 12
-    top = fraction[-1] > 2 * LIMITS.pile_up_fraction and counts[-1] > LIMITS.pile_up_ratio * counts[-2]
-    bottom = fraction[0] > 2 * LIMITS.pile_up_fraction and counts[0] > LIMITS.pile_up_ratio * counts[1]
+    top = (
+        fraction[-1] > 2 * LIMITS.pile_up_fraction
+        and counts[-1] > LIMITS.pile_up_ratio * counts[-2]
+    )
+    bottom = (
+        fraction[0] > 2 * LIMITS.pile_up_fraction and counts[0] > LIMITS.pile_up_ratio * counts[1]
+    )
     brighter = np.count_nonzero(data > middle)
-    clipped |= bool(top and noisy and noise >= step and counts[-1] > LIMITS.plateau_fraction * brighter)
-    # Black clips at zero or at the floor of the video range; a quiet plateau above either is not clipped.
+    clipped |= bool(
+        top and noisy and noise >= step and counts[-1] > LIMITS.plateau_fraction * brighter
+    )
+    # Black clips at zero or at the floor of the video range; a quiet plateau above either is not
+    # clipped.
     if bottom and values[0] in ACCURACY.video_floors_dn and values.size > 12:
         clipped |= _noise_below(-np.asarray(data[0], np.float64), -middle) > least_noise
     clipped |= bool(top and not bottom and noisy and fraction[-2] > 1e-4)
@@ -61,7 +72,9 @@ def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...
 
 
 def _noise_below(frame: NDArray, level: float) -> float:
-    """Return the noise of the pixels below a level, DN, from differences of neighbours along rows."""
+    """Return the noise of the pixels below a level, DN, from differences of neighbours along
+    rows.
+    """
     frame = np.asarray(frame, np.float64)
     dark = (frame[..., 1:] <= level) & (frame[..., :-1] <= level)
     apart = np.abs(np.diff(frame, axis=-1))[dark]
@@ -71,12 +84,16 @@ def _noise_below(frame: NDArray, level: float) -> float:
 def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) -> bool:
     """Return whether noise is clipped at the lowest (end 0) or highest (end -1) value.
 
-    Noise moves a pixel of the pile several steps from one frame to the next, or in a single frame between two
-    neighbours that stay.
+    Noise moves a pixel of the pile several steps from one frame to the next, or in a single frame
+    between two neighbours that stay.
     """
     inwards = values[::-1] if end else values
     own, adjacent = counts[[-1, -2]] if end else counts[:2]
-    least = max(LIMITS.min_pile_pixels, 2 * LIMITS.pile_up_fraction * data.size, LIMITS.noisy_pile_up_ratio * adjacent)
+    least = max(
+        LIMITS.min_pile_pixels,
+        2 * LIMITS.pile_up_fraction * data.size,
+        LIMITS.noisy_pile_up_ratio * adjacent,
+    )
     if own < least or values.size <= 12:
         return False
     piled = data == inwards[0]
@@ -94,7 +111,8 @@ def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) ->
 
 
 def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
-    """Return the possible shifts of mean values by quantisation, shape (offset, pixel), DN; no rows if negligible.
+    """Return the possible shifts of mean values by quantisation, shape (offset, pixel), DN; no rows
+    if negligible.
 
     Parameters
     ----------
@@ -105,10 +123,11 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
 
     Notes
     -----
-    The mean of a value x with normal noise of standard deviation s is shifted by sum_k (-1)^k sin(2 pi k x) exp(-2 (pi
-    k s)^2) / (pi k), the Fourier series of the sawtooth (Widrow & Kollar, Quantization Noise, 2008). The fractional
-    part of x is unknown: the black level is placed at several equally likely offsets between two steps. The noise is
-    the smallest that is consistent with the variance.
+    The mean of a value x with normal noise of standard deviation s is shifted by sum_k (-1)^k sin(2
+    pi k x) exp(-2 (pi k s)^2) / (pi k), the Fourier series of the sawtooth (Widrow & Kollar,
+    Quantization Noise, 2008). The fractional part of x is unknown: the black level is placed at
+    several equally likely offsets between two steps. The noise is the smallest that is consistent
+    with the variance.
     """
     from charact.noise.rounding import EVEN_DN2
 
@@ -119,7 +138,9 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
     out = np.zeros((ACCURACY.rounding_offsets, level_dn.size))
     for term in range(1, ACCURACY.sawtooth_terms + 1):
         size = (-1.0) ** term * np.exp(-2.0 * (np.pi * term) ** 2 * noise) / (np.pi * term)
-        turns = term * (level_dn + np.arange(ACCURACY.rounding_offsets)[:, None] / ACCURACY.rounding_offsets)
+        turns = term * (
+            level_dn + np.arange(ACCURACY.rounding_offsets)[:, None] / ACCURACY.rounding_offsets
+        )
         out += size * np.sin(2.0 * np.pi * turns)
     return out
 

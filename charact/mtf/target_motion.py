@@ -1,6 +1,7 @@
 """Target motion between frames, by analysis of variance of line positions.
 
-Edge roughness has the same effect within a frame (`charact.mtf.edge.pixels.prepare_edge.roughness_of`).
+Edge roughness has the same effect within a frame
+(`charact.mtf.edge.pixels.prepare_edge.roughness_of`).
 """
 
 from collections.abc import Sequence
@@ -37,8 +38,8 @@ class TargetMotion:
     def mtf_loss(self, frequency_cy_per_px: float) -> float:
         """Return the relative loss of the MTF at a frequency, and approximately that of MTF50.
 
-        The mean frame is blurred by exp(-2 (pi f s)^2). Near MTF50 ln MTF and ln frequency change by about the same
-        amount.
+        The mean frame is blurred by exp(-2 (pi f s)^2). Near MTF50 ln MTF and ln frequency change
+        by about the same amount.
         """
         return 2.0 * (np.pi * frequency_cy_per_px * self.rms_px) ** 2
 
@@ -61,19 +62,26 @@ def measure_line_motion(
 
     Notes
     -----
-    The displacement of a line is the least-squares coefficient of -m'(d), m the mean profile of all lines, with the
-    line's level and contrast free (lamp flicker).
+    The displacement of a line is the least-squares coefficient of -m'(d), m the mean profile of all
+    lines, with the line's level and contrast free (lamp flicker).
     """
     from scipy.ndimage import gaussian_filter1d
 
     if len(frames) < 2 or not used.any():
         return TargetMotion()
     values = np.stack([frame[used] for frame in frames]).astype(np.float64)
-    mean, where, away, cells_per_px = values.mean(axis=0), line[used], across[used], ACCURACY.profile_cells_per_px
+    mean, where, away, cells_per_px = (
+        values.mean(axis=0),
+        line[used],
+        across[used],
+        ACCURACY.profile_cells_per_px,
+    )
     # The smoothed mean profile of all lines and its slope, at every pixel.
     cell = np.floor((away - away.min()) * cells_per_px).astype(np.intp)
     blur = ACCURACY.profile_smoothing_px * cells_per_px
-    sums, counts = (gaussian_filter1d(np.bincount(cell, one), blur) for one in (mean, np.ones_like(mean)))
+    sums, counts = (
+        gaussian_filter1d(np.bincount(cell, one), blur) for one in (mean, np.ones_like(mean))
+    )
     profile = sums / np.maximum(counts, 1e-12)
     place = away.min() + (np.arange(profile.size) + 0.5) / cells_per_px
     slope = np.gradient(profile) * cells_per_px if profile.size > 1 else np.zeros(1)
@@ -83,13 +91,17 @@ def measure_line_motion(
     scale = np.sqrt(np.maximum(np.mean(shapes**2, axis=1), 1e-300))
     shapes = shapes / scale[:, None]
     pixels = np.bincount(where)
-    normal = np.array([[np.bincount(where, one * other) for other in shapes] for one in shapes]).transpose(2, 0, 1)
+    normal = np.array(
+        [[np.bincount(where, one * other) for other in shapes] for one in shapes]
+    ).transpose(2, 0, 1)
     size = np.maximum(pixels, 1)[:, None, None]
     inverse = np.linalg.inv(normal / size + 1e-9 * np.eye(3)) / size
     power = np.where(pixels > 0, 1.0 / inverse[:, 0, 0], 0.0)
     holds = power > LIMITS.min_line_power * np.median(power[power > 0])
     weight = -np.einsum("pk,kp->p", inverse[where, 0], shapes) / scale[0]
-    positions = np.stack([np.bincount(where, weight * (one - mean), minlength=holds.size) for one in values])
+    positions = np.stack(
+        [np.bincount(where, weight * (one - mean), minlength=holds.size) for one in values]
+    )
     return measure_target_motion(np.asarray(positions[:, holds], np.float64))
 
 
@@ -99,18 +111,21 @@ def measure_target_motion(places: Array) -> TargetMotion:
     Parameters
     ----------
     places
-        Position of each line in each frame, shape (frame, line), px; a constant offset of a line has no effect.
+        Position of each line in each frame, shape (frame, line), px; a constant offset of a line
+        has no effect.
 
     Notes
     -----
-    Groups of lines have independent noise; a displacement common to all groups of a frame is motion. A two-way analysis
-    of variance compares frame means with the residual (Fisher's F). The mean of K frames is blurred by (K - 1)/K of the
-    variance.
+    Groups of lines have independent noise; a displacement common to all groups of a frame is
+    motion. A two-way analysis of variance compares frame means with the residual (Fisher's F). The
+    mean of K frames is blurred by (K - 1)/K of the variance.
     """
     from scipy.special import fdtrc
 
     frames, lines = places.shape
-    size = min(max(lines // ACCURACY.line_groups, ACCURACY.min_group_lines), ACCURACY.max_group_lines)
+    size = min(
+        max(lines // ACCURACY.line_groups, ACCURACY.min_group_lines), ACCURACY.max_group_lines
+    )
     parts = lines // size
     if frames < 2 or parts < ACCURACY.min_line_groups:
         return TargetMotion()
@@ -124,4 +139,6 @@ def measure_target_motion(places: Array) -> TargetMotion:
     if not shared > noise:
         return TargetMotion()
     rms_px = float(np.sqrt((shared - noise) / parts * between / frames))
-    return TargetMotion(rms_px=rms_px, chance=float(fdtrc(between, within, shared / max(noise, 1e-300))))
+    return TargetMotion(
+        rms_px=rms_px, chance=float(fdtrc(between, within, shared / max(noise, 1e-300)))
+    )

@@ -1,4 +1,6 @@
-"""Covariance gain, from the covariance summed over pixels and exposures; gain per electron without a tube."""
+"""Covariance gain, from the covariance summed over pixels and exposures; gain per electron without
+a tube.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -21,12 +23,23 @@ from charact.noise.gain.emva1288 import GainLine, excess_of, gain_line
 from charact.noise.gain.fit import Fit, fit_spectrum
 from charact.noise.gain.model import blur_models
 from charact.noise.gain.pooled_noise import PooledNoise, pool_noise
-from charact.noise.gain.series import FlatSeries, gain_obstacle, has_intensifier, read_levels, series_of
+from charact.noise.gain.series import (
+    FlatSeries,
+    gain_obstacle,
+    has_intensifier,
+    read_levels,
+    series_of,
+)
 from charact.noise.gain.single_setting import SingleSetting, blur_exponent, fit_single_setting
 from charact.noise.gain.undetected_correlation import allowance_of
 from charact.noise.gain.white_floor import floor_of
 from charact.noise.gain_separation import separate_gains
-from charact.noise.predictive_check import PredictiveResidual, findings_of, predictive_figure_data, predictive_residuals
+from charact.noise.predictive_check import (
+    PredictiveResidual,
+    findings_of,
+    predictive_figure_data,
+    predictive_residuals,
+)
 from charact.noise.quantities import (
     dark_clipping_flags,
     dark_quantities,
@@ -54,7 +67,9 @@ def spectrum_figure_data(summary: PooledNoise, fit: Fit) -> dict[str, Any]:
     return {
         "figure": "noise-spectrum",
         "radius_cy_per_px": radius[order].tolist(),
-        "angle_deg": np.degrees(np.arctan2(summary.row_cy_per_px, summary.column_cy_per_px))[order].tolist(),
+        "angle_deg": np.degrees(np.arctan2(summary.row_cy_per_px, summary.column_cy_per_px))[
+            order
+        ].tolist(),
         "power_dn": summary.power_dn[order].tolist(),
         "power_sd_dn": summary.power_sd_dn[order].tolist(),
         "model_dn": fit.model_dn[order].tolist(),
@@ -82,7 +97,9 @@ def correlation_figure_data(series: FlatSeries, summary: PooledNoise) -> dict[st
     }
 
 
-def gains_of(pooled: SingleSetting, allowance: float, context: Context) -> tuple[GainLine, GainLine]:
+def gains_of(
+    pooled: SingleSetting, allowance: float, context: Context
+) -> tuple[GainLine, GainLine]:
     """Return the slope of the standard, and the gain per electron used for derived quantities."""
     plain = gain_line(pooled.series, context=context, allowance=allowance)
     if pooled.white:
@@ -93,24 +110,30 @@ def gains_of(pooled: SingleSetting, allowance: float, context: Context) -> tuple
 
 
 def _of_electrons(
-    pooled: SingleSetting, gains: tuple[GainLine, GainLine], slope: list[Finding], covariance: list[Finding],
-    context: Context, fields: dict[str, Any],
-) -> list[Measurement]:  # fmt: skip
-    """Return the system gain and derived quantities, and the gain behind the blur if the white floor is detected."""
+    pooled: SingleSetting,
+    gains: tuple[GainLine, GainLine],
+    slope: list[Finding],
+    covariance: list[Finding],
+    context: Context,
+    fields: dict[str, Any],
+) -> list[Measurement]:
+    """Return the system gain and derived quantities, and the gain behind the blur if the white
+    floor is detected.
+    """
     if pooled.white:
         return electron_quantities(pooled.series, gains, (slope, slope), context, fields)
     low, right = (float(np.median(gain.slope)) for gain in gains)
     effect = (
-        f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is {100 * (1 - low / right):.2g} "
-        "% low"
+        "noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is "
+        f"{100 * (1 - low / right):.2g} % low"
     )
     remedy = f"the covariance sum, which gives {right:.4g} DN/e- (covariance_gain)"
     own, why = [*slope, with_remedy("correlated-noise", effect, remedy)], covariance
     blur = float(np.median(pooled.posterior["blur_factor"]))
     if blur < GAIN.min_blur_factor:
         effect = (
-            f"{100 * (1 - blur):.2g} % of the noise is correlated between pixels, so that the gain may not be per "
-            "electron"
+            f"{100 * (1 - blur):.2g} % of the noise is correlated between pixels, so that the "
+            "gain may not be per electron"
         )
         remedy = "a sensor in session.toml that describes the blur"
         why = [*covariance, with_remedy("correlated-noise", effect, remedy)]
@@ -120,7 +143,9 @@ def _of_electrons(
     floor = floor_of(pooled.series, pooled.posterior, context=context)
     if floor.is_detected:
         out.append(
-            measurement_from_draws("conversion_gain", "DN/e-", floor.draws, flags=flags_of(covariance), **fields)
+            measurement_from_draws(
+                "conversion_gain", "DN/e-", floor.draws, flags=flags_of(covariance), **fields
+            )
         )
     return out
 
@@ -141,8 +166,8 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
 
     Notes
     -----
-    Covariance gain is K + k F^2, the noise power at frequency 0 over the signal, summed over temporal lags. See
-    `charact.noise.gain.model`.
+    Covariance gain is K + k F^2, the noise power at frequency 0 over the signal, summed over
+    temporal lags. See `charact.noise.gain.model`.
     """
     darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
     fields = fields_of(METHOD, context)
@@ -155,19 +180,27 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
 
 
 def _measure_levels(
-    session: Session, darks: list[StackStatistics], flats: list[StackStatistics], single: list[str], context: Context,
+    session: Session,
+    darks: list[StackStatistics],
+    flats: list[StackStatistics],
+    single: list[str],
+    context: Context,
     fields: dict[str, Any],
-) -> Result:  # fmt: skip
+) -> Result:
     """Return the gains and derived quantities, or refusals."""
     small = image_size_obstacle([level.bins for level in (*darks, *flats)])
     if small is not None:
-        out = [make_refusal(*name, small, **fields) for name in (("covariance_gain", "DN"), ("blur_factor", "1"))]
+        out = [
+            make_refusal(*name, small, **fields)
+            for name in (("covariance_gain", "DN"), ("blur_factor", "1"))
+        ]
         out += dark_quantities(tuple(darks), flags=(), **fields) if darks else []
         return Result(measurements=tuple(out))
     series = series_of(flats, darks, single) if flats else None
     if series is None or gain_obstacle(series) is not None:
         out = without_flats(darks, series, single, quantity=("covariance_gain", "DN"), **fields)
-        # With unusable flats, the blur of the electronics' noise could be mistaken for that of the light.
+        # With unusable flats, the blur of the electronics' noise could be mistaken for that of the
+        # light.
         alone = _blur_of_darks(darks, context, fields) if darks and not flats else Result()
         return Result(measurements=(*out, *alone.measurements), evidence=alone.evidence)
     return _measure_series(session, series, context, fields)
@@ -179,16 +212,20 @@ def image_size_obstacle(bins: list[Bins]) -> str | None:
     if least is None or len(least.modes) >= GAIN.min_bins:
         return None
     return (
-        f"images of {least.window.size} px have too few low spatial frequencies for a covariance sum; about 100 x 100 "
-        "px are needed at least; the method variance works on any size"
+        f"images of {least.window.size} px have too few low spatial frequencies for a covariance "
+        "sum; about 100 x 100 px are needed at least; the method variance works on any size"
     )
 
 
-def _measure_series(session: Session, series: FlatSeries, context: Context, fields: dict[str, Any]) -> Result:
+def _measure_series(
+    session: Session, series: FlatSeries, context: Context, fields: dict[str, Any]
+) -> Result:
     """Return all quantities of a flat series."""
     context.progress("posterior of the covariance gain", 0.9)
     pooled = fit_single_setting(series, context=context, quick=context.quick)
-    tube = has_intensifier([level.conditions for level in (*series.flats, *series.all_darks)], context)
+    tube = has_intensifier(
+        [level.conditions for level in (*series.flats, *series.all_darks)], context
+    )
     of_pulses = tube and not pooled.white
     bend = bend_allowance(series)
     if of_pulses:
@@ -196,36 +233,50 @@ def _measure_series(session: Session, series: FlatSeries, context: Context, fiel
     elif bend:
         pooled = pooled.allowing(bend, np.random.default_rng([context.seed, 24]))
     posterior = pooled.posterior
-    common, bent, lagging = series_findings(series), variance_ratio_changes(series), exposure_findings(pooled.exposures)
+    common, bent, lagging = (
+        series_findings(series),
+        variance_ratio_changes(series),
+        exposure_findings(pooled.exposures),
+    )
     allowance = float(np.hypot(allowance_of(pooled.neighbours, pooled.exposures, tube=tube), bend))
     gains = None if of_pulses else gains_of(pooled, allowance, context)
     gain = None if gains is None else gains[1].slope
     residuals: list[PredictiveResidual] = []
     if not context.quick:
         context.progress("frames drawn from the posterior", 0.95)
-        residuals = predictive_residuals(session.stacks, pooled, gain if pooled.white else None, context=context)
+        residuals = predictive_residuals(
+            session.stacks, pooled, gain if pooled.white else None, context=context
+        )
     misfits = findings_of(residuals)
     findings = common + misfits + pooled.findings() + (bent if gains is not None else [])
-    findings += ([] if pooled.white else quantisation_findings(series)) + (pooled.departures() if tube or pooled.white
-                                                                          else [])  # fmt: skip
+    findings += ([] if pooled.white else quantisation_findings(series)) + (
+        pooled.departures() if tube or pooled.white else []
+    )
     slope, plain, flags = common + bent + lagging + misfits, flags_of(common), flags_of(findings)
     own = {"flags": flags, "notes": notes_of(findings), "posterior": posterior, **fields}
-    out = [measurement_from_draws(name, unit, posterior[name], **own)
-           for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))]  # fmt: skip
+    out = [
+        measurement_from_draws(name, unit, posterior[name], **own)
+        for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))
+    ]
     if gains is not None:
         out += _of_electrons(pooled, gains, slope, findings, context, fields)
     else:
         reason = (
-            f"noise of neighbouring pixels is correlated (blur factor {float(np.median(posterior['blur_factor'])):.3g})"
-            ": variance over signal is no gain per electron; see covariance_gain"
+            "noise of neighbouring pixels is correlated (blur factor "
+            f"{float(np.median(posterior['blur_factor'])):.3g}): variance over signal is no gain "
+            "per electron; see covariance_gain"
         )
         kind = "failed" if context.sensor is None else "not-applicable"
         out.append(make_refusal("system_gain", "DN/e-", reason, refusal=kind, **fields))
-        out += separate_gains(series, posterior, context=context, flags=plain, covariance_flags=flags, **fields)
+        out += separate_gains(
+            series, posterior, context=context, flags=plain, covariance_flags=flags, **fields
+        )
     out.append(saturation_level(series, flags=plain, **fields))
     out += dark_quantities(series.all_darks, flags=plain, **fields) if series.all_darks else []
     gain_flags = flags_of(slope if pooled.white else findings)
-    out += pattern_quantities(series, gain, flags=plain, gain_flags=gain_flags, pair_flags=flags_of(lagging), **fields)
+    out += pattern_quantities(
+        series, gain, flags=plain, gain_flags=gain_flags, pair_flags=flags_of(lagging), **fields
+    )
     return Result(measurements=tuple(out), evidence=_figure_data(pooled, gain, residuals))
 
 
@@ -235,7 +286,10 @@ def _figure_data(
     """Return the figure data."""
     series, summary, posterior = pooled.series, pooled.summary, pooled.posterior
     spectra = "many" if summary.lag.is_detected else "few"
-    middle = {name: float(np.median(posterior[name])) for name in ("covariance_gain", "blur_factor", "lag_factor")}
+    middle = {
+        name: float(np.median(posterior[name]))
+        for name in ("covariance_gain", "blur_factor", "lag_factor")
+    }
     found = {
         "photon-transfer": transfer_figure_data(
             series,
@@ -255,17 +309,36 @@ def _figure_data(
     return found | ({"predictive-frames": predictive_figure_data(residuals)} if residuals else {})
 
 
-def _blur_of_darks(darks: list[StackStatistics], context: Context, fields: dict[str, Any]) -> Result:
+def _blur_of_darks(
+    darks: list[StackStatistics], context: Context, fields: dict[str, Any]
+) -> Result:
     """Return the blur factor of the noise of darks."""
     dark = max(darks, key=lambda level: (level.frames, -(level.conditions.exposure_s or 0.0)))
     if dark.variance_dn2 <= 0:
-        return Result(measurements=(make_refusal("blur_factor", "1", f"{dark.label} does not change", **fields),))
-    few, many = (replace(one, power_dn2=0.0 * one.power_dn2, variance_dn2=0.0) for one in (dark.few, dark.many))
-    nothing = replace(dark, label="nothing", variance_dn2=0.0, variance_sd_dn2=0.0, few=few, many=many)
+        return Result(
+            measurements=(
+                make_refusal("blur_factor", "1", f"{dark.label} does not change", **fields),
+            )
+        )
+    few, many = (
+        replace(one, power_dn2=0.0 * one.power_dn2, variance_dn2=0.0)
+        for one in (dark.few, dark.many)
+    )
+    nothing = replace(
+        dark, label="nothing", variance_dn2=0.0, variance_sd_dn2=0.0, few=few, many=many
+    )
     one = np.ones(1)
-    series = FlatSeries(flats=(dark,), darks=(nothing,), all_darks=(dark,), signal_dn=one,
-                        variance_dn2=one * dark.variance_dn2, variance_sd_dn2=one * dark.variance_sd_dn2,
-                        fitted=np.ones(1, bool), peak=None, reference="dark")  # fmt: skip
+    series = FlatSeries(
+        flats=(dark,),
+        darks=(nothing,),
+        all_darks=(dark,),
+        signal_dn=one,
+        variance_dn2=one * dark.variance_dn2,
+        variance_sd_dn2=one * dark.variance_sd_dn2,
+        fitted=np.ones(1, bool),
+        peak=None,
+        reference="dark",
+    )
     # Electronic noise is not filtered by the pixel aperture.
     summary = pool_noise(series, None)
     forms = blur_models(blur_exponent(context), blurred=False, floor=False)
@@ -273,6 +346,15 @@ def _blur_of_darks(darks: list[StackStatistics], context: Context, fields: dict[
     flags = ("model-misfit",) if blur.chance < 1e-4 else ()
     flags += dark_clipping_flags(dark) + flags_of_rounding(dark.variance_dn2) + blur.posterior.flags
     note = ("from the darks alone: includes the white noise of the electronics",)
-    found = measurement_from_draws("blur_factor", "1", blur.posterior["blur_factor"], flags=flags, notes=note,
-                                   posterior=blur.posterior, **fields)  # fmt: skip
-    return Result(measurements=(found,), evidence={"noise-spectrum": spectrum_figure_data(summary, blur)})
+    found = measurement_from_draws(
+        "blur_factor",
+        "1",
+        blur.posterior["blur_factor"],
+        flags=flags,
+        notes=note,
+        posterior=blur.posterior,
+        **fields,
+    )
+    return Result(
+        measurements=(found,), evidence={"noise-spectrum": spectrum_figure_data(summary, blur)}
+    )

@@ -1,4 +1,6 @@
-"""Findings of checks and their likely causes, and the method and provenance of every measurement of noise."""
+"""Findings of checks and their likely causes, and the method and provenance of every measurement of
+noise.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +35,9 @@ def flags_of(findings: Sequence[Finding]) -> tuple[str, ...]:
 def notes_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     """Return the notes without repetition; that of a flag begins with it."""
     named = (
-        f"{one.flag}: {one.note}" if one.flag and one.note and not one.note.startswith(f"{one.flag}: ") else one.note
+        f"{one.flag}: {one.note}"
+        if one.flag and one.note and not one.note.startswith(f"{one.flag}: ")
+        else one.note
         for one in findings
     )
     return tuple(dict.fromkeys(named))
@@ -43,7 +47,11 @@ def provenance(context: Context, **settings) -> Provenance:
     """Return version, seed and settings."""
     from charact import __version__
 
-    known = {"interlaced": context.interlaced, "quick": context.quick, "pitch_ratio": context.pitch_ratio}
+    known = {
+        "interlaced": context.interlaced,
+        "quick": context.quick,
+        "pitch_ratio": context.pitch_ratio,
+    }
     return Provenance(version=__version__, seed=context.seed, settings=known | settings)
 
 
@@ -54,7 +62,9 @@ def fields_of(method: str, context: Context, **settings) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """Stage of the camera, or fault of its frames, that may be the cause of a deviation, and what settles it."""
+    """Stage of the camera, or fault of its frames, that may be the cause of a deviation, and what
+    settles it.
+    """
 
     stage: str
     remedy: str
@@ -69,7 +79,9 @@ AVERAGED = Cause(
     remedy="frames without averaging or noise reduction",
 )
 LAGGING = Cause(
-    stage="image lag, as of a phosphor unlike its description, or frames averaged with earlier ones",
+    stage=(
+        "image lag, as of a phosphor unlike its description, or frames averaged with earlier ones"
+    ),
     remedy="frames without averaging, or a description of the phosphor's decay",
 )
 UNSTEADY = Cause(
@@ -82,8 +94,8 @@ COARSE = Cause(
     remedy="the camera's mode of full depth, or frames divided by the step and their bit_depth",
 )
 CURVED = Cause(
-    stage="a nonlinear response or gamma of amplifier, digitiser or grabber, saturation of the microchannel plate, or "
-    "light other than stated",
+    stage="a nonlinear response or gamma of amplifier, digitiser or grabber, saturation of the "
+    "microchannel plate, or light other than stated",
     remedy="a gamma of 1, flats of the linear range only, and the light of each as it was",
 )
 PROCESSING = Cause(
@@ -95,7 +107,9 @@ SHARPENED = Cause(
     remedy="frames with sharpening switched off (raw)",
 )
 SPREAD = Cause(
-    stage="blur, interpolation or a correction of distortion in camera or grabber, or noise of rows",
+    stage=(
+        "blur, interpolation or a correction of distortion in camera or grabber, or noise of rows"
+    ),
     remedy="frames without processing (raw)",
 )
 OFF_AXIS = Cause(

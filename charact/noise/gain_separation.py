@@ -1,9 +1,10 @@
 """Separation of K, k, k F^2 and F^2.
 
-Flats give K + k F^2. The white-noise floor or the sensor description gives K and so k F^2. A known illumination gives
-k, the signal per photoelectron. Single photoelectrons in darks give the mean pulse height k/p, and p F^2 = one plus the
-relative variance of heights; with the detection probability p or a known light, k and F^2 follow. Quantities that a
-session cannot separate are refused, with the measurement that would separate them.
+Flats give K + k F^2. The white-noise floor or the sensor description gives K and so k F^2. A known
+illumination gives k, the signal per photoelectron. Single photoelectrons in darks give the mean
+pulse height k/p, and p F^2 = one plus the relative variance of heights; with the detection
+probability p or a known light, k and F^2 follow. Quantities that a session cannot separate are
+refused, with the measurement that would separate them.
 """
 
 from collections import Counter
@@ -36,23 +37,29 @@ Array = NDArray[np.float64]
 ILLUMINANCE_LUX, SPOT_MM, BANDWIDTH_HZ = 108e-6, 0.2, 10.0
 
 
-def snr_from_specification(sensitivity_ua_per_lm: ArrayLike, excess_noise_factor: ArrayLike) -> Array:
+def snr_from_specification(
+    sensitivity_ua_per_lm: ArrayLike, excess_noise_factor: ArrayLike
+) -> Array:
     """Return the signal-to-noise ratio of a specified tube.
 
-    `sensitivity_ua_per_lm`: luminous sensitivity of the photocathode at 2856 K. `excess_noise_factor`: F^2 including
-    undetected photoelectrons; the square of the noise factor.
+    `sensitivity_ua_per_lm`: luminous sensitivity of the photocathode at 2856 K.
+    `excess_noise_factor`: F^2 including undetected photoelectrons; the square of the noise factor.
     """
     photoelectrons = np.asarray(sensitivity_ua_per_lm) * 1e-6 / ELECTRON_C
     return _snr(photoelectrons / np.asarray(excess_noise_factor))
 
 
-def snr_from_measurement(response_dn_per_lux_s: ArrayLike, pulse_gain_dn: ArrayLike, pixel_area_m2: ArrayLike) -> Array:
+def snr_from_measurement(
+    response_dn_per_lux_s: ArrayLike, pulse_gain_dn: ArrayLike, pixel_area_m2: ArrayLike
+) -> Array:
     """Return the signal-to-noise ratio of a measured tube and camera.
 
-    `response_dn_per_lux_s`: signal of a pixel per lux and second at the photocathode. `pulse_gain_dn`: k F^2.
-    `pixel_area_m2`: area of a pixel at the photocathode.
+    `response_dn_per_lux_s`: signal of a pixel per lux and second at the photocathode.
+    `pulse_gain_dn`: k F^2. `pixel_area_m2`: area of a pixel at the photocathode.
     """
-    return _snr(np.asarray(response_dn_per_lux_s) / (np.asarray(pulse_gain_dn) * np.asarray(pixel_area_m2)))
+    return _snr(
+        np.asarray(response_dn_per_lux_s) / (np.asarray(pulse_gain_dn) * np.asarray(pixel_area_m2))
+    )
 
 
 def _snr(effective_per_lux_s_m2: Array) -> Array:
@@ -61,7 +68,10 @@ def _snr(effective_per_lux_s_m2: Array) -> Array:
     return np.sqrt(effective_per_lux_s_m2 * ILLUMINANCE_LUX * spot_m2 / (2.0 * BANDWIDTH_HZ))
 
 
-APART = "a known light (illuminance_lux with gate or exposure, or photons_per_px at a wavelength_nm, and the sensor)"
+APART = (
+    "a known light (illuminance_lux with gate or exposure, or photons_per_px at a "
+    "wavelength_nm, and the sensor)"
+)
 PULSES = "the heights of single photoelectrons in dark frames"
 
 
@@ -69,20 +79,29 @@ PULSES = "the heights of single photoelectrons in dark frames"
 class ResponsivityEstimate:
     """Responsivity and photoelectron gain from a known light."""
 
-    gain: Array | None = None  # draws of k, DN per photoelectron; None if the photocathode is unknown
-    per_lux_s: Array | None = None  # draws of the signal per lux and second, DN; None without illuminance and time
+    gain: Array | None = (
+        None  # draws of k, DN per photoelectron; None if the photocathode is unknown
+    )
+    per_lux_s: Array | None = (
+        None  # draws of the signal per lux and second, DN; None without illuminance and time
+    )
     note: str = ""  # note on the uncertainty of the light
     refusal_reason: str = ""  # reason for the absence of k
 
 
 def separate_gains(
-    series: FlatSeries, posterior: Posterior, *, context: Context, flags: tuple[str, ...],
-    covariance_flags: tuple[str, ...], **fields: Any,
-) -> list[Measurement]:  # fmt: skip
+    series: FlatSeries,
+    posterior: Posterior,
+    *,
+    context: Context,
+    flags: tuple[str, ...],
+    covariance_flags: tuple[str, ...],
+    **fields: Any,
+) -> list[Measurement]:
     """Return K, k F^2, k, F^2 and the tube's signal-to-noise ratio, measured or refused.
 
-    `posterior`: draws of covariance gain and blur of the flats. `flags`, `covariance_flags`: flags of the signal, and
-    of the covariance gain.
+    `posterior`: draws of covariance gain and blur of the flats. `flags`, `covariance_flags`: flags
+    of the signal, and of the covariance gain.
     """
     seed, noisy = context.seed, {"flags": covariance_flags, **fields}
     floor = floor_of(series, posterior, context=context)
@@ -91,7 +110,9 @@ def separate_gains(
         out = [measurement_from_draws("conversion_gain", "DN/e-", floor.draws, **noisy)]
     else:
         kind = "failed" if context.sensor is None else "not-applicable"
-        out = [make_refusal("conversion_gain", "DN/e-", floor.refusal_reason, refusal=kind, **fields)]
+        out = [
+            make_refusal("conversion_gain", "DN/e-", floor.refusal_reason, refusal=kind, **fields)
+        ]
     electrons = floor.draws * posterior["lag_factor"]
     pulses: Array | None = posterior["covariance_gain"] - electrons
     # K must be known, or negligible, relative to the covariance gain.
@@ -99,35 +120,50 @@ def separate_gains(
     if (high - low) / np.median(posterior["covariance_gain"]) <= GAIN.max_floor_range:
         note = (f"covariance_gain less K, which is {floor.source}",)
         kept = posterior_of("pulse_gain", "DN", pulses, seed)
-        out.append(measurement_from_draws("pulse_gain", "DN", pulses, notes=note, posterior=kept, **noisy))
+        out.append(
+            measurement_from_draws("pulse_gain", "DN", pulses, notes=note, posterior=kept, **noisy)
+        )
     else:
         reason = (
-            f"k F2 lies between {np.quantile(pulses, 0.025):.3g} and {np.quantile(pulses, 0.975):.3g} DN, because no "
-            "white-noise floor is detected: flats at low tube gain, or the sensor's conversion gain, would give K"
+            f"k F2 lies between {np.quantile(pulses, 0.025):.3g} and "
+            f"{np.quantile(pulses, 0.975):.3g} DN, because no white-noise floor is detected: "
+            "flats at low tube gain, or the sensor's conversion gain, would give K"
         )
         out.append(make_refusal("pulse_gain", "DN", reason, **fields))
         pulses = None
     gain = response.gain
     if gain is None:
-        reason = f"k and F2 are not separable: {response.refusal_reason}; {PULSES} would also separate them"
+        reason = (
+            f"k and F2 are not separable: {response.refusal_reason}; {PULSES} would also "
+            f"separate them"
+        )
         names = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
         out += [make_refusal(*name, reason, refusal="missing", **fields) for name in names]
         return [*out, _tube(response, pulses, context, fields, noisy)]
-    notes = (response.note, "the interval includes the uncertainty of the photocathode's sensitivity")
+    notes = (
+        response.note,
+        "the interval includes the uncertainty of the photocathode's sensitivity",
+    )
     kept = posterior_of("photoelectron_gain", "DN/pe", gain, seed)
     # k does not take the flags of the covariance gain.
     own = {**fields, "flags": flags, "notes": notes}
     out.append(measurement_from_draws("photoelectron_gain", "DN/pe", gain, posterior=kept, **own))
     if pulses is None:
-        out.append(make_refusal("excess_noise_factor", "1", "k F2 is not known; see pulse_gain", **fields))
+        out.append(
+            make_refusal("excess_noise_factor", "1", "k F2 is not known; see pulse_gain", **fields)
+        )
     else:
-        out.append(measurement_from_draws("excess_noise_factor", "1", pulses / gain, notes=notes, **noisy))
+        out.append(
+            measurement_from_draws("excess_noise_factor", "1", pulses / gain, notes=notes, **noisy)
+        )
     return [*out, _tube(response, pulses, context, fields, noisy)]
 
 
 def posterior_of(name: str, unit: str, draws: Array, seed: int) -> Posterior:
     """Return the posterior of one derived quantity."""
-    return Posterior(names=(name,), units=(unit,), draws=draws[:, None], sampler="laplace", seed=seed)
+    return Posterior(
+        names=(name,), units=(unit,), draws=draws[:, None], sampler="laplace", seed=seed
+    )
 
 
 def response_of(series: FlatSeries, count: int, context: Context) -> ResponsivityEstimate:
@@ -139,11 +175,15 @@ def response_of(series: FlatSeries, count: int, context: Context) -> Responsivit
     chosen = series.fitted & (series.signal_dn > 0)
     sd = np.array([signal_sd(f, d) for f, d in zip(series.flats, series.darks, strict=True)])
     rng = np.random.default_rng([context.seed, 3])
-    recorded = response_draws(light.amount[chosen], series.signal_dn[chosen], sd[chosen], rng, count)
+    recorded = response_draws(
+        light.amount[chosen], series.signal_dn[chosen], sd[chosen], rng, count
+    )
     true = recorded / light.scale(context.seed, count)
     if light.unit == "lux":
         if light.seconds is None:
-            return ResponsivityEstimate(refusal_reason="the exposure time is unknown (gate_ns, exposure_s)")
+            return ResponsivityEstimate(
+                refusal_reason="the exposure time is unknown (gate_ns, exposure_s)"
+            )
         per_lux_s = true / light.seconds
         if context.sensor is None:
             reason = "the photocathode is unknown (name the sensor)"
@@ -157,14 +197,19 @@ def response_of(series: FlatSeries, count: int, context: Context) -> Responsivit
         return ResponsivityEstimate(refusal_reason=reason)
     efficiency = photoelectrons_per_photon(context, known, rng, count)
     if np.median(efficiency) <= 0:
-        return ResponsivityEstimate(refusal_reason=f"the photocathode has no efficiency at {known:g} nm")
+        return ResponsivityEstimate(
+            refusal_reason=f"the photocathode has no efficiency at {known:g} nm"
+        )
     return ResponsivityEstimate(gain=true / efficiency, note=light.note)
 
 
 def _tube(
-    response: ResponsivityEstimate, pulses: Array | None, context: Context, fields: dict[str, Any],
+    response: ResponsivityEstimate,
+    pulses: Array | None,
+    context: Context,
+    fields: dict[str, Any],
     noisy: dict[str, Any],
-) -> Measurement:  # fmt: skip
+) -> Measurement:
     """Return the tube's signal-to-noise ratio from responsivity and k F^2."""
     reason = None
     if response.per_lux_s is None:
@@ -177,8 +222,8 @@ def _tube(
         return make_refusal("tube_snr", "1", str(reason), refusal="missing", **fields)
     area = pixel_area_m2(context, np.random.default_rng([context.seed, 33]), len(pulses))
     notes = (
-        "spot of 0.2 mm at 108 microlux, bandwidth 10 Hz, 2856 K; noise of dark frames excluded; luminous sensitivity "
-        "and noise factor cancel",
+        "spot of 0.2 mm at 108 microlux, bandwidth 10 Hz, 2856 K; noise of dark frames excluded; "
+        "luminous sensitivity and noise factor cancel",
         response.note,
     )
     draws = snr_from_measurement(response.per_lux_s, np.maximum(pulses, 1e-12), area)
@@ -186,10 +231,12 @@ def _tube(
 
 
 def add_event_gains(result: Result, session: Session, *, context: Context) -> Result:
-    """Return the result with k and F^2 from flats, light and pulses, if pulses were measured at the same gain.
+    """Return the result with k and F^2 from flats, light and pulses, if pulses were measured at the
+    same gain.
 
-    `result`: `pulse_gain` of the flats and `detected_photoelectron_gain` of a dark stack, with their posteriors;
-    without either it is returned unchanged; `session`: the session, with the gain of the dark stack.
+    `result`: `pulse_gain` of the flats and `detected_photoelectron_gain` of a dark stack, with
+    their posteriors; without either it is returned unchanged; `session`: the session, with the gain
+    of the dark stack.
     """
     flats = [one for one in result.find("pulse_gain") if one.posterior is not None]
     darks = [one for one in result.find("detected_photoelectron_gain") if one.posterior is not None]
@@ -199,17 +246,26 @@ def add_event_gains(result: Result, session: Session, *, context: Context) -> Re
     better = {one.quantity for one in result.find("tube_snr") if one.value is not None}
     new = tuple(one for one in parted if one.quantity not in better)
     named = {one.quantity for one in new}
-    return replace(result, measurements=(*(one for one in result.measurements if one.quantity not in named), *new))
+    return replace(
+        result,
+        measurements=(*(one for one in result.measurements if one.quantity not in named), *new),
+    )
 
 
 def _same_gain(session: Session, dark: Measurement) -> bool:
     """Return whether a dark stack was taken at the gain of most flats."""
-    (most, _), *_ = Counter(gain_of(entry.conditions) for entry in session.of_kind("flat")).most_common()
-    here = [gain_of(entry.conditions) for entry in session.of_kind("dark") if entry.label == dark.stack]
+    (most, _), *_ = Counter(
+        gain_of(entry.conditions) for entry in session.of_kind("flat")
+    ).most_common()
+    here = [
+        gain_of(entry.conditions) for entry in session.of_kind("dark") if entry.label == dark.stack
+    ]
     return most in here
 
 
-def _event_gains(result: Result, flats: Measurement, darks: Measurement, context: Context) -> list[Measurement]:
+def _event_gains(
+    result: Result, flats: Measurement, darks: Measurement, context: Context
+) -> list[Measurement]:
     """Return k and F^2, and the tube's signal-to-noise ratio."""
     from charact.noise.events.event_measurements import detection
 
@@ -220,26 +276,46 @@ def _event_gains(result: Result, flats: Measurement, darks: Measurement, context
     share, note = detection(context, rng, SNR.separation_draws)
     gain, agreement = _gain(result, flats.method, height, share, rng)
     flags = tuple(dict.fromkeys((*flats.flags, *darks.flags)))
-    own: dict[str, Any] = {"method": f"{flats.method} + {darks.method}", "provenance": flats.provenance, "flags": flags}
+    own: dict[str, Any] = {
+        "method": f"{flats.method} + {darks.method}",
+        "provenance": flats.provenance,
+        "flags": flags,
+    }
     out = [measurement_from_draws("pulse_height_factor", "1", pulses / height, **own)]
     own["flags"] += ("model-misfit",) if agreement < SNR.min_agreement else ()
-    notes = (note, "from the light and single photoelectrons" if agreement < 1.0 else
-             "from single photoelectrons of the dark frames")  # fmt: skip
+    notes = (
+        note,
+        "from the light and single photoelectrons"
+        if agreement < 1.0
+        else "from single photoelectrons of the dark frames",
+    )
     kept = posterior_of("photoelectron_gain", "DN/pe", gain, context.seed)
-    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", gain, notes=notes, posterior=kept, **own))
+    out.append(
+        measurement_from_draws(
+            "photoelectron_gain", "DN/pe", gain, notes=notes, posterior=kept, **own
+        )
+    )
     factor = pulses / gain
     out.append(measurement_from_draws("excess_noise_factor", "1", factor, notes=notes, **own))
     if context.sensor is not None:
         sensitivity = context.sensor.photocathode.luminous_sensitivity_ua_per_lm
-        draws = snr_from_specification(lognormal_draws(sensitivity, rng, SNR.separation_draws), factor)
+        draws = snr_from_specification(
+            lognormal_draws(sensitivity, rng, SNR.separation_draws), factor
+        )
         notes = (*notes, "luminous sensitivity from the sensor description")
         out.append(measurement_from_draws("tube_snr", "1", draws, notes=notes, **own))
     return out
 
 
-def _gain(result: Result, method: str, height: Array, share: Array, rng: np.random.Generator) -> tuple[Array, float]:
-    """Return draws of k, and the effective fraction consistent with light and pulses; 1 without a known light."""
-    lit = [one for one in result.find("photoelectron_gain", method=method) if one.posterior is not None]
+def _gain(
+    result: Result, method: str, height: Array, share: Array, rng: np.random.Generator
+) -> tuple[Array, float]:
+    """Return draws of k, and the effective fraction consistent with light and pulses; 1 without a
+    known light.
+    """
+    lit = [
+        one for one in result.find("photoelectron_gain", method=method) if one.posterior is not None
+    ]
     if not lit or lit[0].posterior is None:
         return share * height, 1.0
     gain = rng.choice(lit[0].posterior["photoelectron_gain"], SNR.separation_draws)
@@ -250,4 +326,6 @@ def _gain(result: Result, method: str, height: Array, share: Array, rng: np.rand
     if not weight.any():
         return gain, 0.0
     agreement = float(weight.sum() ** 2 / (weight**2).sum() / SNR.separation_draws)
-    return gain[rng.choice(SNR.separation_draws, SNR.separation_draws, p=weight / weight.sum())], min(agreement, 0.999)
+    return gain[
+        rng.choice(SNR.separation_draws, SNR.separation_draws, p=weight / weight.sum())
+    ], min(agreement, 0.999)

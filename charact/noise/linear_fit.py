@@ -14,22 +14,28 @@ Array = NDArray[np.float64]
 
 
 class LinearFit(NamedTuple):
-    """Parameters of a linear fit, their covariance, and the squared residuals over their variance."""
+    """Parameters of a linear fit, their covariance, and the squared residuals over their
+    variance.
+    """
 
     best: Array
     covariance: Array
     chi2: float
 
     def stretch(self, data: int) -> float:
-        """Return the factor of all errors that explains the scatter of the data, at least 1 (Birge's ratio)."""
+        """Return the factor of all errors that explains the scatter of the data, at least 1
+        (Birge's ratio).
+        """
         return float(np.sqrt(max(1.0, self.chi2 / max(1, data - len(self.best)))))
 
 
-def linear_fit(columns: Sequence[Array], y: Array, sd: Array, *, shared: Array | None = None) -> LinearFit:
+def linear_fit(
+    columns: Sequence[Array], y: Array, sd: Array, *, shared: Array | None = None
+) -> LinearFit:
     """Fit y by a sum of columns.
 
-    `columns`, `y`, `sd`: columns, data and their standard errors, shape (datum,) each. `shared`: one error common to
-    all data, shape (datum,).
+    `columns`, `y`, `sd`: columns, data and their standard errors, shape (datum,) each. `shared`:
+    one error common to all data, shape (datum,).
     """
     design, weight = np.stack(columns), np.diag(1.0 / np.maximum(sd, 1e-12) ** 2)
     if shared is not None:
@@ -41,7 +47,9 @@ def linear_fit(columns: Sequence[Array], y: Array, sd: Array, *, shared: Array |
 
 
 def weighted_mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Return the mean of values weighted by their errors, and its standard error; 0 and inf without finite errors."""
+    """Return the mean of values weighted by their errors, and its standard error; 0 and inf without
+    finite errors.
+    """
     known = np.array([pair for pair in pairs if np.isfinite(pair[1])])
     if not len(known):
         return 0.0, np.inf
@@ -50,9 +58,15 @@ def weighted_mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 
 def draw_posterior(
-    log_probability: Callable[[Array], Array], start: Array, bounds: Array, *, names: tuple[str, ...],
-    units: tuple[str, ...], seed: int, method: Callable[..., Posterior],
-) -> Posterior:  # fmt: skip
+    log_probability: Callable[[Array], Array],
+    start: Array,
+    bounds: Array,
+    *,
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    seed: int,
+    method: Callable[..., Posterior],
+) -> Posterior:
     """Draw from a posterior inside bounds by a method of `charact.posterior`.
 
     The flag `prior-bound` is dropped: an undetectably small departure or fraction is harmless.
@@ -64,6 +78,12 @@ def draw_posterior(
 
     point, covariance = find_maximum(inside_bounds, start, bounds)
     drawn = method(
-        inside_bounds, names=names, units=units, start=point, covariance=covariance, seed=seed, bounds=bounds
+        inside_bounds,
+        names=names,
+        units=units,
+        start=point,
+        covariance=covariance,
+        seed=seed,
+        bounds=bounds,
     )
     return replace(drawn, flags=tuple(flag for flag in drawn.flags if flag != "prior-bound"))

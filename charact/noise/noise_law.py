@@ -1,8 +1,8 @@
 """Noise law of one gain setting: variance against signal.
 
-One exposure less the mean dark has the variance v(mu) = r^2 + a mu + b mu^2: read noise, shot noise and nonlinearity
-(MCP saturation). PRNU adds p mu^2 without flat-field correction. For a pixel a is (K + k F^2) times the blur factor,
-for an area (K + k F^2) over its number of pixels.
+One exposure less the mean dark has the variance v(mu) = r^2 + a mu + b mu^2: read noise, shot noise
+and nonlinearity (MCP saturation). PRNU adds p mu^2 without flat-field correction. For a pixel a is
+(K + k F^2) times the blur factor, for an area (K + k F^2) over its number of pixels.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,9 @@ UNITS = ("DN2", "DN", "1", "1")
 
 @dataclass(frozen=True, kw_only=True)
 class SignalNoiseSeries:
-    """Signal and temporal noise of one exposure at every level of one gain, of a pixel or an area mean."""
+    """Signal and temporal noise of one exposure at every level of one gain, of a pixel or an area
+    mean.
+    """
 
     # signal_dn, signal_sd_dn: signal above the dark and its standard error, shape (flat,), DN
     signal_dn: Array
@@ -36,7 +38,8 @@ class SignalNoiseSeries:
     variance_dn2: Array
     variance_sd_dn2: Array
     dark: NDArray[np.int64]  # index of the dark of each flat, shape (flat,)
-    # dark_variance_dn2, dark_variance_sd_dn2: variance of every dark and its standard error, shape (dark,), DN^2
+    # dark_variance_dn2, dark_variance_sd_dn2: variance of every dark and its standard error, shape
+    # (dark,), DN^2
     dark_variance_dn2: Array
     dark_variance_sd_dn2: Array
     fitted: NDArray[np.bool_]  # whether each level is in the linear range, shape (flat,)
@@ -75,23 +78,29 @@ class NoiseLaw:
     def snr(self, signal: Array, *, pattern: bool = False) -> Array:
         """Return the SNR, shape (draw, signal), with or without PRNU."""
         read, shot, bend, fixed = (self.posterior[name][:, None] for name in NAMES)
-        return signal / np.sqrt(np.maximum(read + shot * signal + (bend + fixed * pattern) * signal**2, 1e-300))
+        return signal / np.sqrt(
+            np.maximum(read + shot * signal + (bend + fixed * pattern) * signal**2, 1e-300)
+        )
 
     def signal_at(self, snr: float) -> Array:
         """Return draws of the signal at an SNR including PRNU; inf if not reached."""
         read, shot, bend, fixed = (self.posterior[name] for name in NAMES)
         square = 1.0 - snr**2 * (fixed + bend)
         root = np.sqrt(snr**4 * shot**2 + 4.0 * np.maximum(square, 0.0) * snr**2 * read)
-        return np.where(square > 0, (snr**2 * shot + root) / np.maximum(2.0 * square, 1e-12), np.inf)
+        return np.where(
+            square > 0, (snr**2 * shot + root) / np.maximum(2.0 * square, 1e-12), np.inf
+        )
 
 
 def noise_law(levels: SignalNoiseSeries, rng: np.random.Generator, *, reference: int) -> NoiseLaw:
     """Fit the noise law to the levels of the linear range.
 
-    `levels`: the levels; at least one is fitted; `reference`: index of the dark that gives the read noise.
+    `levels`: the levels; at least one is fitted; `reference`: index of the dark that gives the read
+    noise.
 
-    The law is linear in its parameters, so the posterior is normal, truncated at zero read and shot noise. If the
-    levels scatter by more than their errors, the errors are scaled to the scatter (Birge, Phys. Rev. 40, 207 (1932)).
+    The law is linear in its parameters, so the posterior is normal, truncated at zero read and shot
+    noise. If the levels scatter by more than their errors, the errors are scaled to the scatter
+    (Birge, Phys. Rev. 40, 207 (1932)).
     """
     design, data, sd = _equations(levels)
     best, covariance, chi2 = linear_fit(list(design.T), data, sd)
@@ -101,24 +110,38 @@ def noise_law(levels: SignalNoiseSeries, rng: np.random.Generator, *, reference:
     drawn = _positive(rng, best, covariance * stretch, (reference, len(best) - 2))
     pattern = _above_zero(rng, levels.pattern, levels.pattern_sd)
     brightest = float(levels.signal_dn[levels.fitted].max())
-    draws = np.stack([drawn[:, reference], drawn[:, -2], drawn[:, -1] / brightest**2, pattern], axis=1)
+    draws = np.stack(
+        [drawn[:, reference], drawn[:, -2], drawn[:, -1] / brightest**2, pattern], axis=1
+    )
     posterior = Posterior(names=NAMES, units=UNITS, draws=draws, sampler="laplace")
     return NoiseLaw(posterior=posterior, misfit=_misfit(rest, levels, chi2, freedom))
 
 
 def _equations(levels: SignalNoiseSeries) -> tuple[Array, Array, Array]:
-    """Return design, data and errors: darks, fitted flats, and the prior of the nonlinearity at the brightest flat."""
+    """Return design, data and errors: darks, fitted flats, and the prior of the nonlinearity at the
+    brightest flat.
+    """
     chosen = np.flatnonzero(levels.fitted)
     darks, signal = len(levels.dark_variance_dn2), levels.signal_dn[chosen]
     own = np.eye(darks)[levels.dark[chosen]]
     bend = (signal / signal.max()) ** 2
     shot = levels.variance_dn2[chosen] - levels.dark_variance_dn2[levels.dark[chosen]]
-    brightest = max(float(shot[signal.argmax()]), float(levels.variance_sd_dn2[chosen][signal.argmax()]))
+    brightest = max(
+        float(shot[signal.argmax()]), float(levels.variance_sd_dn2[chosen][signal.argmax()])
+    )
     design = np.vstack(
-        [np.hstack([np.eye(darks), np.zeros((darks, 2))]), np.column_stack([own, signal, bend]), np.eye(darks + 2)[-1:]]
+        [
+            np.hstack([np.eye(darks), np.zeros((darks, 2))]),
+            np.column_stack([own, signal, bend]),
+            np.eye(darks + 2)[-1:],
+        ]
     )
     data = np.concatenate([levels.dark_variance_dn2, levels.variance_dn2[chosen], [0.0]])
-    sd = [levels.dark_variance_sd_dn2, levels.variance_sd_dn2[chosen], [SNR.nonlinearity_sd * brightest]]
+    sd = [
+        levels.dark_variance_sd_dn2,
+        levels.variance_sd_dn2[chosen],
+        [SNR.nonlinearity_sd * brightest],
+    ]
     return design, data, np.maximum(np.concatenate(sd), 1e-12)
 
 
@@ -127,12 +150,21 @@ def _misfit(rest: Array, levels: SignalNoiseSeries, chi2: float, freedom: int) -
     from scipy.special import chdtrc
 
     flats = rest[len(levels.dark_variance_dn2) : -1] / levels.variance_dn2[levels.fitted]
-    if freedom < 1 or chdtrc(freedom, chi2) > SNR.min_p_value or np.abs(flats).max() < SNR.misfit_fraction:
+    if (
+        freedom < 1
+        or chdtrc(freedom, chi2) > SNR.min_p_value
+        or np.abs(flats).max() < SNR.misfit_fraction
+    ):
         return None
-    return f"the noise deviates from read and shot noise by up to {100 * np.abs(flats).max():.2g} % of its variance"
+    return (
+        f"the noise deviates from read and shot noise by up to {100 * np.abs(flats).max():.2g} "
+        f"% of its variance"
+    )
 
 
-def _positive(rng: np.random.Generator, mean: Array, covariance: Array, which: tuple[int, int]) -> Array:
+def _positive(
+    rng: np.random.Generator, mean: Array, covariance: Array, which: tuple[int, int]
+) -> Array:
     """Return normal draws with some parameters not negative."""
     drawn = rng.multivariate_normal(mean, covariance, 4 * SNR.draws, method="eigh")
     good = drawn[(drawn[:, which] >= 0).all(axis=1)]
@@ -149,30 +181,43 @@ def _above_zero(rng: np.random.Generator, mean: float, sd: float) -> Array:
     if sd <= 0:
         return np.full(SNR.draws, max(mean, 0.0))
     low = ndtr(-mean / sd)
-    return np.maximum(mean + sd * ndtri(low + (1.0 - low) * rng.uniform(1e-9, 1.0 - 1e-9, SNR.draws)), 0.0)
+    return np.maximum(
+        mean + sd * ndtri(low + (1.0 - low) * rng.uniform(1e-9, 1.0 - 1e-9, SNR.draws)), 0.0
+    )
 
 
 def pixel_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
     """Return the levels of a pixel, corrected for the correlation of few frames by image lag."""
     pattern, pattern_sd = pattern_of(series)
-    return _levels(series, [_pixel(level, lag) for level in _stacks(series)], pattern=pattern, pattern_sd=pattern_sd)
+    return _levels(
+        series,
+        [_pixel(level, lag) for level in _stacks(series)],
+        pattern=pattern,
+        pattern_sd=pattern_sd,
+    )
 
 
 def area_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
-    """Return the levels of the mean of a square of pixels, see `charact.noise.stack.stack_statistics`."""
+    """Return the levels of the mean of a square of pixels, see
+    `charact.noise.stack.stack_statistics`.
+    """
     shares = shares_of(series.flats[0].bins)
 
     def of(level: StackStatistics) -> tuple[float, float]:
         spectrum = level.many if lag.is_detected else level.few
         correlation = lag.correlation if lag.is_detected else np.empty(0)
-        count = level.runs * n_effective_samples(level.time, level.parity, spectrum.lags, correlation)
+        count = level.runs * n_effective_samples(
+            level.time, level.parity, spectrum.lags, correlation
+        )
         return area_variance(level, spectrum, shares, count)
 
     return _levels(series, [of(level) for level in _stacks(series)])
 
 
 def flats_without_clipping(series: FlatSeries) -> NDArray[np.bool_]:
-    """Return which flats have unclipped noise: neither at full scale nor beyond the variance peak."""
+    """Return which flats have unclipped noise: neither at full scale nor beyond the variance
+    peak.
+    """
     whole = np.array([flat.high_fraction <= CLIPPED_SHARE for flat in series.flats])
     return whole & (np.arange(len(whole)) <= (len(whole) if series.peak is None else series.peak))
 
@@ -205,11 +250,17 @@ def _levels(series: FlatSeries, known: list[tuple[float, float]], **fields) -> S
     darks = len(labels)
     return SignalNoiseSeries(
         signal_dn=series.signal_dn,
-        signal_sd_dn=np.array([signal_sd(f, d) for f, d in zip(series.flats, series.darks, strict=True)]),
-        variance_dn2=variance[darks:], variance_sd_dn2=sd[darks:],
-        dark=np.array([labels.index(dark.label) for dark in series.darks]), dark_variance_dn2=variance[:darks],
-        dark_variance_sd_dn2=sd[:darks], fitted=series.fitted, **fields,
-    )  # fmt: skip
+        signal_sd_dn=np.array(
+            [signal_sd(f, d) for f, d in zip(series.flats, series.darks, strict=True)]
+        ),
+        variance_dn2=variance[darks:],
+        variance_sd_dn2=sd[darks:],
+        dark=np.array([labels.index(dark.label) for dark in series.darks]),
+        dark_variance_dn2=variance[:darks],
+        dark_variance_sd_dn2=sd[:darks],
+        fitted=series.fitted,
+        **fields,
+    )
 
 
 def _pixel(level: StackStatistics, lag: ImageLag) -> tuple[float, float]:

@@ -13,7 +13,8 @@ from labdata.session import StackEntry
 
 
 def step_of(values: NDArray[np.float64]) -> float | None:
-    """Return the greatest common difference of values; 0 for continuous ones, None if all are equal.
+    """Return the greatest common difference of values; 0 for continuous ones, None if all are
+    equal.
 
     For non-integers the smallest spacing is the step if all others are multiples of it.
     """
@@ -32,11 +33,17 @@ def step_of(values: NDArray[np.float64]) -> float | None:
     least = float(real.min())
     step = float(np.mean(real[real < 1.5 * least]))
     whole = gaps / step
-    return step if np.all(np.abs(whole - np.rint(whole)) < SURVEY.step_tolerance + noise / step) else 0.0
+    return (
+        step
+        if np.all(np.abs(whole - np.rint(whole)) < SURVEY.step_tolerance + noise / step)
+        else 0.0
+    )
 
 
 def common_step(steps: list[float | None]) -> float | None:
-    """Return the common step of all stacks: the smallest that divides all; 0 if one is continuous; None if unknown."""
+    """Return the common step of all stacks: the smallest that divides all; 0 if one is continuous;
+    None if unknown.
+    """
     known = [step for step in steps if step is not None]
     if not known:
         return None
@@ -74,12 +81,15 @@ class PixelSurvey:
     bright: Places = field(default_factory=_no_places)
     faint: Places = field(default_factory=_no_places)
     threshold_dn: float = 0.0  # distance threshold, DN
-    # least, most: their numbers if each mean were 1 and 1.96 standard errors closer to the surrounding ones, or farther
+    # least, most: their numbers if each mean were 1 and 1.96 standard errors closer to the
+    # surrounding ones, or farther
     least: tuple[int, int] = (0, 0)
     most: tuple[int, int] = (0, 0)
-    sudden: Places = field(default_factory=_no_places)  # positions of pixels with outliers in some frames
-    # departure_dn, times, frame: for each such pixel the largest deviation, DN, the number of outlying frames (at most
-    # 4), and the most outlying frame, -1 if unknown (pair)
+    sudden: Places = field(
+        default_factory=_no_places
+    )  # positions of pixels with outliers in some frames
+    # departure_dn, times, frame: for each such pixel the largest deviation, DN, the number of
+    # outlying frames (at most 4), and the most outlying frame, -1 if unknown (pair)
     departure_dn: Array
     times: Places = field(default_factory=_no_places)
     frame: Places = field(default_factory=_no_places)
@@ -123,11 +133,22 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
     step = step_of(values)
     sd = _robust_sd(change, step) / np.sqrt(2.0)
     common = {
-        "label": entry.label, "kind": entry.kind, "size": (rows, cols), "frames": frames,
-        "level_dn": float(np.median(values)), "step_dn": step, "sd_dn": sd,
-        "sample": (change / np.sqrt(2.0)).astype(np.float32), "sample_place": place,
-    }  # fmt: skip
-    if frames < 2 or rows * cols < SURVEY.min_pixels or min(rows, cols) < SURVEY.min_side_px or sd <= 0:
+        "label": entry.label,
+        "kind": entry.kind,
+        "size": (rows, cols),
+        "frames": frames,
+        "level_dn": float(np.median(values)),
+        "step_dn": step,
+        "sd_dn": sd,
+        "sample": (change / np.sqrt(2.0)).astype(np.float32),
+        "sample_place": place,
+    }
+    if (
+        frames < 2
+        or rows * cols < SURVEY.min_pixels
+        or min(rows, cols) < SURVEY.min_side_px
+        or sd <= 0
+    ):
         return PixelSurvey(**common, departure_dn=np.empty(0))
     blocks = (
         (at, _pixel_rows(stack.frames(at, min(at + STACK.block_frames, frames)), entry))
@@ -146,7 +167,9 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
     if means:
         # Means without their extreme value: one struck frame makes no bright pixel.
         rest = [(total - top) / np.float32(frames - 1) for top in (highest, lowest)]
-        common |= _outlying_means(rest[0].reshape(rows, cols), rest[1].reshape(rows, cols), sd / np.sqrt(frames))
+        common |= _outlying_means(
+            rest[0].reshape(rows, cols), rest[1].reshape(rows, cols), sd / np.sqrt(frames)
+        )
     return PixelSurvey(**common, **found)
 
 
@@ -158,8 +181,8 @@ def _pixel_rows(data: NDArray, entry: StackEntry) -> NDArray:
     largest = float(np.abs(flat).max())
     if largest > LARGEST_DN:
         raise BadInput(
-            f"pixel values must lie below {LARGEST_DN:.0e} DN, got {largest:.3g}, in stack {entry.label!r}; "
-            "divide the frames by a constant"
+            f"pixel values must lie below {LARGEST_DN:.0e} DN, got {largest:.3g}, in stack "
+            f"{entry.label!r}; divide the frames by a constant"
         )
     return flat.astype(np.float32)
 
@@ -193,8 +216,12 @@ def _sudden_in_pair(pair: NDArray, limit: float) -> dict:
     count = _pair_departs(pair[0], pair[1], middle, limit * np.sqrt(2.0), out)
     places = out[: min(count, len(out))]
     departure = np.abs(pair[1, places].astype(float) - pair[0, places] - middle) / np.sqrt(2.0)
-    return {"sudden": places, "departure_dn": departure, "times": np.ones(len(places), np.int64),
-            "frame": np.full(len(places), -1)}  # fmt: skip
+    return {
+        "sudden": places,
+        "departure_dn": departure,
+        "times": np.ones(len(places), np.int64),
+        "frame": np.full(len(places), -1),
+    }
 
 
 class _Extremes:
@@ -209,19 +236,35 @@ class _Extremes:
     @property
     def arrays(self) -> tuple:
         """All arrays, in the order of the loop's arguments."""
-        return self.total, self.high, self.next_high, self.low, self.next_low, self.high_at, self.low_at
+        return (
+            self.total,
+            self.high,
+            self.next_high,
+            self.low,
+            self.next_low,
+            self.high_at,
+            self.low_at,
+        )
 
     def sudden(self, frames: int, limit: float) -> dict:
         """Return the pixels that deviate in some frames from the mean of the others."""
         middle = (self.total - self.high - self.low) / np.float32(frames - 2)
         limit *= float(np.sqrt(1.0 + 1.0 / (frames - 2)))
         up, down = self.high - middle, middle - self.low
-        places = np.flatnonzero((up > limit) | (down > limit))[: int(SURVEY.max_fraction * len(middle)) + 1]
-        times = sum((np.abs(one[places] - middle[places]) > limit).astype(np.int64)
-                    for one in (self.high, self.next_high, self.low, self.next_low))  # fmt: skip
+        places = np.flatnonzero((up > limit) | (down > limit))[
+            : int(SURVEY.max_fraction * len(middle)) + 1
+        ]
+        times = sum(
+            (np.abs(one[places] - middle[places]) > limit).astype(np.int64)
+            for one in (self.high, self.next_high, self.low, self.next_low)
+        )
         where = np.where(up[places] > down[places], self.high_at[places], self.low_at[places])
-        return {"sudden": places, "departure_dn": np.maximum(up[places], down[places]).astype(float),
-                "times": np.asarray(times), "frame": where.astype(np.int64)}  # fmt: skip
+        return {
+            "sudden": places,
+            "departure_dn": np.maximum(up[places], down[places]).astype(float),
+            "times": np.asarray(times),
+            "frame": where.astype(np.int64),
+        }
 
 
 @njit(cache=True)
@@ -245,11 +288,17 @@ def _extend(block, at, total, high, next_high, low, next_low, high_at, low_at):
                         next_low[i] = value
 
 
-def _outlying_means(without_top: NDArray[np.float32], without_low: NDArray[np.float32], error: float) -> dict:
-    """Return the pixels whose mean is far from the surrounding median, row and column offsets removed."""
+def _outlying_means(
+    without_top: NDArray[np.float32], without_low: NDArray[np.float32], error: float
+) -> dict:
+    """Return the pixels whose mean is far from the surrounding median, row and column offsets
+    removed.
+    """
     above, below = _high_pass(without_top), _high_pass(without_low)
     size = 0.5 * (above + below).ravel()[::3]
-    threshold = SURVEY.outlying_sd * max(1.4826 * float(np.median(np.abs(size - np.median(size)))), error)
+    threshold = SURVEY.outlying_sd * max(
+        1.4826 * float(np.median(np.abs(size - np.median(size)))), error
+    )
 
     def beyond(nearer_dn: float) -> int:
         limit = max(threshold + nearer_dn, 0.0)
@@ -258,8 +307,13 @@ def _outlying_means(without_top: NDArray[np.float32], without_low: NDArray[np.fl
     bright, faint = np.flatnonzero(above > threshold), np.flatnonzero(below < -threshold)
     if len(bright) + len(faint) > SURVEY.max_fraction * above.size:
         bright = faint = _no_places()
-    return {"bright": bright, "faint": faint, "threshold_dn": threshold, "least": (beyond(error), beyond(1.96 * error)),
-            "most": (beyond(-error), beyond(-1.96 * error))}  # fmt: skip
+    return {
+        "bright": bright,
+        "faint": faint,
+        "threshold_dn": threshold,
+        "least": (beyond(error), beyond(1.96 * error)),
+        "most": (beyond(-error), beyond(-1.96 * error)),
+    }
 
 
 def _high_pass(image: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,7 +1,8 @@
 """Posterior predictive check of flats.
 
-Gains are fitted to means, variances and low spatial frequencies. Skewness, tails, row and column means, flicker and
-local variance of measured flats are compared with flats drawn from the posterior.
+Gains are fitted to means, variances and low spatial frequencies. Skewness, tails, row and column
+means, flicker and local variance of measured flats are compared with flats drawn from the
+posterior.
 """
 
 from collections.abc import Callable
@@ -34,12 +35,15 @@ class LightNoise:
     pulse_dn: float  # mean pulse height, DN; 0: no intensifier
     height_variance: float  # relative variance of the pulse heights, dimensionless
     electron_gain_dn: float  # K, DN per electron of the CCD; 0: no electron noise
-    blur: NDArray[np.float64] | None = None  # parameters of `charact.noise.gain.model.transfer`; None: no blur
+    blur: NDArray[np.float64] | None = (
+        None  # parameters of `charact.noise.gain.model.transfer`; None: no blur
+    )
     reading: PixelReadoutModel = field(default_factory=PixelReadoutModel)  # pixel readout
     kept: float = 0.0  # fraction of the light left one exposure later, dimensionless
 
     def frames(self, light_dn: Array, count: int, every: int, rng: np.random.Generator) -> Array:
-        """Draw every `every`-th of successive exposures, shape (count, row, col), DN above the dark.
+        """Draw every `every`-th of successive exposures, shape (count, row, col), DN above the
+        dark.
 
         `light_dn`: mean signal of every pixel, shape (row, col), DN.
         """
@@ -58,11 +62,12 @@ class LightNoise:
     def _pulses(self, light_dn: Array, exposures: float, rng: np.random.Generator) -> Array:
         """Return what the pulses of the last exposures leave in the present one, before the blur.
 
-        Of i exposures ago the fraction (1 - r) r^i is left. Pulses of one height law replace those of all exposures:
-        their sum has the same mean, variance and third cumulant.
+        Of i exposures ago the fraction (1 - r) r^i is left. Pulses of one height law replace those
+        of all exposures: their sum has the same mean, variance and third cumulant.
         """
         one, two, three = (
-            (1.0 - self.kept) ** k * (1.0 - self.kept ** (k * exposures)) / (1.0 - self.kept**k) for k in (1, 2, 3)
+            (1.0 - self.kept) ** k * (1.0 - self.kept ** (k * exposures)) / (1.0 - self.kept**k)
+            for k in (1, 2, 3)
         )
         # Second over first moment of the heights, and third over second.
         second = self.pulse_dn * (1.0 + self.height_variance) * two / one
@@ -79,7 +84,9 @@ class LightNoise:
         if self.blur is None:
             return None
         # Frequencies along columns occur with both signs.
-        column, row = np.meshgrid(np.fft.rfftfreq(shape[1]), np.fft.rfftfreq(shape[0]) / self.reading.row_pitch)
+        column, row = np.meshgrid(
+            np.fft.rfftfreq(shape[1]), np.fft.rfftfreq(shape[0]) / self.reading.row_pitch
+        )
         frequency = column.ravel().astype(float), row.ravel().astype(float)
         power = model.transfer(self.blur[None], *frequency, self.reading)[0].reshape(column.shape)
         step = np.arange(shape[0])
@@ -89,39 +96,52 @@ class LightNoise:
         """Return the light with shot noise of electrons."""
         if not self.electron_gain_dn:
             return light_dn
-        return self.electron_gain_dn * rng.poisson(np.maximum(light_dn, 0.0) / self.electron_gain_dn)
+        return self.electron_gain_dn * rng.poisson(
+            np.maximum(light_dn, 0.0) / self.electron_gain_dn
+        )
 
 
-def pulse_noise(posterior: Posterior, index: int, share: float, reading: PixelReadoutModel, rng: np.random.Generator
-              ) -> LightNoise:  # fmt: skip
+def pulse_noise(
+    posterior: Posterior,
+    index: int,
+    share: float,
+    reading: PixelReadoutModel,
+    rng: np.random.Generator,
+) -> LightNoise:
     """Return the noise of an intensified camera for one draw of the noise-spectrum model.
 
-    `posterior`, `index`: draws of `charact.noise.gain.model`, and the index of one; `share`: covariance over signal of
-    this level over the pooled one, dimensionless; `reading`: pixel readout; `rng`: generator for the pulse-height
-    variance.
+    `posterior`, `index`: draws of `charact.noise.gain.model`, and the index of one; `share`:
+    covariance over signal of this level over the pooled one, dimensionless; `reading`: pixel
+    readout; `rng`: generator for the pulse-height variance.
 
-    The spectrum gives k F^2; the relative variance of heights is drawn from its prior. Image lag that leaves the
-    fraction r per exposure lowers the covariance of one exposure by (1 - r) / (1 + r).
+    The spectrum gives k F^2; the relative variance of heights is drawn from its prior. Image lag
+    that leaves the fraction r per exposure lowers the covariance of one exposure by (1 - r) / (1 +
+    r).
     """
     at = {name: float(posterior[name][index]) for name in (*model.NAMES, "lag_factor")}
     electrons = max(at["electron_share"], 0.0)
     spread = float(rng.uniform(*PREDICTIVE.height_variances))
     factor = max(at["lag_factor"], 1.0)
     return LightNoise(
-        pulse_dn=share * at["power"] * factor * (1.0 - electrons) / (1.0 + spread), height_variance=spread,
-        electron_gain_dn=share * at["power"] * electrons, blur=np.array([at[name] for name in model.NAMES]),
-        reading=reading, kept=(factor - 1.0) / (factor + 1.0),
-    )  # fmt: skip
+        pulse_dn=share * at["power"] * factor * (1.0 - electrons) / (1.0 + spread),
+        height_variance=spread,
+        electron_gain_dn=share * at["power"] * electrons,
+        blur=np.array([at[name] for name in model.NAMES]),
+        reading=reading,
+        kept=(factor - 1.0) / (factor + 1.0),
+    )
 
 
 def electron_noise(gain_dn: float, excess_factor: float) -> LightNoise:
-    """Return the noise of a camera without an intensifier; F^2 of a register is one plus the relative variance of
-    heights.
+    """Return the noise of a camera without an intensifier; F^2 of a register is one plus the
+    relative variance of heights.
 
     `gain_dn` is the gain per electron, DN.
     """
     if excess_factor > 1.0:
-        return LightNoise(pulse_dn=gain_dn, height_variance=excess_factor - 1.0, electron_gain_dn=0.0)
+        return LightNoise(
+            pulse_dn=gain_dn, height_variance=excess_factor - 1.0, electron_gain_dn=0.0
+        )
     return LightNoise(pulse_dn=0.0, height_variance=0.0, electron_gain_dn=gain_dn)
 
 
@@ -139,19 +159,32 @@ class SummaryStatistic:
 
 
 STATISTICS: dict[str, SummaryStatistic] = {
-    "variance": SummaryStatistic(words=f"logarithm of the variance of {SIDE_PX} x {SIDE_PX} px", harmless=0.06),
-    "row_neighbours": SummaryStatistic(words="correlation of neighbouring squares of a row", harmless=0.03),
-    "below": SummaryStatistic(words="correlation of neighbouring squares of a column", harmless=0.03),
+    "variance": SummaryStatistic(
+        words=f"logarithm of the variance of {SIDE_PX} x {SIDE_PX} px", harmless=0.06
+    ),
+    "row_neighbours": SummaryStatistic(
+        words="correlation of neighbouring squares of a row", harmless=0.03
+    ),
+    "below": SummaryStatistic(
+        words="correlation of neighbouring squares of a column", harmless=0.03
+    ),
     "skewness": SummaryStatistic(words="skewness of the squares", harmless=0.06),
     "tail": SummaryStatistic(
-        words="height of the highest 0.1 % of the squares over their standard deviation", harmless=0.15
+        words="height of the highest 0.1 % of the squares over their standard deviation",
+        harmless=0.15,
     ),
     "patches": SummaryStatistic(
         words="logarithm of the scatter of the variance over the image", harmless=0.4, upwards=True
     ),
-    "rows": SummaryStatistic(words="logarithm of the variance of row means", harmless=0.3, upwards=True),
-    "columns": SummaryStatistic(words="logarithm of the variance of column means", harmless=0.3, upwards=True),
-    "flicker": SummaryStatistic(words="logarithm of the variance of frame means", harmless=0.5, upwards=True),
+    "rows": SummaryStatistic(
+        words="logarithm of the variance of row means", harmless=0.3, upwards=True
+    ),
+    "columns": SummaryStatistic(
+        words="logarithm of the variance of column means", harmless=0.3, upwards=True
+    ),
+    "flicker": SummaryStatistic(
+        words="logarithm of the variance of frame means", harmless=0.5, upwards=True
+    ),
     "successive": SummaryStatistic(words="correlation of successive exposures", harmless=0.04),
 }
 
@@ -162,7 +195,9 @@ def summary_statistics(frames: Array) -> dict[str, float]:
     `frames`: pixels, shape (exposure, row, col), DN; rows and columns in multiples of `SIDE_PX`.
     """
     count, rows, cols = frames.shape
-    squares = frames.reshape(count, rows // SIDE_PX, SIDE_PX, cols // SIDE_PX, SIDE_PX).mean(axis=(2, 4))
+    squares = frames.reshape(count, rows // SIDE_PX, SIDE_PX, cols // SIDE_PX, SIDE_PX).mean(
+        axis=(2, 4)
+    )
     change = squares - squares.mean(axis=0)
     whole = change.mean(axis=(1, 2))
     change -= whole[:, None, None]
@@ -201,7 +236,8 @@ class PredictiveResidual:
     # stack, sign: label of the stack and name of the statistic
     stack: str
     sign: str
-    # measured, expected, sd: statistic of the measured frames, and mean and standard deviation of the drawn ones
+    # measured, expected, sd: statistic of the measured frames, and mean and standard deviation of
+    # the drawn ones
     measured: float
     expected: float
     sd: float
@@ -209,23 +245,30 @@ class PredictiveResidual:
 
 
 def predictive_residuals(
-    entries: tuple[StackEntry, ...], pooled: SingleSetting, gain_dn: Array | None, *, context: Context
+    entries: tuple[StackEntry, ...],
+    pooled: SingleSetting,
+    gain_dn: Array | None,
+    *,
+    context: Context,
 ) -> list[PredictiveResidual]:
     """Return the statistics of some flats compared with frames drawn from the posterior.
 
-    `entries`: the session's stacks; `pooled`: fit of the flats; `gain_dn`: draws of K for white noise, DN per electron,
-    shape (draw,); None: fitted blur and gain.
+    `entries`: the session's stacks; `pooled`: fit of the flats; `gain_dn`: draws of K for white
+    noise, DN per electron, shape (draw,); None: fitted blur and gain.
 
-    Dark noise is not modelled: dark frames, mirrored and shifted at random, are added, with a random fraction of the
-    rounding error if the dark noise is smaller than a step. Shading is retained. Replicates vary over the posterior,
-    and over the prior of the pulse-height variance. Gelman, Meng & Stern, Statistica Sinica 6, 733 (1996).
+    Dark noise is not modelled: dark frames, mirrored and shifted at random, are added, with a
+    random fraction of the rounding error if the dark noise is smaller than a step. Shading is
+    retained. Replicates vary over the posterior, and over the prior of the pulse-height variance.
+    Gelman, Meng & Stern, Statistica Sinica 6, 733 (1996).
     """
     by_label = {entry.label: entry for entry in entries}
     rng = np.random.default_rng([context.seed, 61])
     out: list[PredictiveResidual] = []
     # The dimmest, the median and the brightest of the fitted flats.
     fitted = np.flatnonzero(pooled.series.fitted)
-    some = np.unique(np.linspace(0, len(fitted) - 1, min(PREDICTIVE.levels, len(fitted))).round().astype(int))
+    some = np.unique(
+        np.linspace(0, len(fitted) - 1, min(PREDICTIVE.levels, len(fitted))).round().astype(int)
+    )
     for index in fitted[some].tolist():
         flat, dark = pooled.series.flats[index], pooled.series.darks[index]
         frames, base = (_middle(by_label[label], context) for label in (flat.label, dark.label))
@@ -233,7 +276,9 @@ def predictive_residuals(
             continue
         law = _noise_source(pooled, index, gain_dn, context, rng)
         steps = float(dark.variance_dn2 < QUANTISED_DN2)
-        out += _stack_residuals(flat.label, frames, base, law, 2 if context.interlaced else 1, rng, steps)
+        out += _stack_residuals(
+            flat.label, frames, base, law, 2 if context.interlaced else 1, rng, steps
+        )
     return out
 
 
@@ -244,8 +289,9 @@ def findings_of(residuals: list[PredictiveResidual]) -> list[Finding]:
     return [
         Finding(
             "model-misfit",
-            f"{one.stack} differs from frames drawn from the posterior: {STATISTICS[one.sign].words} is "
-            f"{one.measured:.3g}, expected {one.expected:.3g} ± {one.sd:.2g}",
+            f"{one.stack} differs from frames drawn from the posterior: "
+            f"{STATISTICS[one.sign].words} is {one.measured:.3g}, expected {one.expected:.3g} ± "
+            f"{one.sd:.2g}",
         )
         for one in worst
     ]
@@ -262,37 +308,56 @@ def predictive_figure_data(residuals: list[PredictiveResidual]) -> dict[str, Any
 
 
 def _middle(entry: StackEntry, context: Context) -> Array | None:
-    """Return the image centre of successive exposures of one parity, shape (exposure, row, col); None if too small."""
+    """Return the image centre of successive exposures of one parity, shape (exposure, row, col);
+    None if too small.
+    """
     stack = open_lazy_stack(entry)
     data = stack.frames(0, min(len(stack), PREDICTIVE.exposures))
     field = split_fields(data, 2 if context.interlaced else 1)[0]
-    rows, cols = (SIDE_PX * (min(length, PREDICTIVE.side_px) // SIDE_PX) for length in field.shape[1:])
+    rows, cols = (
+        SIDE_PX * (min(length, PREDICTIVE.side_px) // SIDE_PX) for length in field.shape[1:]
+    )
     if min(rows, cols) < PREDICTIVE.min_side_px or len(field) < 2:
         return None
     top, left = (field.shape[1] - rows) // 2, (field.shape[2] - cols) // 2
     return field[:, top : top + rows, left : left + cols].astype(np.float64)
 
 
-def _noise_source(pooled: SingleSetting, index: int, gain_dn: Array | None, context: Context, rng: np.random.Generator
-          ) -> Callable[[], LightNoise]:  # fmt: skip
+def _noise_source(
+    pooled: SingleSetting,
+    index: int,
+    gain_dn: Array | None,
+    context: Context,
+    rng: np.random.Generator,
+) -> Callable[[], LightNoise]:
     """Return a function that draws the noise of a level from the posterior."""
     if gain_dn is not None:
         factor = excess_of(pooled.series.flats[0].conditions, context).factor
         return lambda: electron_noise(float(rng.choice(gain_dn)), factor)
     posterior, reading = pooled.posterior, pooled.summary.reading
     share = pooled.level_share(index)
-    return lambda: pulse_noise(posterior, int(rng.integers(len(posterior.draws))), share, reading, rng)
+    return lambda: pulse_noise(
+        posterior, int(rng.integers(len(posterior.draws))), share, reading, rng
+    )
 
 
 def _stack_residuals(
-    label: str, frames: Array, base: Array, law: Callable[[], LightNoise], every: int, rng: np.random.Generator,
+    label: str,
+    frames: Array,
+    base: Array,
+    law: Callable[[], LightNoise],
+    every: int,
+    rng: np.random.Generator,
     steps_dn: float = 0.0,
-) -> list[PredictiveResidual]:  # fmt: skip
+) -> list[PredictiveResidual]:
     """Return the residuals of one stack, with rounding by steps of up to `steps_dn`."""
     from scipy.ndimage import uniform_filter
 
     light = np.maximum(
-        uniform_filter(frames.mean(axis=0) - base.mean(axis=0), PREDICTIVE.smoothing_px, mode="nearest"), 0.0
+        uniform_filter(
+            frames.mean(axis=0) - base.mean(axis=0), PREDICTIVE.smoothing_px, mode="nearest"
+        ),
+        0.0,
     )
     change = (base - base.mean(axis=0)) * np.sqrt(len(base) / (len(base) - 1))
     drawn = [
@@ -304,7 +369,10 @@ def _stack_residuals(
         for _ in range(PREDICTIVE.replicates)
     ]
     ours = summary_statistics(frames)
-    return [_residual(label, name, value, np.array([one[name] for one in drawn])) for name, value in ours.items()]
+    return [
+        _residual(label, name, value, np.array([one[name] for one in drawn]))
+        for name, value in ours.items()
+    ]
 
 
 def _rounding(shape: tuple[int, ...], most_dn: float, rng: np.random.Generator) -> Array:
@@ -334,4 +402,6 @@ def _residual(label: str, name: str, measured: float, drawn: Array) -> Predictiv
     beyond = max(away - STATISTICS[name].harmless, 0.0) / (sd * np.sqrt(1.0 + 1.0 / len(drawn)))
     sides = 1.0 if STATISTICS[name].upwards else 2.0
     chance = min(1.0, sides * float(stdtr(len(drawn) - 1, -beyond))) if beyond > 0 else 1.0
-    return PredictiveResidual(stack=label, sign=name, measured=measured, expected=expected, sd=sd, chance=chance)
+    return PredictiveResidual(
+        stack=label, sign=name, measured=measured, expected=expected, sd=sd, chance=chance
+    )

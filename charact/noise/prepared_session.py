@@ -1,4 +1,6 @@
-"""Preparation of a session: defective pixels replaced, values in units of the quantisation step, results in DN."""
+"""Preparation of a session: defective pixels replaced, values in units of the quantisation step,
+results in DN.
+"""
 
 import re
 from collections.abc import Sequence
@@ -43,8 +45,8 @@ class DefectivePixels:
 def find_defective_pixels(surveys: Sequence[PixelSurvey], *, multiplies: bool) -> DefectivePixels:
     """Return the defective pixels.
 
-    `surveys`: one of each stack, of equal size; `multiplies`: whether a tube or a register multiplies electrons; its
-    pulses are valid outliers.
+    `surveys`: one of each stack, of equal size; `multiplies`: whether a tube or a register
+    multiplies electrons; its pulses are valid outliers.
     """
     pixels = surveys[0].pixels
     wrong = np.zeros(pixels, bool)
@@ -55,14 +57,20 @@ def find_defective_pixels(surveys: Sequence[PixelSurvey], *, multiplies: bool) -
     least = SURVEY.max_pulse * _slope(surveys) if multiplies else 0.0
     blinks = _blinking_mask(surveys, wrong)
     away = wrong | blinks
-    struck = {one.label: hits for one in surveys if len((hits := _outlying_values(one, away, least))[0])}
-    return DefectivePixels(places=np.flatnonzero(away), blinking=np.flatnonzero(blinks), struck=struck)
+    struck = {
+        one.label: hits for one in surveys if len((hits := _outlying_values(one, away, least))[0])
+    }
+    return DefectivePixels(
+        places=np.flatnonzero(away), blinking=np.flatnonzero(blinks), struck=struck
+    )
 
 
 def _slope(surveys: Sequence[PixelSurvey]) -> float:
     """Return variance over signal of the flats by robust statistics, DN; 0 without flats."""
     darks = [one for one in surveys if one.kind == "dark"]
-    dark, noise = (min((getattr(one, name) for one in darks), default=0.0) for name in ("level_dn", "sd_dn"))
+    dark, noise = (
+        min((getattr(one, name) for one in darks), default=0.0) for name in ("level_dn", "sd_dn")
+    )
     flats = [one for one in surveys if one.kind == "flat" and one.level_dn > dark]
     slopes = [(one.sd_dn**2 - noise**2) / (one.level_dn - dark) for one in flats]
     return max(float(np.median(slopes)), 0.0) if slopes else 0.0
@@ -84,13 +92,23 @@ def _blinking_mask(surveys: Sequence[PixelSurvey], wrong: NDArray[np.bool_]) -> 
     needed = np.arange(2, trials + 2)
     enough = needed[bdtrc(needed - 1, trials, rate) * len(wrong) < SURVEY.false_alarm]
     blinks = counts >= (enough[0] if len(enough) else trials + 1)
-    return blinks if np.count_nonzero(blinks) <= SURVEY.max_fraction * len(wrong) else np.zeros(len(wrong), bool)
+    return (
+        blinks
+        if np.count_nonzero(blinks) <= SURVEY.max_fraction * len(wrong)
+        else np.zeros(len(wrong), bool)
+    )
 
 
-def _outlying_values(one: PixelSurvey, away: NDArray[np.bool_], least: float) -> tuple[Places, Places]:
+def _outlying_values(
+    one: PixelSurvey, away: NDArray[np.bool_], least: float
+) -> tuple[Places, Places]:
     """Return the values far beyond the tail of their stack."""
     rest = ~away[one.sudden]
-    own = one.kind == "flat" or least > 0 or np.count_nonzero(rest) > SURVEY.blinking_fraction * one.pixels
+    own = (
+        one.kind == "flat"
+        or least > 0
+        or np.count_nonzero(rest) > SURVEY.blinking_fraction * one.pixels
+    )
     far = rest & (one.departure_dn > max(least, one.tail_dn(away) if own else 0.0))
     return one.sudden[far], np.where(one.times[far] > 1, -1, one.frame[far])
 
@@ -99,13 +117,22 @@ METHOD = "outlying-pixels"
 
 
 def defect_pixels(
-    session: Session, surveys: Sequence[PixelSurvey], found: DefectivePixels | None, *, context: Context
+    session: Session,
+    surveys: Sequence[PixelSurvey],
+    found: DefectivePixels | None,
+    *,
+    context: Context,
 ) -> Result:
-    """Return the number of defective pixels in the dark of the longest exposure and in the brightest flat."""
+    """Return the number of defective pixels in the dark of the longest exposure and in the
+    brightest flat.
+    """
     fields = fields_of(METHOD, context)
     known = [one for one in surveys if one.threshold_dn > 0]
     if found is None or not known:
-        reason = "defective pixels need stacks of two frames and of 32 x 32 px at least that change from frame to frame"
+        reason = (
+            "defective pixels need stacks of two frames and of 32 x 32 px at least that "
+            "change from frame to frame"
+        )
         return Result(measurements=(make_refusal("defect_pixels", "px", reason, **fields),))
     exposure = {entry.label: entry.conditions.exposure_s or 0.0 for entry in session.stacks}
     darks = [one for one in known if one.kind == "dark"]
@@ -120,28 +147,37 @@ def _defect_count(one: PixelSurvey, found: DefectivePixels, fields: dict[str, An
     blinking = np.intersect1d(found.blinking, one.sudden)
     bright, faint = (np.setdiff1d(places, blinking) for places in (one.bright, one.faint))
     each = f"{len(bright)} bright, {len(faint)} faint, {len(blinking)} blinking"
-    far = f"a mean more than {one.threshold_dn:.3g} DN ({SURVEY.outlying_sd:g} robust standard deviations) off"
+    far = (
+        f"a mean more than {one.threshold_dn:.3g} DN ({SURVEY.outlying_sd:g} robust standard "
+        f"deviations) off"
+    )
     notes = [f"{each}; {far} the surrounding ones, or outliers in more frames than chance allows"]
     places = np.concatenate([bright, faint, blinking])
     count = len(np.unique(places))
     if count:
         rows, cols = np.divmod(places[: SURVEY.listed], one.size[1])
         shown = ", ".join(
-            f"({row}, {col})" for row, col in dict.fromkeys(zip(rows.tolist(), cols.tolist(), strict=True))
+            f"({row}, {col})"
+            for row, col in dict.fromkeys(zip(rows.tolist(), cols.tolist(), strict=True))
         )
         notes.append(f"row and column of the first: {shown}")
-    least, most = ([number + len(blinking) for number in bounds] for bounds in (one.least, one.most))
+    least, most = (
+        [number + len(blinking) for number in bounds] for bounds in (one.least, one.most)
+    )
     around = [(float(min(least[i], count)), float(max(most[i], count))) for i in (0, 1)]
-    return make_measurement("defect_pixels", "px", float(count), *around, notes=tuple(notes), stack=one.label, **fields)
+    return make_measurement(
+        "defect_pixels", "px", float(count), *around, notes=tuple(notes), stack=one.label, **fields
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameView:
     """Transformation of the frames of one stack on reading.
 
-    A defective pixel takes the values of a valid one up to 32 px away in all frames, shifted by the difference of the
-    surrounding medians, which preserves level, noise and pattern. Random distances average out the added correlation in
-    spectra. Variances change by less than 1e-4 if one pixel of 200 is replaced.
+    A defective pixel takes the values of a valid one up to 32 px away in all frames, shifted by the
+    difference of the surrounding medians, which preserves level, noise and pattern. Random
+    distances average out the added correlation in spectra. Variances change by less than 1e-4 if
+    one pixel of 200 is replaced.
     """
 
     unit_dn: float  # divisor of the values, DN
@@ -149,7 +185,8 @@ class FrameView:
     # places, donors: replaced pixels, and their replacements
     places: Places
     donors: Places
-    # struck, frame, struck_donors: values replaced in single frames, the frames, and the replacements
+    # struck, frame, struck_donors: values replaced in single frames, the frames, and the
+    # replacements
     struck: Places
     frame: Places
     struck_donors: Places
@@ -158,7 +195,10 @@ class FrameView:
         """Return the transformed stack."""
         if self.unit_dn == 1.0 and not len(self.places) and not len(self.struck):
             return stack
-        place, donor = np.concatenate([self.places, self.struck]), np.concatenate([self.donors, self.struck_donors])
+        place, donor = (
+            np.concatenate([self.places, self.struck]),
+            np.concatenate([self.donors, self.struck_donors]),
+        )
         first = stack.frames(0, min(len(stack), 2)).mean(axis=0, dtype=np.float64)
         shift = _surrounding_median(first, place) - _surrounding_median(first, donor)
         exact = stack.dtype.kind in "ui" or self.whole
@@ -217,8 +257,12 @@ def choose_donors(
     found = np.full(len(places), -1)
     while (left := np.flatnonzero(found < 0)).size:
         row, col = np.divmod(places[left], cols)
-        row = _mirror_inside(row + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(left)), rows)
-        col = _mirror_inside(col + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(left)), cols)
+        row = _mirror_inside(
+            row + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(left)), rows
+        )
+        col = _mirror_inside(
+            col + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(left)), cols
+        )
         pixel = row * cols + col
         found[left] = np.where(unsound[pixel], -1, pixel)
     return found
@@ -231,7 +275,13 @@ def _mirror_inside(place: NDArray, length: int) -> NDArray:
 
 
 def frame_view(
-    label: str, found: DefectivePixels | None, size: tuple[int, int], *, unit_dn: float, whole: bool, seed: int
+    label: str,
+    found: DefectivePixels | None,
+    size: tuple[int, int],
+    *,
+    unit_dn: float,
+    whole: bool,
+    seed: int,
 ) -> FrameView:
     """Return the view of one stack."""
     none = np.empty(0, np.int64)
@@ -242,9 +292,14 @@ def frame_view(
     away[places] = away[struck] = True
     rng = np.random.default_rng([seed, 71])
     return FrameView(
-        unit_dn=unit_dn, whole=whole, places=places, donors=choose_donors(places, away, size, rng), struck=struck,
-        frame=frame, struck_donors=choose_donors(struck, away, size, rng),
-    )  # fmt: skip
+        unit_dn=unit_dn,
+        whole=whole,
+        places=places,
+        donors=choose_donors(places, away, size, rng),
+        struck=struck,
+        frame=frame,
+        struck_donors=choose_donors(struck, away, size, rng),
+    )
 
 
 # Files and folders that are memory-mapped.
@@ -268,7 +323,9 @@ def load_frames(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
     for entry in entries:
         plain = type(entry) is StackEntry and entry.kind in ("dark", "flat")
         paths = entry.paths if plain else ()
-        if not paths or any(path.suffix in MAPPED or path.is_dir() or path.stat().st_size > left for path in paths):
+        if not paths or any(
+            path.suffix in MAPPED or path.is_dir() or path.stat().st_size > left for path in paths
+        ):
             out.append(entry)
             continue
         frames = entry.read()
@@ -295,38 +352,67 @@ class Prepared:
         notes = () if note is None else (note,)
         if unit_dn != 1.0:
             notes += (f"DN in other notes are units of {unit_dn:.4g} of the files' values",)
-        noted = [m if m.value is None else replace(m, notes=(*m.notes, *notes)) for m in result.measurements]
+        noted = [
+            m if m.value is None else replace(m, notes=(*m.notes, *notes))
+            for m in result.measurements
+        ]
         if unit_dn == 1.0:
             return replace(result, measurements=tuple(noted)) if notes else result
         return replace(
             result,
             measurements=tuple(_in_dn(m, unit_dn) for m in noted),
-            evidence={name: _scale_figure_data(data, unit_dn) for name, data in result.evidence.items()},
+            evidence={
+                name: _scale_figure_data(data, unit_dn) for name, data in result.evidence.items()
+            },
         )
 
 
 def prepare(session: Session, *, context: Context) -> Prepared:
     """Survey the darks and flats of a session and prepare it for measurement.
 
-    Pixel means are compared in at most eight stacks distributed over the levels, because a defect shows in several.
+    Pixel means are compared in at most eight stacks distributed over the levels, because a defect
+    shows in several.
     """
-    session = replace(session, stacks=load_frames(session.stacks) if context.spread is map else session.stacks)
+    session = replace(
+        session, stacks=load_frames(session.stacks) if context.spread is map else session.stacks
+    )
     entries = session.of_kind("dark", "flat")
-    spread = set(np.linspace(0, len(entries) - 1, min(SURVEY.mean_stacks, len(entries))).round().astype(int).tolist())
+    spread = set(
+        np.linspace(0, len(entries) - 1, min(SURVEY.mean_stacks, len(entries)))
+        .round()
+        .astype(int)
+        .tolist()
+    )
     surveys = [survey_pixels(entry, means=i in spread) for i, entry in enumerate(entries)]
     many = [one for one in surveys if one.frames > 1]
     sizes = {one.size for one in surveys}
-    large = many and len(sizes) == 1 and many[0].pixels >= SURVEY.min_pixels and min(many[0].size) >= SURVEY.min_side_px
-    found = find_defective_pixels(many, multiplies=has_multiplication(session, context)) if large else None
+    large = (
+        many
+        and len(sizes) == 1
+        and many[0].pixels >= SURVEY.min_pixels
+        and min(many[0].size) >= SURVEY.min_side_px
+    )
+    found = (
+        find_defective_pixels(many, multiplies=has_multiplication(session, context))
+        if large
+        else None
+    )
     unit, whole = _unit(surveys)
     views = {
-        one.label: frame_view(one.label, found, one.size, unit_dn=unit, whole=whole, seed=context.seed)
+        one.label: frame_view(
+            one.label, found, one.size, unit_dn=unit, whole=whole, seed=context.seed
+        )
         for one in surveys
     }
     stacks = tuple(replace(entry, view=views.get(entry.label)) for entry in session.stacks)
     full = None if context.full_scale_dn is None else context.full_scale_dn / unit
-    return Prepared(session=replace(session, stacks=stacks), context=replace(context, full_scale_dn=full), unit_dn=unit,
-                    surveys=tuple(many), found=found)  # fmt: skip
+    return Prepared(
+        session=replace(session, stacks=stacks),
+        context=replace(context, full_scale_dn=full),
+        unit_dn=unit,
+        surveys=tuple(many),
+        found=found,
+    )
 
 
 def _unit(surveys: list[PixelSurvey]) -> tuple[float, bool]:
@@ -337,7 +423,9 @@ def _unit(surveys: list[PixelSurvey]) -> tuple[float, bool]:
     if step > 0:
         return step, True
     noise = [one.sd_dn for one in surveys if one.sd_dn > 0]
-    return (2.0 ** np.floor(np.log2(min(noise) / SURVEY.fine_units)), False) if noise else (1.0, False)
+    return (
+        (2.0 ** np.floor(np.log2(min(noise) / SURVEY.fine_units)), False) if noise else (1.0, False)
+    )
 
 
 def power_of_dn(unit: str) -> int:
@@ -350,8 +438,10 @@ def power_of_dn(unit: str) -> int:
 def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
     """Return a measurement converted from units to DN; logarithms of draws are shifted."""
     factor = unit_dn ** power_of_dn(measurement.unit)
-    around = [None if pair is None else (pair[0] * factor, pair[1] * factor)
-              for pair in (measurement.interval68, measurement.interval95)]  # fmt: skip
+    around = [
+        None if pair is None else (pair[0] * factor, pair[1] * factor)
+        for pair in (measurement.interval68, measurement.interval95)
+    ]
     kept = measurement.posterior
     if kept is not None:
         draws = kept.draws.copy()
@@ -363,13 +453,18 @@ def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
                 draws[:, column] *= unit_dn**power
         kept = replace(kept, draws=draws)
     value = None if measurement.value is None else measurement.value * factor
-    return replace(measurement, value=value, interval68=around[0], interval95=around[1], posterior=kept)
+    return replace(
+        measurement, value=value, interval68=around[0], interval95=around[1], posterior=kept
+    )
 
 
 def _scale_figure_data(data: Any, unit_dn: float, factor: float = 1.0) -> Any:
     """Return figure data in DN, each entry by the unit in its name."""
     if isinstance(data, dict):
-        return {key: _scale_figure_data(value, unit_dn, _factor(key, unit_dn, factor)) for key, value in data.items()}
+        return {
+            key: _scale_figure_data(value, unit_dn, _factor(key, unit_dn, factor))
+            for key, value in data.items()
+        }
     if isinstance(data, list):
         return [_scale_figure_data(value, unit_dn, factor) for value in data]
     return data * factor if isinstance(data, float) and factor != 1.0 else data

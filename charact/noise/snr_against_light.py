@@ -1,4 +1,6 @@
-"""Signal-to-noise ratio against illumination, and minimum illumination, for every gain of a session."""
+"""Signal-to-noise ratio against illumination, and minimum illumination, for every gain of a
+session.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,9 +14,21 @@ from charact.method.stopwatch import with_timing
 from charact.noise.findings import Finding, Unmeasurable, fields_of, flags_of, notes_of
 from charact.noise.gain.checks import exposure_findings, is_quantisation_limited, series_findings
 from charact.noise.gain.pooled_noise import NO_LAG, pool_noise
-from charact.noise.gain.series import GAINS, FlatSeries, gain_obstacle, group_by_gain, series_of, without_noise
+from charact.noise.gain.series import (
+    GAINS,
+    FlatSeries,
+    gain_obstacle,
+    group_by_gain,
+    series_of,
+    without_noise,
+)
 from charact.noise.gain.undetected_correlation import temporally_correlated_fraction
-from charact.noise.illumination import StatedIllumination, gathering_s, light_of_series, response_draws
+from charact.noise.illumination import (
+    StatedIllumination,
+    gathering_s,
+    light_of_series,
+    response_draws,
+)
 from charact.noise.noise_law import (
     NAMES,
     UNITS,
@@ -40,7 +54,10 @@ from labdata.measurement import (
 Array = NDArray[np.float64]
 # Defining signal-to-noise ratio.
 LEAST_SNR = 1.0
-ALTERNATIVE = "the signal is not proportional to the light: an automatic gain or brightness control was active"
+ALTERNATIVE = (
+    "the signal is not proportional to the light: an automatic gain or brightness "
+    "control was active"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,11 +71,18 @@ class Scope:
 
 
 def minimum_illumination(
-    scope: Scope, light: StatedIllumination, response: Array, findings: list[Finding], *, seed: int, **fields: Any
+    scope: Scope,
+    light: StatedIllumination,
+    response: Array,
+    findings: list[Finding],
+    *,
+    seed: int,
+    **fields: Any,
 ) -> Measurement:
     """Return the light at which the SNR is `LEAST_SNR`, or a refusal.
 
-    `light`: light of the flats. `response`: draws of the signal per recorded light. `findings`: those of the series.
+    `light`: light of the flats. `response`: draws of the signal per recorded light. `findings`:
+    those of the series.
     """
     name = f"minimum_illumination{scope.suffix}"
     amount = scope.law.signal_at(LEAST_SNR) / response
@@ -75,15 +99,26 @@ def minimum_illumination(
     time = "" if light.seconds is None else f", light gathered for {light.seconds:.3g} s"
     sentence = f"signal-to-noise ratio {LEAST_SNR:g} {scope.sentence}{unequal}{time}"
     posterior = Posterior(
-        names=(*NAMES, "response", "light_scale", name), units=(*UNITS, f"DN/{light.unit}", "1", light.unit),
-        draws=np.column_stack([scope.law.posterior.draws, response, scale, amount * scale]), sampler="laplace",
+        names=(*NAMES, "response", "light_scale", name),
+        units=(*UNITS, f"DN/{light.unit}", "1", light.unit),
+        draws=np.column_stack([scope.law.posterior.draws, response, scale, amount * scale]),
+        sampler="laplace",
         seed=seed,
-    )  # fmt: skip
-    return measurement_from_draws(name, light.unit, amount * scale, flags=flags_of(found), posterior=posterior,
-                                  notes=(sentence, light.note, *notes_of(found)), **fields)  # fmt: skip
+    )
+    return measurement_from_draws(
+        name,
+        light.unit,
+        amount * scale,
+        flags=flags_of(found),
+        posterior=posterior,
+        notes=(sentence, light.note, *notes_of(found)),
+        **fields,
+    )
 
 
-def _extrapolation_findings(amount: Array, levels: SignalNoiseSeries, light: StatedIllumination) -> list[Finding]:
+def _extrapolation_findings(
+    amount: Array, levels: SignalNoiseSeries, light: StatedIllumination
+) -> list[Finding]:
     """Return the findings of an extrapolation beyond the flats; Unmeasurable if it is too large."""
     chosen = levels.fitted & levels.is_illuminated
     low, high = float(light.amount[chosen].min()), float(light.amount[chosen].max())
@@ -91,24 +126,34 @@ def _extrapolation_findings(amount: Array, levels: SignalNoiseSeries, light: Sta
         raise Unmeasurable(f"the ratio may stay below {LEAST_SNR:g} at any light")
     middle = float(np.median(amount))
     if middle > SNR.max_factor_above * high:
-        raise Unmeasurable(f"the ratio stays below {LEAST_SNR:g} up to the brightest flat, {high:.3g} {light.unit}")
+        raise Unmeasurable(
+            f"the ratio stays below {LEAST_SNR:g} up to the brightest flat, {high:.3g} {light.unit}"
+        )
     if middle < low / SNR.max_factor_below:
         raise Unmeasurable(
-            f"it is about {middle:.1g} {light.unit}, too far below the dimmest flat of {low:.3g} {light.unit} to "
-            "assume a linear camera response"
+            f"it is about {middle:.1g} {light.unit}, too far below the dimmest flat of {low:.3g} "
+            f"{light.unit} to assume a linear camera response"
         )
     if middle > high:
         return [Finding("extrapolated", f"the brightest flat has {high:.3g} {light.unit}")]
     if middle < low:
-        sentence = f"the dimmest flat has {low:.3g} {light.unit}; below it the camera response is assumed linear"
-        return [Finding("extrapolated" if middle < low / SNR.interpolation_factor else None, sentence)]
+        sentence = (
+            f"the dimmest flat has {low:.3g} {light.unit}; below it the camera response is "
+            f"assumed linear"
+        )
+        return [
+            Finding("extrapolated" if middle < low / SNR.interpolation_factor else None, sentence)
+        ]
     return []
 
 
 def setting_figure_data(
-    series: FlatSeries, words: str, lit: tuple[StatedIllumination, Array] | None, scopes: list[Scope],
+    series: FlatSeries,
+    words: str,
+    lit: tuple[StatedIllumination, Array] | None,
+    scopes: list[Scope],
     found: list[Measurement],
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Return levels, noise laws and minima of one gain; without light the signal is the abscissa.
 
     `words`: the gain setting. `lit`: recorded light and draws of the signal per light.
@@ -128,12 +173,23 @@ def setting_figure_data(
 
 
 def _scope(
-    scope: Scope, shown: NDArray[np.bool_], amount: Array, per_amount: float, found: list[Measurement]
+    scope: Scope,
+    shown: NDArray[np.bool_],
+    amount: Array,
+    per_amount: float,
+    found: list[Measurement],
 ) -> dict[str, Any]:
     """Return levels, noise law and minimum of a pixel or an area."""
-    least = [m for m in found if m.quantity == f"minimum_illumination{scope.suffix}" and m.value is not None]
+    least = [
+        m
+        for m in found
+        if m.quantity == f"minimum_illumination{scope.suffix}" and m.value is not None
+    ]
     middle = float(np.median(scope.law.signal_at(LEAST_SNR))) / per_amount
-    low = min(float(amount[shown].min(initial=np.inf)), middle if np.isfinite(middle) else np.inf) / 2.0
+    low = (
+        min(float(amount[shown].min(initial=np.inf)), middle if np.isfinite(middle) else np.inf)
+        / 2.0
+    )
     grid = np.geomspace(low, 2.0 * float(amount[shown].max(initial=low)), 60)
     temporal = np.quantile(scope.law.snr(grid * per_amount), [0.025, 0.5, 0.975], axis=0).tolist()
     return {
@@ -142,7 +198,9 @@ def _scope(
         "snr_sd": scope.levels.snr_sd[shown].tolist(),
         "law_amount": grid.tolist(),
         **dict(zip(("law_low", "law_snr", "law_high"), temporal, strict=True)),
-        "law_with_pattern": np.median(scope.law.snr(grid * per_amount, pattern=True), axis=0).tolist(),
+        "law_with_pattern": np.median(
+            scope.law.snr(grid * per_amount, pattern=True), axis=0
+        ).tolist(),
         "minimum": least[0].value if least else None,
         "minimum_interval95": list(least[0].interval95 or ()) if least else None,
     }
@@ -156,19 +214,28 @@ AXES = "excludes row, column and frame noise: too few frames to measure it"
 
 @with_timing
 def snr_against_light(
-    darks: list[StackStatistics], flats: list[StackStatistics], *, single: Sequence[str] = (), context: Context
+    darks: list[StackStatistics],
+    flats: list[StackStatistics],
+    *,
+    single: Sequence[str] = (),
+    context: Context,
 ) -> Result:
-    """Return signal-to-noise ratios of a pixel and of an area at every level, and the minimum illumination of each.
+    """Return signal-to-noise ratios of a pixel and of an area at every level, and the minimum
+    illumination of each.
 
-    `darks`, `flats`: stacks read with their spectra. `single`: labels of excluded stacks of a single frame. Returns
-    `snr` and `snr_area` of every flat, `minimum_illumination` and `minimum_illumination_area` of every gain, the light
-    at SNR `LEAST_SNR`; as figure data the levels with the fitted noise law.
+    `darks`, `flats`: stacks read with their spectra. `single`: labels of excluded stacks of a
+    single frame. Returns `snr` and `snr_area` of every flat, `minimum_illumination` and
+    `minimum_illumination_area` of every gain, the light at SNR `LEAST_SNR`; as figure data the
+    levels with the fitted noise law.
 
-    Noise is that of one exposure less the mean dark. The minimum illumination includes PRNU, and its interval the
-    common uncertainty of the light; see `charact.noise.illumination`.
+    Noise is that of one exposure less the mean dark. The minimum illumination includes PRNU, and
+    its interval the common uncertainty of the light; see `charact.noise.illumination`.
     """
     groups = group_by_gain(flats)
-    parts = [_measure_setting(series_of(group, darks, single), len(groups) > 1, context) for group in groups]
+    parts = [
+        _measure_setting(series_of(group, darks, single), len(groups) > 1, context)
+        for group in groups
+    ]
     measurements = tuple(one for found, _ in parts for one in found)
     gains = [evidence for _, evidence in parts if evidence is not None]
     units = {gain["unit"] for gain in gains}
@@ -179,9 +246,15 @@ def snr_against_light(
 
 def gain_in_words(conditions: Conditions) -> str:
     """Return the gain setting in words."""
-    known = [(name, getattr(conditions, name)) for name in GAINS if getattr(conditions, name) is not None]
-    words = {"mcp_v": "MCP at {:g} V", "gain_control": "gain control at {:g}", "em_gain": "multiplication of {:g}",
-             "camera_gain_db": "camera gain of {:g} dB"}  # fmt: skip
+    known = [
+        (name, getattr(conditions, name)) for name in GAINS if getattr(conditions, name) is not None
+    ]
+    words = {
+        "mcp_v": "MCP at {:g} V",
+        "gain_control": "gain control at {:g}",
+        "em_gain": "multiplication of {:g}",
+        "camera_gain_db": "camera gain of {:g} dB",
+    }
     return ", ".join(words[name].format(value) for name, value in known) or "gain not stated"
 
 
@@ -192,17 +265,30 @@ def _measure_setting(
     fields = fields_of(METHOD, context)
     reason = gain_obstacle(series)
     if series.reference != "dark":
-        parts = ("there are no darks of two frames or more: the signal is unknown", without_noise(series.single))
+        parts = (
+            "there are no darks of two frames or more: the signal is unknown",
+            without_noise(series.single),
+        )
         reason = "; ".join(part for part in parts if part)
     if reason is not None or not len(series.flats):
         return [
-            make_refusal("minimum_illumination", "lux", reason or "there are no flats", refusal="missing", **fields)
+            make_refusal(
+                "minimum_illumination",
+                "lux",
+                reason or "there are no flats",
+                refusal="missing",
+                **fields,
+            )
         ], None
     small = _area_obstacle(series)
     lag = NO_LAG if small else pool_noise(series, None).lag
     findings = series_findings(series)
-    findings += exposure_findings(temporally_correlated_fraction(series)) if not lag.is_detected else []
-    findings += [Finding("lag", "image lag has not decayed at the end of the lag sum")] if lag.open else []
+    findings += (
+        exposure_findings(temporally_correlated_fraction(series)) if not lag.is_detected else []
+    )
+    findings += (
+        [Finding("lag", "image lag has not decayed at the end of the lag sum")] if lag.open else []
+    )
     words = gain_in_words(series.flats[0].conditions)
     findings += [Finding(None, words)] if several else []
     pixel, lit, unlit = pixel_levels(series, lag), None, ""
@@ -225,20 +311,35 @@ def _measure_setting(
     out = [one for scope in scopes for one in _ratios(series, scope, findings, fields)]
     if lit is None:
         out += [
-            make_refusal(f"minimum_illumination{scope.suffix}", "lux", unlit, refusal="missing", **fields)
+            make_refusal(
+                f"minimum_illumination{scope.suffix}", "lux", unlit, refusal="missing", **fields
+            )
             for scope in scopes
         ]
     else:
-        out += [minimum_illumination(scope, *lit, findings, seed=context.seed, **fields) for scope in scopes]
-    out += [] if small is None else [make_refusal("snr_area", "1", small, refusal="not-applicable", **fields)]
+        out += [
+            minimum_illumination(scope, *lit, findings, seed=context.seed, **fields)
+            for scope in scopes
+        ]
+    out += (
+        []
+        if small is None
+        else [make_refusal("snr_area", "1", small, refusal="not-applicable", **fields)]
+    )
     return out, setting_figure_data(series, words, lit, scopes, out)
 
 
-def _responsivity(series: FlatSeries, pixel: SignalNoiseSeries, context: Context) -> tuple[StatedIllumination, Array]:
-    """Return the light of the flats and draws of the signal per light; Unmeasurable without known light."""
+def _responsivity(
+    series: FlatSeries, pixel: SignalNoiseSeries, context: Context
+) -> tuple[StatedIllumination, Array]:
+    """Return the light of the flats and draws of the signal per light; Unmeasurable without known
+    light.
+    """
     light, chosen = light_of_series(series.flats), pixel.fitted & pixel.is_illuminated
     if not chosen.any():
-        raise Unmeasurable(f"no flat below saturation is brighter than its dark by {SNR.lit_sd:g} standard errors")
+        raise Unmeasurable(
+            f"no flat below saturation is brighter than its dark by {SNR.lit_sd:g} standard errors"
+        )
     levels = light.amount[chosen], pixel.signal_dn[chosen], pixel.signal_sd_dn[chosen]
     return light, response_draws(*levels, np.random.default_rng([context.seed, 22]), SNR.draws)
 
@@ -249,11 +350,14 @@ def _area_obstacle(series: FlatSeries) -> str | None:
     if min(rows, cols) >= SNR.squares * SIDE_PX:
         return None
     return (
-        f"exposures of {rows} x {cols} px are too small for the noise of {SIDE_PX} x {SIDE_PX} px: {SNR.squares} a side"
+        f"exposures of {rows} x {cols} px are too small for the noise of {SIDE_PX} x {SIDE_PX} "
+        f"px: {SNR.squares} a side"
     )
 
 
-def _ratios(series: FlatSeries, scope: Scope, findings: list[Finding], fields: dict[str, Any]) -> list[Measurement]:
+def _ratios(
+    series: FlatSeries, scope: Scope, findings: list[Finding], fields: dict[str, Any]
+) -> list[Measurement]:
     """Return the SNR at every level."""
     whole, out, levels = flats_without_clipping(series), [], scope.levels
     flags, notes = flags_of(findings), (scope.sentence, *notes_of(findings))
@@ -262,7 +366,11 @@ def _ratios(series: FlatSeries, scope: Scope, findings: list[Finding], fields: d
         if not whole[index]:
             out.append(
                 make_refusal(
-                    name, "1", f"{flat.label} is saturated: clipping lowers the noise", refusal="not-applicable", **own
+                    name,
+                    "1",
+                    f"{flat.label} is saturated: clipping lowers the noise",
+                    refusal="not-applicable",
+                    **own,
                 )
             )
         elif not levels.is_illuminated[index]:
@@ -271,5 +379,9 @@ def _ratios(series: FlatSeries, scope: Scope, findings: list[Finding], fields: d
         else:
             limited = is_quantisation_limited(dark, float(series.signal_dn[index]))
             own |= {"flags": (*flags, *("quantised",) * limited), "notes": notes}
-            out.append(measurement_from_sd(name, "1", float(levels.snr[index]), float(levels.snr_sd[index]), **own))
+            out.append(
+                measurement_from_sd(
+                    name, "1", float(levels.snr[index]), float(levels.snr_sd[index]), **own
+                )
+            )
     return out

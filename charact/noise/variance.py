@@ -52,18 +52,31 @@ def variance(session: Session, *, context: Context) -> Result:
     if series is None or gain_obstacle(series) is not None:
         result = Result(measurements=tuple(without_flats(darks, series, single, **fields))) + cubes
         return result + dark_current(darks, result, context=context)
-    neighbours, exposures = spatially_correlated_fraction(series), temporally_correlated_fraction(series)
+    neighbours, exposures = (
+        spatially_correlated_fraction(series),
+        temporally_correlated_fraction(series),
+    )
     common = series_findings(series)
     findings = common + variance_ratio_changes(series) + correlation_findings(neighbours, exposures)
     tube = has_intensifier([level.conditions for level in (*darks, *flats)], context)
-    allowance = float(np.hypot(allowance_of(neighbours, exposures, tube=tube), bend_allowance(series)))
+    allowance = float(
+        np.hypot(allowance_of(neighbours, exposures, tube=tube), bend_allowance(series))
+    )
     gain = emva1288.gain_line(series, context=context, allowance=allowance)
     flags = flags_of(common)
     first, *out = electron_quantities(series, (gain, gain), (findings, findings), context, fields)
-    darks_alone = dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
+    darks_alone = (
+        dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
+    )
     out = [first, *darks_alone, saturation_level(series, flags=flags, **fields), *out]
-    out += pattern_quantities(series, gain.slope, flags=flags, gain_flags=flags_of(findings) + gain.posterior.flags,
-                              pair_flags=flags_of(exposure_findings(exposures)), **fields)  # fmt: skip
+    out += pattern_quantities(
+        series,
+        gain.slope,
+        flags=flags,
+        gain_flags=flags_of(findings) + gain.posterior.flags,
+        pair_flags=flags_of(exposure_findings(exposures)),
+        **fields,
+    )
     evidence = {"photon-transfer": transfer_figure_data(series, gain=float(np.median(gain.slope)))}
     result = Result(measurements=tuple(out), evidence=evidence) + cubes
     return result + dark_current(darks, result, context=context)

@@ -1,7 +1,9 @@
-"""The one wrapper around emcee: independent ensembles that run until they agree, or a flag that they did not.
+"""The one wrapper around emcee: independent ensembles that run until they agree, or a flag that
+they did not.
 
-Moves are differential evolution and an independence proposal, a Student t of the covariance given: where the
-posterior is nearly Gaussian most steps are then nearly independent, and where it is not the other moves do
+Moves are differential evolution and an independence proposal, a Student t of the covariance given:
+where the posterior is nearly Gaussian most steps are then nearly independent, and where it is not
+the other moves do
 the work. Both keep the posterior invariant.
 """
 
@@ -34,11 +36,14 @@ from labdata.measurement import Posterior
 STEPS_PER_TAU = 50
 TAU_CHANGE = 0.1
 R_HAT = 1.01
-# Single walkers have only some tens of autocorrelation times each: this bound tells those that never leave a peak.
+# Single walkers have only some tens of autocorrelation times each: this bound tells those that
+# never leave a peak.
 WALKER_R_HAT = 1.15
-# Number of optimisations in search of other modes, divided by the number of parameters: the cost of each is quadratic.
+# Number of optimisations in search of other modes, divided by the number of parameters: the cost of
+# each is quadratic.
 CLIMBS = 30
-# Steps of the first round of learning, how alike two rounds must be, and the steps before the first judgement.
+# Steps of the first round of learning, how alike two rounds must be, and the steps before the first
+# judgement.
 LEARNING_STEPS = 60
 ALIKE = 1.5
 FIRST_STEPS = 150
@@ -76,12 +81,14 @@ def sample(
     start
         The peak, shape (parameter,), or several places to start from, shape (place, parameter).
     covariance
-        Covariance at the peak, shape (parameter, parameter); it shapes the start and one of the moves.
+        Covariance at the peak, shape (parameter, parameter); it shapes the start and one of the
+        moves.
     seed
         Seed of every draw.
     bounds
-        Lower and upper bound of each parameter, shape (parameter, 2), infinite where there is none. A few climbs from
-        anywhere between them, or within 50 standard deviations of the start, look for peaks besides it.
+        Lower and upper bound of each parameter, shape (parameter, 2), infinite where there is none.
+        A few climbs from anywhere between them, or within 50 standard deviations of the start, look
+        for peaks besides it.
     draws
         Number of draws kept, picked at random from the chains.
     ensembles
@@ -89,12 +96,14 @@ def sample(
     max_steps
         Steps of each ensemble after which it is given up.
     walkers
-        Walkers of an ensemble, at least 8 and two for each parameter; None: two for each parameter, at least 32.
+        Walkers of an ensemble, at least 8 and two for each parameter; None: two for each parameter,
+        at least 32.
 
     Returns
     -------
     Posterior
-        With `not-converged` its draws come from the curvature; `prior-bound` and `several-modes` say what was seen.
+        With `not-converged` its draws come from the curvature; `prior-bound` and `several-modes`
+        say what was seen.
 
     Raises
     ------
@@ -105,10 +114,11 @@ def sample(
 
     Notes
     -----
-    Converged: more than 50 autocorrelation times after the burn-in, by this judgement and the last one, the time not
-    grown by 10 % while the chain grew by a third, split R-hat between ensembles below 1.01, an acceptance as of a
-    chain that moves, and no walker that stays where it began. Peaks that neither the walkers nor the climbs met are
-    unknown to any chain, and a chain knows nothing of a wrong model: that is for `predictive_check`.
+    Converged: more than 50 autocorrelation times after the burn-in, by this judgement and the last
+    one, the time not grown by 10 % while the chain grew by a third, split R-hat between ensembles
+    below 1.01, an acceptance as of a chain that moves, and no walker that stays where it began.
+    Peaks that neither the walkers nor the climbs met are unknown to any chain, and a chain knows
+    nothing of a wrong model: that is for `predictive_check`.
     """
     spread = np.asarray(covariance, float)
     walls = bounds_of(bounds, len(spread))
@@ -120,7 +130,13 @@ def sample(
         return log_probability(open_space.inside(points)) + open_space.log_volume(points)
 
     running = _start_ensembles(
-        log_probability, log_probability_of_scores, open_space, places, spread, (max(2, ensembles), count), seed
+        log_probability,
+        log_probability_of_scores,
+        open_space,
+        places,
+        spread,
+        (max(2, ensembles), count),
+        seed,
     )
     _learn(running, log_probability_of_scores, max_steps)
     chains, trust = _run(running, max_steps)
@@ -129,9 +145,16 @@ def sample(
     several = ("several-modes",) if has_several_peaks(seen) else ()
     if not trust.converged:
         return laplace(
-            log_probability, names=names, units=units, start=places[0], covariance=spread, seed=seed,
-            bounds=bounds, draws=draws, flags=("not-converged", *several),
-        )  # fmt: skip
+            log_probability,
+            names=names,
+            units=units,
+            start=places[0],
+            covariance=spread,
+            seed=seed,
+            bounds=bounds,
+            draws=draws,
+            flags=("not-converged", *several),
+        )
     leaning = ("prior-bound",) if crowds_at_bound(seen, walls).any() else ()
     return Posterior(
         names=names,
@@ -147,12 +170,17 @@ def sample(
 
 
 def _walkers(asked: int | None, parameters: int) -> int:
-    """Return the number of walkers of an ensemble; too few would stay in the subspace in which they began."""
+    """Return the number of walkers of an ensemble; too few would stay in the subspace in which they
+    began.
+    """
     least = max(2 * parameters, LEAST_WALKERS)
     if asked is None:
         return max(32, 2 * parameters)
     if asked < least:
-        raise BadInput(f"walkers must be at least twice the parameters and {LEAST_WALKERS}, {least} here, got {asked}")
+        raise BadInput(
+            f"walkers must be at least twice the parameters and {LEAST_WALKERS}, {least} here, "
+            f"got {asked}"
+        )
     return asked
 
 
@@ -167,22 +195,34 @@ def _start_ensembles(
 ) -> Ensembles:
     """Start the ensembles around their places, in coordinates without walls."""
     ensembles, walkers = shape
-    generators = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(ensembles)]
-    first = [first_places(log_probability, places, covariance, open_space.walls, walkers, rng) for rng in generators]
+    generators = [
+        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(ensembles)
+    ]
+    first = [
+        first_places(log_probability, places, covariance, open_space.walls, walkers, rng)
+        for rng in generators
+    ]
     if len(places) == 1:
-        near = open_space.outside(draw_truncated_gaussian(generators[0], places[0], covariance, open_space.walls, 500))
+        near = open_space.outside(
+            draw_truncated_gaussian(generators[0], places[0], covariance, open_space.walls, 500)
+        )
         moves = walker_moves(near.mean(axis=0)[None], np.atleast_2d(np.cov(near.T)), ensembles)
     else:
         stretch = open_space.stretch(places[0])
-        moves = walker_moves(open_space.outside(places), covariance * np.outer(stretch, stretch), ensembles)
-    return Ensembles(unbounded, moves, open_space.outside(np.array(first)), int(generators[0].integers(2**31)))
+        moves = walker_moves(
+            open_space.outside(places), covariance * np.outer(stretch, stretch), ensembles
+        )
+    return Ensembles(
+        unbounded, moves, open_space.outside(np.array(first)), int(generators[0].integers(2**31))
+    )
 
 
 def _learn(running: Ensembles, log_probability: Vectorised, max_steps: int) -> None:
-    """Let the ensembles run for a while and shape the independence proposal after what they saw together.
+    """Let the ensembles run for a while and shape the independence proposal after what they saw
+    together.
 
-    Rounds grow until what is seen no longer changes. What is learnt stays fixed from then on, and these steps are
-    forgotten, so that the chains proper are Markov.
+    Rounds grow until what is seen no longer changes. What is learnt stays fixed from then on, and
+    these steps are forgotten, so that the chains proper are Markov.
     """
     steps, spent, last = LEARNING_STEPS, 0, None
     while spent < max_steps:
@@ -197,7 +237,9 @@ def _learn(running: Ensembles, log_probability: Vectorised, max_steps: int) -> N
 
 
 def _learnt(seen: NDArray, ensembles: int) -> list:
-    """Return moves shaped after draws: each margin made normal first, so that what is left to fit is a covariance."""
+    """Return moves shaped after draws: each margin made normal first, so that what is left to fit
+    is a covariance.
+    """
     scores = NormalScores(seen)
     straight, _ = scores.of(seen)
     covariance = np.atleast_2d(np.cov(straight.T)) + 1e-12 * np.diag(straight.var(axis=0))
@@ -221,7 +263,9 @@ class _Trust:
 
 
 def _run(running: Ensembles, max_steps: int) -> tuple[NDArray[np.float64], _Trust]:
-    """Advance all ensembles until they are trusted or the steps run out; return the chains after the burn-in."""
+    """Advance all ensembles until they are trusted or the steps run out; return the chains after
+    the burn-in.
+    """
     steps, block, last = 0, min(FIRST_STEPS, max_steps), np.inf
     while True:
         running.advance(block)
@@ -234,7 +278,9 @@ def _run(running: Ensembles, max_steps: int) -> tuple[NDArray[np.float64], _Trus
         block = int(min(max(steps // 3, 50), max_steps - steps))
 
 
-def _trust(chains: NDArray[np.float64], last_tau: NDArray[np.float64] | float, running: Ensembles) -> _Trust:
+def _trust(
+    chains: NDArray[np.float64], last_tau: NDArray[np.float64] | float, running: Ensembles
+) -> _Trust:
     """Judge chains (ensemble, step, walker, parameter) against the rule."""
     ensembles, steps, walkers, parameters = chains.shape
     merged = np.moveaxis(chains, 0, 1).reshape(steps, ensembles * walkers, parameters)
@@ -260,14 +306,18 @@ def _pick_draws(chains: NDArray[np.float64], draws: int, seed: int) -> NDArray[n
     An even stride would fall in step with the walkers and keep a few of them at every step.
     """
     flat = chains.reshape(-1, chains.shape[-1])
-    picked = np.random.default_rng([seed, 2]).choice(len(flat), min(draws, len(flat)), replace=False)
+    picked = np.random.default_rng([seed, 2]).choice(
+        len(flat), min(draws, len(flat)), replace=False
+    )
     return flat[picked]
 
 
 def _peaks(
     log_probability: Vectorised, places: NDArray, covariance: NDArray, walls: NDArray, seed: int
 ) -> NDArray[np.float64]:
-    """Return the places and every other peak of comparable height that climbs from far around reach."""
+    """Return the places and every other peak of comparable height that climbs from far around
+    reach.
+    """
     wide = _far_around(places[0], covariance, walls, np.random.default_rng([seed, 1]))
     possible = wide[np.isfinite(log_probability(wide))][: max(2, CLIMBS // len(walls))]
     inverse = np.linalg.pinv(covariance_root(covariance))
@@ -280,8 +330,12 @@ def _peaks(
     return places
 
 
-def _far_around(place: NDArray, covariance: NDArray, walls: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return start points: anywhere between bounds, or within `FAR_AROUND_SD` of the start without bounds."""
+def _far_around(
+    place: NDArray, covariance: NDArray, walls: NDArray, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Return start points: anywhere between bounds, or within `FAR_AROUND_SD` of the start without
+    bounds.
+    """
     reach = FAR_AROUND_SD * np.sqrt(np.diag(covariance))
     low = np.where(np.isfinite(walls[:, 0]), walls[:, 0], place - reach)
     high = np.where(np.isfinite(walls[:, 1]), walls[:, 1], place + reach)

@@ -1,29 +1,36 @@
-"""The signs by which draws are distrusted: slow mixing, ensembles that disagree, walls and several peaks.
+"""The signs by which draws are distrusted: slow mixing, ensembles that disagree, walls and several
+peaks.
 
-Sources: autocorrelation time averaged over walkers, Goodman & Weare 2010 and Foreman-Mackey et al. 2013
+Sources: autocorrelation time averaged over walkers, Goodman & Weare 2010 and Foreman-Mackey et al.
+2013
 (doi 10.1086/670067); split R-hat, Gelman et al., Bayesian Data Analysis, 3rd edition, section 11.4.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Shares of proposals taken by chains that move as they should, and of the median walker by one that is stuck.
+# Shares of proposals taken by chains that move as they should, and of the median walker by one that
+# is stuck.
 LEAST_ACCEPTANCE, LARGEST_ACCEPTANCE = 0.1, 0.8
 STUCK_SHARE = 0.05
-# Width of the strip at a wall, as a share of what the draws span, and how crowded it may be against a uniform one.
+# Width of the strip at a wall, as a share of what the draws span, and how crowded it may be against
+# a uniform one.
 WALL_STRIP = 0.1
 WALL_CROWD = 1.6
-# A second peak counts when it holds this share of the draws and the valley is this much lower than it.
+# A second peak counts when it holds this share of the draws and the valley is this much lower than
+# it.
 PEAK_SHARE = 0.02
 VALLEY_DEPTH = 0.5
 
 
 def split_r_hat(chain: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return split R-hat of chains (step, chain, parameter): halves of each must agree, shape (parameter,).
+    """Return split R-hat of chains (step, chain, parameter): halves of each must agree, shape
+    (parameter,).
 
     Notes
     -----
-    sqrt(((n - 1) W / n + V) / W), W the mean variance inside the half chains and V the variance of their means.
+    sqrt(((n - 1) W / n + V) / W), W the mean variance inside the half chains and V the variance of
+    their means.
     """
     half = len(chain) // 2
     halves = np.concatenate([chain[:half], chain[half : 2 * half]], axis=1)
@@ -35,7 +42,9 @@ def split_r_hat(chain: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def ensemble_r_hat(chains: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return split R-hat between ensembles (ensemble, step, walker, parameter), each pooled over its walkers."""
+    """Return split R-hat between ensembles (ensemble, step, walker, parameter), each pooled over
+    its walkers.
+    """
     half = chains.shape[1] // 2
     halves = np.concatenate([chains[:, :half], chains[:, half : 2 * half]])
     pooled = halves.reshape(len(halves), -1, chains.shape[-1])
@@ -52,17 +61,21 @@ def split_r_hat_of_pooled(pooled: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def autocorrelation_time(chain: NDArray[np.float64], window: float = 5.0) -> NDArray[np.float64]:
-    """Return the integrated autocorrelation time of each parameter, steps, from chains (step, walker, parameter).
+    """Return the integrated autocorrelation time of each parameter, steps, from chains (step,
+    walker, parameter).
 
     Notes
     -----
-    tau = 1 + 2 sum rho(t) up to the first t > `window` tau; rho is the walkers' mean autocovariance over their mean
-    variance, both about the mean of all walkers: about each one's own mean, walkers that never leave their own peak
-    would look healthy. A parameter that never moves has an infinite tau.
+    tau = 1 + 2 sum rho(t) up to the first t > `window` tau; rho is the walkers' mean autocovariance
+    over their mean variance, both about the mean of all walkers: about each one's own mean, walkers
+    that never leave their own peak would look healthy. A parameter that never moves has an infinite
+    tau.
     """
     steps = len(chain)
     padded = 2 ** int(np.ceil(np.log2(2 * steps)))
-    lines = np.ascontiguousarray(np.moveaxis(chain - chain.mean(axis=(0, 1)), 0, -1))  # (walker, parameter, step)
+    lines = np.ascontiguousarray(
+        np.moveaxis(chain - chain.mean(axis=(0, 1)), 0, -1)
+    )  # (walker, parameter, step)
     power = (np.abs(np.fft.rfft(lines, n=padded)) ** 2).mean(axis=0)
     covariance = np.fft.irfft(power, n=padded)[:, :steps]
     moving = np.ptp(chain, axis=0).any(axis=0)
@@ -81,19 +94,25 @@ def mixes_well(acceptance: NDArray[np.float64], local_acceptance: float) -> bool
     acceptance
         Share of the steps in which each walker moved, shape (walker,).
     local_acceptance
-        Share of the local proposals taken; where nearly all are, their steps are small compared with the posterior.
+        Share of the local proposals taken; where nearly all are, their steps are small compared
+        with the posterior.
 
     Notes
     -----
-    At least a tenth of all steps and at most four fifths of the local ones are taken, and no walker is stuck, moving
-    a twentieth as often as the median one or less.
+    At least a tenth of all steps and at most four fifths of the local ones are taken, and no walker
+    is stuck, moving a twentieth as often as the median one or less.
     """
     stuck = acceptance.min() <= STUCK_SHARE * np.median(acceptance)
-    return bool(acceptance.mean() >= LEAST_ACCEPTANCE and local_acceptance <= LARGEST_ACCEPTANCE and not stuck)
+    return bool(
+        acceptance.mean() >= LEAST_ACCEPTANCE
+        and local_acceptance <= LARGEST_ACCEPTANCE
+        and not stuck
+    )
 
 
 def crowds_at_bound(draws: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which parameters crowd at a wall: many more draws than a uniform density would put there.
+    """Tell which parameters crowd at a wall: many more draws than a uniform density would put
+    there.
 
     Parameters
     ----------
@@ -126,7 +145,9 @@ def has_several_peaks(draws: NDArray[np.float64]) -> bool:
 
 
 def _two_peaked(line: NDArray[np.float64]) -> bool:
-    """Tell whether the smoothed histogram of draws has a valley between two peaks worth the name."""
+    """Tell whether the smoothed histogram of draws has a valley between two peaks worth the
+    name.
+    """
     count = len(line)
     width = 1.5 * 0.9 * line.std() * count**-0.2
     # Draws so small that their squares vanish have no width either.
@@ -139,7 +160,11 @@ def _two_peaked(line: NDArray[np.float64]) -> bool:
     density = np.convolve(hist, kernel / kernel.sum(), "same")
     inner = density[1:-1]
     peaks = 1 + np.flatnonzero((inner >= density[:-2]) & (inner > density[2:]))
-    return any(_separate(density, hist, int(a), int(b)) for i, a in enumerate(peaks) for b in peaks[i + 1 :])
+    return any(
+        _separate(density, hist, int(a), int(b))
+        for i, a in enumerate(peaks)
+        for b in peaks[i + 1 :]
+    )
 
 
 def _separate(density: NDArray, hist: NDArray, left: int, right: int) -> bool:

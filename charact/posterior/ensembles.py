@@ -13,8 +13,8 @@ from charact.posterior.probit_transform import NormalScores
 
 Array = NDArray[np.float64]
 
-# Weight, degrees of freedom and scale of the Student t densities: body, and tails that prevent stuck walkers where the
-# posterior is much denser than the proposal.
+# Weight, degrees of freedom and scale of the Student t densities: body, and tails that prevent
+# stuck walkers where the posterior is much denser than the proposal.
 BODY_AND_TAILS = ((0.9, 20.0, 1.0), (0.1, 3.0, 1.5))
 INDEPENDENT_SHARE = 0.75
 
@@ -24,7 +24,8 @@ def walker_moves(
 ) -> list[tuple[Any, float]]:
     """Return the moves of consecutive ensembles with their weights.
 
-    Independent draws scatter around optima, shape (place, parameter), in scores or, without these, in the parameters.
+    Independent draws scatter around optima, shape (place, parameter), in scores or, without these,
+    in the parameters.
     """
     return [
         (DifferentialEvolution(ensembles), 1.0 - INDEPENDENT_SHARE),
@@ -37,7 +38,8 @@ class DifferentialEvolution:
 
     Notes
     -----
-    x' = x + gamma (a - b), a and b two walkers of the other half, gamma = 2.38 / sqrt(2 d) (ter Braak 2006,
+    x' = x + gamma (a - b), a and b two walkers of the other half, gamma = 2.38 / sqrt(2 d) (ter
+    Braak 2006,
     doi 10.1007/s11222-006-8769-1); symmetric, since a - b is as likely as b - a.
     """
 
@@ -53,7 +55,9 @@ class DifferentialEvolution:
         moved = np.zeros(len(state.coords), bool)
         halves = split[:, : count // 2], split[:, count // 2 :]
         for moving, still in (halves, halves[::-1]):
-            fresh = state.coords[moving] + _differences(state.coords[still], moving.shape[1], model.random)
+            fresh = state.coords[moving] + _differences(
+                state.coords[still], moving.shape[1], model.random
+            )
             fresh = fresh.reshape(moving.size, -1)
             moved |= _metropolis_step(model, state, moving.ravel(), fresh, np.zeros(moving.size))
         self.proposed, self.accepted = self.proposed + moved.size, self.accepted + int(moved.sum())
@@ -61,7 +65,9 @@ class DifferentialEvolution:
 
 
 def _differences(others: Array, wanted: int, random: np.random.RandomState) -> Array:
-    """Return scaled differences of pairs of others (ensemble, walker, parameter), `wanted` for each ensemble."""
+    """Return scaled differences of pairs of others (ensemble, walker, parameter), `wanted` for each
+    ensemble.
+    """
     ensembles, count, parameters = others.shape
     first = random.randint(count, size=(ensembles, wanted))
     second = (first + random.randint(1, count, size=(ensembles, wanted))) % count
@@ -74,7 +80,9 @@ def _differences(others: Array, wanted: int, random: np.random.RandomState) -> A
 class IndependentDraws:
     """Propose draws from a mixture of Student t densities, body and tails around each optimum."""
 
-    def __init__(self, places: Array, covariance: Array, scores: NormalScores | None = None) -> None:
+    def __init__(
+        self, places: Array, covariance: Array, scores: NormalScores | None = None
+    ) -> None:
         self._places = places
         self._scores = scores
         self._root = covariance_root(covariance)
@@ -87,7 +95,9 @@ class IndependentDraws:
         part = np.searchsorted(np.cumsum(shares)[:-1], random.rand(count), side="right")
         stretch = scales[part] * np.sqrt(freedoms[part] / random.chisquare(freedoms[part]))
         centre = self._places[random.randint(len(self._places), size=count)]
-        fresh = centre + (random.standard_normal((count, parameters)) * stretch[:, None]) @ self._root.T
+        fresh = (
+            centre + (random.standard_normal((count, parameters)) * stretch[:, None]) @ self._root.T
+        )
         if self._scores is None:
             log_ratio = self._log_density(state.coords) - self._log_density(fresh)
             return state, _metropolis_step(model, state, np.arange(count), fresh, log_ratio)
@@ -103,8 +113,12 @@ class IndependentDraws:
         return np.logaddexp.reduce(np.concatenate(parts, axis=1), axis=1)
 
 
-def _log_student_t(squares: Array, parameters: int, share: float, freedom: float, scale: float) -> Array:
-    """Return the log of a weighted Student t density at squared distances, without the common constant."""
+def _log_student_t(
+    squares: Array, parameters: int, share: float, freedom: float, scale: float
+) -> Array:
+    """Return the log of a weighted Student t density at squared distances, without the common
+    constant.
+    """
     half = 0.5 * (freedom + parameters)
     norm = lgamma(half) - lgamma(0.5 * freedom) - parameters * log(scale * sqrt(freedom))
     return log(share) + norm - half * np.log1p(squares / (freedom * scale**2))
@@ -113,7 +127,9 @@ def _log_student_t(squares: Array, parameters: int, share: float, freedom: float
 def _metropolis_step(
     model: Any, state: Any, index: NDArray[np.intp], fresh: Array, log_ratio: Array
 ) -> NDArray[np.bool_]:
-    """Accept or reject proposals for some walkers (Metropolis-Hastings); return which of all walkers moved."""
+    """Accept or reject proposals for some walkers (Metropolis-Hastings); return which of all
+    walkers moved.
+    """
     log_probability, _ = model.compute_log_prob_fn(fresh)
     gain = log_probability - state.log_prob[index] + log_ratio
     taken = np.log(model.random.rand(len(index))) < gain
@@ -125,9 +141,13 @@ def _metropolis_step(
 
 
 class Ensembles:
-    """Independent ensembles that are advanced together, from walkers of shape (ensemble, walker, parameter)."""
+    """Independent ensembles that are advanced together, from walkers of shape (ensemble, walker,
+    parameter).
+    """
 
-    def __init__(self, log_probability: Vectorised, moves: list[tuple[Any, float]], first: Array, seed: int) -> None:
+    def __init__(
+        self, log_probability: Vectorised, moves: list[tuple[Any, float]], first: Array, seed: int
+    ) -> None:
         self.shape = first.shape
         random_state = np.random.RandomState(seed).get_state()
         together = first.reshape(-1, first.shape[-1])
@@ -138,7 +158,9 @@ class Ensembles:
         """Continue from here with other moves; previous steps are discarded."""
         count, parameters = np.shape(self._state.coords)
         self._moves = [move for move, _ in moves]
-        self._sampler = _emcee().EnsembleSampler(count, parameters, log_probability, moves=moves, vectorize=True)
+        self._sampler = _emcee().EnsembleSampler(
+            count, parameters, log_probability, moves=moves, vectorize=True
+        )
 
     def advance(self, steps: int) -> None:
         """Take steps."""
@@ -185,15 +207,18 @@ def first_places(
         lost = ~np.isfinite(log_probability(first))
         if not lost.any():
             return first
-        first[lost] = draw_truncated_gaussian(rng, places[0], shrink * covariance, walls, int(lost.sum()))
+        first[lost] = draw_truncated_gaussian(
+            rng, places[0], shrink * covariance, walls, int(lost.sum())
+        )
     raise ValueError(f"no point near the start {places[0].tolist()} has a finite log-probability")
 
 
 def _emcee() -> ModuleType:
-    """Import emcee without scipy.stats, at a tenth of the time; only its kernel density move needs it.
+    """Import emcee without scipy.stats, at a tenth of the time; only its kernel density move needs
+    it.
 
-    If scipy.stats cannot be imported, emcee does without it, and only its kernel density move fails; modules that are
-    already loaded are not affected.
+    If scipy.stats cannot be imported, emcee does without it, and only its kernel density move
+    fails; modules that are already loaded are not affected.
     """
     if "emcee" not in sys.modules and "scipy.stats" not in sys.modules:
         sys.modules["scipy.stats"] = None  # pyright: ignore[reportArgumentType]

@@ -12,14 +12,16 @@ from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Bases of the sequence's columns; further parameters are drawn at random, since large bases are correlated.
+# Bases of the sequence's columns; further parameters are drawn at random, since large bases are
+# correlated.
 BASES = (2, 3, 5, 7, 11, 13)
 # Length of the sequence; further points are the same with another shift.
 LONGEST = 8192
 
 
 def quasi_random_normals(rng: np.random.Generator, count: int, parameters: int) -> Array:
-    """Return quasi-random standard normal numbers, shape (count, parameter), most uniform in the first columns.
+    """Return quasi-random standard normal numbers, shape (count, parameter), most uniform in the
+    first columns.
 
     Parameters
     ----------
@@ -28,11 +30,15 @@ def quasi_random_normals(rng: np.random.Generator, count: int, parameters: int) 
 
     Notes
     -----
-    Halton's sequence (Halton 1960, doi 10.1007/BF01386213), shifted modulo one (Cranley & Patterson 1976, doi
-    10.1137/0713071), through the inverse of the normal distribution. Any initial part of it is quasi-random as well.
+    Halton's sequence (Halton 1960, doi 10.1007/BF01386213), shifted modulo one (Cranley & Patterson
+    1976, doi 10.1137/0713071), through the inverse of the normal distribution. Any initial part of
+    it is quasi-random as well.
     """
     if count > LONGEST:
-        parts = [quasi_random_normals(rng, min(LONGEST, count - done), parameters) for done in range(0, count, LONGEST)]
+        parts = [
+            quasi_random_normals(rng, min(LONGEST, count - done), parameters)
+            for done in range(0, count, LONGEST)
+        ]
         return np.concatenate(parts)
     even = min(parameters, len(BASES))
     shares = (_halton()[:count, :even] + rng.random(even)) % 1.0
@@ -42,7 +48,9 @@ def quasi_random_normals(rng: np.random.Generator, count: int, parameters: int) 
 
 @lru_cache(maxsize=1)
 def _halton() -> Array:
-    """Return the sequence, shape (point, base): the digits of 1, 2, 3... in a base, mirrored at the point."""
+    """Return the sequence, shape (point, base): the digits of 1, 2, 3... in a base, mirrored at the
+    point.
+    """
     out = np.zeros((LONGEST, len(BASES)))
     for column, base in enumerate(BASES):
         rest, place = np.arange(1, LONGEST + 1), 1.0
@@ -55,13 +63,18 @@ def _halton() -> Array:
 
 Vectorised = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-# Span of a finite difference in standard deviations: small against the optimum's width, large against rounding.
+# Span of a finite difference in standard deviations: small against the optimum's width, large
+# against rounding.
 STENCIL_SD = 0.1
 DAMPINGS = np.concatenate([[0.0], 10.0 ** np.arange(-4.0, 7.0)])
 
 
 def find_maximum(
-    log_probability: Vectorised, start: ArrayLike, bounds: ArrayLike | None = None, *, iterations: int = 60
+    log_probability: Vectorised,
+    start: ArrayLike,
+    bounds: ArrayLike | None = None,
+    *,
+    iterations: int = 60,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Find the maximum of a log-probability near a start.
 
@@ -93,7 +106,9 @@ def find_maximum(
     point = np.clip(point, walls[:, 0], walls[:, 1])
     best = float(log_probability(point[None])[0])
     if not np.isfinite(best):
-        raise ValueError(f"the start must have a finite log-probability, got {best} at {point.tolist()}")
+        raise ValueError(
+            f"the start must have a finite log-probability, got {best} at {point.tolist()}"
+        )
     steps = _steps(log_probability, point, best, walls, np.full(point.size, np.nan))
     for _ in range(iterations):
         gradient, hessian = _derivatives(log_probability, point, steps, walls)
@@ -154,19 +169,33 @@ def laplace(
     if covariance is None:
         peak, covariance = find_maximum(log_probability, peak, bounds)
     rng = np.random.default_rng(seed)
-    chosen = draw_truncated_gaussian(rng, peak, np.asarray(covariance, float), walls, draws, even=True)
+    chosen = draw_truncated_gaussian(
+        rng, peak, np.asarray(covariance, float), walls, draws, even=True
+    )
     leaning = ("prior-bound",) if crowds_at_bound(chosen, walls).any() else ()
     return Posterior(
-        names=names, units=units, draws=chosen, sampler="laplace", seed=seed, flags=tuple({*flags, *leaning})
+        names=names,
+        units=units,
+        draws=chosen,
+        sampler="laplace",
+        seed=seed,
+        flags=tuple({*flags, *leaning}),
     )
 
 
 def draw_truncated_gaussian(
-    rng: np.random.Generator, peak: NDArray, covariance: NDArray, walls: NDArray, draws: int, *, even: bool = False
+    rng: np.random.Generator,
+    peak: NDArray,
+    covariance: NDArray,
+    walls: NDArray,
+    draws: int,
+    *,
+    even: bool = False,
 ) -> NDArray[np.float64]:
     """Draw from a Gaussian truncated at its bounds, shape (draw, parameter).
 
-    Quasi-random draws, most uniform in the first parameters, give quantiles from few draws; others are independent.
+    Quasi-random draws, most uniform in the first parameters, give quantiles from few draws; others
+    are independent.
     """
     root = covariance_root(covariance)
     if even:
@@ -175,7 +204,9 @@ def draw_truncated_gaussian(
     kept = np.empty((0, peak.size))
     for _ in range(200):
         normal = (
-            quasi_random_normals(rng, 2 * draws, peak.size) if even else rng.standard_normal((2 * draws, peak.size))
+            quasi_random_normals(rng, 2 * draws, peak.size)
+            if even
+            else rng.standard_normal((2 * draws, peak.size))
         )
         fresh = peak + normal @ root.T
         inside = np.all((fresh >= walls[:, 0]) & (fresh <= walls[:, 1]), axis=1)
@@ -196,16 +227,23 @@ def bounds_of(bounds: ArrayLike | None, parameters: int) -> NDArray[np.float64]:
 def _steps(
     log_probability: Vectorised, point: NDArray, value: float, walls: NDArray, last: NDArray
 ) -> NDArray[np.float64]:
-    """Return the step of each parameter that lowers the log-probability as `STENCIL_SD` standard deviations would."""
+    """Return the step of each parameter that lowers the log-probability as `STENCIL_SD` standard
+    deviations would.
+    """
     ranges = walls[:, 1] - walls[:, 0]
     largest = np.where(np.isfinite(ranges), 0.2 * ranges, np.maximum(1.0, np.abs(point)) * 10.0)
-    factors = 10.0 ** np.arange(-10.0, 0.5, 0.5) if np.isnan(last).any() else 10.0 ** np.arange(-2.0, 2.25, 0.5)
+    factors = (
+        10.0 ** np.arange(-10.0, 0.5, 0.5)
+        if np.isnan(last).any()
+        else 10.0 ** np.arange(-2.0, 2.25, 0.5)
+    )
     scale = largest if np.isnan(last).any() else last
     sizes = np.minimum(scale[:, None] * factors, largest[:, None])  # (parameter, factor)
     offsets = np.einsum("pf,pq->pfq", sizes, np.eye(point.size)).reshape(-1, point.size)
     both = np.concatenate([point + offsets, point - offsets])
     change = log_probability(np.clip(both, walls[:, 0], walls[:, 1])) - value
-    # The mean of both sides is the curvature; at a bound only one side changes, which is sufficient.
+    # The mean of both sides is the curvature; at a bound only one side changes, which is
+    # sufficient.
     bend = np.abs(change.reshape(2, *sizes.shape).mean(0))
     bend = np.where(np.isfinite(bend), bend, np.inf)
     wanted = 0.5 * STENCIL_SD**2
@@ -225,7 +263,8 @@ def _rescale_steps(steps: NDArray, hessian: NDArray, walls: NDArray) -> NDArray[
 def _derivatives(
     log_probability: Vectorised, point: NDArray, steps: NDArray, walls: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return gradient and Hessian at the point in units of the steps, from one call over a central stencil.
+    """Return gradient and Hessian at the point in units of the steps, from one call over a central
+    stencil.
 
     At a bound the stencil is moved inside; the Hessian extrapolates the gradient back to the point.
     """
@@ -233,14 +272,18 @@ def _derivatives(
     centre = np.clip(point, walls[:, 0] + steps, walls[:, 1] - steps)
     unit = np.eye(size)
     first, second = np.triu_indices(size, 1)
-    mixed = [sign_a * unit[first] + sign_b * unit[second] for sign_a in (1, -1) for sign_b in (1, -1)]
+    mixed = [
+        sign_a * unit[first] + sign_b * unit[second] for sign_a in (1, -1) for sign_b in (1, -1)
+    ]
     offsets = np.concatenate([np.zeros((1, size)), unit, -unit, *mixed])
     values = log_probability(np.clip(centre + offsets * steps, walls[:, 0], walls[:, 1]))
     middle, plus, minus = values[0], values[1 : size + 1], values[size + 1 : 2 * size + 1]
     corner = values[2 * size + 1 :].reshape(4, -1)
     with np.errstate(invalid="ignore"):
         hessian = np.diag(plus - 2 * middle + minus)
-        hessian[first, second] = hessian[second, first] = (corner[0] - corner[1] - corner[2] + corner[3]) / 4.0
+        hessian[first, second] = hessian[second, first] = (
+            corner[0] - corner[1] - corner[2] + corner[3]
+        ) / 4.0
         gradient = (plus - minus) / 2.0
     hessian = np.where(np.isfinite(hessian), hessian, 0.0)
     gradient = np.where(np.isfinite(gradient), gradient, 0.0) + hessian @ ((point - centre) / steps)
@@ -268,13 +311,17 @@ def _candidates(
 
 
 def _covariance(hessian: NDArray, steps: NDArray, walls: NDArray) -> NDArray[np.float64]:
-    """Return the inverse curvature; bounds act as a Gaussian prior where a parameter is undetermined.
+    """Return the inverse curvature; bounds act as a Gaussian prior where a parameter is
+    undetermined.
 
-    Bounds act as a Gaussian with the variance of their range: combinations of parameters remain determined.
+    Bounds act as a Gaussian with the variance of their range: combinations of parameters remain
+    determined.
     """
     values, vectors = np.linalg.eigh(-hessian)
     ranges = (walls[:, 1] - walls[:, 0]) / steps
-    widest = np.where(np.isfinite(ranges), np.maximum(ranges, 1e-6) / np.sqrt(12.0), 1e3 / STENCIL_SD)
+    widest = np.where(
+        np.isfinite(ranges), np.maximum(ranges, 1e-6) / np.sqrt(12.0), 1e3 / STENCIL_SD
+    )
     with np.errstate(divide="ignore"):
         known = np.all(values > 0) and np.all(vectors**2 @ (1.0 / values) <= widest**2)
     if not known:

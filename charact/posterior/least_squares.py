@@ -1,8 +1,10 @@
-"""Bounded least squares (damped Gauss-Newton), Laplace's evidence, and weights of models by evidence.
+"""Bounded least squares (damped Gauss-Newton), Laplace's evidence, and weights of models by
+evidence.
 
-A model hands in its cost, gradient and curvature at a point as a `Linearisation`; `linearise_residual` makes one of a
-residual and a Jacobian. Amplitudes that are linear in the model either follow the parameters (the gradient and the
-curvature then have more entries than there are bounds) or are projected out by the model itself.
+A model hands in its cost, gradient and curvature at a point as a `Linearisation`;
+`linearise_residual` makes one of a residual and a Jacobian. Amplitudes that are linear in the model
+either follow the parameters (the gradient and the curvature then have more entries than there are
+bounds) or are projected out by the model itself.
 """
 
 from collections.abc import Callable
@@ -49,7 +51,11 @@ class Optimum(NamedTuple):
 
 
 def linearise_residual(
-    residual: Array, jacobian: Array, off: ArrayLike = 0.0, precision: ArrayLike = 0.0, model: Any = None
+    residual: Array,
+    jacobian: Array,
+    off: ArrayLike = 0.0,
+    precision: ArrayLike = 0.0,
+    model: Any = None,
 ) -> Linearisation:
     """Return the linearisation of whitened data less their model.
 
@@ -60,7 +66,8 @@ def linearise_residual(
     jacobian
         Change of the whitened model with each parameter, shape (parameter, datum).
     off, precision
-        Mean of each Gaussian prior less the parameter, and its precision, shape (parameter,); precision 0: flat.
+        Mean of each Gaussian prior less the parameter, and its precision, shape (parameter,);
+        precision 0: flat.
     model
         Passed on.
     """
@@ -91,8 +98,8 @@ def least_squares(
     Parameters
     ----------
     linearise
-        Point, shape (parameter,) -> model there; entries after the parameters are those of linear amplitudes, which
-        the model keeps at their optimum.
+        Point, shape (parameter,) -> model there; entries after the parameters are those of linear
+        amplitudes, which the model keeps at their optimum.
     start, bounds
         Shapes (parameter,) and (parameter, 2); infinite: no bound; equal: the parameter is held.
     iterations
@@ -100,8 +107,8 @@ def least_squares(
     tolerance, relative_tolerance
         Gain of the cost, absolute and as a fraction of it, below which a step is the last one.
     damping, shrink, grow, min_damping, max_damping
-        First damping in units of each parameter's curvature, its factors after a step that lowers the cost and after
-        one that does not, its least value, and that above which the search ends.
+        First damping in units of each parameter's curvature, its factors after a step that lowers
+        the cost and after one that does not, its least value, and that above which the search ends.
     max_step
         Largest step, as a fraction of the range between the bounds, of all parameters or of each.
     hopeless
@@ -109,7 +116,8 @@ def least_squares(
 
     Notes
     -----
-    (N + d diag N) step = gradient (Levenberg 1944, Marquardt 1963); a parameter at a bound does not move outwards.
+    (N + d diag N) step = gradient (Levenberg 1944, Marquardt 1963); a parameter at a bound does not
+    move outwards.
     """
     bounds = np.ascontiguousarray(bounds, float)
     point = np.clip(np.asarray(start, float), bounds[:, 0], bounds[:, 1])
@@ -122,7 +130,8 @@ def least_squares(
         there = linearise(trial)
         gain = here.cost - there.cost
         if gain >= 0:
-            # Near the optimum a step gains at least as much as all later ones, unless damping shortens it.
+            # Near the optimum a step gains at least as much as all later ones, unless damping
+            # shortens it.
             is_whole, accepted = damping < 1.0, accepted + 1
             point, here, damping = trial, there, max(damping * shrink, min_damping)
             is_hopeless = accepted > 2 and here.cost - gain > hopeless
@@ -136,15 +145,21 @@ def least_squares(
 
 
 @njit(cache=True)
-def damped_step(gradient: Array, normal: Array, point: Array, bounds: Array, damping: float, most: Array) -> Array:
-    """Return the damped Gauss-Newton step of the parameters that have bounds, at most so large, shape (parameter,)."""
+def damped_step(
+    gradient: Array, normal: Array, point: Array, bounds: Array, damping: float, most: Array
+) -> Array:
+    """Return the damped Gauss-Newton step of the parameters that have bounds, at most so large,
+    shape (parameter,).
+    """
     total = gradient.size
     matrix, right = normal.copy(), gradient.copy()
     for k in range(total):
         matrix[k, k] = max(matrix[k, k], LEAST_CURVATURE)
     scale = np.sqrt(np.diag(matrix))
     for k in range(point.size):
-        outwards = (point[k] <= bounds[k, 0] and right[k] < 0) or (point[k] >= bounds[k, 1] and right[k] > 0)
+        outwards = (point[k] <= bounds[k, 0] and right[k] < 0) or (
+            point[k] >= bounds[k, 1] and right[k] > 0
+        )
         if outwards or bounds[k, 0] == bounds[k, 1]:
             matrix[k, :], matrix[:, k], right[k], matrix[k, k], scale[k] = 0.0, 0.0, 0.0, 1.0, 1.0
     for k in range(total):
@@ -158,7 +173,8 @@ def damped_step(gradient: Array, normal: Array, point: Array, bounds: Array, dam
 
 
 def covariance_at(normal: Array, bounds: Array) -> Array:
-    """Return the covariance of the parameters that have bounds, all others marginalised, shape (parameter, parameter).
+    """Return the covariance of the parameters that have bounds, all others marginalised, shape
+    (parameter, parameter).
 
     An undetermined parameter has the variance of a flat density between its bounds.
     """
@@ -175,9 +191,12 @@ def covariance_at(normal: Array, bounds: Array) -> Array:
 
 
 def ln_evidence(
-    ln_height: float, covariance: Array, point: Array | None = None, bounds: Array | None = None,
+    ln_height: float,
+    covariance: Array,
+    point: Array | None = None,
+    bounds: Array | None = None,
     gradient: Array | None = None,
-) -> float:  # fmt: skip
+) -> float:
     """Return ln of the evidence of a model by Laplace's approximation: the volume of its posterior.
 
     Parameters
@@ -187,10 +206,11 @@ def ln_evidence(
     covariance
         Of the parameters there, shape (parameter, parameter).
     point, bounds
-        The optimum and bounds, shapes (parameter,) and (parameter, 2), if volume beyond the bounds is to be left out.
+        The optimum and bounds, shapes (parameter,) and (parameter, 2), if volume beyond the bounds
+        is to be left out.
     gradient
-        As of `Linearisation`: at a bound that the posterior presses on, its Gaussian's optimum lies z standard
-        deviations beyond and exp(z^2 / 2) higher.
+        As of `Linearisation`: at a bound that the posterior presses on, its Gaussian's optimum lies
+        z standard deviations beyond and exp(z^2 / 2) higher.
     """
     volume = ln_height + 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
     if point is None or bounds is None:
@@ -199,12 +219,16 @@ def ln_evidence(
     low, high = (point - bounds[:, 0]) / sd, (bounds[:, 1] - point) / sd
     inside = np.log(np.maximum(ndtr(high) - ndtr(-low), 1e-3))
     if gradient is not None:
-        pull = sd * np.where(low < 1e-6, np.maximum(-gradient, 0.0), (high < 1e-6) * np.maximum(gradient, 0.0))
+        pull = sd * np.where(
+            low < 1e-6, np.maximum(-gradient, 0.0), (high < 1e-6) * np.maximum(gradient, 0.0)
+        )
         inside = np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), inside)
     return volume + float(np.sum(inside))
 
 
-def weigh_by_evidence(ln_evidences: ArrayLike, *, power: float = 1.0, least: float = 0.0) -> list[tuple[int, float]]:
+def weigh_by_evidence(
+    ln_evidences: ArrayLike, *, power: float = 1.0, least: float = 0.0
+) -> list[tuple[int, float]]:
     """Return index and weight of each model that counts, the most probable first.
 
     Parameters

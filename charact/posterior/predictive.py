@@ -16,7 +16,8 @@ MISFIT_LEVEL = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class PredictiveCheck:
-    """Posterior predictive p-values of three discrepancies, uniform between 0 and 1 under the model.
+    """Posterior predictive p-values of three discrepancies, uniform between 0 and 1 under the
+    model.
 
     Parameters
     ----------
@@ -25,7 +26,8 @@ class PredictiveCheck:
     runs
         p-value of the number of runs of one sign: a wrong mean.
     neighbours
-        p-value of the correlation of neighbouring residuals, over lags up to the root of their number: a wrong mean.
+        p-value of the correlation of neighbouring residuals, over lags up to the root of their
+        number: a wrong mean.
     level
         Probability of rejecting a correct model.
     """
@@ -79,14 +81,24 @@ def predictive_check(
 
     Notes
     -----
-    Whitened residuals at the posterior's mean prediction, z = L^-1 (y - m), have covariance 1 - H under the model, with
-    H the posterior covariance of L^-1 times the prediction: exact for Gaussian noise and a mean linear in the
-    parameters with a Gaussian prior, where H is the hat matrix. Replicates are drawn from that distribution, so that
-    the data are not used twice, which would bias the p-values towards 1/2 (Meng 1994, doi 10.1214/aos/1176325622).
+    Whitened residuals at the posterior's mean prediction, z = L^-1 (y - m), have covariance 1 - H
+    under the model, with H the posterior covariance of L^-1 times the prediction: exact for
+    Gaussian noise and a mean linear in the parameters with a Gaussian prior, where H is the hat
+    matrix. Replicates are drawn from that distribution, so that the data are not used twice, which
+    would bias the p-values towards 1/2 (Meng 1994, doi 10.1214/aos/1176325622).
     """
     measured, mean = np.asarray(data, float), np.asarray(predictions, float)
-    if measured.ndim != 1 or mean.ndim != 2 or mean.shape[1] != measured.size or len(mean) < 2 or measured.size < 4:
-        raise BadInput(f"predictions must be (draw, datum) for 4 data or more, got {mean.shape} and {measured.shape}")
+    if (
+        measured.ndim != 1
+        or mean.ndim != 2
+        or mean.shape[1] != measured.size
+        or len(mean) < 2
+        or measured.size < 4
+    ):
+        raise BadInput(
+            f"predictions must be (draw, datum) for 4 data or more, got {mean.shape} and "
+            f"{measured.shape}"
+        )
     if not (np.isfinite(measured).all() and np.isfinite(mean).all()):
         raise BadInput("data and predictions must be finite")
     whiten = _whitener(np.asarray(noise, float), measured.size)
@@ -95,9 +107,13 @@ def predictive_check(
     ours = _discrepancies(residual[None])
     blocks = np.array_split(np.arange(replicates), -(-replicates * measured.size // (1 << 20)))
     theirs = [
-        _discrepancies(_shrink_by_fit(rng.standard_normal((len(block), measured.size)), spread)) for block in blocks
+        _discrepancies(_shrink_by_fit(rng.standard_normal((len(block), measured.size)), spread))
+        for block in blocks
     ]
-    odd = [_tail(one[0], many, rng) for one, many in zip(ours, np.concatenate(theirs, axis=1), strict=True)]
+    odd = [
+        _tail(one[0], many, rng)
+        for one, many in zip(ours, np.concatenate(theirs, axis=1), strict=True)
+    ]
     return PredictiveCheck(chi_squared=odd[0], runs=odd[1], neighbours=odd[2], level=level)
 
 
@@ -119,7 +135,8 @@ def _whitener(noise: Array, size: int) -> Callable[[Array], Array]:
 def _shrink_by_fit(white: Array, spread: Array) -> Array:
     """Return white noise (replicate, datum) after a fit: each direction has variance 1 - H.
 
-    A direction that the noise alone determines has H = 1 at most; excess scatter of the draws is clipped.
+    A direction that the noise alone determines has H = 1 at most; excess scatter of the draws is
+    clipped.
     """
     _, values, directions = np.linalg.svd(spread, full_matrices=False)
     left = np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0))
@@ -127,17 +144,23 @@ def _shrink_by_fit(white: Array, spread: Array) -> Array:
 
 
 def _discrepancies(residual: Array) -> Array:
-    """Return the three discrepancies of white residuals (data set, datum), shape (discrepancy, data set)."""
+    """Return the three discrepancies of white residuals (data set, datum), shape (discrepancy, data
+    set).
+    """
     squares = np.sum(residual**2, axis=1)
     runs = np.sum(np.diff(residual > 0, axis=1), axis=1).astype(float)
     # Autocorrelations up to the root of the number of data, weighted by 1 - lag/(last + 1).
     last = max(1, round(np.sqrt(residual.shape[1])))
-    products = [np.einsum("rn,rn->r", residual[:, lag:], residual[:, :-lag]) for lag in range(1, last + 1)]
+    products = [
+        np.einsum("rn,rn->r", residual[:, lag:], residual[:, :-lag]) for lag in range(1, last + 1)
+    ]
     weights = 1.0 - np.arange(1, last + 1) / (last + 1)
     return np.array([squares, -runs, weights @ np.array(products) / squares])
 
 
 def _tail(ours: float, theirs: Array, rng: np.random.Generator) -> float:
-    """Return the probability of a sign as large, ties broken at random, so that it is uniform under the model."""
+    """Return the probability of a sign as large, ties broken at random, so that it is uniform under
+    the model.
+    """
     above, level = np.sum(theirs > ours), np.sum(theirs == ours)
     return float((above + rng.uniform() * (level + 1)) / (len(theirs) + 1))

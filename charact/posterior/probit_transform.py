@@ -1,4 +1,6 @@
-"""Unconstrained coordinates for sampling: probit transform of bounded parameters and normal scores of margins."""
+"""Unconstrained coordinates for sampling: probit transform of bounded parameters and normal scores
+of margins.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +44,8 @@ class ProbitTransform:
 # Normal scores at which the margins are tabulated, and the corresponding quantiles.
 INNER = np.linspace(-2.0, 2.0, 9)
 SHARES = np.array([0.02275, 0.06681, 0.15866, 0.30854, 0.5, 0.69146, 0.84134, 0.93319, 0.97725])
-# Further nodes, one score apart, with extended intervals: they contain few draws, and a walker would stay in a tail
-# longer than the proposal's.
+# Further nodes, one score apart, with extended intervals: they contain few draws, and a walker
+# would stay in a tail longer than the proposal's.
 LONGER = np.array([1.5, 2.5, 4.0])
 BEYOND = INNER[-1] + 1.0 + np.arange(LONGER.size)
 PINS = np.concatenate([-BEYOND[::-1], INNER, BEYOND])
@@ -60,8 +62,8 @@ class NormalScores:
 
     Notes
     -----
-    Piecewise linear and extrapolated beyond the outer nodes, hence exactly invertible with a known density: a proposal
-    in scores has a density in the parameters for any draws.
+    Piecewise linear and extrapolated beyond the outer nodes, hence exactly invertible with a known
+    density: a proposal in scores has a density in the parameters for any draws.
     """
 
     def __init__(self, draws: Array) -> None:
@@ -71,24 +73,35 @@ class NormalScores:
         longer = LONGER / (INNER[1] - INNER[0])
         below, above = width[:, :1] * longer[::-1], width[:, -1:] * longer
         self._width = np.concatenate([below, width, above], axis=1)
-        self._left = quantiles[:, :1] - below.sum(axis=1, keepdims=True) + np.cumsum(self._width, axis=1) - self._width
+        self._left = (
+            quantiles[:, :1]
+            - below.sum(axis=1, keepdims=True)
+            + np.cumsum(self._width, axis=1)
+            - self._width
+        )
         self._log_slope = np.log(STEPS / self._width)
         self._inner = self._left[:, 1:]
         self._first = STEPS.size * np.arange(draws.shape[1])
 
     def of(self, points: Array) -> tuple[Array, Array]:
-        """Return the scores of points (point, parameter) and ln |d scores/d points|, shape (point,)."""
+        """Return the scores of points (point, parameter) and ln |d scores/d points|, shape
+        (point,).
+        """
         piece = (points[:, :, None] > self._inner).sum(axis=2)
         left, width, log_slope = self._of(piece)
         return PINS[piece] + STEPS[piece] * (points - left) / width, log_slope
 
     def points(self, scores: Array) -> tuple[Array, Array]:
-        """Return the points of scores (point, parameter) and ln |d scores/d points| there, shape (point,)."""
+        """Return the points of scores (point, parameter) and ln |d scores/d points| there, shape
+        (point,).
+        """
         piece = np.searchsorted(PINS[1:-1], scores)
         left, width, log_slope = self._of(piece)
         return left + width * (scores - PINS[piece]) / STEPS[piece], log_slope
 
     def _of(self, piece: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Return left end and width of pieces between pins, and the log of the slopes that they make together."""
+        """Return left end and width of pieces between pins, and the log of the slopes that they
+        make together.
+        """
         at = piece + self._first
         return self._left.take(at), self._width.take(at), self._log_slope.take(at).sum(axis=1)

@@ -1,4 +1,6 @@
-"""Report of a session as one self-contained HTML file, with a comparison to the truth where it is known."""
+"""Report of a session as one self-contained HTML file, with a comparison to the truth where it is
+known.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

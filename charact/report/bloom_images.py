@@ -21,11 +21,12 @@ Data = Mapping[str, Any]
 
 
 def plot_bloom_frames(data: Data) -> Any:
-    """Plot frames of up to six source levels with bloom, halo and streak; pixels at full scale are tinted.
+    """Plot frames of up to six source levels with bloom, halo and streak; pixels at full scale are
+    tinted.
 
-    Reads `label`, and per stack: `frame_dn` (row, col) over which `row`, `col` of the source are given, `dark_dn`,
-    `full_scale_dn`, `bloom_diameter_px` and `streak_length_px` (or None); `halo_diameter_px`, common to all, or
-    None; `aspect`, row pitch over column pitch.
+    Reads `label`, and per stack: `frame_dn` (row, col) over which `row`, `col` of the source are
+    given, `dark_dn`, `full_scale_dn`, `bloom_diameter_px` and `streak_length_px` (or None);
+    `halo_diameter_px`, common to all, or None; `aspect`, row pitch over column pitch.
     """
     shown = pick_levels(len(data["label"]))
     cols = min(3, len(shown))
@@ -54,12 +55,20 @@ def _half_side(data: Data) -> float:
 def _frame(axes: Any, data: Data, number: int, half: float) -> None:
     from matplotlib.patches import Ellipse
 
-    row, col, dark, full = (float(data[key][number]) for key in ("row", "col", "dark_dn", "full_scale_dn"))
+    row, col, dark, full = (
+        float(data[key][number]) for key in ("row", "col", "dark_dn", "full_scale_dn")
+    )
     aspect = float(data.get("aspect") or 1.0)
     frame, extent = _cut(np.asarray(data["frame_dn"][number], float), row, col, half / aspect, half)
     limits = (0.0, np.log10(max(full - dark, 2.0)))
-    axes.imshow(np.log10(np.maximum(frame - dark, 1.0)), cmap="gray", vmin=limits[0], vmax=limits[1], extent=extent,
-                interpolation="nearest")  # fmt: skip
+    axes.imshow(
+        np.log10(np.maximum(frame - dark, 1.0)),
+        cmap="gray",
+        vmin=limits[0],
+        vmax=limits[1],
+        extent=extent,
+        interpolation="nearest",
+    )
     _tint(axes, frame >= full - 0.5, extent)
     axes.set_aspect(aspect)
     for diameter, colour, style in (
@@ -67,8 +76,17 @@ def _frame(axes: Any, data: Data, number: int, half: float) -> None:
         (data["bloom_diameter_px"][number], DATA, "-"),
     ):
         if diameter:
-            axes.add_patch(Ellipse((col, row), diameter, diameter / aspect, fill=False, color=colour, linestyle=style,
-                                   linewidth=1.3))  # fmt: skip
+            axes.add_patch(
+                Ellipse(
+                    (col, row),
+                    diameter,
+                    diameter / aspect,
+                    fill=False,
+                    color=colour,
+                    linestyle=style,
+                    linewidth=1.3,
+                )
+            )
     if length := data["streak_length_px"][number]:
         axes.plot([col, col], [row - length / 2, row + length / 2], color=MODEL, linewidth=1.3)
     axes.set_xlim(col - half, col + half)
@@ -80,7 +98,9 @@ def _frame(axes: Any, data: Data, number: int, half: float) -> None:
 def _cut(
     frame: NDArray, row: float, col: float, down: float, across: float
 ) -> tuple[NDArray, tuple[float, float, float, float]]:
-    """Return the part of a frame around a position, and its limits: left, right, bottom, top, px."""
+    """Return the part of a frame around a position, and its limits: left, right, bottom, top,
+    px.
+    """
     first = max(0, int(row - down) - 1), max(0, int(col - across) - 1)
     cut = frame[first[0] : int(row + down) + 3, first[1] : int(col + across) + 3]
     top, left = first[0] - 0.5, first[1] - 0.5
@@ -101,7 +121,11 @@ def _handles(data: Data) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    halo = [Line2D([], [], color=THIRD, linestyle="--", label="halo")] if data.get("halo_diameter_px") else []
+    halo = (
+        [Line2D([], [], color=THIRD, linestyle="--", label="halo")]
+        if data.get("halo_diameter_px")
+        else []
+    )
     return [
         Line2D([], [], color=DATA, label="bloom, half of full scale"),
         *halo,
@@ -111,10 +135,12 @@ def _handles(data: Data) -> list[Any]:
 
 
 def plot_bloom_map(data: Data) -> Any:
-    """Plot a frame, the fraction of every pixel's signal that is blooming, and its standard uncertainty.
+    """Plot a frame, the fraction of every pixel's signal that is blooming, and its standard
+    uncertainty.
 
-    Reads `signal_dn`, `fraction`, `sd` (row, col), NaN where unknown, `near_px`, `sources` (mappings with `row`,
-    `col`, `known`), `aspect`, row pitch over column pitch, and optionally `truth` (row, col), the true fraction.
+    Reads `signal_dn`, `fraction`, `sd` (row, col), NaN where unknown, `near_px`, `sources`
+    (mappings with `row`, `col`, `known`), `aspect`, row pitch over column pitch, and optionally
+    `truth` (row, col), the true fraction.
     """
     signal, sd = np.asarray(data["signal_dn"], float), np.asarray(data["sd"], float)
     aspect = float(data.get("aspect") or 1.0)
@@ -122,7 +148,13 @@ def plot_bloom_map(data: Data) -> Any:
     most = max(0.02, float(np.quantile(sd[finite], 0.99)) if finite.any() else 1.0)
     fraction = f"fraction that entered more than {data['near_px']:g} px away (1)"
     shown = [
-        ("frame", np.log10(np.maximum(signal, 1.0)), "gray", None, "log10 of the signal over dark (DN)"),
+        (
+            "frame",
+            np.log10(np.maximum(signal, 1.0)),
+            "gray",
+            None,
+            "log10 of the signal over dark (DN)",
+        ),
         ("blooming (grey: unknown)", data["fraction"], "magma", 1.0, fraction),
         ("standard uncertainty", sd, "magma", most, "standard uncertainty of the fraction (1)"),
     ]
@@ -135,22 +167,32 @@ def plot_bloom_map(data: Data) -> Any:
     for axes, (title, image, colours, top, words) in zip(grid.ravel(), shown, strict=True):
         axes.set_facecolor("#9a9a9a")
         low = None if top is None else 0.0
-        drawn = axes.imshow(np.asarray(image, float), cmap=colours, vmin=low, vmax=top, aspect=aspect)
+        drawn = axes.imshow(
+            np.asarray(image, float), cmap=colours, vmin=low, vmax=top, aspect=aspect
+        )
         figure.colorbar(drawn, ax=axes, shrink=0.8, label=words)
         axes.set(title=title, xlabel="column (px)", ylabel="row (px)")
         axes.grid(False)
     for source in data.get("sources", ()):
         mark, colour = ("+", THIRD) if source["known"] else ("x", WARN)
-        grid[0, 0].plot(source["col"], source["row"], mark, color=colour, markersize=9, markeredgewidth=1.6)
+        grid[0, 0].plot(
+            source["col"], source["row"], mark, color=colour, markersize=9, markeredgewidth=1.6
+        )
     return figure
 
 
 def add_extent_data(session: Session, result: Result) -> dict[str, dict[str, Any]]:
-    """Return the figure data of a result; that of a point series with measured and predicted extents and frames."""
+    """Return the figure data of a result; that of a point series with measured and predicted
+    extents and frames.
+    """
     out = dict(result.evidence)
     series = [name for name, data in out.items() if data.get("figure") == "bloom-series"]
     for name in series:
-        out[name] = {**out[name], **_extents_with_intervals(result), "foretold": _predict_diameters(out[name], result)}
+        out[name] = {
+            **out[name],
+            **_extents_with_intervals(result),
+            "foretold": _predict_diameters(out[name], result),
+        }
     frames = _bloom_frame_data(session, out[series[0]], result) if series else None
     return out if frames is None else {**out, "frames of the point series": frames}
 
@@ -160,14 +202,21 @@ def _extents_with_intervals(result: Result) -> dict[str, Any]:
     extents: dict[str, dict[str, list[float]]] = {}
     for m in result.measurements:
         if m.quantity in EXTENTS and m.value is not None and m.stack is not None:
-            extents.setdefault(m.quantity, {})[m.stack] = [m.value, *(m.interval95 or (m.value, m.value))]
-    halo = [m for m in result.find("halo_diameter") if m.value is not None and m.interval95 is not None]
+            extents.setdefault(m.quantity, {})[m.stack] = [
+                m.value,
+                *(m.interval95 or (m.value, m.value)),
+            ]
+    halo = [
+        m for m in result.find("halo_diameter") if m.value is not None and m.interval95 is not None
+    ]
     line = [halo[0].value, *halo[0].interval95] if halo and halo[0].interval95 else None
     return {"measured": extents, "halo_px": line}
 
 
 def _predict_diameters(data: dict[str, Any], result: Result) -> dict[str, Any] | None:
-    """Return the diameters predicted by the fitted spread at every overload, by quantity [2.5 %, median, 97.5 %]."""
+    """Return the diameters predicted by the fitted spread at every overload, by quantity [2.5 %,
+    median, 97.5 %].
+    """
     if not data.get("overload_known"):
         return None
     posteriors = [m.posterior for m in result.find("halo_diameter") if m.posterior is not None]
@@ -182,12 +231,16 @@ def _predict_diameters(data: dict[str, Any], result: Result) -> dict[str, Any] |
     light = np.array(data["overload"], float)
     overload = np.geomspace(light.min(), light.max(), 120)
     levels = _threshold_fractions(data, _background_fraction(data, result, overload))
-    found = {quantity: _diameters(density, radius, overload, level) for quantity, level in levels.items()}
+    found = {
+        quantity: _diameters(density, radius, overload, level) for quantity, level in levels.items()
+    }
     return {"overload": overload.tolist(), **found}
 
 
 def _background_fraction(data: dict[str, Any], result: Result, overload: NDArray) -> NDArray:
-    """Return the fitted background at every overload, as a fraction of full scale, both above dark; 0 without fit."""
+    """Return the fitted background at every overload, as a fraction of full scale, both above dark;
+    0 without fit.
+    """
     dark, full = float(np.median(data["dark_dn"])), float(np.median(data["full_scale_dn"]))
     fitted = result.evidence.get("point-profile", {})
     light = dict(zip(data["label"], data["overload"], strict=True))
@@ -200,7 +253,9 @@ def _background_fraction(data: dict[str, Any], result: Result, overload: NDArray
 
 
 def _threshold_fractions(data: dict[str, Any], background: NDArray) -> dict[str, NDArray]:
-    """Return the thresholds above background at every overload, as fractions of full scale above dark."""
+    """Return the thresholds above background at every overload, as fractions of full scale above
+    dark.
+    """
     levels = {"bloom_diameter": 0.5 - background, "bloom_diameter_clip": 1.0 - background}
     faint = data.get("background_dn")
     if isinstance(faint, int | float) or (isinstance(faint, list) and any(faint)):
@@ -208,8 +263,12 @@ def _threshold_fractions(data: dict[str, Any], background: NDArray) -> dict[str,
     return {name: level for name, level in levels.items() if (level > 0).all()}
 
 
-def _diameters(density: NDArray, radius: NDArray, overload: NDArray, level: NDArray) -> list[list[float]]:
-    """Return the diameters at which the signal falls to a threshold, 2.5, 50 and 97.5 % of the draws."""
+def _diameters(
+    density: NDArray, radius: NDArray, overload: NDArray, level: NDArray
+) -> list[list[float]]:
+    """Return the diameters at which the signal falls to a threshold, 2.5, 50 and 97.5 % of the
+    draws.
+    """
     out = np.empty((len(density), len(overload)))
     for number, one in enumerate(density):
         # At overload 1 the peak is 1.
@@ -219,7 +278,9 @@ def _diameters(density: NDArray, radius: NDArray, overload: NDArray, level: NDAr
     return [np.nanquantile(out, share, axis=0).tolist() for share in (0.025, 0.5, 0.975)]
 
 
-def _bloom_frame_data(session: Session, data: dict[str, Any], result: Result) -> dict[str, Any] | None:
+def _bloom_frame_data(
+    session: Session, data: dict[str, Any], result: Result
+) -> dict[str, Any] | None:
     """Return the mean frames of the stacks of a series with the annotations."""
     by_label = {entry.label: entry for entry in session.of_kind("point")}
     labels = [label for label in data["label"] if label in by_label]
@@ -228,10 +289,16 @@ def _bloom_frame_data(session: Session, data: dict[str, Any], result: Result) ->
     frames = [_mean(by_label[label]) for label in labels]
     number = [data["label"].index(label) for label in labels]
     place = _source_position(frames, float(np.median(data["dark_dn"])))
-    rows, cols = (data.get(key) or [at] * len(data["label"]) for key, at in zip(("row", "col"), place, strict=True))
+    rows, cols = (
+        data.get(key) or [at] * len(data["label"])
+        for key, at in zip(("row", "col"), place, strict=True)
+    )
     extents = {
         key: [(data["measured"].get(quantity, {}).get(label) or [None])[0] for label in labels]
-        for key, quantity in (("bloom_diameter_px", "bloom_diameter"), ("streak_length_px", "streak_length"))
+        for key, quantity in (
+            ("bloom_diameter_px", "bloom_diameter"),
+            ("streak_length_px", "streak_length"),
+        )
     }
     from charact.report.report_images import aspect_of
 
@@ -261,14 +328,17 @@ def _source_position(frames: list[NDArray], dark_dn: float) -> tuple[float, floa
     return float((rows * over).sum() / over.sum()), float((cols * over).sum() / over.sum())
 
 
-def write_bloom_map(session: Session, result: Result, context: Context, *, label: str | None, path: Path) -> None:
+def write_bloom_map(
+    session: Session, result: Result, context: Context, *, label: str | None, path: Path
+) -> None:
     """Write the bloom map of a stack of a session.
 
-    `session`, `result`: the session and its result by `charact.bloom.measure`; `context`: seed, full scale and pitches;
-    `label`: stack; None: the scene, else the brightest point source; `path`: a .png file with the frame, the map and
-    its standard deviation, or an .npz file with the arrays `signal_dn`, `fraction`, `sd`, `blooming_dn`, `clipped` and
-    `near_border`, shape (row, col), and the number `near_px`. Raises BadInput if the file is of another kind, there is
-    no such stack, or the result has no halo.
+    `session`, `result`: the session and its result by `charact.bloom.measure`; `context`: seed,
+    full scale and pitches; `label`: stack; None: the scene, else the brightest point source;
+    `path`: a .png file with the frame, the map and its standard deviation, or an .npz file with the
+    arrays `signal_dn`, `fraction`, `sd`, `blooming_dn`, `clipped` and `near_border`, shape (row,
+    col), and the number `near_px`. Raises BadInput if the file is of another kind, there is no such
+    stack, or the result has no halo.
     """
     if path.suffix.lower() not in (".png", ".npz"):
         raise BadInput(f"--map must name a .png or .npz file, got {path.name!r}")
@@ -278,9 +348,15 @@ def write_bloom_map(session: Session, result: Result, context: Context, *, label
     content = io.BytesIO()
     if path.suffix.lower() == ".npz":
         np.savez_compressed(
-            content, signal_dn=signal.astype(np.float32), fraction=found.fraction, sd=found.sd,
-            blooming_dn=found.blooming_dn, clipped=found.clipped, near_border=found.near_border, near_px=found.near_px,
-        )  # fmt: skip
+            content,
+            signal_dn=signal.astype(np.float32),
+            fraction=found.fraction,
+            sd=found.sd,
+            blooming_dn=found.blooming_dn,
+            clipped=found.clipped,
+            near_border=found.near_border,
+            near_px=found.near_px,
+        )
         write_atomically(path, content.getbuffer())
         return
     from charact.report.style import white_style

@@ -14,13 +14,21 @@ from labdata.session import LoadedStackEntry, Session
 
 ROWS, CONDITIONS, OUTCOMES = 20, 6, 36  # Most lines of a summary
 NAME, COLUMNS = 33, 100  # Width of a name and of a row of a table
-STATUS = {"pass": "ok", "fail": "refused", "undecided": "suspect"}  # Colour of a verdict in the report
+STATUS = {
+    "pass": "ok",
+    "fail": "refused",
+    "undecided": "suspect",
+}  # Colour of a verdict in the report
 
 
 def comparison_text(
-    comparison: Comparison, *, names: tuple[str, str], sessions: tuple[Session, Session], everything: bool = False,
+    comparison: Comparison,
+    *,
+    names: tuple[str, str],
+    sessions: tuple[Session, Session],
+    everything: bool = False,
     width: int = 100,
-) -> str:  # fmt: skip
+) -> str:
     """Return a comparison as text, without `everything` at most 40 lines.
 
     Parameters
@@ -37,8 +45,11 @@ def comparison_text(
     rows = list(_rows(comparison.differences, everything))
     hidden = [one for one in comparison.differences if all(one is not shown for _, shown in rows)]
     lines = [f"compare: {len(comparison.differences)} quantities with a value in both"]
-    lines += [line for letter, name, one in zip("AB", names, sessions, strict=True)
-              for line in _wrapped(f"{letter}  {_session_text(name, one)}", "   ", width, 1)]  # fmt: skip
+    lines += [
+        line
+        for letter, name, one in zip("AB", names, sessions, strict=True)
+        for line in _wrapped(f"{letter}  {_session_text(name, one)}", "   ", width, 1)
+    ]
     lines += _condition_lines(comparison, everything, width)
     head = f"{'A':>12} {'B':>12} {'P(B better)':>11}   B {MINUS} A, ± is 95 %"
     lines.append(f"{'':<{NAME}} {head}")
@@ -51,13 +62,25 @@ def comparison_text(
 def _footer(comparison: Comparison, hidden: Sequence[Difference], width: int) -> list[str]:
     """Return what is not shown, and the meaning of the table."""
     excluding = sum(one.excludes_zero for one in hidden)
-    left = [f"{len(hidden)} differences, {excluding} of them with zero outside the interval (--all)"] if hidden else []
-    left += [f"{count} values only in {side}" for side, count in zip("AB", comparison.unmatched, strict=True) if count]
+    left = (
+        [f"{len(hidden)} differences, {excluding} of them with zero outside the interval (--all)"]
+        if hidden
+        else []
+    )
+    left += [
+        f"{count} values only in {side}"
+        for side, count in zip("AB", comparison.unmatched, strict=True)
+        if count
+    ]
     lines = _wrapped(f"Not shown: {'; '.join(left)}", "    ", width, 2) if left else []
-    excluding, total = sum(one.excludes_zero for one in comparison.differences), len(comparison.differences)
+    excluding, total = (
+        sum(one.excludes_zero for one in comparison.differences),
+        len(comparison.differences),
+    )
     meaning = (
-        f"( ): P(B > A), where no direction is better; !: suspect; (of N): the largest difference of N. Zero lies "
-        f"outside the 95 % interval of {excluding} of {total}; for equal cameras about 5 %."
+        "( ): P(B > A), where no direction is better; !: suspect; (of N): the largest difference "
+        f"of N. Zero lies outside the 95 % interval of {excluding} of {total}; for equal cameras "
+        "about 5 %."
     )
     return lines + _wrapped(meaning, "    ", width, 3)
 
@@ -70,10 +93,14 @@ def _session_text(name: str, session: Session) -> str:
 
 
 def _condition_lines(comparison: Comparison, everything: bool, width: int) -> list[str]:
-    """Return the conditions that differ side by side, equal pairs of values of several stacks in one line."""
+    """Return the conditions that differ side by side, equal pairs of values of several stacks in
+    one line.
+    """
     groups: dict[tuple[str, str, str, bool], list[ConditionPair]] = {}
     for pair in comparison.conditions:
-        groups.setdefault((pair.name, short_text(pair.a), short_text(pair.b), pair.unlike), []).append(pair)
+        groups.setdefault(
+            (pair.name, short_text(pair.a), short_text(pair.b), pair.unlike), []
+        ).append(pair)
     matched = f"{comparison.stacks} matched stacks"
     if not groups:
         return [f"Conditions: alike in {matched}"]
@@ -83,14 +110,18 @@ def _condition_lines(comparison: Comparison, everything: bool, width: int) -> li
         labels = [pair.stack for pair in pairs if pair.stack is not None]
         where = f" of {', '.join(labels[:4])}" if labels else ""
         where += f" and {len(labels) - 4} more" if len(labels) > 4 else ""
-        lines += _wrapped(f"  {name} {a} | {b}{where}{' (unlike)' if unlike else ''}", "    ", width, 1)
+        lines += _wrapped(
+            f"  {name} {a} | {b}{where}{' (unlike)' if unlike else ''}", "    ", width, 1
+        )
     if not everything and len(order) > CONDITIONS:
         lines.append(f"  and {len(order) - CONDITIONS} more (--all)")
     return lines
 
 
 def _rows(differences: Sequence[Difference], everything: bool) -> Iterator[tuple[str, Difference]]:
-    """Yield name and difference of each row: the leading quantities, of a series that with the largest difference."""
+    """Yield name and difference of each row: the leading quantities, of a series that with the
+    largest difference.
+    """
     groups: dict[tuple[str, str], list[Difference]] = {}
     for one in differences:
         groups.setdefault((one.a.quantity, one.a.unit), []).append(one)
@@ -119,7 +150,9 @@ def _distance(one: Difference) -> float:
 
 
 def _name(m: Measurement | Outcome, among: Sequence[Measurement | Outcome]) -> str:
-    """Return quantity, stack, frequency and direction, and the method if another has the same place."""
+    """Return quantity, stack, frequency and direction, and the method if another has the same
+    place.
+    """
 
     def place(one: Measurement | Outcome) -> tuple[object, ...]:
         direction = None if one.orientation_deg is None else round(one.orientation_deg)
@@ -128,7 +161,10 @@ def _name(m: Measurement | Outcome, among: Sequence[Measurement | Outcome]) -> s
     parts = [m.quantity]
     parts += [m.stack] if m.stack else []
     parts += [f"at {m.frequency_cy_per_px:.3g} cy/px"] if m.frequency_cy_per_px is not None else []
-    if m.orientation_deg is not None and len({one.orientation_deg for one in among if one.stack == m.stack}) > 1:
+    if (
+        m.orientation_deg is not None
+        and len({one.orientation_deg for one in among if one.stack == m.stack}) > 1
+    ):
         parts.append(f"{m.orientation_deg:.0f}°")
     if m.method and len({one.method for one in among if place(one) == place(m)}) > 1:
         parts.append(m.method)
@@ -136,9 +172,14 @@ def _name(m: Measurement | Outcome, among: Sequence[Measurement | Outcome]) -> s
 
 
 def _line(name: str, one: Difference) -> str:
-    """Return name, both values, probability, a mark if suspect, and the difference with its unit."""
+    """Return name, both values, probability, a mark if suspect, and the difference with its
+    unit.
+    """
     values = f"{value_text(one.a):>12} {value_text(one.b):>12}"
-    return f"{_cut(name):<{NAME}} {values} {_probability(one):>11} {'!' if one.flags else ' '} {_difference_text(one)}"
+    return (
+        f"{_cut(name):<{NAME}} {values} {_probability(one):>11} {'!' if one.flags else ' '} "
+        f"{_difference_text(one)}"
+    )
 
 
 def _difference_text(one: Difference) -> str:
@@ -151,13 +192,17 @@ def _difference_text(one: Difference) -> str:
     if one.difference == 0.0 and up == down:
         return f"0 ± {round_to_spread(up, up / 2.0)}{unit}"
     ends = one.difference - down, one.difference + up
-    number = plus_minus(make_measurement(one.a.quantity, one.a.unit, one.difference, None, ends, method=""))
+    number = plus_minus(
+        make_measurement(one.a.quantity, one.a.unit, one.difference, None, ends, method="")
+    )
     sign = "+" if one.difference > 0.0 else ""
     return (f"({sign}{number[1:]}" if number.startswith("(") else f"{sign}{number}") + unit
 
 
 def _probability(one: Difference) -> str:
-    """Return the probability that B is better, in brackets that it is greater where no direction is better."""
+    """Return the probability that B is better, in brackets that it is greater where no direction is
+    better.
+    """
     better = one.probability_better
     value = one.probability_greater if better is None else better
     if value is None:
@@ -179,23 +224,36 @@ def _flag_lines(shown: Iterable[Difference], width: int) -> list[str]:
 
 
 def check_text(checked: LimitCheck, *, session: str, width: int = 100) -> str:
-    """Return the verdicts as text of at most 40 lines of `width` columns, those that do not pass first."""
-    counts = ", ".join(f"{len(checked.of(v))} {v}" for v in ("pass", "fail", "undecided") if checked.of(v))
+    """Return the verdicts as text of at most 40 lines of `width` columns, those that do not pass
+    first.
+    """
+    counts = ", ".join(
+        f"{len(checked.of(v))} {v}" for v in ("pass", "fail", "undecided") if checked.of(v)
+    )
     lines = _wrapped(f"check of {session} against {checked.name}", "    ", width, 2)
     lines.append(f"Verdict: {checked.verdict} ({counts})")
     lines.append(f"{'':<10} {'':<{NAME}} {'limits':<22} value, 95 %")
-    order = sorted(checked.outcomes, key=lambda one: ("fail", "undecided", "pass").index(one.verdict))
+    order = sorted(
+        checked.outcomes, key=lambda one: ("fail", "undecided", "pass").index(one.verdict)
+    )
     shown = 0
     for one in order:
         row = outcome_row(one, checked.outcomes)
-        rows = [f"{one.verdict:<10} {_cut(row['name']):<{NAME}} {row['limits']:<22} {row['value']}"[:COLUMNS]]
+        rows = [
+            f"{one.verdict:<10} {_cut(row['name']):<{NAME}} {row['limits']:<22} {row['value']}"[
+                :COLUMNS
+            ]
+        ]
         rows += _wrapped(f"           {one.reason}", "", width, 1) if one.reason else []
         if len(lines) + len(rows) > OUTCOMES:
             break
         lines, shown = lines + rows, shown + 1
     if shown < len(order):
         left = Counter(one.verdict for one in order[shown:])
-        lines.append(f"Not shown: {', '.join(f'{count} {verdict}' for verdict, count in left.items())} (--json)")
+        lines.append(
+            f"Not shown: {', '.join(f'{count} {verdict}' for verdict, count in left.items())} "
+            f"(--json)"
+        )
     return "\n".join(lines)
 
 
@@ -203,16 +261,26 @@ def outcome_row(one: Outcome, among: Sequence[Outcome]) -> dict[str, str]:
     """Return name, limits, value, verdict and reason of an outcome as text."""
     unit = "" if one.unit == "1" else f" {one.unit}"
     ends = [None if end is None else short_text(float(end)) for end in (one.min, one.max)]
-    limits = f"{ends[0]} … {ends[1]}" if None not in ends else f"≥ {ends[0]}" if ends[1] is None else f"≤ {ends[1]}"
+    limits = (
+        f"{ends[0]} … {ends[1]}"
+        if None not in ends
+        else f"≥ {ends[0]}"
+        if ends[1] is None
+        else f"≤ {ends[1]}"
+    )
     value = "—"
     if one.value is not None:
         of = make_measurement(one.quantity, one.unit, one.value, None, one.interval95, method="")
         value = plus_minus(of) + unit
     own = [other for other in among if (other.quantity, other.unit) == (one.quantity, one.unit)]
     return {
-        "name": _name(one, own), "limits": limits + unit, "value": value, "verdict": one.verdict,
-        "status": STATUS[one.verdict], "reason": one.reason,
-    }  # fmt: skip
+        "name": _name(one, own),
+        "limits": limits + unit,
+        "value": value,
+        "verdict": one.verdict,
+        "status": STATUS[one.verdict],
+        "reason": one.reason,
+    }
 
 
 def limits_section(session: Session) -> dict[str, Any] | None:
@@ -234,5 +302,10 @@ def _wrapped(text: str, indent: str, width: int, most: int) -> list[str]:
     """Return text in lines of a width, cut after `most` of them with an ellipsis."""
     first = text[: len(text) - len(text.lstrip())]
     return textwrap.wrap(
-        text.strip(), width, initial_indent=first, subsequent_indent=indent, max_lines=most, placeholder=" …"
+        text.strip(),
+        width,
+        initial_indent=first,
+        subsequent_indent=indent,
+        max_lines=most,
+        placeholder=" …",
     )

@@ -19,19 +19,39 @@ FRAME = 'fill="none" stroke="currentColor" stroke-width=".8"'
 # Left, top, width and height of a panel, points.
 Panel = tuple[float, float, float, float]
 # Suffixes of parameter names that repeat the unit.
-UNIT_SUFFIXES = {"cy/px": "_cy_per_px", "DN": "_dn", "px": "_px", "deg": "_deg", "e-": "_e", "DN2": "_dn2", "pe": "_pe"}
+UNIT_SUFFIXES = {
+    "cy/px": "_cy_per_px",
+    "DN": "_dn",
+    "px": "_px",
+    "deg": "_deg",
+    "e-": "_e",
+    "DN2": "_dn2",
+    "pe": "_pe",
+}
 
 
 def corner_svg(posterior: Posterior, title: str) -> str:
     """Return the corner plot of a posterior as SVG; at most five parameters that vary are shown."""
     shown = varying(posterior)
-    width, height = MARGIN + GAP + SIDE * max(len(shown), 1), MARGIN + 0.92 * SIDE * max(len(shown), 1)
-    parts = [Label("No parameter varies.", width / 2, height / 2, 9.0).svg(height)] if not shown else []
+    width, height = (
+        MARGIN + GAP + SIDE * max(len(shown), 1),
+        MARGIN + 0.92 * SIDE * max(len(shown), 1),
+    )
+    parts = (
+        [Label("No parameter varies.", width / 2, height / 2, 9.0).svg(height)] if not shown else []
+    )
     for line in range(len(shown)):
         for column in range(line + 1):
-            panel = (MARGIN + SIDE * column, 4.0 + 0.92 * SIDE * line, SIDE - GAP, 0.92 * SIDE - GAP)
+            panel = (
+                MARGIN + SIDE * column,
+                4.0 + 0.92 * SIDE * line,
+                SIDE - GAP,
+                0.92 * SIDE - GAP,
+            )
             parts.append(_cell(posterior, shown, (line, column), panel))
-    head = svg_head(f'<svg viewBox="0 0 {width:g} {height:g}"', f"Corner plot of the posterior of {title}")
+    head = svg_head(
+        f'<svg viewBox="0 0 {width:g} {height:g}"', f"Corner plot of the posterior of {title}"
+    )
     return f'{head}<g fill="currentColor">{"".join(parts)}</g></svg>'
 
 
@@ -39,14 +59,20 @@ def varying(posterior: Posterior) -> tuple[int, ...]:
     """Return the indices of at most five finite parameters that vary, quantities first."""
     draws = posterior.draws
     good = (
-        np.isfinite(draws).all(axis=0) & (np.ptp(draws, axis=0) > 0) if len(draws) else np.zeros(draws.shape[1], bool)
+        np.isfinite(draws).all(axis=0) & (np.ptp(draws, axis=0) > 0)
+        if len(draws)
+        else np.zeros(draws.shape[1], bool)
     )
-    order = sorted(np.flatnonzero(good).tolist(), key=lambda index: posterior.names[index] not in QUANTITIES)
+    order = sorted(
+        np.flatnonzero(good).tolist(), key=lambda index: posterior.names[index] not in QUANTITIES
+    )
     return tuple(sorted(order[:5]))
 
 
 def _cell(posterior: Posterior, shown: tuple[int, ...], cell: tuple[int, int], panel: Panel) -> str:
-    """Return one panel: a marginal on the diagonal, joint regions below it; labels at the left and the bottom only."""
+    """Return one panel: a marginal on the diagonal, joint regions below it; labels at the left and
+    the bottom only.
+    """
     line, column = cell
     left, top, width, height = panel
     x = posterior.draws[:, shown[column]]
@@ -54,24 +80,52 @@ def _cell(posterior: Posterior, shown: tuple[int, ...], cell: tuple[int, int], p
     across = _ticks(posterior.draws[:, shown[column]], low, high)
     places = [left + width * share for _, share in across]
     bottom = top + height
-    parts = [path_svg([step for at in places for step in (("M", at, bottom), ("L", at, bottom + 2))], FRAME)]
+    parts = [
+        path_svg(
+            [step for at in places for step in (("M", at, bottom), ("L", at, bottom + 2))], FRAME
+        )
+    ]
     if line == column:
-        parts += [_marginal(x, panel), path_svg([("M", left, bottom), ("L", left + width, bottom)], FRAME)]
+        parts += [
+            _marginal(x, panel),
+            path_svg([("M", left, bottom), ("L", left + width, bottom)], FRAME),
+        ]
     else:
         y = posterior.draws[:, shown[line]]
         parts.append(_joint(x, y, panel))
-        parts.append(path_svg([("M", left, top), ("L", left, bottom), ("L", left + width, bottom)], FRAME))
+        parts.append(
+            path_svg([("M", left, top), ("L", left, bottom), ("L", left + width, bottom)], FRAME)
+        )
         up = _ticks(y, *_limits(y))
         heights = [bottom - height * share for _, share in up]
-        parts.append(path_svg([step for at in heights for step in (("M", left - 2, at), ("L", left, at))], FRAME))
+        parts.append(
+            path_svg(
+                [step for at in heights for step in (("M", left - 2, at), ("L", left, at))], FRAME
+            )
+        )
         if column == 0:
-            labels = [Label(words, left - 4, -at, 6.5, "end") for (words, _), at in zip(up, heights, strict=True)]
-            labels.append(Label(parameter_label(posterior, shown[line]), 12.0, -(top + height / 2), 7.0, angle=90.0))
+            labels = [
+                Label(words, left - 4, -at, 6.5, "end")
+                for (words, _), at in zip(up, heights, strict=True)
+            ]
+            labels.append(
+                Label(
+                    parameter_label(posterior, shown[line]),
+                    12.0,
+                    -(top + height / 2),
+                    7.0,
+                    angle=90.0,
+                )
+            )
             parts += (label.svg(0.0) for label in labels)
     if line == len(shown) - 1:
-        labels = [Label(words, at + 2, -bottom - 7, 6.5, "end", 40.0)
-                  for (words, _), at in zip(across, places, strict=True)]  # fmt: skip
-        labels.append(Label(parameter_label(posterior, shown[column]), left + width / 2, -bottom - 33, 7.0))
+        labels = [
+            Label(words, at + 2, -bottom - 7, 6.5, "end", 40.0)
+            for (words, _), at in zip(across, places, strict=True)
+        ]
+        labels.append(
+            Label(parameter_label(posterior, shown[column]), left + width / 2, -bottom - 33, 7.0)
+        )
         parts += (label.svg(0.0) for label in labels)
     return "".join(parts)
 
@@ -90,8 +144,13 @@ def _marginal(values: NDArray[np.float64], panel: Panel) -> str:
     steps = [("M", left, top + height)]
     for number, count in enumerate(counts / (1.05 * max(counts.max(), 1))):
         level = top + height * (1.0 - count)
-        steps += [("L", left + width * number / BINS, level), ("L", left + width * (number + 1) / BINS, level)]
-    parts = [path_svg([*steps, ("L", left + width, top + height)], f'fill="{DATA}" fill-opacity=".6"')]
+        steps += [
+            ("L", left + width * number / BINS, level),
+            ("L", left + width * (number + 1) / BINS, level),
+        ]
+    parts = [
+        path_svg([*steps, ("L", left + width, top + height)], f'fill="{DATA}" fill-opacity=".6"')
+    ]
     for quantile, dashes in zip(QUANTILES, ("1 1.5", "3 1.5", "", "3 1.5", "1 1.5"), strict=True):
         at = left + width * (float(np.quantile(values, quantile)) - low) / (high - low)
         dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
@@ -119,13 +178,22 @@ def _joint(x: NDArray[np.float64], y: NDArray[np.float64], panel: Panel) -> str:
             steps = []
             for contour in find_contours(density, level):
                 columns, rows = place(*np.clip((contour.T - 0.5) / BINS, 0.0, 1.0))
-                steps += [("L" if n else "M", *at) for n, at in enumerate(zip(columns, rows, strict=True))]
-            parts.append(path_svg(steps, f'fill="{DATA}" fill-opacity="{opacity}" fill-rule="evenodd"'))
+                steps += [
+                    ("L" if n else "M", *at) for n, at in enumerate(zip(columns, rows, strict=True))
+                ]
+            parts.append(
+                path_svg(steps, f'fill="{DATA}" fill-opacity="{opacity}" fill-rule="evenodd"')
+            )
     else:
-        spots = [place((a - limits[0][0]) / np.ptp(limits[0]), (b - limits[1][0]) / np.ptp(limits[1]))
-                 for a, b in zip(x[::10], y[::10], strict=True)]  # fmt: skip
+        spots = [
+            place((a - limits[0][0]) / np.ptp(limits[0]), (b - limits[1][0]) / np.ptp(limits[1]))
+            for a, b in zip(x[::10], y[::10], strict=True)
+        ]
         parts += (f'<circle cx="{a:.1f}" cy="{b:.1f}" r="1" fill="{DATA}"/>' for a, b in spots)
-    medians = [(float(np.median(z)) - low) / (high - low) for z, (low, high) in zip((x, y), limits, strict=True)]
+    medians = [
+        (float(np.median(z)) - low) / (high - low)
+        for z, (low, high) in zip((x, y), limits, strict=True)
+    ]
     a, b = place(*medians)
     cross = [("M", a - 3.5, b), ("L", a + 3.5, b), ("M", a, b - 3.5), ("L", a, b + 3.5)]
     return "".join([*parts, path_svg(cross, f'stroke="{MODEL}"')])
@@ -134,7 +202,9 @@ def _joint(x: NDArray[np.float64], y: NDArray[np.float64], panel: Panel) -> str:
 def _smooth_counts(counts: NDArray[np.float64]) -> NDArray[np.float64]:
     """Smooth a histogram by about one bin, because the draws are few."""
     for axis in (0, 1):
-        counts = np.apply_along_axis(np.convolve, axis, counts, [0.05, 0.25, 0.4, 0.25, 0.05], "same")
+        counts = np.apply_along_axis(
+            np.convolve, axis, counts, [0.05, 0.25, 0.4, 0.25, 0.05], "same"
+        )
     return counts
 
 
@@ -142,16 +212,23 @@ def _density_levels(density: NDArray[np.float64], shares: tuple[float, ...]) -> 
     """Return the densities above which the given fractions of the draws lie."""
     ordered = np.sort(density.ravel())[::-1]
     held = np.cumsum(ordered) / ordered.sum()
-    return [float(ordered[min(int(np.searchsorted(held, share)), held.size - 1)]) for share in shares]
+    return [
+        float(ordered[min(int(np.searchsorted(held, share)), held.size - 1)]) for share in shares
+    ]
 
 
 def _ticks(draws: NDArray[np.float64], low: float, high: float) -> list[tuple[str, float]]:
-    """Return words and place, as a fraction of the axis, of two to four ticks; the label has the power of ten."""
+    """Return words and place, as a fraction of the axis, of two to four ticks; the label has the
+    power of ten.
+    """
     power = 10.0 ** _power(draws)
     step = 10.0 ** math.floor(math.log10((high - low) / 2.0))
     step *= max(factor for factor in (1.0, 2.0, 2.5, 5.0) if factor * step <= (high - low) / 2.0)
     values = np.arange(math.ceil(low / step), math.floor(high / step) + 1) * step
-    return [(f"{value / power:.6g}".replace("-", MINUS), (value - low) / (high - low)) for value in values.tolist()]
+    return [
+        (f"{value / power:.6g}".replace("-", MINUS), (value - low) / (high - low))
+        for value in values.tolist()
+    ]
 
 
 def _power(draws: NDArray[np.float64]) -> int:
@@ -167,4 +244,6 @@ def parameter_label(posterior: Posterior, index: int) -> str:
     power = _power(posterior.draws[:, index])
     scale = f"10{str(power).translate(SUPERSCRIPTS)}" if power else ""
     unit = unit if not power or unit != "1" else ""
-    return f"{words}\n({' '.join(part for part in (scale, unit) if part)})" if scale or unit else words
+    return (
+        f"{words}\n({' '.join(part for part in (scale, unit) if part)})" if scale or unit else words
+    )

@@ -10,12 +10,22 @@ from labdata.measurement import Result
 from labdata.result_io import to_json
 
 COLUMNS = (
-    "quantity", "unit", "value", "status", "method", "stack", "frequency_cy_per_px", "orientation_deg", "reason",
-)  # fmt: skip
+    "quantity",
+    "unit",
+    "value",
+    "status",
+    "method",
+    "stack",
+    "frequency_cy_per_px",
+    "orientation_deg",
+    "reason",
+)
 
 
 def table_of_files(results: Mapping[str, Result]) -> str:
-    """Return CSV: one line a measurement of each file or session, with the limits of its 95 % interval."""
+    """Return CSV: one line a measurement of each file or session, with the limits of its 95 %
+    interval.
+    """
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(("file", *COLUMNS, "region", "low95", "high95", "flags"))
@@ -23,7 +33,15 @@ def table_of_files(results: Mapping[str, Result]) -> str:
         for m in result.measurements:
             region = "" if m.region is None else ",".join(map(str, m.region))
             ends = m.interval95 or (None, None)
-            table.writerow((name, *(getattr(m, column) for column in COLUMNS), region, *ends, " ".join(m.flags)))
+            table.writerow(
+                (
+                    name,
+                    *(getattr(m, column) for column in COLUMNS),
+                    region,
+                    *ends,
+                    " ".join(m.flags),
+                )
+            )
     return text.getvalue()
 
 

@@ -40,7 +40,9 @@ class FrequencyUnit:
     rows: int | None = None  #: Rows of a frame
     focal_length_mm: float | None = None  #: Focal length, mm
     demagnification: float | None = None  #: Length at the photocathode over length at the detector
-    pitch_mrad: tuple[float, float] | None = None  #: Angle between rows and between columns, in place of lengths
+    pitch_mrad: tuple[float, float] | None = (
+        None  #: Angle between rows and between columns, in place of lengths
+    )
     two_way: bool = False  #: Whether edges are of every second line, of one direction of a scan
 
     def __post_init__(self) -> None:
@@ -57,46 +59,77 @@ class FrequencyUnit:
         if missing := [name for name in needs if held[name] is None]:
             remedies = " and ".join(options[name] for name in missing)
             raise BadInput(
-                f"--units {self.unit} needs a positive {' and '.join(missing)}: give {remedies}, or a sensor "
-                "description (--sensor, or sensor in session.toml)"
+                f"--units {self.unit} needs a positive {' and '.join(missing)}: give {remedies}, "
+                "or a sensor description (--sensor, or sensor in session.toml)"
             )
         if self.unit not in FREQUENCY_UNITS:
-            raise BadInput(f"a frequency unit must be one of {', '.join(FREQUENCY_UNITS)}, got {self.unit!r}")
+            raise BadInput(
+                f"a frequency unit must be one of {', '.join(FREQUENCY_UNITS)}, got {self.unit!r}"
+            )
 
     @classmethod
     def of(
-        cls, sensor: Sensor | SolidStateCamera | InfraredImager | None, *, unit: str, rows: int | None = None,
-        sample_pitch_px: int = 1, pitch_um: float | None = None, demagnification: float | None = None,
+        cls,
+        sensor: Sensor | SolidStateCamera | InfraredImager | None,
+        *,
+        unit: str,
+        rows: int | None = None,
+        sample_pitch_px: int = 1,
+        pitch_um: float | None = None,
+        demagnification: float | None = None,
         focal_length_mm: float | None = None,
-    ) -> "FrequencyUnit":  # fmt: skip
-        """Return a unit whose missing lengths come from a description; samples lie `sample_pitch_px` pixels apart."""
+    ) -> "FrequencyUnit":
+        """Return a unit whose missing lengths come from a description; samples lie
+        `sample_pitch_px` pixels apart.
+        """
         pitch_y_um = pitch_um
         if isinstance(sensor, InfraredImager):
             array, lens_mm = sensor.array, sensor.optics.focal_length_mm
             pitch_um = float(array.pitch_um) if pitch_um is None and array is not None else pitch_um
             return cls(
-                unit=unit, pitch_x_um=pitch_um, rows=rows, demagnification=demagnification,
-                focal_length_mm=float(lens_mm) if focal_length_mm is None and lens_mm is not None else focal_length_mm,
-                pitch_mrad=None if focal_length_mm else sensor.pitch_mrad, two_way=sensor.scanner is not None,
-            )  # fmt: skip
+                unit=unit,
+                pitch_x_um=pitch_um,
+                rows=rows,
+                demagnification=demagnification,
+                focal_length_mm=float(lens_mm)
+                if focal_length_mm is None and lens_mm is not None
+                else focal_length_mm,
+                pitch_mrad=None if focal_length_mm else sensor.pitch_mrad,
+                two_way=sensor.scanner is not None,
+            )
         if sensor is not None:
             if pitch_um is None:
                 pitch_um, pitch_y_um = float(sensor.ccd.pitch_x_um), float(sensor.ccd.pitch_y_um)
             if demagnification is None and isinstance(sensor, Sensor):
-                demagnification = float(sensor.taper.demagnification) / float(sensor.tube.magnification)
+                demagnification = float(sensor.taper.demagnification) / float(
+                    sensor.tube.magnification
+                )
             if focal_length_mm is None:
                 focal_length_mm = float(sensor.optics.focal_length_mm)
-        pitch_x_um, pitch_y_um = (None if one is None else sample_pitch_px * one for one in (pitch_um, pitch_y_um))
+        pitch_x_um, pitch_y_um = (
+            None if one is None else sample_pitch_px * one for one in (pitch_um, pitch_y_um)
+        )
         return cls(
-            unit=unit, pitch_x_um=pitch_x_um, pitch_y_um=pitch_y_um, rows=rows, focal_length_mm=focal_length_mm,
+            unit=unit,
+            pitch_x_um=pitch_x_um,
+            pitch_y_um=pitch_y_um,
+            rows=rows,
+            focal_length_mm=focal_length_mm,
             demagnification=demagnification,
-        )  # fmt: skip
+        )
 
-    def __call__(self, frequency_cy_per_px: float, measurement: Measurement | None = None) -> tuple[float, str]:
+    def __call__(
+        self, frequency_cy_per_px: float, measurement: Measurement | None = None
+    ) -> tuple[float, str]:
         """Return the frequency of a measurement in this unit, and the unit."""
         by_rows = measurement is not None and counts_rows(measurement)
         lines = tuple(f"lines {direction}" for direction in DIRECTIONS)
-        if self.two_way and by_rows and measurement is not None and (measurement.stack or "").endswith(lines):
+        if (
+            self.two_way
+            and by_rows
+            and measurement is not None
+            and (measurement.stack or "").endswith(lines)
+        ):
             frequency_cy_per_px *= 0.5
         if self.pitch_mrad and self.unit in ANGLES:
             per_mrad = frequency_cy_per_px / self.pitch_mrad[0 if by_rows else 1]
@@ -105,17 +138,21 @@ class FrequencyUnit:
         ratio = 1.0 if not self.pitch_x_um or not pitch_y_um else pitch_y_um / self.pitch_x_um
         height = None if self.rows is None else self.rows * (1.0 if by_rows else ratio)
         value = convert_frequency(
-            frequency_cy_per_px, self.unit, pitch_um=pitch_y_um if by_rows else self.pitch_x_um,
-            picture_height_px=height, focal_length_mm=self.focal_length_mm, demagnification=self.demagnification,
-        )  # fmt: skip
+            frequency_cy_per_px,
+            self.unit,
+            pitch_um=pitch_y_um if by_rows else self.pitch_x_um,
+            picture_height_px=height,
+            focal_length_mm=self.focal_length_mm,
+            demagnification=self.demagnification,
+        )
         return value, self.unit
 
 
 def counts_rows(measurement: Measurement) -> bool:
     """Return whether a measurement's cycles per pixel are cycles per row pitch.
 
-    Edge methods and the MRTD of an edge count pixels of the axis nearest to the edge's normal; all others count column
-    pitches.
+    Edge methods and the MRTD of an edge count pixels of the axis nearest to the edge's normal; all
+    others count column pitches.
     """
     normal = measurement.orientation_deg
     return (

@@ -10,7 +10,8 @@ SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
 def round_to_spread(value: float, spread: float | None = None) -> str:
-    """Return a number with two digits of its standard uncertainty, or four significant digits if that is unknown.
+    """Return a number with two digits of its standard uncertainty, or four significant digits if
+    that is unknown.
 
     An uncertainty of None, 0 or not finite is unknown.
     """
@@ -19,7 +20,9 @@ def round_to_spread(value: float, spread: float | None = None) -> str:
 
 
 def _format(value: float, spread: float | None) -> tuple[int, int]:
-    """Return the power of ten to factor out (0: none) and the digits after the point, for a value and uncertainty."""
+    """Return the power of ten to factor out (0: none) and the digits after the point, for a value
+    and uncertainty.
+    """
     if not math.isfinite(value):
         return 0, 0
     known = spread is not None and math.isfinite(spread) and spread > 0
@@ -50,7 +53,9 @@ def _with_power(text: str, exponent: int) -> str:
 
 
 def spread_of(measurement: Measurement) -> float | None:
-    """Return the standard uncertainty: half the 68 % interval, else a quarter of the 95 % interval."""
+    """Return the standard uncertainty: half the 68 % interval, else a quarter of the 95 %
+    interval.
+    """
     for interval, scale in ((measurement.interval68, 2.0), (measurement.interval95, 4.0)):
         if interval is not None:
             return (interval[1] - interval[0]) / scale
@@ -69,7 +74,11 @@ def quantity_title(m: Measurement) -> str:
 
 def value_text(measurement: Measurement) -> str:
     """Return the value of a measurement as text; an em dash if refused."""
-    return "—" if measurement.value is None else round_to_spread(measurement.value, spread_of(measurement))
+    return (
+        "—"
+        if measurement.value is None
+        else round_to_spread(measurement.value, spread_of(measurement))
+    )
 
 
 def interval_text(measurement: Measurement, interval: Interval | None) -> str:

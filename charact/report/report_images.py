@@ -31,7 +31,9 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True)
 class ReportImage:
-    """A frame for the page: JPEG as base64, size of the frame, px, row pitch over column pitch, and regions to show."""
+    """A frame for the page: JPEG as base64, size of the frame, px, row pitch over column pitch, and
+    regions to show.
+    """
 
     title: str
     caption: str
@@ -43,13 +45,16 @@ class ReportImage:
 
 
 def grey_limits(frame: NDArray) -> tuple[float, float]:
-    """Return the grey values shown as black and white: percentiles 0.5 and 99.8, at least 1 DN apart."""
+    """Return the grey values shown as black and white: percentiles 0.5 and 99.8, at least 1 DN
+    apart.
+    """
     low, high = np.percentile(frame, [0.5, 99.8])
     return float(low), float(max(high, low + 1))
 
 
 def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> str:
-    """Return a frame (row, col) as a grey JPEG in base64; a large frame is averaged over blocks of pixels.
+    """Return a frame (row, col) as a grey JPEG in base64; a large frame is averaged over blocks of
+    pixels.
 
     `limits`: values shown as black and white, in the frame's unit.
     """
@@ -57,7 +62,11 @@ def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> s
 
     step = -(-max(frame.shape) // 720)
     rows, cols = (size // step * step for size in frame.shape)
-    small = np.asarray(frame, float)[:rows, :cols].reshape(rows // step, step, cols // step, step).mean(axis=(1, 3))
+    small = (
+        np.asarray(frame, float)[:rows, :cols]
+        .reshape(rows // step, step, cols // step, step)
+        .mean(axis=(1, 3))
+    )
     low, high = limits
     grey = np.clip((small - low) / (high - low) * 255, 0, 255).astype(np.uint8)
     held = BytesIO()
@@ -65,25 +74,39 @@ def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> s
     return base64.b64encode(held.getvalue()).decode("ascii")
 
 
-def image_of(frame: NDArray, title: str, caption: str = "", *, unit: str = "DN", aspect: float = 1.0) -> ReportImage:
+def image_of(
+    frame: NDArray, title: str, caption: str = "", *, unit: str = "DN", aspect: float = 1.0
+) -> ReportImage:
     """Return an image of one frame, shape (row, col), with its grey scale in the caption."""
     low, high = grey_limits(frame)
     caption = f"{caption} Black {low:.4g} {unit}, white {high:.4g} {unit}.".strip()
     rows, cols = frame.shape
     return ReportImage(
-        title=title, caption=caption, data=as_jpeg(frame, (low, high)), rows=rows, cols=cols, aspect=aspect
+        title=title,
+        caption=caption,
+        data=as_jpeg(frame, (low, high)),
+        rows=rows,
+        cols=cols,
+        aspect=aspect,
     )
 
 
-def representative(session: Session, measurements: Sequence[Measurement]) -> tuple[ReportImage, ...]:
+def representative(
+    session: Session, measurements: Sequence[Measurement]
+) -> tuple[ReportImage, ...]:
     """Return the central frame of the brightest stack of each kind."""
     kinds = dict.fromkeys(entry.kind for entry in session.stacks)
-    chosen = [_brightest_stack([entry for entry in session.stacks if entry.kind == kind]) for kind in kinds]
+    chosen = [
+        _brightest_stack([entry for entry in session.stacks if entry.kind == kind])
+        for kind in kinds
+    ]
     return tuple(_picture(session, entry, measurements) for entry in chosen)
 
 
 def _brightest_stack(entries: Sequence[StackEntry]) -> StackEntry:
-    """Return the first stack with the most light by its conditions, else by the mean of its frames."""
+    """Return the first stack with the most light by its conditions, else by the mean of its
+    frames.
+    """
     for light in (lambda conditions: conditions.photons_per_px, _lux_s):
         stated = [light(entry.conditions) for entry in entries]
         if all(amount is not None for amount in stated):
@@ -94,10 +117,16 @@ def _brightest_stack(entries: Sequence[StackEntry]) -> StackEntry:
 def _lux_s(conditions: Conditions) -> float | None:
     """Return illuminance times exposure or gate time, lux s; None if unknown."""
     open_s = conditions.exposure_s if conditions.gate_ns is None else 1e-9 * conditions.gate_ns
-    return None if conditions.illuminance_lux is None or open_s is None else conditions.illuminance_lux * open_s
+    return (
+        None
+        if conditions.illuminance_lux is None or open_s is None
+        else conditions.illuminance_lux * open_s
+    )
 
 
-def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measurement]) -> ReportImage:
+def _picture(
+    session: Session, entry: StackEntry, measurements: Sequence[Measurement]
+) -> ReportImage:
     stack = entry.read()
     middle = len(stack) // 2
     frame, caption = stack.data[middle], f"Frame {middle + 1} of {len(stack)}."
@@ -106,15 +135,19 @@ def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measure
         row, col, height, width = bright_region(stack.data.mean(axis=0))
         caption += f" Rows {row}–{row + height - 1}, cols {col}–{col + width - 1}."
     cut = frame[row : row + height, col : col + width]
-    found = image_of(cut, f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session))
+    found = image_of(
+        cut, f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session)
+    )
     whole = (height, width) == frame.shape
     return replace(found, boxes=_boxes(entry, measurements) if whole else ())
 
 
 def bright_region(mean: NDArray) -> tuple[int, int, int, int]:
-    """Return ROW, COL, HEIGHT, WIDTH around the bright part of a frame, shape (row, col), with a margin.
+    """Return ROW, COL, HEIGHT, WIDTH around the bright part of a frame, shape (row, col), with a
+    margin.
 
-    Bright pixels exceed the mean of the median and the 99.99 percentile; the region has the frame's proportions.
+    Bright pixels exceed the mean of the median and the 99.99 percentile; the region has the frame's
+    proportions.
     """
     half = (np.median(mean) + np.percentile(mean, 99.99)) / 2
     rows, cols = (np.flatnonzero((mean > half).any(axis=axis)) for axis in (1, 0))
@@ -135,7 +168,9 @@ def aspect_of(session: Session) -> float:
 
 
 def _boxes(entry: StackEntry, measurements: Sequence[Measurement]) -> tuple[Box, ...]:
-    """Return one box for each measured region of the stack, with the worst status of its measurements."""
+    """Return one box for each measured region of the stack, with the worst status of its
+    measurements.
+    """
     worst: dict[tuple[int, int, int, int], Measurement] = {}
     order = ("ok", "suspect", "refused")
     for m in measurements:
@@ -145,4 +180,7 @@ def _boxes(entry: StackEntry, measurements: Sequence[Measurement]) -> tuple[Box,
                 worst[m.region] = m
     if not worst and entry.target.region is not None:
         return (Box(region=entry.target.region, status="", words="target"),)
-    return tuple(Box(region=region, status=m.status, words=f"{m.method}: {m.status}") for region, m in worst.items())
+    return tuple(
+        Box(region=region, status=m.status, words=f"{m.method}: {m.status}")
+        for region, m in worst.items()
+    )

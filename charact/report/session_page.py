@@ -44,7 +44,8 @@ def write(
     validation
         A `charact.validation.Validation`, or None.
     truth
-        True values by quantity (of a virtual bench), or None; see `charact.report.compare_with_truth`.
+        True values by quantity (of a virtual bench), or None; see
+        `charact.report.compare_with_truth`.
     pdf
         Also write a PDF next to it.
 
@@ -68,7 +69,11 @@ def write(
 
 
 def page(
-    session: Session, result: Result, *, validation: "Validation | None" = None, truth: Truth | None = None
+    session: Session,
+    result: Result,
+    *,
+    validation: "Validation | None" = None,
+    truth: Truth | None = None,
 ) -> str:
     """Return the report as HTML."""
     section = None
@@ -77,7 +82,10 @@ def page(
             from charact.report.validation import validation_section
 
             section = validation_section(validation, aspect_of(session))
-        figures = [figure_registry.figure_of(name, data) for name, data in add_extent_data(session, result).items()]
+        figures = [
+            figure_registry.figure_of(name, data)
+            for name, data in add_extent_data(session, result).items()
+        ]
         mtf_figures = mtf_svgs(session, result, truth)
     return _template("report.html.j2").render(
         session=session,
@@ -88,7 +96,10 @@ def page(
         groups=tables.quantity_groups(result),
         comparison=compare_with_truth(result, truth or {}),
         mtf_figures=mtf_figures,
-        figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
+        figures={
+            part: [f for f in figures if f.section == part]
+            for part in ("mtf", "noise", "bloom", "other")
+        },
         emva=emva_summary(result),
         pictures=representative(session, result.measurements),
         validation=section,
@@ -97,7 +108,9 @@ def page(
         sensor_rows=tables.sensor_rows(session.sensor) if session.sensor else (),
         sensor_facts=tables.sensor_facts(session.sensor) if session.sensor else (),
         overridden=[note for note in session.notes if note.startswith(OVERRIDDEN)],
-        left_out=list(dict.fromkeys(note for note in session.notes if not note.startswith(OVERRIDDEN))),
+        left_out=list(
+            dict.fromkeys(note for note in session.notes if not note.startswith(OVERRIDDEN))
+        ),
         provenance=tables.provenance(result.measurements),
         charted=tables.chart_rows(result),
     )
@@ -106,7 +119,9 @@ def page(
 def fragment(result: Result) -> str:
     """Return the table of quantities and the MTF figure as an HTML fragment, for a notebook."""
     return _template("fragment.html.j2").render(
-        groups=tables.quantity_groups(result), verdicts=tables.verdicts(result), mtf_figures=mtf_svgs(None, result)
+        groups=tables.quantity_groups(result),
+        verdicts=tables.verdicts(result),
+        mtf_figures=mtf_svgs(None, result),
     )
 
 
@@ -116,25 +131,35 @@ def _template(name: str) -> Any:
 
     loader = PackageLoader("charact.report", "templates")
     environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=loader,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     return environment.get_template(name)
 
 
 def posteriors(result: Result) -> list[dict[str, Any]]:
-    """Return corner plot and sampling diagnostics of every distinct posterior of the measurements."""
+    """Return corner plot and sampling diagnostics of every distinct posterior of the
+    measurements.
+    """
     owners: dict[tuple[Any, ...], tuple[str, Posterior]] = {}
     for m in result.measurements:
         if m.posterior is not None and len(m.posterior.draws):
             title = ", ".join(part for part in (m.method, m.stack) if part)
-            owners.setdefault((m.posterior.names, m.posterior.draws.tobytes()), (title, m.posterior))
+            owners.setdefault(
+                (m.posterior.names, m.posterior.draws.tobytes()), (title, m.posterior)
+            )
     return [
         {
             "title": title,
             "svg": corner_svg(posterior, title),
             "health": _health(posterior),
             "flags": [(flag, FLAGS[flag]) for flag in posterior.flags],
-            "left_out": [name for i, name in enumerate(posterior.names) if i not in varying(posterior)],
+            "left_out": [
+                name for i, name in enumerate(posterior.names) if i not in varying(posterior)
+            ],
         }
         for title, posterior in owners.values()
     ]
@@ -160,9 +185,11 @@ def write_pdf(html: str, out: Path) -> Path:
         from weasyprint import HTML
     except (ImportError, OSError) as error:
         raise BadInput(
-            f"--pdf needs WeasyPrint and Pango (pip install 'charact[pdf]'; apt install libpango-1.0-0 "
-            f"libpangoft2-1.0-0), got: {str(error).splitlines()[0]}"
+            "--pdf needs WeasyPrint and Pango (pip install 'charact[pdf]'; apt install "
+            f"libpango-1.0-0 libpangoft2-1.0-0), got: {str(error).splitlines()[0]}"
         ) from error
     # Expand all folds.
-    HTML(string=html.replace("<details", "<details open").replace("currentColor", PAPER_INK)).write_pdf(str(out))
+    HTML(
+        string=html.replace("<details", "<details open").replace("currentColor", PAPER_INK)
+    ).write_pdf(str(out))
     return out

@@ -34,11 +34,18 @@ SETTINGS: dict[str, Any] = {
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
     **dict.fromkeys(
-        ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color", "grid.color",
-         "axes.titlecolor"),
+        (
+            "text.color",
+            "axes.labelcolor",
+            "axes.edgecolor",
+            "xtick.color",
+            "ytick.color",
+            "grid.color",
+            "axes.titlecolor",
+        ),
         INK,
     ),
-}  # fmt: skip
+}
 
 
 @contextmanager
@@ -103,7 +110,11 @@ def subsample(*columns: ArrayLike, most: int = 300) -> tuple[NDArray[np.float64]
     """Return arrays of equal length with at most `most` points at equal intervals."""
     arrays = [np.asarray(column, float) for column in columns]
     length = min(len(array) for array in arrays)
-    keep = np.unique(np.linspace(0, length - 1, min(length, most)).round().astype(int)) if length else np.arange(0)
+    keep = (
+        np.unique(np.linspace(0, length - 1, min(length, most)).round().astype(int))
+        if length
+        else np.arange(0)
+    )
     return tuple(array[keep] for array in arrays)
 
 
@@ -131,7 +142,9 @@ def plot_line(axes: Any, x: ArrayLike, y: ArrayLike, **options: Any) -> None:
     axes.plot(*subsample(x, y), **options)
 
 
-def plot_points(axes: Any, x: ArrayLike, y: ArrayLike, sd: ArrayLike | None = None, **options: Any) -> None:
+def plot_points(
+    axes: Any, x: ArrayLike, y: ArrayLike, sd: ArrayLike | None = None, **options: Any
+) -> None:
     """Plot points with error bars of one standard uncertainty."""
     options = {"markersize": 2.8, "linestyle": "", "marker": "o", **options}
     if sd is None:
@@ -141,7 +154,9 @@ def plot_points(axes: Any, x: ArrayLike, y: ArrayLike, sd: ArrayLike | None = No
     axes.errorbar(horizontal, vertical, yerr=np.abs(arm), elinewidth=0.8, **options)
 
 
-def plot_band(axes: Any, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str, alpha: float = 0.25) -> None:
+def plot_band(
+    axes: Any, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str, alpha: float = 0.25
+) -> None:
     """Plot an interval as a transparent band."""
     axes.fill_between(x, low, high, color=colour, alpha=alpha, linewidth=0)
 

@@ -1,4 +1,6 @@
-"""Summary of a result as text: the leading quantities, their flags and what is missing, on one screen."""
+"""Summary of a result as text: the leading quantities, their flags and what is missing, on one
+screen.
+"""
 
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
@@ -10,19 +12,50 @@ from labdata.measurement import Measurement, Result
 
 Frequency = Callable[[float, Measurement | None], tuple[float, str]]
 
-# Sections and their quantities in the order in which a user looks for them; the others are shown by --all.
+# Sections and their quantities in the order in which a user looks for them; the others are shown by
+# --all.
 LEADING: dict[str, tuple[str, ...]] = {
-    "Resolution": ("mtf50", "mtf10", "mtf", "limiting_resolution", "figure_of_merit", "mrc", "post_gain_mtf50",
-                   "edge_angle"),
+    "Resolution": (
+        "mtf50",
+        "mtf10",
+        "mtf",
+        "limiting_resolution",
+        "figure_of_merit",
+        "mrc",
+        "post_gain_mtf50",
+        "edge_angle",
+    ),
     "Gain and noise": (
-        "system_gain", "covariance_gain", "conversion_gain", "photoelectron_gain", "detected_photoelectron_gain",
-        "excess_noise_factor", "blur_factor", "read_noise", "ebi", "tube_snr", "quantum_efficiency",
-        "saturation_capacity", "snr_max", "dynamic_range", "minimum_illumination", "linearity_error", "dsnu", "prnu",
-        "dark_current", "snr",
+        "system_gain",
+        "covariance_gain",
+        "conversion_gain",
+        "photoelectron_gain",
+        "detected_photoelectron_gain",
+        "excess_noise_factor",
+        "blur_factor",
+        "read_noise",
+        "ebi",
+        "tube_snr",
+        "quantum_efficiency",
+        "saturation_capacity",
+        "snr_max",
+        "dynamic_range",
+        "minimum_illumination",
+        "linearity_error",
+        "dsnu",
+        "prnu",
+        "dark_current",
+        "snr",
     ),
     "Infrared": ("sitf", "netd", "mrtd"),
-    "Halo and blooming": ("halo_diameter", "halo_fraction", "bloom_diameter", "streak_length", "smear_fraction"),
-}  # fmt: skip
+    "Halo and blooming": (
+        "halo_diameter",
+        "halo_fraction",
+        "bloom_diameter",
+        "streak_length",
+        "smear_fraction",
+    ),
+}
 # Results with at most this many values are shown whole.
 SHORT = 12
 # Measurements of a quantity beyond this number are one line.
@@ -33,7 +66,9 @@ ROW_LINES, FLAG_LINES, REASON_LINES, NOTE_LINES = 22, 6, 6, 3
 BARS = "▁▂▃▄▅▆▇█"
 
 
-def summary(result: Result, *, title: str, frequency: Frequency | None = None, width: int = 100) -> str:
+def summary(
+    result: Result, *, title: str, frequency: Frequency | None = None, width: int = 100
+) -> str:
     """Return the summary of a result, at most 40 lines.
 
     Parameters
@@ -68,14 +103,24 @@ def summary(result: Result, *, title: str, frequency: Frequency | None = None, w
 
 
 def rows_of_file(name: str, result: Result, frequency: Frequency | None = None) -> Iterator[str]:
-    """Yield one line for each target of one of several files: its leading quantity, ± 95 %, and its verdict."""
+    """Yield one line for each target of one of several files: its leading quantity, ± 95 %, and its
+    verdict.
+    """
     by_region: dict[object, list[Measurement]] = {}
     for m in result.measurements:
         by_region.setdefault(m.region, []).append(m)
     for region, members in by_region.items():
         leading = next((m for m in members if m.quantity == "mtf50"), members[0])
-        place = f" [{','.join(map(str, region))}]" if isinstance(region, tuple) and len(by_region) > 1 else ""
-        number = number_text(leading, frequency or _as_measured) if leading.value is not None else leading.reason or ""
+        place = (
+            f" [{','.join(map(str, region))}]"
+            if isinstance(region, tuple) and len(by_region) > 1
+            else ""
+        )
+        number = (
+            number_text(leading, frequency or _as_measured)
+            if leading.value is not None
+            else leading.reason or ""
+        )
         yield f"{name + place:<44} {leading.quantity} {number:<30} {verdict_of(leading)}".rstrip()
 
 
@@ -85,7 +130,10 @@ def _as_measured(frequency_cy_per_px: float, of: Measurement | None = None) -> t
 
 def _header(title: str, result: Result) -> str:
     """Return title and number of values by status."""
-    counts = {status: sum(m.status == status for m in result.measurements) for status in ("ok", "suspect", "refused")}
+    counts = {
+        status: sum(m.status == status for m in result.measurements)
+        for status in ("ok", "suspect", "refused")
+    }
     methods = list(dict.fromkeys(m.method for m in result.measurements))
     by = f" by {methods[0]}" if len(methods) == 1 else ""
     counted = ", ".join(f"{number} {status}" for status, number in counts.items() if number)
@@ -95,8 +143,16 @@ def _header(title: str, result: Result) -> str:
 class Row:
     """One line of the summary: a measurement, or a series of one quantity."""
 
-    def __init__(self, section: str, name: str, number: str, verdict: str, where: str, of: list[Measurement]):
-        self.section, self.name, self.number, self.verdict, self.where = section, name, number, verdict, where
+    def __init__(
+        self, section: str, name: str, number: str, verdict: str, where: str, of: list[Measurement]
+    ):
+        self.section, self.name, self.number, self.verdict, self.where = (
+            section,
+            name,
+            number,
+            verdict,
+            where,
+        )
         self.measurements = of
 
     def lines(self, width: int) -> list[str]:
@@ -106,13 +162,19 @@ class Row:
         whole = f"{first:<{len(indent) + 68}} {self.where}".rstrip() if self.where else first
         if len(whole) <= width:
             return [whole]
-        text = f"{indent}{self.name} {self.number}, {self.verdict}" + (f", {self.where}" if self.where else "")
+        text = f"{indent}{self.name} {self.number}, {self.verdict}" + (
+            f", {self.where}" if self.where else ""
+        )
         return _wrap(text, f"{indent}    ", width, most=3)
 
 
-def _rows(valued: list[Measurement], frequency: Frequency, width: int) -> tuple[list[Row], list[Measurement]]:
+def _rows(
+    valued: list[Measurement], frequency: Frequency, width: int
+) -> tuple[list[Row], list[Measurement]]:
     """Return the rows shown, and the measurements that are not."""
-    leading = {quantity: section for section, quantities in LEADING.items() for quantity in quantities}
+    leading = {
+        quantity: section for section, quantities in LEADING.items() for quantity in quantities
+    }
     short = len(valued) <= SHORT
     order = list(leading)
     groups: dict[tuple[str, str], list[Measurement]] = {}
@@ -141,9 +203,13 @@ def _rows_of(found: list[Measurement], section: str, frequency: Frequency) -> It
     if len(found) <= SERIES:
         for m in found:
             name = m.quantity + (
-                "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
+                ""
+                if m.frequency_cy_per_px is None
+                else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
             )
-            yield Row(section, name, number_text(m, frequency), verdict_of(m), _where(m, found), [m])
+            yield Row(
+                section, name, number_text(m, frequency), verdict_of(m), _where(m, found), [m]
+            )
         return
     values = [_display_value(m, frequency) for m in found]
     unit = number_unit(found[0], frequency)
@@ -214,7 +280,9 @@ def _flag_lines(shown: Iterable[Measurement], width: int) -> list[str]:
     entries = []
     for flag in dict.fromkeys(flag for m in shown for flag in m.flags):
         having = [m for m in shown if flag in m.flags]
-        findings = dict.fromkeys(note for m in having for note in m.notes if note.startswith(f"{flag}: "))
+        findings = dict.fromkeys(
+            note for m in having for note in m.notes if note.startswith(f"{flag}: ")
+        )
         text = next(iter(findings), f"{flag}: {FLAGS[flag]}")
         quantities = list(dict.fromkeys(m.quantity for m in having))
         of = f" [{', '.join(quantities[:3])}{' ...' if len(quantities) > 3 else ''}]"
@@ -227,24 +295,42 @@ def _reason_lines(refused: list[Measurement], width: int) -> list[str]:
     by_reason: dict[str, list[Measurement]] = {}
     for m in refused:
         reason = m.reason or ""
-        by_reason.setdefault(reason.replace(m.stack, "the stack") if m.stack else reason, []).append(m)
+        by_reason.setdefault(
+            reason.replace(m.stack, "the stack") if m.stack else reason, []
+        ).append(m)
     entries = []
     for reason, own in by_reason.items():
-        names, stacks = (list(dict.fromkeys(getattr(m, name) for m in own)) for name in ("quantity", "stack"))
+        names, stacks = (
+            list(dict.fromkeys(getattr(m, name) for m in own)) for name in ("quantity", "stack")
+        )
         named = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        named += f" of {len(stacks)} stacks" if len(stacks) > 1 else f" of {stacks[0]}" if stacks[0] else ""
+        named += (
+            f" of {len(stacks)} stacks"
+            if len(stacks) > 1
+            else f" of {stacks[0]}"
+            if stacks[0]
+            else ""
+        )
         entries.append(_wrap(f"  {named}: {reason}", "      ", width, most=2))
-    return ["Not measured", *_first_entries(entries, REASON_LINES - 1, "reasons")] if entries else []
+    return (
+        ["Not measured", *_first_entries(entries, REASON_LINES - 1, "reasons")] if entries else []
+    )
 
 
 def _note_lines(shown: list[Measurement], width: int) -> list[str]:
     """Return the first notes that are no findings."""
-    notes = dict.fromkeys(note for m in shown for note in m.notes if note.partition(":")[0] not in FLAGS)
-    return _first_entries([_wrap(f"note: {note}", "    ", width, most=2) for note in notes], NOTE_LINES, "notes")
+    notes = dict.fromkeys(
+        note for m in shown for note in m.notes if note.partition(":")[0] not in FLAGS
+    )
+    return _first_entries(
+        [_wrap(f"note: {note}", "    ", width, most=2) for note in notes], NOTE_LINES, "notes"
+    )
 
 
 def _first_entries(entries: list[list[str]], most: int, name: str) -> list[str]:
-    """Return the lines of the first entries that fit into `most` lines, and how many entries are left out."""
+    """Return the lines of the first entries that fit into `most` lines, and how many entries are
+    left out.
+    """
     if sum(map(len, entries)) <= most:
         return [line for entry in entries for line in entry]
     lines: list[str] = []
@@ -257,5 +343,7 @@ def _first_entries(entries: list[list[str]], most: int, name: str) -> list[str]:
 
 def _wrap(text: str, indent: str, width: int, *, most: int) -> list[str]:
     """Return text in lines of a width, cut after `most` of them with an ellipsis."""
-    lines = textwrap.wrap(text, width - 2, subsequent_indent=indent, max_lines=most, placeholder=" …")
+    lines = textwrap.wrap(
+        text, width - 2, subsequent_indent=indent, max_lines=most, placeholder=" …"
+    )
     return lines or [""]

@@ -61,9 +61,11 @@ def places(m: Measurement) -> dict[str, str]:
 
 
 def quantity_groups(result: Result) -> tuple[dict[str, Any], ...]:
-    """Return all measurements by stack and method in the order of the vocabulary; a series of stacks is one group.
+    """Return all measurements by stack and method in the order of the vocabulary; a series of
+    stacks is one group.
 
-    A group has a title, rows, and its flags and notes with the quantities and stacks they concern ("" if all).
+    A group has a title, rows, and its flags and notes with the quantities and stacks they concern
+    ("" if all).
     """
     order = list(QUANTITIES)
     stacks: dict[str, set[str]] = {}
@@ -80,14 +82,21 @@ def quantity_groups(result: Result) -> tuple[dict[str, Any], ...]:
 def _group(stack: str, method: str, own: list[Measurement]) -> dict[str, Any]:
     """Return a group with the attributes common to all rows in its title."""
     where = [places(m) for m in own]
-    common = {key: text for key, text in where[0].items() if all(at.get(key) == text for at in where)}
+    common = {
+        key: text for key, text in where[0].items() if all(at.get(key) == text for at in where)
+    }
     rest = ["; ".join(text for key, text in at.items() if key not in common) for at in where]
     flags = dict.fromkeys(flag for m in own for flag in m.flags)
     notes = dict.fromkeys(note for m in own for note in m.notes)
     return {
-        "title": " · ".join((stack, method, *(text for key, text in common.items() if key != "stack"))),
+        "title": " · ".join(
+            (stack, method, *(text for key, text in common.items() if key != "stack"))
+        ),
         "rows": [quantity_row(m, text) for m, text in zip(own, rest, strict=True)],
-        "flags": [(flag, FLAGS[flag], _scope_text(own, [m for m in own if flag in m.flags])) for flag in flags],
+        "flags": [
+            (flag, FLAGS[flag], _scope_text(own, [m for m in own if flag in m.flags]))
+            for flag in flags
+        ],
         "notes": [(note, _scope_text(own, [m for m in own if note in m.notes])) for note in notes],
     }
 
@@ -106,12 +115,17 @@ def _scope_text(own: list[Measurement], those: list[Measurement]) -> str:
 
 def best(found: Iterable[Measurement]) -> Measurement | None:
     """Return the first measurement with status ok, else the first with a value."""
-    return min((m for m in found if m.value is not None), key=lambda m: m.status != "ok", default=None)
+    return min(
+        (m for m in found if m.value is not None), key=lambda m: m.status != "ok", default=None
+    )
 
 
 def verdicts(result: Result) -> dict[str, int]:
     """Return the number of ok, suspect and refused measurements."""
-    return {status: sum(m.status == status for m in result.measurements) for status in ("ok", "suspect", "refused")}
+    return {
+        status: sum(m.status == status for m in result.measurements)
+        for status in ("ok", "suspect", "refused")
+    }
 
 
 CONDITION_UNITS = {
@@ -136,8 +150,14 @@ CONDITION_UNITS = {
 
 
 def stack_table(session: Session) -> dict[str, Any]:
-    """Return columns and rows of the session's stacks, for conditions known in at least one stack."""
-    known = [name for name in CONDITION_UNITS if any(getattr(s.conditions, name) is not None for s in session.stacks)]
+    """Return columns and rows of the session's stacks, for conditions known in at least one
+    stack.
+    """
+    known = [
+        name
+        for name in CONDITION_UNITS
+        if any(getattr(s.conditions, name) is not None for s in session.stacks)
+    ]
     rows = [
         {
             "label": entry.label,
@@ -152,10 +172,17 @@ def stack_table(session: Session) -> dict[str, Any]:
 
 def _target_text(target: Target) -> str:
     parts = {
-        "bars": "{} bars", "frequency_cy_per_px": "{} cy/px", "angle_deg": "{} °", "pinhole_px": "{} px pinhole",
+        "bars": "{} bars",
+        "frequency_cy_per_px": "{} cy/px",
+        "angle_deg": "{} °",
+        "pinhole_px": "{} px pinhole",
         "contrast": "contrast {}",
-    }  # fmt: skip
-    known = [(text, getattr(target, name)) for name, text in parts.items() if getattr(target, name) is not None]
+    }
+    known = [
+        (text, getattr(target, name))
+        for name, text in parts.items()
+        if getattr(target, name) is not None
+    ]
     return "; ".join(text.format(short_text(value)) for text, value in known) or "—"
 
 
@@ -175,10 +202,16 @@ def sensor_rows(sensor: Sensor) -> list[dict[str, str]]:
         if p.low is not None and p.high is not None:
             spread = (p.high - p.low) / 4
             bounds = f"{round_to_spread(p.low, spread)} … {round_to_spread(p.high, spread)}"
-        rows.append({
-            "stage": stage.replace("_", " "), "name": name.replace("_", " "),
-            "value": round_to_spread(p.value, spread), "bounds": bounds, "standing": p.standing, "source": p.source,
-        })  # fmt: skip
+        rows.append(
+            {
+                "stage": stage.replace("_", " "),
+                "name": name.replace("_", " "),
+                "value": round_to_spread(p.value, spread),
+                "bounds": bounds,
+                "standing": p.standing,
+                "source": p.source,
+            }
+        )
     return rows
 
 
@@ -187,7 +220,9 @@ def sensor_facts(sensor: Sensor) -> list[tuple[str, str]]:
     facts = []
     for stage in fields(sensor):
         part = getattr(sensor, stage.name)
-        for item in fields(part) if hasattr(part, "__dataclass_fields__") and stage.name != "draws" else ():
+        for item in (
+            fields(part) if hasattr(part, "__dataclass_fields__") and stage.name != "draws" else ()
+        ):
             value = getattr(part, item.name)
             if isinstance(value, (str, int, bool)):
                 facts.append((f"{stage.name} {item.name}".replace("_", " "), short_text(value)))
@@ -195,7 +230,9 @@ def sensor_facts(sensor: Sensor) -> list[tuple[str, str]]:
 
 
 def chart_rows(result: Result) -> list[dict[str, str]]:
-    """Return the chart rows of `auto`: measured error and time of every method for each quantity of the result."""
+    """Return the chart rows of `auto`: measured error and time of every method for each quantity of
+    the result.
+    """
     used = {m.method for m in result.measurements}
     quantities = dict.fromkeys(m.quantity for m in result.measurements)
     return [
@@ -218,7 +255,9 @@ def provenance(measurements: Iterable[Measurement]) -> dict[str, Any]:
     kept = [(m.method, m.provenance) for m in measurements if m.provenance is not None]
     settings: dict[str, dict[str, str]] = {}
     for method, record in kept:
-        settings.setdefault(method, {}).update({key: short_text(value) for key, value in record.settings.items()})
+        settings.setdefault(method, {}).update(
+            {key: short_text(value) for key, value in record.settings.items()}
+        )
     inputs = {path: digest for _, record in kept for path, digest in record.inputs.items()}
     seeds = sorted({record.seed for _, record in kept if record.seed is not None})
     return {

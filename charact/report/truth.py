@@ -17,8 +17,8 @@ Truth = Mapping[str, float | Callable[..., Any]]
 class TruthComparison:
     """A measurement compared with its true value, in its unit.
 
-    `z`: (value - truth) over the standard uncertainty, which is the half of the 95 % interval on the truth's side over
-    1.96; infinite for an empty interval.
+    `z`: (value - truth) over the standard uncertainty, which is the half of the 95 % interval on
+    the truth's side over 1.96; infinite for an empty interval.
     """
 
     measurement: Measurement
@@ -49,10 +49,14 @@ def compare_with_truth(result: Result, truth: Truth) -> tuple[TruthComparison, .
     result
         The measurements.
     truth
-        True values by quantity, in the unit of the measurements. A function is called with the measurement's frequency
-        (cy/px) and direction (degrees).
+        True values by quantity, in the unit of the measurements. A function is called with the
+        measurement's frequency (cy/px) and direction (degrees).
     """
-    found = [(m, truth[m.quantity]) for m in result.measurements if m.value is not None and m.quantity in truth]
+    found = [
+        (m, truth[m.quantity])
+        for m in result.measurements
+        if m.value is not None and m.quantity in truth
+    ]
     return tuple(_comparison(m, _at(known, m)) for m, known in found)
 
 

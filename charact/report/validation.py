@@ -1,4 +1,6 @@
-"""Validation section of the page: verdict with its power, blind pair, pictures, figures, statistics and controls."""
+"""Validation section of the page: verdict with its power, blind pair, pictures, figures, statistics
+and controls.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,9 +22,16 @@ from charact.validation import FramePair, Statistic, Validation, ValidationContr
 
 # Overlays in their order on the page.
 OVERLAYS = (
-    "photon-transfer", "covariance", "noise-spectrum-horizontal", "noise-spectrum-vertical", "autocorrelation",
-    "histogram-dark", "histogram-flat", "mtf", "point",
-)  # fmt: skip
+    "photon-transfer",
+    "covariance",
+    "noise-spectrum-horizontal",
+    "noise-spectrum-vertical",
+    "autocorrelation",
+    "histogram-dark",
+    "histogram-flat",
+    "mtf",
+    "point",
+)
 # Parameters that the sentence of power names at each end.
 NAMED = 3
 # Weakest quality of a JPEG, and most bytes of one: 40 kB are 60 kB in base64.
@@ -75,10 +84,21 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
         pairs=tuple(_pictures(pair, aspect) for pair in drawn.pairs),
         patterns=tuple(_pictures(pair, aspect, pattern=True) for pair in drawn.patterns),
         residuals=tuple(residual_figure(one, aspect) for one in drawn.residuals),
-        figures=tuple(overlay_figure(name, drawn.overlays[name]) for name in OVERLAYS if name in drawn.overlays),
+        figures=tuple(
+            overlay_figure(name, drawn.overlays[name])
+            for name in OVERLAYS
+            if name in drawn.overlays
+        ),
         deviations=(*worst_deviations(validation), *deviations_by_statistic(validation)),
         power=power_figure(validation),
-        columns=("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", "Deviates most", "Verdict"),
+        columns=(
+            "Statistic",
+            "Distance (1 is usual)",
+            "p-value (1)",
+            "Fails below (1)",
+            "Deviates most",
+            "Verdict",
+        ),
         rows=tuple(_row(one) for one in validation.statistics),
         controls=tuple(_control_row(one) for one in validation.controls),
         missing_figures=missing_figures(drawn.overlays),
@@ -96,12 +116,15 @@ def _status(passed: bool) -> str:
 def headline_of(validation: Validation) -> str:
     """Return how many statistics and controls came out as they must."""
     good = sum(one.passed for one in validation.statistics)
-    nulls, negatives = ([one for one in validation.controls if one.name == name] for name in ("null", "negative"))
+    nulls, negatives = (
+        [one for one in validation.controls if one.name == name] for name in ("null", "negative")
+    )
     verdict = "agrees" if validation.passed else "does not agree"
     held = "hold" if all(one.passed for one in nulls) else "do not hold"
     return (
-        f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; null controls {held}; "
-        f"{sum(one.passed for one in negatives)} of {len(negatives)} negative controls noticed"
+        f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; null "
+        f"controls {held}; {sum(one.passed for one in negatives)} of {len(negatives)} negative "
+        "controls noticed"
     )
 
 
@@ -111,14 +134,23 @@ def sentence_of(validation: Validation) -> str:
 
 
 def _power_sentence(validation: Validation) -> str:
-    """Return the least errors that would have been found, and the largest that could have been missed."""
-    found = sorted((one for one in validation.power if one.statistic), key=lambda one: one.relative_error)
+    """Return the least errors that would have been found, and the largest that could have been
+    missed.
+    """
+    found = sorted(
+        (one for one in validation.power if one.statistic), key=lambda one: one.relative_error
+    )
     never = [one.title for one in validation.power if not one.statistic]
     if not validation.power:
         return "How large an error it would have found is not known"
     texts = [f"{one.percent} of {one.title}" for one in found]
     seen = "; ".join(texts[:NAMED])
-    missed = "; ".join([*(f"up to {text}" for text in texts[NAMED:][-NAMED:]), *(f"any of {title}" for title in never)])
+    missed = "; ".join(
+        [
+            *(f"up to {text}" for text in texts[NAMED:][-NAMED:]),
+            *(f"any of {title}" for title in never),
+        ]
+    )
     share = f"{100.0 * validation.power[0].probability:g} %"
     sentences = (
         f"In {share} of cases it would have found an error of {seen}" if seen else "",
@@ -130,20 +162,31 @@ def _power_sentence(validation: Validation) -> str:
 def _deviation_sentence(validation: Validation) -> str:
     """Return the likely causes, what deviates most and what may cause it."""
     likely = "".join(f"Likely cause: {one.note}. " for one in validation.likely_causes)
-    failed = sorted((one for one in validation.statistics if not one.passed), key=lambda one: -one.distance)
+    failed = sorted(
+        (one for one in validation.statistics if not one.passed), key=lambda one: -one.distance
+    )
     if not failed:
         return "Every statistic passes; the controls did not come out as they must"
     first, others = failed[0], len(failed) - 1
-    more = f"; {others} more statistics differ" if others > 1 else "; one more statistic differs" if others else ""
-    return f"{likely}It differs most in {first.worst} ({first.name}), which may come from {first.cause}{more}"
+    more = (
+        f"; {others} more statistics differ"
+        if others > 1
+        else "; one more statistic differs"
+        if others
+        else ""
+    )
+    return (
+        f"{likely}It differs most in {first.worst} ({first.name}), which may come from "
+        f"{first.cause}{more}"
+    )
 
 
 def _summary(validation: Validation) -> str:
     return (
         f"The camera “{validation.sensor}” was simulated under the conditions of the session "
         f"“{validation.session}”: {validation.draws} posterior draws, seed {validation.seed}, "
-        f"{validation.seconds:.0f} s. A statistic fails where its p-value is below its level, which holds all of them "
-        "together to a false alarm in 100 sessions (Holm)."
+        f"{validation.seconds:.0f} s. A statistic fails where its p-value is below its level, "
+        "which holds all of them together to a false alarm in 100 sessions (Holm)."
     )
 
 
@@ -154,7 +197,9 @@ def _row(one: Statistic) -> dict[str, Any]:
 
 
 def _control_row(one: ValidationControl) -> dict[str, Any]:
-    """Return the row of a control; a negative one that was not noticed is a limit of the validation, no failure."""
+    """Return the row of a control; a negative one that was not noticed is a limit of the
+    validation, no failure.
+    """
     noticed = ", ".join(one.noticed_by) or "nothing"
     must = "must pass" if one.name == "null" else "must be noticed"
     status = "ok" if one.passed else "refused" if one.name == "null" else "suspect"
@@ -177,16 +222,30 @@ def _image(codes: Any, title: str, caption: str, aspect: float) -> ReportImage:
         data = as_jpeg(codes, (0.0, 255.0), quality)
         if len(data) * 3 / 4 <= MOST_BYTES:
             break
-    return ReportImage(title=title, caption=caption, data=data, rows=codes.shape[0], cols=codes.shape[1], aspect=aspect)
+    return ReportImage(
+        title=title,
+        caption=caption,
+        data=data,
+        rows=codes.shape[0],
+        cols=codes.shape[1],
+        aspect=aspect,
+    )
 
 
 def blind_pair(pair: FramePair, seed: int, aspect: float) -> BlindPair:
-    """Return both images in an order by the seed and the frame, without words that tell them apart."""
+    """Return both images in an order by the seed and the frame, without words that tell them
+    apart.
+    """
     first = bool(np.random.default_rng([seed, int(pair.measured.sum())]).integers(2))
     images = (pair.measured, pair.simulated) if first else (pair.simulated, pair.measured)
     return BlindPair(
         images=tuple(
-            _image(image, f"{name}, a frame of the {pair.role} {pair.label}", "Both have one grey scale.", aspect)
+            _image(
+                image,
+                f"{name}, a frame of the {pair.role} {pair.label}",
+                "Both have one grey scale.",
+                aspect,
+            )
             for name, image in zip("AB", images, strict=True)
         ),
         answer=f"{'A' if first else 'B'} is measured, {'B' if first else 'A'} is simulated.",

@@ -1,4 +1,6 @@
-"""The study harness: registered methods against cases of known truth, charted for speed and mapped for failure."""
+"""The study harness: registered methods against cases of known truth, charted for speed and mapped
+for failure.
+"""
 
 from charact.study.harness import Case, CaseResult, MethodSummary, run, summary
 from charact.study.speed_accuracy import Chart, chart

@@ -1,4 +1,6 @@
-"""Methods put to cases of known truth: error, honesty of the interval, verdict and time, one row for each pair."""
+"""Methods put to cases of known truth: error, honesty of the interval, verdict and time, one row
+for each pair.
+"""
 
 import time
 import warnings
@@ -31,7 +33,8 @@ class Case:
     quantity
         The quantity whose truth is known.
     truth
-        Its true value; None where there is nothing to measure, so that any number given as ok is a lie.
+        Its true value; None where there is nothing to measure, so that any number given as ok is a
+        lie.
     in_scope
         Whether every method must cope: inside the scope 95 % of the cases must be ok.
     seed
@@ -43,7 +46,8 @@ class Case:
     context
         Fields of `charact.method.Context` that the case sets.
     call
-        Calls a method with what was drawn; None: `method.function(drawn, **arguments, context=context)`.
+        Calls a method with what was drawn; None: `method.function(drawn, **arguments,
+        context=context)`.
     score
         Makes the result from what the call returned, outside of the time; None: that is the result.
     """
@@ -72,10 +76,10 @@ class Case:
 class CaseResult:
     """What one method made of one case.
 
-    `status`: that of the measurement, or "crashed" where the method raised anything but a `BadInput`; `error_percent`:
-    |value - truth| / |truth|, percent; None without a value or a truth; `covers`: whether the truth lies in the 95 %
-    interval; `silent`: silent failure: ok, and the truth further from the value than twice the 95 % half-interval on
-    that side.
+    `status`: that of the measurement, or "crashed" where the method raised anything but a
+    `BadInput`; `error_percent`: |value - truth| / |truth|, percent; None without a value or a
+    truth; `covers`: whether the truth lies in the 95 % interval; `silent`: silent failure: ok, and
+    the truth further from the value than twice the 95 % half-interval on that side.
     """
 
     method: str
@@ -100,16 +104,22 @@ class CaseResult:
 
     def as_json(self) -> dict[str, Any]:
         """The row as plain numbers and words; a bound that is not finite becomes null."""
-        endless = {key for key, value in asdict(self).items() if isinstance(value, float) and not np.isfinite(value)}
+        endless = {
+            key
+            for key, value in asdict(self).items()
+            if isinstance(value, float) and not np.isfinite(value)
+        }
         return {key: None if key in endless else value for key, value in asdict(self).items()}
 
 
 def judge_measurement(measurement: Measurement, truth: float | None) -> dict[str, Any]:
-    """Compare a measurement with the truth: error, cover and silent failure, as fields of a `CaseResult`.
+    """Compare a measurement with the truth: error, cover and silent failure, as fields of a
+    `CaseResult`.
 
-    Silent: status ok and |value - truth| > 2 |end of the 95 % interval on the truth's side - value|. An honest Gaussian
-    interval does that once in ten thousand. An ok number without interval claims to be exact. Where the truth
-    is 0, as of an error in percent, the error is the value itself.
+    Silent: status ok and |value - truth| > 2 |end of the 95 % interval on the truth's side -
+    value|. An honest Gaussian interval does that once in ten thousand. An ok number without
+    interval claims to be exact. Where the truth is 0, as of an error in percent, the error is the
+    value itself.
     """
     if measurement.value is None:
         return {}
@@ -126,7 +136,9 @@ def judge_measurement(measurement: Measurement, truth: float | None) -> dict[str
 
 
 class CaseTimer:
-    """Time that an idle machine would have taken: the smaller of wall time and of the process's processor time."""
+    """Time that an idle machine would have taken: the smaller of wall time and of the process's
+    processor time.
+    """
 
     def __init__(self) -> None:
         self._wall, self._processor = time.perf_counter(), time.process_time()
@@ -137,11 +149,16 @@ class CaseTimer:
 
 
 def attempt(method: Method, case: Case, context: Context, *, material: Any = None) -> CaseResult:
-    """Give one case to one method and judge what comes back; `material` is what the case draws, if it is drawn already.
+    """Give one case to one method and judge what comes back; `material` is what the case draws, if
+    it is drawn already.
 
-    A `BadInput` is a refusal. Any other exception, and any warning, is a crash: a user would see it.
+    A `BadInput` is a refusal. Any other exception, and any warning, is a crash: a user would see
+    it.
     """
-    base = {key: getattr(case, key) for key in ("kind", "axis", "position", "unit", "in_scope", "seed", "truth")}
+    base = {
+        key: getattr(case, key)
+        for key in ("kind", "axis", "position", "unit", "in_scope", "seed", "truth")
+    }
     material = case.drawn() if material is None else material
     context = replace(context, **{"seed": case.seed, **case.context})
     clock, result = CaseTimer(), None
@@ -152,7 +169,10 @@ def attempt(method: Method, case: Case, context: Context, *, material: Any = Non
                 result = method.function(material, **case.arguments, context=context)
             else:
                 result = case.call(method, material, context)
-        given: dict[str, Any] = {"status": "refused", "reason": f"the result holds no {case.quantity}"}
+        given: dict[str, Any] = {
+            "status": "refused",
+            "reason": f"the result holds no {case.quantity}",
+        }
     except BadInput as error:
         given = {"status": "refused", "reason": str(error)}
     except Exception as error:  # the study must outlive the method it breaks
@@ -162,25 +182,41 @@ def attempt(method: Method, case: Case, context: Context, *, material: Any = Non
         result = case.score(result)
     for found in result.find(case.quantity)[:1] if result else ():
         low, high = found.interval95 or (None, None)
-        given |= {"value": found.value, "low95": low, "high95": high, "status": found.status, "flags": found.flags,
-                  "reason": found.reason, **judge_measurement(found, case.truth)}  # fmt: skip
+        given |= {
+            "value": found.value,
+            "low95": low,
+            "high95": high,
+            "status": found.status,
+            "flags": found.flags,
+            "reason": found.reason,
+            **judge_measurement(found, case.truth),
+        }
     return CaseResult(method=method.name, case=case.name, **base, **given)
 
 
 def run(
-    methods: Iterable[Method], cases: Sequence[Case], *, context: Context, progress: Progress = lambda text, share: None
+    methods: Iterable[Method],
+    cases: Sequence[Case],
+    *,
+    context: Context,
+    progress: Progress = lambda text, share: None,
 ) -> tuple[CaseResult, ...]:
-    """Put every method to every case of its kind, one after the other so that the times can be compared.
+    """Put every method to every case of its kind, one after the other so that the times can be
+    compared.
 
-    `methods`, `cases`: what to try on what; `context`: context of every method; each case sets its own seed and what
-    else it names; `progress`: called with a sentence and the share done.
+    `methods`, `cases`: what to try on what; `context`: context of every method; each case sets its
+    own seed and what else it names; `progress`: called with a sentence and the share done.
     """
     methods = tuple(methods)
     rows: list[CaseResult] = []
     for number, case in enumerate(cases):
         progress(case.name, number / len(cases))
         material = case.drawn()
-        rows += [attempt(method, case, context, material=material) for method in methods if method.kind == case.kind]
+        rows += [
+            attempt(method, case, context, material=material)
+            for method in methods
+            if method.kind == case.kind
+        ]
     progress("cases done", 1.0)
     return tuple(rows)
 
@@ -189,11 +225,12 @@ def run(
 class MethodSummary:
     """How one method did over many cases.
 
-    `error_percent`: 95th percentile of the relative error, percent; a refusal or crash counts as 100 %;
-    `error_limit_percent`: upper 95 % confidence limit of that percentile, percent, by `percentile_limit`; `seconds`:
-    median time, s; `cases`, `ok`, `suspect`, `refused`, `crashed`: how many there were, and of each verdict; `silent`:
-    silent failures; `ok_fraction`: share of cases with status ok; `missed_fraction`: share of ok cases whose 95 %
-    interval misses the truth; 0 where none is ok.
+    `error_percent`: 95th percentile of the relative error, percent; a refusal or crash counts as
+    100 %; `error_limit_percent`: upper 95 % confidence limit of that percentile, percent, by
+    `percentile_limit`; `seconds`: median time, s; `cases`, `ok`, `suspect`, `refused`, `crashed`:
+    how many there were, and of each verdict; `silent`: silent failures; `ok_fraction`: share of
+    cases with status ok; `missed_fraction`: share of ok cases whose 95 % interval misses the truth;
+    0 where none is ok.
     """
 
     method: str
@@ -210,14 +247,18 @@ class MethodSummary:
     missed_fraction: float
 
 
-def percentile_limit(errors: NDArray[np.floating], *, share: float = 0.95, confidence: float = 0.95) -> float:
-    """Return an upper confidence limit of a percentile of what errors were drawn from, whatever its distribution.
+def percentile_limit(
+    errors: NDArray[np.floating], *, share: float = 0.95, confidence: float = 0.95
+) -> float:
+    """Return an upper confidence limit of a percentile of what errors were drawn from, whatever its
+    distribution.
 
-    `errors`: independent errors, shape (case,); `share`, `confidence`: the percentile as a share, and the chance that
-    the limit lies above it. The k-th smallest of n errors lies above the percentile unless k or more lie below it,
-    which binomial(n, share) tells: k is the least with P(fewer than k below) >= confidence. Of fewer than 59 errors
-    none will do at 95 %, and the largest stands in: it lies above the 95th percentile with a chance of 1 - 0.95^n, 71 %
-    for 24 and 87 % for 40.
+    `errors`: independent errors, shape (case,); `share`, `confidence`: the percentile as a share,
+    and the chance that the limit lies above it. The k-th smallest of n errors lies above the
+    percentile unless k or more lie below it, which binomial(n, share) tells: k is the least with
+    P(fewer than k below) >= confidence. Of fewer than 59 errors none will do at 95 %, and the
+    largest stands in: it lies above the 95th percentile with a chance of 1 - 0.95^n, 71 % for 24
+    and 87 % for 40.
     """
     from scipy.stats import binom
 
@@ -233,16 +274,23 @@ def summary(rows: Iterable[CaseResult], method: str) -> MethodSummary:
         raise BadInput(f"the study holds no rows of the method {method!r}")
     known = [row for row in own if row.truth is not None]
     errors = np.array([100.0 if row.value is None else row.error_percent for row in known], float)
-    count = {status: sum(row.status == status for row in own) for status in ("ok", "suspect", "refused", "crashed")}
+    count = {
+        status: sum(row.status == status for row in own)
+        for status in ("ok", "suspect", "refused", "crashed")
+    }
     sure = [row for row in own if row.status == "ok"]
     missed = sum(not row.covers for row in sure)
     return MethodSummary(
-        method=method, error_percent=float(np.percentile(errors, 95)) if errors.size else 0.0,
+        method=method,
+        error_percent=float(np.percentile(errors, 95)) if errors.size else 0.0,
         error_limit_percent=percentile_limit(errors) if errors.size else 0.0,
-        seconds=float(np.median([row.seconds for row in own])), cases=len(own), **count,
-        silent=sum(row.silent for row in own), ok_fraction=count["ok"] / len(own),
+        seconds=float(np.median([row.seconds for row in own])),
+        cases=len(own),
+        **count,
+        silent=sum(row.silent for row in own),
+        ok_fraction=count["ok"] / len(own),
         missed_fraction=missed / len(sure) if sure else 0.0,
-    )  # fmt: skip
+    )
 
 
 def axes_of(rows: Sequence[CaseResult]) -> tuple[str, ...]:

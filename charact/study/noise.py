@@ -1,4 +1,6 @@
-"""Noise tied between pixels: white noise blurred by a kernel whose squares sum to one, so that its variance stays."""
+"""Noise tied between pixels: white noise blurred by a kernel whose squares sum to one, so that its
+variance stays.
+"""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -15,9 +15,15 @@ def sharpen_images(pictures: Array, amount: float) -> Array:
         return pictures
     from scipy.ndimage import gaussian_filter
 
-    return pictures + amount * (pictures - gaussian_filter(pictures, MASK_PX, axes=(-2, -1), mode="nearest"))
+    return pictures + amount * (
+        pictures - gaussian_filter(pictures, MASK_PX, axes=(-2, -1), mode="nearest")
+    )
 
 
 def boost(frequency_cy_per_px: Array | float, amount: float) -> Array | float:
-    """Return what sharpening makes of the MTF at a frequency in any direction, cycles per pixel, as a factor."""
-    return 1.0 + amount * (1.0 - np.exp(-2.0 * (np.pi * np.asarray(frequency_cy_per_px) * MASK_PX) ** 2))
+    """Return what sharpening makes of the MTF at a frequency in any direction, cycles per pixel, as
+    a factor.
+    """
+    return 1.0 + amount * (
+        1.0 - np.exp(-2.0 * (np.pi * np.asarray(frequency_cy_per_px) * MASK_PX) ** 2)
+    )

@@ -1,4 +1,6 @@
-"""Speed against accuracy: the methods of a quantity on the same cases, a figure and the table that `auto` reads."""
+"""Speed against accuracy: the methods of a quantity on the same cases, a figure and the table that
+`auto` reads.
+"""
 
 import json
 from dataclasses import asdict, dataclass, replace
@@ -17,9 +19,9 @@ TABLES = Path(__file__).resolve().parents[1] / "method" / "tables"
 class Chart:
     """Speed against accuracy of the methods of one quantity.
 
-    `quantity`: what was measured; `seed`, `quick`: seed of the cases, and whether the methods were asked for quick
-    answers; `summaries`: one for each method, the quickest first; `rows`: every method on every case; `files`: what was
-    written: the rows as JSON and the figure.
+    `quantity`: what was measured; `seed`, `quick`: seed of the cases, and whether the methods were
+    asked for quick answers; `summaries`: one for each method, the quickest first; `rows`: every
+    method on every case; `files`: what was written: the rows as JSON and the figure.
     """
 
     quantity: str
@@ -35,8 +37,12 @@ class Chart:
         return {
             "quantity": self.quantity,
             "methods": [asdict(row) for row in self.summaries],
-            "error_percent_means": "95th percentile of |value - truth| / truth; a refusal counts as 100",
-            "error_limit_percent_means": "upper 95 % confidence limit of error_percent, by order statistics",
+            "error_percent_means": (
+                "95th percentile of |value - truth| / truth; a refusal counts as 100"
+            ),
+            "error_limit_percent_means": (
+                "upper 95 % confidence limit of error_percent, by order statistics"
+            ),
             "seconds_means": "median over the cases of the smaller of wall and processor time",
             "provenance": {"charact": charact.__version__, "seed": self.seed, "quick": self.quick},
         }
@@ -44,22 +50,30 @@ class Chart:
     def text(self) -> str:
         """The summaries as a plain table."""
         head = (
-            f"{'method':<20}{'error p95':>11}{'at most':>11}{'seconds':>9}{'cases':>7}{'ok':>6}{'silent':>8}"
-            f"{'missed 95 %':>13}"
+            f"{'method':<20}{'error p95':>11}{'at most':>11}{'seconds':>9}"
+            + f"{'cases':>7}{'ok':>6}{'silent':>8}{'missed 95 %':>13}"
         )
         lines = [
-            f"{s.method:<20}{s.error_percent:>9.2f} %{s.error_limit_percent:>9.2f} %{s.seconds:>9.3f}{s.cases:>7}"
-            f"{s.ok_fraction:>6.0%}{s.silent:>8}{s.missed_fraction:>13.0%}"
+            f"{s.method:<20}{s.error_percent:>9.2f} %{s.error_limit_percent:>9.2f} "
+            f"%{s.seconds:>9.3f}{s.cases:>7}{s.ok_fraction:>6.0%}{s.silent:>8}{s.missed_fraction:>13.0%}"
             for s in self.summaries
         ]
         return "\n".join([f"{self.quantity}: error against time on the same cases", head, *lines])
 
 
 def chart(
-    quantity: str, *, seed: int = 0, out: str | Path | None = None, progress: Progress = lambda sentence, share: None,
-    update: bool = False, quick: bool = False, cases: int | None = None, methods: tuple[Method, ...] | None = None,
-) -> Chart:  # fmt: skip
-    """Measure error and time of every method of a quantity on the same cases of known truth, kind by kind.
+    quantity: str,
+    *,
+    seed: int = 0,
+    out: str | Path | None = None,
+    progress: Progress = lambda sentence, share: None,
+    update: bool = False,
+    quick: bool = False,
+    cases: int | None = None,
+    methods: tuple[Method, ...] | None = None,
+) -> Chart:
+    """Measure error and time of every method of a quantity on the same cases of known truth, kind
+    by kind.
 
     Parameters
     ----------
@@ -87,10 +101,20 @@ def chart(
     """
     studies = studies_of(quantity)
     methods = methods_of(quantity) if methods is None else methods
-    drawn = [study.chart_cases(seed, cases or (study.quick_count if quick else study.chart_count)) for study in studies]
-    for first in drawn:  # what a method imports or compiles on its first call is not its time on a frame
+    drawn = [
+        study.chart_cases(seed, cases or (study.quick_count if quick else study.chart_count))
+        for study in studies
+    ]
+    for (
+        first
+    ) in drawn:  # what a method imports or compiles on its first call is not its time on a frame
         run(methods, first[:1], context=Context(quick=quick))
-    drawn = [case for of_kind in drawn for case in of_kind if case.kind in {method.kind for method in methods}]
+    drawn = [
+        case
+        for of_kind in drawn
+        for case in of_kind
+        if case.kind in {method.kind for method in methods}
+    ]
     rows = run(methods, drawn, context=Context(quick=quick), progress=progress)
     summaries = sorted((summary(rows, method.name) for method in methods), key=lambda s: s.seconds)
     result = Chart(quantity=quantity, seed=seed, quick=quick, summaries=tuple(summaries), rows=rows)

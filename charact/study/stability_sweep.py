@@ -1,4 +1,6 @@
-"""Where methods fail: every axis swept past the breaking point, with errors, refusals, flags and silent failures."""
+"""Where methods fail: every axis swept past the breaking point, with errors, refusals, flags and
+silent failures.
+"""
 
 import os
 from collections import Counter
@@ -12,7 +14,15 @@ from pathlib import Path
 
 import charact
 from charact.method import Context, Method
-from charact.study.harness import Case, CaseResult, MethodSummary, Progress, attempt, axes_of, summary
+from charact.study.harness import (
+    Case,
+    CaseResult,
+    MethodSummary,
+    Progress,
+    attempt,
+    axes_of,
+    summary,
+)
 from charact.study.speed_accuracy import write_json
 from charact.study.study_registry import Study, methods_of, studies_of
 
@@ -21,8 +31,9 @@ from charact.study.study_registry import Study, methods_of, studies_of
 class Stability:
     """A map of where the methods of one quantity hold and fail.
 
-    `quantity`, `seed`, `chains`: what was measured, the seed of the cases, and whether the methods ran their Markov
-    chains; `rows`: every method on every case; `files`: what was written: the rows as JSON and the map.
+    `quantity`, `seed`, `chains`: what was measured, the seed of the cases, and whether the methods
+    ran their Markov chains; `rows`: every method on every case; `files`: what was written: the rows
+    as JSON and the map.
     """
 
     quantity: str
@@ -48,7 +59,12 @@ class Stability:
 
     def text(self) -> str:
         """For each method and axis: verdicts by position, then the silent failures one by one."""
-        lines = [f"{self.quantity}: o ok, s suspect, r refused, C crashed, X silent failure; [inside the scope]"]
+        lines = [
+            (
+                f"{self.quantity}: o ok, s suspect, r refused, C crashed, X silent failure; "
+                "[inside the scope]"
+            )
+        ]
         for method in self.methods:
             every, inside = self.overall(method)
             scope = f", {inside.ok_fraction:.0%} of {inside.cases} in scope ok" if inside else ""
@@ -66,29 +82,45 @@ class Stability:
         cells = []
         for position in dict.fromkeys(row.position for row in own):
             at = [row for row in own if row.position == position]
-            letters = "".join("C" if r.status == "crashed" else "X" if r.silent else r.status[0] for r in at)
-            cells.append(f"{position:g}:[{letters}]" if at[0].in_scope else f"{position:g}:{letters}")
+            letters = "".join(
+                "C" if r.status == "crashed" else "X" if r.silent else r.status[0] for r in at
+            )
+            cells.append(
+                f"{position:g}:[{letters}]" if at[0].in_scope else f"{position:g}:{letters}"
+            )
         return "  ".join(cells)
 
 
 def _sentence(row: CaseResult) -> str:
     truth = "nothing to measure" if row.truth is None else f"truth {row.truth:.4g}"
     return (
-        f"SILENT {row.method} at {row.case} (seed {row.seed}): {row.value:.4g} "
-        f"[{row.low95:.4g}, {row.high95:.4g}] ok, {truth}"
+        f"SILENT {row.method} at {row.case} (seed {row.seed}): {row.value:.4g} [{row.low95:.4g}, "
+        f"{row.high95:.4g}] ok, {truth}"
     )
 
 
 def _attempt_all(case: Case, methods: tuple[Method, ...], chains: bool) -> list[CaseResult]:
     """One case through every method of its kind, in a process of its own."""
-    return [attempt(method, case, Context(quick=not chains)) for method in methods if method.kind == case.kind]
+    return [
+        attempt(method, case, Context(quick=not chains))
+        for method in methods
+        if method.kind == case.kind
+    ]
 
 
 def stability(
-    quantity: str, *, seed: int = 0, out: str | Path | None = None, progress: Progress = lambda sentence, share: None,
-    quick: bool = False, chains: bool = False, repeats: int | None = None, axes: tuple[str, ...] | None = None,
-    methods: tuple[Method, ...] | None = None, workers: int | None = None,
-) -> Stability:  # fmt: skip
+    quantity: str,
+    *,
+    seed: int = 0,
+    out: str | Path | None = None,
+    progress: Progress = lambda sentence, share: None,
+    quick: bool = False,
+    chains: bool = False,
+    repeats: int | None = None,
+    axes: tuple[str, ...] | None = None,
+    methods: tuple[Method, ...] | None = None,
+    workers: int | None = None,
+) -> Stability:
     """Sweep the axes of a quantity past the breaking point and map what every method does.
 
     Parameters
@@ -98,8 +130,8 @@ def stability(
     seed
         Seed of the cases.
     out
-        Folder for `stability-QUANTITY.json` and a map `stability-QUANTITY-KIND.svg` of each kind of target; None:
-        nothing is written.
+        Folder for `stability-QUANTITY.json` and a map `stability-QUANTITY-KIND.svg` of each kind of
+        target; None: nothing is written.
     progress
         Called with a sentence and the share done.
     quick
@@ -113,7 +145,8 @@ def stability(
     methods
         The methods; None: all that are registered for the quantity.
     workers
-        Processes that share the cases; None: two for registered methods, one for methods given here.
+        Processes that share the cases; None: two for registered methods, one for methods given
+        here.
 
     Raises
     ------
@@ -149,7 +182,12 @@ def ends(cases: Sequence[Case]) -> tuple[Case, ...]:
     of_axis: dict[tuple[str, str], list[Case]] = {}
     for case in cases:
         of_axis.setdefault((case.kind, case.axis), []).append(case)
-    return tuple(c for own in of_axis.values() for c in own if c.position in (own[0].position, own[-1].position))
+    return tuple(
+        c
+        for own in of_axis.values()
+        for c in own
+        if c.position in (own[0].position, own[-1].position)
+    )
 
 
 def _measure_cases(cases: Sequence[Case], methods: tuple[Method, ...], chains: bool, workers: int):
@@ -163,7 +201,9 @@ def _measure_cases(cases: Sequence[Case], methods: tuple[Method, ...], chains: b
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Let processes started meanwhile run their linear algebra on one thread each: together they fill the machine."""
+    """Let processes started meanwhile run their linear algebra on one thread each: together they
+    fill the machine.
+    """
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(dict.fromkeys(names, "1"))
@@ -182,14 +222,21 @@ def _write_files(result: Stability, out: Path) -> tuple[Path, ...]:
         "methods": [asdict(result.overall(method)[0]) for method in result.methods],
         "silent": [row.as_json() for row in result.silent],
         "flags": {
-            method: Counter(f for r in result.rows if r.method == method for f in r.flags) for method in result.methods
+            method: Counter(f for r in result.rows if r.method == method for f in r.flags)
+            for method in result.methods
         },
         "rows": [row.as_json() for row in result.rows],
-        "provenance": {"charact": charact.__version__, "seed": result.seed, "chains": result.chains},
+        "provenance": {
+            "charact": charact.__version__,
+            "seed": result.seed,
+            "chains": result.chains,
+        },
     }
     written = write_json(out / f"stability-{result.quantity}.json", data)
     kinds = dict.fromkeys(row.kind for row in result.rows)
     return written, *(
-        plot_stability(result.quantity, result.rows, kind, out / f"stability-{result.quantity}-{kind}.svg")
+        plot_stability(
+            result.quantity, result.rows, kind, out / f"stability-{result.quantity}-{kind}.svg"
+        )
         for kind in kinds
     )

@@ -21,8 +21,12 @@ def _pyplot() -> Any:
     matplotlib.use("Agg")
     import matplotlib.pyplot as pyplot
 
-    pyplot.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "charact", "font.size": 9, "axes.grid": True})
-    pyplot.rcParams.update({"grid.alpha": 0.25, "axes.spines.top": False, "axes.spines.right": False})
+    pyplot.rcParams.update(
+        {"svg.fonttype": "none", "svg.hashsalt": "charact", "font.size": 9, "axes.grid": True}
+    )
+    pyplot.rcParams.update(
+        {"grid.alpha": 0.25, "axes.spines.top": False, "axes.spines.right": False}
+    )
     return pyplot
 
 
@@ -34,31 +38,59 @@ def _save(figure: Any, path: Path) -> Path:
     return path
 
 
-def plot_chart(quantity: str, rows: Sequence[CaseResult], summaries: Sequence[MethodSummary], path: Path) -> Path:
-    """Draw relative error (95th percentile as a mark, every case as a dot) against time, a panel for each kind."""
+def plot_chart(
+    quantity: str, rows: Sequence[CaseResult], summaries: Sequence[MethodSummary], path: Path
+) -> Path:
+    """Draw relative error (95th percentile as a mark, every case as a dot) against time, a panel
+    for each kind.
+    """
     kinds = list(dict.fromkeys(row.kind for row in rows))
     figure, grid = _pyplot().subplots(
-        1, len(kinds), figsize=(2.0 + 5.5 * len(kinds), 4.6), layout="constrained", squeeze=False, sharey=True
+        1,
+        len(kinds),
+        figsize=(2.0 + 5.5 * len(kinds), 4.6),
+        layout="constrained",
+        squeeze=False,
+        sharey=True,
     )
     for axes, kind in zip(grid.flat, kinds, strict=True):
         own = [row for row in rows if row.kind == kind]
-        _draw_kind(axes, kind, own, [one for one in summaries if one.method in {row.method for row in own}])
+        _draw_kind(
+            axes, kind, own, [one for one in summaries if one.method in {row.method for row in own}]
+        )
     grid[0, 0].set_ylabel(f"error of {quantity} (% of the truth)")
     figure.suptitle(QUANTITIES[quantity].title, fontsize=11)
     return _save(figure, path)
 
 
-def _draw_kind(axes: Any, kind: str, rows: list[CaseResult], summaries: list[MethodSummary]) -> None:
+def _draw_kind(
+    axes: Any, kind: str, rows: list[CaseResult], summaries: list[MethodSummary]
+) -> None:
     """One panel: the methods of one kind of target."""
     for colour, one in zip(_cycle_colours(len(summaries)), summaries, strict=True):
         own = [row for row in rows if row.method == one.method and row.error_percent is not None]
         errors = [max(row.error_percent or 0.0, 1e-3) for row in own]
-        axes.scatter([row.seconds for row in own], errors, s=9, color=colour, alpha=0.35, linewidths=0)
-        label = f"{one.method}: {one.error_percent:.2g} % in {one.seconds:.2g} s, {one.ok_fraction:.0%} ok"
-        axes.scatter([one.seconds], [one.error_percent], s=90, color=colour, edgecolor="black", label=label, zorder=3)
+        axes.scatter(
+            [row.seconds for row in own], errors, s=9, color=colour, alpha=0.35, linewidths=0
+        )
+        label = (
+            f"{one.method}: {one.error_percent:.2g} % in {one.seconds:.2g} s, "
+            f"{one.ok_fraction:.0%} ok"
+        )
+        axes.scatter(
+            [one.seconds],
+            [one.error_percent],
+            s=90,
+            color=colour,
+            edgecolor="black",
+            label=label,
+            zorder=3,
+        )
     axes.set(xscale="log", yscale="log", xlabel="time for one stack (s)")
     plain_numbers(axes.xaxis, axes.yaxis)
-    axes.set_title(f"{kind}, {summaries[0].cases} cases; large: median time, 95th percentile", fontsize=9)
+    axes.set_title(
+        f"{kind}, {summaries[0].cases} cases; large: median time, 95th percentile", fontsize=9
+    )
     axes.legend(frameon=False, fontsize=8)
 
 
@@ -77,7 +109,8 @@ def _cycle_colours(count: int) -> list[str]:
 
 
 def plot_stability(quantity: str, rows: Sequence[CaseResult], kind: str, path: Path) -> Path:
-    """Draw value over truth along every axis of a kind with its 95 % interval, verdict as the mark, lies in red.
+    """Draw value over truth along every axis of a kind with its 95 % interval, verdict as the mark,
+    lies in red.
 
     Of an error whose truth is 0, 1 plus the error is drawn.
     """
@@ -86,26 +119,40 @@ def plot_stability(quantity: str, rows: Sequence[CaseResult], kind: str, path: P
     columns = 3
     lines = -(-len(names) // columns)
     figure, grid = _pyplot().subplots(
-        lines, columns, figsize=(13, 2.9 * lines + 0.5), layout="constrained", squeeze=False, sharey=True
+        lines,
+        columns,
+        figsize=(13, 2.9 * lines + 0.5),
+        layout="constrained",
+        squeeze=False,
+        sharey=True,
     )
     for panel, name in zip(grid.flat, names, strict=False):
         _draw_axis(panel, [row for row in rows if row.axis == name], methods, quantity)
     for panel in grid.flat[len(names) :]:
         panel.set_visible(False)
-    title = f"{kind}: {QUANTITIES[quantity].title}; lines are 95 % intervals, marks at the rim lie beyond it"
+    title = (
+        f"{kind}: {QUANTITIES[quantity].title}; lines are 95 % intervals, marks at the rim "
+        f"lie beyond it"
+    )
     handles = _legend(methods)
-    figure.legend(handles=handles, title=title, loc="outside upper center", ncols=len(handles), frameon=False)
+    figure.legend(
+        handles=handles, title=title, loc="outside upper center", ncols=len(handles), frameon=False
+    )
     return _save(figure, path)
 
 
 def _draw_axis(panel: Any, rows: list[CaseResult], methods: tuple[str, ...], quantity: str) -> None:
     """One panel: positions side by side, methods next to each other within a position."""
     positions = list(dict.fromkeys(row.position for row in rows))
-    inside = [n for n, p in enumerate(positions) if any(row.in_scope for row in rows if row.position == p)]
+    inside = [
+        n for n, p in enumerate(positions) if any(row.in_scope for row in rows if row.position == p)
+    ]
     if inside:
         panel.axvspan(inside[0] - 0.45, inside[-1] + 0.45, color="#009e73", alpha=0.09, linewidth=0)
     panel.axhline(1.0, color="black", linewidth=0.8)
-    for number, (method, colour) in enumerate(zip(methods, _cycle_colours(len(methods)), strict=True)):
+    for number, (method, colour) in enumerate(
+        zip(methods, _cycle_colours(len(methods)), strict=True)
+    ):
         own = [row for row in rows if row.method == method]
         shift = (number - (len(methods) - 1) / 2) * 0.8 / len(methods)
         for place, row in _spread(own, positions):
@@ -128,18 +175,36 @@ def _spread(rows: list[CaseResult], positions: list[float]) -> list[tuple[float,
 
 
 def _draw_row(panel: Any, place: float, row: CaseResult, colour: str) -> None:
-    """One estimate over its truth; what has no number stands at the lower rim, what lies beyond it at the rim."""
+    """One estimate over its truth; what has no number stands at the lower rim, what lies beyond it
+    at the rim.
+    """
     mark = MARKS[row.status]
     if row.value is None or row.truth is None:
         height = 0.5 if row.value is None else 1.55
-        panel.plot(place, height, mark, color="red" if row.silent else colour, markersize=5, alpha=0.8)
+        panel.plot(
+            place, height, mark, color="red" if row.silent else colour, markersize=5, alpha=0.8
+        )
         return
     ratio = row.value / row.truth if row.truth else 1.0 + row.value / 100.0
     if row.low95 is not None and row.high95 is not None and row.truth:
-        panel.plot([place] * 2, [row.low95 / row.truth, row.high95 / row.truth], color=colour, linewidth=1, alpha=0.7)
+        panel.plot(
+            [place] * 2,
+            [row.low95 / row.truth, row.high95 / row.truth],
+            color=colour,
+            linewidth=1,
+            alpha=0.7,
+        )
     panel.plot(place, float(np.clip(ratio, 0.47, 1.58)), mark, color=colour, markersize=4)
     if row.silent:
-        panel.plot(place, float(np.clip(ratio, 0.47, 1.58)), "o", mfc="none", mec="red", markersize=12, mew=1.8)
+        panel.plot(
+            place,
+            float(np.clip(ratio, 0.47, 1.58)),
+            "o",
+            mfc="none",
+            mec="red",
+            markersize=12,
+            mew=1.8,
+        )
 
 
 def _legend(methods: tuple[str, ...]) -> list[Any]:
@@ -148,8 +213,21 @@ def _legend(methods: tuple[str, ...]) -> list[Any]:
     from matplotlib.patches import Patch
 
     colours = [
-        Patch(color=colour, label=method) for method, colour in zip(methods, _cycle_colours(len(methods)), strict=True)
+        Patch(color=colour, label=method)
+        for method, colour in zip(methods, _cycle_colours(len(methods)), strict=True)
     ]
-    marks = [Line2D([], [], color="gray", marker=mark, linestyle="", label=word) for word, mark in MARKS.items()]
-    lie = Line2D([], [], marker="o", linestyle="", mfc="none", mec="red", markersize=10, label="silent failure")
+    marks = [
+        Line2D([], [], color="gray", marker=mark, linestyle="", label=word)
+        for word, mark in MARKS.items()
+    ]
+    lie = Line2D(
+        [],
+        [],
+        marker="o",
+        linestyle="",
+        mfc="none",
+        mec="red",
+        markersize=10,
+        label="silent failure",
+    )
     return [*colours, *marks, lie, Patch(color="#009e73", alpha=0.15, label="inside the scope")]

@@ -1,4 +1,6 @@
-"""The quantities that have a study: the kinds of target that give each, and where their cases come from."""
+"""The quantities that have a study: the kinds of target that give each, and where their cases come
+from.
+"""
 
 import importlib
 from collections.abc import Callable
@@ -21,10 +23,10 @@ from labdata.errors import BadInput
 class Study:
     """Where the cases of a quantity and a kind of target come from.
 
-    `kind`, `package`: kind of the methods, and the package that registers them; `axes`: the axes along which the
-    methods break; `chart_cases`, `stability_cases`: functions of (seed, count) and of (seed, repeats, axes) that return
-    cases; `chart_count`, `quick_count`, `repeats`: how many cases a chart holds, how many a first look, and how many
-    draws a position of the stability map.
+    `kind`, `package`: kind of the methods, and the package that registers them; `axes`: the axes
+    along which the methods break; `chart_cases`, `stability_cases`: functions of (seed, count) and
+    of (seed, repeats, axes) that return cases; `chart_count`, `quick_count`, `repeats`: how many
+    cases a chart holds, how many a first look, and how many draws a position of the stability map.
     """
 
     kind: str
@@ -37,15 +39,24 @@ class Study:
     repeats: int
 
 
-def _study(kind: str, package: str, cases: ModuleType, chart_count: int, quick_count: int, repeats: int) -> Study:
+def _study(
+    kind: str, package: str, cases: ModuleType, chart_count: int, quick_count: int, repeats: int
+) -> Study:
     return Study(
-        kind=kind, package=f"charact.{package}", axes=tuple(cases.AXES), chart_cases=cases.chart_cases,
-        stability_cases=cases.stability_cases, chart_count=chart_count, quick_count=quick_count, repeats=repeats,
-    )  # fmt: skip
+        kind=kind,
+        package=f"charact.{package}",
+        axes=tuple(cases.AXES),
+        chart_cases=cases.chart_cases,
+        stability_cases=cases.stability_cases,
+        chart_count=chart_count,
+        quick_count=quick_count,
+        repeats=repeats,
+    )
 
 
 POINT = _study("point", "mtf", point_cases, 200, 4, 2)
-# A table holds a quantity's methods of every kind: `auto` compares those of one kind with each other.
+# A table holds a quantity's methods of every kind: `auto` compares those of one kind with each
+# other.
 STUDIES: dict[str, tuple[Study, ...]] = {
     "mtf50": (_study("edge", "mtf", edge_cases, 100, 6, 2), POINT),
     "mtf": (_study("bars", "mtf", bar_cases, 100, 6, 2),),
@@ -58,17 +69,24 @@ STUDIES: dict[str, tuple[Study, ...]] = {
 
 
 def studies_of(quantity: str) -> tuple[Study, ...]:
-    """The studies of a quantity, one for each kind of target; a quantity without one is a BadInput."""
+    """The studies of a quantity, one for each kind of target; a quantity without one is a
+    BadInput.
+    """
     if quantity not in STUDIES:
         raise BadInput(f"a study must be of one of {', '.join(STUDIES)}, got {quantity!r}")
     return STUDIES[quantity]
 
 
 def methods_of(quantity: str) -> tuple[Method, ...]:
-    """All registered methods that measure a quantity and have a study of their kind, kind by kind."""
+    """All registered methods that measure a quantity and have a study of their kind, kind by
+    kind.
+    """
     studies = studies_of(quantity)
     for study in studies:
         importlib.import_module(study.package)
     return tuple(
-        method for study in studies for method in methods_of_kind(study.kind).values() if quantity in method.quantities
+        method
+        for study in studies
+        for method in methods_of_kind(study.kind).values()
+        if quantity in method.quantities
     )

@@ -8,7 +8,8 @@ import numpy as np
 
 from charact.study.harness import Case
 
-# Axis: unit, positions, the first and last position inside the scope, and what a position changes of a scene.
+# Axis: unit, positions, the first and last position inside the scope, and what a position changes
+# of a scene.
 Axes = Mapping[str, tuple[Any, ...]]
 
 
@@ -16,8 +17,8 @@ Axes = Mapping[str, tuple[Any, ...]]
 class AxisPosition:
     """A position of one knob.
 
-    `axis`, `position`, `unit`: the knob, how far it is turned, and its unit; `in_scope`: whether every method must cope
-    with it.
+    `axis`, `position`, `unit`: the knob, how far it is turned, and its unit; `in_scope`: whether
+    every method must cope with it.
     """
 
     axis: str
@@ -28,9 +29,14 @@ class AxisPosition:
     def case(self, rng: np.random.Generator, **given: Any) -> Case:
         """Return a case at this place, its seed drawn; `given` are the case's other fields."""
         return Case(
-            name=f"{self.axis} {self.position:g} {self.unit}".strip(), axis=self.axis, position=float(self.position),
-            unit=self.unit, in_scope=self.in_scope, seed=int(rng.integers(1 << 31)), **given,
-        )  # fmt: skip
+            name=f"{self.axis} {self.position:g} {self.unit}".strip(),
+            axis=self.axis,
+            position=float(self.position),
+            unit=self.unit,
+            in_scope=self.in_scope,
+            seed=int(rng.integers(1 << 31)),
+            **given,
+        )
 
 
 def scene_at(axes: Axes, at: AxisPosition, base: Any) -> Any:

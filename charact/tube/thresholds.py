@@ -7,7 +7,8 @@ from dataclasses import dataclass
 class DetectionThresholds:
     """Define when a bar target is resolved, and where its contrast is reported."""
 
-    # Least signal-to-noise ratio of a bar (Rosell and Willson, in Perception of Displayed Information, 1973).
+    # Least signal-to-noise ratio of a bar (Rosell and Willson, in Perception of Displayed
+    # Information, 1973).
     snr: float = 2.8
     # Least modulation of the image: where makers state the limiting resolution of a tube.
     modulation: float = 0.03

@@ -1,4 +1,6 @@
-"""Controls of the validation: one camera parameter changed a stage, and faults put into the frames of one stack."""
+"""Controls of the validation: one camera parameter changed a stage, and faults put into the frames
+of one stack.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,8 +17,9 @@ Frames = NDArray[np.floating]
 class ParameterControl:
     """A parameter whose change must be noticed.
 
-    `title` says what, `parameters` are its paths, of which the first counts that exists; `in_quadrature`: whether it is
-    the standard deviation of a noise, whose square the numbers follow.
+    `title` says what, `parameters` are its paths, of which the first counts that exists;
+    `in_quadrature`: whether it is the standard deviation of a noise, whose square the numbers
+    follow.
     """
 
     title: str
@@ -25,9 +28,16 @@ class ParameterControl:
 
 
 PARAMETERS = (
-    ParameterControl(title="sensitivity", parameters=("photocathode.luminous_sensitivity_ua_per_lm",)),
-    ParameterControl(title="gain", parameters=("tube.luminous_gain", "video.conversion_gain_dn_per_e")),
-    ParameterControl(title="detection probability, as 1/F²", parameters=("microchannel_plate.detection_probability",)),
+    ParameterControl(
+        title="sensitivity", parameters=("photocathode.luminous_sensitivity_ua_per_lm",)
+    ),
+    ParameterControl(
+        title="gain", parameters=("tube.luminous_gain", "video.conversion_gain_dn_per_e")
+    ),
+    ParameterControl(
+        title="detection probability, as 1/F²",
+        parameters=("microchannel_plate.detection_probability",),
+    ),
     ParameterControl(title="blur after the gain", parameters=("tube.post_gain_share",)),
     ParameterControl(
         title="frequency of the tube's MTF, or blur of the lens",
@@ -36,7 +46,9 @@ PARAMETERS = (
     ParameterControl(title="video bandwidth", parameters=("video.bandwidth_mhz",)),
     ParameterControl(title="slow decay of the phosphor", parameters=("phosphor.slow_decay_ms",)),
     ParameterControl(title="read noise", parameters=("ccd.read_noise_e",), in_quadrature=True),
-    ParameterControl(title="noise of rows", parameters=("video.line_noise_dn",), in_quadrature=True),
+    ParameterControl(
+        title="noise of rows", parameters=("video.line_noise_dn",), in_quadrature=True
+    ),
     ParameterControl(
         title="dark events: EBI or dark current",
         parameters=("photocathode.ebi_lm_per_cm2", "ccd.dark_current_e_per_s"),
@@ -48,12 +60,15 @@ PARAMETERS = (
 def change_parameter(
     camera: VisibleCamera, control: ParameterControl, change: float
 ) -> tuple[VisibleCamera, float] | None:
-    """Return a camera with one parameter larger by a relative change, and the change; None without the parameter.
+    """Return a camera with one parameter larger by a relative change, and the change; None without
+    the parameter.
 
     A fraction that would exceed 1 is made smaller by as much.
     """
     known = camera.parameters()
-    path = next((path for path in control.parameters if path in known and float(known[path]) != 0.0), None)
+    path = next(
+        (path for path in control.parameters if path in known and float(known[path]) != 0.0), None
+    )
     if path is None:
         return None
     value = float(known[path])
@@ -69,7 +84,9 @@ def _hot_pixels(frames: Frames, rng: np.random.Generator) -> Frames:
 
 
 def _hum(frames: Frames, rng: np.random.Generator) -> Frames:
-    wave = np.sin(2.0 * np.pi * np.arange(frames.shape[1]) / 17.0 + rng.uniform(0.0, 6.0, (len(frames), 1)))
+    wave = np.sin(
+        2.0 * np.pi * np.arange(frames.shape[1]) / 17.0 + rng.uniform(0.0, 6.0, (len(frames), 1))
+    )
     return frames + 0.5 * frames.std(axis=0).mean() * wave[:, :, None]
 
 

@@ -1,4 +1,6 @@
-"""Test of one set of numbers against an ensemble of simulated ones, and correction for several such tests."""
+"""Test of one set of numbers against an ensemble of simulated ones, and correction for several such
+tests.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,8 +18,8 @@ Array = NDArray[np.float64]
 class Ensemble:
     """Numbers of one kind from simulated sets of frames, each set from its own posterior draw.
 
-    `values`: shape (set, number); `least_sd`: least standard deviation of each number, for counts that all simulated
-    sets have in common, shape (number,).
+    `values`: shape (set, number); `least_sd`: least standard deviation of each number, for counts
+    that all simulated sets have in common, shape (number,).
     """
 
     values: Array
@@ -28,7 +30,8 @@ class Ensemble:
     def covariance(self) -> Array:
         """Covariance of the numbers of one set, shape (number, number).
 
-        Correlations are halved: of so few sets an unchanged correlation matrix would be nearly singular.
+        Correlations are halved: of so few sets an unchanged correlation matrix would be nearly
+        singular.
         """
         spread = self.values - self.values.mean(axis=0)
         return _shrink(spread[None], self.least_sd)[0]
@@ -48,40 +51,55 @@ class Ensemble:
         Parameters
         ----------
         measured
-            Numbers of a set, shape (number,), or of several places of its frames, (place, number), of which the most
-            deviating counts.
+            Numbers of a set, shape (number,), or of several places of its frames, (place, number),
+            of which the most deviating counts.
 
         Notes
         -----
-        A deviation is the larger of two, each over its 99 % quantile: chi-squared of all numbers, which finds small
-        errors of many, and the largest squared z-score, which finds an error of one. The covariance is estimated from
-        few sets, so that neither has a tabulated distribution: the procedure is repeated on Gaussian sets with the
-        estimated covariance (a parametric bootstrap; Davison and Hinkley 1997, section 4.2), all places of a repetition
+        A deviation is the larger of two, each over its 99 % quantile: chi-squared of all numbers,
+        which finds small errors of many, and the largest squared z-score, which finds an error of
+        one. The covariance is estimated from few sets, so that neither has a tabulated
+        distribution: the procedure is repeated on Gaussian sets with the estimated covariance (a
+        parametric bootstrap; Davison and Hinkley 1997, section 4.2), all places of a repetition
         against the same sets.
         """
         places = np.atleast_2d(measured)
         null = self.null if len(places) == 1 else self._repeat(len(places))
-        at_least = np.sum(self._ranked(null).max(axis=1) >= self._ranked(self._deviations(places)).max())
+        at_least = np.sum(
+            self._ranked(null).max(axis=1) >= self._ranked(self._deviations(places)).max()
+        )
         return float((1 + at_least) / (len(null) + 1))
 
     def detects(self, shifts: Array, level: float) -> float:
-        """Return the fraction of sets, moved by shifts (number,), whose p-value is below a level."""
+        """Return the fraction of sets, moved by shifts (number,), whose p-value is below a
+        level.
+        """
         rng = np.random.default_rng([self.seed, 2])
         root = np.linalg.cholesky(self.covariance)
-        moved = self.values.mean(axis=0) + shifts + rng.standard_normal((400, self.values.shape[1])) @ root.T
+        moved = (
+            self.values.mean(axis=0)
+            + shifts
+            + rng.standard_normal((400, self.values.shape[1])) @ root.T
+        )
         found = self._ranked(self._deviations(moved))
         return float(np.mean(found > np.quantile(self._ranked(self.null[:, 0]), 1.0 - level)))
 
     def z_scores(self, measured: Array) -> Array:
-        """Return each number's deviation in standard deviations of the prediction, shape (number,)."""
+        """Return each number's deviation in standard deviations of the prediction, shape
+        (number,).
+        """
         return (measured - self.values.mean(axis=0)) / self.sd
 
     def _deviations(self, measured: Array) -> Array:
         """Return chi-squared and the largest squared z-score of sets (n, number), shape (n, 2)."""
-        return _deviations(measured - self.values.mean(axis=0), self.covariance * (1.0 + 1.0 / len(self.values)))
+        return _deviations(
+            measured - self.values.mean(axis=0), self.covariance * (1.0 + 1.0 / len(self.values))
+        )
 
     def _ranked(self, deviations: Array) -> Array:
-        """Return the larger of both deviations, each over its 99 % quantile where the simulation is right."""
+        """Return the larger of both deviations, each over its 99 % quantile where the simulation is
+        right.
+        """
         return (deviations / np.quantile(self.null[:, 0], 0.99, axis=0)).max(axis=-1)
 
     @cached_property
@@ -90,7 +108,9 @@ class Ensemble:
         return self._repeat(1)
 
     def _repeat(self, places: int) -> Array:
-        """Return deviations of several sets from the same ensemble where it is right, shape (replicate, place, 2)."""
+        """Return deviations of several sets from the same ensemble where it is right, shape
+        (replicate, place, 2).
+        """
         rng = np.random.default_rng([self.seed, 1])
         count, size = self.values.shape
         root = np.linalg.cholesky(self.covariance)
@@ -105,14 +125,20 @@ class Ensemble:
 
 
 def _deviations(gap: Array, covariance: Array) -> Array:
-    """Return chi-squared and the largest squared z-score of gaps (..., n, number) by covariances, shape (..., n, 2)."""
-    squared = np.einsum("...ni,...in->...n", gap, np.linalg.solve(covariance, np.swapaxes(gap, -1, -2)))
+    """Return chi-squared and the largest squared z-score of gaps (..., n, number) by covariances,
+    shape (..., n, 2).
+    """
+    squared = np.einsum(
+        "...ni,...in->...n", gap, np.linalg.solve(covariance, np.swapaxes(gap, -1, -2))
+    )
     variance = np.einsum("...ii->...i", covariance)[..., None, :]
     return np.stack([squared, (gap**2 / variance).max(axis=-1)], axis=-1)
 
 
 def _shrink(spread: Array, least_sd: Array) -> Array:
-    """Return covariances of deviations (..., set, number) with halved correlations and a least variance."""
+    """Return covariances of deviations (..., set, number) with halved correlations and a least
+    variance.
+    """
     covariance = np.swapaxes(spread, -1, -2) @ spread / (spread.shape[-2] - 1.0)
     variance = np.maximum(np.einsum("...ii->...i", covariance), least_sd**2)
     half = 0.5 * covariance
@@ -120,22 +146,32 @@ def _shrink(spread: Array, least_sd: Array) -> Array:
     return half
 
 
-def ensemble_of(sets: Sequence[Mapping[str, float]], least_sd: float, seed: int) -> tuple[tuple[str, ...], Ensemble]:
+def ensemble_of(
+    sets: Sequence[Mapping[str, float]], least_sd: float, seed: int
+) -> tuple[tuple[str, ...], Ensemble]:
     """Return the labels that all sets have with finite numbers, and their ensemble."""
-    labels = tuple(label for label in sets[0] if all(np.isfinite(one.get(label, np.nan)) for one in sets))
-    values = np.array([[one[label] for label in labels] for one in sets], float).reshape(len(sets), len(labels))
+    labels = tuple(
+        label for label in sets[0] if all(np.isfinite(one.get(label, np.nan)) for one in sets)
+    )
+    values = np.array([[one[label] for label in labels] for one in sets], float).reshape(
+        len(sets), len(labels)
+    )
     # Rounding leaves a spread even of numbers that are the same in all sets.
     floor = np.maximum(least_sd, 1e-6 * np.abs(values).max(axis=0, initial=0.0)) + 1e-12
-    return labels, Ensemble(values=values, least_sd=np.broadcast_to(floor, (len(labels),)), seed=seed)
+    return labels, Ensemble(
+        values=values, least_sd=np.broadcast_to(floor, (len(labels),)), seed=seed
+    )
 
 
 def holm_levels(p_values: Sequence[float], level: float) -> tuple[float, ...]:
-    """Return the level below which each of several tests fails, so that all hold a family-wise level (Holm 1979).
+    """Return the level below which each of several tests fails, so that all hold a family-wise
+    level (Holm 1979).
 
     Notes
     -----
-    In the order of p, test i of m is held against level / (m - i), i = 0 first; once one passes, those with larger p
-    pass as well: they are held against its level. So a test fails exactly where its p-value is below its level.
+    In the order of p, test i of m is held against level / (m - i), i = 0 first; once one passes,
+    those with larger p pass as well: they are held against its level. So a test fails exactly where
+    its p-value is below its level.
 
     Examples
     --------

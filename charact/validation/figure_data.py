@@ -1,4 +1,6 @@
-"""Figure data of a validation: curves with the band of the simulated sets, and measured pictures and simulated."""
+"""Figure data of a validation: curves with the band of the simulated sets, and measured pictures
+and simulated.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,11 +22,14 @@ from labdata.session import Session
 Array = NDArray[np.float64]
 Frames = Mapping[str, NDArray]
 
-# Side of the squares over which a residual is averaged, px: structure stands out of the noise of pixels.
+# Side of the squares over which a residual is averaged, px: structure stands out of the noise of
+# pixels.
 BLOCK_PX = 4
-# Neighbouring frequencies of a cut of the spectrum that are averaged: one of few frames would be all noise.
+# Neighbouring frequencies of a cut of the spectrum that are averaged: one of few frames would be
+# all noise.
 NEIGHBOURS = 4
-# Edges of the bins of temporal noise, standard deviations; the first and the last bin hold all beyond.
+# Edges of the bins of temporal noise, standard deviations; the first and the last bin hold all
+# beyond.
 BINS_SD = np.arange(-8.0, 12.01, 0.5)
 # Levels of the point source whose profile is drawn.
 POINT_LEVELS = 4
@@ -32,7 +37,8 @@ POINT_LEVELS = 4
 TWO_SIDED_95 = 1.96
 # Share of the pixels that are shown as black, and as white.
 EXTREME = 0.002
-# Scales on which numbers of sets are nearly Gaussian, and the way back. Frames that repeat each other have no power.
+# Scales on which numbers of sets are nearly Gaussian, and the way back. Frames that repeat each
+# other have no power.
 SCALES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "plain": (np.asarray, np.asarray),
     "log": (lambda values: np.log(np.maximum(values, 1e-12)), np.exp),
@@ -45,9 +51,10 @@ SCALES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
 class FigureCurves:
     """Curves of one set of frames, by label of the stack.
 
-    `blocks`: mean frame of a dark or flat in blocks, DN, shape (row, col); `horizontal`, `vertical`: noise power in
-    time along the axes of the spectrum without the mean, DN^2, shape (frequency,); `counts`: number of values in
-    `BINS_SD`; `rings`: level above the dark in the rings about a point source, DN, empty where none is found.
+    `blocks`: mean frame of a dark or flat in blocks, DN, shape (row, col); `horizontal`,
+    `vertical`: noise power in time along the axes of the spectrum without the mean, DN^2, shape
+    (frequency,); `counts`: number of values in `BINS_SD`; `rings`: level above the dark in the
+    rings about a point source, DN, empty where none is found.
     """
 
     blocks: Mapping[str, Array]
@@ -57,10 +64,14 @@ class FigureCurves:
     rings: Mapping[str, Array]
 
 
-def point_levels(session: Session, chosen: MatchedStacks) -> tuple[tuple[MatchedFrames, ...], dict[str, NDArray]]:
-    """Return stacks of the point source at other levels than the compared one, at most `POINT_LEVELS` - 1.
+def point_levels(
+    session: Session, chosen: MatchedStacks
+) -> tuple[tuple[MatchedFrames, ...], dict[str, NDArray]]:
+    """Return stacks of the point source at other levels than the compared one, at most
+    `POINT_LEVELS` - 1.
 
-    They are cut like the compared one and drawn only. Their frames come by label, shape (frame, row, col), DN.
+    They are cut like the compared one and drawn only. Their frames come by label, shape (frame,
+    row, col), DN.
     """
     if chosen.point is None:
         return (), {}
@@ -70,17 +81,30 @@ def point_levels(session: Session, chosen: MatchedStacks) -> tuple[tuple[Matched
         if entry.label == compared.label or light is None:
             continue
         stack = entry.read()
-        fits = all(size <= whole - first for size, whole, first in
-                   zip(compared.shape, stack.shape[1:], compared.corner, strict=True))  # fmt: skip
+        fits = all(
+            size <= whole - first
+            for size, whole, first in zip(
+                compared.shape, stack.shape[1:], compared.corner, strict=True
+            )
+        )
         if fits and len(stack) >= VALIDATION.fewest_frames:
-            shot = replace(compared, label=entry.label, conditions=entry.conditions, target=entry.target,
-                           frames=VALIDATION.fewest_frames)  # fmt: skip
+            shot = replace(
+                compared,
+                label=entry.label,
+                conditions=entry.conditions,
+                target=entry.target,
+                frames=VALIDATION.fewest_frames,
+            )
             found.append((light, shot, stack.region(*shot.corner, *shot.shape).data[: shot.frames]))
     found.sort(key=lambda one: one[0])
     most = POINT_LEVELS - 1
-    places = sorted({round(place) for place in np.linspace(0, len(found) - 1, min(most, len(found)))})
+    places = sorted(
+        {round(place) for place in np.linspace(0, len(found) - 1, min(most, len(found)))}
+    )
     picked = [found[place] for place in places]
-    return tuple(shot for _, shot, _ in picked), {shot.label: np.array(data) for _, shot, data in picked}
+    return tuple(shot for _, shot, _ in picked), {
+        shot.label: np.array(data) for _, shot, data in picked
+    }
 
 
 def _light(conditions: Conditions, *, like: Conditions) -> float | None:
@@ -90,8 +114,12 @@ def _light(conditions: Conditions, *, like: Conditions) -> float | None:
     return None if conditions.wavelength_nm is None else conditions.photons_per_px
 
 
-def curves_of(frames: Frames, chosen: MatchedStacks, levels: tuple[MatchedFrames, ...]) -> FigureCurves:
-    """Return the curves of a set of frames; `levels`: stacks of the point source besides the compared one."""
+def curves_of(
+    frames: Frames, chosen: MatchedStacks, levels: tuple[MatchedFrames, ...]
+) -> FigureCurves:
+    """Return the curves of a set of frames; `levels`: stacks of the point source besides the
+    compared one.
+    """
     horizontal, vertical, counts = {}, {}, {}
     dark_dn = float(frames[chosen.dark.label].mean())
     for shot in (chosen.dark, chosen.flats[-1]):
@@ -105,10 +133,17 @@ def curves_of(frames: Frames, chosen: MatchedStacks, levels: tuple[MatchedFrames
     rings = {}
     for shot in _points(chosen, levels):
         numbers = point_features(frames[shot.label], dark_dn, None)
-        values = np.sinh([numbers.get(_ring(low, high), np.nan) for low, high in pairwise(RADII_PX)])
+        values = np.sinh(
+            [numbers.get(_ring(low, high), np.nan) for low, high in pairwise(RADII_PX)]
+        )
         rings[shot.label] = values if np.isfinite(values).all() else np.array([])
-    blocks = {shot.label: _block_means(frames[shot.label].mean(axis=0)) for shot in _flat_fields(chosen).values()}
-    return FigureCurves(blocks=blocks, horizontal=horizontal, vertical=vertical, counts=counts, rings=rings)
+    blocks = {
+        shot.label: _block_means(frames[shot.label].mean(axis=0))
+        for shot in _flat_fields(chosen).values()
+    }
+    return FigureCurves(
+        blocks=blocks, horizontal=horizontal, vertical=vertical, counts=counts, rings=rings
+    )
 
 
 def figures_of(
@@ -145,9 +180,14 @@ def figures_of(
         pairs=tuple(_pair(role, shot, own_frames, first, 0) for role, shot in roles.items()),
         # Another frame than the pairs show, so that none of them gives the answer.
         blind=(_pair(role, shot, own_frames, first, 1),),
-        patterns=tuple(_pattern_pair(role, shot, own_frames, first) for role, shot in _flat_fields(chosen).items()),
+        patterns=tuple(
+            _pattern_pair(role, shot, own_frames, first)
+            for role, shot in _flat_fields(chosen).items()
+        ),
         residuals=tuple(
-            _residual(role, shot, own.blocks[shot.label], [one.blocks[shot.label] for one in curves])
+            _residual(
+                role, shot, own.blocks[shot.label], [one.blocks[shot.label] for one in curves]
+            )
             for role, shot in _flat_fields(chosen).items()
         ),
     )
@@ -165,7 +205,11 @@ def _roles(chosen: MatchedStacks) -> dict[str, MatchedFrames]:
     """Return the stacks that are shown by role."""
     targets = {"edge": chosen.edge, "point source": chosen.point}
     others = {shot.kind: shot for shot in chosen.others}
-    return {**_flat_fields(chosen), **{role: shot for role, shot in targets.items() if shot is not None}, **others}
+    return {
+        **_flat_fields(chosen),
+        **{role: shot for role, shot in targets.items() if shot is not None},
+        **others,
+    }
 
 
 def _points(chosen: MatchedStacks, levels: tuple[MatchedFrames, ...]) -> tuple[MatchedFrames, ...]:
@@ -188,17 +232,24 @@ def _ring(low: float, high: float) -> str:
     return f"level at {low:g} to {high:g} px of the point"
 
 
-def _residual(role: str, shot: MatchedFrames, measured: Array, simulated: list[Array]) -> ResidualMap:
+def _residual(
+    role: str, shot: MatchedFrames, measured: Array, simulated: list[Array]
+) -> ResidualMap:
     """Return a measured mean frame less that of all sets, with the sd of a block by the sets."""
     sets = np.array(simulated)
     spread = float(np.sqrt(sets.var(axis=0, ddof=1).mean() * (1.0 + 1.0 / len(sets))))
     return ResidualMap(
-        role=role, label=shot.label, block_px=BLOCK_PX, difference_dn=(measured - sets.mean(axis=0)).astype(np.float32),
+        role=role,
+        label=shot.label,
+        block_px=BLOCK_PX,
+        difference_dn=(measured - sets.mean(axis=0)).astype(np.float32),
         sd_dn=spread,
-    )  # fmt: skip
+    )
 
 
-def _pair(role: str, shot: MatchedFrames, measured: Frames, simulated: Frames, number: int) -> FramePair:
+def _pair(
+    role: str, shot: MatchedFrames, measured: Frames, simulated: Frames, number: int
+) -> FramePair:
     """Return one frame of a stack, measured and simulated, with a common grey scale."""
     both = [np.asarray(frames[shot.label][number], float) for frames in (measured, simulated)]
     low, high = np.quantile(np.concatenate([one.ravel() for one in both]), (EXTREME, 1.0 - EXTREME))
@@ -206,19 +257,32 @@ def _pair(role: str, shot: MatchedFrames, measured: Frames, simulated: Frames, n
 
 
 def _pattern_pair(role: str, shot: MatchedFrames, measured: Frames, simulated: Frames) -> FramePair:
-    """Return the mean frames without shading, measured and simulated, with a common grey scale about zero."""
-    both = [np.asarray(StackView(shot.label, frames[shot.label]).pattern, float) for frames in (measured, simulated)]
+    """Return the mean frames without shading, measured and simulated, with a common grey scale
+    about zero.
+    """
+    both = [
+        np.asarray(StackView(shot.label, frames[shot.label]).pattern, float)
+        for frames in (measured, simulated)
+    ]
     high = float(np.quantile(np.abs(np.concatenate([one.ravel() for one in both])), 1.0 - EXTREME))
     return _codes(role, shot, both, -max(high, 1e-3), max(high, 1e-3))
 
 
 def _codes(role: str, shot: MatchedFrames, both: list[Array], low: float, high: float) -> FramePair:
     """Return two images as codes of 8 bits on one scale."""
-    shown = [np.rint(255 * np.clip((one - low) / (high - low), 0, 1)).astype(np.uint8) for one in both]
+    shown = [
+        np.rint(255 * np.clip((one - low) / (high - low), 0, 1)).astype(np.uint8) for one in both
+    ]
     return FramePair(
-        role=role, kind=shot.kind, label=shot.label, measured=shown[0], simulated=shown[1], low_dn=low, high_dn=high,
+        role=role,
+        kind=shot.kind,
+        label=shot.label,
+        measured=shown[0],
+        simulated=shown[1],
+        low_dn=low,
+        high_dn=high,
         frames=shot.frames,
-    )  # fmt: skip
+    )
 
 
 def _overlays_of_features(
@@ -231,57 +295,101 @@ def _overlays_of_features(
         ("covariance", "covariance_dn2", "Covariance sum within 6 px, DN²"),
     ):
         x = np.array([one.mean_dn for one in simulated]).mean(axis=0)
-        curve = _curve("", measured.mean_dn, getattr(measured, field), [getattr(one, field) for one in simulated], x)
+        curve = _curve(
+            "",
+            measured.mean_dn,
+            getattr(measured, field),
+            [getattr(one, field) for one in simulated],
+            x,
+        )
         out[name] = {"title": title, "x_title": "signal, DN", "y_title": title, "curves": [curve]}
     flat = chosen.flats[-1].label
     lags = [f"correlation at {row},{col} px of {flat}" for row, col in LAGS]
     frequencies = [f"MTF at {at:.2f} cy/px" for at in FREQUENCY_CY_PER_PX]
     for name, x, labels, x_title, y_title in (
-        ("autocorrelation", [f"{row},{col}" for row, col in LAGS], lags, "lag (row, column), px", "correlation"),
+        (
+            "autocorrelation",
+            [f"{row},{col}" for row, col in LAGS],
+            lags,
+            "lag (row, column), px",
+            "correlation",
+        ),
         ("mtf", FREQUENCY_CY_PER_PX.tolist(), frequencies, "frequency, cy/px", "MTF"),
     ):
-        own, *sets = (np.array([one.groups.get(name, {}).get(label, np.nan) for label in labels])
-                      for one in (measured, *simulated))  # fmt: skip
+        own, *sets = (
+            np.array([one.groups.get(name, {}).get(label, np.nan) for label in labels])
+            for one in (measured, *simulated)
+        )
         if np.isfinite(own).all() and np.isfinite(sets).all():
             curve = _curve("", x, own, sets)
-            out[name] = {"title": GROUPS[name].title, "x_title": x_title, "y_title": y_title, "curves": [curve]}
+            out[name] = {
+                "title": GROUPS[name].title,
+                "x_title": x_title,
+                "y_title": y_title,
+                "curves": [curve],
+            }
     return out
 
 
 def _overlays_of_curves(
-    own: FigureCurves, sets: Sequence[FigureCurves], chosen: MatchedStacks, levels: tuple[MatchedFrames, ...]
+    own: FigureCurves,
+    sets: Sequence[FigureCurves],
+    chosen: MatchedStacks,
+    levels: tuple[MatchedFrames, ...],
 ) -> dict[str, dict[str, Any]]:
     """Return the overlays of noise spectra, histograms and profiles by name, JSON-ready."""
     out = {}
     for field in ("horizontal", "vertical"):
-        power = {label: [getattr(one, field)[label] for one in sets] for label in getattr(own, field)}
+        power = {
+            label: [getattr(one, field)[label] for one in sets] for label in getattr(own, field)
+        }
         curves = [
             _curve(label, _frequency(chosen, field), getattr(own, field)[label], rows, scale="log")
             for label, rows in power.items()
         ]
         out[f"noise-spectrum-{field}"] = {
-            "title": f"Noise spectrum, {field} cut", "x_title": "frequency, cy/px",
-            "y_title": "power of the noise in time, DN²", "y_scale": "log", "curves": curves,
-        }  # fmt: skip
+            "title": f"Noise spectrum, {field} cut",
+            "x_title": "frequency, cy/px",
+            "y_title": "power of the noise in time, DN²",
+            "y_scale": "log",
+            "curves": curves,
+        }
     for shot in (chosen.dark, chosen.flats[-1]):
         rows = [one.counts[shot.label] for one in sets]
         out[f"histogram-{shot.kind}"] = {
             "title": f"Histogram of the noise in time of {shot.label}",
-            "x_title": "deviation from the mean frame; the ends hold all beyond, sd", "y_title": "values in half an sd",
+            "x_title": "deviation from the mean frame; the ends hold all beyond, sd",
+            "y_title": "values in half an sd",
             "y_scale": "symlog",
-            "curves": [_curve("", (BINS_SD[1:] + BINS_SD[:-1]) / 2.0, own.counts[shot.label], rows, scale="root")],
-        }  # fmt: skip
+            "curves": [
+                _curve(
+                    "",
+                    (BINS_SD[1:] + BINS_SD[:-1]) / 2.0,
+                    own.counts[shot.label],
+                    rows,
+                    scale="root",
+                )
+            ],
+        }
     found = [
-        _curve(shot.label, [(low + high) / 2.0 for low, high in pairwise(RADII_PX)], own.rings[shot.label],
-               [one.rings[shot.label] for one in sets], scale="asinh")
+        _curve(
+            shot.label,
+            [(low + high) / 2.0 for low, high in pairwise(RADII_PX)],
+            own.rings[shot.label],
+            [one.rings[shot.label] for one in sets],
+            scale="asinh",
+        )
         for shot in _points(chosen, levels)
         if own.rings[shot.label].size and all(one.rings[shot.label].size for one in sets)
-    ]  # fmt: skip
+    ]
     if found:
         out["point"] = {
-            "title": "Profile of the point source at each level", "x_title": "radius, px",
-            "y_title": "level above the dark, DN", "y_scale": "symlog", "curves": found,
-        }  # fmt: skip
+            "title": "Profile of the point source at each level",
+            "x_title": "radius, px",
+            "y_title": "level above the dark, DN",
+            "y_scale": "symlog",
+            "curves": found,
+        }
     return out
 
 
@@ -292,21 +400,36 @@ def _frequency(chosen: MatchedStacks, direction: str) -> Array:
 
 
 def _average(spectrum: NDArray) -> Array:
-    """Return means of neighbours of a spectrum without its first value, the mean; a remainder is left out."""
+    """Return means of neighbours of a spectrum without its first value, the mean; a remainder is
+    left out.
+    """
     count = (len(spectrum) - 1) // NEIGHBOURS
-    return np.asarray(spectrum[1 : 1 + count * NEIGHBOURS], float).reshape(count, NEIGHBOURS).mean(axis=1)
+    return (
+        np.asarray(spectrum[1 : 1 + count * NEIGHBOURS], float)
+        .reshape(count, NEIGHBOURS)
+        .mean(axis=1)
+    )
 
 
 def _curve(
-    name: str, x: Any, measured: Any, simulated: Any, x_simulated: Any = None, *, scale: str = "plain"
-) -> dict[str, Any]:  # fmt: skip
-    """Return a measured curve with the mean of the simulated ones and the 95 % band of one more set, JSON-ready.
+    name: str,
+    x: Any,
+    measured: Any,
+    simulated: Any,
+    x_simulated: Any = None,
+    *,
+    scale: str = "plain",
+) -> dict[str, Any]:
+    """Return a measured curve with the mean of the simulated ones and the 95 % band of one more
+    set, JSON-ready.
 
-    `simulated`: shape (set, k); `scale`: that of `SCALES` on which mean and sd are taken; the root is of counts.
+    `simulated`: shape (set, k); `scale`: that of `SCALES` on which mean and sd are taken; the root
+    is of counts.
     """
     to, back = SCALES[scale]
     sets = to(np.asarray(simulated, float))
-    # A root of a count has a variance of 1/4 by Poisson (Anscombe 1948), also where all sets have none.
+    # A root of a count has a variance of 1/4 by Poisson (Anscombe 1948), also where all sets have
+    # none.
     variance = np.maximum(sets.var(axis=0, ddof=1), 0.25 if scale == "root" else 0.0)
     centre, half = sets.mean(axis=0), TWO_SIDED_95 * np.sqrt(variance * (1.0 + 1.0 / len(sets)))
     out = {"name": name, "x": list(x) if isinstance(x[0], str) else _round(x)}

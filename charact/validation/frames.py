@@ -24,16 +24,20 @@ VisibleCamera = Sensor | SolidStateCamera
 
 # Size of a centred crop: sufficient for every statistic, and fast to simulate.
 SHAPE = (240, 320)
-# Size of an edge crop: pixels far from the edge add noise and little signal, a long one may be bent by the lens.
+# Size of an edge crop: pixels far from the edge add noise and little signal, a long one may be bent
+# by the lens.
 ALONG_EDGE, ACROSS_EDGE = 384, 96
-# Samples of a plane of a mosaic lie two pixels apart: a crop of as many pixels of the camera along the edge, and of a
-# dark or flat 1.7 times as many as of another camera, for the statistics of fewer samples.
+# Samples of a plane of a mosaic lie two pixels apart: a crop of as many pixels of the camera along
+# the edge, and of a dark or flat 1.7 times as many as of another camera, for the statistics of
+# fewer samples.
 SHAPE_OF_PLANE, ALONG_EDGE_OF_PLANE = (160, 200), 192
 
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedFrames:
-    """Frames of a stack that are compared: as in the session, their number, and corner and shape of the crop."""
+    """Frames of a stack that are compared: as in the session, their number, and corner and shape of
+    the crop.
+    """
 
     label: str
     kind: Kind
@@ -49,9 +53,10 @@ class MatchedFrames:
 class MatchedStacks:
     """Stacks of a validation.
 
-    `others` are for display only; `measured` has the frames by label, shape (frame, row, col), DN; `parts` have those
-    of the dark and the brightest flat in other parts of the whole frame, of the same shape, by place; `notes` name
-    excluded stacks. Without an edge the MTF is not compared, without a point source no halo.
+    `others` are for display only; `measured` has the frames by label, shape (frame, row, col), DN;
+    `parts` have those of the dark and the brightest flat in other parts of the whole frame, of the
+    same shape, by place; `notes` name excluded stacks. Without an edge the MTF is not compared,
+    without a point source no halo.
     """
 
     dark: MatchedFrames
@@ -66,7 +71,11 @@ class MatchedStacks:
     @property
     def compared(self) -> tuple[MatchedFrames, ...]:
         """Dark, flats, edge and point source."""
-        return (self.dark, *self.flats, *(one for one in (self.edge, self.point) if one is not None))
+        return (
+            self.dark,
+            *self.flats,
+            *(one for one in (self.edge, self.point) if one is not None),
+        )
 
 
 def choose(session: Session) -> MatchedStacks:
@@ -75,14 +84,15 @@ def choose(session: Session) -> MatchedStacks:
     Raises
     ------
     BadInput
-        If there is no dark or no usable flat of at least three frames, or the session names no camera of visible light.
+        If there is no dark or no usable flat of at least three frames, or the session names no
+        camera of visible light.
     """
     camera_of(session)
     darks = _shots(session, "dark")
     if not darks:
         raise BadInput(
-            f"a validation needs a dark stack of {VALIDATION.fewest_frames} frames or more, got none in "
-            f"{session.name!r}"
+            f"a validation needs a dark stack of {VALIDATION.fewest_frames} frames or more, got "
+            f"none in {session.name!r}"
         )
     dark = max(darks, key=lambda item: item[0].frames)
     flats, notes = _flats(session)
@@ -90,7 +100,10 @@ def choose(session: Session) -> MatchedStacks:
     if not edges:
         notes.append("no edge: the MTF is not compared")
     elif edges[0][0].target.contrast is None:
-        notes.append(f"{edges[0][0].label} states no contrast (target = {{ contrast = ... }}): its dark side is opaque")
+        notes.append(
+            f"{edges[0][0].label} states no contrast (target = {{ contrast = ... }}): its dark "
+            f"side is opaque"
+        )
     if not points:
         notes.append("no point source: halo and bloom are not compared")
     brightest = points[-1:]
@@ -100,7 +113,10 @@ def choose(session: Session) -> MatchedStacks:
         edge=edges[0][0] if edges else None,
         point=brightest[0][0] if brightest else None,
         others=tuple(shot for shot, _ in bars[:1]),
-        measured={shot.label: _cut(shot, entry) for shot, entry in (dark, *flats, *edges[:1], *brightest, *bars[:1])},
+        measured={
+            shot.label: _cut(shot, entry)
+            for shot, entry in (dark, *flats, *edges[:1], *brightest, *bars[:1])
+        },
         notes=tuple(notes),
         parts=_parts(dark, flats[-1]),
     )
@@ -118,12 +134,17 @@ def camera_of(session: Session) -> VisibleCamera:
 
 
 def simulate_frames(
-    camera: VisibleCamera, shots: tuple[MatchedFrames, ...], *, seed: int, like: VisibleCamera | None = None
+    camera: VisibleCamera,
+    shots: tuple[MatchedFrames, ...],
+    *,
+    seed: int,
+    like: VisibleCamera | None = None,
 ) -> dict[str, NDArray]:
-    """Simulate frames of a camera under the stacks' conditions by label, shape (frame, row, col), DN.
+    """Simulate frames of a camera under the stacks' conditions by label, shape (frame, row, col),
+    DN.
 
-    The camera is as small as the crop, and its fixed patterns follow from its name. Targets lie as before `like`, if it
-    is given: cameras of many draws share their images.
+    The camera is as small as the crop, and its fixed patterns follow from its name. Targets lie as
+    before `like`, if it is given: cameras of many draws share their images.
     """
     from simulate.lab import LabBench
 
@@ -142,18 +163,23 @@ def simulate_frames(
 
 
 def _slow_enough(camera: VisibleCamera, shots: tuple[MatchedFrames, ...]) -> VisibleCamera:
-    """Return the camera with frames as long as the exposures: without a tube nothing else depends on their rate."""
+    """Return the camera with frames as long as the exposures: without a tube nothing else depends
+    on their rate.
+    """
     longest_s = max((shot.conditions.exposure_s or 0.0 for shot in shots), default=0.0)
     rate = camera.video.field_rate_hz
     if isinstance(camera, Sensor) or longest_s * float(rate) <= 1.0:
         return camera
-    return camera.with_parameters({"video.field_rate_hz": replace(rate, value=1.0 / longest_s, low=None, high=None)})
+    return camera.with_parameters(
+        {"video.field_rate_hz": replace(rate, value=1.0 / longest_s, low=None, high=None)}
+    )
 
 
 def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
     """Return the frames of a stack, shape (frame, row, col), DN.
 
-    Of a plane of a mosaic the light is that of pixels `pitch_px` apart, read as the rows and columns of the plane.
+    Of a plane of a mosaic the light is that of pixels `pitch_px` apart, read as the rows and
+    columns of the plane.
     """
     from simulate.iiccd.chain import Slot
 
@@ -162,22 +188,29 @@ def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
         return bench.expose(shot.kind, target, conditions, frames=shot.frames, seed=seed).data
     target = replace(
         target,
-        frequency_cy_per_px=None if target.frequency_cy_per_px is None else target.frequency_cy_per_px / apart,
+        frequency_cy_per_px=None
+        if target.frequency_cy_per_px is None
+        else target.frequency_cy_per_px / apart,
         pinhole_px=None if target.pinhole_px is None else target.pinhole_px * apart,
     )
     chain = bench.camera.chain(conditions)
     pixels = chain[Slot.PIXELS].mean(bench.mcp_input(shot.kind, target, conditions))
     pixels = pixels.with_values(pixels.values[::apart, ::apart])
     reading = chain.between(Slot.CCD, Slot.VIDEO)
-    return np.stack([
-        reading.draw(pixels, np.random.default_rng([seed, 1, frame])).values for frame in range(shot.frames)
-    ])  # fmt: skip
+    return np.stack(
+        [
+            reading.draw(pixels, np.random.default_rng([seed, 1, frame])).values
+            for frame in range(shot.frames)
+        ]
+    )
 
 
 def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry]]:
     """Return the stacks of a kind with enough frames and known light."""
     out, (_, pitch_px) = [], session.sampling
-    whole_shape, along_edge = (SHAPE, ALONG_EDGE) if pitch_px == 1 else (SHAPE_OF_PLANE, ALONG_EDGE_OF_PLANE)
+    whole_shape, along_edge = (
+        (SHAPE, ALONG_EDGE) if pitch_px == 1 else (SHAPE_OF_PLANE, ALONG_EDGE_OF_PLANE)
+    )
     for entry in session.of_kind(kind):
         frames, rows, columns = entry.read().shape
         conditions = entry.conditions
@@ -193,16 +226,23 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
         shape = (min(height, rows - rows % 2), min(width, columns))
         most = VALIDATION.edge_frames if kind == "edge" else VALIDATION.frames
         shot = MatchedFrames(
-            label=entry.label, kind=entry.kind, conditions=entry.conditions, target=entry.target,
-            frames=min(frames, most), corner=_corner(entry.target, (rows, columns), shape),
-            shape=shape, pitch_px=pitch_px,
-        )  # fmt: skip
+            label=entry.label,
+            kind=entry.kind,
+            conditions=entry.conditions,
+            target=entry.target,
+            frames=min(frames, most),
+            corner=_corner(entry.target, (rows, columns), shape),
+            shape=shape,
+            pitch_px=pitch_px,
+        )
         out.append((shot, entry))
     return out
 
 
 def _corner(target: Target, whole: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
-    """Return the first row and column of a crop centred on the target; an even row keeps the field parity."""
+    """Return the first row and column of a crop centred on the target; an even row keeps the field
+    parity.
+    """
     row, col, height, width = target.region or (0, 0, *whole)
     top = int(np.clip(round(row + (height - shape[0]) / 2), 0, whole[0] - shape[0]))
     left = int(np.clip(round(col + (width - shape[1]) / 2), 0, whole[1] - shape[1]))
@@ -214,9 +254,11 @@ def _cut(shot: MatchedFrames, entry: StackEntry) -> NDArray:
 
 
 def _parts(*stacks: tuple[MatchedFrames, StackEntry]) -> dict[str, dict[str, NDArray]]:
-    """Return the frames of stacks in the parts of the frame that cover it besides the centred crop, by place.
+    """Return the frames of stacks in the parts of the frame that cover it besides the centred crop,
+    by place.
 
-    Stacks of unlike frames have none. Strips below a tenth of the crop between two parts are left out.
+    Stacks of unlike frames have none. Strips below a tenth of the crop between two parts are left
+    out.
     """
     sizes = {(entry.read().shape[1:], shot.shape) for shot, entry in stacks}
     if len(sizes) > 1:
@@ -246,16 +288,19 @@ def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], li
         clipped = float(np.mean((frames >= full) | (frames <= 0)))
         if frames.mean() > VALIDATION.highest_share * full or clipped > VALIDATION.most_clipped:
             notes.append(
-                f"{shot.label} is not compared: above {VALIDATION.highest_share:.0%} of full scale, or more than "
-                f"{VALIDATION.most_clipped:.1%} of its pixels clip"
+                f"{shot.label} is not compared: above {VALIDATION.highest_share:.0%} of full "
+                f"scale, or more than {VALIDATION.most_clipped:.1%} of its pixels clip"
             )
         else:
             usable.append((float(frames.mean()), (shot, entry)))
     if not usable:
         raise BadInput(
-            f"a validation needs a flat inside the range with {VALIDATION.fewest_frames} frames or more and known "
-            "light (illuminance_lux, or photons_per_px with wavelength_nm), got none"
+            f"a validation needs a flat inside the range with {VALIDATION.fewest_frames} frames "
+            "or more and known light (illuminance_lux, or photons_per_px with wavelength_nm), "
+            "got none"
         )
     usable.sort(key=lambda item: item[0])
-    picked = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(3, len(usable)))})
+    picked = sorted(
+        {round(place) for place in np.linspace(0, len(usable) - 1, min(3, len(usable)))}
+    )
     return [usable[place][1] for place in picked], notes

@@ -1,4 +1,6 @@
-"""Likely causes of a validation that fails: numbers that one fault of camera or grabber moves, and the way they go."""
+"""Likely causes of a validation that fails: numbers that one fault of camera or grabber moves, and
+the way they go.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -33,8 +35,9 @@ HALF95_SD = 1.96
 class Signature:
     """What a fault does to the numbers of one statistic.
 
-    `flag`: key of `labdata.flags.FLAGS`; `statistic`, `numbers`: the statistic and how the labels of its numbers begin;
-    `shows`: which of them show it, by their deviation in standard deviations and their value.
+    `flag`: key of `labdata.flags.FLAGS`; `statistic`, `numbers`: the statistic and how the labels
+    of its numbers begin; `shows`: which of them show it, by their deviation in standard deviations
+    and their value.
     """
 
     flag: str
@@ -45,7 +48,9 @@ class Signature:
 
 
 def _limit() -> float:
-    """Return the deviation of a single number that is no chance, standard deviations: two-sided, of few sets."""
+    """Return the deviation of a single number that is no chance, standard deviations: two-sided, of
+    few sets.
+    """
     from scipy.stats import t
 
     return float(t.isf(VALIDATION.level / 2.0, VALIDATION.draws - 1))
@@ -56,7 +61,9 @@ def _above(z: Array, value: Array) -> NDArray[np.bool_]:
 
 
 def _positive(z: Array, value: Array) -> NDArray[np.bool_]:
-    """Whether a correlation is above its prediction and no anticorrelation, which the mean of few frames leaves."""
+    """Whether a correlation is above its prediction and no anticorrelation, which the mean of few
+    frames leaves.
+    """
     return _above(z, value) & (value > 0.0)
 
 
@@ -75,43 +82,86 @@ def _constant(z: Array, value: Array) -> NDArray[np.bool_]:
 
 # From the most special to the most general: one of the first also moves numbers of the last.
 SIGNATURES = (
-    Signature(flag="quantised", statistic="histogram", numbers="share of ones of bit", shows=_constant, cause=COARSE),
     Signature(
-        flag="processed", statistic="time", numbers="correlation of dark frames of", shows=_positive, cause=AVERAGED
+        flag="quantised",
+        statistic="histogram",
+        numbers="share of ones of bit",
+        shows=_constant,
+        cause=COARSE,
+    ),
+    Signature(
+        flag="processed",
+        statistic="time",
+        numbers="correlation of dark frames of",
+        shows=_positive,
+        cause=AVERAGED,
     ),
     Signature(flag="drift", statistic="time", numbers="drift of", shows=_either, cause=UNSTEADY),
     Signature(
-        flag="processed", statistic="autocorrelation", numbers="correlation at", shows=_below, cause=SHARPENED
+        flag="processed",
+        statistic="autocorrelation",
+        numbers="correlation at",
+        shows=_below,
+        cause=SHARPENED,
     ),
-    Signature(flag="correlated-noise", statistic="field", numbers="correlation at", shows=_above, cause=OFF_AXIS),
     Signature(
-        flag="model-misfit", statistic="edge", numbers="step over 0.5 to 1.5 px of the edge, ends", shows=_below,
+        flag="correlated-noise",
+        statistic="field",
+        numbers="correlation at",
+        shows=_above,
+        cause=OFF_AXIS,
+    ),
+    Signature(
+        flag="model-misfit",
+        statistic="edge",
+        numbers="step over 0.5 to 1.5 px of the edge, ends",
+        shows=_below,
         cause=LENS_OFF_AXIS,
     ),
     Signature(flag="nonlinear", statistic="linearity", numbers="", shows=_either, cause=CURVED),
-    Signature(flag="lag", statistic="time", numbers="correlation of frames of", shows=_above, cause=LAGGING),
-)  # fmt: skip
+    Signature(
+        flag="lag",
+        statistic="time",
+        numbers="correlation of frames of",
+        shows=_above,
+        cause=LAGGING,
+    ),
+)
 
 
 def likely_causes(statistics: Iterable["Statistic"]) -> tuple[Finding, ...]:
-    """Return the faults whose signatures failing statistics show, the likeliest first; empty where none fails.
+    """Return the faults whose signatures failing statistics show, the likeliest first; empty where
+    none fails.
 
     Notes
     -----
-    That a statistic fails is decided by its p-value alone. Of its numbers, one belongs to a signature if it deviates
-    the signature's way by more than Student's quantile of `VALIDATION.level` for the simulated sets.
+    That a statistic fails is decided by its p-value alone. Of its numbers, one belongs to a
+    signature if it deviates the signature's way by more than Student's quantile of
+    `VALIDATION.level` for the simulated sets.
     """
     failing = {one.name: one for one in statistics if not one.passed}
-    numbers = {one: _number_of(one, failing[one.statistic]) for one in SIGNATURES if one.statistic in failing}
-    return tuple(one.cause.finding(one.flag, number) for one, number in numbers.items() if number is not None)
+    numbers = {
+        one: _number_of(one, failing[one.statistic])
+        for one in SIGNATURES
+        if one.statistic in failing
+    }
+    return tuple(
+        one.cause.finding(one.flag, number) for one, number in numbers.items() if number is not None
+    )
 
 
 def _number_of(signature: Signature, statistic: "Statistic") -> str | None:
-    """Return the number that shows a signature most, with its prediction, in words; None where none does."""
-    own = [place for place, label in enumerate(statistic.labels) if label.startswith(signature.numbers)]
+    """Return the number that shows a signature most, with its prediction, in words; None where none
+    does.
+    """
+    own = [
+        place for place, label in enumerate(statistic.labels) if label.startswith(signature.numbers)
+    ]
     if not own or statistic.worst == "not measurable":
         return None
-    measured, low, high = (np.array(getattr(statistic, name))[own] for name in ("measured", "low95", "high95"))
+    measured, low, high = (
+        np.array(getattr(statistic, name))[own] for name in ("measured", "low95", "high95")
+    )
     z = (measured - 0.5 * (low + high)) / ((high - low) / (2.0 * HALF95_SD))
     shown = signature.shows(z, measured)
     if not shown.any():

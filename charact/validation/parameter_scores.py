@@ -1,4 +1,6 @@
-"""Estimates of the errors of camera parameters, each by the combination of all numbers that its change moves most."""
+"""Estimates of the errors of camera parameters, each by the combination of all numbers that its
+change moves most.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,9 +15,9 @@ Array = NDArray[np.float64]
 class ParameterScores:
     """Linear estimates of relative errors of parameters from the numbers of a set of frames.
 
-    `titles`: parameters; `weights`: shape (parameter, number); `centre`: mean numbers of the simulated sets, shape
-    (number,); `sd`: standard deviation of an estimate of a right simulation, shape (parameter,); `degrees`: degrees of
-    freedom of that.
+    `titles`: parameters; `weights`: shape (parameter, number); `centre`: mean numbers of the
+    simulated sets, shape (number,); `sd`: standard deviation of an estimate of a right simulation,
+    shape (parameter,); `degrees`: degrees of freedom of that.
     """
 
     titles: tuple[str, ...]
@@ -25,18 +27,24 @@ class ParameterScores:
     degrees: int
 
     def estimates(self, measured: Array) -> Array:
-        """Return the relative errors of the parameters, each as if it were the only wrong one, shape (parameter,)."""
+        """Return the relative errors of the parameters, each as if it were the only wrong one,
+        shape (parameter,).
+        """
         return self.weights @ (measured - self.centre)
 
     def p_value(self, measured: Array) -> float:
-        """Return the probability of an estimate as far from 0 in its standard deviation, over all parameters."""
+        """Return the probability of an estimate as far from 0 in its standard deviation, over all
+        parameters.
+        """
         from scipy.stats import t
 
         largest = float(np.max(np.abs(self.estimates(measured)) / self.sd))
         return min(1.0, len(self.titles) * 2.0 * float(t.sf(largest, self.degrees)))
 
     def detects(self, shifts: Array, level: float) -> float:
-        """Return the probability that sets moved by shifts (number,) have a p-value below a level."""
+        """Return the probability that sets moved by shifts (number,) have a p-value below a
+        level.
+        """
         from scipy.stats import nct, t
 
         limit = float(t.isf(level / (2.0 * len(self.titles)), self.degrees))
@@ -44,7 +52,9 @@ class ParameterScores:
         return float(nct.sf(limit, self.degrees, largest))
 
 
-def parameter_scores(titles: Sequence[str], changes: Array, values: Array, least_sd: Array) -> ParameterScores:
+def parameter_scores(
+    titles: Sequence[str], changes: Array, values: Array, least_sd: Array
+) -> ParameterScores:
     """Return the estimates of parameters from simulated sets.
 
     Parameters
@@ -52,7 +62,8 @@ def parameter_scores(titles: Sequence[str], changes: Array, values: Array, least
     titles
         Names of the parameters.
     changes
-        Change of each number by a relative change of 1 of each parameter, shape (parameter, number).
+        Change of each number by a relative change of 1 of each parameter, shape (parameter,
+        number).
     values
         Numbers of the simulated sets, shape (set, number).
     least_sd
@@ -64,24 +75,30 @@ def parameter_scores(titles: Sequence[str], changes: Array, values: Array, least
 
     .. math:: a = d^T C^{-1} (y - \\bar y) / d^T C^{-1} d
 
-    (score test of a Gaussian; Rao 1948). C has its correlations halved, as there are fewer sets than numbers; the
-    weights are then not the best, but the estimate stays unbiased. Its variance is that of the estimates of each set by
-    the other sets alone (cross-validation): neither the choice of the weights nor wrong correlations make it too small.
-    Sampling noise and the width of the posterior are both in it.
+    (score test of a Gaussian; Rao 1948). C has its correlations halved, as there are fewer sets
+    than numbers; the weights are then not the best, but the estimate stays unbiased. Its variance
+    is that of the estimates of each set by the other sets alone (cross-validation): neither the
+    choice of the weights nor wrong correlations make it too small. Sampling noise and the width of
+    the posterior are both in it.
     """
     count = len(values)
     weights, centre = _weights(changes, values, least_sd), values.mean(axis=0)
     left_out = np.empty((count, len(titles)))
     for index in range(count):
         others = np.delete(values, index, axis=0)
-        left_out[index] = _weights(changes, others, least_sd) @ (values[index] - others.mean(axis=0))
+        left_out[index] = _weights(changes, others, least_sd) @ (
+            values[index] - others.mean(axis=0)
+        )
     sd = np.sqrt(np.mean(left_out**2, axis=0))
-    return ParameterScores(titles=tuple(titles), weights=weights, centre=centre, sd=sd, degrees=count - 1)
+    return ParameterScores(
+        titles=tuple(titles), weights=weights, centre=centre, sd=sd, degrees=count - 1
+    )
 
 
 def _weights(changes: Array, values: Array, least_sd: Array) -> Array:
     """Return the weights of the numbers in the estimates, shape (parameter, number)."""
-    # In standard deviations, as the numbers have many units; with halved correlations, solved in the space of the sets.
+    # In standard deviations, as the numbers have many units; with halved correlations, solved in
+    # the space of the sets.
     sd = np.sqrt(np.maximum(values.var(axis=0, ddof=1), least_sd**2))
     spread = (values - values.mean(axis=0)) / sd / np.sqrt(len(values) - 1.0)
     # Variances are kept: what correlations lose is added to the diagonal.

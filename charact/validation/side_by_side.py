@@ -1,4 +1,6 @@
-"""Validation of a session: comparison with frames simulated from the fitted sensor, and its controls."""
+"""Validation of a session: comparison with frames simulated from the fitted sensor, and its
+controls.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -8,10 +10,22 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
-from charact.validation.controls import FAULTS, PARAMETERS, ParameterControl, change_parameter, put_fault
+from charact.validation.controls import (
+    FAULTS,
+    PARAMETERS,
+    ParameterControl,
+    change_parameter,
+    put_fault,
+)
 from charact.validation.figure_data import FigureCurves, curves_of, figures_of, point_levels
 from charact.validation.frame_features import FrameFeatures, Numbers, features_of, features_of_parts
-from charact.validation.frames import MatchedFrames, MatchedStacks, VisibleCamera, choose, simulate_frames
+from charact.validation.frames import (
+    MatchedFrames,
+    MatchedStacks,
+    VisibleCamera,
+    choose,
+    simulate_frames,
+)
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import Validation, ValidationControl
 from charact.validation.validation_test import ParameterChange, ValidationTest
@@ -26,7 +40,11 @@ NO_DRAWS = "the camera has no posterior draws: simulated at its values"
 
 
 def validate(
-    session: Session, sensor: VisibleCamera, *, seed: int = 0, progress: Progress = lambda sentence, share: None
+    session: Session,
+    sensor: VisibleCamera,
+    *,
+    seed: int = 0,
+    progress: Progress = lambda sentence, share: None,
 ) -> Validation:
     """Compare a session with frames simulated from a camera description.
 
@@ -35,8 +53,8 @@ def validate(
     session
         Session with darks, flats and, for MTF and halo, an edge and a point source.
     sensor
-        Fitted camera; each simulated set is one of its joint posterior draws. One without draws is simulated at its
-        values, with a note.
+        Fitted camera; each simulated set is one of its joint posterior draws. One without draws is
+        simulated at its values, with a note.
     seed
         Seed of draws and frames.
     progress
@@ -45,8 +63,9 @@ def validate(
     Returns
     -------
     Validation
-        Statistics at a family-wise level (Holm); null controls, which must pass; negative controls, one parameter or
-        fault each, which must fail; the error of each parameter that would have been found; figure data and pictures.
+        Statistics at a family-wise level (Holm); null controls, which must pass; negative controls,
+        one parameter or fault each, which must fail; the error of each parameter that would have
+        been found; figure data and pictures.
 
     Raises
     ------
@@ -58,7 +77,14 @@ def validate(
     chosen = choose(session)
     levels, frames_of_levels = point_levels(session, chosen)
     changes = [one for one in PARAMETERS if change_parameter(sensor, one, 0.1) is not None]
-    bench = _Bench(session, chosen, sensor, seed=seed, steps=VALIDATION.draws + len(changes) + 1, progress=progress)
+    bench = _Bench(
+        session,
+        chosen,
+        sensor,
+        seed=seed,
+        steps=VALIDATION.draws + len(changes) + 1,
+        progress=progress,
+    )
     sets = _simulate_sets(bench, levels)
     parameters = _change_parameters(bench, sets, changes)
     test = ValidationTest([one.groups for one in sets.features], seed=seed, changes=parameters)
@@ -75,7 +101,9 @@ def validate(
         seed=seed,
         draws=VALIDATION.draws,
         seconds=watch.seconds(),
-        statistics=test.statistics(measured.groups, features_of_parts(chosen, context=bench.context)),
+        statistics=test.statistics(
+            measured.groups, features_of_parts(chosen, context=bench.context)
+        ),
         controls=(*nulls, *changed, *faulty),
         power=tuple(test.detectable(**vars(one)) for one in parameters),
         figures=figures,
@@ -84,15 +112,27 @@ def validate(
 
 
 class _Bench:
-    """Simulates sets of frames under the conditions of the chosen stacks, by one generator, and takes their numbers."""
+    """Simulates sets of frames under the conditions of the chosen stacks, by one generator, and
+    takes their numbers.
+    """
 
     def __init__(
-        self, session: Session, chosen: MatchedStacks, sensor: VisibleCamera, *, seed: int, steps: int,
+        self,
+        session: Session,
+        chosen: MatchedStacks,
+        sensor: VisibleCamera,
+        *,
+        seed: int,
+        steps: int,
         progress: Progress,
-    ) -> None:  # fmt: skip
+    ) -> None:
         full = float(2 ** (session.bit_depth or sensor.video.bit_depth) - 1)
         self.context = Context(
-            seed=seed, quick=True, sensor=session.sensor, interlaced=session.is_interlaced, full_scale_dn=full
+            seed=seed,
+            quick=True,
+            sensor=session.sensor,
+            interlaced=session.is_interlaced,
+            full_scale_dn=full,
         )
         self.rng = np.random.default_rng([seed, 7])
         self.fitted = bool(sensor.draws.values)
@@ -100,7 +140,9 @@ class _Bench:
         self._progress, self._steps, self._done = progress, steps, 0
 
     def draw_camera(self) -> VisibleCamera:
-        """Return the camera of one posterior draw; a name of its own gives it fixed patterns of its own."""
+        """Return the camera of one posterior draw; a name of its own gives it fixed patterns of its
+        own.
+        """
         drawn = self._sensor.draw(self.rng) if self.fitted else self._sensor
         return replace(drawn, name=f"{self._sensor.name}, draw {self.draw_seed()}")
 
@@ -108,27 +150,41 @@ class _Bench:
         """Return the seed of a set of frames."""
         return int(self.rng.integers(2**31))
 
-    def simulate(self, camera: VisibleCamera, seed: int, others: tuple[MatchedFrames, ...] = ()) -> Frames:
-        """Return a simulated set of frames by label; `others` are stacks besides the compared ones."""
+    def simulate(
+        self, camera: VisibleCamera, seed: int, others: tuple[MatchedFrames, ...] = ()
+    ) -> Frames:
+        """Return a simulated set of frames by label; `others` are stacks besides the compared
+        ones.
+        """
         self._progress("simulating sets of frames", self._done / self._steps)
         self._done += 1
-        return simulate_frames(camera, (*self.chosen.compared, *others), seed=seed, like=self._sensor)
+        return simulate_frames(
+            camera, (*self.chosen.compared, *others), seed=seed, like=self._sensor
+        )
 
     def features(self, frames: Frames) -> FrameFeatures:
         """Return the numbers of a set of frames."""
         return features_of(frames, self.chosen, context=self.context)
 
     def difference_of_halves(self, frames: Frames) -> dict[str, dict[str, float]]:
-        """Return the numbers of every second frame less those of the others; empty where stacks are too short."""
+        """Return the numbers of every second frame less those of the others; empty where stacks are
+        too short.
+        """
         stacks = (self.chosen.dark, *self.chosen.flats)
         if min(len(frames[shot.label]) for shot in stacks) < 2 * VALIDATION.fewest_frames:
             return {}
         alone = replace(self.chosen, edge=None, point=None)
         one, other = (
-            features_of({shot.label: frames[shot.label][start::2][: VALIDATION.frames // 2] for shot in stacks}, alone,
-                        context=self.context).groups
+            features_of(
+                {
+                    shot.label: frames[shot.label][start::2][: VALIDATION.frames // 2]
+                    for shot in stacks
+                },
+                alone,
+                context=self.context,
+            ).groups
             for start in (0, 1)
-        )  # fmt: skip
+        )
         return {
             name: {label: value - other[name].get(label, np.nan) for label, value in group.items()}
             for name, group in one.items()
@@ -148,7 +204,9 @@ class _SimulatedSets:
 
 
 def _simulate_sets(bench: _Bench, levels: tuple[MatchedFrames, ...]) -> _SimulatedSets:
-    """Simulate the ensemble, a posterior draw a set; of the levels of a point source only the curves are taken."""
+    """Simulate the ensemble, a posterior draw a set; of the levels of a point source only the
+    curves are taken.
+    """
     base, base_seed = bench.draw_camera(), bench.draw_seed()
     pictured = tuple(replace(shot, frames=1) for shot in bench.chosen.others)
     first: Frames = {}
@@ -162,15 +220,21 @@ def _simulate_sets(bench: _Bench, levels: tuple[MatchedFrames, ...]) -> _Simulat
         halves.append(bench.difference_of_halves(frames))
         curves.append(curves_of(frames, bench.chosen, levels))
     return _SimulatedSets(
-        base=base, base_seed=base_seed, first=first, features=tuple(features), halves=tuple(halves),
+        base=base,
+        base_seed=base_seed,
+        first=first,
+        features=tuple(features),
+        halves=tuple(halves),
         curves=tuple(curves),
-    )  # fmt: skip
+    )
 
 
 def _null_controls(
     bench: _Bench, test: ValidationTest, sets: _SimulatedSets, seed: int
 ) -> tuple[ValidationControl, ...]:
-    """Return the controls that must pass: one more draw, and the halves of long stacks against each other."""
+    """Return the controls that must pass: one more draw, and the halves of long stacks against each
+    other.
+    """
     camera = bench.draw_camera()
     again = bench.features(bench.simulate(camera, bench.draw_seed()))
     found = [ValidationControl(name="null", title=NULL, statistics=test.statistics(again.groups))]
@@ -192,10 +256,15 @@ def _change_parameters(
         camera, change = altered
         # The same random numbers: the difference has hardly any noise.
         other = bench.features(bench.simulate(camera, sets.base_seed)).groups
-        found.append(ParameterChange(
-            title=control.title, plain=sets.features[0].groups, changed=other, change=change,
-            in_quadrature=control.in_quadrature,
-        ))  # fmt: skip
+        found.append(
+            ParameterChange(
+                title=control.title,
+                plain=sets.features[0].groups,
+                changed=other,
+                change=change,
+                in_quadrature=control.in_quadrature,
+            )
+        )
     return tuple(found)
 
 
@@ -205,10 +274,14 @@ def _parameter_control(test: ValidationTest, one: ParameterChange) -> Validation
     return ValidationControl(name="negative", title=title, statistics=test.statistics(one.changed))
 
 
-def _put_faults(bench: _Bench, test: ValidationTest, first: Frames) -> tuple[ValidationControl, ...]:
+def _put_faults(
+    bench: _Bench, test: ValidationTest, first: Frames
+) -> tuple[ValidationControl, ...]:
     """Return a negative control a fault of the frames."""
     found = []
     for name in FAULTS:
-        statistics = test.statistics(bench.features(put_fault(first, bench.chosen, name, bench.rng)).groups)
+        statistics = test.statistics(
+            bench.features(put_fault(first, bench.chosen, name, bench.rng)).groups
+        )
         found.append(ValidationControl(name="negative", title=name, statistics=statistics))
     return tuple(found)

@@ -1,4 +1,6 @@
-"""Numbers that frames of darks and flats are compared by: levels, noise in space and time, fixed pattern, defects."""
+"""Numbers that frames of darks and flats are compared by: levels, noise in space and time, fixed
+pattern, defects.
+"""
 
 import itertools
 from collections.abc import Mapping
@@ -12,8 +14,8 @@ Frames = NDArray[np.floating]
 # Lags (row, col) whose correlation is compared, and the range of the summed covariance, px.
 LAGS = ((0, 1), (0, 2), (0, 3), (1, 0), (2, 0), (3, 0), (1, 1))
 REACH = 6
-# Squared distance from the centre over that of a corner, below and above which noise is that of the centre and of the
-# corners: each some fifth of the picture.
+# Squared distance from the centre over that of a corner, below and above which noise is that of the
+# centre and of the corners: each some fifth of the picture.
 CENTRE_SQUARE, CORNER_SQUARE = 0.12, 0.58
 # Shares of the values whose mean describes a tail of the temporal noise.
 TAILS = (0.001, 0.01, 0.1)
@@ -25,17 +27,19 @@ BANDS = (0.0, 0.05, 0.2, 0.35, 0.5, 0.71)
 EVENT_SD = (5.0, 10.0)
 # Number of highest values whose mean is compared: of events in a stack, of pixels, and of spots.
 HIGHEST_EVENTS, HIGHEST_PIXELS, HIGHEST_SPOTS = 30, 8, 10
-# Standard deviations of the two Gaussians whose difference shows a spot, px: shadows of dust are some 10 px wide.
+# Standard deviations of the two Gaussians whose difference shows a spot, px: shadows of dust are
+# some 10 px wide.
 SPOT_PX = (3.0, 9.0)
 
 
 class StackView:
     """A stack of frames, split into its mean frame and what changes from frame to frame.
 
-    `mean`: mean frame, shape (row, col); `steady`: mean frame of the middle half of each pixel's values, in which
-    pulses of single frames leave no trace; `change`: frames less the mean frame, scaled so that their variance is that
-    of a frame, shape (frame, row, col); `interlaced`: whether odd rows were exposed at another time than even ones;
-    `bits`: share of ones of the lowest bits of whole DN, shape (bit,).
+    `mean`: mean frame, shape (row, col); `steady`: mean frame of the middle half of each pixel's
+    values, in which pulses of single frames leave no trace; `change`: frames less the mean frame,
+    scaled so that their variance is that of a frame, shape (frame, row, col); `interlaced`: whether
+    odd rows were exposed at another time than even ones; `bits`: share of ones of the lowest bits
+    of whole DN, shape (bit,).
     """
 
     def __init__(self, label: str, frames: NDArray, *, interlaced: bool = False) -> None:
@@ -71,7 +75,9 @@ class StackView:
 
     @property
     def robust_sd(self) -> float:
-        """Half the range of the central 68 % of changes, DN; the step of whole numbers where it is 0."""
+        """Half the range of the central 68 % of changes, DN; the step of whole numbers where it is
+        0.
+        """
         low, high = self.ordered[[int(share * self.ordered.size) for share in (0.159, 0.841)]]
         return max(float(high - low) / 2.0, 0.3)
 
@@ -79,24 +85,36 @@ class StackView:
     def line_variances(self) -> Mapping[str, float]:
         """Variance in time of the means of rows and columns less those of their frames, DN^2."""
         lines = {"rows": self.change.mean(axis=2), "columns": self.change.mean(axis=1)}
-        return {name: float((line - line.mean(axis=1, keepdims=True)).var()) for name, line in lines.items()}
+        return {
+            name: float((line - line.mean(axis=1, keepdims=True)).var())
+            for name, line in lines.items()
+        }
 
     @staticmethod
     def spectrum(images: Frames) -> Array:
-        """Return the mean power of images per pixel, 1 for white noise of variance 1, shape (row, col / 2 + 1)."""
+        """Return the mean power of images per pixel, 1 for white noise of variance 1, shape (row,
+        col / 2 + 1).
+        """
         rows, cols = images.shape[-2:]
         power = np.abs(np.fft.rfft2(images)) ** 2 / (rows * cols)
         return power.reshape(-1, *power.shape[-2:]).mean(axis=0)
 
 
 def level_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return the level of the dark, DN, and the logarithm of the brightest flat's signal above it."""
+    """Return the level of the dark, DN, and the logarithm of the brightest flat's signal above
+    it.
+    """
     flat = flats[-1]
-    return {f"level of {dark.label}, DN": dark.level, f"ln signal of {flat.label}": _log(flat.level - dark.level)}
+    return {
+        f"level of {dark.label}, DN": dark.level,
+        f"ln signal of {flat.label}": _log(flat.level - dark.level),
+    }
 
 
 def transfer_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return logarithms of the dark's variance, and of variance over signal of the brightest flat."""
+    """Return logarithms of the dark's variance, and of variance over signal of the brightest
+    flat.
+    """
     flat = flats[-1]
     return {
         f"ln variance of {dark.label}": _log(dark.variance),
@@ -122,8 +140,8 @@ def linearity_features(dark: StackView, flats: list[StackView]) -> Mapping[str, 
 def field_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
     """Return how noise near the corners of the brightest flat differs from that near its centre.
 
-    The correlation of neighbours in time, and the logarithm of variance over signal: a blur that grows with the
-    distance from the centre raises the first and lowers the second.
+    The correlation of neighbours in time, and the logarithm of variance over signal: a blur that
+    grows with the distance from the centre raises the first and lowers the second.
     """
     flat = flats[-1]
     rows, cols = flat.mean.shape
@@ -134,11 +152,16 @@ def field_features(dark: StackView, flats: list[StackView]) -> Mapping[str, floa
     variance = [max(float(power[place].mean()), 1e-12) for place in places]
     found = {}
     for row, col in ((0, 1), (1, 0)):
-        product = np.mean(flat.change[:, row:, col:] * flat.change[:, : rows - row, : cols - col], axis=0)
-        middle, corner = (
-            float(product[place[row:, col:]].mean()) / own for place, own in zip(places, variance, strict=True)
+        product = np.mean(
+            flat.change[:, row:, col:] * flat.change[:, : rows - row, : cols - col], axis=0
         )
-        found[f"correlation at {row},{col} px near the corners less the centre of {flat.label}"] = corner - middle
+        middle, corner = (
+            float(product[place[row:, col:]].mean()) / own
+            for place, own in zip(places, variance, strict=True)
+        )
+        found[f"correlation at {row},{col} px near the corners less the centre of {flat.label}"] = (
+            corner - middle
+        )
     signal = [max(float(flat.mean[place].mean()) - dark.level, 1e-12) for place in places]
     found[f"ln variance/signal near the corners over the centre of {flat.label}"] = float(
         np.log(variance[1] / signal[1]) - np.log(variance[0] / signal[0])
@@ -159,10 +182,14 @@ def covariance_features(dark: StackView, flats: list[StackView]) -> Mapping[str,
 
 
 def correlation_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return the correlation of neighbours in the brightest flat, and along rows and columns in the dark."""
+    """Return the correlation of neighbours in the brightest flat, and along rows and columns in the
+    dark.
+    """
     flat = flats[-1]
     found = {
-        f"correlation at {row},{col} px of {flat.label}": float(flat.covariance[REACH + row, REACH + col])
+        f"correlation at {row},{col} px of {flat.label}": float(
+            flat.covariance[REACH + row, REACH + col]
+        )
         / flat.variance
         for row, col in LAGS
     }
@@ -173,89 +200,119 @@ def correlation_features(dark: StackView, flats: list[StackView]) -> Mapping[str
 
 
 def spectrum_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return temporal noise power over its mean in bands of both cuts and over all directions, and its peaks."""
+    """Return temporal noise power over its mean in bands of both cuts and over all directions, and
+    its peaks.
+    """
     found: dict[str, float] = {}
     for one in (dark, flats[-1]):
-        found |= _bands(one.power, np.full_like(one.power, one.power.mean()), f"noise of {one.label}")
+        found |= _bands(
+            one.power, np.full_like(one.power, one.power.mean()), f"noise of {one.label}"
+        )
     return found
 
 
 def row_and_column_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
     """Return variances in time of means of frames, rows and columns of dark and brightest flat.
 
-    Each is over that of white noise of the same variance. Cube roots of variances, and of powers, are nearly Gaussian
-    (Wilson and Hilferty 1931).
+    Each is over that of white noise of the same variance. Cube roots of variances, and of powers,
+    are nearly Gaussian (Wilson and Hilferty 1931).
     """
     found = {}
     for one in (dark, flats[-1]):
         _, rows, cols = one.change.shape
         variances = {"frames": float(one.change.mean(axis=(1, 2)).var()), **one.line_variances}
         for (name, value), pixels in zip(variances.items(), (rows * cols, cols, rows), strict=True):
-            found[f"variance of means of {name} of {one.label}"] = _root(value * pixels / max(one.variance, 1e-12))
+            found[f"variance of means of {name} of {one.label}"] = _root(
+                value * pixels / max(one.variance, 1e-12)
+            )
     return found
 
 
 def histogram_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return means of the tails of temporal noise over its standard deviation, and shares of ones of the low bits.
+    """Return means of the tails of temporal noise over its standard deviation, and shares of ones
+    of the low bits.
 
     Notes
     -----
-    The mean of a tail changes smoothly where the values are few whole DN, unlike its quantile. A bit that is stuck or
-    left out has no ones or no zeros; bits of more than the noise depend on the level.
+    The mean of a tail changes smoothly where the values are few whole DN, unlike its quantile. A
+    bit that is stuck or left out has no ones or no zeros; bits of more than the noise depend on the
+    level.
     """
     found = {}
     for one in (dark, *flats):
         ordered = one.ordered / np.float32(np.sqrt(max(one.variance, 1e-12)))
         for share in TAILS:
             size = max(1, round(share * ordered.size))
-            found[f"mean of the lowest {100.0 * share:g} % of {one.label}"] = float(ordered[:size].mean())
-            found[f"mean of the highest {100.0 * share:g} % of {one.label}"] = float(ordered[-size:].mean())
+            found[f"mean of the lowest {100.0 * share:g} % of {one.label}"] = float(
+                ordered[:size].mean()
+            )
+            found[f"mean of the highest {100.0 * share:g} % of {one.label}"] = float(
+                ordered[-size:].mean()
+            )
     flat = flats[-1]
-    return found | {f"share of ones of bit {bit} of {flat.label}": float(x) for bit, x in enumerate(flat.bits)}
+    return found | {
+        f"share of ones of bit {bit} of {flat.label}": float(x) for bit, x in enumerate(flat.bits)
+    }
 
 
 def event_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return roots of the number of bright and dark events of the dark, and the height of the highest."""
+    """Return roots of the number of bright and dark events of the dark, and the height of the
+    highest.
+    """
     sd = dark.robust_sd
     found = {}
     for limit in EVENT_SD:
         for sign, name in ((1.0, "bright"), (-1.0, "dark")):
             hit = sign * dark.change > limit * sd
-            found[f"root of {name} events above {limit:g} sd of {dark.label}"] = float(np.sqrt(np.sum(hit) + 0.375))
-    found[f"ln height of the highest events of {dark.label}"] = _log(_highest(dark.change, HIGHEST_EVENTS) / sd)
+            found[f"root of {name} events above {limit:g} sd of {dark.label}"] = float(
+                np.sqrt(np.sum(hit) + 0.375)
+            )
+    found[f"ln height of the highest events of {dark.label}"] = _log(
+        _highest(dark.change, HIGHEST_EVENTS) / sd
+    )
     return found
 
 
 def pattern_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return fixed over temporal variance of pixels, rows and columns, and of bands of their spectra.
+    """Return fixed over temporal variance of pixels, rows and columns, and of bands of their
+    spectra.
 
-    Fixed is what the mean frame holds, with the temporal noise left in it; over the temporal variance, neither gain nor
-    light enters where there is no fixed pattern. The difference of odd and even rows, and columns, over the level shows
-    fields or taps of unequal gain.
+    Fixed is what the mean frame holds, with the temporal noise left in it; over the temporal
+    variance, neither gain nor light enters where there is no fixed pattern. The difference of odd
+    and even rows, and columns, over the level shows fields or taps of unequal gain.
     """
     found: dict[str, float] = {}
     for one in (dark, flats[-1]):
         rows, cols = one.pattern.mean(axis=1), one.pattern.mean(axis=0)
-        fixed = {"pixels": (one.pattern - rows[:, None] - cols).var(), "rows": rows.var(), "columns": cols.var()}
+        fixed = {
+            "pixels": (one.pattern - rows[:, None] - cols).var(),
+            "rows": rows.var(),
+            "columns": cols.var(),
+        }
         temporal = {"pixels": one.variance, **one.line_variances}
         for name, variance in fixed.items():
             ratio = float(variance) * len(one.change) / max(temporal[name], 1e-12)
             found[f"fixed over temporal variance of {name} of {one.label}"] = _root(ratio)
         for name, line in (("rows", rows), ("columns", cols)):
-            found[f"odd less even {name} of {one.label}"] = float(line[1::2].mean() - line[::2].mean()) / one.level
-        found |= _bands(StackView.spectrum(one.pattern[None]), one.power, f"fixed pattern of {one.label}")
+            found[f"odd less even {name} of {one.label}"] = (
+                float(line[1::2].mean() - line[::2].mean()) / one.level
+            )
+        found |= _bands(
+            StackView.spectrum(one.pattern[None]), one.power, f"fixed pattern of {one.label}"
+        )
     return found
 
 
 def defect_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return logarithms of the heights and depths of the most deviating pixels and spots, of dark and brightest flat.
+    """Return logarithms of the heights and depths of the most deviating pixels and spots, of dark
+    and brightest flat.
 
     Notes
     -----
-    Pixels are those of the mean of each pixel's middle values less the median of 5 x 5 pixels, spots those of the mean
-    frame behind a difference of Gaussians. The mean of several highest values is a smooth number, with a narrow
-    distribution where nothing is defective; a count of pixels above a limit is 0 in nearly all sets, and its
-    distribution unknown.
+    Pixels are those of the mean of each pixel's middle values less the median of 5 x 5 pixels,
+    spots those of the mean frame behind a difference of Gaussians. The mean of several highest
+    values is a smooth number, with a narrow distribution where nothing is defective; a count of
+    pixels above a limit is 0 in nearly all sets, and its distribution unknown.
     """
     import cv2
 
@@ -263,16 +320,23 @@ def defect_features(dark: StackView, flats: list[StackView]) -> Mapping[str, flo
     for one in (dark, flats[-1]):
         inner, outer = (cv2.GaussianBlur(one.pattern, (0, 0), size) for size in SPOT_PX)
         pixels, spots = one.steady - cv2.medianBlur(one.steady, 5), (inner - outer)[::3, ::3]
-        for name, local, count in (("pixels", pixels, HIGHEST_PIXELS), ("spots", spots, HIGHEST_SPOTS)):
+        for name, local, count in (
+            ("pixels", pixels, HIGHEST_PIXELS),
+            ("spots", spots, HIGHEST_SPOTS),
+        ):
             for sign, side in ((1.0, "bright"), (-1.0, "dark")):
                 # Half a step of whole DN keeps the logarithm smooth where all pixels are equal.
                 height = _highest(sign * local, count) + 0.5
-                found[f"ln height of the {count} most {side} {name} of {one.label}, DN"] = _log(height)
+                found[f"ln height of the {count} most {side} {name} of {one.label}, DN"] = _log(
+                    height
+                )
     return found
 
 
 def shading_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return slopes and curvatures of the mean frames over the picture: of flats over the signal, of the dark in DN."""
+    """Return slopes and curvatures of the mean frames over the picture: of flats over the signal,
+    of the dark in DN.
+    """
     found = {}
     for one in (dark, flats[-1]):
         scale = 1.0 if one is dark else one.level - dark.level
@@ -282,19 +346,25 @@ def shading_features(dark: StackView, flats: list[StackView]) -> Mapping[str, fl
 
 
 def time_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
-    """Return correlations of frames, and of fields of interlaced video, with each other, and changes in time.
+    """Return correlations of frames, and of fields of interlaced video, with each other, and
+    changes in time.
 
-    Correlations are those of successive ones and the largest of any two, without pulses: a few of them would rule.
+    Correlations are those of successive ones and the largest of any two, without pulses: a few of
+    them would rule.
     """
     found = {}
     for one in (dark, flats[-1]):
         limit = EVENT_SD[0] * one.robust_sd
         change = np.clip(one.change, -limit, limit)
-        found |= _correlations(change, (1, 2), f"{'dark ' if one is dark else ''}frames of {one.label}")
+        found |= _correlations(
+            change, (1, 2), f"{'dark ' if one is dark else ''}frames of {one.label}"
+        )
         if one.interlaced:
             count, rows, cols = change.shape
             fields = change[:, : rows - rows % 2].reshape(count, rows // 2, 2, cols).swapaxes(1, 2)
-            found |= _correlations(fields.reshape(2 * count, rows // 2, cols), (1,), f"fields of {one.label}")
+            found |= _correlations(
+                fields.reshape(2 * count, rows // 2, cols), (1,), f"fields of {one.label}"
+            )
         means = one.change.mean(axis=(1, 2))
         at = np.arange(len(means)) - (len(means) - 1) / 2.0
         found[f"drift of {one.label}, DN a frame"] = float(at @ means / (at @ at))
@@ -304,12 +374,20 @@ def time_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float
 
 
 def _correlations(images: Frames, lags: tuple[int, ...], what: str) -> dict[str, float]:
-    """Return the mean correlation of images at lags, and the largest of any two, of images (image, row, col)."""
+    """Return the mean correlation of images at lags, and the largest of any two, of images (image,
+    row, col).
+    """
     flat = images.reshape(len(images), -1)
     gram = flat @ flat.T
     gram = gram / max(float(np.trace(gram)) / len(gram), 1e-12)
-    found = {f"correlation of {what}, {lag} apart": float(np.diag(gram, lag).mean()) for lag in lags if lag < len(gram)}
-    return found | {f"largest correlation of two {what}": float(gram[np.triu_indices(len(gram), 1)].max())}
+    found = {
+        f"correlation of {what}, {lag} apart": float(np.diag(gram, lag).mean())
+        for lag in lags
+        if lag < len(gram)
+    }
+    return found | {
+        f"largest correlation of two {what}": float(gram[np.triu_indices(len(gram), 1)].max())
+    }
 
 
 def _variance_over_signal(flat: StackView, dark: StackView) -> float:
@@ -324,7 +402,9 @@ def _highest(values: Frames, count: int) -> float:
 
 
 def _bands(power: Array, reference: Array, what: str) -> dict[str, float]:
-    """Return the power over a reference in bands along both axes and over all directions, and its highest peak."""
+    """Return the power over a reference in bands along both axes and over all directions, and its
+    highest peak.
+    """
     rows, half = power.shape
     x, y = np.fft.rfftfreq(2 * (half - 1))[:half], np.abs(np.fft.fftfreq(rows))
     cuts = {
@@ -344,17 +424,28 @@ def _bands(power: Array, reference: Array, what: str) -> dict[str, float]:
 
 
 def _without_shading(mean: Frames) -> tuple[Array, Frames]:
-    """Return slopes and curvatures of a frame over coordinates -1..1, and the frame without them."""
+    """Return slopes and curvatures of a frame over coordinates -1..1, and the frame without
+    them.
+    """
     y, x = (np.linspace(-1.0, 1.0, size, dtype=np.float32) for size in mean.shape)
-    terms = np.stack(np.broadcast_arrays(
-        np.float32(1.0), x[None, :], y[:, None], x[None, :] ** 2, y[:, None] ** 2, x[None, :] * y[:, None]
-    )).reshape(6, -1)  # fmt: skip
+    terms = np.stack(
+        np.broadcast_arrays(
+            np.float32(1.0),
+            x[None, :],
+            y[:, None],
+            x[None, :] ** 2,
+            y[:, None] ** 2,
+            x[None, :] * y[:, None],
+        )
+    ).reshape(6, -1)
     found = np.linalg.solve((terms @ terms.T).astype(float), (terms @ mean.ravel()).astype(float))
     return found[1:], mean - (found.astype(np.float32) @ terms).reshape(mean.shape)
 
 
 def _autocovariance(change: Frames) -> Array:
-    """Return the autocovariance of changes (frame, row, col), averaged over frames and pairs of pixels."""
+    """Return the autocovariance of changes (frame, row, col), averaged over frames and pairs of
+    pixels.
+    """
     from scipy.fft import irfft2, next_fast_len, rfft2
 
     count, rows, cols = change.shape

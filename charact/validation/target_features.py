@@ -1,4 +1,6 @@
-"""Numbers that frames of targets are compared by: MTF and levels of an edge, profile of a point source."""
+"""Numbers that frames of targets are compared by: MTF and levels of an edge, profile of a point
+source.
+"""
 
 import itertools
 from collections.abc import Mapping
@@ -10,13 +12,15 @@ from charact.method import Context
 from charact.validation.thresholds import VALIDATION
 from labdata.frames import FrameStack
 
-# Centres of bands up to 0.8 of the sampling limit, and distances from them at which an MTF is averaged: its errors at
-# frequencies that differ by more than one over the width of the picture are independent.
+# Centres of bands up to 0.8 of the sampling limit, and distances from them at which an MTF is
+# averaged: its errors at frequencies that differ by more than one over the width of the picture are
+# independent.
 FREQUENCY_CY_PER_PX = np.arange(0.05, 0.4001, 0.05)
 WITHIN_CY_PER_PX = np.linspace(-0.02, 0.02, 5)
 # Ends of the ranges of distance from an edge on both sides, and of radii about a point, px.
 DISTANCES_PX = (0.5, 1.5, 3.0, 5.0, 8.0, 15.0, 30.0)
-# Distance from an edge within which its place is found, and ends of the range whose levels are its contrast, px.
+# Distance from an edge within which its place is found, and ends of the range whose levels are its
+# contrast, px.
 NEAR_PX, SIDE_PX = 6.0, (3.0, 8.0)
 # Smoothing of a ghost image, and its least distance from its point, px.
 GHOST_PX, LEAST_GHOST_PX = 1.5, 12.0
@@ -24,7 +28,9 @@ RADII_PX = (0.0, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 26.0, 40.0)
 
 
 def mtf_features(frames: NDArray, context: Context) -> Mapping[str, float]:
-    """Return the MTF of an edge in bands about `FREQUENCY_CY_PER_PX`, none where the method refuses."""
+    """Return the MTF of an edge in bands about `FREQUENCY_CY_PER_PX`, none where the method
+    refuses.
+    """
     from charact import mtf
 
     found = mtf.measure("edge", FrameStack(data=frames), method="edge-slanted", context=context)
@@ -33,19 +39,23 @@ def mtf_features(frames: NDArray, context: Context) -> Mapping[str, float]:
         return {}
     frequency = FREQUENCY_CY_PER_PX[:, None] + WITHIN_CY_PER_PX
     values = np.interp(frequency, line.frequency_cy_per_px, line.value).mean(axis=1)
-    return {f"MTF at {at:.2f} cy/px": float(value) for at, value in zip(FREQUENCY_CY_PER_PX, values, strict=True)}
+    return {
+        f"MTF at {at:.2f} cy/px": float(value)
+        for at, value in zip(FREQUENCY_CY_PER_PX, values, strict=True)
+    }
 
 
 def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
-    """Return mean levels and variances in time by distance from an edge, none where no edge is found.
+    """Return mean levels and variances in time by distance from an edge, none where no edge is
+    found.
 
     Notes
     -----
-    The edge is the line through the centres of gravity of the gradient near it in each row, or column of a flat edge.
-    Levels are over the step close to the edge. Near it they are given as the step between both sides at equal
-    distances, which an error of the place hardly changes, and their mean: blur and sharpening. Far from it the dark
-    side shows veiling glare and ghost images. Noise that is larger on the edge than on both sides shows jitter of
-    lines, or motion.
+    The edge is the line through the centres of gravity of the gradient near it in each row, or
+    column of a flat edge. Levels are over the step close to the edge. Near it they are given as the
+    step between both sides at equal distances, which an error of the place hardly changes, and
+    their mean: blur and sharpening. Far from it the dark side shows veiling glare and ghost images.
+    Noise that is larger on the edge than on both sides shows jitter of lines, or motion.
     """
     mean = frames.mean(axis=0, dtype=np.float64) - dark_dn
     # The difference of successive frames leaves drift out.
@@ -56,7 +66,10 @@ def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
     distance = _distance_from_edge(mean)
     if distance is None:
         return {}
-    near, far = (np.abs(distance) > SIDE_PX[0]) & (np.abs(distance) <= SIDE_PX[1]), np.abs(distance) > SIDE_PX[1]
+    near, far = (
+        (np.abs(distance) > SIDE_PX[0]) & (np.abs(distance) <= SIDE_PX[1]),
+        np.abs(distance) > SIDE_PX[1],
+    )
     contrast = float(mean[near & (distance > 0.0)].mean() - mean[near & (distance < 0.0)].mean())
     found = {}
     for low, high in itertools.pairwise(DISTANCES_PX):
@@ -71,13 +84,22 @@ def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
             found[f"dark level at {low:g} to {high:g} px of the edge"] = lower
     # A blur that grows off axis is larger at the ends of an edge through the centre.
     outer = np.abs(np.linspace(-1.0, 1.0, len(mean)))[:, None] > 0.5
-    upper, lower = ((sign * distance > DISTANCES_PX[0]) & (sign * distance <= DISTANCES_PX[1]) for sign in (1.0, -1.0))
-    steps = [float(mean[upper & part].mean() - mean[lower & part].mean()) for part in (outer, ~outer)]
-    found[f"step over {DISTANCES_PX[0]:g} to {DISTANCES_PX[1]:g} px of the edge, ends less middle"] = (
-        steps[0] - steps[1]
-    ) / contrast
+    upper, lower = (
+        (sign * distance > DISTANCES_PX[0]) & (sign * distance <= DISTANCES_PX[1])
+        for sign in (1.0, -1.0)
+    )
+    steps = [
+        float(mean[upper & part].mean() - mean[lower & part].mean()) for part in (outer, ~outer)
+    ]
+    found[
+        f"step over {DISTANCES_PX[0]:g} to {DISTANCES_PX[1]:g} px of the edge, ends less middle"
+    ] = (steps[0] - steps[1]) / contrast
     bright = distance > 0.0
-    places = {"dark side": far & ~bright, "edge itself": np.abs(distance) < 1.5, "bright side": far & bright}
+    places = {
+        "dark side": far & ~bright,
+        "edge itself": np.abs(distance) < 1.5,
+        "bright side": far & bright,
+    }
     for name, own in places.items():
         found[f"ln variance of the {name}"] = (
             float(np.log(max(variance[own].mean(), 1e-12))) if own.sum() > 50 else np.nan
@@ -86,13 +108,16 @@ def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
 
 
 def _distance_from_edge(mean: NDArray) -> NDArray | None:
-    """Return the distance of each pixel from an upright edge, px, positive on the bright side; None without an edge."""
+    """Return the distance of each pixel from an upright edge, px, positive on the bright side; None
+    without an edge.
+    """
     import cv2
 
     gradient = np.diff(mean, axis=1)
     gradient *= np.sign(gradient.sum())
     rows, columns = np.arange(len(mean)), np.arange(gradient.shape[1]) + 0.5
-    # Noise far from the edge would pull the centres of gravity: they start at the steepest place of the smoothed rows.
+    # Noise far from the edge would pull the centres of gravity: they start at the steepest place of
+    # the smoothed rows.
     steepest = columns[np.argmax(cv2.GaussianBlur(gradient, (0, 0), 3.0), axis=1)]
     slope, at = np.polyfit(rows, steepest, 1)
     for _ in range(4):
@@ -106,17 +131,23 @@ def _distance_from_edge(mean: NDArray) -> NDArray | None:
             for weight in (np.ones(len(rows)), rows - rows.mean())
         )
         slope, at = slope + turn, at + shift - turn * rows.mean()
-    distance = (np.arange(mean.shape[1])[None, :] - (at + slope * rows[:, None])) / np.hypot(1.0, slope)
+    distance = (np.arange(mean.shape[1])[None, :] - (at + slope * rows[:, None])) / np.hypot(
+        1.0, slope
+    )
     if mean[distance > NEAR_PX].mean() < mean[distance < -NEAR_PX].mean():
         return -distance
     return distance
 
 
-def point_features(frames: NDArray, dark_dn: float, full_scale_dn: float | None) -> Mapping[str, float]:
-    """Return mean levels in rings about the brightest point, above dark, as asinh(level / 1 DN), and the highest spot.
+def point_features(
+    frames: NDArray, dark_dn: float, full_scale_dn: float | None
+) -> Mapping[str, float]:
+    """Return mean levels in rings about the brightest point, above dark, as asinh(level / 1 DN),
+    and the highest spot.
 
     A ring that clips is NaN: it has no distribution that a few sets would show.
-    The highest spot is that of the smoothed frame above the mean of its ring, outside the inner rings: a ghost image.
+    The highest spot is that of the smoothed frame above the mean of its ring, outside the inner
+    rings: a ghost image.
     """
     import cv2
 

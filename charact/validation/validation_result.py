@@ -1,4 +1,6 @@
-"""Result of a validation: statistics, controls, overlays and frame pairs, stored as JSON and arrays."""
+"""Result of a validation: statistics, controls, overlays and frame pairs, stored as JSON and
+arrays.
+"""
 
 import json
 from collections.abc import Callable, Iterable
@@ -28,8 +30,8 @@ class Statistic:
     distance
         Distance of the measured value from the simulated ones, about 1 if they agree.
     p_value, level
-        Probability of a distance at least as large if the camera is right, and that below which it fails, corrected
-        for several comparisons; dimensionless.
+        Probability of a distance at least as large if the camera is right, and that below which it
+        fails, corrected for several comparisons; dimensionless.
     least_p
         Least p-value that the number of repetitions can give.
     labels, measured, low95, high95
@@ -60,15 +62,20 @@ class Statistic:
     @property
     def p_text(self) -> str:
         """The p-value, or "< least" where no repetition was as distant."""
-        return f"< {self.least_p:.2g}" if self.p_value <= self.least_p * 1.0001 else f"{self.p_value:.2g}"
+        return (
+            f"< {self.least_p:.2g}"
+            if self.p_value <= self.least_p * 1.0001
+            else f"{self.p_value:.2g}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationControl:
     """The same statistics on frames with a known outcome.
 
-    "null": frames of the fitted camera itself, or one half of the measured frames against the other, which must pass;
-    "negative": with one parameter changed or a fault put in, which must fail.
+    "null": frames of the fitted camera itself, or one half of the measured frames against the
+    other, which must pass; "negative": with one parameter changed or a fault put in, which must
+    fail.
     """
 
     name: Literal["null", "negative"]
@@ -88,10 +95,11 @@ class ValidationControl:
 
 @dataclass(frozen=True, kw_only=True)
 class FramePair:
-    """Measured and simulated image of a stack, shape (row, col), uint8, and the grey values of black and white, DN.
+    """Measured and simulated image of a stack, shape (row, col), uint8, and the grey values of
+    black and white, DN.
 
-    `role`: what the stack is among those compared, such as "dim flat"; `kind`, `label`: as in the session; `frames`:
-    number of frames compared.
+    `role`: what the stack is among those compared, such as "dim flat"; `kind`, `label`: as in the
+    session; `frames`: number of frames compared.
     """
 
     role: str
@@ -112,8 +120,8 @@ class FramePair:
 class ResidualMap:
     """Measured mean frame less that of the simulated sets.
 
-    `difference_dn`: means of squares of `block_px`, DN, shape (row, col); `sd_dn`: standard deviation of one block by
-    the spread of the simulated sets, DN.
+    `difference_dn`: means of squares of `block_px`, DN, shape (row, col); `sd_dn`: standard
+    deviation of one block by the spread of the simulated sets, DN.
     """
 
     role: str
@@ -133,10 +141,10 @@ class ValidationFigures:
     Parameters
     ----------
     overlays
-        Curves by name, JSON-ready mappings: "photon-transfer", "covariance", "autocorrelation", "mtf",
-        "noise-spectrum-horizontal", "noise-spectrum-vertical", "histogram-dark", "histogram-flat", "point". Each has
-        "title", "x_title", "y_title", "y_scale" unless it is linear, and "curves", each with "name", "x", "measured",
-        "simulated", "low95" and "high95".
+        Curves by name, JSON-ready mappings: "photon-transfer", "covariance", "autocorrelation",
+        "mtf", "noise-spectrum-horizontal", "noise-spectrum-vertical", "histogram-dark",
+        "histogram-flat", "point". Each has "title", "x_title", "y_title", "y_scale" unless it is
+        linear, and "curves", each with "name", "x", "measured", "simulated", "low95" and "high95".
     pairs
         First frame of each stack that is shown.
     blind
@@ -156,8 +164,8 @@ class ValidationFigures:
 class DetectableError:
     """Error of a parameter that the validation would have found.
 
-    `title`: the parameter; `relative_error`: size found with the stated probability, NaN where none below 100 % is;
-    `statistic`: the one that finds it.
+    `title`: the parameter; `relative_error`: size found with the stated probability, NaN where none
+    below 100 % is; `statistic`: the one that finds it.
     """
 
     title: str
@@ -189,7 +197,8 @@ class Validation:
     figures, notes
         Curves and pictures, and notes for the reader.
     same_session
-        Whether the camera was fitted to frames of this session, so that its fitted numbers agree by construction.
+        Whether the camera was fitted to frames of this session, so that its fitted numbers agree by
+        construction.
     """
 
     session: str
@@ -210,8 +219,9 @@ class Validation:
         if not self.same_session:
             return f"the camera, {self.sensor}, was not fitted to frames of this session"
         return (
-            "the camera was fitted to frames of this session: its fitted numbers agree by construction; a second "
-            "session, as in charact validate DAY2 --sensor DAY1/fitted.toml, tests them"
+            "the camera was fitted to frames of this session: its fitted numbers agree by "
+            "construction; a second session, as in charact validate DAY2 --sensor "
+            "DAY1/fitted.toml, tests them"
         )
 
     @property
@@ -226,9 +236,11 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """Whether every statistic and every null control passed, and any negative control was noticed.
+        """Whether every statistic and every null control passed, and any negative control was
+        noticed.
 
-        A negative control that was not noticed is no failure: it is what this validation cannot see.
+        A negative control that was not noticed is no failure: it is what this validation cannot
+        see.
         """
         nulls = [one for one in self.controls if one.name == "null"]
         noticed = any(one.passed for one in self.controls if one.name == "negative")
@@ -248,7 +260,10 @@ def as_json(validation: Validation) -> dict[str, Any]:
         "notes": list(validation.notes),
         "statistics": plain(validation.statistics),
         "power": [
-            {**asdict(one), "relative_error": one.relative_error if np.isfinite(one.relative_error) else None}
+            {
+                **asdict(one),
+                "relative_error": one.relative_error if np.isfinite(one.relative_error) else None,
+            }
             for one in validation.power
         ],
         "controls": [
@@ -263,15 +278,21 @@ def as_json(validation: Validation) -> dict[str, Any]:
         ],
         "figures": {
             "overlays": validation.figures.overlays,
-            **{name: [_split(one)[0] for one in getattr(validation.figures, name)] for name in _PICTURES},
+            **{
+                name: [_split(one)[0] for one in getattr(validation.figures, name)]
+                for name in _PICTURES
+            },
         },
     }
 
 
 # Pictures of the figures by name.
 _PICTURES: dict[str, Callable[..., Any]] = {
-    "pairs": FramePair, "blind": FramePair, "patterns": FramePair, "residuals": ResidualMap,
-}  # fmt: skip
+    "pairs": FramePair,
+    "blind": FramePair,
+    "patterns": FramePair,
+    "residuals": ResidualMap,
+}
 
 
 def _split(picture: FramePair | ResidualMap) -> tuple[dict[str, Any], dict[str, NDArray]]:
@@ -311,38 +332,61 @@ def load(folder: str | Path) -> Validation | None:
         with np.load(folder / PICTURES) as arrays:
             figures = _figures(stored["figures"], dict(arrays))
         controls = tuple(
-            ValidationControl(name=c["name"], title=c["title"], statistics=_statistics(c["statistics"]))
+            ValidationControl(
+                name=c["name"], title=c["title"], statistics=_statistics(c["statistics"])
+            )
             for c in stored["controls"]
         )
         kept = {name: stored[name] for name in ("session", "sensor", "seed", "draws", "seconds")}
         statistics, notes = _statistics(stored["statistics"]), tuple(stored["notes"])
         power = tuple(
-            DetectableError(**{**one, "relative_error": float("nan") if one["relative_error"] is None
-                               else one["relative_error"]})
+            DetectableError(
+                **{
+                    **one,
+                    "relative_error": float("nan")
+                    if one["relative_error"] is None
+                    else one["relative_error"],
+                }
+            )
             for one in stored["power"]
-        )  # fmt: skip
+        )
         return Validation(
-            **kept, statistics=statistics, controls=controls, power=power, figures=figures, notes=notes,
+            **kept,
+            statistics=statistics,
+            controls=controls,
+            power=power,
+            figures=figures,
+            notes=notes,
             same_session=stored.get("same_session", False),
-        )  # fmt: skip
+        )
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BadInput(f"{folder / NUMBERS} must be a validation kept by charact, got {error}") from error
+        raise BadInput(
+            f"{folder / NUMBERS} must be a validation kept by charact, got {error}"
+        ) from error
 
 
 def _figures(stored: dict[str, Any], arrays: dict[str, NDArray]) -> ValidationFigures:
     pictures = {
         name: tuple(
-            make(**plain, **{key.split("-", 2)[2]: image for key, image in arrays.items()
-                             if key.startswith(f"{name}-{number}-")})
+            make(
+                **plain,
+                **{
+                    key.split("-", 2)[2]: image
+                    for key, image in arrays.items()
+                    if key.startswith(f"{name}-{number}-")
+                },
+            )
             for number, plain in enumerate(stored[name])
         )
         for name, make in _PICTURES.items()
-    }  # fmt: skip
+    }
     return ValidationFigures(overlays=stored["overlays"], **pictures)
 
 
 def _statistics(stored: list[dict[str, Any]]) -> tuple[Statistic, ...]:
     def fields(one: dict[str, Any]) -> dict[str, Any]:
-        return {key: tuple(v) if isinstance(v, list) else v for key, v in one.items() if key != "passed"}
+        return {
+            key: tuple(v) if isinstance(v, list) else v for key, v in one.items() if key != "passed"
+        }
 
     return tuple(Statistic(**fields(one)) for one in stored)

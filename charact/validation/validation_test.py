@@ -1,4 +1,6 @@
-"""All statistics of a validation: each group of numbers against its simulated ensemble, at one family-wise level."""
+"""All statistics of a validation: each group of numbers against its simulated ensemble, at one
+family-wise level.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,10 +26,12 @@ SCORES_CAUSE = "the named parameter, or one that changes the frames alike"
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterChange:
-    """Change of all numbers of a set of frames by that of one parameter, with the same random numbers.
+    """Change of all numbers of a set of frames by that of one parameter, with the same random
+    numbers.
 
-    `plain`, `changed`: numbers by group without and with the change; `change`: relative change of the parameter;
-    `in_quadrature`: whether the numbers follow the square of the parameter, as those of noise do, or the parameter.
+    `plain`, `changed`: numbers by group without and with the change; `change`: relative change of
+    the parameter; `in_quadrature`: whether the numbers follow the square of the parameter, as those
+    of noise do, or the parameter.
     """
 
     title: str
@@ -38,7 +42,9 @@ class ParameterChange:
 
     @property
     def amount(self) -> float:
-        """Change in the unit in which the numbers are linear: relative, of the parameter or of its square."""
+        """Change in the unit in which the numbers are linear: relative, of the parameter or of its
+        square.
+        """
         return (1.0 + self.change) ** 2 - 1.0 if self.in_quadrature else self.change
 
     @property
@@ -53,7 +59,9 @@ class ParameterChange:
     def shift(self, group: str, labels: Sequence[str]) -> Array:
         """Return the shift of numbers of a group by an amount of 1, shape (number,)."""
         changed, plain = self.changed.get(group, {}), self.plain.get(group, {})
-        return np.array([changed.get(k, np.nan) - plain.get(k, np.nan) for k in labels]) / self.amount
+        return (
+            np.array([changed.get(k, np.nan) - plain.get(k, np.nan) for k in labels]) / self.amount
+        )
 
 
 class ValidationTest:
@@ -66,42 +74,61 @@ class ValidationTest:
     seed
         Seed of the repetitions.
     changes
-        Changes of parameters, whose errors are estimated and tested as one more statistic, `parameters`; none: without.
+        Changes of parameters, whose errors are estimated and tested as one more statistic,
+        `parameters`; none: without.
     """
 
-    def __init__(self, sets: Sequence[Groups], *, seed: int, changes: Sequence[ParameterChange] = ()) -> None:
+    def __init__(
+        self, sets: Sequence[Groups], *, seed: int, changes: Sequence[ParameterChange] = ()
+    ) -> None:
         self._ensembles: dict[str, tuple[tuple[str, ...], Ensemble]] = {}
         for index, (name, group) in enumerate(GROUPS.items()):
             if all(one.get(name) for one in sets):
-                labels, ensemble = ensemble_of([one[name] for one in sets], group.least_sd, seed + index)
+                labels, ensemble = ensemble_of(
+                    [one[name] for one in sets], group.least_sd, seed + index
+                )
                 if labels:
                     self._ensembles[name] = labels, ensemble
         self._scores = self._scores_of(changes)
         self._count = len(self._ensembles) + (self._scores is not None)
 
-    def statistics(self, numbers: Groups, elsewhere: Mapping[str, Groups] | None = None) -> tuple[Statistic, ...]:
-        """Return the statistics of a set of numbers; one that it lacks, or that is not finite, fails.
+    def statistics(
+        self, numbers: Groups, elsewhere: Mapping[str, Groups] | None = None
+    ) -> tuple[Statistic, ...]:
+        """Return the statistics of a set of numbers; one that it lacks, or that is not finite,
+        fails.
 
-        `elsewhere` are numbers of some groups from other parts of the same frames by place; of such a group the most
-        deviating part counts.
+        `elsewhere` are numbers of some groups from other parts of the same frames by place; of such
+        a group the most deviating part counts.
         """
         found = list(self._compare(numbers, elsewhere or {}))
         if self._scores is not None:
             found.append(self._score(self._scores, numbers))
         levels = holm_levels([one["p_value"] for one in found], VALIDATION.level)
-        return tuple(Statistic(**one, level=level) for one, level in zip(found, levels, strict=True))
+        return tuple(
+            Statistic(**one, level=level) for one, level in zip(found, levels, strict=True)
+        )
 
     def detectable(
-        self, title: str, plain: Groups, changed: Groups, change: float, *, in_quadrature: bool = False
+        self,
+        title: str,
+        plain: Groups,
+        changed: Groups,
+        change: float,
+        *,
+        in_quadrature: bool = False,
     ) -> DetectableError:
-        """Return the error of a parameter that is found with `VALIDATION.power`; arguments as of `ParameterChange`.
+        """Return the error of a parameter that is found with `VALIDATION.power`; arguments as of
+        `ParameterChange`.
 
         Notes
         -----
-        Numbers are taken as linear in the parameter, or in its square. The statistic that finds the least error counts,
-        at the level that holds where it alone fails.
+        Numbers are taken as linear in the parameter, or in its square. The statistic that finds the
+        least error counts, at the level that holds where it alone fails.
         """
-        one = ParameterChange(title=title, plain=plain, changed=changed, change=change, in_quadrature=in_quadrature)
+        one = ParameterChange(
+            title=title, plain=plain, changed=changed, change=change, in_quadrature=in_quadrature
+        )
         level = VALIDATION.level / max(1, self._count)
         best, finder = np.inf, ""
         for name, test, shift in self._shifts(one):
@@ -114,15 +141,21 @@ class ValidationTest:
                 low, high = (low, middle) if enough else (middle, high)
             best, finder = high, name
         return DetectableError(
-            title=title, relative_error=one.relative(best) if finder else float("nan"), probability=VALIDATION.power,
+            title=title,
+            relative_error=one.relative(best) if finder else float("nan"),
+            probability=VALIDATION.power,
             statistic=finder,
-        )  # fmt: skip
+        )
 
     def _compare(self, numbers: Groups, elsewhere: Mapping[str, Groups]) -> Iterator[dict]:
         """Yield the fields of the statistic of each group."""
         for name, (labels, ensemble) in self._ensembles.items():
-            places = {"": numbers.get(name, {})} | {at: one[name] for at, one in elsewhere.items() if one.get(name)}
-            rows = np.array([[own.get(label, np.nan) for label in labels] for own in places.values()])
+            places = {"": numbers.get(name, {})} | {
+                at: one[name] for at, one in elsewhere.items() if one.get(name)
+            }
+            rows = np.array(
+                [[own.get(label, np.nan) for label in labels] for own in places.values()]
+            )
             known = bool(np.isfinite(rows).all())
             distances = [ensemble.distance(row) if known else np.inf for row in rows]
             at = int(np.argmax(distances))
@@ -132,34 +165,53 @@ class ValidationTest:
                 worst += f", {list(places)[at]}" if at else ""
             centre = ensemble.values.mean(axis=0)
             yield {
-                "name": name, "title": GROUPS[name].title, "cause": GROUPS[name].cause, "worst": worst,
-                "distance": float(min(distances[at], 1e6)), "p_value": ensemble.p_value(rows) if known else LEAST_P,
-                "least_p": LEAST_P, "labels": labels, "measured": tuple(np.nan_to_num(measured).tolist()),
+                "name": name,
+                "title": GROUPS[name].title,
+                "cause": GROUPS[name].cause,
+                "worst": worst,
+                "distance": float(min(distances[at], 1e6)),
+                "p_value": ensemble.p_value(rows) if known else LEAST_P,
+                "least_p": LEAST_P,
+                "labels": labels,
+                "measured": tuple(np.nan_to_num(measured).tolist()),
                 "low95": tuple((centre - 1.96 * ensemble.sd).tolist()),
                 "high95": tuple((centre + 1.96 * ensemble.sd).tolist()),
-            }  # fmt: skip
+            }
 
     def _vector(self, numbers: Groups) -> Array:
         """Return the numbers of all groups in one row, shape (number,)."""
-        return np.array([
-            numbers.get(name, {}).get(label, np.nan) for name, (labels, _) in self._ensembles.items()
-            for label in labels
-        ])  # fmt: skip
+        return np.array(
+            [
+                numbers.get(name, {}).get(label, np.nan)
+                for name, (labels, _) in self._ensembles.items()
+                for label in labels
+            ]
+        )
 
     def _scores_of(self, changes: Sequence[ParameterChange]) -> ParameterScores | None:
         """Return the estimates of parameters, or None where no change moves a number."""
         moved = [
-            (one.title, np.concatenate([one.shift(name, labels) for name, (labels, _) in self._ensembles.items()]))
+            (
+                one.title,
+                np.concatenate(
+                    [one.shift(name, labels) for name, (labels, _) in self._ensembles.items()]
+                ),
+            )
             for one in changes
         ]
-        moved = [(title, shift) for title, shift in moved if np.isfinite(shift).all() and shift.any()]
+        moved = [
+            (title, shift) for title, shift in moved if np.isfinite(shift).all() and shift.any()
+        ]
         if not moved:
             return None
         ensembles = [ensemble for _, ensemble in self._ensembles.values()]
         values, least = (
-            np.concatenate([getattr(one, field) for one in ensembles], axis=-1) for field in ("values", "least_sd")
+            np.concatenate([getattr(one, field) for one in ensembles], axis=-1)
+            for field in ("values", "least_sd")
         )
-        return parameter_scores([title for title, _ in moved], np.array([shift for _, shift in moved]), values, least)
+        return parameter_scores(
+            [title for title, _ in moved], np.array([shift for _, shift in moved]), values, least
+        )
 
     def _score(self, scores: ParameterScores, numbers: Groups) -> dict:
         """Return the fields of the statistic of the estimated parameters."""
@@ -168,16 +220,24 @@ class ValidationTest:
         estimates = scores.estimates(measured) if known else np.full(len(scores.titles), np.inf)
         pulls = np.abs(estimates) / scores.sd
         return {
-            "name": SCORES, "title": SCORES_TITLE, "cause": SCORES_CAUSE,
+            "name": SCORES,
+            "title": SCORES_TITLE,
+            "cause": SCORES_CAUSE,
             "worst": scores.titles[int(np.argmax(pulls))] if known else "not measurable",
             "distance": float(min(np.sqrt(np.mean(pulls**2)), 1e6)),
-            "p_value": scores.p_value(measured) if known else LEAST_P, "labels": scores.titles,
+            "p_value": scores.p_value(measured) if known else LEAST_P,
+            "labels": scores.titles,
             "measured": tuple(np.nan_to_num(estimates, posinf=0.0).tolist()),
-            "low95": tuple((-1.96 * scores.sd).tolist()), "high95": tuple((1.96 * scores.sd).tolist()),
-        }  # fmt: skip
+            "low95": tuple((-1.96 * scores.sd).tolist()),
+            "high95": tuple((1.96 * scores.sd).tolist()),
+        }
 
-    def _shifts(self, one: ParameterChange) -> Iterator[tuple[str, Ensemble | ParameterScores, Array]]:
-        """Yield the name and test of each statistic that a change moves, and the shift by an amount of 1."""
+    def _shifts(
+        self, one: ParameterChange
+    ) -> Iterator[tuple[str, Ensemble | ParameterScores, Array]]:
+        """Yield the name and test of each statistic that a change moves, and the shift by an amount
+        of 1.
+        """
         shifts = {name: one.shift(name, labels) for name, (labels, _) in self._ensembles.items()}
         for name, shift in shifts.items():
             if np.isfinite(shift).all() and shift.any():

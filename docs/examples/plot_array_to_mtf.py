@@ -2,8 +2,8 @@
 MTF of an edge in an array
 ==========================
 
-Twelve lines from an array to the MTF with its interval. The edge is made here; any array (row, col) or (frame, row,
-col), or the name of a file, takes its place.
+Twelve lines from an array to the MTF with its interval. The edge is made here; any array (row, col)
+or (frame, row, col), or the name of a file, takes its place.
 """
 
 import numpy as np

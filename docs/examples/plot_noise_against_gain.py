@@ -2,8 +2,9 @@
 Noise against gain
 ==================
 
-A flat and a dark at each of five voltages of the microchannel plate give the gain law of a tube and the noise that
-goes with it. The signal-to-noise ratio of the flats hardly changes: gain amplifies photoelectrons, it adds none.
+A flat and a dark at each of five voltages of the microchannel plate give the gain law of a tube and
+the noise that goes with it. The signal-to-noise ratio of the flats hardly changes: gain amplifies
+photoelectrons, it adds none.
 """
 
 from dataclasses import replace
@@ -22,9 +23,16 @@ for seed, mcp_v in enumerate(volts):
     for kind, photoelectrons in (("dark", 0.0), ("flat", 3.0)):
         light = np.full((128, 160), photoelectrons)
         shot = charact.simulate(
-            light, sensor=camera, photoelectrons_per_dn=1.0, frames=12, mcp_v=mcp_v, seed=2 * seed + (kind == "flat")
+            light,
+            sensor=camera,
+            photoelectrons_per_dn=1.0,
+            frames=12,
+            mcp_v=mcp_v,
+            seed=2 * seed + (kind == "flat"),
         )
-        stacks.append(charact.stack(shot, kind, label=f"{kind} {mcp_v:g} V", mcp_v=mcp_v, exposure_s=0.04))
+        stacks.append(
+            charact.stack(shot, kind, label=f"{kind} {mcp_v:g} V", mcp_v=mcp_v, exposure_s=0.04)
+        )
 
 # %%
 # Flats of one gain each have their own measurements, named by their stacks.
@@ -43,4 +51,6 @@ left.set(xlabel="microchannel plate (V)", ylabel="DN")
 left.legend()
 low, middle, high = np.array([(m.interval95[0], m.value, m.interval95[1]) for m in ratio]).T
 right.errorbar(volts, middle, (middle - low, high - middle), fmt="o-", capsize=3)
-right.set(xlabel="microchannel plate (V)", ylabel="signal-to-noise ratio of a pixel (1)", ylim=(0, 3))
+right.set(
+    xlabel="microchannel plate (V)", ylabel="signal-to-noise ratio of a pixel (1)", ylim=(0, 3)
+)

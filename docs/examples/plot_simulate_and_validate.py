@@ -2,9 +2,9 @@
 Simulate and validate
 =====================
 
-Frames simulated from a description are compared with measured frames by tests that can fail. Here the measured
-frames are simulated as well, so the description is right and every test should agree. With measured frames,
-`charact.fit` makes the description.
+Frames simulated from a description are compared with measured frames by tests that can fail. Here
+the measured frames are simulated as well, so the description is right and every test should agree.
+With measured frames, `charact.fit` makes the description.
 """
 
 from dataclasses import replace
@@ -20,7 +20,9 @@ settings = {"mcp_v": 800.0, "gate_ns": 4e7}
 
 
 def stack(kind: str, lux: float, seed: int) -> object:
-    """Return a stack of frames of the bench at an illuminance, lx; effects below 1 % of the noise are left out."""
+    """Return a stack of frames of the bench at an illuminance, lx; effects below 1 % of the noise
+    are left out.
+    """
     shot = charact.simulate(
         "bench",
         sensor=camera,
@@ -31,13 +33,21 @@ def stack(kind: str, lux: float, seed: int) -> object:
         error_budget_percent=1.0,
         **settings,
     )
-    return charact.stack(shot, kind, label=f"{kind} {lux:g} lx", illuminance_lux=lux, exposure_s=0.04, **settings)
+    return charact.stack(
+        shot, kind, label=f"{kind} {lux:g} lx", illuminance_lux=lux, exposure_s=0.04, **settings
+    )
 
 
-stacks = [stack("dark", 0.0, 1), stack("flat", 2e-5, 2), stack("flat", 1e-4, 3), stack("edge", 3e-4, 4)]
+stacks = [
+    stack("dark", 0.0, 1),
+    stack("flat", 2e-5, 2),
+    stack("flat", 1e-4, 3),
+    stack("edge", 3e-4, 4),
+]
 
 # %%
-# Each statistic has a probability of a difference as large by chance, and the level below which it counts.
+# Each statistic has a probability of a difference as large by chance, and the level below which it
+# counts.
 validation = charact.validate(charact.session(stacks, sensor=camera), camera, seed=5)
 for one in validation.statistics:
     print(f"{one.title}: p = {one.p_value:.2g}, {'agrees' if one.passed else 'differs'}")
@@ -46,6 +56,8 @@ for one in validation.statistics:
 # One frame of each pair, on the same scale.
 pair = validation.pairs[-1]
 figure, axes = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
-for one, image, title in zip(axes, (pair.measured, pair.simulated), ("measured", "simulated"), strict=True):
+for one, image, title in zip(
+    axes, (pair.measured, pair.simulated), ("measured", "simulated"), strict=True
+):
     one.imshow(image, cmap="gray", vmin=0, vmax=255)
     one.set(title=f"{pair.label}, {title}", xlabel="column (px)", ylabel="row (px)")

@@ -2,8 +2,8 @@
 An array through the simulated camera, to posterior draws
 =========================================================
 
-An image is recorded by a described image-intensified camera; the MTF of the camera is measured from the frames, and
-its posterior draws are shown.
+An image is recorded by a described image-intensified camera; the MTF of the camera is measured from
+the frames, and its posterior draws are shown.
 """
 
 import numpy as np
@@ -12,8 +12,12 @@ from matplotlib import pyplot as plt
 import charact
 
 row, col = np.mgrid[0:1024, 0:1024]
-edge = 100.0 + 900.0 * np.clip(0.5 + col - 512 + 0.1 * (row - 512), 0.0, 1.0)  # each pixel's own share
-frames = charact.simulate(edge, sensor="gen3-digital-iccd", photoelectrons_per_dn=0.02, frames=4, seed=1)
+edge = 100.0 + 900.0 * np.clip(
+    0.5 + col - 512 + 0.1 * (row - 512), 0.0, 1.0
+)  # each pixel's own share
+frames = charact.simulate(
+    edge, sensor="gen3-digital-iccd", photoelectrons_per_dn=0.02, frames=4, seed=1
+)
 
 # %%
 # The description of the camera gives the priors; the region leaves the corners out.

@@ -5,7 +5,12 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Self
 
-from drivers.acquisition.plan_check import check_plan, picture_of, same_but_wires, sentences_out_of_step
+from drivers.acquisition.plan_check import (
+    check_plan,
+    picture_of,
+    same_but_wires,
+    sentences_out_of_step,
+)
 from drivers.acquisition.run import Run, make_safe_after
 from drivers.acquisition.run_control import RunControl
 from drivers.interface import Bench, Camera, Operator
@@ -41,10 +46,10 @@ def acquire(
 ) -> Session:
     """Acquire a plan's stacks into a session, and return it.
 
-    The tube is made safe first, and the plan is checked completely before anything is switched on. Frames are
-    stored by a separate thread; progress counts those on the disk. Whatever ends the run, including errors of an
-    instrument or the disk, the gate is shut and the gain lowered first; acquired frames are kept, and the
-    session's log records the cause.
+    The tube is made safe first, and the plan is checked completely before anything is switched on.
+    Frames are stored by a separate thread; progress counts those on the disk. Whatever ends the
+    run, including errors of an instrument or the disk, the gate is shut and the gain lowered first;
+    acquired frames are kept, and the session's log records the cause.
 
     Parameters
     ----------
@@ -55,8 +60,8 @@ def acquire(
     judge
         Assesses each stack during acquisition; its complaint becomes a note of the stack.
     resume
-        Continue an interrupted run: finished stacks are not repeated, a partial one is completed, or acquired
-        again where the bench failed during it.
+        Continue an interrupted run: finished stacks are not repeated, a partial one is completed,
+        or acquired again where the bench failed during it.
     progress
         Called with the step and the completed fraction (0..1).
     requests
@@ -65,8 +70,8 @@ def acquire(
     Raises
     ------
     BadInput
-        If the plan breaks a rule, the folder has a session, a resumed plan differs from the original one or reads
-        back other conditions, or the disk does not accept the frames.
+        If the plan breaks a rule, the folder has a session, a resumed plan differs from the
+        original one or reads back other conditions, or the disk does not accept the frames.
     BenchError
         If an instrument or the camera fails; the message names it.
     KeyboardInterrupt
@@ -85,7 +90,9 @@ def acquire(
         check_plan(plan, folder, sensor)
         _require_judge(plan, judge)
         _keep_plan(plan, folder, resume=resume)
-        log = opened.enter_context(_run_log(folder / LOG, plan=plan.name, resume=resume, say=asked.say))
+        log = opened.enter_context(
+            _run_log(folder / LOG, plan=plan.name, resume=resume, say=asked.say)
+        )
         eye = opened.enter_context(camera)
         settings = eye.configure(picture_of(plan, sensor))
         log("camera opened", camera=eye.identifier, **vars(settings))
@@ -93,7 +100,12 @@ def acquire(
         storage = opened.enter_context(Storage(writer))
         opened.callback(operator.darken)
         operator = tube.guard(operator)
-        log("bench opened", finished=writer.finished_labels, broken_off=writer.partial, doubtful=writer.doubtful)
+        log(
+            "bench opened",
+            finished=writer.finished_labels,
+            broken_off=writer.partial,
+            doubtful=writer.doubtful,
+        )
         run = Run(
             plan=plan,
             sensor=sensor,
@@ -136,7 +148,9 @@ class _Reporter:
 
 @contextmanager
 def _safe_first(bench: Bench) -> Iterator[None]:
-    """Make the tube safe first when the steps end, since closing a camera or a disk may take long."""
+    """Make the tube safe first when the steps end, since closing a camera or a disk may take
+    long.
+    """
     try:
         yield
     except BaseException as error:
@@ -146,7 +160,9 @@ def _safe_first(bench: Bench) -> Iterator[None]:
 
 
 def _bit_depth(sensor: Sensor | None, settings: CameraSettings) -> int:
-    """Return the bits of the digitiser from the sensor description, else from the camera's format."""
+    """Return the bits of the digitiser from the sensor description, else from the camera's
+    format.
+    """
     return sensor.video.bit_depth if sensor else PIXEL_BITS[settings.pixel_format or "Mono16"]
 
 
@@ -155,17 +171,23 @@ def _keep_plan(plan: Plan, folder: Path, *, resume: bool) -> None:
     kept = folder / PLAN
     if not resume:
         if kept.exists() or (folder / MANIFEST).exists():
-            raise BadInput(f"a run must begin in a folder without a session, or be resumed, got {folder}")
+            raise BadInput(
+                f"a run must begin in a folder without a session, or be resumed, got {folder}"
+            )
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(kept, plan_toml(plan).encode())
         return
     if not kept.exists():
         raise BadInput(f"a resumed run must have been begun before, got no {PLAN} in {folder}")
     if difference := same_but_wires(plan, read_plan(kept)):
-        raise BadInput(f"a resumed run must keep its plan, got another {difference} than {kept} has")
+        raise BadInput(
+            f"a resumed run must keep its plan, got another {difference} than {kept} has"
+        )
 
 
-def _session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: CameraSettings) -> SessionWriter:
+def _session_writer(
+    plan: Plan, folder: Path, sensor: Sensor | None, settings: CameraSettings
+) -> SessionWriter:
     """Begin the session in a folder, or continue the existing one."""
     if (folder / MANIFEST).exists():
         return SessionWriter.resume(folder)
@@ -190,7 +212,9 @@ def _session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: C
 
 
 def _sensor_name(plan: Plan, folder: Path, sensor: Sensor | None) -> str | None:
-    """Return the session's name of its sensor: a shipped one by name, any other as a copy in the session."""
+    """Return the session's name of its sensor: a shipped one by name, any other as a copy in the
+    session.
+    """
     if sensor is None or plan.sensor in sensor_names():
         return plan.sensor
     save_sensor(sensor, folder / "sensor.toml")
@@ -204,7 +228,9 @@ def _require_judge(plan: Plan, judge: Judge | None) -> None:
 
 
 @contextmanager
-def _run_log(path: Path, *, plan: str, resume: bool, say: Callable[[str], None]) -> Iterator[EventLog]:
+def _run_log(
+    path: Path, *, plan: str, resume: bool, say: Callable[[str], None]
+) -> Iterator[EventLog]:
     """Open the session's log; its last line records the end of the run."""
     log = EventLog(path)
     log("run begins", plan=plan, resume=resume)

@@ -17,18 +17,33 @@ from labdata.plan import Plan, Step, gain_table_of
 from labdata.sensor import Sensor
 from labdata.tube_dose import Dose, dose_of, total_dose
 
-_NEEDED = {"bars": ("bars", "frequency_cy_per_px"), "edge": (), "point": (), "flat": (), "dark": (), "scene": ()}
-# Conditions that no driver sets or reads back: the record would contain a set-point that was never in force.
+_NEEDED = {
+    "bars": ("bars", "frequency_cy_per_px"),
+    "edge": (),
+    "point": (),
+    "flat": (),
+    "dark": (),
+    "scene": (),
+}
+# Conditions that no driver sets or reads back: the record would contain a set-point that was never
+# in force.
 _METERED = ("metered_w", "metered_lux", "metered_time_s", "temperature_time_s")
-_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_control", "lamp_a", *_METERED)
+_SET_BY_NOBODY = (
+    "automatic_gain",
+    "brightness_control",
+    "em_gain",
+    "gain_control",
+    "lamp_a",
+    *_METERED,
+)
 
 
 def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     """Check a plan completely; the first broken rule is BadInput.
 
-    Rules: a command that the interlock refuses, a limit above the tube's, a label that is no file name, light on a
-    dark, an incomplete target, a gate wider than the exposure, a condition that no driver sets, a frame format outside
-    the sensor, or a full disk.
+    Rules: a command that the interlock refuses, a limit above the tube's, a label that is no file
+    name, light on a dark, an incomplete target, a gate wider than the exposure, a condition that no
+    driver sets, a frame format outside the sensor, or a full disk.
     """
     limits = limits_in_force(plan.limits, sensor, plan.overrides)
     for step in plan.steps:
@@ -51,19 +66,32 @@ def picture_of(plan: Plan, sensor: Sensor | None) -> CameraSettings:
     if sensor is not None:
         rows, columns = sensor.ccd.rows, sensor.ccd.columns
         wide = "Mono8" if sensor.video.bit_depth <= 8 else "Mono16"
-        whole = CameraSettings(rows=rows, columns=columns, first_row=0, first_column=0, pixel_format=wide)
-    return replace(whole, **{name: value for name, value in vars(plan.picture).items() if value is not None})
+        whole = CameraSettings(
+            rows=rows, columns=columns, first_row=0, first_column=0, pixel_format=wide
+        )
+    return replace(
+        whole, **{name: value for name, value in vars(plan.picture).items() if value is not None}
+    )
 
 
 def bytes_of(plan: Plan, sensor: Sensor | None) -> int:
-    """Return the bytes of the frames of a plan; 0 where neither plan nor sensor states the frame size."""
+    """Return the bytes of the frames of a plan; 0 where neither plan nor sensor states the frame
+    size.
+    """
     picture = picture_of(plan, sensor)
     pixel_bytes = 1 if PIXEL_BITS[picture.pixel_format or "Mono16"] <= 8 else 2
-    return sum(step.most_frames for step in plan.steps) * (picture.rows or 0) * (picture.columns or 0) * pixel_bytes
+    return (
+        sum(step.most_frames for step in plan.steps)
+        * (picture.rows or 0)
+        * (picture.columns or 0)
+        * pixel_bytes
+    )
 
 
 def same_but_wires(plan: Plan, other: Plan) -> str | None:
-    """Return the first difference between two plans other than their wires; None if there is none."""
+    """Return the first difference between two plans other than their wires; None if there is
+    none.
+    """
     names = tuple(item.name for item in fields(Plan) if item.name not in ("wires", "steps"))
     if plan.steps == other.steps:
         return next((name for name in names if getattr(plan, name) != getattr(other, name)), None)
@@ -76,21 +104,36 @@ def same_but_wires(plan: Plan, other: Plan) -> str | None:
 
 def _check_step(step: Step, sensor: Sensor | None) -> None:
     if not step.label or step.label.startswith(".") or set(step.label) & set("/\\\0"):
-        raise BadInput(f"a step's label must be a file name without slashes or a leading dot, got {step.label!r}")
+        raise BadInput(
+            f"a step's label must be a file name without slashes or a leading dot, got "
+            f"{step.label!r}"
+        )
     asked = step.conditions
     if step.kind == "dark" and asked.illuminance_lux:
-        raise BadInput(f"a dark must be taken without light, got {asked.illuminance_lux:g} lux in {step.label!r}")
+        raise BadInput(
+            f"a dark must be taken without light, got {asked.illuminance_lux:g} lux in "
+            f"{step.label!r}"
+        )
     for name in _NEEDED[step.kind]:
         if getattr(step.target, name) is None:
             raise BadInput(f"a {step.kind} target must have its {name}, got none in {step.label!r}")
     for name in _SET_BY_NOBODY:
         if (value := getattr(asked, name)) is not None:
-            raise BadInput(f"{name} must be left out of a plan, as no driver sets it, got {value} in {step.label!r}")
+            raise BadInput(
+                f"{name} must be left out of a plan, as no driver sets it, got {value} in "
+                f"{step.label!r}"
+            )
     exposure_s = asked.exposure_s or (1.0 / float(sensor.video.field_rate_hz) if sensor else None)
-    # A gate of one field time is written rounded, so one per mille more than the exposure is allowed.
-    if asked.gate_ns is not None and exposure_s is not None and asked.gate_ns > exposure_s * 1e9 * 1.001:
+    # A gate of one field time is written rounded, so one per mille more than the exposure is
+    # allowed.
+    if (
+        asked.gate_ns is not None
+        and exposure_s is not None
+        and asked.gate_ns > exposure_s * 1e9 * 1.001
+    ):
         raise BadInput(
-            f"gate_ns must not exceed the exposure of {exposure_s * 1e9:g} ns, got {asked.gate_ns:g} in {step.label!r}"
+            f"gate_ns must not exceed the exposure of {exposure_s * 1e9:g} ns, got "
+            f"{asked.gate_ns:g} in {step.label!r}"
         )
 
 
@@ -113,7 +156,9 @@ def _check_rules(step: Step, limits: LimitsInForce, rate_hz: float) -> None:
     if asked.gate_ns:
         commands.append(OpenGate(width_ns=asked.gate_ns, rate_hz=rate_hz))
     if asked.illuminance_lux:
-        commands.append(SetLight(illuminance_lux=asked.illuminance_lux, point=point, target=step.target))
+        commands.append(
+            SetLight(illuminance_lux=asked.illuminance_lux, point=point, target=step.target)
+        )
     safe = TubeState(duty=0.0, mcp_v=0.0, light_lux=0.0, dark_seen=True, heard_s=0.0)
     try:
         Interlock(limits, clock=lambda: 0.0).foresee(*commands, state=safe)
@@ -131,13 +176,15 @@ def _check_phase(step: Step, gating: Gating, field_hz: float) -> None:
     earliest_ns = max(0.0, field_ns - (asked.exposure_s or 1.0 / field_hz) * 1e9)
     if not earliest_ns - 1e-3 * field_ns <= gating.delay_ns <= latest_ns + 1e-3 * field_ns:
         raise BadInput(
-            f"delay_ns must open the gate inside the exposure, {earliest_ns:.6g} to {latest_ns:.6g}, "
-            f"got {gating.delay_ns:g} in {step.label!r}"
+            f"delay_ns must open the gate inside the exposure, {earliest_ns:.6g} to "
+            f"{latest_ns:.6g}, got {gating.delay_ns:g} in {step.label!r}"
         )
 
 
 def _check_picture(plan: Plan, sensor: Sensor | None) -> None:
-    """Require a frame format that lies within the sensor, keeps the field order and has all its bits."""
+    """Require a frame format that lies within the sensor, keeps the field order and has all its
+    bits.
+    """
     if sensor is None:
         return
     asked = picture_of(plan, sensor)
@@ -147,13 +194,19 @@ def _check_picture(plan: Plan, sensor: Sensor | None) -> None:
     ):
         end = (getattr(asked, first) or 0) + (getattr(asked, size) or 0)
         if end > there:
-            raise BadInput(f"{first} + {size} of the picture must not exceed the sensor's {there}, got {end}")
+            raise BadInput(
+                f"{first} + {size} of the picture must not exceed the sensor's {there}, got {end}"
+            )
     if sensor.video.interlaced and (asked.first_row or 0) % 2:
-        raise BadInput(f"first_row of interlaced video must be even, so that fields keep order, got {asked.first_row}")
+        raise BadInput(
+            f"first_row of interlaced video must be even, so that fields keep order, got "
+            f"{asked.first_row}"
+        )
     bits = PIXEL_BITS[asked.pixel_format or "Mono16"]
     if bits < sensor.video.bit_depth:
         raise BadInput(
-            f"pixel_format must hold the sensor's {sensor.video.bit_depth} bits, got {asked.pixel_format} of {bits}"
+            f"pixel_format must hold the sensor's {sensor.video.bit_depth} bits, got "
+            f"{asked.pixel_format} of {bits}"
         )
 
 
@@ -161,7 +214,9 @@ def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     free, needed = shutil.disk_usage(there).free, bytes_of(plan, sensor) + (64 << 20)
     if free < needed:
-        raise BadInput(f"the disk must have {needed // 10**6} MB free for this plan, got {free // 10**6} MB")
+        raise BadInput(
+            f"the disk must have {needed // 10**6} MB free for this plan, got {free // 10**6} MB"
+        )
 
 
 FRAMES_PER_S = 30.0  # Frame rate assumed for an unknown camera, Hz
@@ -186,7 +241,9 @@ class Forecast:
     bytes: int  #: Disk space of its frames; 0 where no sensor gives the frame size
     limits: LimitsInForce
     gain_table: GainTable | None
-    out_of_step: tuple[str, ...] = ()  #: One sentence for each unsynchronised pair of gate and exposure
+    out_of_step: tuple[
+        str, ...
+    ] = ()  #: One sentence for each unsynchronised pair of gate and exposure
 
     @property
     def seconds(self) -> float:
@@ -208,7 +265,10 @@ def forecast(plan: Plan, sensor: Sensor | None) -> Forecast:
     """Return the forecast of a plan in volts that was checked by `check_plan`."""
     limits = limits_in_force(plan.limits, sensor, plan.overrides)
     befores = (None, *plan.steps[:-1])
-    steps = tuple(_step(plan, step, before, sensor, limits) for step, before in zip(plan.steps, befores, strict=True))
+    steps = tuple(
+        _step(plan, step, before, sensor, limits)
+        for step, before in zip(plan.steps, befores, strict=True)
+    )
     return Forecast(
         steps=steps,
         bytes=bytes_of(plan, sensor),
@@ -219,7 +279,9 @@ def forecast(plan: Plan, sensor: Sensor | None) -> Forecast:
 
 
 def sentences_out_of_step(plan: Plan, sensor: Sensor | None) -> tuple[str, ...]:
-    """Return one sentence for each pair of gate and exposure that is not synchronous with the fields."""
+    """Return one sentence for each pair of gate and exposure that is not synchronous with the
+    fields.
+    """
     rate_hz = field_hz(sensor)
     asked = (one.conditions for one in plan.steps)
     pairs = dict.fromkeys((one.gate_ns or 0.0, one.exposure_s or 1.0 / rate_hz) for one in asked)
@@ -230,10 +292,14 @@ def sentences_out_of_step(plan: Plan, sensor: Sensor | None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(one for one in sentences if one is not None))
 
 
-def _step(plan: Plan, step: Step, before: Step | None, sensor: Sensor | None, limits: LimitsInForce) -> StepForecast:
+def _step(
+    plan: Plan, step: Step, before: Step | None, sensor: Sensor | None, limits: LimitsInForce
+) -> StepForecast:
     asked, point = step.brightest.conditions, step.kind == "point"
     settle_s = plan.settle.wait_s(None if before is None else before.conditions, step.conditions)
-    moving_s = 0.3 + _gain_moves_s(before, step, limits)  # Time to set gate, camera and light of a step, s
+    moving_s = 0.3 + _gain_moves_s(
+        before, step, limits
+    )  # Time to set gate, camera and light of a step, s
     lit_s = settle_s + (step.most_frames + DISCARDED_FRAMES) * _frame_s(step, sensor)
     lux, volts = asked.illuminance_lux or 0.0, asked.mcp_v or 0.0
     duty = min(1.0, (asked.gate_ns or 0.0) * 1e-9 * plan.gating.most_hz(field_hz(sensor)))

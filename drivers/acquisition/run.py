@@ -24,13 +24,18 @@ from labdata.session_writer import SessionWriter
 from labdata.storage_thread import Storage, StoredStack
 
 LOOK_S = 0.1
-# Longest time without progress of the disk while frames are queued, s, since the tube is at gain meanwhile
+# Longest time without progress of the disk while frames are queued, s, since the tube is at gain
+# meanwhile
 DISK_S = 1.2
 
-# Fraction of the gate width, and smallest width in ns, of the first frame in a light that a person set
+# Fraction of the gate width, and smallest width in ns, of the first frame in a light that a person
+# set
 PROBE_SHARE, PROBE_NS = 0.01, 100.0
 
-SAME, SAME_LIGHT = 1e-3, 0.02  # Largest relative difference of equal read-backs of an instrument, and of a light meter
+SAME, SAME_LIGHT = (
+    1e-3,
+    0.02,
+)  # Largest relative difference of equal read-backs of an instrument, and of a light meter
 
 # Measured conditions without set-point; they may differ between runs
 OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "metered_time_s")
@@ -40,7 +45,9 @@ DISCARDED_FRAMES = 3  # a frame in the grabber, a frame in the camera, and one f
 
 @dataclass(kw_only=True)
 class Run:
-    """Acquires the steps of a plan in volts; made by `acquire` when camera, storage and bench are open."""
+    """Acquires the steps of a plan in volts; made by `acquire` when camera, storage and bench are
+    open.
+    """
 
     plan: Plan
     sensor: Sensor | None
@@ -136,7 +143,10 @@ class Run:
         why = self._doubtful.get(step.label)
         if why is None:
             return None
-        return f"acquired again, the earlier frames are in {self.storage.set_aside(step.label).name}: {why}"
+        return (
+            "acquired again, the earlier frames are in "
+            f"{self.storage.set_aside(step.label).name}: {why}"
+        )
 
     def _watcher(self, step: Step) -> Watcher:
         return _Unwatched() if self.judge is None else self.judge.watch(step, self.full_scale_dn)
@@ -149,7 +159,9 @@ class Run:
         asked = step.conditions
         with clock.wire():
             light = self.operator.place(kind=step.kind, target=step.target, illuminance_lux=0.0)
-            with self.bench.patience(15.0):  # Longest time for the settings of a camera, with the gate shut, s
+            with self.bench.patience(
+                15.0
+            ):  # Longest time for the settings of a camera, with the gate shut, s
                 self.settings = self.camera.configure(
                     CameraSettings(exposure_s=asked.exposure_s, gain_db=asked.camera_gain_db)
                 )
@@ -167,10 +179,16 @@ class Run:
                     tube = self.bench.set_conditions(asked)
         self._wait(self.plan.settle.wait_s(self._before, asked), clock)
         self._before = asked
-        camera = Conditions(exposure_s=self.settings.exposure_s, camera_gain_db=self.settings.gain_db)
-        return _conditions_in_force(asked, tube, by_calibration(self._gain_table, tube.mcp_v), light, camera)
+        camera = Conditions(
+            exposure_s=self.settings.exposure_s, camera_gain_db=self.settings.gain_db
+        )
+        return _conditions_in_force(
+            asked, tube, by_calibration(self._gain_table, tube.mcp_v), light, camera
+        )
 
-    def _read_meters(self, conditions: Conditions, clock: StepClock) -> tuple[Conditions, tuple[str, ...]]:
+    def _read_meters(
+        self, conditions: Conditions, clock: StepClock
+    ) -> tuple[Conditions, tuple[str, ...]]:
         """Read the auxiliary meters after settling; a time-out is noted."""
         with clock.wire():
             read, silent = self.bench.read_meters()
@@ -183,8 +201,8 @@ class Run:
         self.bench.check()
         if self.storage.stall_s > DISK_S:
             raise BadInput(
-                f"the disk must take a frame within {DISK_S:g} s, got {self.storage.stall_s:.1f} s without one; "
-                "find what holds it up, then resume"
+                f"the disk must take a frame within {DISK_S:g} s, got {self.storage.stall_s:.1f} "
+                "s without one; find what holds it up, then resume"
             )
 
     def _wait(self, seconds: float, clock: StepClock) -> None:
@@ -204,7 +222,9 @@ class Run:
         """Report a frame in a light that a person set, with a hundredth of the gate width."""
         asked = step.conditions
         gate_ns = asked.gate_ns or 0.0
-        self.bench.set_conditions(replace(asked, gate_ns=max(round(PROBE_SHARE * gate_ns), min(gate_ns, PROBE_NS))))
+        self.bench.set_conditions(
+            replace(asked, gate_ns=max(round(PROBE_SHARE * gate_ns), min(gate_ns, PROBE_NS)))
+        )
         self.bench.frame_seen(self._one_frame(step.max_saturated_fraction))
 
     def _one_frame(self, allowed: float) -> FrameLevels:
@@ -214,7 +234,9 @@ class Run:
         return FrameLevels.of(frame.pixels, self.full_scale_dn, allowed=allowed)
 
     def _look_back(self, step: Step, watcher: Watcher) -> Conditions:
-        """Pass the frames of a continued stack to the watcher, and return its original conditions."""
+        """Pass the frames of a continued stack to the watcher, and return its original
+        conditions.
+        """
         entry = open_session(self.folder).stack(step.label)
         for pixels in entry.read().data:
             self._look()
@@ -225,13 +247,21 @@ class Run:
         pixel = np.uint8 if PIXEL_BITS[self.settings.pixel_format or "Mono16"] <= 8 else np.uint16
         shape = (self.settings.rows or 0, self.settings.columns or 0)
         return self.storage.begin_stack(
-            step.label, step.kind, shape, pixel, conditions, asked=step.conditions, target=step.target
+            step.label,
+            step.kind,
+            shape,
+            pixel,
+            conditions,
+            asked=step.conditions,
+            target=step.target,
         )
 
     def _fill(
         self, step: Step, stack: StoredStack, there: int, watcher: Watcher, clock: StepClock
     ) -> tuple[tuple[LostFrames, ...], str | None]:
-        """Acquire frames until the stack is full or its criterion is met; return lost frames and the criterion."""
+        """Acquire frames until the stack is full or its criterion is met; return lost frames and
+        the criterion.
+        """
         taken, enough = there, watcher.enough() if there else None
         if taken >= step.frames or enough:
             self._shut(step, stack, clock)
@@ -240,7 +270,11 @@ class Run:
         with ExitStack() as running:
             with clock.wire():
                 capture = running.enter_context(
-                    self.camera.capture(frames=step.frames - there, discard=DISCARDED_FRAMES, while_waiting=self._look)
+                    self.camera.capture(
+                        frames=step.frames - there,
+                        discard=DISCARDED_FRAMES,
+                        while_waiting=self._look,
+                    )
                 )
             try:
                 with self._doubting(stack):
@@ -278,8 +312,12 @@ class Run:
             self.bench.verify()
             self.bench.set_conditions(replace(step.conditions, gate_ns=None))
 
-    def _notes(self, there: int, anew: str | None, enough: str | None, watcher: Watcher) -> tuple[str, ...]:
-        filled_up = f"broken off after {there} frames and filled up by a later run" if there else None
+    def _notes(
+        self, there: int, anew: str | None, enough: str | None, watcher: Watcher
+    ) -> tuple[str, ...]:
+        filled_up = (
+            f"broken off after {there} frames and filled up by a later run" if there else None
+        )
         return tuple(note for note in (anew, filled_up, enough, watcher.complaint()) if note)
 
     def _tell(self, step: Step, frames: int) -> None:
@@ -288,14 +326,18 @@ class Run:
 
     @contextmanager
     def _doubting(self, stack: StoredStack) -> Iterator[None]:
-        """Mark the frames as doubtful if the bench fails: the gate may have closed before the error was reported."""
+        """Mark the frames as doubtful if the bench fails: the gate may have closed before the error
+        was reported.
+        """
         try:
             yield
         except CameraError:
             raise
         except BenchError as error:
             with suppress(BadInput):
-                stack.doubt(f"the bench failed while they were taken, and the last may be dark: {error}")
+                stack.doubt(
+                    f"the bench failed while they were taken, and the last may be dark: {error}"
+                )
             raise
 
 
@@ -317,7 +359,11 @@ class _Unwatched:
 def _conditions_in_force(asked: Conditions, *read_back: Conditions) -> Conditions:
     """Return the conditions in force: read-backs where available, else set-points."""
     for part in read_back:
-        known = {item.name: value for item in fields(Conditions) if (value := getattr(part, item.name)) is not None}
+        known = {
+            item.name: value
+            for item in fields(Conditions)
+            if (value := getattr(part, item.name)) is not None
+        }
         asked = replace(asked, **known)
     return asked
 
@@ -330,10 +376,12 @@ def _require_same(before: Conditions, now: Conditions, *, label: str) -> None:
         first, second = getattr(before, item.name), getattr(now, item.name)
         if first is None or second is None:
             continue
-        if abs(second - first) > (SAME_LIGHT if item.name == "illuminance_lux" else SAME) * abs(first):
+        if abs(second - first) > (SAME_LIGHT if item.name == "illuminance_lux" else SAME) * abs(
+            first
+        ):
             raise BadInput(
-                f"a resumed step must read back what it did in its first run, got {item.name} of {second:g} "
-                f"after {first:g} in {label!r}"
+                f"a resumed step must read back what it did in its first run, got {item.name} of "
+                f"{second:g} after {first:g} in {label!r}"
             )
 
 

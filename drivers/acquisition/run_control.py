@@ -12,7 +12,10 @@ from types import FrameType
 LOOK_S = 0.05
 
 URGENT = (signal.SIGTERM, signal.SIGHUP)
-GRACE_S, STUCK_S = 5.0, 15.0  # Time limits of a run ended by a signal, once the tube is safe and in total, s
+GRACE_S, STUCK_S = (
+    5.0,
+    15.0,
+)  # Time limits of a run ended by a signal, once the tube is safe and in total, s
 
 STOPPING = "stopping after this step; Ctrl-C again shuts the gate now"
 PAUSING = "pausing after this step; the same signal again goes on"
@@ -20,7 +23,9 @@ PAUSED = "paused with gate shut and light out; SIGUSR1 goes on, Ctrl-C ends the 
 
 
 class RunControl:
-    """Requests of the user to a running acquisition; `say` is called with a sentence that confirms a request."""
+    """Requests of the user to a running acquisition; `say` is called with a sentence that confirms
+    a request.
+    """
 
     def __init__(self, say: Callable[[str], None] = lambda sentence: None) -> None:
         self.say = say
@@ -28,7 +33,8 @@ class RunControl:
         self.pause = False  # Whether to pause after the present step, until this is False again
         # Called from a separate thread at SIGTERM, SIGHUP and the second Ctrl-C
         self.make_safe_at_once: Callable[[], None] = lambda: None
-        # Returns the final state of the tube, written to the terminal by a run that hangs at its end
+        # Returns the final state of the tube, written to the terminal by a run that hangs at its
+        # end
         self.last_words: Callable[[], str] = lambda: ""
         self._running = self._leaving = False
         self._ended = threading.Event()
@@ -37,9 +43,9 @@ class RunControl:
     def listen(self) -> Iterator[None]:
         """Handle signals in the `with` block; only in the main thread of a process.
 
-        While steps run, the first Ctrl-C requests a stop after the step; the second is a KeyboardInterrupt at once.
-        Before, the first is; afterwards, during the safe action, none is. SIGTERM and SIGHUP are a SystemExit.
-        SIGUSR1 pauses and resumes.
+        While steps run, the first Ctrl-C requests a stop after the step; the second is a
+        KeyboardInterrupt at once. Before, the first is; afterwards, during the safe action, none
+        is. SIGTERM and SIGHUP are a SystemExit. SIGUSR1 pauses and resumes.
         """
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -50,7 +56,9 @@ class RunControl:
         reading, writing = socket.socketpair()
         writing.setblocking(False)
         wakeup = signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
-        threading.Thread(target=self._take_signals, args=(reading,), name="signals", daemon=True).start()
+        threading.Thread(
+            target=self._take_signals, args=(reading,), name="signals", daemon=True
+        ).start()
         try:
             yield
         finally:
@@ -61,7 +69,9 @@ class RunControl:
                 signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 
     def _take_signals(self, reading: socket.socket) -> None:
-        """Make the tube safe at an urgent signal, in a separate thread, since the main thread may hang."""
+        """Make the tube safe at an urgent signal, in a separate thread, since the main thread may
+        hang.
+        """
         interrupts = 0
         with reading:
             while numbers := reading.recv(64):
@@ -78,7 +88,12 @@ class RunControl:
             if self.last_words() or time.monotonic() > stuck_s:
                 os.set_blocking(2, False)
                 with suppress(OSError):
-                    os.write(2, f"charact: the tube: {self.last_words() or 'not known to be safe'}\n".encode())
+                    os.write(
+                        2,
+                        (
+                            f"charact: the tube: {self.last_words() or 'not known to be safe'}\n"
+                        ).encode(),
+                    )
                 os._exit(128 + number)
 
     @contextmanager
@@ -91,7 +106,9 @@ class RunControl:
             self._running, self._leaving = False, True
 
     def between_steps(self, look: Callable[[], None]) -> None:
-        """End the run (KeyboardInterrupt) or pause as requested; `look` raises errors of the bench meanwhile."""
+        """End the run (KeyboardInterrupt) or pause as requested; `look` raises errors of the bench
+        meanwhile.
+        """
         if self.pause and not self.stop:
             self.say(PAUSED)
         while self.pause and not self.stop:

@@ -64,11 +64,15 @@ class RunProgress:
         self._step_began_s = None
 
     def share(self, taken: int) -> float:
-        """Return the completed fraction of the plan with `taken` frames of the present step, 0..1."""
+        """Return the completed fraction of the plan with `taken` frames of the present step,
+        0..1.
+        """
         return min(1.0, (self.done + taken) / self._frames)
 
     def words(self, taken: int) -> str:
-        """Return frame rate and time left with `taken` frames of the present step; empty while unknown."""
+        """Return frame rate and time left with `taken` frames of the present step; empty while
+        unknown.
+        """
         now_s = time.monotonic()
         if taken and self._step_began_s is None:
             self._step_began_s, self._first = now_s, taken

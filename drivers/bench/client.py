@@ -15,7 +15,17 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any, Self
 
-from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
+from drivers.bench.connection import (
+    BEAT_S,
+    SILENCE_S,
+    Beat,
+    Connection,
+    Fault,
+    MadeSafe,
+    Ports,
+    Reply,
+    Request,
+)
 from drivers.bench.light_control import GuardedLight
 from drivers.bench.safe_state import REOPEN_S, Crew, SafeStateReport, make_safe
 from drivers.bench.setup import BenchSetup, remember_bench
@@ -27,7 +37,9 @@ from drivers.serial_lines.port import InheritedPort
 from labdata.event_log import EventLog
 from labdata.instrument_config import Role
 
-SERVER_SILENCE_S = SILENCE_S + BEAT_S  # Time without heartbeat of the server after which it is killed, s
+SERVER_SILENCE_S = (
+    SILENCE_S + BEAT_S
+)  # Time without heartbeat of the server after which it is killed, s
 
 # Longest duration of the safe action, s: wait for a lost port, then for the decay of the voltage
 SAFE_S = FALL_S + REOPEN_S + 5.0
@@ -48,10 +60,12 @@ def _command(name: str) -> Callable[..., Any]:
 
 
 class BenchClient:
-    """A bench whose ports, drivers and interlock live in a server process; see `TubeBench` for its commands.
+    """A bench whose ports, drivers and interlock live in a server process; see `TubeBench` for its
+    commands.
 
     A thread sends the heartbeat of this process and of the run, watches the server, and makes
-    the tube safe over the server's ports when the server ends or is silent: nothing is opened, started or allocated.
+    the tube safe over the server's ports when the server ends or is silent: nothing is opened,
+    started or allocated.
     """
 
     wires_left_out: tuple[str, ...] = ()
@@ -76,7 +90,14 @@ class BenchClient:
         with theirs:
             self.process = subprocess.Popen(
                 # -P: a module in the working folder must not shadow one of the library.
-                [sys.executable, "-P", "-m", "drivers.bench.server", "--socket", str(theirs.fileno())],
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "drivers.bench.server",
+                    "--socket",
+                    str(theirs.fileno()),
+                ],
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
                 stdin=subprocess.DEVNULL,
@@ -154,7 +175,9 @@ class BenchClient:
             self._stamp_s = time.monotonic()
 
     def safe(self) -> None:
-        """Make the tube safe now; BenchError if not verified. The bench stays usable if nothing failed."""
+        """Make the tube safe now; BenchError if not verified. The bench stays usable if nothing
+        failed.
+        """
         self._make_safe().require_whole()
 
     def safe_at_once(self) -> None:
@@ -163,7 +186,9 @@ class BenchClient:
 
     @property
     def last_words(self) -> str:
-        """Final state of the tube, with manual steps if it may be hot; empty before the safe action."""
+        """Final state of the tube, with manual steps if it may be hot; empty before the safe
+        action.
+        """
         return "" if self.report is None else self.report.last_words()
 
     # Messages
@@ -172,7 +197,9 @@ class BenchClient:
         """Send a command and return its value; an error of the bench is raised here."""
         if self.fault is not None:
             raise self.fault
-        return self._request(Request(number=next(self._numbers), command=command, arguments=arguments, named=named))
+        return self._request(
+            Request(number=next(self._numbers), command=command, arguments=arguments, named=named)
+        )
 
     def _request(self, request: Request, timeout_s: float | None = None) -> Any:
         reply = self._replies[request.number] = queue.SimpleQueue()
@@ -183,7 +210,9 @@ class BenchClient:
             del self._replies[request.number]
 
     def _await(self, reply: "queue.SimpleQueue[Reply]", timeout_s: float | None) -> Any:
-        """Wait for a reply with a heartbeat of the run; the watching thread ends the wait if the server is lost."""
+        """Wait for a reply with a heartbeat of the run; the watching thread ends the wait if the
+        server is lost.
+        """
         until_s = time.monotonic() + (float("inf") if timeout_s is None else timeout_s)
         while time.monotonic() < until_s:
             self.alive()
@@ -247,12 +276,16 @@ class BenchClient:
         return self.report
 
     def _leave(self, error: BaseException | None) -> None:
-        """Make the bench safe and end the server; failures are raised, or become notes of the first error."""
+        """Make the bench safe and end the server; failures are raised, or become notes of the first
+        error.
+        """
         unwritten = None
         self._leave_number = next(self._numbers)
         try:
             if not self._over:
-                report, unwritten = self._request(Request(number=self._leave_number, command="leave"), SAFE_S)
+                report, unwritten = self._request(
+                    Request(number=self._leave_number, command="leave"), SAFE_S
+                )
                 self.report = report or self.report
         except BenchServerLost:
             self._take_over("does not answer")
@@ -291,7 +324,9 @@ class BenchClient:
             self.fault = self.fault or lost
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.process.pid, signal.SIGKILL)
-            until_s = time.monotonic() + 0.1  # Longest wait for a killed server to release its ports, s
+            until_s = (
+                time.monotonic() + 0.1
+            )  # Longest wait for a killed server to release its ports, s
             while self.process.poll() is None and time.monotonic() < until_s:
                 time.sleep(0.01)
             for waiting in list(self._replies.values()):

@@ -12,7 +12,9 @@ from labdata.errors import BadInput
 from labdata.instrument_config import Role
 
 BEAT_S = 0.1  # Heartbeat interval, s
-SILENCE_S = 0.5  # Time without heartbeat after which the other side counts as hung, s: five intervals
+SILENCE_S = (
+    0.5  # Time without heartbeat after which the other side counts as hung, s: five intervals
+)
 LARGEST_BYTES = 1 << 17  # Largest message; a setup with calibrations has a few kilobytes
 
 
@@ -44,7 +46,9 @@ class Reply:
 
 @dataclass(frozen=True, kw_only=True)
 class Ports:
-    """Ports opened by the server; their descriptors come with this message, in the order of the roles."""
+    """Ports opened by the server; their descriptors come with this message, in the order of the
+    roles.
+    """
 
     roles: tuple[Role, ...]
 
@@ -78,7 +82,9 @@ class Connection:
         return self._socket.fileno()
 
     def send(self, message: object, descriptors: tuple[int, ...] = ()) -> None:
-        """Send a message with copies of descriptors, without waiting; a side that does not read counts as gone."""
+        """Send a message with copies of descriptors, without waiting; a side that does not read
+        counts as gone.
+        """
         data = pickle.dumps(message)
         try:
             if descriptors:
@@ -99,7 +105,8 @@ class Connection:
             except BlockingIOError:
                 return messages
             except ConnectionResetError:
-                continue  # the other side closed with messages unread; its last ones can still be read
+                # the other side closed with messages unread; its last ones can still be read
+                continue
             except OSError:
                 data, descriptors = b"", []
             if not data:

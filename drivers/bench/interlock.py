@@ -18,18 +18,24 @@ from drivers.bench.state import (
 )
 from labdata.limits import LimitsInForce
 
-SILENCE_S = 0.6  # Longest time since the client's last heartbeat for commands that increase the load of the tube, s
-PROBE_DUTY = 0.01  # Largest duty of the gate in light that no frame has verified yet: a hundredth of the dose
+# Longest time since the client's last heartbeat for commands that increase the load of the tube, s
+SILENCE_S = 0.6
+# Largest duty of the gate in light that no frame has verified yet: a hundredth of the dose
+PROBE_DUTY = 0.01
 
 # Fraction of pixels that may be saturated beyond the limit of the step; lamps in view are smaller
 MAX_EXCESS_SATURATION = 0.05
 
-METER_TOLERANCE = 1.25  # Factor by which a light reading may exceed its limit, for the calibration of the meter
+METER_TOLERANCE = (
+    1.25  # Factor by which a light reading may exceed its limit, for the calibration of the meter
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """A rule to refuse commands: breach(state, command, limits, now_s) returns a sentence "rule, got value"."""
+    """A rule to refuse commands: breach(state, command, limits, now_s) returns a sentence "rule,
+    got value".
+    """
 
     name: str
     breach: Callable[[TubeState, Command, LimitsInForce, float], str | None]
@@ -50,7 +56,10 @@ def _voltage(state: TubeState, command: Command, limits: LimitsInForce, now_s: f
 
 def _ramp(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
     if isinstance(command, RaiseGain) and not 0.0 < command.rate_v_per_s <= limits.ramp_v_per_s:
-        return f"the voltage must rise by at most {limits.ramp_v_per_s:g} V/s, got {command.rate_v_per_s:g}"
+        return (
+            f"the voltage must rise by at most {limits.ramp_v_per_s:g} V/s, got "
+            f"{command.rate_v_per_s:g}"
+        )
 
 
 def _width(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
@@ -63,8 +72,8 @@ def _duty(state: TubeState, command: Command, limits: LimitsInForce, now_s: floa
         duty = command.width_ns * 1e-9 * command.rate_hz
         if not 0.0 < duty <= limits.gate_duty:
             return (
-                f"the gate must be open for at most {limits.gate_duty:g} of the time, got {duty:.4g}: "
-                f"{command.width_ns:g} ns at {command.rate_hz:g} Hz"
+                f"the gate must be open for at most {limits.gate_duty:g} of the time, got "
+                f"{duty:.4g}: {command.width_ns:g} ns at {command.rate_hz:g} Hz"
             )
 
 
@@ -72,28 +81,35 @@ def _light(state: TubeState, command: Command, limits: LimitsInForce, now_s: flo
     if isinstance(command, SetLight):
         limit = limits.largest_lux(point=command.point)
         if not 0.0 <= command.illuminance_lux <= limit:
-            return f"illuminance_lux must not exceed the limit {limit:g}, got {command.illuminance_lux:g}"
+            return (
+                f"illuminance_lux must not exceed the limit {limit:g}, got "
+                f"{command.illuminance_lux:g}"
+            )
 
 
-def _light_at_gain(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _light_at_gain(
+    state: TubeState, command: Command, limits: LimitsInForce, now_s: float
+) -> str | None:
     if isinstance(command, SetLight) and command.illuminance_lux > 0.0:
         limit = limits.largest_anode_na_per_cm2(point=command.point)
         asked = command.state_when_sent(state).anode_na_per_cm2(limits)
         if not asked <= limit:
             return (
-                f"light, gain and gate together must not exceed {limit:g} nA/cm2 of MCP output, got {asked:.4g}: "
-                f"{command.illuminance_lux:g} lux at {state.mcp_v:g} V, open for {state.duty:.3g} of the time; "
-                "lower the gain before raising the light"
+                f"light, gain and gate together must not exceed {limit:g} nA/cm2 of MCP output, "
+                f"got {asked:.4g}: {command.illuminance_lux:g} lux at {state.mcp_v:g} V, open for "
+                f"{state.duty:.3g} of the time; lower the gain before raising the light"
             )
 
 
-def _gate_opens_dark(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _gate_opens_dark(
+    state: TubeState, command: Command, limits: LimitsInForce, now_s: float
+) -> str | None:
     if not isinstance(command, OpenGate) or state.dark:
         return None
     if not state.probed and not command.width_ns * 1e-9 * command.rate_hz <= PROBE_DUTY:
         return (
-            "the light must be out when the gate opens, or seen first with the gate open for at most "
-            f"{PROBE_DUTY:g} of the time, got up to {state.light_lux:g} lux"
+            "the light must be out when the gate opens, or seen first with the gate open for at "
+            f"most {PROBE_DUTY:g} of the time, got up to {state.light_lux:g} lux"
         )
     limit = limits.largest_anode_na_per_cm2(point=state.point)
     asked = command.state_when_sent(state).anode_na_per_cm2(limits)
@@ -101,24 +117,38 @@ def _gate_opens_dark(state: TubeState, command: Command, limits: LimitsInForce, 
         return f"the gate must not exceed {limit:g} nA/cm2 of MCP output, got {asked:.4g}"
 
 
-def _gain_up_dark(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _gain_up_dark(
+    state: TubeState, command: Command, limits: LimitsInForce, now_s: float
+) -> str | None:
     if isinstance(command, RaiseGain) and not state.dark:
         return f"the light must be down before the gain goes up, got up to {state.light_lux:g} lux"
 
 
-def _gain_moves_shut(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _gain_moves_shut(
+    state: TubeState, command: Command, limits: LimitsInForce, now_s: float
+) -> str | None:
     if isinstance(command, RaiseGain | LowerGain) and not state.shut:
-        return f"the gate must be shut while the gain moves, got it open for up to {state.duty:.3g} of the time"
+        return (
+            f"the gate must be shut while the gain moves, got it open for up to "
+            f"{state.duty:.3g} of the time"
+        )
 
 
-def _target_moves_shut(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _target_moves_shut(
+    state: TubeState, command: Command, limits: LimitsInForce, now_s: float
+) -> str | None:
     if not isinstance(command, SetLight) or state.shut:
         return None
     if (command.target, command.point) != (state.target, state.point):
-        return f"the gate must be shut while a target is placed, got it open for up to {state.duty:.3g} of the time"
+        return (
+            f"the gate must be shut while a target is placed, got it open for up to "
+            f"{state.duty:.3g} of the time"
+        )
 
 
-def _dark_first(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _dark_first(
+    state: TubeState, command: Command, limits: LimitsInForce, now_s: float
+) -> str | None:
     if isinstance(command, SetLight) and command.illuminance_lux > 0.0 and not state.dark_seen:
         return (
             "a dark frame must be seen through the open gate before the first light, "
@@ -126,28 +156,45 @@ def _dark_first(state: TubeState, command: Command, limits: LimitsInForce, now_s
         )
 
 
-def _filter_turns_dark(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _filter_turns_dark(
+    state: TubeState, command: Command, limits: LimitsInForce, now_s: float
+) -> str | None:
     if isinstance(command, TurnFilter) and not state.dark:
         return f"the light must be out while a filter turns, got up to {state.light_lux:g} lux"
 
 
-def _filter_known(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _filter_known(
+    state: TubeState, command: Command, limits: LimitsInForce, now_s: float
+) -> str | None:
     if isinstance(command, SetLight) and command.illuminance_lux > 0.0 and not state.filter_known:
-        return f"the filter must be read before there is light, got none read before {command.illuminance_lux:g} lux"
+        return (
+            f"the filter must be read before there is light, got none read before "
+            f"{command.illuminance_lux:g} lux"
+        )
 
 
-def _heartbeat_due(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _heartbeat_due(
+    state: TubeState, command: Command, limits: LimitsInForce, now_s: float
+) -> str | None:
     if _heats(command) and not now_s - state.heard_s <= SILENCE_S:
-        return f"the bench must have shown life within {SILENCE_S:g} s, got {now_s - state.heard_s:.3g} s of silence"
+        return (
+            f"the bench must have shown life within {SILENCE_S:g} s, got "
+            f"{now_s - state.heard_s:.3g} s of silence"
+        )
 
 
-def _no_failure(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _no_failure(
+    state: TubeState, command: Command, limits: LimitsInForce, now_s: float
+) -> str | None:
     if _heats(command) and state.fault is not None:
         return f"the bench must be reopened after a failure, got: {state.fault}"
 
 
 def _heats(command: Command) -> bool:
-    return not (isinstance(command, TurnFilter) or (isinstance(command, SetLight) and command.illuminance_lux == 0.0))
+    return not (
+        isinstance(command, TurnFilter)
+        or (isinstance(command, SetLight) and command.illuminance_lux == 0.0)
+    )
 
 
 # All rules that refuse commands
@@ -173,27 +220,37 @@ RULES = (
 def _silent(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
     hot = not state.shut or state.mcp_v > 0.0
     if hot and not now_s - state.heard_s <= SILENCE_S:
-        return f"the bench must show life every {SILENCE_S:g} s, got {now_s - state.heard_s:.3g} s of silence"
+        return (
+            f"the bench must show life every {SILENCE_S:g} s, got {now_s - state.heard_s:.3g} "
+            f"s of silence"
+        )
 
 
 def _overload(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
     limit = METER_TOLERANCE * limits.largest_anode_na_per_cm2(point=state.point)
     asked = state.anode_na_per_cm2(limits)
     if not asked <= limit:
-        return f"the light must draw at most {limit:g} nA/cm2 of MCP output, got {asked:.4g} at {state.light_lux:g} lux"
+        return (
+            f"the light must draw at most {limit:g} nA/cm2 of MCP output, got {asked:.4g} at "
+            f"{state.light_lux:g} lux"
+        )
 
 
 def _too_bright(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
     limit = METER_TOLERANCE * limits.largest_lux(point=state.point)
     if not state.shut and not state.light_lux <= limit:
-        return f"the light must read at most {limit:g} lux before an open gate, got {state.light_lux:g}"
+        return (
+            f"the light must read at most {limit:g} lux before an open gate, got "
+            f"{state.light_lux:g}"
+        )
 
 
 def _saturation(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
     if not state.excess_saturation <= MAX_EXCESS_SATURATION:
         return (
-            f"at most {MAX_EXCESS_SATURATION:.0%} of a frame's pixels may be saturated beyond what its step allows, "
-            f"got {state.excess_saturation:.0%}: find the light, or state saturated_fraction in the step"
+            f"at most {MAX_EXCESS_SATURATION:.0%} of a frame's pixels may be saturated beyond "
+            f"what its step allows, got {state.excess_saturation:.0%}: find the light, or state "
+            "saturated_fraction in the step"
         )
 
 
@@ -207,7 +264,11 @@ REACTIONS = (
 
 
 def refuse(
-    state: TubeState, command: Command, limits: LimitsInForce, now_s: float, rules: tuple[Rule, ...] = RULES
+    state: TubeState,
+    command: Command,
+    limits: LimitsInForce,
+    now_s: float,
+    rules: tuple[Rule, ...] = RULES,
 ) -> None:
     """Raise InterlockRefused for the first rule that a command breaks."""
     for rule in rules:
@@ -216,17 +277,26 @@ def refuse(
 
 
 def alarm(
-    state: TubeState, limits: LimitsInForce, now_s: float, reactions: tuple[Reaction, ...] = REACTIONS
+    state: TubeState,
+    limits: LimitsInForce,
+    now_s: float,
+    reactions: tuple[Reaction, ...] = REACTIONS,
 ) -> str | None:
-    """Return the sentence of the first reaction that requires the safe state; None if there is none."""
+    """Return the sentence of the first reaction that requires the safe state; None if there is
+    none.
+    """
     return next((why for one in reactions if (why := one.reason(state, limits, now_s))), None)
 
 
-Watcher = Callable[[TubeState, float], None]  # Called as watcher(state, now_s) with the previous state, at every change
+Watcher = Callable[
+    [TubeState, float], None
+]  # Called as watcher(state, now_s) with the previous state, at every change
 
 
 class Interlock:
-    """State machine that permits or refuses commands to the tube; subsets of its rules only in tests."""
+    """State machine that permits or refuses commands to the tube; subsets of its rules only in
+    tests.
+    """
 
     def __init__(
         self,
@@ -251,7 +321,9 @@ class Interlock:
         self._watchers.append(watcher)
 
     def foresee(self, *commands: Command, state: TubeState | None = None) -> None:
-        """Check a sequence of commands from a state on, without effect; a refused one is InterlockRefused."""
+        """Check a sequence of commands from a state on, without effect; a refused one is
+        InterlockRefused.
+        """
         state = self._state if state is None else state
         for command in commands:
             refuse(state, command, self.limits, self._clock(), self._rules)
@@ -269,7 +341,9 @@ class Interlock:
             self._become(event.state_after(self._state))
 
     def alarm(self) -> str | None:
-        """Return the sentence of the first reaction that requires the safe state; None if there is none."""
+        """Return the sentence of the first reaction that requires the safe state; None if there is
+        none.
+        """
         return alarm(self._state, self.limits, self._clock(), self._reactions)
 
     def _become(self, state: TubeState) -> None:

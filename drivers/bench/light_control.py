@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from drivers.interface import Operator
 
 
-# Fraction of the largest allowed light below which a reading with blocked light is the zero of the meter
+# Fraction of the largest allowed light below which a reading with blocked light is the zero of the
+# meter
 METER_ZERO = 1e-3
 
 
@@ -65,11 +66,15 @@ class LightControl(ABC):
         return self._setup.lamp is not None
 
     def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None:
-        """Permit a target and a light, which then count as set, or refuse them (InterlockRefused)."""
+        """Permit a target and a light, which then count as set, or refuse them
+        (InterlockRefused).
+        """
         self.interlock.permit(SetLight(illuminance_lux=illuminance_lux, point=point, target=target))
 
     def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None:
-        """Take a reading of the light; with `zero`, a reading near zero is the zero of the meter."""
+        """Take a reading of the light; with `zero`, a reading near zero is the zero of the
+        meter.
+        """
         zero_lux = METER_ZERO * self.interlock.limits.largest_lux(point=self.interlock.state.point)
         lux = 0.0 if zero and illuminance_lux <= zero_lux else illuminance_lux
         self.interlock.tell(LightRead(illuminance_lux=lux))
@@ -81,10 +86,14 @@ class LightControl(ABC):
             with self._using("light-source"):
                 self._turn_lamp_off()
 
-    def shine(self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None) -> Conditions:
-        """Turn the filter in the dark, then switch the lamp on; return the light of the read-back current.
+    def shine(
+        self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None
+    ) -> Conditions:
+        """Turn the filter in the dark, then switch the lamp on; return the light of the read-back
+        current.
 
-        A bench without a lamp, or a target not placed in the dark, is BadInput; a rule may be InterlockRefused.
+        A bench without a lamp, or a target not placed in the dark, is BadInput; a rule may be
+        InterlockRefused.
         """
         if self._setup.lamp is None:
             raise BadInput("a light of its own must have a lamp at the bench, got none")
@@ -106,7 +115,9 @@ class LightControl(ABC):
         return read
 
     def _prepare_lamp(self) -> None:
-        """Switch the lamp off, limit its current to the calibration, and read the position of the wheel."""
+        """Switch the lamp off, limit its current to the calibration, and read the position of the
+        wheel.
+        """
         if (lamp := self._setup.lamp) is None:
             return
         filters, wheel = len(lamp.filter_density), self.stations.get("filter-wheel")
@@ -117,11 +128,16 @@ class LightControl(ABC):
         source.prepare(limit_a=lamp.limit_a)
         if wheel is None:
             if filters > 1:
-                raise BadInput(f"a lamp without a filter wheel must have one filter density, got {filters}")
+                raise BadInput(
+                    f"a lamp without a filter wheel must have one filter density, got {filters}"
+                )
             return
         wheel.driver.identify()
         if (positions := wheel.driver.positions) < filters:
-            raise BadInput(f"the filter wheel must have a position for each filter, got {positions} for {filters}")
+            raise BadInput(
+                f"the filter wheel must have a position for each filter, got {positions} for "
+                f"{filters}"
+            )
         self._take_filter(wheel.driver.position())
 
     def _turn_lamp_off(self) -> None:
@@ -150,7 +166,9 @@ class LightControl(ABC):
 
 
 class GuardedLight:
-    """Operator who places targets, behind the interlock of the bench, with its lamp, if it has one."""
+    """Operator who places targets, behind the interlock of the bench, with its lamp, if it has
+    one.
+    """
 
     def __init__(self, operator: "Operator", bench: "BenchClient | LocalBench") -> None:
         self._operator, self._bench = operator, bench
@@ -170,7 +188,12 @@ class GuardedLight:
             self._bench.light_read(0.0)
 
     def place(
-        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+        self,
+        *,
+        kind: Kind,
+        target: Target,
+        illuminance_lux: float,
+        filter_density: float | None = None,
     ) -> Conditions:
         """Place a target and set the light, if no rule refuses it; return the reading.
 
@@ -179,7 +202,9 @@ class GuardedLight:
         self._bench.check()
         point = kind == "point"
         if self._has_lamp and illuminance_lux:
-            return self._bench.shine(illuminance_lux, point=point, target=target, filter_density=filter_density)
+            return self._bench.shine(
+                illuminance_lux, point=point, target=target, filter_density=filter_density
+            )
         if self._has_lamp:
             self._bench.darken()
         elif self.is_by_hand:

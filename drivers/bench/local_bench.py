@@ -1,4 +1,6 @@
-"""Opening of a bench: behind a server, or inside the own process for instruments without serial ports."""
+"""Opening of a bench: behind a server, or inside the own process for instruments without serial
+ports.
+"""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -30,7 +32,9 @@ class LocalBench(TubeBench):
     def __init__(self, setup: BenchSetup, lines: Mapping[Role, InstrumentLine]) -> None:
         self._log = EventLog(setup.log)
         stations = stations_on(lines, setup.wires)
-        super().__init__(setup, stations, record=self._log, on_failure=lambda error: self.make_safe(str(error)))
+        super().__init__(
+            setup, stations, record=self._log, on_failure=lambda error: self.make_safe(str(error))
+        )
         self._looked_s = 0.0
 
     def __enter__(self) -> Self:
@@ -60,7 +64,9 @@ class LocalBench(TubeBench):
         super().check()
 
     def safe(self) -> None:
-        """Make the tube safe now; BenchError if not verified. The bench stays usable if nothing failed."""
+        """Make the tube safe now; BenchError if not verified. The bench stays usable if nothing
+        failed.
+        """
         self.make_safe("asked for").require_whole()
 
     def safe_at_once(self) -> None:
@@ -69,7 +75,9 @@ class LocalBench(TubeBench):
 
     @property
     def last_words(self) -> str:
-        """Final state of the tube, with manual steps if it may be hot; empty before the safe action."""
+        """Final state of the tube, with manual steps if it may be hot; empty before the safe
+        action.
+        """
         return "" if self.report is None else self.report.last_words()
 
     @contextmanager
@@ -100,7 +108,8 @@ def open_bench(
 ) -> BenchClient | LocalBench:
     """Return a bench, to be used in a `with` block.
 
-    Entering shuts the gate and switches the high voltage off first; so does leaving, also by an exception.
+    Entering shuts the gate and switches the high voltage off first; so does leaving, also by an
+    exception.
     A bench on serial ports lives in a server process, which makes the tube safe when this process
     ends or hangs; this process does the same when the server ends or hangs.
 
@@ -111,11 +120,15 @@ def open_bench(
     limits
         Limits in force, or those of a plan, which are completed by the defaults of an unknown tube.
     lines
-        Existing lines to the instruments by role, where there are no serial ports; the bench then lives in this
-        process, and no other process makes the tube safe.
+        Existing lines to the instruments by role, where there are no serial ports; the bench then
+        lives in this process, and no other process makes the tube safe.
     """
-    if lines is None and (without := [PORT_KEYS[one.role] for one in wires.instruments if not one.port]):
-        raise BadInput(f"every instrument must have its serial port, got none for {' and '.join(without)}")
+    if lines is None and (
+        without := [PORT_KEYS[one.role] for one in wires.instruments if not one.port]
+    ):
+        raise BadInput(
+            f"every instrument must have its serial port, got none for {' and '.join(without)}"
+        )
     in_force = limits if isinstance(limits, LimitsInForce) else limits_in_force(limits)
     setup = BenchSetup(wires=wires, limits=in_force, log=Path(log).absolute(), **details)
     return BenchClient(setup) if lines is None else LocalBench(setup, lines)

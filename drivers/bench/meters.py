@@ -13,14 +13,19 @@ from labdata.instrument_config import Meters, Role
 from labdata.limits import LimitsInForce
 from labdata.tube_dose import Dose, DoseLedger, dose_of, total_dose
 
-Reading = tuple[Conditions, tuple[str, ...]]  # Conditions read, and one sentence for each meter that did not answer
+Reading = tuple[
+    Conditions, tuple[str, ...]
+]  # Conditions read, and one sentence for each meter that did not answer
 
 
 class AuxiliaryMeters:
     """Light meter and thermometer, if present among the drivers by role."""
 
     def __init__(self, drivers: Mapping[Role, Any], meters: Meters) -> None:
-        self._light_meter, self._thermometer = drivers.get("light-meter"), drivers.get("thermometer")
+        self._light_meter, self._thermometer = (
+            drivers.get("light-meter"),
+            drivers.get("thermometer"),
+        )
         self._meters, self._is_tuned = meters, False
 
     def prepare(self) -> None:
@@ -63,7 +68,8 @@ class AuxiliaryMeters:
         return {"temperature_c": meter.temperature_c(), "temperature_time_s": time.time()}
 
 
-LONGEST_S = 10.0  # Longest interval between writes of the dose while the gate is open, s; a crash loses no more
+# Longest interval between writes of the dose while the gate is open, s; a crash loses no more
+LONGEST_S = 10.0
 
 
 class DoseMeter:
@@ -86,16 +92,25 @@ class DoseMeter:
         """Sentence on why the dose cannot be written, or None."""
         if not self._unwritten or (error := self._writer.failure) is None:
             return None
-        return f"the tube's dose must be written to {self._ledger.path}, got: {getattr(error, 'strerror', '') or error}"
+        return (
+            f"the tube's dose must be written to {self._ledger.path}, got: "
+            f"{getattr(error, 'strerror', '') or error}"
+        )
 
     def watch(self, state: TubeState, now_s: float) -> None:
-        """Add the time of a state until now; write the dose when the gate is shut or the state lasts long.
+        """Add the time of a state until now; write the dose when the gate is shut or the state
+        lasts long.
 
         Raises nothing and never waits, since the next command may be to shut the gate.
         """
         passed_s = 0.0 if self._last_s is None else now_s - self._last_s
         self._last_s = now_s
-        if passed_s > 0.0 and math.isfinite(state.mcp_v) and math.isfinite(state.light_lux) and state.mcp_v > 0.0:
+        if (
+            passed_s > 0.0
+            and math.isfinite(state.mcp_v)
+            and math.isfinite(state.light_lux)
+            and state.mcp_v > 0.0
+        ):
             self._pending.append(self._dose(state, passed_s))
             self._pending_s += passed_s
         if self._pending and (self._pending_s >= LONGEST_S or (state.shut and self._has_charge())):
@@ -112,7 +127,9 @@ class DoseMeter:
         if self._writer.flush(timeout_s):
             self._writer.close(timeout_s)
             return self.failure
-        return f"the tube's dose must be written to {self._ledger.path}, got a disk that takes nothing"
+        return (
+            f"the tube's dose must be written to {self._ledger.path}, got a disk that takes nothing"
+        )
 
     def _write(self) -> None:
         if self._pending:

@@ -15,7 +15,11 @@ from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, Supply
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
 
-DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")  # Roles that the safe action covers
+DANGEROUS: tuple[Role, ...] = (
+    "gate",
+    "supply",
+    "light-source",
+)  # Roles that the safe action covers
 
 Record = Callable[..., object]  # Called as record(step, **details) for each step; it must not block
 
@@ -24,7 +28,10 @@ DEAF_S = 3.0  # Longest time of attempts on an instrument that does not obey, s
 REOPEN_S = 15.0  # Longest time of attempts to reopen a lost port, s
 
 # Manual steps for a tube that could not be made safe
-BY_HAND = "switch the high-voltage supply off at its front panel, then cover the camera and disconnect the gate unit"
+BY_HAND = (
+    "switch the high-voltage supply off at its front panel, then cover the camera and "
+    "disconnect the gate unit"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +40,15 @@ class SafeStateReport:
 
     gate_shut: bool  #: Whether the gate read back no pulses and a shut idle level
     off_ordered: bool  #: Whether the command to switch the high voltage off was sent
-    residual_v: float | None  #: Last voltage measured at the output, V; None if none could be measured
-    light_dark: bool = True  #: Whether every lamp of the bench read back that it is off; true without lamps
-    failures: tuple[str, ...] = ()  #: One sentence for each failed step of an instrument that was not verified
+    residual_v: (
+        float | None
+    )  #: Last voltage measured at the output, V; None if none could be measured
+    light_dark: bool = (
+        True  #: Whether every lamp of the bench read back that it is off; true without lamps
+    )
+    failures: tuple[
+        str, ...
+    ] = ()  #: One sentence for each failed step of an instrument that was not verified
 
     @property
     def whole(self) -> bool:
@@ -51,7 +64,11 @@ class SafeStateReport:
         elif self.residual_v is not None:
             gain = f"{self.residual_v:g} V were last measured at the output"
         else:
-            gain = "the high voltage was ordered off but not verified" if self.off_ordered else "the high voltage is on"
+            gain = (
+                "the high voltage was ordered off but not verified"
+                if self.off_ordered
+                else "the high voltage is on"
+            )
         return f"{gate}, {gain}" if self.light_dark else f"{gate}, {gain}, the lamp may burn"
 
     def last_words(self) -> str:
@@ -71,10 +88,14 @@ class SafeStateReport:
 
 
 class Crew:
-    """Waiting threads, so that a process that can no longer start threads can still make the tube safe."""
+    """Waiting threads, so that a process that can no longer start threads can still make the tube
+    safe.
+    """
 
     def __init__(self, size: int = 3) -> None:
-        self._jobs: queue.SimpleQueue[tuple[Callable[[], object], threading.Event] | None] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[tuple[Callable[[], object], threading.Event] | None] = (
+            queue.SimpleQueue()
+        )
         self._size = size
         for _ in range(size):
             threading.Thread(target=self._work, name="safe", daemon=True).start()
@@ -109,10 +130,12 @@ def make_safe(
     record: Record,
     crew: Crew | None = None,
 ) -> SafeStateReport:
-    """Shut the gate, switch high voltage and lamps off in parallel, then follow the decay of the output.
+    """Shut the gate, switch high voltage and lamps off in parallel, then follow the decay of the
+    output.
 
-    A silent line does not delay the others. A lost port is reopened for up to 15 s, and its instrument made safe when
-    it is back. This raises nothing, since the next step must be tried too.
+    A silent line does not delay the others. A lost port is reopened for up to 15 s, and its
+    instrument made safe when it is back. This raises nothing, since the next step must be tried
+    too.
 
     Parameters
     ----------
@@ -121,10 +144,24 @@ def make_safe(
     crew
         Threads to use; None: new ones.
     """
-    shut = _Task(gate, "delay generator", record, "gate", orders="shut_commands", verify=("shut and read back", "shut"))
+    shut = _Task(
+        gate,
+        "delay generator",
+        record,
+        "gate",
+        orders="shut_commands",
+        verify=("shut and read back", "shut"),
+    )
     fall = _Falling(supply, "high-voltage supply", record, "high voltage", orders="off_commands")
     dark = [
-        _Task(lamp, "light source", record, "light", orders="dark_commands", verify=("out and read back", "darken"))
+        _Task(
+            lamp,
+            "light source",
+            record,
+            "light",
+            orders="dark_commands",
+            verify=("out and read back", "darken"),
+        )
         for lamp in lamps
     ]
     workers = crew or Crew(2 + len(dark))
@@ -136,12 +173,15 @@ def make_safe(
         off_ordered=fall.ordered,
         residual_v=fall.residual_v,
         light_dark=all(task.verified for task in dark),
-        failures=tuple(dict.fromkeys(failure for task in (shut, fall, *dark) for failure in task.failures)),
+        failures=tuple(
+            dict.fromkeys(failure for task in (shut, fall, *dark) for failure in task.failures)
+        ),
     )
 
 
 class _Task:
-    """Commands on one line, each sent even if an earlier one failed, until the instrument reads back that it obeyed.
+    """Commands on one line, each sent even if an earlier one failed, until the instrument reads
+    back that it obeyed.
 
     `orders` names the driver's commands, and `verify` the last step and the method that does it.
     """
@@ -217,7 +257,9 @@ class _Task:
 
 
 class _Falling(_Task):
-    """Switches the high voltage off and follows its decay; repeated while the supply does not answer."""
+    """Switches the high voltage off and follows its decay; repeated while the supply does not
+    answer.
+    """
 
     residual_v: float | None = None
     _answers = False
@@ -229,15 +271,20 @@ class _Falling(_Task):
     def secure(self) -> bool:
         if not (self._answers and self.ordered):
             self.order()
-        self._answers, reading = self.attempt(self._instrument.reading, self._instrument.read_voltage_v)
+        self._answers, reading = self.attempt(
+            self._instrument.reading, self._instrument.read_voltage_v
+        )
         if isinstance(reading, float):
             self.residual_v = reading
-        self.verified = self._answers and self.residual_v is not None and self.residual_v <= DISCHARGED_V
+        self.verified = (
+            self._answers and self.residual_v is not None and self.residual_v <= DISCHARGED_V
+        )
         return self.verified
 
 
 def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
-    """Make the tube of a bench safe through its serial ports alone, even if another program has opened them.
+    """Make the tube of a bench safe through its serial ports alone, even if another program has
+    opened them.
 
     The report names instruments whose port could not be opened within 15 s.
     """
@@ -250,7 +297,9 @@ def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
 
     def secure() -> SafeStateReport:
         lamps = [drivers.get("light-source")] if wires.light else []
-        return make_safe(gate=drivers.get("gate"), supply=drivers.get("supply"), lamps=lamps, record=record)
+        return make_safe(
+            gate=drivers.get("gate"), supply=drivers.get("supply"), lamps=lamps, record=record
+        )
 
     report = None
     while report is None or (len(drivers) < len(there) and time.monotonic() < give_up_s):
@@ -280,5 +329,7 @@ def _driver_on_port(one: InstrumentConnection, record: Record) -> Any:
         line = model.open_line(str(one.port), one.address)
     except BenchError as error:
         line = model.open_line(str(one.port), one.address, exclusive=False)
-        record(f"{model.title}: port shared with the program that holds it", ok=True, error=str(error))
+        record(
+            f"{model.title}: port shared with the program that holds it", ok=True, error=str(error)
+        )
     return model.driver(line)

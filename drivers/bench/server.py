@@ -1,8 +1,9 @@
 """Bench server: the process that owns ports, drivers and interlock, and outlives its client.
 
-A high-voltage supply has no watchdog. When the client ends (the kernel closes its socket), hangs or is
-silent, or an instrument fails, gate and high voltage are switched off at once. The main loop never blocks: commands,
-checks, the safe action, the log and the dose have separate threads.
+A high-voltage supply has no watchdog. When the client ends (the kernel closes its socket), hangs or
+is
+silent, or an instrument fails, gate and high voltage are switched off at once. The main loop never
+blocks: commands, checks, the safe action, the log and the dose have separate threads.
 """
 
 import argparse
@@ -19,7 +20,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
+from drivers.bench.connection import (
+    BEAT_S,
+    SILENCE_S,
+    Beat,
+    Connection,
+    Fault,
+    MadeSafe,
+    Ports,
+    Reply,
+    Request,
+)
 from drivers.bench.light_control import Station
 from drivers.bench.safe_state import DANGEROUS, Record
 from drivers.bench.setup import BenchSetup, with_present_ports
@@ -33,7 +44,8 @@ from labdata.event_log import EventLog
 from labdata.instrument_config import Role
 
 TICK_S = 0.02
-STALLED_S = 1.2  # Time without heartbeat of the run, in a living process, after which the tube is made safe, s
+# Time without heartbeat of the run, in a living process, after which the tube is made safe, s
+STALLED_S = 1.2
 
 # Commands of a client, besides `frame_seen`, `safe` and `leave`, which are not queued
 COMMANDS = (
@@ -52,7 +64,9 @@ COMMANDS = (
 
 
 class BenchServer:
-    """The server of one client; `log` takes each step and must not block, `clock` is monotonic time, s."""
+    """The server of one client; `log` takes each step and must not block, `clock` is monotonic
+    time, s.
+    """
 
     def __init__(
         self,
@@ -65,7 +79,9 @@ class BenchServer:
         self._client, self._setup, self._log, self._clock = connection, setup, log, clock
         self._bench: TubeBench | None = None
         self._is_open = False
-        self.orders: queue.SimpleQueue[Request] = queue.SimpleQueue()  # Queued commands of the client
+        self.orders: queue.SimpleQueue[Request] = (
+            queue.SimpleQueue()
+        )  # Queued commands of the client
         self.to_make_safe: queue.SimpleQueue[SafeOrder] = queue.SimpleQueue()  # Queued safe actions
         self._over = threading.Event()
         self._stop_signal: int | None = None
@@ -80,7 +96,11 @@ class BenchServer:
         """Serve the client until it leaves or is lost; then make the bench safe."""
         self._log("start", pid=os.getpid())
         # Interval between readings of the light meter, s
-        for work in (self._obey, self._obey_safe_orders, partial(self._look, 1.0, TubeBench.look_at_light)):
+        for work in (
+            self._obey,
+            self._obey_safe_orders,
+            partial(self._look, 1.0, TubeBench.look_at_light),
+        ):
             threading.Thread(target=work, daemon=True).start()
         reason, leaving = "the server itself failed", 0
         try:
@@ -93,7 +113,9 @@ class BenchServer:
     # Main loop; waits for messages only
 
     def _converse(self) -> tuple[str, int]:
-        """Exchange messages until the end; return its reason and the number of its request, or 0."""
+        """Exchange messages until the end; return its reason and the number of its request, or
+        0.
+        """
         next_beat_s = 0.0
         while True:
             for message, _ in self._client.receive(TICK_S):
@@ -104,7 +126,8 @@ class BenchServer:
                 self._client.send(Beat())
                 next_beat_s = now_s + BEAT_S
             if reason := self.end_reason():
-                # Before the gate is shut, so that a living client does not record a dark frame as an illuminated one.
+                # Before the gate is shut, so that a living client does not record a dark frame as
+                # an illuminated one.
                 self._client.send(Fault(error=BenchServerLost(f"the bench server ends: {reason}")))
                 return reason, 0
             self.react()
@@ -135,7 +158,9 @@ class BenchServer:
         return None
 
     def react(self) -> None:
-        """Make the tube safe if the run has no heartbeat, or a rule of the interlock requires it."""
+        """Make the tube safe if the run has no heartbeat, or a rule of the interlock requires
+        it.
+        """
         if self._bench is None or not self._is_open or self._bench.fault is not None:
             return
         state = self._bench.interlock.state
@@ -175,7 +200,9 @@ class BenchServer:
         try:
             self.open_bench(self._open_stations())
         except (BenchError, BadInput) as error:
-            self._client.send(Fault(error=error if isinstance(error, BenchError) else BenchError(str(error))))
+            self._client.send(
+                Fault(error=error if isinstance(error, BenchError) else BenchError(str(error)))
+            )
             self._client.send(Reply(number=0, error=error))
             return
         self._client.send(Reply(number=0))
@@ -198,7 +225,9 @@ class BenchServer:
         self._client.send(Ports(roles=roles), tuple(lines[role].fileno() for role in roles))
         stations = stations_on(lines, self._setup.wires)
         if missing is not None:
-            self._bench = TubeBench(self._setup, stations, record=self._log, on_failure=self._report_failure)
+            self._bench = TubeBench(
+                self._setup, stations, record=self._log, on_failure=self._report_failure
+            )
             self._bench.fail(missing)
             raise missing
         return stations
@@ -206,7 +235,11 @@ class BenchServer:
     def open_bench(self, stations: Mapping[Role, Station]) -> None:
         """Open the bench on its instruments; each is then checked by its own thread."""
         self._bench = bench = TubeBench(
-            self._setup, stations, record=self._log, on_failure=self._report_failure, clock=self._clock
+            self._setup,
+            stations,
+            record=self._log,
+            on_failure=self._report_failure,
+            clock=self._clock,
         )
         bench.record_heartbeat()
         bench.open()
@@ -221,7 +254,9 @@ class BenchServer:
         assert self._bench is not None
         try:
             if request.command not in COMMANDS:
-                raise BadInput(f"a command must be one of {', '.join(COMMANDS)}, got {request.command}")
+                raise BadInput(
+                    f"a command must be one of {', '.join(COMMANDS)}, got {request.command}"
+                )
             value = getattr(self._bench, request.command)(*request.arguments, **request.named)
             self._client.send(Reply(number=request.number, value=value))
         except (BenchError, BadInput) as error:
@@ -255,7 +290,9 @@ class BenchServer:
             self.look_by(look)
 
     def look_by(self, look: Callable[[TubeBench], object]) -> None:
-        """Run one check, then react in case the main loop hangs; an internal error makes the tube safe."""
+        """Run one check, then react in case the main loop hangs; an internal error makes the tube
+        safe.
+        """
         bench = self._bench
         if bench is None or not self._is_open or bench.fault is not None:
             return
@@ -268,7 +305,9 @@ class BenchServer:
 
 @dataclass(frozen=True, kw_only=True)
 class SafeOrder:
-    """One safe action: why, the number of the request that wants its report (0: none), and whether it is done."""
+    """One safe action: why, the number of the request that wants its report (0: none), and whether
+    it is done.
+    """
 
     reason: str
     number: int = 0
@@ -276,12 +315,16 @@ class SafeOrder:
 
 
 def inhibit_suspend(log: Record) -> subprocess.Popen | None:
-    """Keep the machine from suspending while this process lives, where systemd-logind is available."""
+    """Keep the machine from suspending while this process lives, where systemd-logind is
+    available.
+    """
     command = ["systemd-inhibit", "--what=sleep:handle-lid-switch", "--who=charact", "--mode=block"]
     command += ["--why=an image intensifier may be hot", "cat"]
     try:
         # `cat` ends with this process, and the inhibitor with `cat`.
-        held = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        held = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
     except OSError as error:
         log("suspend not inhibited", error=str(error))
         return None
@@ -292,7 +335,9 @@ def inhibit_suspend(log: Record) -> subprocess.Popen | None:
 def main() -> None:
     """Serve the bench of the client that started this process."""
     parser = argparse.ArgumentParser(description="Serve a bench; started by its client.")
-    parser.add_argument("--socket", type=int, required=True, help="inherited end of the client's socket pair")
+    parser.add_argument(
+        "--socket", type=int, required=True, help="inherited end of the client's socket pair"
+    )
     connection = Connection(socket.socket(fileno=parser.parse_args().socket))
     setup: Any = None
     while setup is None and not connection.gone:

@@ -34,34 +34,49 @@ class BenchSetup:
 
     def __post_init__(self) -> None:
         if (self.lamp is None) != (self.wires.light is None):
-            raise BadInput(f"a light source must have its calibration, got {self.lamp} for {self.wires.light}")
+            raise BadInput(
+                f"a light source must have its calibration, got {self.lamp} for {self.wires.light}"
+            )
 
 
 def remember_bench(wires: InstrumentConfig) -> None:
-    """Save the wires of a bench with the USB serial numbers of its ports; OSError if the disk refuses."""
+    """Save the wires of a bench with the USB serial numbers of its ports; OSError if the disk
+    refuses.
+    """
     adapters = usb_ports()
-    numbers = {one.role: adapters.get(os.path.realpath(one.port)) for one in wires.instruments if one.port}
+    numbers = {
+        one.role: adapters.get(os.path.realpath(one.port)) for one in wires.instruments if one.port
+    }
     path = _path()
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, json.dumps({"wires": asdict(wires), "usb_serial_numbers": numbers}, indent=1).encode())
+    write_atomically(
+        path, json.dumps({"wires": asdict(wires), "usb_serial_numbers": numbers}, indent=1).encode()
+    )
 
 
 def last_bench() -> InstrumentConfig:
-    """Return the wires of the last real bench, each instrument at the present port of its USB serial number."""
+    """Return the wires of the last real bench, each instrument at the present port of its USB
+    serial number.
+    """
     path = _path()
     try:
         kept = json.loads(path.read_text())
         return with_present_ports(InstrumentConfig(**kept["wires"]))
     except FileNotFoundError:
-        raise BadInput("no real bench was used on this machine yet; name the plan whose bench is meant") from None
+        raise BadInput(
+            "no real bench was used on this machine yet; name the plan whose bench is meant"
+        ) from None
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise BadInput(
-            f"the last bench must be readable in {path}, got: {error}; name the plan whose bench is meant"
+            f"the last bench must be readable in {path}, got: {error}; name the plan whose bench "
+            "is meant"
         ) from None
 
 
 def with_present_ports(wires: InstrumentConfig) -> InstrumentConfig:
-    """Return the wires with missing ports replaced by the present ports of their USB serial numbers."""
+    """Return the wires with missing ports replaced by the present ports of their USB serial
+    numbers.
+    """
     try:
         numbers = json.loads(_path().read_text())["usb_serial_numbers"]
     except (OSError, ValueError, TypeError, KeyError):
@@ -70,7 +85,9 @@ def with_present_ports(wires: InstrumentConfig) -> InstrumentConfig:
     moved: dict[Role, str | None] = {
         one.role: ports[adapter]
         for one in wires.instruments
-        if one.port and not Path(one.port).exists() and (adapter := tuple(numbers.get(one.role) or ())) in ports
+        if one.port
+        and not Path(one.port).exists()
+        and (adapter := tuple(numbers.get(one.role) or ())) in ports
     }
     return wires.with_ports(moved)
 

@@ -9,7 +9,9 @@ from labdata.target import Target
 
 
 class InterlockRefused(BadInput):
-    """The interlock refused a command that would damage the tube, and nothing was sent; `rule` names the rule."""
+    """The interlock refused a command that would damage the tube, and nothing was sent; `rule`
+    names the rule.
+    """
 
     def __init__(self, sentence: str, *, rule: str = "") -> None:
         super().__init__(sentence)
@@ -20,19 +22,32 @@ class InterlockRefused(BadInput):
 class TubeState:
     """Worst case of gate, gain and light; a value is unknown until it is read."""
 
-    duty: float = 1.0  #: Largest possible fraction of the time that the gate is open; 0: read back as shut
+    duty: float = (
+        1.0  #: Largest possible fraction of the time that the gate is open; 0: read back as shut
+    )
     mcp_v: float = math.inf  #: Highest possible voltage across the MCP, V
     light_lux: float = math.inf  #: Highest possible illuminance, lux
     point: bool = False  #: Whether that light is inside a pinhole's image only
     target: Target | None = None  #: Target in front of the camera
-    filter_known: bool = True  #: Whether the filter in the light is known; always true without a filter wheel
-    dark_seen: bool = False  #: Whether a frame through the open gate at gain, with the light off, was dark
-    excess_saturation: float = 0.0  #: Fraction of saturated pixels of the last frame beyond the limit of its step
-    probed: bool = False  #: Whether a frame in this light through an open gate at gain was not saturated
+    filter_known: bool = (
+        True  #: Whether the filter in the light is known; always true without a filter wheel
+    )
+    dark_seen: bool = (
+        False  #: Whether a frame through the open gate at gain, with the light off, was dark
+    )
+    excess_saturation: float = (
+        0.0  #: Fraction of saturated pixels of the last frame beyond the limit of its step
+    )
+    probed: bool = (
+        False  #: Whether a frame in this light through an open gate at gain was not saturated
+    )
     surely_open: bool = False  #: Whether the gate was read back as open and not ordered shut since
     surely_v: float = 0.0  #: Voltage read across the MCP, V; 0 where it may have fallen since
     heard_s: float = -math.inf  #: Time of the last heartbeat, s of a monotonic clock
-    fault: str | None = None  #: Sentence on the first failure since the bench was opened; cleared only by reopening it
+    fault: str | None = (
+        # : Sentence on the first failure since the bench was opened; cleared only by reopening it
+        None
+    )
 
     @property
     def shut(self) -> bool:
@@ -52,7 +67,8 @@ class TubeState:
 
 
 # `state_when_sent` returns the state after a command was sent, `state_after` that after an event.
-# Commands that may increase the load of the tube; shutting, switching off and darkening need no permission.
+# Commands that may increase the load of the tube; shutting, switching off and darkening need no
+# permission.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +211,9 @@ class FrameSeen:
 
     def state_after(self, state: TubeState) -> TubeState:
         looking = state.surely_open and state.surely_v > 0.0 and self.excess_saturation <= 0.0
-        return replace(state, excess_saturation=self.excess_saturation, probed=state.probed or looking)
+        return replace(
+            state, excess_saturation=self.excess_saturation, probed=state.probed or looking
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,4 +237,15 @@ class Failed:
         return replace(state, fault=state.fault or self.sentence)
 
 
-Event = SafeOrdered | GateRead | GainRead | LightRead | FilterMoved | FilterRead | DarkSeen | FrameSeen | Heard | Failed
+Event = (
+    SafeOrdered
+    | GateRead
+    | GainRead
+    | LightRead
+    | FilterMoved
+    | FilterRead
+    | DarkSeen
+    | FrameSeen
+    | Heard
+    | Failed
+)

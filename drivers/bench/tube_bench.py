@@ -35,23 +35,31 @@ from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
 from labdata.instrument_config import InstrumentConfig, Role
 
-LOOK_EVERY_S = 0.3  # Interval between checks of an instrument's settings, s; with the check itself below 0.5 s
+LOOK_EVERY_S = (
+    0.3  # Interval between checks of an instrument's settings, s; with the check itself below 0.5 s
+)
 
 # Roles not needed for the tube: a failure is reported, and the bench continues
 DISPENSABLE: tuple[Role, ...] = ("light-meter", "thermometer")
 
-# Largest mean of a frame without light, fraction of full scale; black level, dark current and EBI are far below
+# Largest mean of a frame without light, fraction of full scale; black level, dark current and EBI
+# are far below
 BRIGHTEST_MEAN = 0.25
 
-# Largest fraction of saturated pixels of a frame without light; room light at gain saturates the frame
+# Largest fraction of saturated pixels of a frame without light; room light at gain saturates the
+# frame
 MAX_SATURATED = 0.01
 
 
 class NotDark(BenchError):
-    """A frame with the light off is bright: find the source of the light before the gate is opened again."""
+    """A frame with the light off is bright: find the source of the light before the gate is opened
+    again.
+    """
 
 
-def stations_on(lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig) -> dict[Role, Station]:
+def stations_on(
+    lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig
+) -> dict[Role, Station]:
     """Return the instruments of a bench that have a line, by role."""
     return {
         one.role: Station(lines[one.role], model_of(one).driver(lines[one.role]))
@@ -61,10 +69,12 @@ def stations_on(lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig) -
 
 
 class TubeBench(LightControl):
-    """Gate, gain and light of the tube; all commands pass the interlock, see `drivers.bench.interlock`.
+    """Gate, gain and light of the tube; all commands pass the interlock, see
+    `drivers.bench.interlock`.
 
-    One thread gives commands; others may check the instruments and make the tube safe meanwhile. `record` is called
-    with each safety step and must not block; `on_failure` from any thread after a failure that requires the safe state.
+    One thread gives commands; others may check the instruments and make the tube safe meanwhile.
+    `record` is called with each safety step and must not block; `on_failure` from any thread after
+    a failure that requires the safe state.
     """
 
     def __init__(
@@ -79,17 +89,27 @@ class TubeBench(LightControl):
         self._setup, self._record, self._on_failure, self._clock = setup, record, on_failure, clock
         self.stations = stations
         self.interlock = Interlock(setup.limits, clock=clock)
-        self._dose = None if setup.dose is None else DoseMeter(setup.dose, self.interlock.limits, session=setup.session)
+        self._dose = (
+            None
+            if setup.dose is None
+            else DoseMeter(setup.dose, self.interlock.limits, session=setup.session)
+        )
         if self._dose is not None:
             self.interlock.watch(self._dose.watch)
         self._crew, self._making_safe = Crew(), threading.Lock()
-        self._gate_hz, self._most_hz = setup.gating.rate_hz(setup.field_hz), setup.gating.most_hz(setup.field_hz)
-        # First failure since the bench was opened; no command increases the load of the tube until it is reopened
+        self._gate_hz, self._most_hz = (
+            setup.gating.rate_hz(setup.field_hz),
+            setup.gating.most_hz(setup.field_hz),
+        )
+        # First failure since the bench was opened; no command increases the load of the tube until
+        # it is reopened
         self.fault: BenchError | None = None
         self.report: SafeStateReport | None = None  # Report of the last safe action
 
     def open(self) -> None:
-        """Shut the gate and switch the high voltage off, identify every instrument, and read what is left."""
+        """Shut the gate and switch the high voltage off, identify every instrument, and read what
+        is left.
+        """
         gate, supply = self._gate.driver, self._supply.driver
         with self._using("gate", "supply", "light-source", "filter-wheel"):
             gate.identify()
@@ -109,9 +129,11 @@ class TubeBench(LightControl):
     # Gate and gain
 
     def set_conditions(self, conditions: Conditions) -> Conditions:
-        """Set gate and gain: gate shut first, then the gain, verified, then the gate; return them as read back.
+        """Set gate and gain: gate shut first, then the gain, verified, then the gate; return them
+        as read back.
 
-        `mcp_v` None or 0: high voltage off. `gate_ns` None or 0: gate shut. At BadInput nothing was changed.
+        `mcp_v` None or 0: high voltage off. `gate_ns` None or 0: gate shut. At BadInput nothing was
+        changed.
         """
         volts, width_ns = conditions.mcp_v or 0.0, conditions.gate_ns or 0.0
         self._is_stopped = False
@@ -136,7 +158,9 @@ class TubeBench(LightControl):
         """Return the command for a voltage; None if it is off or unchanged."""
         supply = self._supply.driver
         present_v = supply.read_voltage_v() if supply.is_on else 0.0
-        if not volts or math.isclose(volts, present_v, abs_tol=0.5):  # Tolerance of an unchanged voltage, V
+        if not volts or math.isclose(
+            volts, present_v, abs_tol=0.5
+        ):  # Tolerance of an unchanged voltage, V
             return None
         if volts < present_v:
             return LowerGain(goal_v=volts)
@@ -171,7 +195,9 @@ class TubeBench(LightControl):
             return self._read_gain(supply.lower_to(volts, check=self.check))
         if not supply.is_on:
             supply.switch_on()
-        return self._read_gain(supply.raise_to(volts, rate_v_per_s=move.rate_v_per_s, check=self.check))
+        return self._read_gain(
+            supply.raise_to(volts, rate_v_per_s=move.rate_v_per_s, check=self.check)
+        )
 
     def _open_gate(self, width_ns: float) -> float:
         self.check()
@@ -193,12 +219,14 @@ class TubeBench(LightControl):
         return self.interlock.state.dark_seen
 
     def dark_frame_seen(self, levels: FrameLevels) -> bool:
-        """Take the levels of a frame without light, and return `dark_seen`; NotDark if it is bright."""
+        """Take the levels of a frame without light, and return `dark_seen`; NotDark if it is
+        bright.
+        """
         if levels.mean > BRIGHTEST_MEAN or levels.saturated > MAX_SATURATED:
             error = NotDark(
-                f"a frame without light must have a mean below {BRIGHTEST_MEAN:.0%} of full scale and at most "
-                f"{MAX_SATURATED:.0%} of its pixels full, got {levels.mean:.0%} and {levels.saturated:.1%}: "
-                "find the light before the gate is opened again",
+                f"a frame without light must have a mean below {BRIGHTEST_MEAN:.0%} of full scale "
+                f"and at most {MAX_SATURATED:.0%} of its pixels full, got {levels.mean:.0%} and "
+                f"{levels.saturated:.1%}: find the light before the gate is opened again",
                 instrument="light",
             )
             self.fail(error)
@@ -212,7 +240,9 @@ class TubeBench(LightControl):
         self.react()
 
     def read_meters(self) -> Reading:
-        """Read light and temperature; return a sentence for each optional meter that does not answer."""
+        """Read light and temperature; return a sentence for each optional meter that does not
+        answer.
+        """
         self.check()
         with self._using("light-meter", "thermometer"):
             read, silent = self._meters.read()
@@ -221,9 +251,15 @@ class TubeBench(LightControl):
         return read, silent
 
     def look_at_light(self) -> None:
-        """Read a calibrated light meter, if there is one, and make the tube safe if it is too bright."""
+        """Read a calibrated light meter, if there is one, and make the tube safe if it is too
+        bright.
+        """
         station = self.stations.get("light-meter")
-        if station is None or self._setup.meters.lux_per_w is None or not station.procedure.acquire(blocking=False):
+        if (
+            station is None
+            or self._setup.meters.lux_per_w is None
+            or not station.procedure.acquire(blocking=False)
+        ):
             return
         try:
             lux = self._meters.read_light(station.driver)["metered_lux"]
@@ -236,10 +272,15 @@ class TubeBench(LightControl):
         self._raise_light(lux)
 
     def _raise_light(self, metered_lux: float | None) -> None:
-        """Raise the light known to the interlock to a brighter reading; a reading near zero is the meter's zero."""
+        """Raise the light known to the interlock to a brighter reading; a reading near zero is the
+        meter's zero.
+        """
         zero_lux = METER_ZERO * self.interlock.limits.illuminance_lux
-        # Factor between meter reading and set light above which the light is brighter, beyond calibration errors
-        if metered_lux is not None and metered_lux > max(zero_lux, 1.25 * self.interlock.state.light_lux):
+        # Factor between meter reading and set light above which the light is brighter, beyond
+        # calibration errors
+        if metered_lux is not None and metered_lux > max(
+            zero_lux, 1.25 * self.interlock.state.light_lux
+        ):
             self.interlock.tell(LightRead(illuminance_lux=metered_lux))
 
     # Checks
@@ -247,7 +288,11 @@ class TubeBench(LightControl):
     def look(self, role: Role) -> None:
         """Compare an instrument with its settings, unless a procedure uses it."""
         station = self.stations[role]
-        if self.fault is not None or not station.watched or not station.procedure.acquire(blocking=False):
+        if (
+            self.fault is not None
+            or not station.watched
+            or not station.procedure.acquire(blocking=False)
+        ):
             return
         try:
             if station.watched:
@@ -260,7 +305,9 @@ class TubeBench(LightControl):
             station.procedure.release()
 
     def verify(self) -> None:
-        """Compare gate and supply with their settings; a difference is raised and makes the tube safe."""
+        """Compare gate and supply with their settings; a difference is raised and makes the tube
+        safe.
+        """
         for role in ("gate", "supply"):
             with self._using(role):
                 self.look(role)
@@ -299,10 +346,17 @@ class TubeBench(LightControl):
         A tube in the safe state, without commands or failures since, is left as it is.
         """
         with self._making_safe:
-            if self._is_stopped and self.fault is None and self.report is not None and self.report.whole:
+            if (
+                self._is_stopped
+                and self.fault is None
+                and self.report is not None
+                and self.report.whole
+            ):
                 return self.report
             self._is_stopped = True
-            dangerous: dict[Role, Station] = {role: self.stations[role] for role in DANGEROUS if role in self.stations}
+            dangerous: dict[Role, Station] = {
+                role: self.stations[role] for role in DANGEROUS if role in self.stations
+            }
             for station in dangerous.values():
                 station.line.take_over()
             self._record("making safe", reason=reason)
@@ -317,7 +371,9 @@ class TubeBench(LightControl):
             )
             if "supply" in drivers:
                 drivers["supply"].is_on = False
-            self._record("made safe", whole=report.whole, sentence=report.sentence(), **vars(report))
+            self._record(
+                "made safe", whole=report.whole, sentence=report.sentence(), **vars(report)
+            )
             if report.whole:
                 if self._setup.wires.light:
                     self.interlock.tell(LightRead(illuminance_lux=0.0))
@@ -362,7 +418,9 @@ class TubeBench(LightControl):
             try:
                 yield
             except BenchStopped:
-                raise self.fault or BenchStopped("the tube was made safe while an instrument was set") from None
+                raise self.fault or BenchStopped(
+                    "the tube was made safe while an instrument was set"
+                ) from None
             except BenchError as error:
                 self.fail(error)
                 raise

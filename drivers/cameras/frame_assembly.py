@@ -20,7 +20,9 @@ class IncompleteFrame:
 
 
 class RunningNumbers:
-    """Frame numbers that continue when a camera's counter of length `cycle` wraps; a longer one does not."""
+    """Frame numbers that continue when a camera's counter of length `cycle` wraps; a longer one
+    does not.
+    """
 
     def __init__(self, cycle: int) -> None:
         self._cycle = cycle
@@ -30,7 +32,11 @@ class RunningNumbers:
     def running(self, counted: int) -> int:
         """Return the running number of a frame; the first is unchanged."""
         step = counted if self._counted is None else counted - self._counted
-        if self._counted is not None and max(counted, self._counted) <= self._cycle and abs(step) > self._cycle // 2:
+        if (
+            self._counted is not None
+            and max(counted, self._counted) <= self._cycle
+            and abs(step) > self._cycle // 2
+        ):
             # Negative step: the counter wrapped. Positive: a late frame of the cycle before.
             step += self._cycle if step < 0 else -self._cycle
         self._counted, self._number = counted, self._number + step
@@ -38,15 +44,21 @@ class RunningNumbers:
 
 
 class FrameCapture:
-    """A capture that runs in its `with` block; iterate it for `frames` complete frames after `discard` discarded ones.
+    """A capture that runs in its `with` block; iterate it for `frames` complete frames after
+    `discard` discarded ones.
 
-    Subclasses implement start, stop and `_next_frame`, which waits for a frame and calls `while_waiting` at
-    least every 0.1 s; an exception of it ends the capture.
+    Subclasses implement start, stop and `_next_frame`, which waits for a frame and calls
+    `while_waiting` at least every 0.1 s; an exception of it ends the capture.
     """
 
-    def __init__(self, *, frames: int, discard: int, while_waiting: Callable[[], None], identifier: str) -> None:
+    def __init__(
+        self, *, frames: int, discard: int, while_waiting: Callable[[], None], identifier: str
+    ) -> None:
         if frames < 1 or discard < 0:
-            raise BadInput(f"a capture must take at least 1 frame and discard 0 or more, got {frames} and {discard}")
+            raise BadInput(
+                f"a capture must take at least 1 frame and discard 0 or more, got {frames} and "
+                f"{discard}"
+            )
         self._wanted, self._discard, self._identifier = frames, discard, identifier
         self._while_waiting = while_waiting
         self._expected: int | None = None
@@ -75,22 +87,29 @@ class FrameCapture:
         self._stop()
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield complete frames; CameraError if the camera is silent, gone or sends only incomplete frames."""
+        """Yield complete frames; CameraError if the camera is silent, gone or sends only incomplete
+        frames.
+        """
         whole = broken = 0
         while whole < self._discard + self._wanted:
             self._while_waiting()
             frame = self._next_frame()
-            if isinstance(frame, Frame) and self._expected is not None and frame.number < self._expected:
+            if (
+                isinstance(frame, Frame)
+                and self._expected is not None
+                and frame.number < self._expected
+            ):
                 frame = IncompleteFrame(number=frame.number, fault="too late")
             if isinstance(frame, IncompleteFrame):
                 broken += 1
                 if frame.number is not None:
                     self._faults[frame.number] = frame.fault
-                # Largest number of incomplete frames of a capture beyond the number of requested ones
+                # Largest number of incomplete frames of a capture beyond the number of requested
+                # ones
                 if broken > 20 + self._wanted:
                     raise CameraError(
-                        f"camera {self._identifier} must send whole frames, got {broken} broken ones "
-                        f"(the last: {frame.fault}) and {whole} whole"
+                        f"camera {self._identifier} must send whole frames, got {broken} broken "
+                        f"ones (the last: {frame.fault}) and {whole} whole"
                     )
                 continue
             self._count_lost(frame.number, is_returned=whole >= self._discard)
@@ -101,8 +120,9 @@ class FrameCapture:
     def _count_lost(self, number: int, *, is_returned: bool) -> None:
         """Count the numbers missing since the last complete frame.
 
-        Incomplete frames before the first complete one do not count: a receiver may get its full buffer only when a
-        frame is already arriving, so that a busy machine receives the first one without it.
+        Incomplete frames before the first complete one do not count: a receiver may get its full
+        buffer only when a frame is already arriving, so that a busy machine receives the first one
+        without it.
         """
         if is_returned and self._expected is not None:
             self._losses += losses_before(number, expected=self._expected, faults=self._faults)

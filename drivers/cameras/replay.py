@@ -27,7 +27,8 @@ class ReplayCamera:
     Parameters
     ----------
     label
-        Stack that every capture replays from its beginning; None: each capture replays the next stack.
+        Stack that every capture replays from its beginning; None: each capture replays the next
+        stack.
     speed
         Speed relative to the recording, dimensionless; None: without waiting.
     say
@@ -64,12 +65,17 @@ class ReplayCamera:
         self._session = None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Return the recorded settings of the next stack; a requested one that differs is BadInput."""
+        """Return the recorded settings of the next stack; a requested one that differs is
+        BadInput.
+        """
         recorded = self._settings(self._next(), open_lazy_stack(self._next()))
         for item in fields(settings):
             asked, is_value = getattr(settings, item.name), getattr(recorded, item.name)
             if asked not in (None, ()) and not _same(asked, is_value):
-                raise BadInput(f"{item.name} of the {self.identifier} must be as recorded, {is_value}, got {asked}")
+                raise BadInput(
+                    f"{item.name} of the {self.identifier} must be as recorded, {is_value}, got "
+                    f"{asked}"
+                )
         return recorded
 
     def capture(
@@ -99,17 +105,24 @@ class ReplayCamera:
     def _next(self) -> StackEntry:
         """Return the stack of the next capture."""
         if self._session is None:
-            raise CameraError(f"the {self.identifier} must be opened with a with block before it is used")
+            raise CameraError(
+                f"the {self.identifier} must be opened with a with block before it is used"
+            )
         if self._label is not None:
             return self._session.stack(self._label)
         if self._played >= len(self._session.stacks):
-            raise CameraError(f"the {self.identifier} has ended: all {self._played} stacks were played")
+            raise CameraError(
+                f"the {self.identifier} has ended: all {self._played} stacks were played"
+            )
         return self._session.stacks[self._played]
 
     def _settings(self, entry: StackEntry, stack: LazyStack) -> CameraSettings:
         _, rows, columns = stack.shape
         if stack.dtype not in (np.uint8, np.uint16):
-            raise BadInput(f"a replayed stack must hold pixels of 8 or 16 bits, got {stack.dtype} in {entry.label!r}")
+            raise BadInput(
+                f"a replayed stack must hold pixels of 8 or 16 bits, got {stack.dtype} in "
+                f"{entry.label!r}"
+            )
         rate_hz = None
         if len(stack.time_s) > 1 and (period_s := float(np.median(np.diff(stack.time_s)))) > 0:
             rate_hz = 1.0 / period_s
@@ -127,14 +140,22 @@ class ReplayCamera:
         )
 
     def _stamps(self, entry: StackEntry, stack: LazyStack) -> list[tuple[int, float]]:
-        """Return number and time stamp of each frame; missing ones are generated, with a message."""
+        """Return number and time stamp of each frame; missing ones are generated, with a
+        message.
+        """
         numbers, times_s = stack.frame_number, stack.time_s
         if not len(numbers):
             numbers = np.arange(1, len(stack) + 1)
-            self._say(f"stack {entry.label!r} has no frame numbers: its frames are numbered as they follow")
+            self._say(
+                f"stack {entry.label!r} has no frame numbers: its frames are numbered as they "
+                f"follow"
+            )
         if not len(times_s):
             times_s = np.arange(len(stack)) / RATE_WITHOUT_STAMPS_HZ
-            self._say(f"stack {entry.label!r} has no time stamps: {RATE_WITHOUT_STAMPS_HZ:g} frames/s are assumed")
+            self._say(
+                f"stack {entry.label!r} has no time stamps: {RATE_WITHOUT_STAMPS_HZ:g} frames/s "
+                "are assumed"
+            )
         return list(zip(numbers.tolist(), times_s.tolist(), strict=True))
 
 
@@ -153,7 +174,9 @@ class ReplayCapture(FrameCapture):
         while_waiting: Callable[[], None],
         identifier: str,
     ) -> None:
-        super().__init__(frames=frames, discard=discard, while_waiting=while_waiting, identifier=identifier)
+        super().__init__(
+            frames=frames, discard=discard, while_waiting=while_waiting, identifier=identifier
+        )
         self._stack, self._stamps, self._speed = stack, stamps, speed
         self._recorded, self._at, self._first = recorded, 0, discard
 
@@ -161,7 +184,11 @@ class ReplayCapture(FrameCapture):
     def losses(self) -> tuple[LostFrames, ...]:
         """Frames missing between the replayed ones, with the recorded causes where known."""
         played = [number for number, _ in self._stamps[max(0, self._first - 1) : self._at]]
-        known = tuple(loss for loss in self._recorded if played and played[0] < loss.first and loss.last < played[-1])
+        known = tuple(
+            loss
+            for loss in self._recorded
+            if played and played[0] < loss.first and loss.last < played[-1]
+        )
         return known if sum(map(len, known)) == self.lost_frames else self._losses
 
     def _next_frame(self) -> Frame:

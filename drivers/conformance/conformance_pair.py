@@ -11,7 +11,17 @@ from drivers.serial_lines.port import ANSWER_S
 from labdata.instrument_config import Role
 
 # Faults of a pair; a late reply comes 0.6 s after its time, "panel" changes a setting by hand
-WRONGS = ("silent", "mute", "garbage", "half-lines", "late", "unplugged", "power-cycle", "trip", "panel")
+WRONGS = (
+    "silent",
+    "mute",
+    "garbage",
+    "half-lines",
+    "late",
+    "unplugged",
+    "power-cycle",
+    "trip",
+    "panel",
+)
 
 
 class ConformancePair(Protocol):
@@ -27,14 +37,16 @@ class ConformancePair(Protocol):
         ...
 
     def outputs(self) -> Mapping[str, Any]:
-        """Physical outputs of the instrument: gate_open, gate_ns, mcp_v, position, current_a, ..."""
+        """Physical outputs of the instrument: gate_open, gate_ns, mcp_v, position, current_a,
+        ...
+        """
         ...
 
     def suffer(self, wrong: str, setting: str = "") -> None:
         """Begin one of `WRONGS` and end all others.
 
-        "panel" needs a setting: of a gate "source", "idle level", "width" or "busy" (every second trigger is lost), of
-        a supply "voltage" or "on".
+        "panel" needs a setting: of a gate "source", "idle level", "width" or "busy" (every second
+        trigger is lost), of a supply "voltage" or "on".
         """
         ...
 
@@ -114,7 +126,9 @@ def silence_is_reported_in_time(pair: ConformancePair) -> None:
 
 @rule_of(None)
 def half_lines_and_garbage_are_no_answers(pair: ConformancePair) -> None:
-    """Half an answer, or characters that are none, is an error, and the line is in step afterwards."""
+    """Half an answer, or characters that are none, is an error, and the line is in step
+    afterwards.
+    """
     driver, identity = _new_driver(pair)
     for wrong in ("half-lines", "garbage"):
         pair.suffer(wrong)
@@ -126,7 +140,9 @@ def half_lines_and_garbage_are_no_answers(pair: ConformancePair) -> None:
 
 @rule_of(None)
 def a_late_answer_is_not_taken_for_the_next(pair: ConformancePair) -> None:
-    """An answer that comes late is taken for no other, neither by this program nor by the next that opens the line."""
+    """An answer that comes late is taken for no other, neither by this program nor by the next that
+    opens the line.
+    """
     for is_reopened in (False, True):
         driver, identity = _new_driver(pair)
         pair.suffer("late")
@@ -140,7 +156,9 @@ def a_late_answer_is_not_taken_for_the_next(pair: ConformancePair) -> None:
 
 @rule_of(None)
 def a_pulled_plug_is_reported_and_put_back(pair: ConformancePair) -> None:
-    """A pulled plug is InstrumentDisconnected; with the plug back in, the line works once reopened, and a new one."""
+    """A pulled plug is InstrumentDisconnected; with the plug back in, the line works once reopened,
+    and a new one.
+    """
     driver, identity = _new_driver(pair)
     pair.suffer("unplugged")
     must_raise(InstrumentDisconnected, lambda: _probe(pair, driver))

@@ -39,18 +39,24 @@ def the_gate_opens_as_read_back_and_shuts(pair: ConformancePair) -> None:
 
 @rule_of("gate")
 def an_impossible_pulse_is_refused_untouched(pair: ConformancePair) -> None:
-    """A pulse that is too short, too fine, or longer than the time between triggers is refused before it is sent."""
+    """A pulse that is too short, too fine, or longer than the time between triggers is refused
+    before it is sent.
+    """
     driver = identify_driver(pair)
     driver.shut()
     for width_ns in (0.0, 1e-3, 10.0012, 1e9 / _RATE_HZ + 1.0, float("nan")):
-        must_raise(BadInput, lambda width_ns=width_ns: driver.open(width_ns=width_ns, rate_hz=_RATE_HZ))
+        must_raise(
+            BadInput, lambda width_ns=width_ns: driver.open(width_ns=width_ns, rate_hz=_RATE_HZ)
+        )
     must_raise(BadInput, lambda: driver.open(width_ns=100.0, rate_hz=_RATE_HZ, delay_ns=0.0012))
     assert not pair.outputs()["gate_open"]
 
 
 @rule_of("gate")
 def making_safe_shuts_the_gate(pair: ConformancePair) -> None:
-    """The safe action shuts an open gate and verifies it; a mute one is shut too, and nothing is claimed."""
+    """The safe action shuts an open gate and verifies it; a mute one is shut too, and nothing is
+    claimed.
+    """
     driver = identify_driver(pair)
     for is_mute in (False, True):
         driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ)
@@ -64,10 +70,18 @@ def making_safe_shuts_the_gate(pair: ConformancePair) -> None:
 
 @rule_of("gate")
 def a_setting_changed_at_the_panel_is_reported(pair: ConformancePair) -> None:
-    """A source, idle level or width changed at the panel is reported at the next look, with the gate open or shut."""
+    """A source, idle level or width changed at the panel is reported at the next look, with the
+    gate open or shut.
+    """
     driver = identify_driver(pair)
     driver.look()
-    for is_open, setting in ((1, "source"), (1, "idle level"), (1, "width"), (0, "source"), (0, "idle level")):
+    for is_open, setting in (
+        (1, "source"),
+        (1, "idle level"),
+        (1, "width"),
+        (0, "source"),
+        (0, "idle level"),
+    ):
         if is_open:
             driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ)
             driver.look()
@@ -79,7 +93,9 @@ def a_setting_changed_at_the_panel_is_reported(pair: ConformancePair) -> None:
 
 @rule_of("gate")
 def lost_triggers_are_reported(pair: ConformancePair) -> None:
-    """Triggers of an external source that come while the gate is busy are reported at the next look."""
+    """Triggers of an external source that come while the gate is busy are reported at the next
+    look.
+    """
     driver = identify_driver(pair)
     driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ, sync="line-locked")
     time.sleep(_TWO_TRIGGERS_S)
@@ -128,7 +144,9 @@ def the_light_shines_as_read_back_and_goes_dark(pair: ConformancePair) -> None:
 
 @rule_of("light-source")
 def the_source_itself_refuses_more_than_its_limit(pair: ConformancePair) -> None:
-    """More than the limit is refused by the instrument, and a current finer than a step before it is sent."""
+    """More than the limit is refused by the instrument, and a current finer than a step before it
+    is sent.
+    """
     driver = _ready_lamp(pair)
     must_raise(InstrumentRejected, lambda: driver.shine(_LIMIT_A + 0.1))
     must_raise(BadInput, lambda: driver.shine(0.0001))
@@ -161,7 +179,9 @@ def making_safe_puts_a_mute_lamp_out(pair: ConformancePair) -> None:
 
 @rule_of("light-meter")
 def the_meter_reads_watts_at_a_wavelength(pair: ConformancePair) -> None:
-    """Watts are read, in the dark next to none, and a wavelength that its head does not see is refused."""
+    """Watts are read, in the dark next to none, and a wavelength that its head does not see is
+    refused.
+    """
     driver = identify_driver(pair)
     driver.tune(650.0)
     assert all(abs(driver.power_w()) < 1e-9 for _ in range(5))
@@ -220,7 +240,9 @@ def the_ramp_is_checked_at_every_step(pair: ConformancePair) -> None:
 
 @rule_of("supply")
 def an_impossible_voltage_is_refused_untouched(pair: ConformancePair) -> None:
-    """A voltage that is too low, too high or too fine for the model is refused before it is sent."""
+    """A voltage that is too low, too high or too fine for the model is refused before it is
+    sent.
+    """
     driver = _ready_supply(pair)
     for volts in (1.0, 100.3, 1e5, float("nan")):
         must_raise(BadInput, lambda volts=volts: driver.raise_to(volts, rate_v_per_s=50.0))
@@ -238,13 +260,16 @@ def the_supply_itself_refuses_more_than_its_limit(pair: ConformancePair) -> None
 
 @rule_of("supply")
 def a_trip_and_a_loss_of_power_are_reported(pair: ConformancePair) -> None:
-    """A supply that switched itself off, or lost its power while on, is InstrumentTripped, and its output falls."""
+    """A supply that switched itself off, or lost its power while on, is InstrumentTripped, and its
+    output falls.
+    """
     for wrong in ("trip", "power-cycle"):
         driver = _supply_at(300.0, pair)
         driver.check_on()
         pair.suffer(wrong)
         wait_for(lambda: pair.outputs()["mcp_v"] < 290.0)
-        # The line may have fallen out of step with the power: what is silent now must be reported at the next look.
+        # The line may have fallen out of step with the power: what is silent now must be reported
+        # at the next look.
         try:
             driver.check_on()
         except InstrumentTimeout:
@@ -269,7 +294,9 @@ def making_safe_takes_the_voltage_off(pair: ConformancePair) -> None:
 
 @rule_of("supply")
 def making_safe_takes_the_voltage_of_a_mute_supply_off(pair: ConformancePair) -> None:
-    """The safe action takes the voltage off a supply that hears and cannot be heard, and claims nothing."""
+    """The safe action takes the voltage off a supply that hears and cannot be heard, and claims
+    nothing.
+    """
     driver = _supply_at(300.0, pair)
     pair.suffer("mute")
     assert make_safe(gate=None, supply=driver, record=discard_log).residual_v is None
@@ -279,7 +306,9 @@ def making_safe_takes_the_voltage_of_a_mute_supply_off(pair: ConformancePair) ->
 
 @rule_of("supply")
 def a_voltage_changed_at_the_panel_is_reported(pair: ConformancePair) -> None:
-    """A voltage that somebody changes at the panel is reported at the next look after the output has moved."""
+    """A voltage that somebody changes at the panel is reported at the next look after the output
+    has moved.
+    """
     driver = _supply_at(300.0, pair)
     driver.look()
     pair.suffer("panel", "voltage")
@@ -291,7 +320,9 @@ def a_voltage_changed_at_the_panel_is_reported(pair: ConformancePair) -> None:
 
 @rule_of("supply")
 def a_supply_switched_on_at_the_panel_is_reported(pair: ConformancePair) -> None:
-    """A supply that is off and that somebody switches on at the panel is reported; one that nobody set is not."""
+    """A supply that is off and that somebody switches on at the panel is reported; one that nobody
+    set is not.
+    """
     pair.suffer("panel", "on")
     wait_for(lambda: pair.outputs()["mcp_v"] > 90.0)
     identify_driver(pair).look()

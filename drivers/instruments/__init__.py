@@ -1,1 +1,3 @@
-"""Drivers of serial instruments: gates, high-voltage supplies, light sources, filter wheels, meters."""
+"""Drivers of serial instruments: gates, high-voltage supplies, light sources, filter wheels,
+meters.
+"""

@@ -13,21 +13,40 @@ INTERNAL, EXTERNAL, SINGLE_SHOT, LINE = 0, 1, 5, 6
 EDGE_A, EDGE_B, OUTPUT_AB = 2, 3, 1
 
 ERRORS = {
-    10: "illegal value", 11: "illegal mode", 12: "illegal delay", 13: "illegal link", 14: "recall failed",
-    15: "not allowed", 16: "failed self test", 17: "failed auto calibration", 30: "lost data",
-    32: "no listener", 110: "illegal command", 111: "undefined command", 112: "illegal query",
-    113: "illegal set", 114: "null parameter", 115: "extra parameters", 116: "missing parameters",
-    117: "parameter overflow", 118: "invalid floating point number", 120: "invalid integer",
-    121: "integer overflow", 122: "invalid hexadecimal", 126: "syntax error", 170: "communication error",
-    171: "overrun", 254: "too many errors",
-}  # fmt: skip
+    10: "illegal value",
+    11: "illegal mode",
+    12: "illegal delay",
+    13: "illegal link",
+    14: "recall failed",
+    15: "not allowed",
+    16: "failed self test",
+    17: "failed auto calibration",
+    30: "lost data",
+    32: "no listener",
+    110: "illegal command",
+    111: "undefined command",
+    112: "illegal query",
+    113: "illegal set",
+    114: "null parameter",
+    115: "extra parameters",
+    116: "missing parameters",
+    117: "parameter overflow",
+    118: "invalid floating point number",
+    120: "invalid integer",
+    121: "integer overflow",
+    122: "invalid hexadecimal",
+    126: "syntax error",
+    170: "communication error",
+    171: "overrun",
+    254: "too many errors",
+}
 
 
 class DelayGenerator(Gate):
     """Stanford DG645: after each command the error queue is queried and the setting read back.
 
-    The camera's field pulse is connected to the trigger input; a hold-off keeps early triggers from opening the
-    gate too often.
+    The camera's field pulse is connected to the trigger input; a hold-off keeps early triggers from
+    opening the gate too often.
     """
 
     # No triggers, and an idle level of 0 V, which keeps the gate unit closed
@@ -39,7 +58,11 @@ class DelayGenerator(Gate):
         ("idle level", "LOFF? 1", 0),
     )
     step_ns, dead_ns = 5e-3, 100.0
-    sources: ClassVar[dict[Sync, int]] = {"free-running": INTERNAL, "triggered": EXTERNAL, "line-locked": LINE}
+    sources: ClassVar[dict[Sync, int]] = {
+        "free-running": INTERNAL,
+        "triggered": EXTERNAL,
+        "line-locked": LINE,
+    }
     source_command, source_question, delay_question = "TSRC", "TSRC?", "DLAY? {}"
     status_question, triggered_bit, lost_bit = "INSR?", 1, 2
 

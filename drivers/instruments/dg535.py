@@ -1,7 +1,8 @@
 """Gate generator: Stanford DG535 delay generator behind a GPIB adapter, AB output at TTL level.
 
-A question is a command without its last argument; there is no question for the identity. The output stays at TTL level,
-0 V at rest and 4 V from A to B. Facts are from the maker's manual; dead time and digits of the rate are recalled.
+A question is a command without its last argument; there is no question for the identity. The output
+stays at TTL level, 0 V at rest and 4 V from A to B. Facts are from the maker's manual; dead time
+and digits of the rate are recalled.
 """
 
 import re
@@ -46,7 +47,9 @@ class Dg535(Gate):
     def identify(self) -> str:
         """Identify it by the form of a delay, and clear old errors."""
         if not _DELAY.fullmatch(answer := self.line.ask(f"DT {A}")):
-            raise self.line.reply_error(f"answer DT {A} with an edge and a delay, as a DG535 does", repr(answer))
+            raise self.line.reply_error(
+                f"answer DT {A} with an edge and a delay, as a DG535 does", repr(answer)
+            )
         self.line.ask("ES")
         return "DG535"
 
@@ -55,7 +58,10 @@ class Dg535(Gate):
     ) -> None:
         if sync not in self.sources:
             # Without hold-off, ringing of the trigger input would open the gate too often.
-            raise BadInput(f"a DG535 must be {' or '.join(self.sources)}, as it has no trigger holdoff, got {sync}")
+            raise BadInput(
+                f"a DG535 must be {' or '.join(self.sources)}, as it has no trigger holdoff, got "
+                f"{sync}"
+            )
         super().check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns, sync=sync)
 
     def _program(self, *, width_ns: float, rate_hz: float, delay_ns: float, sync: Sync) -> float:
@@ -67,7 +73,9 @@ class Dg535(Gate):
         self._set(f"DT {A},{T0},{delay_ns * 1e-9:.12f}")
         self._set(f"DT {B},{A},{width_ns * 1e-9:.12f}")
         if sync == "free-running":
-            self._verify("trigger rate", "TR 0", rate_hz, within=0.5 * 10.0 ** (1 - RATE_DIGITS) * rate_hz)
+            self._verify(
+                "trigger rate", "TR 0", rate_hz, within=0.5 * 10.0 ** (1 - RATE_DIGITS) * rate_hz
+            )
         self._verify_delay("gate delay", A, T0, delay_ns)
         return self._verify_delay("gate width", B, A, width_ns)
 
@@ -75,7 +83,9 @@ class Dg535(Gate):
         if status := self.line.query_int("ES"):
             meanings = ", ".join(meaning for bit, meaning in enumerate(ERRORS) if status >> bit & 1)
             raise self.line.rejection(
-                f"accept {command!r}", f"error status {status}: {meanings or 'unexplained'}", code=status
+                f"accept {command!r}",
+                f"error status {status}: {meanings or 'unexplained'}",
+                code=status,
             )
 
 

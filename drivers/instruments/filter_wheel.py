@@ -16,13 +16,17 @@ TURNING, TURN_S = "pos=", 4.0
 
 
 class PromptLine(EchoCheckedLine):
-    """Line of a filter wheel, whose replies end with a prompt; parameters as for `InstrumentLine`."""
+    """Line of a filter wheel, whose replies end with a prompt; parameters as for
+    `InstrumentLine`.
+    """
 
     def _order(self, command: str) -> None:
         self._send((END + command + END).encode("ascii"))
 
     def _get_into_step(self) -> None:
-        """Resynchronise: end an incomplete command and discard input until a known query is echoed."""
+        """Resynchronise: end an incomplete command and discard input until a known query is
+        echoed.
+        """
         self._send(END.encode())
         self._drain()
         self._send((KNOWN.question + END).encode("ascii"))
@@ -30,7 +34,9 @@ class PromptLine(EchoCheckedLine):
 
     def _exchange(self, question: str) -> str:
         self._send((question + END).encode("ascii"))
-        said = self._until(PROMPT, question, within_s=TURN_S if question.startswith(TURNING) else None)
+        said = self._until(
+            PROMPT, question, within_s=TURN_S if question.startswith(TURNING) else None
+        )
         echo, mark, answer = said.partition(END)
         if echo != question or not mark:
             raise self.reply_error(f"echo {question!r}", repr(said[:80]))
@@ -71,7 +77,9 @@ class FilterWheel(Instrument):
         return self.line.query_int("pos?")
 
     def turn_to(self, position: int) -> int:
-        """Turn the wheel, wait for it, and return the read-back position; an invalid one is BadInput."""
+        """Turn the wheel, wait for it, and return the read-back position; an invalid one is
+        BadInput.
+        """
         count = self.positions
         if not 1 <= position <= count:
             raise BadInput(f"the filter must be one of 1 to {count}, got {position}")

@@ -17,12 +17,17 @@ MISSED_TRIGGERS = 2.0  # Trigger periods without a trigger after which the trigg
 class Gate(Instrument):
     """A pulse generator; its AB output drives a gate unit that is open while the level is high.
 
-    It stores the reply to each setting that was read back, and `look` compares the present replies with them.
+    It stores the reply to each setting that was read back, and `look` compares the present replies
+    with them.
     """
 
-    shut_commands: ClassVar[tuple[str, ...]]  # Commands that shut the gate at once, sent one by one by the safe action
+    shut_commands: ClassVar[
+        tuple[str, ...]
+    ]  # Commands that shut the gate at once, sent one by one by the safe action
 
-    shut_settings: ClassVar[tuple[tuple[str, str, int], ...]]  # Read-backs of a shut gate: setting, query and reply
+    shut_settings: ClassVar[
+        tuple[tuple[str, str, int], ...]
+    ]  # Read-backs of a shut gate: setting, query and reply
 
     step_ns: ClassVar[float]
     dead_ns: ClassVar[float]  # Time after the longest delay before the next trigger is accepted, ns
@@ -41,7 +46,9 @@ class Gate(Instrument):
         self._external_hz, self._triggered_s = 0.0, 0.0
 
     def look(self) -> None:
-        """Compare every setting with its read-back, and require the triggers of an external source."""
+        """Compare every setting with its read-back, and require the triggers of an external
+        source.
+        """
         if not self._kept:
             self.line.query_int(self.source_question)
         for question, (setting, answer) in self._kept.items():
@@ -58,20 +65,26 @@ class Gate(Instrument):
     ) -> None:
         """Require a pulse that this model can make; the parameters are those of `open`.
 
-        The pulse must end before the next trigger, and width and delay are rounded by at most a millionth of it.
+        The pulse must end before the next trigger, and width and delay are rounded by at most a
+        millionth of it.
         """
         longest_ns = 1e9 / rate_hz - self.dead_ns - delay_ns
         if not self.step_ns <= width_ns <= longest_ns:
             raise BadInput(
-                f"gate_ns must lie between {self.step_ns:g} and {longest_ns:.0f} at {rate_hz:g} triggers a second, "
-                f"got {width_ns:g}"
+                f"gate_ns must lie between {self.step_ns:g} and {longest_ns:.0f} at {rate_hz:g} "
+                f"triggers a second, got {width_ns:g}"
             )
         if not delay_ns >= 0.0:
             raise BadInput(f"the delay of the gate must not be negative, got {delay_ns:g} ns")
         for name, value_ns in (("gate_ns", width_ns), ("the delay of the gate, ns,", delay_ns)):
             # Negligible relative rounding of a pulse: a field time is not a multiple of 5 ps
-            if abs(value_ns - self.step_ns * round(value_ns / self.step_ns)) > 1e-6 * max(width_ns, value_ns):
-                raise BadInput(f"{name} must be a multiple of the generator's {self.step_ns:g} ns, got {value_ns:.12g}")
+            if abs(value_ns - self.step_ns * round(value_ns / self.step_ns)) > 1e-6 * max(
+                width_ns, value_ns
+            ):
+                raise BadInput(
+                    f"{name} must be a multiple of the generator's {self.step_ns:g} ns, got "
+                    f"{value_ns:.12g}"
+                )
 
     def shut(self) -> None:
         """Shut the gate: no triggers, idle level 0 V; read back."""
@@ -80,7 +93,9 @@ class Gate(Instrument):
         for setting, question, value in self.shut_settings:
             self._verify(setting, question, value)
 
-    def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running") -> float:
+    def open(
+        self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
+    ) -> float:
         """Open the gate for a time at each trigger, and return the width as read back, ns.
 
         Parameters
@@ -95,7 +110,8 @@ class Gate(Instrument):
         BadInput
             If this model cannot make the pulse, see `check_pulse`.
         InstrumentRejected
-            If the instrument refuses a setting, reads another one back, loses triggers, or receives none.
+            If the instrument refuses a setting, reads another one back, loses triggers, or receives
+            none.
         """
         self.check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns, sync=sync)
         self.shut()
@@ -138,7 +154,9 @@ class Gate(Instrument):
         self._refuse_errors("; ".join(commands))
 
     def _verify(self, setting: str, question: str, value: float, *, within: float = 0.0) -> None:
-        """Read a setting back and keep the answer; one that is not as it was set is InstrumentRejected."""
+        """Read a setting back and keep the answer; one that is not as it was set is
+        InstrumentRejected.
+        """
         kept = self._kept  # a reply from before a safe action is discarded with its dictionary
         kept[question] = setting, self.line.verify_read_back(question, value, within=within)
 
@@ -151,6 +169,8 @@ class Gate(Instrument):
             raise self.line.rejection(f"keep edge {edge} behind edge {reference}", repr(answer))
         read_ns = self.line.parse_float(seconds, question) * 1e9
         if abs(read_ns - delay_ns) > self.step_ns:
-            raise self.line.rejection(f"keep a {setting} of {delay_ns:g} ns", f"{read_ns:g} ns back")
+            raise self.line.rejection(
+                f"keep a {setting} of {delay_ns:g} ns", f"{read_ns:g} ns back"
+            )
         kept[question] = setting, answer
         return read_ns

@@ -50,7 +50,9 @@ class HighVoltage(Supply):
 
     def _require_off(self) -> None:
         if self._status() & HV_ON:
-            raise self.line.rejection("stay off", "high voltage on: somebody switched it on at the panel")
+            raise self.line.rejection(
+                "stay off", "high voltage on: somebody switched it on at the panel"
+            )
 
     def _order_off(self) -> None:
         self._set(OFF_COMMAND)
@@ -60,7 +62,9 @@ class HighVoltage(Supply):
         self._set(f"VSET {self.lowest_v:.0f}")
         self.line.write("HVON")
         if self.line.query_int("*ESR?") & EXECUTION_ERROR:
-            raise self._trip_error("not cleared since: find its cause, then clear it at the instrument")
+            raise self._trip_error(
+                "not cleared since: find its cause, then clear it at the instrument"
+            )
 
     def _raise(self, goal_v: float, rate_v_per_s: float, check: Callable[[], None]) -> float:
         start_v = self.line.query_float("VSET?")
@@ -100,8 +104,14 @@ class HighVoltage(Supply):
     def _set(self, command: str) -> None:
         self.line.write(command)
         if code := self.line.query_int("*ESR?") & (EXECUTION_ERROR | COMMAND_ERROR):
-            meaning = "not possible in its present state or range" if code & EXECUTION_ERROR else "not understood"
-            raise self.line.rejection(f"accept {command!r}", f"event status {code}: {meaning}", code=code)
+            meaning = (
+                "not possible in its present state or range"
+                if code & EXECUTION_ERROR
+                else "not understood"
+            )
+            raise self.line.rejection(
+                f"accept {command!r}", f"event status {code}: {meaning}", code=code
+            )
 
     def _status(self) -> int:
         return self.line.query_int("*STB?")

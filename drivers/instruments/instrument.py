@@ -19,11 +19,15 @@ class Instrument(ABC):
 
     @abstractmethod
     def identify(self) -> str:
-        """Return the identity and clear old errors; an unexpected instrument is InstrumentReplyError."""
+        """Return the identity and clear old errors; an unexpected instrument is
+        InstrumentReplyError.
+        """
 
     @abstractmethod
     def look(self) -> None:
-        """Compare the instrument with its settings; a difference is a BenchError. Without settings, only query it."""
+        """Compare the instrument with its settings; a difference is a BenchError. Without settings,
+        only query it.
+        """
 
     def _identity(self, question: str, form: str, kinds: str) -> str:
         """Query the identity; a reply of another form is InstrumentReplyError."""
@@ -38,7 +42,9 @@ class InstrumentModel:
     """One model of instrument."""
 
     name: str  #: Name in a plan, such as "dg645"
-    role: Role  #: Role; the driver has the public methods of the shipped driver of that role, and of `Gate` or `Supply`
+    # : Role; the driver has the public methods of the shipped driver of that role, and of `Gate` or
+    # `Supply`
+    role: Role
     title: str  #: Name in messages, such as "delay generator"
     #: Makes a line on a port; the second argument is the address on a bus, if any
     line: Callable[[Port, int], InstrumentLine]
@@ -47,13 +53,17 @@ class InstrumentModel:
     hardware_handshake: bool = False  #: RTS/CTS
 
     def open_line(self, port: str, address: int = 0, *, exclusive: bool = True) -> InstrumentLine:
-        """Open a serial port and return the line to the instrument; InstrumentDisconnected if it cannot be opened.
+        """Open a serial port and return the line to the instrument; InstrumentDisconnected if it
+        cannot be opened.
 
-        With `exclusive` False the port is opened despite a lock of another program, for the safe action only.
+        With `exclusive` False the port is opened despite a lock of another program, for the safe
+        action only.
         """
         return self.line(self.open_port(port, exclusive=exclusive), address)
 
     def open_port(self, port: str, *, exclusive: bool = True) -> SerialPort:
         """Open a serial port with the settings of the instrument."""
         handshake = self.hardware_handshake
-        return SerialPort(port, name=self.title, baud=self.baud, hardware_handshake=handshake, exclusive=exclusive)
+        return SerialPort(
+            port, name=self.title, baud=self.baud, hardware_handshake=handshake, exclusive=exclusive
+        )

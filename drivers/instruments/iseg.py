@@ -1,6 +1,7 @@
 """High-voltage supply: iseg NHQ or SHQ with its own ramp.
 
-Source: the maker's manuals of the SHQ and EHQ series (legacy command set), unless marked unverified.
+Source: the maker's manuals of the SHQ and EHQ series (legacy command set), unless marked
+unverified.
 """
 
 import math
@@ -17,8 +18,13 @@ SLOWEST_V_PER_S, FASTEST_V_PER_S = 2, 255
 
 SETTLE_S = 3.0
 MANUAL, POSITIVE, SWITCH_OFF = 1, 4, 8  # module status
-TRIPS = {"TRP": "on current", "ERR": "at a limit", "INH": "on its inhibit input", "OFF": "at its panel switch",
-         "MAN": "to manual control"}  # fmt: skip
+TRIPS = {
+    "TRP": "on current",
+    "ERR": "at a limit",
+    "INH": "on its inhibit input",
+    "OFF": "at its panel switch",
+    "MAN": "to manual control",
+}
 STATES = ("ON", "L2H", "H2L", "LAS", "QUA", *TRIPS)
 KNOWN = KnownAnswer(question="#", form=r"\d+;[\w.]+;\d+V;\d+(\.\d+)?[um]A")
 _SCALED = re.compile(r"([+-]?\d{1,9})([+-]\d{1,2})")
@@ -71,7 +77,11 @@ class IsegLine(EchoCheckedLine):
 class Iseg(Supply):
     """iseg NHQ or SHQ supply under remote control."""
 
-    off_commands = (f"V1={FASTEST_V_PER_S}", "D1=0", "G1")  # There is no off command: the fastest ramp to 0 V
+    off_commands = (
+        f"V1={FASTEST_V_PER_S}",
+        "D1=0",
+        "G1",
+    )  # There is no off command: the fastest ramp to 0 V
 
     reading = "U1"
     lowest_v = 10.0  # Voltage at switching on, V, so that a set value of 0 reveals a loss of power
@@ -81,19 +91,28 @@ class Iseg(Supply):
         self.highest_v = math.inf
 
     def identify(self) -> str:
-        """Return serial number, firmware and ratings, and clear old latches; a negative unit is InstrumentRejected."""
-        identity = self._identity(KNOWN.question, KNOWN.form, "an iseg supply of the legacy command set")
+        """Return serial number, firmware and ratings, and clear old latches; a negative unit is
+        InstrumentRejected.
+        """
+        identity = self._identity(
+            KNOWN.question, KNOWN.form, "an iseg supply of the legacy command set"
+        )
         self.highest_v = float(identity.split(";")[2].removesuffix("V"))
         if not self.line.query_int("T1") & POSITIVE:
-            raise self.line.rejection("be of positive polarity", "a negative one: turn its polarity switch")
+            raise self.line.rejection(
+                "be of positive polarity", "a negative one: turn its polarity switch"
+            )
         return identity
 
     def prepare(self, *, limit_v: float) -> None:
-        """Switch off; require the rotary switch of the limit at its first position at or above a limit, V, or lower."""
+        """Switch off; require the rotary switch of the limit at its first position at or above a
+        limit, V, or lower.
+        """
         self.order_off()
         if (state := self._state()) in ("TRP", "ERR"):
             raise self._trip_error(f"{TRIPS[state]} before anything was switched on")
-        # One position of the rotary switch of the hardware limit, % of the nominal voltage (unverified)
+        # One position of the rotary switch of the hardware limit, % of the nominal voltage
+        # (unverified)
         position_v = self.highest_v * 10 / 100.0
         allowed_v = math.ceil(limit_v / position_v - 1e-9) * position_v
         kept_v = self.highest_v * self.line.query_int("M1") / 100.0
@@ -109,7 +128,9 @@ class Iseg(Supply):
     def check_on(self) -> None:
         self._require_untripped()
         if self._volts("D1") < self.lowest_v:
-            raise self._trip_error("without a word: its set value is gone, as after a loss of power")
+            raise self._trip_error(
+                "without a word: its set value is gone, as after a loss of power"
+            )
 
     def _require_untripped(self) -> None:
         # Reading the state clears a latched trip: only the owner of the line may do it.
@@ -126,7 +147,9 @@ class Iseg(Supply):
         self._state("G1")
 
     def _switch_on(self) -> None:
-        """Raise to the lowest voltage; a unit off or under manual control at its panel is InstrumentRejected."""
+        """Raise to the lowest voltage; a unit off or under manual control at its panel is
+        InstrumentRejected.
+        """
         status = self.line.query_int("T1")
         if status & SWITCH_OFF:
             raise self.line.rejection("be switched on at its panel", "its switch off")
@@ -137,7 +160,10 @@ class Iseg(Supply):
     def _raise(self, goal_v: float, rate_v_per_s: float, check: Callable[[], None]) -> float:
         rate = min(math.floor(rate_v_per_s), FASTEST_V_PER_S)
         if rate < SLOWEST_V_PER_S:
-            raise BadInput(f"ramp_v_per_s must be at least {SLOWEST_V_PER_S} for this supply, got {rate_v_per_s:g}")
+            raise BadInput(
+                f"ramp_v_per_s must be at least {SLOWEST_V_PER_S} for this supply, got "
+                f"{rate_v_per_s:g}"
+            )
         return self._ramp(goal_v, rate, check)
 
     def _lower(self, goal_v: float, check: Callable[[], None]) -> float:
@@ -179,8 +205,8 @@ class Iseg(Supply):
 def legacy_number(text: str) -> float | None:
     """Parse a number of the legacy command set; None if it is invalid.
 
-    An SHQ sends mantissa and exponent without an E ("-05000-01" is -500.0), an EHQ a plain voltage ("+0100") and a
-    current with an exponent of one digit ("0001-7" is 1e-7).
+    An SHQ sends mantissa and exponent without an E ("-05000-01" is -500.0), an EHQ a plain voltage
+    ("+0100") and a current with an exponent of one digit ("0001-7" is 1e-7).
     """
     if match := _SCALED.fullmatch(text):
         return float(f"{match[1]}e{match[2]}")

@@ -40,7 +40,9 @@ class LightSource(Instrument):
         self._set(f"m {CONSTANT_CURRENT}")
         self._set(f"l {_milliamperes(limit_a)}")
         if (kept_ma := self.line.query_float("l?")) > 1e3 * limit_a + 0.5:
-            raise self.line.rejection(f"keep a limit of {1e3 * limit_a:g} mA", f"{kept_ma:g} mA back")
+            raise self.line.rejection(
+                f"keep a limit of {1e3 * limit_a:g} mA", f"{kept_ma:g} mA back"
+            )
 
     def darken(self) -> None:
         """Switch the light off and read it back."""
@@ -74,8 +76,14 @@ class LightSource(Instrument):
 
 def _milliamperes(current_a: float) -> int:
     milliamperes = current_a / STEP_A
-    if not (math.isfinite(milliamperes) and milliamperes >= 0 and abs(milliamperes - round(milliamperes)) < 1e-6):
-        raise BadInput(f"the current of the light must be a multiple of {STEP_A:g} A, got {current_a:g}")
+    if not (
+        math.isfinite(milliamperes)
+        and milliamperes >= 0
+        and abs(milliamperes - round(milliamperes)) < 1e-6
+    ):
+        raise BadInput(
+            f"the current of the light must be a multiple of {STEP_A:g} A, got {current_a:g}"
+        )
     return round(milliamperes)
 
 
@@ -83,7 +91,9 @@ MODEL = InstrumentModel(
     name="dc2100",
     role="light-source",
     title="light source",
-    line=lambda port, address: FramedLine(port, name="light source", command_end=b"\r\n", known=KNOWN),
+    line=lambda port, address: FramedLine(
+        port, name="light source", command_end=b"\r\n", known=KNOWN
+    ),
     driver=LightSource,
     baud=115200,
 )

@@ -40,7 +40,9 @@ class PowerMeter(Instrument):
         answer = self.line.ask("SYST:ERR?")
         match = _ERROR.fullmatch(answer)
         if match is None:
-            raise self.line.reply_error("answer SYST:ERR? with a code and its meaning", repr(answer))
+            raise self.line.reply_error(
+                "answer SYST:ERR? with a code and its meaning", repr(answer)
+            )
         if code := int(match[1]):
             raise self.line.rejection(f"accept {command!r}", f"error {code}: {match[2]}", code=code)
 
@@ -73,7 +75,9 @@ class Thermometer(Instrument):
         self.temperature_c()
 
     def temperature_c(self) -> float:
-        """Temperature of the sensor, degrees Celsius; a sensor that is open or missing is InstrumentReplyError."""
+        """Temperature of the sensor, degrees Celsius; a sensor that is open or missing is
+        InstrumentReplyError.
+        """
         unit = self._query_value(f"{CHANNEL}.units?")
         value = self.line.parse_float(self._query_value(f"{CHANNEL}.value?"), f"{CHANNEL}.value?")
         if unit.endswith("C"):
@@ -94,6 +98,8 @@ THERMOMETER = InstrumentModel(
     name="ctc100",
     role="thermometer",
     title="thermometer",
-    line=lambda port, address: FramedLine(port, name="thermometer", command_end=b"\r\n", known=KNOWN),
+    line=lambda port, address: FramedLine(
+        port, name="thermometer", command_end=b"\r\n", known=KNOWN
+    ),
     driver=Thermometer,
 )

@@ -1,6 +1,7 @@
 """Instrument models: those in the modules of this package, and those of other packages.
 
-A package provides a model by an entry point of the group `charact.instruments` whose value is an `InstrumentModel`:
+A package provides a model by an entry point of the group `charact.instruments` whose value is an
+`InstrumentModel`:
 
     [project.entry-points."charact.instruments"]
     my-supply = "my_package:MY_SUPPLY"
@@ -33,7 +34,9 @@ def model(name: str, role: Role) -> InstrumentModel:
 
 
 def model_of(reached: InstrumentConnection) -> InstrumentModel:
-    """Return the model of an instrument of the bench; an unknown one, or one of another role, is BadInput."""
+    """Return the model of an instrument of the bench; an unknown one, or one of another role, is
+    BadInput.
+    """
     return model(reached.model, reached.role)
 
 

@@ -16,7 +16,8 @@ DISCHARGED_V = 10.0  # Largest voltage of a discharged output, V
 SETTLED_V = 2.0  # Settling tolerance of an output, V: two steps of the coarsest display
 
 # Deviation from the set-point, or rise after off, that counts as a change at the panel, V
-# Accuracy of the measured output, V: 0.05 % of the 5 kV full scale of a PS350; an SHQ is better (data sheets)
+# Accuracy of the measured output, V: 0.05 % of the 5 kV full scale of a PS350; an SHQ is better
+# (data sheets)
 HELD_V = SETTLED_V + 2.5
 
 POLL_S = 0.1
@@ -41,19 +42,27 @@ class Supply(Instrument):
         super().__init__(line)
         self.is_on = False  # Whether this driver switched it on and not off
         self._reached_v: float | None = None  # set-point that the output has reached
-        self._fallen_to_v: float | None = None  # lowest output seen since it was ordered off; None: nothing was set
+        self._fallen_to_v: float | None = (
+            None  # lowest output seen since it was ordered off; None: nothing was set
+        )
 
     def look(self) -> None:
-        """Compare the output with the set-point: on, no trip and near it; off, not on again and not rising.
+        """Compare the output with the set-point: on, no trip and near it; off, not on again and not
+        rising.
 
-        A supply that switched itself off is InstrumentTripped, one that was set at its panel InstrumentRejected.
+        A supply that switched itself off is InstrumentTripped, one that was set at its panel
+        InstrumentRejected.
         """
         if self.is_on:
             self._require_untripped()
-            if self._reached_v is not None and abs((now_v := self.read_voltage_v()) - self._reached_v) > HELD_V:
+            if (
+                self._reached_v is not None
+                and abs((now_v := self.read_voltage_v()) - self._reached_v) > HELD_V
+            ):
                 self.check_on()
                 raise self.line.rejection(
-                    f"put out {self._reached_v:g} V as set", f"{now_v:g} V: somebody changed it at the panel"
+                    f"put out {self._reached_v:g} V as set",
+                    f"{now_v:g} V: somebody changed it at the panel",
                 )
         elif self._fallen_to_v is None:
             self.read_voltage_v()
@@ -74,7 +83,9 @@ class Supply(Instrument):
         if volts > self.highest_v:
             raise BadInput(f"mcp_v must not exceed the supply's {self.highest_v:g}, got {volts:g}")
         if abs(volts / self.step_v - round(volts / self.step_v)) > 1e-6:
-            raise BadInput(f"mcp_v must be a multiple of the supply's {self.step_v:g} V, got {volts:.10g}")
+            raise BadInput(
+                f"mcp_v must be a multiple of the supply's {self.step_v:g} V, got {volts:.10g}"
+            )
 
     @abstractmethod
     def prepare(self, *, limit_v: float) -> None:
@@ -91,7 +102,9 @@ class Supply(Instrument):
         deadline_s = time.monotonic() + FALL_S
         while (volts := self.read_voltage_v()) > DISCHARGED_V:
             if time.monotonic() > deadline_s:
-                raise self.line.rejection(f"fall below {DISCHARGED_V:g} V within {FALL_S:g} s of off", f"{volts:g} V")
+                raise self.line.rejection(
+                    f"fall below {DISCHARGED_V:g} V within {FALL_S:g} s of off", f"{volts:g} V"
+                )
             time.sleep(POLL_S)
         return volts
 
@@ -101,11 +114,14 @@ class Supply(Instrument):
         self._switch_on()
         self.is_on = True
 
-    def raise_to(self, goal_v: float, *, rate_v_per_s: float, check: Callable[[], None] = lambda: None) -> float:
-        """Raise the voltage of a supply that is on at a limited rate, and return the settled output, V.
+    def raise_to(
+        self, goal_v: float, *, rate_v_per_s: float, check: Callable[[], None] = lambda: None
+    ) -> float:
+        """Raise the voltage of a supply that is on at a limited rate, and return the settled
+        output, V.
 
-        `check` is called at every step; an exception ends the ramp. A supply that switches itself off is
-        InstrumentTripped, one that refuses a step or does not follow InstrumentRejected.
+        `check` is called at every step; an exception ends the ramp. A supply that switches itself
+        off is InstrumentTripped, one that refuses a step or does not follow InstrumentRejected.
         """
         return self._move(goal_v, lambda: self._raise(goal_v, rate_v_per_s, check))
 

@@ -9,7 +9,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from drivers.errors import BenchError, BenchStopped, InstrumentRejected, InstrumentReplyError, InstrumentTimeout
+from drivers.errors import (
+    BenchError,
+    BenchStopped,
+    InstrumentRejected,
+    InstrumentReplyError,
+    InstrumentTimeout,
+)
 from drivers.serial_lines.port import ANSWER_S, SLICE_S, Port
 
 LONGEST_ANSWER = 4096  # Largest reply without terminator, bytes
@@ -36,8 +42,9 @@ IDENTITY_ANSWER = KnownAnswer(question="*IDN?", form=r"[^,]+,[^,]+,[^,]+,[^,]+")
 class InstrumentLine(ABC):
     """A line to one instrument; its construction does no input or output.
 
-    Exchanges of different threads do not overlap. Between `take_over` and `release` only threads within `safing` can
-    send or wait; others get `BenchStopped`. `answer_s` is the time limit of a reply, s.
+    Exchanges of different threads do not overlap. Between `take_over` and `release` only threads
+    within `safing` can send or wait; others get `BenchStopped`. `answer_s` is the time limit of a
+    reply, s.
     """
 
     def __init__(self, port: Port, *, name: str, answer_s: float = ANSWER_S) -> None:
@@ -56,8 +63,8 @@ class InstrumentLine(ABC):
     def ask(self, question: str) -> str:
         """Send a query and return its reply without terminators.
 
-        After a time-out, which is InstrumentTimeout, the line is resynchronised before the next query: it discards late
-        replies and sends a query whose reply has a known form.
+        After a time-out, which is InstrumentTimeout, the line is resynchronised before the next
+        query: it discards late replies and sends a query whose reply has a known form.
         """
         with self._turn:
             try:
@@ -91,7 +98,9 @@ class InstrumentLine(ABC):
         return value
 
     def verify_read_back(self, question: str, value: float, *, within: float = 0.0) -> str:
-        """Query a setting and return the reply; InstrumentRejected if it differs from the set value."""
+        """Query a setting and return the reply; InstrumentRejected if it differs from the set
+        value.
+        """
         answer = self.ask(question)
         if abs((read := self.parse_float(answer, question)) - value) > within:
             raise self.rejection(f"answer {question} with {value:g} as set", f"{read:g}")
@@ -157,7 +166,9 @@ class InstrumentLine(ABC):
 
     def _require_turn(self) -> None:
         if self._taken_over.is_set() and not self._caller.is_safing:
-            raise BenchStopped.of(self.name, "obey the safe action alone", "a command of another thread")
+            raise BenchStopped.of(
+                self.name, "obey the safe action alone", "a command of another thread"
+            )
 
     def _send(self, data: bytes) -> None:
         self._require_turn()
@@ -171,7 +182,9 @@ class InstrumentLine(ABC):
             self._require_turn()
             if (left_s := deadline_s - time.monotonic()) <= 0:
                 partial = f"only {self._received[:80]!r}" if self._received else "nothing"
-                raise InstrumentTimeout.of(self.name, f"answer {question} within {within_s:g} s", partial)
+                raise InstrumentTimeout.of(
+                    self.name, f"answer {question} within {within_s:g} s", partial
+                )
             self._received += self._port.receive(min(left_s, SLICE_S))
             if len(self._received) > LONGEST_ANSWER and end not in self._received:
                 began, self._received = self._received[:40], b""
@@ -185,7 +198,9 @@ class InstrumentLine(ABC):
         deadline_s = time.monotonic() + self._answer_s
         while not re.fullmatch(known.form, answer := self._until(end, known.question).strip()):
             if time.monotonic() > deadline_s:
-                raise InstrumentTimeout.of(self.name, f"answer {known.question} in a known form", repr(answer[:80]))
+                raise InstrumentTimeout.of(
+                    self.name, f"answer {known.question} in a known form", repr(answer[:80])
+                )
 
     def _drain(self, *, quiet_s: float = 0.05, within_s: float | None = None) -> None:
         """Discard input until the line is quiet for a time or the time limit is over."""
@@ -200,7 +215,9 @@ class InstrumentLine(ABC):
 
 
 class FramedLine(InstrumentLine):
-    """Line with commands and replies of one text line each; `known` is the query for resynchronisation."""
+    """Line with commands and replies of one text line each; `known` is the query for
+    resynchronisation.
+    """
 
     def __init__(
         self,
@@ -264,7 +281,9 @@ _ESCAPED = "\x1b+\r\n"
 
 
 class PrologixLine(FramedLine):
-    """Line to one GPIB address, 0 to 30, behind a Prologix GPIB-USB adapter; replies are read on request only."""
+    """Line to one GPIB address, 0 to 30, behind a Prologix GPIB-USB adapter; replies are read on
+    request only.
+    """
 
     def __init__(self, port: Port, *, name: str, address: int, answer_s: float = ANSWER_S) -> None:
         super().__init__(port, name=name, answer_end=b"\n", answer_s=answer_s, known=ADAPTER_ANSWER)
@@ -282,7 +301,8 @@ class PrologixLine(FramedLine):
             super().reopen()
 
     def _order(self, command: str) -> None:
-        # Without set-up: after a crash another process has set the adapter up, and the command must not wait.
+        # Without set-up: after a crash another process has set the adapter up, and the command must
+        # not wait.
         self._say(self._address, _escape(command))
 
     def _exchange(self, question: str) -> str:
@@ -290,7 +310,9 @@ class PrologixLine(FramedLine):
         return self._until(self._end, question).strip()
 
     def _get_into_step(self) -> None:
-        """Query and set up the adapter, and read its address back; another adapter is InstrumentReplyError."""
+        """Query and set up the adapter, and read its address back; another adapter is
+        InstrumentReplyError.
+        """
         super()._get_into_step()
         self._is_set_up = False
         self._set_up()
@@ -305,4 +327,6 @@ class PrologixLine(FramedLine):
 
 
 def _escape(command: str) -> str:
-    return "".join(f"\x1b{character}" if character in _ESCAPED else character for character in command)
+    return "".join(
+        f"\x1b{character}" if character in _ESCAPED else character for character in command
+    )

@@ -28,7 +28,9 @@ class Port(Protocol):
         ...
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return received bytes, waiting at most `timeout_s` for the first; empty if there are none."""
+        """Return received bytes, waiting at most `timeout_s` for the first; empty if there are
+        none.
+        """
         ...
 
     def reopen(self) -> None:
@@ -45,7 +47,9 @@ class Port(Protocol):
 
 
 class _DescriptorPort:
-    """Bytes over the file descriptor of a serial port; `poll` bounds each wait without a further descriptor."""
+    """Bytes over the file descriptor of a serial port; `poll` bounds each wait without a further
+    descriptor.
+    """
 
     def __init__(self, descriptor: int, *, name: str, place: str) -> None:
         self._descriptor, self._name, self._place = descriptor, name, place
@@ -62,7 +66,9 @@ class _DescriptorPort:
             except BlockingIOError:
                 if not self._is_ready(select.POLLOUT, deadline_s - time.monotonic()):
                     rule = f"take a command within {ANSWER_S:g} s"
-                    raise InstrumentTimeout.of(self._name, rule, f"no room on {self._place}") from None
+                    raise InstrumentTimeout.of(
+                        self._name, rule, f"no room on {self._place}"
+                    ) from None
             except OSError as error:
                 raise self._disconnection(error) from None
 
@@ -96,16 +102,26 @@ class _DescriptorPort:
 class SerialPort(_DescriptorPort):
     """A serial port of the instrument `name`, with a lock against other programs.
 
-    `exclusive` False opens the port despite a lock of another program, for the safe action only. A port that cannot be
-    opened or goes away is InstrumentDisconnected.
+    `exclusive` False opens the port despite a lock of another program, for the safe action only. A
+    port that cannot be opened or goes away is InstrumentDisconnected.
     """
 
     def __init__(
-        self, port: str, *, name: str, baud: int = 9600, hardware_handshake: bool = False, exclusive: bool = True
+        self,
+        port: str,
+        *,
+        name: str,
+        baud: int = 9600,
+        hardware_handshake: bool = False,
+        exclusive: bool = True,
     ) -> None:
         super().__init__(-1, name=name, place=port)
         self._path = port
-        self._settings = {"baudrate": baud, "rtscts": hardware_handshake, "exclusive": exclusive or None}
+        self._settings = {
+            "baudrate": baud,
+            "rtscts": hardware_handshake,
+            "exclusive": exclusive or None,
+        }
         self._open(port)
         adapters = usb_ports()
         adapter = adapters.get(os.path.realpath(port))
@@ -120,7 +136,9 @@ class SerialPort(_DescriptorPort):
             return
         found = [path for path, adapter in usb_ports().items() if adapter == self._usb]
         if not found:
-            raise self._not_open(self._path, f"no adapter with the USB serial number {self._usb[0]}")
+            raise self._not_open(
+                self._path, f"no adapter with the USB serial number {self._usb[0]}"
+            )
         self._open(found[0])
 
     def close(self) -> None:
@@ -138,7 +156,10 @@ class SerialPort(_DescriptorPort):
 
     def _not_open(self, path: str, error: object) -> InstrumentDisconnected:
         if "exclusively lock" in str(error):
-            error = "another program has locked it (a run that just ended follows the voltage down for some seconds)"
+            error = (
+                "another program has locked it (a run that just ended follows the voltage "
+                "down for some seconds)"
+            )
         sentence = f"the port {path} of the {self._name} must be free to open, got {error}"
         return InstrumentDisconnected(sentence, instrument=self._name)
 
@@ -149,7 +170,9 @@ class InheritedPort(_DescriptorPort):
     `open_again` reopens a lost port by its path; None: the path is unknown.
     """
 
-    def __init__(self, descriptor: int, *, name: str, open_again: "Callable[[], SerialPort] | None" = None) -> None:
+    def __init__(
+        self, descriptor: int, *, name: str, open_again: "Callable[[], SerialPort] | None" = None
+    ) -> None:
         super().__init__(descriptor, name=name, place=f"the inherited descriptor {descriptor}")
         self._open_again = open_again
         os.set_blocking(descriptor, False)
@@ -170,5 +193,9 @@ def usb_ports() -> dict[str, tuple[str, str]]:
             for found in list_ports.comports()
             if found.serial_number
         }
-    except (OSError, TypeError, ValueError):  # pyserial fails on a device removed during the listing
+    except (
+        OSError,
+        TypeError,
+        ValueError,
+    ):  # pyserial fails on a device removed during the listing
         return {}

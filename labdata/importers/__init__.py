@@ -1,4 +1,6 @@
-"""Importers of frames: one reader per format, selected by the file name and checked by the content."""
+"""Importers of frames: one reader per format, selected by the file name and checked by the
+content.
+"""
 
 import os
 import warnings
@@ -24,7 +26,17 @@ KINDS: dict[str, tuple[str, ...]] = {
     "array_files.read_npy": (".npy",),
     "fits.read": (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz", ".fits.fz", ".fz"),
     "image_files.read_image": (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".pnm"),
-    "image_files.read_raw": (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".raf", ".rw2", ".pef"),
+    "image_files.read_raw": (
+        ".dng",
+        ".nef",
+        ".cr2",
+        ".cr3",
+        ".arw",
+        ".orf",
+        ".raf",
+        ".rw2",
+        ".pef",
+    ),
     "array_files.read_hdf5": (".h5", ".hdf5", ".hdf", ".nxs"),
     "cameras.read": (".spe", ".sif", ".ser"),
     "image_files.read_video": (".avi",),
@@ -32,28 +44,44 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 
 
-_LONG_NAMES = {"tif": "TIFF", "fit": "FITS", "fts": "FITS", "gz": "FITS", "fz": "FITS", "h5": "HDF5", "": "Zarr"}
+_LONG_NAMES = {
+    "tif": "TIFF",
+    "fit": "FITS",
+    "fts": "FITS",
+    "gz": "FITS",
+    "fz": "FITS",
+    "h5": "HDF5",
+    "": "Zarr",
+}
 
 
 def list_kinds() -> str:
     """Return the file endings that can be read, as text."""
-    return ", ".join(ending for endings in KINDS.values() for ending in endings) + " or a Zarr array"
+    return (
+        ", ".join(ending for endings in KINDS.values() for ending in endings) + " or a Zarr array"
+    )
 
 
 def read_frames(
-    path: str | Path, plane: str | None = None, *, axis: str | None = None, find_full_scale: bool = True
+    path: str | Path,
+    plane: str | None = None,
+    *,
+    axis: str | None = None,
+    find_full_scale: bool = True,
 ) -> FrameStack:
     """Read the frames of a file, by its ending, or of a Zarr array.
 
     Parameters
     ----------
     plane
-        Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB image, "r", "g1",
-        "g2" or "b" of a mosaic, with the colours of its first 2x2 pixels before it, "rggb:g1", where neither the file
-        nor its pixels show them. None: the luminance of an RGB image (noted); a mosaic needs a plane. A number, from
-        0, is the plane along an axis that does not count frames.
+        Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB image,
+        "r", "g1", "g2" or "b" of a mosaic, with the colours of its first 2x2 pixels before it,
+        "rggb:g1", where neither the file nor its pixels show them. None: the luminance of an RGB
+        image (noted); a mosaic needs a plane. A number, from 0, is the plane along an axis that
+        does not count frames.
     axis
-        Number or name of the frame axis, where the file does not state it or states another; "frame": the
+        Number or name of the frame axis, where the file does not state it or states another;
+        "frame": the
         first axis, if the file does not name it.
     find_full_scale
         Whether to find full scale from the data where the file does not state it.
@@ -61,8 +89,9 @@ def read_frames(
     Returns
     -------
     FrameStack
-        Pixels as in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced. A non-finite
-        border is cut off. A file that is damaged, unknown or without a known frame axis is BadInput.
+        Pixels as in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced. A
+        non-finite border is cut off. A file that is damaged, unknown or without a known frame axis
+        is BadInput.
     """
     path = Path(path)
     try:
@@ -90,11 +119,14 @@ def read_array(array: object, plane: str | None = None, *, axis: str | None = No
     except (ValueError, TypeError):  # rows of unequal length, or an object that refuses
         data = np.empty(0, object)
     if isinstance(array, np.ma.MaskedArray) and np.ma.is_masked(array):
-        raise BadInput("an image must have every pixel, got an array with masked pixels: fill them or cut them off")
+        raise BadInput(
+            "an image must have every pixel, got an array with masked pixels: fill them or cut "
+            "them off"
+        )
     if data.dtype.kind not in "uifb" or data.ndim < 2:
         raise BadInput(
-            f"an image must be an array of numbers with at least rows and columns, got {type(array).__name__} of type "
-            f"{data.dtype} and shape {data.shape}"
+            "an image must be an array of numbers with at least rows and columns, got "
+            f"{type(array).__name__} of type {data.dtype} and shape {data.shape}"
         )
     data = data.astype(np.uint8) if data.dtype.kind == "b" else data
     found = Recorded(data=data, names=names_of_shape(data.shape))
@@ -115,14 +147,21 @@ def _read_recorded(path: Path) -> Recorded | FrameStack:
         raise BadInput(f"a {kind} file must be whole and readable, got {path}: {why}") from None
 
 
-def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, name: str) -> FrameStack:
+def _stack(
+    found: Recorded | FrameStack, plane: str | None, axis: str | None, name: str
+) -> FrameStack:
     """Return the frames of a reader's result."""
     if isinstance(found, FrameStack):
         if plane in (None, "mono"):
             return found
         one = require_monochrome(found.data, plane, name)
-        return replace(found, data=one.data, plane=one.plane, sample_pitch_px=one.sample_pitch_px,
-                       notes=(*found.notes, *one.notes))  # fmt: skip
+        return replace(
+            found,
+            data=one.data,
+            plane=one.plane,
+            sample_pitch_px=one.sample_pitch_px,
+            notes=(*found.notes, *one.notes),
+        )
     data = found.data.astype(found.data.dtype.newbyteorder("="), copy=False)
     stack = frames_of(data, found.names, plane=plane, axis=axis, name=name, pattern=found.pattern)
     black_dn = _black_dn(found, stack.plane)
@@ -159,8 +198,9 @@ def reader_of(path: Path) -> Callable[[Path], Recorded | FrameStack]:
         raise BadInput(f"frames must be a file or a Zarr array, got the folder {path}")
     elif (module := module_of(path)) is None:
         raise BadInput(
-            f"a file of frames must be one of {list_kinds()}, got {path.name!r}: save it as TIFF or FITS with the "
-            f"camera's own software or ImageJ (File > Save As > Tiff), video with ffmpeg -i {path.name} -c:v ffv1 x.avi"
+            f"a file of frames must be one of {list_kinds()}, got {path.name!r}: save it as TIFF "
+            "or FITS with the camera's own software or ImageJ (File > Save As > Tiff), video "
+            f"with ffmpeg -i {path.name} -c:v ffv1 x.avi"
         )
     name, function = module.split(".")
     return getattr(import_module(f"labdata.importers.{name}"), function)

@@ -20,8 +20,8 @@ def read_npy(path: Path) -> Recorded:
         data = None
     if not isinstance(data, np.ndarray):
         raise BadInput(
-            "a .npy file must hold one whole array of numbers, got something else, or fewer pixels than its header "
-            f"states, in {path}"
+            "a .npy file must hold one whole array of numbers, got something else, or fewer "
+            f"pixels than its header states, in {path}"
         )
     return Recorded(data=data, names=names_of_shape(data.shape))
 
@@ -55,14 +55,18 @@ def read_hdf5(path: Path) -> Recorded:
         require_room(path, pixels=largest.size, pixel_bytes=largest.dtype.itemsize)
         names = axes_of_labels([dimension.label for dimension in largest.dims], largest.shape)
         several = len(arrays) > 1
-        notes = (f"the largest of {len(arrays)} arrays was read, {largest.name}",) if several else ()
+        notes = (
+            (f"the largest of {len(arrays)} arrays was read, {largest.name}",) if several else ()
+        )
         return Recorded(data=np.asarray(largest[()]), names=names, notes=notes)
 
 
 def _other_files(array) -> Iterator[str]:
     """Yield the external files, if any, that contain the pixels of an array."""
     yield from (name for name, *_ in array.external or ())
-    yield from (source.file_name for source in (array.virtual_sources() if array.is_virtual else ()))
+    yield from (
+        source.file_name for source in (array.virtual_sources() if array.is_virtual else ())
+    )
 
 
 def _collect(item, arrays: list, kind: type) -> None:

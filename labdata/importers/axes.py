@@ -1,6 +1,7 @@
 """Axes of image arrays, non-finite borders, and the record of a reader.
 
-An axis counts frames if the file or the documented layout of its kind states it. Any other axis longer than
+An axis counts frames if the file or the documented layout of its kind states it. Any other axis
+longer than
 1 is cut by a plane, renamed by the caller, or refused.
 """
 
@@ -21,7 +22,8 @@ from labdata.importers.thresholds import LEAST_COLOUR_SIDE_PX, MOST_MASKED, MOST
 
 
 def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tuple[str, ...]]:
-    """Return frames, shape (frame, row, col, ...), of finite pixels, their first row and column in the file, and notes.
+    """Return frames, shape (frame, row, col, ...), of finite pixels, their first row and column in
+    the file, and notes.
 
     More than 0.5 % of non-finite pixels inside the border are BadInput.
     """
@@ -37,8 +39,9 @@ def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tu
     notes = []
     if bottom - top < rows or right - left < cols:
         notes.append(
-            f"a border that is not finite was cut off: rows {top} to {bottom - 1} of {rows} and columns {left} to "
-            f"{right - 1} of {cols} are measured; regions count from the file's first row and column"
+            f"a border that is not finite was cut off: rows {top} to {bottom - 1} of {rows} and "
+            f"columns {left} to {right - 1} of {cols} are measured; regions count from the file's "
+            "first row and column"
         )
     data, gaps = data[:, top:bottom, left:right], gaps[top:bottom, left:right]
     if not gaps.size:
@@ -47,12 +50,15 @@ def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tu
     if count > MOST_MASKED * gaps.size:
         bad = sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(data))
         raise BadInput(
-            f"every pixel must be finite, but for a border and {100 * MOST_MASKED:g} % inside it, got {bad} that are "
-            f"NaN or infinite of {data.size}"
+            f"every pixel must be finite, but for a border and {100 * MOST_MASKED:g} % inside it, "
+            f"got {bad} that are NaN or infinite of {data.size}"
         )
     if count:
         data = _fill_gaps(data, gaps)
-        notes.append(f"{count} pixels inside the picture are not finite and were filled from their neighbours")
+        notes.append(
+            f"{count} pixels inside the picture are not finite and were filled from their "
+            f"neighbours"
+        )
     return data, (top, left), tuple(notes)
 
 
@@ -68,7 +74,9 @@ def _gaps_at_border(gaps: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _inside(gaps: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Return the rows and columns left after border lines with gaps are removed, the worst first."""
+    """Return the rows and columns left after border lines with gaps are removed, the worst
+    first.
+    """
     top, left = 0, 0
     bottom, right = gaps.shape
     while top < bottom and left < right and (inner := gaps[top:bottom, left:right]).any():
@@ -82,13 +90,17 @@ def _inside(gaps: NDArray[np.bool_]) -> tuple[int, int, int, int]:
 
 
 def _fill_gaps(data: NDArray, gaps: NDArray[np.bool_]) -> NDArray:
-    """Return a copy with each gap set to the median of the finite pixels in the smallest window around it."""
+    """Return a copy with each gap set to the median of the finite pixels in the smallest window
+    around it.
+    """
     data = np.array(data)
     rows, cols = gaps.shape
     for row, col in np.argwhere(gaps):
         reach = 1
         while True:
-            where = np.s_[max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1]
+            where = np.s_[
+                max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1
+            ]
             if np.count_nonzero(~gaps[where]) >= 4 or reach > max(rows, cols):
                 break
             reach += 1
@@ -120,7 +132,9 @@ def meaning(word: str) -> str:
 
 
 def axes_of_labels(labels: Sequence[str | None], shape: Sequence[int]) -> tuple[str, ...]:
-    """Return the axes of a labelled array; rows and columns are the last two unless labelled otherwise."""
+    """Return the axes of a labelled array; rows and columns are the last two unless labelled
+    otherwise.
+    """
     if not any(labels):
         return names_of_shape(shape)
     names = [meaning(label or "") for label in labels]
@@ -132,8 +146,8 @@ def axes_of_labels(labels: Sequence[str | None], shape: Sequence[int]) -> tuple[
 def names_of_shape(shape: Sequence[int]) -> tuple[str, ...]:
     """Return the axes of an array without labels: (row, col), (frame, row, col), colours last.
 
-    Three planes may be colours or frames and stay unnamed, as does a last axis so short that the array may be
-    (row, col, frame).
+    Three planes may be colours or frames and stay unnamed, as does a last axis so short that the
+    array may be (row, col, frame).
     """
     leading = len(shape) - 2
     if leading > 0 and shape[-1] in (3, 4) and min(shape[-3:-1]) >= LEAST_COLOUR_SIDE_PX:
@@ -147,36 +161,56 @@ def names_of_shape(shape: Sequence[int]) -> tuple[str, ...]:
 
 
 def frames_of(
-    data: NDArray, names: Sequence[str], *, plane: str | None, axis: str | None, name: str, pattern: str | None = None
+    data: NDArray,
+    names: Sequence[str],
+    *,
+    plane: str | None,
+    axis: str | None,
+    name: str,
+    pattern: str | None = None,
 ) -> FrameStack:
     """Return an array of images as a stack.
 
     Parameters
     ----------
     data, names
-        Pixels, any number of axes, and what each is: "frame", "row", "col", "colour", "unnamed", or another word.
+        Pixels, any number of axes, and what each is: "frame", "row", "col", "colour", "unnamed", or
+        another word.
     plane, axis
-        As in `labdata.importers.read_frames`; an axis longer than 1 that is neither frames nor colours needs a plane.
+        As in `labdata.importers.read_frames`; an axis longer than 1 that is neither frames nor
+        colours needs a plane.
     pattern
         Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic.
     """
     if not data.size:
         raise BadInput(f"an array of frames must hold pixels, got the shape {data.shape} in {name}")
     if data.ndim < 2:
-        raise BadInput(f"an array of frames must have rows and columns, got the shape {data.shape} in {name}")
-    names = [UNNAMED if what in KNOWN and what in names[:at] else what for at, what in enumerate(names)]
+        raise BadInput(
+            f"an array of frames must have rows and columns, got the shape {data.shape} in {name}"
+        )
+    names = [
+        UNNAMED if what in KNOWN and what in names[:at] else what for at, what in enumerate(names)
+    ]
     names = _with_frame_axis(names, data.shape, axis, name)
     if ROW not in names or COL not in names:
         raise BadInput(
-            f"an array of frames must have rows and columns, got the axes {_describe_axes(names, data.shape)} in {name}"
+            "an array of frames must have rows and columns, got the axes "
+            f"{_describe_axes(names, data.shape)} in {name}"
         )
     others = [at for at, what in enumerate(names) if data.shape[at] > 1 and what not in KNOWN]
-    if len(others) == 1 and data.shape[others[0]] in (3, 4) and plane in ("r", "g", "b", "luminance"):
+    if (
+        len(others) == 1
+        and data.shape[others[0]] in (3, 4)
+        and plane in ("r", "g", "b", "luminance")
+    ):
         names[others[0]], others = COLOUR, []
     index: list[int | slice] = [
-        slice(None) if size > 1 or what in (ROW, COL) else 0 for size, what in zip(data.shape, names, strict=True)
+        slice(None) if size > 1 or what in (ROW, COL) else 0
+        for size, what in zip(data.shape, names, strict=True)
     ]
-    for at, number in zip(others, _plane_index(data.shape, names, others, plane, name), strict=True):
+    for at, number in zip(
+        others, _plane_index(data.shape, names, others, plane, name), strict=True
+    ):
         index[at] = number
     left = [what for what, at in zip(names, index, strict=True) if isinstance(at, slice)]
     data = data[tuple(index)].transpose([left.index(what) for what in KNOWN if what in left])
@@ -195,7 +229,9 @@ def frames_of(
     return replace(stack, origin=origin, notes=(*notes, *stack.notes))
 
 
-def _with_frame_axis(names: list[str], shape: Sequence[int], axis: str | None, name: str) -> list[str]:
+def _with_frame_axis(
+    names: list[str], shape: Sequence[int], axis: str | None, name: str
+) -> list[str]:
     """Return the axis names with the requested axis as the frame axis."""
     if axis is None:
         return names
@@ -203,7 +239,10 @@ def _with_frame_axis(names: list[str], shape: Sequence[int], axis: str | None, n
         return [FRAME, *names[1:]] if names[0] == UNNAMED and FRAME not in names else names
     at = _index(names, axis)
     if at is None or len(names) < 3:
-        raise BadInput(f"--axis must be one of the axes of {name}, {_describe_axes(names, shape)}, got {axis!r}")
+        raise BadInput(
+            f"--axis must be one of the axes of {name}, {_describe_axes(names, shape)}, got "
+            f"{axis!r}"
+        )
     names = [UNNAMED if what == FRAME else what for what in names]
     names[at] = FRAME
     rest = [where for where, what in enumerate(names) if what not in (FRAME, COLOUR)]
@@ -219,7 +258,9 @@ def _index(names: list[str], axis: str) -> int | None:
     return names.index(meaning(axis)) if meaning(axis) in names else None
 
 
-def _plane_index(shape: Sequence[int], names: list[str], others: list[int], plane: str | None, name: str) -> list[int]:
+def _plane_index(
+    shape: Sequence[int], names: list[str], others: list[int], plane: str | None, name: str
+) -> list[int]:
     """Return the plane index along every other axis; BadInput where none was selected."""
     chosen = [] if plane is None else plane.split(",")
     if not others:
@@ -229,12 +270,16 @@ def _plane_index(shape: Sequence[int], names: list[str], others: list[int], plan
     ):
         return [int(word) for word in chosen]
     first = others[0]
-    colours = " (or r, g, b, luminance if they are colours)" if shape[first] in (3, 4) and len(others) == 1 else ""
+    colours = (
+        " (or r, g, b, luminance if they are colours)"
+        if shape[first] in (3, 4) and len(others) == 1
+        else ""
+    )
     frames = "" if FRAME in names else f"--axis {first} takes axis {first} for frames, "
     raise BadInput(
-        f"an axis must be known to count frames, got the axes {_describe_axes(names, shape)} in {name}: "
-        f"{frames}--plane {','.join('0' for _ in others)} takes one plane, counted from 0{colours}"
-        + ("" if plane is None else f"; got --plane {plane}")
+        f"an axis must be known to count frames, got the axes {_describe_axes(names, shape)} in "
+        f"{name}: {frames}--plane {','.join('0' for _ in others)} takes one plane, counted from "
+        f"0{colours}" + ("" if plane is None else f"; got --plane {plane}")
     )
 
 
@@ -242,7 +287,10 @@ def _describe_axes(names: Sequence[str], shape: Sequence[int]) -> str:
     """Return the axes as text: (0 unnamed of 16, 1 row of 512, 2 col of 640)."""
     return (
         "("
-        + ", ".join(f"{at} {what} of {size}" for at, (what, size) in enumerate(zip(names, shape, strict=True)))
+        + ", ".join(
+            f"{at} {what} of {size}"
+            for at, (what, size) in enumerate(zip(names, shape, strict=True))
+        )
         + ")"
     )
 
@@ -253,7 +301,9 @@ class Recorded:
 
     data: NDArray  #: Pixels, any number of axes
     names: Sequence[str]  #: Meaning of each axis
-    pattern: str | None = None  #: Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic
+    pattern: str | None = (
+        None  #: Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic
+    )
     #: Black level, DN: one value, or one per site of the mosaic in reading order; empty: unknown
     black_dn: tuple[float, ...] = ()
     full_scale_dn: float | None = None  #: Full scale, DN; None: not stated
@@ -263,7 +313,10 @@ class Recorded:
 
 def lossy_note(how: str) -> str:
     """Return the note of a lossy compression."""
-    return f"{how} compression is lossy: it alters fine detail and noise, so MTF, noise and their intervals may be off"
+    return (
+        f"{how} compression is lossy: it alters fine detail and noise, so MTF, noise and their "
+        f"intervals may be off"
+    )
 
 
 def optional_module(name: str, extra: str, path: Path) -> Any:

@@ -9,23 +9,30 @@ from labdata.importers.thresholds import MOSAIC_LEVEL, MOSAIC_SIGNIFICANCE
 
 LUMINANCE_NOTE = "colour picture: the luminance 0.2125 R + 0.7154 G + 0.0721 B was taken"
 PLANE_NOTE = (
-    "one plane of a mosaic: lengths and frequencies count its samples, which lie two pixels of the camera apart; its "
-    "pitch is twice that of the pixels"
+    "one plane of a mosaic: lengths and frequencies count its samples, which lie two pixels of "
+    "the camera apart; its pitch is twice that of the pixels"
 )
 SITES = ("r", "g1", "g2", "b")
 
 
 def require_monochrome(
-    data: NDArray, plane: str | None, name: str, pattern: str | None = None, origin: tuple[int, int] = (0, 0)
+    data: NDArray,
+    plane: str | None,
+    name: str,
+    pattern: str | None = None,
+    origin: tuple[int, int] = (0, 0),
 ) -> FrameStack:
     """Return frames of one sample per pixel, shape (frame, row, col), or one plane of a mosaic.
 
-    `pattern` is the file's; `plane` may state one before its name, "rggb:g1". With neither the mosaic is detected from
-    the data. `origin`: row and column of the pattern at which the data begin.
+    `pattern` is the file's; `plane` may state one before its name, "rggb:g1". With neither the
+    mosaic is detected from the data. `origin`: row and column of the pattern at which the data
+    begin.
     """
     stated, _, plane = (plane or "").rpartition(":")
     if stated and pattern not in (None, stated):
-        raise BadInput(f"the mosaic of {name} is {pattern} by the file itself, got the plane {stated}:{plane}")
+        raise BadInput(
+            f"the mosaic of {name} is {pattern} by the file itself, got the plane {stated}:{plane}"
+        )
     if pattern := pattern or stated:
         row, col = site_of(pattern, plane or None, name)
         return _of_mosaic(data, plane, ((row - origin[0]) % 2, (col - origin[1]) % 2))
@@ -33,40 +40,67 @@ def require_monochrome(
     if plane in SITES:
         if greens is None:
             raise BadInput(
-                f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}; a mosaic "
-                f"that does not show is stated with the colours of its first 2x2 pixels, --plane rggb:{plane}"
+                f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} "
+                f"of {name}; a mosaic that does not show is stated with the colours of its first "
+                f"2x2 pixels, --plane rggb:{plane}"
             )
-        return _of_mosaic(data, plane, site_of(("grbg", "rggb")[greens], plane, name), (
-            "the greens of the mosaic are those of its alike diagonal; red is taken to lie in its first row, which the "
-            "file does not say",
-        ))  # fmt: skip
+        return _of_mosaic(
+            data,
+            plane,
+            site_of(("grbg", "rggb")[greens], plane, name),
+            (
+                "the greens of the mosaic are those of its alike diagonal; red is taken to lie in "
+                "its first row, which the file does not say",
+            ),
+        )
     if plane not in ("", "mono"):
-        raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
-    notes = () if greens is None else (
-        "the pixels alternate in a 2x2 pattern like a colour mosaic that was taken for grey: --plane r, g1, g2 or b "
-        "measures one colour; its frequencies count its own pixels, which are twice as wide",
-    )  # fmt: skip
+        raise BadInput(
+            f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of "
+            f"{name}"
+        )
+    notes = (
+        ()
+        if greens is None
+        else (
+            "the pixels alternate in a 2x2 pattern like a colour mosaic that was taken for grey: "
+            "--plane r, g1, g2 or b measures one colour; its frequencies count its own pixels, "
+            "which are twice as wide",
+        )
+    )
     return FrameStack(data=data, notes=notes)
 
 
-def _of_mosaic(data: NDArray, plane: str, site: tuple[int, int], notes: tuple[str, ...] = ()) -> FrameStack:
+def _of_mosaic(
+    data: NDArray, plane: str, site: tuple[int, int], notes: tuple[str, ...] = ()
+) -> FrameStack:
     """Return every second row and column from a site on."""
     row, col = site
-    return FrameStack(data=data[:, row::2, col::2], plane=plane, sample_pitch_px=2, notes=(PLANE_NOTE, *notes))
+    return FrameStack(
+        data=data[:, row::2, col::2], plane=plane, sample_pitch_px=2, notes=(PLANE_NOTE, *notes)
+    )
 
 
 def site_of(pattern: str, plane: str | None, name: str) -> tuple[int, int]:
-    """Return the row and column of a plane in a mosaic's first 2x2 pixels; a mosaic needs a plane."""
+    """Return the row and column of a plane in a mosaic's first 2x2 pixels; a mosaic needs a
+    plane.
+    """
     sites = planes_of(pattern)
     if plane not in sites:
-        raise BadInput(f"the plane of this mosaic must be one of {', '.join(sites)}, got {plane} for {name}")
+        raise BadInput(
+            f"the plane of this mosaic must be one of {', '.join(sites)}, got {plane} for {name}"
+        )
     return sites[plane]
 
 
 def planes_of(pattern: str) -> dict[str, tuple[int, int]]:
-    """Return the planes of a mosaic by name with the row and column of each in its first 2x2 pixels."""
+    """Return the planes of a mosaic by name with the row and column of each in its first 2x2
+    pixels.
+    """
     if not (len(pattern) == 4 and pattern.isalpha() and pattern.islower()):
-        raise BadInput(f"a mosaic must be stated by the colours of its first 2x2 pixels, as rggb, got {pattern!r}")
+        raise BadInput(
+            f"a mosaic must be stated by the colours of its first 2x2 pixels, as rggb, got "
+            f"{pattern!r}"
+        )
     sites: dict[str, tuple[int, int]] = {}
     for place, name in enumerate(pattern):
         full = f"{name}{pattern[:place].count(name) + 1}" if pattern.count(name) > 1 else name
@@ -75,13 +109,15 @@ def planes_of(pattern: str) -> dict[str, tuple[int, int]]:
 
 
 def green_diagonal(data: NDArray) -> int | None:
-    """Return the diagonal of the green sites of a mosaic: 0 main, 1 other; None if there is no mosaic.
+    """Return the diagonal of the green sites of a mosaic: 0 main, 1 other; None if there is no
+    mosaic.
 
     Notes
     -----
-    The checkerboard amplitude (p00 + p11 - p01 - p10) / 4 of the brighter half of all 2x2 cells is compared with its
-    standard error over the cells and with the mean signal. Row and column gains, as of two taps or two fields, do not
-    contribute. The green sites are the diagonal with the smaller difference.
+    The checkerboard amplitude (p00 + p11 - p01 - p10) / 4 of the brighter half of all 2x2 cells is
+    compared with its standard error over the cells and with the mean signal. Row and column gains,
+    as of two taps or two fields, do not contribute. The green sites are the diagonal with the
+    smaller difference.
     """
     if min(data.shape[1:]) < 16:
         return None
@@ -108,14 +144,20 @@ def green_diagonal(data: NDArray) -> int | None:
 
 
 def select_plane(data: NDArray, plane: str | None, name: str) -> FrameStack:
-    """Return one plane, or the luminance, of colour frames of the shape (frame, row, col, 3 or 4)."""
+    """Return one plane, or the luminance, of colour frames of the shape (frame, row, col, 3 or
+    4).
+    """
     if plane in (None, "luminance"):
         # Weights of red, green and blue in luminance (ISO 12233)
         luminance = data[..., :3].astype(np.float64) @ np.asarray((0.2125, 0.7154, 0.0721))
         # The mean of 8-bit planes has their full scale; the bits used in wider planes are unknown.
         full_scale_dn = 255.0 if data.dtype == np.uint8 else None
-        return FrameStack(data=luminance, full_scale_dn=full_scale_dn, plane="luminance", notes=(LUMINANCE_NOTE,))
+        return FrameStack(
+            data=luminance, full_scale_dn=full_scale_dn, plane="luminance", notes=(LUMINANCE_NOTE,)
+        )
     if plane not in ("r", "g", "b", "0", "1", "2"):
-        raise BadInput(f"the plane of an RGB picture must be r, g, b or luminance, got {plane!r} for {name}")
+        raise BadInput(
+            f"the plane of an RGB picture must be r, g, b or luminance, got {plane!r} for {name}"
+        )
     at = int(plane) if plane.isdecimal() else "rgb".index(plane)
     return FrameStack(data=data[..., at], plane="rgb"[at])

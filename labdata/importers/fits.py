@@ -14,7 +14,9 @@ from labdata.importers.axes import COL, FRAME, ROW, UNNAMED, Recorded, lossy_not
 
 GZIP_MAGIC = b"\x1f\x8b"
 BLOCK_BYTES = 2880
-MOST_HEADER_BYTES = 1000 * BLOCK_BYTES  # 36,000 cards; the longest headers of observatories have some thousands
+MOST_HEADER_BYTES = (
+    1000 * BLOCK_BYTES
+)  # 36,000 cards; the longest headers of observatories have some thousands
 
 # Cards with the number of frames, as written by camera software
 FRAME_COUNTS = ("NFRAMES", "NUMFRAME", "NUMFRMS", "FRAMES", "NIMAGES", "NUMKIN")
@@ -25,7 +27,9 @@ def read(path: Path) -> Recorded:
     try:
         from astropy.io import fits
     except ImportError:
-        raise BadInput(f"FITS files need astropy, got {path.name}: pip install 'charact[fits]'") from None
+        raise BadInput(
+            f"FITS files need astropy, got {path.name}: pip install 'charact[fits]'"
+        ) from None
     # Headers out of order are common and harmless; a truncated file is not.
     with warnings.catch_warnings(record=True) as warned, open(path, "rb") as content:
         warnings.simplefilter("always")
@@ -64,7 +68,9 @@ def _mosaic(header) -> str | None:
     if len(pattern) != 4 or not set(pattern) <= set("rgb"):
         return None
     down, across = (int(header.get(f"{axis}BAYROFF", 0)) for axis in "YX")
-    return "".join(pattern[2 * ((row + down) % 2) + (col + across) % 2] for row in (0, 1) for col in (0, 1))
+    return "".join(
+        pattern[2 * ((row + down) % 2) + (col + across) % 2] for row in (0, 1) for col in (0, 1)
+    )
 
 
 def _check_headers(path: Path) -> None:
@@ -72,9 +78,9 @@ def _check_headers(path: Path) -> None:
 
     Notes
     -----
-    A header is a sequence of 2880-byte blocks of 36 cards of 80 bytes; its last card is END. Data follow, padded to
-    blocks (FITS Standard 4.0, section 3). An image packed into table rows has its sizes under separate names
-    (section 10.1).
+    A header is a sequence of 2880-byte blocks of 36 cards of 80 bytes; its last card is END. Data
+    follow, padded to blocks (FITS Standard 4.0, section 3). An image packed into table rows has its
+    sizes under separate names (section 10.1).
     """
     from astropy.io import fits
 
@@ -90,14 +96,21 @@ def _check_headers(path: Path) -> None:
                 require_picture(axes[1], axes[0], path.name)
                 require_room(path, pixels=math.prod(axes), pixel_bytes=value_bytes)
                 return
-            values = _number(header, "GCOUNT", 1) * (_number(header, "PCOUNT", 0) + math.prod(axes)) if axes else 0
+            values = (
+                _number(header, "GCOUNT", 1) * (_number(header, "PCOUNT", 0) + math.prod(axes))
+                if axes
+                else 0
+            )
             at += len(text) + -(-values * value_bytes // BLOCK_BYTES) * BLOCK_BYTES
             file.seek(at)
 
 
 def _axes(header, prefix: str) -> tuple[list[int], int]:
     """Return the length of each axis, and the bytes of a value, from the cards with a prefix."""
-    axes = [_number(header, f"{prefix}NAXIS{axis}") for axis in range(1, _number(header, f"{prefix}NAXIS") + 1)]
+    axes = [
+        _number(header, f"{prefix}NAXIS{axis}")
+        for axis in range(1, _number(header, f"{prefix}NAXIS") + 1)
+    ]
     return axes, abs(_number(header, f"{prefix}BITPIX")) // 8
 
 
@@ -111,9 +124,14 @@ def _number(header, card: str, default: int | None = None) -> int:
 def _header_text(file: BufferedIOBase, path: Path) -> bytes:
     """Return the blocks of the next header; none at the end of the file."""
     text = block = file.read(BLOCK_BYTES)
-    while block and not any(block[card : card + 8] == b"END     " for card in range(0, BLOCK_BYTES, 80)):
+    while block and not any(
+        block[card : card + 8] == b"END     " for card in range(0, BLOCK_BYTES, 80)
+    ):
         if len(text) >= MOST_HEADER_BYTES:
-            raise BadInput(f"a FITS header must end within {MOST_HEADER_BYTES} bytes, got none of them in {path}")
+            raise BadInput(
+                f"a FITS header must end within {MOST_HEADER_BYTES} bytes, got none of them in "
+                f"{path}"
+            )
         block = file.read(BLOCK_BYTES)
         text += block
     return text
@@ -125,5 +143,9 @@ def _names(header, axes: int) -> tuple[str, ...]:
     for axis in range(3, axes + 1):
         stated = str(header.get(f"CTYPE{axis}", "")).split("-")[0]
         counted = any(header.get(card) == header[f"NAXIS{axis}"] for card in FRAME_COUNTS)
-        names.append(FRAME if counted and meaning(stated) == UNNAMED and FRAME not in names else meaning(stated))
+        names.append(
+            FRAME
+            if counted and meaning(stated) == UNNAMED and FRAME not in names
+            else meaning(stated)
+        )
     return tuple(reversed(names))

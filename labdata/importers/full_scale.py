@@ -16,9 +16,10 @@ def with_full_scale(stack: FrameStack) -> FrameStack:
 
     Notes
     -----
-    Full scale of 8-bit integers is 255. In wider types it can be found only if pixels are at full scale: the highest
-    value is then 2^n - 1 quantisation steps, and several pixels must have it, since noise has a single highest
-    pixel. The step is 1 in plain integers, a power of 2 where n bits are the upper ones of a wider type, and
+    Full scale of 8-bit integers is 255. In wider types it can be found only if pixels are at full
+    scale: the highest value is then 2^n - 1 quantisation steps, and several pixels must have it,
+    since noise has a single highest pixel. The step is 1 in plain integers, a power of 2 where n
+    bits are the upper ones of a wider type, and
     1 / (2^n - 1) in real numbers from 0 to 1. Frames below full scale do not need it.
     """
     if stack.full_scale_dn is not None:
@@ -33,22 +34,32 @@ def with_full_scale(stack: FrameStack) -> FrameStack:
         return stack
     step = highest / (2**bits - 1)
     steps = "" if step == 1 else f" in steps of {step:.6g} DN"
-    note = f"{FOUND}: {held} pixels hold the highest code, {highest:g} DN, which is that of {bits} bits{steps}"
+    note = (
+        f"{FOUND}: {held} pixels hold the highest code, {highest:g} DN, which is that of "
+        f"{bits} bits{steps}"
+    )
     return replace(stack, full_scale_dn=float(highest), notes=(*stack.notes, note))
 
 
 def ends_at(highest: int, held: int) -> bool:
-    """Return whether the highest value, with its number of pixels, is the full scale of a digitiser."""
-    return highest.bit_length() >= LEAST_BITS and highest == 2 ** highest.bit_length() - 1 and held >= LEAST_PIXELS
+    """Return whether the highest value, with its number of pixels, is the full scale of a
+    digitiser.
+    """
+    return (
+        highest.bit_length() >= LEAST_BITS
+        and highest == 2 ** highest.bit_length() - 1
+        and held >= LEAST_PIXELS
+    )
 
 
 def _bits_of(data: NDArray, highest: float) -> int | None:
-    """Return the bits of the digitiser whose full scale is the highest value; None if there is none.
+    """Return the bits of the digitiser whose full scale is the highest value; None if there is
+    none.
 
     Notes
     -----
-    Integers are divided by their largest common power of 2. Real numbers of the first frame must be multiples of the
-    highest one over 2^n - 1 within their rounding.
+    Integers are divided by their largest common power of 2. Real numbers of the first frame must be
+    multiples of the highest one over 2^n - 1 within their rounding.
     """
     if data.dtype.kind in "ui":
         used = 0
@@ -83,9 +94,10 @@ def byte_order_note(data: NDArray) -> tuple[str, ...]:
 
     Notes
     -----
-    Most digitisers have at most 14 bits. With swapped bytes the two upper bits of the low byte are never set
-    while all bits of the high byte are used. In the right order, values that differ by more than 64 set them; bits
-    shifted left leave the lower bits of the low byte unused, not the upper ones.
+    Most digitisers have at most 14 bits. With swapped bytes the two upper bits of the low byte are
+    never set while all bits of the high byte are used. In the right order, values that differ by
+    more than 64 set them; bits shifted left leave the lower bits of the low byte unused, not the
+    upper ones.
     """
     if data.dtype.kind not in "ui" or data.dtype.itemsize != 2:
         return ()
@@ -94,7 +106,7 @@ def byte_order_note(data: NDArray) -> tuple[str, ...]:
     if high != 255 or not 0 < low < 64:
         return ()
     return (
-        f"the two bytes of each pixel look swapped: all bits of the high byte are in use and none above the "
-        f"{low.bit_length()} lowest of the low one; if so, no number here is right: write the file again in the other "
-        "byte order",
+        "the two bytes of each pixel look swapped: all bits of the high byte are in use and none "
+        f"above the {low.bit_length()} lowest of the low one; if so, no number here is right: "
+        "write the file again in the other byte order",
     )

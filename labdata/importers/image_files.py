@@ -15,7 +15,12 @@ from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded, lossy_note
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # First bytes by Pillow's name of the kind; bilevel images (P1, P4) are refused
-SIGNATURES = {"PNG": (PNG_SIGNATURE,), "JPEG": (b"\xff\xd8",), "BMP": (b"BM",), "PPM": (b"P2", b"P3", b"P5", b"P6")}
+SIGNATURES = {
+    "PNG": (PNG_SIGNATURE,),
+    "JPEG": (b"\xff\xd8",),
+    "BMP": (b"BM",),
+    "PPM": (b"P2", b"P3", b"P5", b"P6"),
+}
 
 IMAGE_KINDS = {".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".png": "PNG"}
 
@@ -26,7 +31,9 @@ def read_image(path: Path) -> Recorded:
     require_memory(path.stat().st_size, 1, path.name)
     content = path.read_bytes()
     if not content.startswith(SIGNATURES[kind]):
-        raise BadInput(f"a {path.suffix} file must be a {kind} picture, got something else in {path}")
+        raise BadInput(
+            f"a {path.suffix} file must be a {kind} picture, got something else in {path}"
+        )
     if kind == "PNG":
         _check_png(content, path)
     data = _decode(content, kind, path)
@@ -39,14 +46,18 @@ def read_image(path: Path) -> Recorded:
 def _decode(content: bytes, kind: str, path: Path) -> NDArray | None:
     """Return the pixels, red first; None for a truncated or damaged file.
 
-    Pillow detects truncated JPEG and BMP files, which OpenCV completes silently; OpenCV keeps 16 bits of colour.
+    Pillow detects truncated JPEG and BMP files, which OpenCV completes silently; OpenCV keeps 16
+    bits of colour.
     """
     from PIL import Image
 
     try:
         Image.init()
         # The size limit of Image.open is below the size of large cameras.
-        with warnings.catch_warnings(action="ignore"), Image.OPEN[kind][0](io.BytesIO(content), "") as picture:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            Image.OPEN[kind][0](io.BytesIO(content), "") as picture,
+        ):
             columns, rows = picture.size
             require_picture(rows, columns, path.name)
             require_room(path, pixels=rows * columns * len(picture.getbands()), pixel_bytes=2)
@@ -71,8 +82,8 @@ def _check_png(content: bytes, path: Path) -> None:
 
     Notes
     -----
-    A chunk has length, type, data and the CRC-32 of type and data; IHDR is the first and IEND the last (W3C,
-    Portable Network Graphics, section 5).
+    A chunk has length, type, data and the CRC-32 of type and data; IHDR is the first and IEND the
+    last (W3C, Portable Network Graphics, section 5).
     """
     at, kind = len(PNG_SIGNATURE), b""
     while kind != b"IEND":
@@ -81,7 +92,9 @@ def _check_png(content: bytes, path: Path) -> None:
         length, kind = struct.unpack_from(">I4s", content, at)
         checked = content[at + 4 : at + 8 + length]
         if struct.pack(">I", zlib.crc32(checked)) != content[at + 8 + length : at + 12 + length]:
-            raise BadInput(f"a PNG file must be whole, got {path} whose part at byte {at} is damaged")
+            raise BadInput(
+                f"a PNG file must be whole, got {path} whose part at byte {at} is damaged"
+            )
         at += 12 + length
 
 
@@ -93,8 +106,8 @@ def read_raw(path: Path) -> Recorded:
 
     Notes
     -----
-    A plane of a 2x2 mosaic has half the rows and columns of the sensor, so its column pitch is two sensor pitches.
-    The black level is recorded, not subtracted.
+    A plane of a 2x2 mosaic has half the rows and columns of the sensor, so its column pitch is two
+    sensor pitches. The black level is recorded, not subtracted.
     """
     import rawpy
 
@@ -105,18 +118,27 @@ def read_raw(path: Path) -> Recorded:
             require_room(path, pixels=raw.sizes.raw_height * raw.sizes.raw_width, pixel_bytes=2)
             raw.unpack()
             return _mosaic(raw, path)
-    except (rawpy.LibRawError, NotImplementedError) as error:  # the latter: a mosaic without a pattern
+    except (
+        rawpy.LibRawError,
+        NotImplementedError,
+    ) as error:  # the latter: a mosaic without a pattern
         reason = error.args[0] if error.args else "unknown"
         reason = reason.decode(errors="replace") if isinstance(reason, bytes) else reason
-        raise BadInput(f"a raw file must be whole and of a known camera, got {path}: {reason}") from None
+        raise BadInput(
+            f"a raw file must be whole and of a known camera, got {path}: {reason}"
+        ) from None
 
 
 def _mosaic(raw, path: Path) -> Recorded:
     if raw.raw_image.ndim != 2:
-        raise BadInput(f"a raw file must hold a mosaic or one plane, got {raw.raw_image.shape} in {path}")
+        raise BadInput(
+            f"a raw file must hold a mosaic or one plane, got {raw.raw_image.shape} in {path}"
+        )
     sites = raw.raw_pattern
     if sites is not None and sites.shape != (2, 2):
-        raise BadInput(f"the mosaic of a raw file must repeat every 2x2 pixels, got {sites.shape} in {path}")
+        raise BadInput(
+            f"the mosaic of a raw file must repeat every 2x2 pixels, got {sites.shape} in {path}"
+        )
     colours = [0] if sites is None else sites.ravel().tolist()
     description = raw.color_desc.decode().lower()
     return Recorded(
@@ -144,7 +166,9 @@ def read_video(path: Path) -> Recorded:
     video = cv2.VideoCapture(str(path))
     try:
         code = int(video.get(cv2.CAP_PROP_FOURCC)) if video.isOpened() else 0
-        rows, columns = (int(video.get(size)) for size in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH))
+        rows, columns = (
+            int(video.get(size)) for size in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
+        )
         require_picture(rows, columns, path.name)
         frames = []
         while True:
@@ -160,7 +184,9 @@ def read_video(path: Path) -> Recorded:
     packing = code.to_bytes(4, "little").decode("latin-1").strip("\0").upper()
     notes = () if packing in LOSSLESS else (lossy_note(f"the video's {packing}"),)
     data = np.stack(frames)
-    if data.ndim == 4 and (data == data[..., :1]).all():  # OpenCV returns grey as three equal colours
+    if (
+        data.ndim == 4 and (data == data[..., :1]).all()
+    ):  # OpenCV returns grey as three equal colours
         data = data[..., 0]
     if data.ndim == 3:
         return Recorded(data=data, names=(FRAME, ROW, COL), notes=notes)

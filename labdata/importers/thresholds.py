@@ -3,11 +3,17 @@
 # Shortest side, px, of an image whose last axis of 3 or 4 is colours; targets need more pixels
 LEAST_COLOUR_SIDE_PX = 8
 
-MOST_OBLONG = 4  # Aspect ratio above which an array is a transposed stack; detectors have less than 3 (cinema 2.4)
-THUMBNAIL = 0.25  # Largest pixel ratio of a reduced copy: the next pyramid level has half the rows and columns
-MOST_MASKED = 0.005  # Largest fraction of non-finite pixels inside the border, as of defective pixels of sensors
+# Aspect ratio above which an array is a transposed stack; detectors have less than 3 (cinema 2.4)
+MOST_OBLONG = 4
+# Largest pixel ratio of a reduced copy: the next pyramid level has half the rows and columns
+THUMBNAIL = 0.25
+# Largest fraction of non-finite pixels inside the border, as of defective pixels of sensors
+MOST_MASKED = 0.005
 LEAST_PIXELS = 4  # Smallest number of pixels at full scale; a single highest pixel may be noise
 LEAST_BITS = 9  # Fewest bits of a digitiser in a wider type; 8 bits have their own type
 MOST_BITS = 16  # Most bits of an image digitiser
-MOSAIC_LEVEL = 0.01  # Smallest relative checkerboard amplitude of a mosaic; the PRNU of sensors averages to less
-MOSAIC_SIGNIFICANCE = 8.0  # Smallest checkerboard amplitude of a mosaic in standard errors; chance 1e-15
+# Smallest relative checkerboard amplitude of a mosaic; the PRNU of sensors averages to less
+MOSAIC_LEVEL = 0.01
+MOSAIC_SIGNIFICANCE = (
+    8.0  # Smallest checkerboard amplitude of a mosaic in standard errors; chance 1e-15
+)

@@ -8,7 +8,17 @@ import numpy as np
 
 from labdata.errors import BadInput
 from labdata.file_io import require_picture, require_room
-from labdata.importers.axes import COL, COLOUR, FRAME, ROW, UNNAMED, Recorded, lossy_note, meaning, names_of_shape
+from labdata.importers.axes import (
+    COL,
+    COLOUR,
+    FRAME,
+    ROW,
+    UNNAMED,
+    Recorded,
+    lossy_note,
+    meaning,
+    names_of_shape,
+)
 from labdata.importers.thresholds import THUMBNAIL
 
 LOSSY = ("JPEG", "WEBP", "JETRAW")
@@ -44,9 +54,17 @@ def _read_series(file, path: Path) -> Recorded:
         data=data,
         names=names,
         pattern=_pattern(page),
-        full_scale_dn=float(2**bits - 1) if data.dtype.kind == "u" and 8 < bits < 8 * data.itemsize else None,
+        full_scale_dn=float(2**bits - 1)
+        if data.dtype.kind == "u" and 8 < bits < 8 * data.itemsize
+        else None,
         notes=notes,
-        doubts=("its writer marked the three planes of the file as colours; if they are frames: --axis 0",) * planar,
+        doubts=(
+            (
+                "its writer marked the three planes of the file as colours; if they are frames: "
+                "--axis 0"
+            ),
+        )
+        * planar,
     )
 
 
@@ -64,7 +82,8 @@ def _largest(file, path: Path) -> tuple:
 def _names(file, series) -> tuple[str, ...]:
     """Return the axes from the letters of the series.
 
-    Pages without a description are frames, unless their shape excludes it. ImageJ labels every stack as
+    Pages without a description are frames, unless their shape excludes it. ImageJ labels every
+    stack as
     slices; only in a hyperstack these are focus positions.
     """
     names = [meaning(letter) for letter in series.axes]
@@ -78,25 +97,37 @@ def _names(file, series) -> tuple[str, ...]:
 
 def _pattern(page) -> str | None:
     """Return the colours of a mosaic's sites where the file states them."""
-    tag = page.tags.get(33422)  # Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)
+    tag = page.tags.get(
+        33422
+    )  # Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)
     if tag is None or len(sites := bytes(tag.value)) != 4 or not set(sites) <= {0, 1, 2}:
         return None
     return "".join("rgb"[site] for site in sites)
 
 
 def _check_whole(file, path: Path) -> None:
-    """Require pages that end, and all strips within the file, since the decoder fills missing data silently."""
+    """Require pages that end, and all strips within the file, since the decoder fills missing data
+    silently.
+    """
     if not file.pages:
         raise BadInput(f"a TIFF file must hold at least one page, got none in {path}")
     size, offsets = path.stat().st_size, set()
     for page in file.pages:
         page = page.aspage()
         if page.offset in offsets:
-            raise BadInput(f"the pages of a TIFF file must end, got one that leads back to an earlier one in {path}")
+            raise BadInput(
+                "the pages of a TIFF file must end, got one that leads back to an earlier one in "
+                f"{path}"
+            )
         offsets.add(page.offset)
-        end = max((o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=0)
+        end = max(
+            (o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=0
+        )
         if end > size:
-            raise BadInput(f"a TIFF file must be whole, got {path} of {size} bytes where its pixels end at {end}")
+            raise BadInput(
+                f"a TIFF file must be whole, got {path} of {size} bytes where its pixels end at "
+                f"{end}"
+            )
 
 
 def _check_possible(file, path: Path) -> None:
@@ -115,16 +146,23 @@ def _check_meaning(page, path: Path) -> tuple[str, ...]:
     photometric = getattr(page.photometric, "name", "")
     if photometric == "PALETTE":
         table = np.asarray(page.colormap, np.int64)
-        # A monotonic table, grey or of one colour as in ImageJ, keeps the order of the stored values.
+        # A monotonic table, grey or of one colour as in ImageJ, keeps the order of the stored
+        # values.
         if (np.diff(table) >= 0).all() and (table[:, -1] > table[:, 0]).any():
-            return ("the look-up table of the file rises with the stored values, which are measured as they are",)
+            return (
+                (
+                    "the look-up table of the file rises with the stored values, which are "
+                    "measured as they are"
+                ),
+            )
         raise BadInput(
-            f"the pixels of a TIFF file must rise with light, got a look-up table of colours that fall in {path}: "
-            "choose a grey look-up table before saving (ImageJ: Image > Lookup Tables > Grays)"
+            "the pixels of a TIFF file must rise with light, got a look-up table of colours that "
+            f"fall in {path}: choose a grey look-up table before saving (ImageJ: Image > Lookup "
+            "Tables > Grays)"
         )
     if photometric == "MINISWHITE":
         raise BadInput(
-            f"the pixels of a TIFF file must rise with light, got the type MINISWHITE in {path}: invert it before "
-            "saving (ImageJ: Edit > Invert)"
+            f"the pixels of a TIFF file must rise with light, got the type MINISWHITE in {path}: "
+            "invert it before saving (ImageJ: Edit > Invert)"
         )
     return ()

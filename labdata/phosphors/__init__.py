@@ -13,6 +13,10 @@ def phosphor_names() -> tuple[str, ...]:
 
 
 def load_phosphor(name_or_path: str | Path) -> Phosphor:
-    """Read a shipped phosphor by name, "p20", "P43", or the TOML file of another with the keys of `Phosphor`."""
+    """Read a shipped phosphor by name, "p20", "P43", or the TOML file of another with the keys of
+    `Phosphor`.
+    """
     name = str(name_or_path).lower()
-    return from_toml(path_of_shipped("phosphors", name if name in phosphor_names() else name_or_path), Phosphor)
+    return from_toml(
+        path_of_shipped("phosphors", name if name in phosphor_names() else name_or_path), Phosphor
+    )

@@ -19,15 +19,21 @@ def sensor_names() -> tuple[str, ...]:
 
 
 def load_sensor(name_or_path: str | Path, relative_to: str | Path | None = None) -> Sensor:
-    """Read the description of an intensified camera, as `load_camera`; one without a tube is BadInput."""
+    """Read the description of an intensified camera, as `load_camera`; one without a tube is
+    BadInput.
+    """
     camera = load_camera(name_or_path, relative_to)
     if not isinstance(camera, Sensor):
-        raise BadInput(f"a sensor must be an intensified camera, got {camera.name!r}, which has no [tube]")
+        raise BadInput(
+            f"a sensor must be an intensified camera, got {camera.name!r}, which has no [tube]"
+        )
     return camera
 
 
 def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None) -> Camera:
-    """Read a shipped camera description by name, or a TOML file: its tables say of which kind it is."""
+    """Read a shipped camera description by name, or a TOML file: its tables say of which kind it
+    is.
+    """
     path = path_of_shipped("sensors", name_or_path, relative_to)
     return from_toml(path, _type_of(path))
 

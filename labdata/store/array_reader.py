@@ -15,7 +15,9 @@ from labdata.store.journal import JOURNAL, Acknowledged, read_journal, records_o
 
 
 def read(path: str | Path, *, verify: bool = True) -> FrameStack:
-    """Read the acknowledged frames of an array, compared with their SHA-256; lost frames are counted and noted."""
+    """Read the acknowledged frames of an array, compared with their SHA-256; lost frames are
+    counted and noted.
+    """
     path = Path(path)
     journal = read_journal(path)
     journal.require_frames()
@@ -38,31 +40,45 @@ def open_array(path: Path) -> Any:
         raise BadInput(f"a stack of the store must be a readable Zarr array, got {path}") from None
 
 
-def read_frames(path: Path, array: Any, frames: Sequence[Acknowledged], *, verify: bool = True) -> NDArray:
-    """Read frames of an array opened by `open_array`, shape (frame, row, col); altered or missing ones are BadInput."""
-    runs = [[frame for _, frame in run] for _, run in groupby(enumerate(frames), lambda each: each[1].index - each[0])]
+def read_frames(
+    path: Path, array: Any, frames: Sequence[Acknowledged], *, verify: bool = True
+) -> NDArray:
+    """Read frames of an array opened by `open_array`, shape (frame, row, col); altered or missing
+    ones are BadInput.
+    """
+    runs = [
+        [frame for _, frame in run]
+        for _, run in groupby(enumerate(frames), lambda each: each[1].index - each[0])
+    ]
     parts = [_pixels(path, array, run[0].index, run[-1].index + 1) for run in runs]
     data = parts[0] if len(parts) == 1 else np.concatenate(parts)
     for frame, pixels in zip(frames, data, strict=True):
         if verify and sha256(pixels) != frame.sha256:
             raise BadInput(
-                f"every frame must be what was acknowledged, got other pixels in frame {frame.index} of {path}"
+                f"every frame must be what was acknowledged, got other pixels in frame "
+                f"{frame.index} of {path}"
             )
     return data
 
 
 def _pixels(path: Path, array: Any, first: int, last: int) -> NDArray:
-    """Read frames first..last-1; files of a size other than stated by the metadata are a BadInput."""
+    """Read frames first..last-1; files of a size other than stated by the metadata are a
+    BadInput.
+    """
     if array.shape[0] < last:
         raise BadInput(f"{path} must hold the {last} frames of its journal, got {array.shape[0]}")
     try:
         return array[first:last]
     except Exception:  # each codec raises its own errors
-        raise BadInput(f"the frames {first} to {last - 1} of {path} must be as it describes them, got others") from None
+        raise BadInput(
+            f"the frames {first} to {last - 1} of {path} must be as it describes them, got others"
+        ) from None
 
 
 class ArrayFollower:
-    """An array of the store that may still grow; only new frames are read, one by one, without waiting."""
+    """An array of the store that may still grow; only new frames are read, one by one, without
+    waiting.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -81,7 +97,9 @@ class ArrayFollower:
                 file.seek(self._read_bytes)
                 *lines, _ = file.read().split(b"\n")
         except FileNotFoundError:
-            raise BadInput(f"an array that is followed must stay where it is, got no {self.path}") from None
+            raise BadInput(
+                f"an array that is followed must stay where it is, got no {self.path}"
+            ) from None
         found: dict[int, Acknowledged] = {}
         for line in lines:
             found |= {frame.index: frame for frame in records_of(line, self._read_lines, self.path)}

@@ -32,10 +32,12 @@ FORCED_AT_ONCE = 8  # Chunks synced in parallel: the disk serves them in about t
 
 
 class ArrayWriter:
-    """One array of the store, open for appending; an existing one is continued, with the same shape and type.
+    """One array of the store, open for appending; an existing one is continued, with the same shape
+    and type.
 
-    Frames acknowledged by an earlier writer are never changed: after an incomplete last line the journal continues in
-    the next, and chunks counted by the array but not by its journal are set aside before their places are used.
+    Frames acknowledged by an earlier writer are never changed: after an incomplete last line the
+    journal continues in the next, and chunks counted by the array but not by its journal are set
+    aside before their places are used.
     """
 
     def __init__(self, path: Path, shape: tuple[int, int], dtype: Any) -> None:
@@ -49,7 +51,9 @@ class ArrayWriter:
         self._require_same()
         journal = read_journal(path)
         self._frames, self._end = len(journal.frames), journal.end
-        self.notes = self._set_aside(journal.array_frames)  # One sentence on chunks that were set aside at the start
+        self.notes = self._set_aside(
+            journal.array_frames
+        )  # One sentence on chunks that were set aside at the start
         self._journal = open(path / JOURNAL, "ab+", buffering=0)  # noqa: SIM115 - open as long as the writer
         self._journal_bytes = self._journal.seek(0, os.SEEK_END)
         self._mid_line = ends_mid_line(self._journal.fileno())
@@ -70,7 +74,8 @@ class ArrayWriter:
         Notes
         -----
         Safe by order: the chunks are synced to the disk, then the array grows over them, then the
-        journal acknowledges them. A chunk torn by a crash lies after the end of the array and is overwritten.
+        journal acknowledges them. A chunk torn by a crash lies after the end of the array and is
+        overwritten.
         """
         for frame in frames:
             self._require_fit(frame)
@@ -80,7 +85,8 @@ class ArrayWriter:
             self._acknowledge(entries)
         except OSError as error:
             raise BadInput(
-                f"the disk must take every frame, got {error.strerror!r} after {self._frames} frames of {self.path}"
+                f"the disk must take every frame, got {error.strerror!r} after {self._frames} "
+                f"frames of {self.path}"
             ) from None
         self._frames += len(frames)
         self._end += len(frames)
@@ -96,17 +102,24 @@ class ArrayWriter:
         pixels = frame.pixels
         if pixels.shape != self._shape or pixels.dtype != self._dtype:
             raise BadInput(
-                f"a frame of {self.path.name} must be {self._shape} {self._dtype}, got {pixels.shape} {pixels.dtype}"
+                f"a frame of {self.path.name} must be {self._shape} {self._dtype}, got "
+                f"{pixels.shape} {pixels.dtype}"
             )
         if int(frame.number) not in NUMBERS:
-            raise BadInput(f"a frame's number must fit into 64 bits, got {frame.number} in {self.path.name}")
+            raise BadInput(
+                f"a frame's number must fit into 64 bits, got {frame.number} in {self.path.name}"
+            )
 
     def _write(self, frames: Sequence[Frame]) -> tuple[Acknowledged, ...]:
         """Write and sync the chunks; digests are computed meanwhile."""
         files: list[int] = []
         try:
             for place, frame in enumerate(frames):
-                files.append(os.open(chunk(self.path, self._end + place), os.O_WRONLY | os.O_CREAT | os.O_TRUNC))
+                files.append(
+                    os.open(
+                        chunk(self.path, self._end + place), os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+                    )
+                )
                 write_whole(files[-1], frame_bytes(frame.pixels))
                 _start_writing_out(files[-1])
             for place, file in enumerate(files):
@@ -144,22 +157,31 @@ class ArrayWriter:
         self._mid_line = False
 
     def _set_aside(self, array_frames: int) -> tuple[str, ...]:
-        """Rename the chunks that the array counts beyond the end of its journal, and shorten the array."""
+        """Rename the chunks that the array counts beyond the end of its journal, and shorten the
+        array.
+        """
         behind = range(self._end, array_frames)
         if not behind:
             return ()
         try:
             for file in self.path.glob("c.*.0.0"):
                 if (place := file.name.split(".")[1]).isdecimal() and int(place) in behind:
-                    file.rename(next(other for n in count(1) if not (other := Path(f"{file}.aside-{n}")).exists()))
+                    file.rename(
+                        next(
+                            other
+                            for n in count(1)
+                            if not (other := Path(f"{file}.aside-{n}")).exists()
+                        )
+                    )
             self._describe(self._end)
         except OSError as error:
             raise BadInput(
-                f"a stack can go on only on a disk that takes it, got {error.strerror!r} in {self.path}"
+                f"a stack can go on only on a disk that takes it, got {error.strerror!r} in "
+                f"{self.path}"
             ) from None
         return (
-            f"{self.path.name} counted {array_frames} frames and its journal {self._end}: chunks that the journal does "
-            f"not acknowledge were put aside under names with .aside",
+            f"{self.path.name} counted {array_frames} frames and its journal {self._end}: chunks "
+            "that the journal does not acknowledge were put aside under names with .aside",
         )
 
     def _create(self) -> None:
@@ -178,13 +200,17 @@ class ArrayWriter:
         _, shape, pixel = read_metadata(self.path)
         if shape != self._shape or pixel != self._dtype.name:
             raise BadInput(
-                f"{self.path.name} was begun with frames of {shape} {pixel}, got {self._shape} {self._dtype}"
+                f"{self.path.name} was begun with frames of {shape} {pixel}, got {self._shape} "
+                f"{self._dtype}"
             )
 
 
 def _entry(index: int, frame: Frame) -> Acknowledged:
     return Acknowledged(
-        index=index, frame_number=int(frame.number), time_s=float(frame.time_s), sha256=sha256(frame.pixels)
+        index=index,
+        frame_number=int(frame.number),
+        time_s=float(frame.time_s),
+        sha256=sha256(frame.pixels),
     )
 
 

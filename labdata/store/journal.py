@@ -1,8 +1,10 @@
-"""The journal of an array: one line for each acknowledged frame, and what damaged lines still prove.
+"""The journal of an array: one line for each acknowledged frame, and what damaged lines still
+prove.
 
-Each line ends in a checksum of its own, so that one changed byte anywhere in it is noticed; lines written before there
-were checksums have none. A frame is read if its line is whole. If a line is damaged, but one changed, inserted or
-removed byte explains it, the checksum is met again and the frame's chunk has the digest of the line, it is read too.
+Each line ends in a checksum of its own, so that one changed byte anywhere in it is noticed; lines
+written before there were checksums have none. A frame is read if its line is whole. If a line is
+damaged, but one changed, inserted or removed byte explains it, the checksum is met again and the
+frame's chunk has the digest of the line, it is read too.
 """
 
 import hashlib
@@ -22,7 +24,9 @@ METADATA = "zarr.json"
 
 
 def metadata(frames: int, shape: tuple[int, int], dtype: np.dtype) -> bytes:
-    """Return the metadata of an array of `frames` frames of a shape (row, col) and type of pixel."""
+    """Return the metadata of an array of `frames` frames of a shape (row, col) and type of
+    pixel.
+    """
     bytes_codec: dict = {"name": "bytes"}
     if dtype.itemsize > 1:
         bytes_codec["configuration"] = {"endian": "little"}
@@ -64,7 +68,8 @@ def frame_bytes(frame: NDArray) -> memoryview:
 
 JOURNAL = "journal.jsonl"
 
-# Largest number of damaged lines to restore; each takes about 10 ms, and more are not single-byte errors
+# Largest number of damaged lines to restore; each takes about 10 ms, and more are not single-byte
+# errors
 MAX_RESTORED_LINES = 8
 
 MAX_LINE_BYTES = 320  # Longest text to restore; a line has at most 200 bytes
@@ -72,7 +77,8 @@ MAX_NAMED = 5  # Largest number of lines or frames listed in a message
 
 RECORD = re.compile(
     rb'(?P<body>\{"index": (?P<index>\d{1,18}), "frame_number": (?P<frame_number>-?\d{1,19}), '
-    rb'"time_s": (?P<time_s>-?(?:\d+(?:\.\d+)?(?:e[+-]?\d+)?|Infinity)|NaN), "sha256": "(?P<sha256>[0-9a-f]{64})")'
+    rb'"time_s": (?P<time_s>-?(?:\d+(?:\.\d+)?(?:e[+-]?\d+)?|Infinity)|NaN), '
+    rb'"sha256": "(?P<sha256>[0-9a-f]{64})")'
     rb'(?:, "checksum": "(?P<checksum>[0-9a-f]{16})")?\}'
 )
 BEGINNING = re.compile(rb'\{"index": \d+, "frame_number": ')
@@ -80,7 +86,10 @@ END = re.compile(rb'", "checksum": "[0-9a-f]{16}"\}$')
 EDGE_BYTES = 48  # Longest match of either of the two, bytes
 
 VALUE_BYTES = tuple(bytes([byte]) for byte in b"0123456789abcdef.-+")
-LINE_BYTES = tuple(bytes([byte]) for byte in sorted({*b'{}"_:, -+.0123456789indexframe_numbertime_ssha256checksum'}))
+LINE_BYTES = tuple(
+    bytes([byte])
+    for byte in sorted({*b'{}"_:, -+.0123456789indexframe_numbertime_ssha256checksum'})
+)
 NUMBERS = range(-(2**63), 2**63)  # Frame numbers of 64 bits
 
 
@@ -104,9 +113,13 @@ class Journal:
     """Content of a journal and its array."""
 
     path: Path  #: Folder of the array
-    frames: tuple[Acknowledged, ...]  #: Acknowledged frames that can be read, by index; indices may be missing
+    frames: tuple[
+        Acknowledged, ...
+    ]  #: Acknowledged frames that can be read, by index; indices may be missing
     array_frames: int  #: Number of frames in the metadata of the array
-    damaged_lines: tuple[int, ...]  #: Numbers, from 1, of the lines that are not one complete record
+    damaged_lines: tuple[
+        int, ...
+    ]  #: Numbers, from 1, of the lines that are not one complete record
 
     @property
     def end(self) -> int:
@@ -130,8 +143,9 @@ class Journal:
             missing += range(self.end, self.end + min(behind, MAX_NAMED + 1))
         frames = f"; {_subject('frame', missing, self.lost_frames)} not read" if missing else ""
         return (
-            f"{self.path / JOURNAL} must have a whole line for each of the {max(self.end, self.array_frames)} frames "
-            f"of its array, got {len(self.frames)}{lines}{frames}",
+            f"{self.path / JOURNAL} must have a whole line for each of the "
+            f"{max(self.end, self.array_frames)} frames of its array, got "
+            f"{len(self.frames)}{lines}{frames}",
         )
 
     def require_frames(self) -> None:
@@ -149,15 +163,17 @@ def is_ours(path: Path) -> bool:
 def read_journal(path: str | Path) -> Journal:
     """Read the journal of an array; a folder that is none, or has unreadable metadata, is BadInput.
 
-    A last line without line end was interrupted by a crash: its frame is not acknowledged, unless only the line end is
-    missing and the checksum is valid.
+    A last line without line end was interrupted by a crash: its frame is not acknowledged, unless
+    only the line end is missing and the checksum is valid.
     """
     path = Path(path)
     array_frames, _, _ = read_metadata(path)
     try:
         *lines, last = (path / JOURNAL).read_bytes().split(b"\n")
     except OSError as error:
-        raise BadInput(f"an array of the store must have a readable journal, got {path}: {error.strerror}") from None
+        raise BadInput(
+            f"an array of the store must have a readable journal, got {path}: {error.strerror}"
+        ) from None
     frames: dict[int, Acknowledged] = {}
     damaged: dict[int, bytes] = {}
     for place, line in enumerate((*lines, last)):
@@ -176,7 +192,8 @@ def read_journal(path: str | Path) -> Journal:
 
 
 def records_of(line: bytes, place: int, path: Path) -> tuple[Acknowledged, ...]:
-    """Return the complete records of a line, the `place`-th; one with a damaged line end includes those of the next.
+    """Return the complete records of a line, the `place`-th; one with a damaged line end includes
+    those of the next.
 
     A record without checksum must be at its index, or its frame's chunk must have its digest.
     """
@@ -216,7 +233,9 @@ def _has_chunk(path: Path, frame: Acknowledged) -> bool:
         return False
 
 
-def _restore_frames(damaged: Mapping[int, bytes], there: Container[int], path: Path) -> Iterator[Acknowledged]:
+def _restore_frames(
+    damaged: Mapping[int, bytes], there: Container[int], path: Path
+) -> Iterator[Acknowledged]:
     """Yield missing frames whose damaged line has exactly one single-byte correction."""
     if len(damaged) > MAX_RESTORED_LINES:
         return
@@ -257,5 +276,7 @@ def _one_byte_from(text: bytes) -> Iterator[bytes]:
 def _subject(word: str, numbers: Sequence[int], total: int = 0) -> str:
     """Return lines or frames by number as subject and verb of a sentence."""
     total = max(total, len(numbers))
-    named = ", ".join(map(str, numbers[:MAX_NAMED])) + (f" and {total - MAX_NAMED} more" if total > MAX_NAMED else "")
+    named = ", ".join(map(str, numbers[:MAX_NAMED])) + (
+        f" and {total - MAX_NAMED} more" if total > MAX_NAMED else ""
+    )
     return f"{word} {named} is" if total == 1 else f"{word}s {named} are"

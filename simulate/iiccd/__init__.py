@@ -1,1 +1,3 @@
-"""Camera simulation: a chain of physical stages from light on the photocathode to digital numbers."""
+"""Camera simulation: a chain of physical stages from light on the photocathode to digital
+numbers.
+"""

@@ -1,8 +1,10 @@
-"""Automatic gain (AGC) and automatic brightness control (ABC): control laws from one state to the next.
+"""Automatic gain (AGC) and automatic brightness control (ABC): control laws from one state to the
+next.
 
-They act at different places. The tube's brightness control lowers the MCP's gain, before the CCD: fewer electrons per
-photoelectron, the same photoelectrons, so the shot noise stays while electronics weigh more. The camera's automatic
-gain multiplies charge and noise alike, after the noise. The state, a factor, is carried by the caller.
+They act at different places. The tube's brightness control lowers the MCP's gain, before the CCD:
+fewer electrons per photoelectron, the same photoelectrons, so the shot noise stays while
+electronics weigh more. The camera's automatic gain multiplies charge and noise alike, after the
+noise. The state, a factor, is carried by the caller.
 """
 
 from dataclasses import dataclass
@@ -16,7 +18,8 @@ from simulate.iiccd import tube_photometry
 from simulate.iiccd.grid import CameraFrame
 from simulate.iiccd.microchannel import MicrochannelPlate
 
-# Set point of automatic gain as a fraction of the range above black: a typical image is darker than half white.
+# Set point of automatic gain as a fraction of the range above black: a typical image is darker than
+# half white.
 SET_LEVEL = 0.4
 
 
@@ -62,9 +65,13 @@ class AutomaticGain:
         return 10.0 ** (self.range_db / 20.0)
 
     def next(self, state: float, level_dn: float) -> float:
-        """Return the gain after a field whose mean level above black, at gain `state`, was `level_dn`."""
+        """Return the gain after a field whose mean level above black, at gain `state`, was
+        `level_dn`.
+        """
         step = -np.expm1(-self.step_s / self.time_constant_s)
-        return float(np.clip(state * (1.0 + step * (1.0 - level_dn / self.set_level_dn)), 1.0, self.highest))
+        return float(
+            np.clip(state * (1.0 + step * (1.0 - level_dn / self.set_level_dn)), 1.0, self.highest)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +80,8 @@ class BrightnessControl:
 
     Notes
     -----
-    g <- min(1, g (limit/J)^a), a = 1 - exp(-step/tau): ln J approaches ln limit with the time constant, from any
-    overload. Below the limit the gain is given back as fast.
+    g <- min(1, g (limit/J)^a), a = 1 - exp(-step/tau): ln J approaches ln limit with the time
+    constant, from any overload. Below the limit the gain is given back as fast.
     """
 
     limit_e_per_s_cm2: float  # limit of the mean output of the MCP, electrons per s and cm2
@@ -85,7 +92,9 @@ class BrightnessControl:
         _require_positive(self, "limit_e_per_s_cm2", "attack_s", "step_s")
 
     def next(self, state: float, output_e_per_s_cm2: float) -> float:
-        """Return the MCP's gain factor after a field whose mean output, at factor `state`, was this."""
+        """Return the MCP's gain factor after a field whose mean output, at factor `state`, was
+        this.
+        """
         if not output_e_per_s_cm2 > 0.0:
             return 1.0
         step = -np.expm1(-self.step_s / self.attack_s)
@@ -101,7 +110,8 @@ class AutomaticControls:
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> "AutomaticControls":
-        """Return the controls of a camera with a tube; the limit of brightness is what its illuminance draws.
+        """Return the controls of a camera with a tube; the limit of brightness is what its
+        illuminance draws.
 
         Raises
         ------
@@ -110,7 +120,11 @@ class AutomaticControls:
         """
         sensor, video, gain, brightness = camera.description, camera.description.video, None, None
         if conditions.automatic_gain:
-            if not video.automatic_gain or video.automatic_gain_range_db is None or video.automatic_gain_s is None:
+            if (
+                not video.automatic_gain
+                or video.automatic_gain_range_db is None
+                or video.automatic_gain_s is None
+            ):
                 raise BadInput(f"automatic_gain must be off, as {sensor.name!r} has none; got on")
             gain = AutomaticGain(
                 set_level_dn=SET_LEVEL * (2**video.bit_depth - 1 - float(video.black_level_dn)),
@@ -128,9 +142,13 @@ class AutomaticControls:
             )
         return cls(gain=gain, brightness=brightness)
 
-    def next(self, state: AutomaticState, output_e_per_s_cm2: float, level_dn: float) -> AutomaticState:
+    def next(
+        self, state: AutomaticState, output_e_per_s_cm2: float, level_dn: float
+    ) -> AutomaticState:
         """Return the state after a frame of a mean MCP output and a mean level above black."""
         return AutomaticState(
-            brightness=1.0 if self.brightness is None else self.brightness.next(state.brightness, output_e_per_s_cm2),
+            brightness=1.0
+            if self.brightness is None
+            else self.brightness.next(state.brightness, output_e_per_s_cm2),
             gain=1.0 if self.gain is None else self.gain.next(state.gain, level_dn),
         )

@@ -1,4 +1,6 @@
-"""Silicon, CCD and output register: detection, charge, full well, read noise, electron multiplication."""
+"""Silicon, CCD and output register: detection, charge, full well, read noise, electron
+multiplication.
+"""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -24,33 +26,41 @@ class Silicon(Stage, slot=Slot.SILICON, takes="photons", emits="photoelectrons i
 
     Notes
     -----
-    Takes photons per second and cell, emits the expected photoelectrons per exposure and cell. Photoelectrons collected
-    in a well are drawn there: independent photons are Poisson in number, and so are those that a blur before detection
-    has displaced.
+    Takes photons per second and cell, emits the expected photoelectrons per exposure and cell.
+    Photoelectrons collected in a well are drawn there: independent photons are Poisson in number,
+    and so are those that a blur before detection has displaced.
     """
 
-    # Photoelectrons per photon at the wavelength to which the photons have been referred, dimensionless.
+    # Photoelectrons per photon at the wavelength to which the photons have been referred,
+    # dimensionless.
     quantum_efficiency: float
     exposure_s: float  # time the shutter is open, s
-    grid: Grid  # cells on which the chip's pixels collect, half as many per pixel as those of the light
+    # cells on which the chip's pixels collect, half as many per pixel as those of the light
+    grid: Grid
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
         """Return the chip that detects."""
         efficiency = max(camera.description.silicon.quantum_efficiency)
         # Stated exposure and offset of the shutter.
-        exposure_s = camera.open_s(conditions) + 1e-6 * float(camera.description.readout.exposure_offset_us)
+        exposure_s = camera.open_s(conditions) + 1e-6 * float(
+            camera.description.readout.exposure_offset_us
+        )
         return cls(quantum_efficiency=efficiency, exposure_s=exposure_s, grid=camera.cells)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.quantum_efficiency <= 1.0:
-            raise BadInput(f"quantum_efficiency must lie in (0, 1], got {self.quantum_efficiency:g}")
+            raise BadInput(
+                f"quantum_efficiency must lie in (0, 1], got {self.quantum_efficiency:g}"
+            )
         if not self.exposure_s > 0.0:
             raise BadInput(f"exposure_s must be positive, got {self.exposure_s:g}")
 
     def detect(self, light: StageImage) -> StageImage:
         """Return photoelectrons per exposure on the cells of the light."""
-        return light.with_values(light.values * np.asarray(self.quantum_efficiency * self.exposure_s, np.float32))
+        return light.with_values(
+            light.values * np.asarray(self.quantum_efficiency * self.exposure_s, np.float32)
+        )
 
     def mean(self, light: StageImage) -> StageImage:
         """Return photoelectrons per exposure and cell, pending blurs applied."""
@@ -58,9 +68,13 @@ class Silicon(Stage, slot=Slot.SILICON, takes="photons", emits="photoelectrons i
 
 
 def dark_charge(camera: CameraFrame, conditions: Conditions) -> tuple[float, float]:
-    """Return the mean dark charge of a pixel as read, e-, and dark current over that at `DARK_REFERENCE_C`."""
+    """Return the mean dark charge of a pixel as read, e-, and dark current over that at
+    `DARK_REFERENCE_C`.
+    """
     ccd = camera.description.ccd
-    warmer = 0.0 if conditions.temperature_c is None else conditions.temperature_c - DARK_REFERENCE_C
+    warmer = (
+        0.0 if conditions.temperature_c is None else conditions.temperature_c - DARK_REFERENCE_C
+    )
     warmth = float(2.0 ** (warmer / float(ccd.dark_current_doubling_k)))
     # Behind a tube charge gathers whether the gate is open or not.
     gathers_s = camera.frame_s if camera.has_tube else camera.open_s(conditions)
@@ -71,21 +85,30 @@ def dark_charge(camera: CameraFrame, conditions: Conditions) -> tuple[float, flo
 class Ccd(Stage, slot=Slot.CCD):
     """Interline CCD as it is read, one charge per frame pixel."""
 
-    quantum_efficiency: float  # electrons per photon on the pixel, fill factor included, dimensionless
+    quantum_efficiency: (
+        float  # electrons per photon on the pixel, fill factor included, dimensionless
+    )
     full_well_e: float  # charge that one pixel as read holds, e-
     antibloom_ratio: float = 1.0  # overexposure the drain carries off, in full wells
-    dark_e: float = 0.0  # mean dark charge of one pixel as read, e-; the clamp subtracts its mean, its noise stays
+    # mean dark charge of one pixel as read, e-; the clamp subtracts its mean, its noise stays
+    dark_e: float = 0.0
     read_noise_e: float = 0.0  # standard deviation of reading, e-
     prnu: float = 0.0  # relative standard deviation of the pixels' response, dimensionless
-    # Charge that a spot one tenth of the image high adds to its whole column, as a fraction of the spot's.
+    # Charge that a spot one tenth of the image high adds to its whole column, as a fraction of the
+    # spot's.
     smear_fraction: float = 0.0
-    # Standard deviation over pixels of the level without light, e-. That of the dark charge is its mean at most, as of
-    # an exponential law (`pattern.dark_signal_map`); the rest are offsets of amplifiers (`pattern.offset_map`). Of a
-    # charge that is multiplied all of it is dark charge: offsets are behind the register.
+    # Standard deviation over pixels of the level without light, e-. That of the dark charge is its
+    # mean at most, as of an exponential law (`pattern.dark_signal_map`); the rest are offsets of
+    # amplifiers (`pattern.offset_map`). Of a charge that is multiplied all of it is dark charge:
+    # offsets are behind the register.
     dsnu_e: float = 0.0
-    clamped: bool = True  # whether the clamp acts here; False where a register follows, behind which it does
+    clamped: bool = (
+        True  # whether the clamp acts here; False where a register follows, behind which it does
+    )
     multiplied: bool = False  # whether a register multiplies the charge
-    interlaced: bool = False  # whether odd and even rows are separate fields, which overflow each on their own
+    interlaced: bool = (
+        False  # whether odd and even rows are separate fields, which overflow each on their own
+    )
     pattern_seed: int = 0  # seed of the pixels' responses
     takes: str = "screen photons as read"
     emits: str = "charge"
@@ -100,17 +123,29 @@ class Ccd(Stage, slot=Slot.CCD):
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the CCD behind a tube, or that of a camera without one: read and clamped behind its register."""
+        """Return the CCD behind a tube, or that of a camera without one: read and clamped behind
+        its register.
+        """
         ccd = camera.description.ccd
         dark_e, warmth = dark_charge(camera, conditions)
-        shared = {"dark_e": dark_e, "dsnu_e": float(ccd.dsnu_e) * warmth, "pattern_seed": camera.pattern_seed}
+        shared = {
+            "dark_e": dark_e,
+            "dsnu_e": float(ccd.dsnu_e) * warmth,
+            "pattern_seed": camera.pattern_seed,
+        }
         if camera.has_tube:
             return values_of(cls, ccd, interlaced=camera.is_interlaced, **shared)
         places = {"takes": "photoelectrons in the wells", "emits": "charge in the wells"}
         return values_of(
-            cls, ccd, quantum_efficiency=1.0, read_noise_e=0.0, clamped=False,
-            multiplied=camera.description.register.multiplies, **shared, **places,
-        )  # fmt: skip
+            cls,
+            ccd,
+            quantum_efficiency=1.0,
+            read_noise_e=0.0,
+            clamped=False,
+            multiplied=camera.description.register.multiplies,
+            **shared,
+            **places,
+        )
 
     def __post_init__(self) -> None:
         if not self.full_well_e > 0.0:
@@ -125,21 +160,29 @@ class Ccd(Stage, slot=Slot.CCD):
         return light.with_values(held if self.clamped else held + np.float32(self.dark_e))
 
     def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the charge read, e-: Poisson charge of light and dark, then overflow, then read noise."""
+        """Return the charge read, e-: Poisson charge of light and dark, then overflow, then read
+        noise.
+        """
         from simulate.iiccd.random_numbers import poisson_numbers
 
         expected = self.mean_charge(light.values)
         expected += self.dark(expected.shape[-2:])
-        held = self.limit_to_full_well(poisson_numbers(rng.integers(2**64, dtype=np.uint64), expected))
+        held = self.limit_to_full_well(
+            poisson_numbers(rng.integers(2**64, dtype=np.uint64), expected)
+        )
         held = held + self.offsets(expected.shape[-2:])
         if self.read_noise_e > 0.0:
-            held = held + np.float32(self.read_noise_e) * rng.standard_normal(held.shape, dtype=np.float32)
+            held = held + np.float32(self.read_noise_e) * rng.standard_normal(
+                held.shape, dtype=np.float32
+            )
         return light.with_values(held - np.float32(self.dark_e) if self.clamped else held)
 
     def dark(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
         """Return the mean dark charge of each pixel, e-; one number where all are alike."""
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
-            return pattern.dark_signal_map(shape, self.dark_e, self.dark_pattern_sd_e, self.pattern_seed)
+            return pattern.dark_signal_map(
+                shape, self.dark_e, self.dark_pattern_sd_e, self.pattern_seed
+            )
         return np.float32(self.dark_e)
 
     @property
@@ -149,15 +192,25 @@ class Ccd(Stage, slot=Slot.CCD):
 
     @property
     def offset_sd_e(self) -> float:
-        """Standard deviation of the pixels' offsets, e-: the part of DSNU that dark charge does not have."""
-        return float(np.sqrt(self.dsnu_e**2 - self.dark_pattern_sd_e**2)) if self.dark_e > 0.0 else 0.0
+        """Standard deviation of the pixels' offsets, e-: the part of DSNU that dark charge does not
+        have.
+        """
+        return (
+            float(np.sqrt(self.dsnu_e**2 - self.dark_pattern_sd_e**2)) if self.dark_e > 0.0 else 0.0
+        )
 
     def offsets(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
         """Return the offset of each pixel, e-; 0 where there are none."""
-        return pattern.offset_map(shape, self.offset_sd_e, self.pattern_seed) if self.offset_sd_e else np.float32(0.0)
+        return (
+            pattern.offset_map(shape, self.offset_sd_e, self.pattern_seed)
+            if self.offset_sd_e
+            else np.float32(0.0)
+        )
 
     def mean_charge(self, photons: NDArray) -> NDArray[np.float32]:
-        """Return the mean charge of the light, e-, with smear; negative values of an image count as zero."""
+        """Return the mean charge of the light, e-, with smear; negative values of an image count as
+        zero.
+        """
         charge = np.maximum(photons, 0.0).astype(np.float32) * np.float32(self.quantum_efficiency)
         if self.prnu > 0.0:
             charge *= pattern.prnu_map(charge.shape[-2:], self.prnu, self.pattern_seed)
@@ -183,17 +236,20 @@ class Ccd(Stage, slot=Slot.CCD):
     def bounds(self, budget: Any) -> dict[str, float]:
         """Return the influence of each effect on the mean and on the noise."""
         beyond = np.maximum(budget.brightest_e - self.full_well_e, 0.0)
-        # The dark pattern changes the mean and the noise; without dark charge there is no pattern of it.
+        # The dark pattern changes the mean and the noise; without dark charge there is no pattern
+        # of it.
         hottest = budget.hottest_e
         pattern_of_dark = max(
-            budget.of_mean(hottest / budget.charge_e), budget.of_white(budget.of_chain.white * hottest)
+            budget.of_mean(hottest / budget.charge_e),
+            budget.of_white(budget.of_chain.white * hottest),
         )
         pixels = 2.0 * float(budget.mean_pe.size)
         return {
             "column blooming": budget.of_mean(beyond / budget.charge_e),
             "smear": budget.of_mean(budget.smear),
             "DSNU": pattern_of_dark,
-            "CCD dark current": budget.of_white(budget.of_chain.white * self.dark_e) + pattern_of_dark,
+            "CCD dark current": budget.of_white(budget.of_chain.white * self.dark_e)
+            + pattern_of_dark,
             "read noise": budget.of_white(budget.of_chain.white * self.read_noise_e**2),
             "PRNU": budget.extreme(pixels) * self.prnu * budget.of_gain(1.0),
         }
@@ -205,26 +261,36 @@ class Register(Stage, slot=Slot.REGISTER, takes="charge in the wells", emits="ch
 
     Notes
     -----
-    A register of N stages has the excess noise F^2 = 2 (G - 1) G^(-(N + 1)/N) + 1/G (Robbins and Hadwen, IEEE T-ED 50,
-    1227, 2003), 1 without gain and nearly 2 with much. n electrons come out as n plus gamma of mean n (G - 1) and of
-    that variance: exact in mean and variance at every gain, and at high gain the gamma law of shape n (Basden, Haniff
-    and Mackay, MNRAS 345, 985, 2003).
+    A register of N stages has the excess noise F^2 = 2 (G - 1) G^(-(N + 1)/N) + 1/G (Robbins and
+    Hadwen, IEEE T-ED 50, 1227, 2003), 1 without gain and nearly 2 with much. n electrons come out
+    as n plus gamma of mean n (G - 1) and of that variance: exact in mean and variance at every
+    gain, and at high gain the gamma law of shape n (Basden, Haniff and Mackay, MNRAS 345, 985,
+    2003).
     """
 
-    gain: float = 1.0  # mean electrons out per electron in; 1 is a plain register, which adds nothing
+    gain: float = (
+        1.0  # mean electrons out per electron in; 1 is a plain register, which adds nothing
+    )
     stages: int = 500  # stages of the register, in each of which an electron may free another
-    # Shape of the law of what one electron becomes at high gain; 1 is exponential, as impact ionisation is.
+    # Shape of the law of what one electron becomes at high gain; 1 is exponential, as impact
+    # ionisation is.
     pulse_height_shape: float = 1.0
-    clock_induced_e: float = 0.0  # electrons that clocking sets free, per pixel and frame, before the gain
+    clock_induced_e: float = (
+        0.0  # electrons that clocking sets free, per pixel and frame, before the gain
+    )
     read_noise_e: float = 0.0  # standard deviation of reading, e- behind the gain
-    # Mean dark charge in a pixel, e- before the gain, which the clamp subtracts together with that of clocking.
+    # Mean dark charge in a pixel, e- before the gain, which the clamp subtracts together with that
+    # of clocking.
     dark_e: float = 0.0
-    # Density of read noise along a row at 0.5 cy/px over that at 0, see `readout_noise.draw_read_noise`.
+    # Density of read noise along a row at 0.5 cy/px over that at 0, see
+    # `readout_noise.draw_read_noise`.
     fine_noise_ratio: float = 1.0
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the register at the gain of the conditions, by default its highest; tube gain is refused."""
+        """Return the register at the gain of the conditions, by default its highest; tube gain is
+        refused.
+        """
         if conditions.mcp_v is not None or conditions.gain_control is not None:
             raise BadInput(
                 f"mcp_v and gain_control must be left out of a camera without a tube, "
@@ -238,15 +304,22 @@ class Register(Stage, slot=Slot.REGISTER, takes="charge in the wells", emits="ch
         read_noise_e = float(camera.description.ccd.read_noise_e)
         dark_e, _ = dark_charge(camera, conditions)
         ratio = float(camera.description.readout.fine_noise_ratio)
-        return values_of(cls, register, gain=gain, read_noise_e=read_noise_e, dark_e=dark_e, fine_noise_ratio=ratio)
+        return values_of(
+            cls,
+            register,
+            gain=gain,
+            read_noise_e=read_noise_e,
+            dark_e=dark_e,
+            fine_noise_ratio=ratio,
+        )
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.gain < np.inf:
             raise BadInput(f"em_gain must be at least 1 and finite, got {self.gain:g}")
         if self.stages < 1 or not self.pulse_height_shape > 0.0:
             raise BadInput(
-                f"a register must have a stage and a positive pulse_height_shape, got {self.stages} and "
-                f"{self.pulse_height_shape:g}"
+                "a register must have a stage and a positive pulse_height_shape, got "
+                f"{self.stages} and {self.pulse_height_shape:g}"
             )
         if not self.fine_noise_ratio > 0.0:
             raise BadInput(f"fine_noise_ratio must be positive, got {self.fine_noise_ratio:g}")
@@ -271,18 +344,26 @@ class Register(Stage, slot=Slot.REGISTER, takes="charge in the wells", emits="ch
         return light.with_values((charge - np.float32(self._clamp_level_e)).astype(np.float32))
 
     def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return electrons at the output above the clamped level, of whole electrons in the wells."""
+        """Return electrons at the output above the clamped level, of whole electrons in the
+        wells.
+        """
         charge = np.array(light.values, np.float32)
         if self.clock_induced_e > 0.0:
             charge += rng.poisson(self.clock_induced_e, size=charge.shape).astype(np.float32)
         if self.gain > 1.0:
             charge += self._draw_multiplication(charge, rng)
         if self.read_noise_e > 0.0:
-            charge += np.float32(self.read_noise_e) * draw_read_noise(rng, charge.shape, self.fine_noise_ratio)
+            charge += np.float32(self.read_noise_e) * draw_read_noise(
+                rng, charge.shape, self.fine_noise_ratio
+            )
         return light.with_values(charge - np.float32(self._clamp_level_e))
 
-    def _draw_multiplication(self, charge: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    def _draw_multiplication(
+        self, charge: NDArray[np.float32], rng: np.random.Generator
+    ) -> NDArray[np.float32]:
         """Electrons that the register adds to those that enter it."""
         more = self.gain - 1.0
         scale = self.gain**2 * (self.excess_noise_factor - 1.0) / more
-        return np.float32(scale) * rng.standard_gamma(charge * np.float32(more / scale), dtype=np.float32)
+        return np.float32(scale) * rng.standard_gamma(
+            charge * np.float32(more / scale), dtype=np.float32
+        )

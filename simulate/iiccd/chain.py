@@ -1,4 +1,6 @@
-"""Chain of camera stages: slots, what a stage is, each stage's own random generator, and moments of its pulses."""
+"""Chain of camera stages: slots, what a stage is, each stage's own random generator, and moments of
+its pulses.
+"""
 
 import zlib
 from collections.abc import Iterator, Mapping
@@ -16,7 +18,9 @@ from simulate.iiccd.transfer import StageBlur
 
 
 class Slot(Enum):
-    """Place of a stage in the chain, in the order of the light; its random numbers follow from the value."""
+    """Place of a stage in the chain, in the order of the light; its random numbers follow from the
+    value.
+    """
 
     OPTICS = "optics"
     PHOTOCATHODE = "photocathode"
@@ -35,10 +39,11 @@ class Slot(Enum):
 
 
 class Stage:
-    """One physical stage: a frozen dataclass of its parameters, made by `of` from its section of a description.
+    """One physical stage: a frozen dataclass of its parameters, made by `of` from its section of a
+    description.
 
-    A stage without noise draws its mean. `effects` holds, for each effect that it may neglect, the values of its
-    parameters without it; `bounds` bounds their influence on a frame.
+    A stage without noise draws its mean. `effects` holds, for each effect that it may neglect, the
+    values of its parameters without it; `bounds` bounds their influence on a frame.
     """
 
     slot: ClassVar[Enum]
@@ -65,19 +70,29 @@ class Stage:
         return self.mean(light)
 
     def bounds(self, budget: Any) -> dict[str, float]:
-        """Return the influence of each optional effect, at most; see `effect_bounds.NoiseBudget`."""
+        """Return the influence of each optional effect, at most; see
+        `effect_bounds.NoiseBudget`.
+        """
         return {}
 
     def without(self, names: frozenset[str]) -> Self:
         """Return the stage without the effects of these names."""
-        off = {key: value for name in names & self.effects.keys() for key, value in self.effects[name].items()}
+        off = {
+            key: value
+            for name in names & self.effects.keys()
+            for key, value in self.effects[name].items()
+        }
         return replace(self, **off) if off else self  # pyright: ignore[reportArgumentType, reportCallIssue]
 
 
 def values_of(kind: Any, section: Any, **others: Any) -> Any:
-    """Return a dataclass whose fields have the values of a section's parameters of the same name, or others."""
+    """Return a dataclass whose fields have the values of a section's parameters of the same name,
+    or others.
+    """
     shared = {
-        item.name: float(value) if hasattr(value, "__float__") and not isinstance(value, int) else value
+        item.name: float(value)
+        if hasattr(value, "__float__") and not isinstance(value, int)
+        else value
         for item in fields(kind)
         if item.name not in others and (value := getattr(section, item.name, None)) is not None
     }
@@ -102,12 +117,14 @@ class Chain:
         for before, after in zip(self.stages, self.stages[1:], strict=False):
             if before.emits != after.takes:
                 raise BadInput(
-                    f"a stage must take what the one before it emits: {after.name} takes {after.takes}, "
-                    f"but {before.name} emits {before.emits}"
+                    f"a stage must take what the one before it emits: {after.name} takes "
+                    f"{after.takes}, but {before.name} emits {before.emits}"
                 )
         names = [stage.name for stage in self.stages]
         if repeated := {name for name in names if names.count(name) > 1}:
-            raise BadInput(f"the stages of a chain must have names of their own, got {sorted(repeated)} twice")
+            raise BadInput(
+                f"the stages of a chain must have names of their own, got {sorted(repeated)} twice"
+            )
 
     def __getitem__(self, slot: Enum) -> Any:
         """Return the stage in a slot."""
@@ -116,7 +133,9 @@ class Chain:
     def _place(self, slot: Enum) -> int:
         slots = [stage.slot for stage in self.stages]
         if slot not in slots:
-            raise BadInput(f"a stage must be one of {[each.value for each in slots]}, got {slot.value!r}")
+            raise BadInput(
+                f"a stage must be one of {[each.value for each in slots]}, got {slot.value!r}"
+            )
         return slots.index(slot)
 
     def between(self, first: Enum, last: Enum) -> "Chain":
@@ -124,7 +143,9 @@ class Chain:
         return Chain(self.stages[self._place(first) : self._place(last) + 1])
 
     def without(self, slot: Enum) -> "Chain":
-        """Return the chain with one stage left out; refused where its neighbours then do not fit."""
+        """Return the chain with one stage left out; refused where its neighbours then do not
+        fit.
+        """
         return Chain(tuple(stage for stage in self.stages if stage.slot != slot))
 
     def replacing(self, *stages: Stage) -> "Chain":
@@ -141,8 +162,8 @@ class Chain:
     def draw(self, light: Any, rng: np.random.Generator) -> StageImage:
         """Return one random image behind the last stage.
 
-        Every stage draws from a generator that follows from `rng` and its own slot: to change, add or remove one
-        stage leaves the random numbers of all others as they were.
+        Every stage draws from a generator that follows from `rng` and its own slot: to change, add
+        or remove one stage leaves the random numbers of all others as they were.
         """
         for after in self.steps(light, rng):
             light = after
@@ -166,23 +187,33 @@ class PulseMoments:
     @cached_property
     def gain_e(self) -> float:
         """CCD electrons per photoelectron, the undetected counted."""
-        optical = float(self.chain[Slot.PHOSPHOR].photons_per_electron) * float(self.chain[Slot.TAPER].transmission)
+        optical = float(self.chain[Slot.PHOSPHOR].photons_per_electron) * float(
+            self.chain[Slot.TAPER].transmission
+        )
         return self.chain[Slot.MCP].gain * (optical * self.chain[Slot.CCD].quantum_efficiency)
 
     @cached_property
     def blurs(self) -> tuple[StageBlur, ...]:
         """Blurs behind the gain, the pixels' aperture left out."""
-        return self.chain.between(Slot.PHOSPHOR, Slot.TAPER).mean(StageImage(values=np.zeros((1, 1)))).pending_blurs
+        return (
+            self.chain.between(Slot.PHOSPHOR, Slot.TAPER)
+            .mean(StageImage(values=np.zeros((1, 1))))
+            .pending_blurs
+        )
 
     @cached_property
     def shares(self) -> NDArray[np.floating]:
-        """Fractions of a pulse's light emitted in its own field and in later ones, shape (pulse, field)."""
+        """Fractions of a pulse's light emitted in its own field and in later ones, shape (pulse,
+        field).
+        """
         return self.chain[Slot.DECAY].pulse_shares
 
     @cached_property
     def decay(self) -> tuple[float, float]:
         """Factors by which phosphor decay reduces the second and third moment of a pulse."""
-        return float(np.mean(np.sum(self.shares**2, axis=1))), float(np.mean(np.sum(self.shares**3, axis=1)))
+        return float(np.mean(np.sum(self.shares**2, axis=1))), float(
+            np.mean(np.sum(self.shares**3, axis=1))
+        )
 
     @cached_property
     def next_field(self) -> float:
@@ -191,5 +222,9 @@ class PulseMoments:
 
     @cached_property
     def white(self) -> float:
-        """Factor by which the line filter reduces the variance of white noise, as of the charge's own shot noise."""
-        return float(np.sum(np.asarray(self.chain[Slot.VIDEO].low_pass.impulse_response(), float) ** 2))
+        """Factor by which the line filter reduces the variance of white noise, as of the charge's
+        own shot noise.
+        """
+        return float(
+            np.sum(np.asarray(self.chain[Slot.VIDEO].low_pass.impulse_response(), float) ** 2)
+        )

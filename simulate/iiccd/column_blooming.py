@@ -1,4 +1,6 @@
-"""Column blooming: charge beyond the full well drains, and the remainder spreads along its column."""
+"""Column blooming: charge beyond the full well drains, and the remainder spreads along its
+column.
+"""
 
 import numpy as np
 from numba import njit
@@ -20,14 +22,14 @@ def apply_column_blooming(
     Returns
     -------
     charge, drained
-        Charge after overflow, shape (row, col), and all charge that left by the drains and the ends of the columns, e-.
-        Together they are the charge that came in.
+        Charge after overflow, shape (row, col), and all charge that left by the drains and the ends
+        of the columns, e-. Together they are the charge that came in.
 
     Notes
     -----
-    A pixel takes up to antibloom_ratio full wells: one stays, the rest drains. What is beyond goes half to the pixel
-    above and half to the one below until every pixel is satisfied. The order of such steps does not matter
-    (Diaconis and Fulton, Rend. Sem. Mat. Torino 49, 95, 1991).
+    A pixel takes up to antibloom_ratio full wells: one stays, the rest drains. What is beyond goes
+    half to the pixel above and half to the one below until every pixel is satisfied. The order of
+    such steps does not matter (Diaconis and Fulton, Rend. Sem. Mat. Torino 49, 95, 1991).
     """
     limit = full_well_e * max(antibloom_ratio, 1.0)
     settled = np.asarray(charge_e, np.float64).copy()
@@ -39,14 +41,16 @@ def apply_column_blooming(
 
 
 def spread_excess_charge(column_e: NDArray[np.float64], limit_e: float) -> NDArray[np.float64]:
-    """Spread each excess half up and half down until no pixel exceeds the limit; charge leaves only at the ends.
+    """Spread each excess half up and half down until no pixel exceeds the limit; charge leaves only
+    at the ends.
 
     Notes
     -----
-    Half up and half down is a walk: what a run of full pixels sheds arrives at its two ends in inverse proportion to
-    the distance (gambler's ruin; Feller, An Introduction to Probability Theory, 3rd ed., XIV.2). Which pixels end up
-    full follows from one pass along the column with a stack, as for a convex hull: a pixel that would then hold too
-    much joins the run on either side of it. The ends of the column are pixels that take everything.
+    Half up and half down is a walk: what a run of full pixels sheds arrives at its two ends in
+    inverse proportion to the distance (gambler's ruin; Feller, An Introduction to Probability
+    Theory, 3rd ed., XIV.2). Which pixels end up full follows from one pass along the column with a
+    stack, as for a convex hull: a pixel that would then hold too much joins the run on either side
+    of it. The ends of the column are pixels that take everything.
     """
     return _solve_column(np.ascontiguousarray(column_e, np.float64), float(limit_e))
 
@@ -54,8 +58,8 @@ def spread_excess_charge(column_e: NDArray[np.float64], limit_e: float) -> NDArr
 @njit(cache=True)
 def _solve_column(column, limit):
     count = column.size
-    # Pixels that are not full so far, -1 and count the drains at the ends; of the full run below each of them, the
-    # excess and its first moment about pixel 0.
+    # Pixels that are not full so far, -1 and count the drains at the ends; of the full run below
+    # each of them, the excess and its first moment about pixel 0.
     kept = np.empty(count + 2, np.int64)
     excess = np.zeros(count + 2)
     moment = np.zeros(count + 2)

@@ -1,10 +1,13 @@
-"""Noise budget of a frame, the bounded influence of every optional effect, and the selection of effects.
+"""Noise budget of a frame, the bounded influence of every optional effect, and the selection of
+effects.
 
-Bounds follow from the expected photoelectrons and the camera's numbers: no frame is drawn. Every stage bounds its own
-effects by the budget, see `Stage.bounds`. Three statistics of every pixel count, and an effect's influence is the
-largest change of any of them: the mean, in units of the temporal noise; the temporal noise itself, relative; and, where
-the law of the noise changes its shape, the level that one frame in a thousand exceeds, in units of the noise. Each of
-the three changes by no more than the sum of what the effects left out change, so the sum of influences bounds them all.
+Bounds follow from the expected photoelectrons and the camera's numbers: no frame is drawn. Every
+stage bounds its own effects by the budget, see `Stage.bounds`. Three statistics of every pixel
+count, and an effect's influence is the largest change of any of them: the mean, in units of the
+temporal noise; the temporal noise itself, relative; and, where the law of the noise changes its
+shape, the level that one frame in a thousand exceeds, in units of the noise. Each of the three
+changes by no more than the sum of what the effects left out change, so the sum of influences bounds
+them all.
 """
 
 from collections.abc import Iterable
@@ -17,7 +20,12 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.effect_selection import DEFAULT_TOLERANCE, EffectSelection, OptionalEffect, select_effects
+from simulate.effect_selection import (
+    DEFAULT_TOLERANCE,
+    EffectSelection,
+    OptionalEffect,
+    select_effects,
+)
 from simulate.iiccd.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Chain, PulseMoments, Slot
@@ -27,8 +35,9 @@ from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur, product
 
 Map = NDArray[np.floating]
-# Seconds that effects cost for a million pixels, once and a frame, as `python -m benchmarks.economy --costs` measures
-# them: medians, which scatter by some 0.05 s and 0.5 ms; what is not here costs less than that.
+# Seconds that effects cost for a million pixels, once and a frame, as `python -m benchmarks.economy
+# --costs` measures them: medians, which scatter by some 0.05 s and 0.5 ms; what is not here costs
+# less than that.
 SETUP_S = {
     "pulse-height distribution": 1.5,
     "taper distortion and fibre shear": 0.6,
@@ -38,7 +47,12 @@ SETUP_S = {
     "phosphor decay": 0.1,
     "multi-fibre pattern": 0.1,
 }
-FRAME_S = {"column blooming": 5.3e-3, "pulse-height distribution": 2.9e-3, "phosphor decay": 1.9e-3, "DSNU": 0.7e-3}
+FRAME_S = {
+    "column blooming": 5.3e-3,
+    "pulse-height distribution": 2.9e-3,
+    "phosphor decay": 1.9e-3,
+    "DSNU": 0.7e-3,
+}
 
 
 @dataclass(frozen=True)
@@ -46,21 +60,26 @@ class NoiseBudget:
     """Expected light and temporal noise of a frame, from which influences are bounded."""
 
     camera: IntensifiedCamera  # the camera, nothing left out
-    # Photoelectrons that light frees per pixel as read and exposure, in the frame and in the margin around it, see
-    # `per_pixel`, shape (row, col).
+    # Photoelectrons that light frees per pixel as read and exposure, in the frame and in the margin
+    # around it, see `per_pixel`, shape (row, col).
     photoelectrons: Map
     conditions: Conditions  # gate, voltage and temperature
-    # What may change in all, as a fraction of the temporal noise. Variances do not add like standard deviations: how
-    # much a fraction of the variance counts depends on how much may be left out.
+    # What may change in all, as a fraction of the temporal noise. Variances do not add like
+    # standard deviations: how much a fraction of the variance counts depends on how much may be
+    # left out.
     tolerance: float = DEFAULT_TOLERANCE
     state: AutomaticState = UNTOUCHED  # where the automatic controls stand
-    # A level that noise exceeds so rarely, and how many standard deviations of normal noise it lies above the mean.
+    # A level that noise exceeds so rarely, and how many standard deviations of normal noise it lies
+    # above the mean.
     RARE: ClassVar[float] = 1e-3
     RARE_SD: ClassVar[float] = 3.09
 
     def __post_init__(self) -> None:
         if self.camera.left_out:
-            raise BadInput(f"a plan must begin with all effects, got a camera without {sorted(self.camera.left_out)}")
+            raise BadInput(
+                "a plan must begin with all effects, got a camera without "
+                f"{sorted(self.camera.left_out)}"
+            )
 
     @cached_property
     def chain(self) -> Chain:
@@ -97,7 +116,9 @@ class NoiseBudget:
 
     @cached_property
     def surroundings(self) -> Map:
-        """Photoelectrons per pixel and exposure, dark ones included, in the frame and in the margin around it."""
+        """Photoelectrons per pixel and exposure, dark ones included, in the frame and in the margin
+        around it.
+        """
         return np.asarray(self.photoelectrons, np.float64) + self.dark_pe
 
     def frame_of(self, wide: Map, margin: int = 0) -> Map:
@@ -111,8 +132,15 @@ class NoiseBudget:
         return self.frame_of(self.surroundings)
 
     def load(self, photoelectrons: Map) -> Map:
-        """Unsaturated MCP output over its saturation output, from photoelectrons per pixel and exposure."""
-        per_pe = self.mcp.gain / self.camera.field_pixel_area_cm2 / self.mcp.field_s / self.mcp.saturation_e_per_s_cm2
+        """Unsaturated MCP output over its saturation output, from photoelectrons per pixel and
+        exposure.
+        """
+        per_pe = (
+            self.mcp.gain
+            / self.camera.field_pixel_area_cm2
+            / self.mcp.field_s
+            / self.mcp.saturation_e_per_s_cm2
+        )
         return np.asarray(photoelectrons * per_pe)
 
     @cached_property
@@ -127,12 +155,16 @@ class NoiseBudget:
 
     @cached_property
     def blurs(self) -> tuple[float, float]:
-        """Factors by which blur behind the gain reduces the second and third moment of a pulse, dimensionless.
+        """Factors by which blur behind the gain reduces the second and third moment of a pulse,
+        dimensionless.
 
-        The kernel is the one that frames of many pulses will be drawn with, so that it is worked out once.
+        The kernel is the one that frames of many pulses will be drawn with, so that it is worked
+        out once.
         """
         height, taps = self.camera.fields_per_frame, self.chain[Slot.VIDEO].taps
-        kernel = noise_kernel(self.of_chain.blurs, self.camera.cells, height, taps, ACCURACY.skewness_tolerance)
+        kernel = noise_kernel(
+            self.of_chain.blurs, self.camera.cells, height, taps, ACCURACY.skewness_tolerance
+        )
         return kernel.blur_factor, kernel.third_factor
 
     @cached_property
@@ -142,7 +174,9 @@ class NoiseBudget:
 
     @cached_property
     def pulses(self) -> tuple[float, float]:
-        """Second and third moment of one photoelectron's fraction of a pixel, over the first moment, e- and e-^2."""
+        """Second and third moment of one photoelectron's fraction of a pixel, over the first
+        moment, e- and e-^2.
+        """
         wider = 1.0 + 1.0 / self.mcp.pulse_height_shape
         second = self.pulse_e * wider * self.blurs[0] * self.of_chain.decay[0]
         third = (
@@ -169,7 +203,10 @@ class NoiseBudget:
     @cached_property
     def electronics(self) -> float:
         """Variance of all noise that is there without light, e-^2."""
-        return self.of_chain.white * (self.ccd.dark_e + self.ccd.read_noise_e**2) + self.line_noise_e**2
+        return (
+            self.of_chain.white * (self.ccd.dark_e + self.ccd.read_noise_e**2)
+            + self.line_noise_e**2
+        )
 
     @cached_property
     def of_pulses(self) -> Map:
@@ -206,12 +243,16 @@ class NoiseBudget:
     @cached_property
     def brightest_e(self) -> Map:
         """Upper bound of the charge, e-, shape (row, col), without MCP saturation."""
-        charge = self.of_chain.gain_e * (self.mean_pe + self.smear) + self.ccd.dark_e + self.hottest_e
+        charge = (
+            self.of_chain.gain_e * (self.mean_pe + self.smear) + self.ccd.dark_e + self.hottest_e
+        )
         return charge + ACCURACY.overflow_sd * np.sqrt(self.variance)
 
     @cached_property
     def hottest_e(self) -> float:
-        """Largest deviation of a pixel's level without light, e-: extremes of a gamma law and of the offsets."""
+        """Largest deviation of a pixel's level without light, e-: extremes of a gamma law and of
+        the offsets.
+        """
         from scipy.special import gammainccinv, gammaincinv
 
         missed = ACCURACY.extreme_probability / self.mean_pe.size
@@ -231,12 +272,19 @@ class NoiseBudget:
     @cached_property
     def quiet(self) -> Map:
         """Variance of each pixel, e-^2; that of reading alone where the well may be full."""
-        reading = self.of_chain.white * self.ccd.read_noise_e**2 + self.line_noise_e**2 + self.step_e**2 / 12.0 + 1e-12
+        reading = (
+            self.of_chain.white * self.ccd.read_noise_e**2
+            + self.line_noise_e**2
+            + self.step_e**2 / 12.0
+            + 1e-12
+        )
         full = (self.brightest_e > self.ccd.full_well_e) | self.running
         return np.where(full, reading, self.variance)
 
     def extreme(self, number: float) -> float:
-        """Return the level, in sd, that the largest of so many normals exceeds with `extreme_probability`."""
+        """Return the level, in sd, that the largest of so many normals exceeds with
+        `extreme_probability`.
+        """
         from scipy.special import ndtri
 
         return float(-ndtri(ACCURACY.extreme_probability / max(number, 1.0)))
@@ -246,60 +294,74 @@ class NoiseBudget:
 
         Notes
         -----
-        What wells cannot take and drains do not carry off runs along its column: more charge anywhere in it can then
-        raise any one pixel by as much as all the column gains, and no more (Diaconis and Fulton, Rend. Sem. Mat. Torino
-        49, 95, 1991).
+        What wells cannot take and drains do not carry off runs along its column: more charge
+        anywhere in it can then raise any one pixel by as much as all the column gains, and no more
+        (Diaconis and Fulton, Rend. Sem. Mat. Torino 49, 95, 1991).
         """
         size = np.broadcast_to(np.abs(change), self.noise.shape)
         together = size.sum(axis=0)[self.running] / self.noise.min(axis=0)[self.running]
         return float(max(np.max(size / self.noise), np.max(together, initial=0.0)))
 
     def of_light(self, change: Map | float) -> float:
-        """Influence of a change of light, in photoelectrons per pixel, by its mean and by the noise of its pulses.
+        """Influence of a change of light, in photoelectrons per pixel, by its mean and by the noise
+        of its pulses.
 
         Notes
         -----
-        Where light is sparse the noise tells more of it than the mean: a standard deviation follows half the relative
-        change of the light, whereas the mean changes by a fraction of the noise that falls with the root of the light.
+        Where light is sparse the noise tells more of it than the mean: a standard deviation follows
+        half the relative change of the light, whereas the mean changes by a fraction of the noise
+        that falls with the root of the light.
         """
         noise = np.abs(change) * self.charge_e * (self.pulses[0] + self.of_chain.white)
         return max(self.of_mean(change), self.of_variance(noise))
 
     def of_gain(self, relative: Map | float) -> float:
-        """Influence of a relative change of the gain: of the mean and of the noise of the pulses alike."""
+        """Influence of a relative change of the gain: of the mean and of the noise of the pulses
+        alike.
+        """
         change = np.abs(relative)
-        return max(self.of_mean(change * self.mean_pe), float(np.max(change * self.of_pulses / self.variance)))
+        return max(
+            self.of_mean(change * self.mean_pe),
+            float(np.max(change * self.of_pulses / self.variance)),
+        )
 
     def of_variance(self, part: Map | float) -> float:
         """Influence of a part of the variance, e-^2, that has the correlations of the rest.
 
         Notes
         -----
-        Without a fraction s the standard deviation falls by 1 - sqrt(1 - s), which grows faster than s: fractions that
-        are left out together count more than each alone. s/(2 - T) adds up, and reaches the tolerance T just where the
-        standard deviation has fallen by T."""
+        Without a fraction s the standard deviation falls by 1 - sqrt(1 - s), which grows faster
+        than s: fractions that are left out together count more than each alone. s/(2 - T) adds up,
+        and reaches the tolerance T just where the standard deviation has fallen by T.
+        """
         return float(np.max(part / self.variance)) / (2.0 - min(self.tolerance, 1.0))
 
     def of_white(self, part: Map | float) -> float:
-        """Influence of a part of the variance, e-^2, whose correlations differ from those of the rest.
+        """Influence of a part of the variance, e-^2, whose correlations differ from those of the
+        rest.
 
         Notes
         -----
-        Without a fraction s of the variance, correlations rise from r to r/(1 - s) at most, or fall as much: s (1 + T)
-        adds up, and reaches T just where s/(1 - s) does. Where noise is smaller than a step of the digitiser, the
-        variance of the codes follows it more steeply, by up to 0.09, the largest x phi(x) (1 - 2 Phi(-x)) / 2, over its
-        variance in steps^2 where the mean lies as unluckily as it can.
+        Without a fraction s of the variance, correlations rise from r to r/(1 - s) at most, or fall
+        as much: s (1 + T) adds up, and reaches T just where s/(1 - s) does. Where noise is smaller
+        than a step of the digitiser, the variance of the codes follows it more steeply, by up to
+        0.09, the largest x phi(x) (1 - 2 Phi(-x)) / 2, over its variance in steps^2 where the mean
+        lies as unluckily as it can.
         """
         steeper = 0.09 * self.step_e**2 / max(self.electronics, 1e-300)
-        return float(np.max(np.minimum(part / self.quiet, 1.0))) * max(1.0, steeper) * (1.0 + self.tolerance)
+        return (
+            float(np.max(np.minimum(part / self.quiet, 1.0)))
+            * max(1.0, steeper)
+            * (1.0 + self.tolerance)
+        )
 
     def of_skewness(self, photoelectrons: Map | float) -> float:
         """Influence of the skewness of pulses on the level that one frame in a thousand exceeds.
 
         Notes
         -----
-        Cornish and Fisher: the level lies (z^2 - 1)/6 skewnesses higher; counted with the least noise that the
-        tolerance leaves.
+        Cornish and Fisher: the level lies (z^2 - 1)/6 skewnesses higher; counted with the least
+        noise that the tolerance leaves.
         """
         third = photoelectrons * self.charge_e * self.pulses[1]
         least = self.variance * (1.0 - self.tolerance / (1.0 + self.tolerance))
@@ -330,7 +392,10 @@ def bound_effects(budget: NoiseBudget) -> list[OptionalEffect]:
 
 
 def select_camera_effects(
-    camera: IntensifiedCamera, photoelectrons: StageImage, conditions: Conditions, tolerance: float = DEFAULT_TOLERANCE
+    camera: IntensifiedCamera,
+    photoelectrons: StageImage,
+    conditions: Conditions,
+    tolerance: float = DEFAULT_TOLERANCE,
 ) -> tuple[IntensifiedCamera, EffectSelection]:
     """Return the camera without the effects that this light does not need, and the selection.
 
@@ -339,7 +404,8 @@ def select_camera_effects(
     camera
         The camera, nothing left out.
     photoelectrons
-        Photoelectrons that light frees from the cathode, per cell of `camera.scene_cells` and exposure.
+        Photoelectrons that light frees from the cathode, per cell of `camera.scene_cells` and
+        exposure.
     conditions
         Gate, voltage and temperature, and which automatic controls were on.
     tolerance
@@ -347,7 +413,8 @@ def select_camera_effects(
 
     Notes
     -----
-    Controls that are on pass from where they start to where they settle; an effect counts as it does at the worse end.
+    Controls that are on pass from where they start to where they settle; an effect counts as it
+    does at the worse end.
     """
     untouched = NoiseBudget(camera, per_pixel(camera, photoelectrons), conditions, tolerance)
     ends = (bound_effects(replace(untouched, state=state)) for state in _ends(untouched))
@@ -365,7 +432,9 @@ def _ends(budget: NoiseBudget) -> Iterable[AutomaticState]:
         brightness = min(1.0, controls.brightness.limit_e_per_s_cm2 / max(output, 1e-300))
     highest = 1.0 if controls.gain is None else controls.gain.highest
     # Each end once, as they are met.
-    return dict.fromkeys(AutomaticState(brightness=b, gain=g) for g in (1.0, highest) for b in (1.0, brightness))
+    return dict.fromkeys(
+        AutomaticState(brightness=b, gain=g) for g in (1.0, highest) for b in (1.0, brightness)
+    )
 
 
 def per_pixel(camera: IntensifiedCamera, photoelectrons: StageImage) -> Map:
@@ -378,6 +447,8 @@ def per_pixel(camera: IntensifiedCamera, photoelectrons: StageImage) -> Map:
     """
     cells = camera.scene_cells
     rows, cols = cells.shape[0] // cells.per_row, cells.shape[1] // cells.per_column
-    chip = photoelectrons.values.reshape(rows, cells.per_row, cols, cells.per_column).sum(axis=(1, 3), dtype=float)
+    chip = photoelectrons.values.reshape(rows, cells.per_row, cols, cells.per_column).sum(
+        axis=(1, 3), dtype=float
+    )
     # Field integration sums rows; the last row of the margin has none below it.
     return chip + np.append(chip[1:], chip[-1:], axis=0) if camera.is_interlaced else chip

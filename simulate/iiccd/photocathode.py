@@ -1,4 +1,6 @@
-"""Photocathode and proximity gap: photons become photoelectrons, with gap spread, halo and bright-source protection."""
+"""Photocathode and proximity gap: photons become photoelectrons, with gap spread, halo and
+bright-source protection.
+"""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -25,16 +27,20 @@ class Photocathode(Stage, slot=Slot.PHOTOCATHODE, takes="photons", emits="photoe
 
     Notes
     -----
-    Takes photons per second and cell; emits the expected photoelectrons per exposure and cell. Nothing is drawn here:
-    Poisson photoelectrons displaced at random are again Poisson photoelectrons of the blurred mean, so both the lens
-    and the gap act on the mean and the MCP draws (displacement theorem, Kingman, Poisson Processes, 5.1).
+    Takes photons per second and cell; emits the expected photoelectrons per exposure and cell.
+    Nothing is drawn here: Poisson photoelectrons displaced at random are again Poisson
+    photoelectrons of the blurred mean, so both the lens and the gap act on the mean and the MCP
+    draws (displacement theorem, Kingman, Poisson Processes, 5.1).
     """
 
-    # Photoelectrons per photon at the wavelength to which the photons have been referred, dimensionless.
+    # Photoelectrons per photon at the wavelength to which the photons have been referred,
+    # dimensionless.
     quantum_efficiency: float
     gate_s: float  # time the gate is open in one exposure, s
-    ebi_per_s_cm2: float  # photoelectrons emitted in the dark (equivalent background illumination), per s and cm2
-    # What passes the open gate over what passes the shut one, in light and in the dark alike, dimensionless.
+    # photoelectrons emitted in the dark (equivalent background illumination), per s and cm2
+    ebi_per_s_cm2: float
+    # What passes the open gate over what passes the shut one, in light and in the dark alike,
+    # dimensionless.
     on_off_ratio: float = np.inf
     # Time from one exposure to the next, s: while the gate is shut, light leaks for the rest of it.
     field_s: float = 0.0
@@ -42,7 +48,9 @@ class Photocathode(Stage, slot=Slot.PHOTOCATHODE, takes="photons", emits="photoe
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the photocathode; photons are referred to the wavelength where its efficiency peaks."""
+        """Return the photocathode; photons are referred to the wavelength where its efficiency
+        peaks.
+        """
         sensor = camera.description
         table_nm = sensor.photocathode.wavelength_nm
         return cls(
@@ -71,7 +79,9 @@ class Photocathode(Stage, slot=Slot.PHOTOCATHODE, takes="photons", emits="photoe
         return light.with_values(rate * np.asarray(self.open_s, light.values.dtype))
 
     def bounds(self, budget: Any) -> dict[str, float]:
-        """Return the influence of dark emission, by its mean, its noise and its pulses' skewness."""
+        """Return the influence of dark emission, by its mean, its noise and its pulses'
+        skewness.
+        """
         return {"EBI": budget.of_light(budget.dark_pe) + budget.of_skewness(budget.dark_pe)}
 
 
@@ -81,9 +91,10 @@ class BrightSourceProtection:
 
     Notes
     -----
-    The drop follows Ohm's law, so it is linear in the cathode's current and the current in the light. Photoelectrons
-    land rho = 2 d sqrt(eps/V) off the axis; the transfer exp(-(pi f rho)^2) at the full voltage is part of the tube's
-    own MTF, so only the growth of rho^2 is a blur of its own. The halo's diameter, four gaps, knows no voltage.
+    The drop follows Ohm's law, so it is linear in the cathode's current and the current in the
+    light. Photoelectrons land rho = 2 d sqrt(eps/V) off the axis; the transfer exp(-(pi f rho)^2)
+    at the full voltage is part of the tube's own MTF, so only the growth of rho^2 is a blur of its
+    own. The halo's diameter, four gaps, knows no voltage.
     """
 
     gap_v: float  # voltage across the gap in the dark, V
@@ -96,14 +107,17 @@ class BrightSourceProtection:
     def __post_init__(self) -> None:
         if not 0.0 < self.bright_source_v <= self.gap_v:
             raise BadInput(
-                f"bright_source_v must be positive and at most gap_v, got {self.bright_source_v:g} and {self.gap_v:g}"
+                "bright_source_v must be positive and at most gap_v, got "
+                f"{self.bright_source_v:g} and {self.gap_v:g}"
             )
         if not self.bright_source_lux > 0.0:
             raise BadInput(f"bright_source_lux must be positive, got {self.bright_source_lux:g}")
 
     def voltage_v(self, cathode_lux: float) -> float:
         """Return the voltage across the gap under a mean illuminance, V."""
-        return self.gap_v - (self.gap_v - self.bright_source_v) * min(cathode_lux / self.bright_source_lux, 1.0)
+        return self.gap_v - (self.gap_v - self.bright_source_v) * min(
+            cathode_lux / self.bright_source_lux, 1.0
+        )
 
     def flight_um(self, voltage_v: float) -> float:
         """Return rho, how far off the axis photoelectrons land, um."""
@@ -116,7 +130,9 @@ class BrightSourceProtection:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProximityGap(Stage, slot=Slot.GAP, takes="photoelectrons", emits="photoelectrons at the plate"):
+class ProximityGap(
+    Stage, slot=Slot.GAP, takes="photoelectrons", emits="photoelectrons at the plate"
+):
     """Proximity gap between cathode and MCP, with the halo of backscattered electrons."""
 
     # Blur of the direct electrons and of those backscattered from the MCP; None without halo.
@@ -124,13 +140,16 @@ class ProximityGap(Stage, slot=Slot.GAP, takes="photoelectrons", emits="photoele
     halo: HaloBlur | None
     grid: Grid  # cells on which the MCP receives them
     supply: BrightSourceProtection | None = None  # protection from bright sources; None without
-    # Illuminance averaged over the cathode and over time, lux of 2856 K light that would draw the same current.
+    # Illuminance averaged over the cathode and over time, lux of 2856 K light that would draw the
+    # same current.
     cathode_lux: float = 0.0
     effects: ClassVar = {"halo": {"halo": None}, "bright-source protection": {"supply": None}}
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the gap of a tube in the dark, with the share of the tube's blur before the gain."""
+        """Return the gap of a tube in the dark, with the share of the tube's blur before the
+        gain.
+        """
         sensor, cathode = camera.description, camera.description.photocathode
         return cls(
             spread=TubeShare.of(sensor.tube, 1.0 - float(sensor.tube.post_gain_share)),
@@ -152,12 +171,18 @@ class ProximityGap(Stage, slot=Slot.GAP, takes="photoelectrons", emits="photoele
     def mean(self, light: StageImage) -> StageImage:
         """Return the expected photoelectrons per cell of the MCP, pending blurs applied."""
         landing = light.with_blurs(*self.blurs)
-        return landing.with_blurs_applied() if light.grid == self.grid else landing.resample_to(self.grid)
+        return (
+            landing.with_blurs_applied()
+            if light.grid == self.grid
+            else landing.resample_to(self.grid)
+        )
 
     def bounds(self, budget: Any) -> dict[str, float]:
         """Return the influence of halo and protection: the change of the light by their blurs."""
         assert self.halo is not None and self.supply is not None
-        scattered = HaloBlur(fraction=1.0, gap_mm=self.halo.gap_mm, elastic_share=self.halo.elastic_share)
+        scattered = HaloBlur(
+            fraction=1.0, gap_mm=self.halo.gap_mm, elastic_share=self.halo.elastic_share
+        )
         protection = self.supply.blur(budget.cathode_lux)
         moved, n = budget.with_blur(scattered) - budget.mean_pe, budget.mean_pe
         return {

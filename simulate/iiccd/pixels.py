@@ -21,11 +21,14 @@ class Collection(Stage, slot=Slot.PIXELS):
     Notes
     -----
     The pending blurs and the aperture are applied in one transform, and the transform is folded
-    onto the pixels before it is inverted: the samples are exact, aliases included. Takes two cells per column, and
-    two per row for exact means. Cells one row high are for draws, see `pixel_transfer`.
+    onto the pixels before it is inverted: the samples are exact, aliases included. Takes two cells
+    per column, and two per row for exact means. Cells one row high are for draws, see
+    `pixel_transfer`.
     """
 
-    row_pairs: bool  # true: every frame row sums two rows of the chip. False: it is one row of the chip
+    row_pairs: (
+        bool  # true: every frame row sums two rows of the chip. False: it is one row of the chip
+    )
     takes: str = "screen photons"
     emits: str = "screen photons on pixels"
 
@@ -34,7 +37,9 @@ class Collection(Stage, slot=Slot.PIXELS):
         """Return the pixels of a camera."""
         if camera.has_tube:
             return cls(row_pairs=camera.is_interlaced)
-        return cls(row_pairs=False, takes="photoelectrons in the chip", emits="photoelectrons in the wells")
+        return cls(
+            row_pairs=False, takes="photoelectrons in the chip", emits="photoelectrons in the wells"
+        )
 
     def mean(self, light: StageImage) -> StageImage:
         """Return photons per pixel, shape (..., frame row, column)."""
@@ -53,17 +58,22 @@ class Collection(Stage, slot=Slot.PIXELS):
 
 
 @lru_cache(maxsize=8)
-def pixel_transfer(pending: tuple[StageBlur, ...], grid: Grid, height: int) -> NDArray[np.complex64]:
-    """Return the transfer of blurs and pixels `height` rows high, with the shift from cell centres to theirs.
+def pixel_transfer(
+    pending: tuple[StageBlur, ...], grid: Grid, height: int
+) -> NDArray[np.complex64]:
+    """Return the transfer of blurs and pixels `height` rows high, with the shift from cell centres
+    to theirs.
 
-    Cells one row high are for draws: independent cells have the very covariance, on the pixels, of pulses that fall
-    anywhere inside the cells, see `fold_transfer`.
+    Cells one row high are for draws: independent cells have the very covariance, on the pixels, of
+    pulses that fall anywhere inside the cells, see `fold_transfer`.
     """
     aperture = PixelAperture.of(grid, height)
     fx, fy = grid.frequencies()
     if grid.per_row == 1:
         cell_x_mm = grid.pitch_x_mm / grid.per_column
-        whole = fold_transfer(pending, aperture, fx[0], fy[:, 0], cell_x_mm=cell_x_mm, cell_y_mm=grid.pitch_y_mm)
+        whole = fold_transfer(
+            pending, aperture, fx[0], fy[:, 0], cell_x_mm=cell_x_mm, cell_y_mm=grid.pitch_y_mm
+        )
     else:
         whole = product((*pending, aperture), *np.broadcast_arrays(fx, fy))
     right, down = 0.5 - 0.5 / grid.per_column, 0.5 * height - 0.5 / grid.per_row
@@ -78,7 +88,9 @@ def fold_rows(spectrum: NDArray) -> NDArray:
 
 
 def fold_columns(spectrum: NDArray) -> NDArray:
-    """Return the real transform (..., row, col) of every second column from that of all, a multiple of four."""
+    """Return the real transform (..., row, col) of every second column from that of all, a multiple
+    of four.
+    """
     quarter = (spectrum.shape[-1] - 1) // 2
     mirrored = spectrum[..., : quarter - 1 : -1].conj()
     mirrored = np.roll(mirrored[..., ::-1, :], 1, axis=-2)
@@ -86,11 +98,13 @@ def fold_columns(spectrum: NDArray) -> NDArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FieldReadout(Stage, slot=Slot.SCAN, takes="screen photons on pixels", emits="screen photons as read"):
+class FieldReadout(
+    Stage, slot=Slot.SCAN, takes="screen photons on pixels", emits="screen photons as read"
+):
     """The order of reading: frame row r is read in field r % 2 where video is interlaced.
 
-    Takes (field, row, col) with two fields a frame, earlier field first, and emits (frame, row, col); without
-    interlace every exposure is a frame.
+    Takes (field, row, col) with two fields a frame, earlier field first, and emits (frame, row,
+    col); without interlace every exposure is a frame.
     """
 
     interlaced: bool
@@ -106,7 +120,9 @@ class FieldReadout(Stage, slot=Slot.SCAN, takes="screen photons on pixels", emit
         if not self.interlaced:
             return light
         if fields.ndim != 3 or len(fields) % 2:
-            raise ValueError(f"interlaced frames are woven of two fields each, got shape {fields.shape}")
+            raise ValueError(
+                f"interlaced frames are woven of two fields each, got shape {fields.shape}"
+            )
         frames = fields[0::2].copy()
         frames[:, 1::2] = fields[1::2, 1::2]
         return light.with_values(frames)

@@ -1,7 +1,7 @@
 """The compiled random generator, and whole numbers of electrons drawn with it.
 
-SplitMix64 by counter (Steele, Lea and Flood, OOPSLA 2014): the random words of a place follow from a key and the place,
-so that rows may be drawn in any order and by any thread.
+SplitMix64 by counter (Steele, Lea and Flood, OOPSLA 2014): the random words of a place follow from
+a key and the place, so that rows may be drawn in any order and by any thread.
 """
 
 import numpy as np
@@ -15,8 +15,9 @@ GOLDEN, ROW_STRIDE = u8(0x9E3779B97F4A7C15), u8(0xD1342543DE82EF95)
 # A double in [0, 1) has this many bits.
 PER_DOUBLE = 2.0**-53
 FAST = {"nogil": True, "fastmath": True, "error_model": "numpy", "cache": True}
-# What a pass is made of becomes part of it: a function by itself is compiled once more for a pass that comes from the
-# cache, and rounds otherwise, so that a first run would not draw the frames of the next.
+# What a pass is made of becomes part of it: a function by itself is compiled once more for a pass
+# that comes from the cache, and rounds otherwise, so that a first run would not draw the frames of
+# the next.
 PART = {"inline": "always", **FAST}
 
 
@@ -45,14 +46,20 @@ def fill_random_words(key, high, low):
 
 def key_of(seed: int, purpose: int, number: int) -> np.uint64:
     """Return the key of the random generator of one exposure."""
-    # Exposures before the first frame, whose light it still shows, have numbers below zero; seeds may not.
+    # Exposures before the first frame, whose light it still shows, have numbers below zero; seeds
+    # may not.
     return np.random.SeedSequence([seed, purpose, number + 2**32]).generate_state(1, np.uint64)[0]
 
 
 def poisson_numbers(key: np.uint64, mean: NDArray[np.floating]) -> NDArray[np.float32]:
     """Return Poisson numbers of the means given, of their shape; 0 where a mean is not positive."""
     numbers = np.empty(mean.shape, np.float32)
-    _fill_poisson(key, np.ascontiguousarray(mean, np.float32).ravel(), numbers.reshape(-1), ACCURACY.max_counted_e)
+    _fill_poisson(
+        key,
+        np.ascontiguousarray(mean, np.float32).ravel(),
+        numbers.reshape(-1),
+        ACCURACY.max_counted_e,
+    )
     return numbers
 
 
@@ -70,11 +77,17 @@ def _fill_poisson(key, mean, out, most):
         if expected <= 0.0:
             out[i] = 0.0
         elif expected > most:
-            # Box and Muller's normal number with the skewness of a Poisson law (Cornish and Fisher 1938), rounded: the
-            # variances of the square, 1/18, and of rounding, 1/12, are taken off.
+            # Box and Muller's normal number with the skewness of a Poisson law (Cornish and Fisher
+            # 1938), rounded: the variances of the square, 1/18, and of rounding, 1/12, are taken
+            # off.
             radius = np.sqrt(-2.0 * np.log(_uniform(place, 1)))
             normal = radius * np.cos(2.0 * np.pi * _uniform(place, 2))
-            out[i] = np.floor(expected + np.sqrt(expected - 5.0 / 36.0) * normal + (normal * normal - 1.0) / 6.0 + 0.5)
+            out[i] = np.floor(
+                expected
+                + np.sqrt(expected - 5.0 / 36.0) * normal
+                + (normal * normal - 1.0) / 6.0
+                + 0.5
+            )
         elif expected < 12.0:
             # Means that differ by rounding alone share one exponential function.
             if abs(expected - last) > 1e-6 * expected:
@@ -91,7 +104,9 @@ def _fill_poisson(key, mean, out, most):
 
 @njit(cache=True)
 def _large_poisson(key, mean):
-    """A Poisson number of mean above 10 by transformed rejection (Hörmann, Insurance Math. Econ. 12, 39, 1993)."""
+    """A Poisson number of mean above 10 by transformed rejection (Hörmann, Insurance Math. Econ.
+    12, 39, 1993).
+    """
     root = np.sqrt(mean)
     b = 0.931 + 2.53 * root
     a = -0.059 + 0.02483 * b
@@ -107,7 +122,9 @@ def _large_poisson(key, mean):
             return k
         if k < 0.0 or (us < 0.013 and v > us):
             continue
-        if np.log(v * inverse_alpha / (a / (us * us) + b)) <= -mean + k * np.log(mean) - _log_factorial(k):
+        if np.log(v * inverse_alpha / (a / (us * us) + b)) <= -mean + k * np.log(
+            mean
+        ) - _log_factorial(k):
             return k
 
 

@@ -1,4 +1,6 @@
-"""Noise of a digital read-out that is not white: offsets of rows, neighbours along a row, interference."""
+"""Noise of a digital read-out that is not white: offsets of rows, neighbours along a row,
+interference.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,8 +9,11 @@ from numpy.typing import NDArray
 LATEST_START_PX = 1024
 
 
-def draw_row_offsets(rng: np.random.Generator, rows: int, density_dn2: float, exponent: float) -> NDArray[np.float32]:
-    """Return one frame's offset of each row, DN, shape (row, 1), of the spectral density s (4 f)^-a.
+def draw_row_offsets(
+    rng: np.random.Generator, rows: int, density_dn2: float, exponent: float
+) -> NDArray[np.float32]:
+    """Return one frame's offset of each row, DN, shape (row, 1), of the spectral density s (4
+    f)^-a.
 
     Parameters
     ----------
@@ -23,8 +28,9 @@ def draw_row_offsets(rng: np.random.Generator, rows: int, density_dn2: float, ex
 
     Notes
     -----
-    Drawn on twice the rows, so that the first and last row are no neighbours. Offsets that change more slowly than
-    within four frames are left out: the density at f = 0 is that of 1/8 of a cycle per frame.
+    Drawn on twice the rows, so that the first and last row are no neighbours. Offsets that change
+    more slowly than within four frames are left out: the density at f = 0 is that of 1/8 of a cycle
+    per frame.
     """
     length = 2 * rows
     white = rng.standard_normal(length)
@@ -36,13 +42,16 @@ def draw_row_offsets(rng: np.random.Generator, rows: int, density_dn2: float, ex
     return (np.sqrt(density_dn2) * offsets[:rows, None]).astype(np.float32)
 
 
-def draw_read_noise(rng: np.random.Generator, shape: tuple[int, ...], fine_ratio: float) -> NDArray[np.float32]:
-    """Return noise of unit variance, shape (..., row, col), of a given ratio of densities along rows.
+def draw_read_noise(
+    rng: np.random.Generator, shape: tuple[int, ...], fine_ratio: float
+) -> NDArray[np.float32]:
+    """Return noise of unit variance, shape (..., row, col), of a given ratio of densities along
+    rows.
 
     Notes
     -----
-    The density 1 + 2 r cos(2 pi f) of a moving average of two pixels with the neighbour correlation r; its ratio q of
-    0.5 to 0 cy/px is (1 - 2 r)/(1 + 2 r).
+    The density 1 + 2 r cos(2 pi f) of a moving average of two pixels with the neighbour correlation
+    r; its ratio q of 0.5 to 0 cy/px is (1 - 2 r)/(1 + 2 r).
     """
     if fine_ratio == 1.0:
         return rng.standard_normal(shape, dtype=np.float32)
@@ -54,19 +63,26 @@ def draw_read_noise(rng: np.random.Generator, shape: tuple[int, ...], fine_ratio
 
 
 def neighbour_correlation(fine_ratio: float) -> float:
-    """Return the correlation of neighbours along a row, (1 - q)/(2 (1 + q)) for a ratio q of densities."""
+    """Return the correlation of neighbours along a row, (1 - q)/(2 (1 + q)) for a ratio q of
+    densities.
+    """
     return 0.5 * (1.0 - fine_ratio) / (1.0 + fine_ratio)
 
 
 def draw_interference(
-    rng: np.random.Generator, shape: tuple[int, int], variance_dn2: float, x_cy_per_px: float, y_cy_per_px: float
+    rng: np.random.Generator,
+    shape: tuple[int, int],
+    variance_dn2: float,
+    x_cy_per_px: float,
+    y_cy_per_px: float,
 ) -> NDArray[np.float32]:
     """Return a sinusoid over one frame, DN, shape (row, col), of a given variance.
 
     Notes
     -----
-    Interfering clocks of a camera are divided from its pixel clock: the phase of a frame is that of a whole number of
-    pixels. The phase of 1/8 cycle at the origin gives the frequencies 0.5 and 0.25 cy/px the same variance as others.
+    Interfering clocks of a camera are divided from its pixel clock: the phase of a frame is that of
+    a whole number of pixels. The phase of 1/8 cycle at the origin gives the frequencies 0.5 and
+    0.25 cy/px the same variance as others.
     """
     row, column = np.arange(shape[0])[:, None], np.arange(shape[1])[None, :]
     start_px = int(rng.integers(LATEST_START_PX))

@@ -20,7 +20,9 @@ QUANTITIES = {
     Slot.OPTICS: "photons per s and cell, of the wavelength detected best",
     Slot.PHOTOCATHODE: "photoelectrons per exposure and cell, expected",
     Slot.GAP: "photoelectrons at the plate per exposure and cell, expected",
-    Slot.FIBRES: "photoelectrons at the plate per exposure and cell, expected where they will be seen",
+    Slot.FIBRES: (
+        "photoelectrons at the plate per exposure and cell, expected where they will be seen"
+    ),
     Slot.MCP: "electrons per exposure and cell",
     Slot.PHOSPHOR: "photons per exposure and cell",
     Slot.TAPER: "photons per exposure and cell",
@@ -44,8 +46,8 @@ def stage_images(
     camera
         The camera.
     light
-        Spectral radiance of the scene, seen from the lens on; or expected photoelectrons at the MCP input, on `cells`,
-        seen from the MCP on.
+        Spectral radiance of the scene, seen from the lens on; or expected photoelectrons at the MCP
+        input, on `cells`, seen from the MCP on.
     conditions
         Gate, voltage and temperature; automatic controls stand untouched.
     seed
@@ -54,9 +56,9 @@ def stage_images(
     Yields
     ------
     tuple
-        Name of the stage, quantity with its unit, and image (row, col), float32: of the frame's last field as far as
-        fields are apart, of the whole frame from the scan on. Images on cells are cut to the image, and blurs that
-        the chain computes only later are computed for them.
+        Name of the stage, quantity with its unit, and image (row, col), float32: of the frame's
+        last field as far as fields are apart, of the whole frame from the scan on. Images on cells
+        are cut to the image, and blurs that the chain computes only later are computed for them.
     """
     at_mcp: Any = light
     if isinstance(light, RadianceCube):
@@ -67,11 +69,17 @@ def stage_images(
         return
     screen, decay = chain.between(Slot.MCP, Slot.PIXELS), chain[Slot.DECAY]
     *earlier, last = range(decay.n_lag_fields + camera.fields_per_frame)
-    fields = [screen.draw(at_mcp, np.random.default_rng([seed, 0, number])).values for number in earlier]
-    yield from (images := list(_draw_images(screen, at_mcp, np.random.default_rng([seed, 0, last]))))
+    fields = [
+        screen.draw(at_mcp, np.random.default_rng([seed, 0, number])).values for number in earlier
+    ]
+    yield from (
+        images := list(_draw_images(screen, at_mcp, np.random.default_rng([seed, 0, last])))
+    )
     shown = apply_phosphor_decay([*fields, images[-1][2]], decay.weights)
     yield Slot.DECAY.value, QUANTITIES[Slot.DECAY], shown[-1]
-    yield from _draw_images(chain.between(Slot.SCAN, Slot.VIDEO), StageImage(values=shown), readout_rng)
+    yield from _draw_images(
+        chain.between(Slot.SCAN, Slot.VIDEO), StageImage(values=shown), readout_rng
+    )
 
 
 def _before_the_draw(camera: Any, cube: RadianceCube, conditions: Conditions):
@@ -95,7 +103,11 @@ def _draw_images(chain: Chain, light: StageImage, rng: np.random.Generator) -> I
         # Without a tube the pixels collect what the chip has already detected.
         of_chip = stage.takes == "photoelectrons in the chip"
         name, quantity, image = _image_of(Slot(stage.slot), after)
-        yield name, "photoelectrons per exposure and pixel, expected" if of_chip else quantity, image
+        yield (
+            name,
+            "photoelectrons per exposure and pixel, expected" if of_chip else quantity,
+            image,
+        )
 
 
 def _image_of(slot: Slot, light: StageImage) -> NamedImage:

@@ -1,7 +1,7 @@
 """True quantities of a sensor description, in closed form.
 
-Formulas and numerical integrals of formulas, no simulated frame. Frequencies are in cycles per column pitch, in both
-directions; lengths in column pitches.
+Formulas and numerical integrals of formulas, no simulated frame. Frequencies are in cycles per
+column pitch, in both directions; lengths in column pitches.
 """
 
 from typing import Any, Literal
@@ -26,7 +26,8 @@ DEGREES = {"horizontal": 0.0, "vertical": 90.0}
 def true_mtf(
     sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
 ) -> NDArray[np.float64]:
-    """Return the MTF of the camera without veiling glare, 1 at zero frequency, of the frequencies' shape.
+    """Return the MTF of the camera without veiling glare, 1 at zero frequency, of the frequencies'
+    shape.
 
     Parameters
     ----------
@@ -35,28 +36,35 @@ def true_mtf(
     frequency_cy_per_px
         Frequencies, cycles per column pitch in either direction.
     direction
-        "horizontal": frequency along rows (a vertical edge). "vertical": along columns. Or the frequency's direction
-        in degrees from the rows, as along the normal of a tilted edge.
+        "horizontal": frequency along rows (a vertical edge). "vertical": along columns. Or the
+        frequency's direction in degrees from the rows, as along the normal of a tilted edge.
 
     Notes
     -----
-    Lens x [(1 - q) + q H_halo] x tube x taper x pixel, and along rows the video filter on the pixels' lattice. In the
-    vertical direction the pixel is the row pair of field integration.
+    Lens x [(1 - q) + q H_halo] x tube x taper x pixel, and along rows the video filter on the
+    pixels' lattice. In the vertical direction the pixel is the row pair of field integration.
     """
     camera = IntensifiedCamera(sensor)
-    return _transfer(camera, (*_before_gain(camera), *_after_gain(camera)), frequency_cy_per_px, direction)
+    return _transfer(
+        camera, (*_before_gain(camera), *_after_gain(camera)), frequency_cy_per_px, direction
+    )
 
 
 def post_gain_mtf(
     sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
 ) -> NDArray[np.float64]:
-    """Return the MTF of the stages after the gain, which shape the noise; arguments as for `true_mtf`."""
+    """Return the MTF of the stages after the gain, which shape the noise; arguments as for
+    `true_mtf`.
+    """
     camera = IntensifiedCamera(sensor)
     return _transfer(camera, _after_gain(camera), frequency_cy_per_px, direction)
 
 
 def _transfer(
-    camera: IntensifiedCamera, blurs: tuple[StageBlur, ...], frequency_cy_per_px: ArrayLike, direction: Direction
+    camera: IntensifiedCamera,
+    blurs: tuple[StageBlur, ...],
+    frequency_cy_per_px: ArrayLike,
+    direction: Direction,
 ) -> NDArray[np.float64]:
     """Return the modulus of blurs and video filter along a direction, cycles per column pitch."""
     if isinstance(direction, str) and direction not in DEGREES:
@@ -65,17 +73,24 @@ def _transfer(
     frequency = np.asarray(frequency_cy_per_px, float)
     fx, fy = frequency * np.cos(angle), frequency * np.sin(angle)
     pitch_mm = camera.cells.pitch_x_mm
-    return np.abs(product(blurs, fx / pitch_mm, fy / pitch_mm) * camera.stage(Slot.VIDEO).low_pass.transfer(fx))
+    return np.abs(
+        product(blurs, fx / pitch_mm, fy / pitch_mm)
+        * camera.stage(Slot.VIDEO).low_pass.transfer(fx)
+    )
 
 
-def true_crossing_frequency(sensor: Sensor, level: float, direction: Direction = "horizontal") -> float:
+def true_crossing_frequency(
+    sensor: Sensor, level: float, direction: Direction = "horizontal"
+) -> float:
     """Return the lowest frequency where the MTF falls to a level, cycles per column pitch."""
     from scipy.optimize import brentq
 
     fine = np.linspace(0.0, 1.0, 2001)
     below = np.flatnonzero(true_mtf(sensor, fine, direction) < level)
     if below.size == 0 or below[0] == 0:
-        raise BadInput(f"the MTF must fall to the level within one cycle per pixel, got the level {level:g}")
+        raise BadInput(
+            f"the MTF must fall to the level within one cycle per pixel, got the level {level:g}"
+        )
     low, high = fine[below[0] - 1], fine[below[0]]
     root: Any = brentq(lambda f: float(true_mtf(sensor, f, direction)) - level, low, high)
     return float(root)
@@ -94,15 +109,17 @@ def true_quantities(sensor: Sensor, conditions: Conditions | None = None) -> dic
     Returns
     -------
     dict
-        `mtf50`, `mtf10`, `mtf50_vertical`, `mtf10_vertical` (cycles per column pitch); `photoelectron_gain` k and
-        `detected_photoelectron_gain` k/p (DN); `system_gain` K (DN per CCD electron); `excess_noise_factor` F^2;
-        `covariance_gain` K + k F^2 (DN), that of a pulse's whole light: summed over the fields through which the
-        phosphor decays as well as over pixels; `field_covariance_gain` (DN), summed over the pixels of one field alone;
-        `decay_factor`, the sum over fields of their squared fractions of a pulse; `field_correlation`, that of one
-        field with the next; `blur_factor` of variances over covariance sums within a field; `correlation_horizontal`
-        and `correlation_vertical` at one pixel of a field; `halo_diameter` (column pitches); `ebi` (photoelectrons per
-        s and field pixel) and `ebi_per_field`; `photoelectrons_per_lux` of a field pixel and exposure; `read_noise`
-        (DN); `black_level` (DN).
+        `mtf50`, `mtf10`, `mtf50_vertical`, `mtf10_vertical` (cycles per column pitch);
+        `photoelectron_gain` k and `detected_photoelectron_gain` k/p (DN); `system_gain` K (DN per
+        CCD electron); `excess_noise_factor` F^2; `covariance_gain` K + k F^2 (DN), that of a
+        pulse's whole light: summed over the fields through which the phosphor decays as well as
+        over pixels; `field_covariance_gain` (DN), summed over the pixels of one field alone;
+        `decay_factor`, the sum over fields of their squared fractions of a pulse;
+        `field_correlation`, that of one field with the next; `blur_factor` of variances over
+        covariance sums within a field; `correlation_horizontal` and `correlation_vertical` at one
+        pixel of a field; `halo_diameter` (column pitches); `ebi` (photoelectrons per s and field
+        pixel) and `ebi_per_field`; `photoelectrons_per_lux` of a field pixel and exposure;
+        `read_noise` (DN); `black_level` (DN).
     """
     conditions = Conditions() if conditions is None else conditions
     camera = IntensifiedCamera(sensor)
@@ -125,7 +142,10 @@ def true_quantities(sensor: Sensor, conditions: Conditions | None = None) -> dic
 
 
 def pulse_correlation(
-    blurs: tuple[StageBlur, ...], low_pass: VideoFilter | NoFilter | None, pitch_x_mm: float, pitch_y_mm: float
+    blurs: tuple[StageBlur, ...],
+    low_pass: VideoFilter | NoFilter | None,
+    pitch_x_mm: float,
+    pitch_y_mm: float,
 ) -> tuple[float, float, float]:
     """Return the blur factor of pulses behind a blur, and their correlations one pixel away.
 
@@ -141,13 +161,15 @@ def pulse_correlation(
     Returns
     -------
     tuple
-        Variance over covariance sum; correlation with the next pixel of the row, and with the next row of the field.
+        Variance over covariance sum; correlation with the next pixel of the row, and with the next
+        row of the field.
 
     Notes
     -----
-    Pulses fall evenly, so that the covariance of pixels a vector D apart is the integral over the plane of
-    A |H(f)|^2 |V(fx)|^2 cos(2 pi f.D), A the pixel's area: folding onto the lattice of pixels is implied, as V has the
-    lattice's period along rows.
+    Pulses fall evenly, so that the covariance of pixels a vector D apart is the integral over the
+    plane of
+    A |H(f)|^2 |V(fx)|^2 cos(2 pi f.D), A the pixel's area: folding onto the lattice of pixels is
+    implied, as V has the lattice's period along rows.
     """
     # Midpoints of equal steps up to 4 cycles per pixel, beyond which transfer is negligible.
     x, y = ((np.arange(n) + 0.5) * (4.0 / n) for n in (1600, 1200))
@@ -169,7 +191,9 @@ def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float
     gain, decay = moments.gain_e * system_gain, moments.decay[0]
     pulses = gain * mcp.excess_noise_factor
     pitch_y_mm = camera.cells.pitch_y_mm * camera.fields_per_frame
-    blur, next_column, next_row = pulse_correlation(_after_gain(camera), low_pass, camera.cells.pitch_x_mm, pitch_y_mm)
+    blur, next_column, next_row = pulse_correlation(
+        _after_gain(camera), low_pass, camera.cells.pitch_x_mm, pitch_y_mm
+    )
     field = system_gain + pulses * decay
     return {
         "photoelectron_gain": gain,
@@ -183,7 +207,9 @@ def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float
         "blur_factor": (system_gain * moments.white + pulses * decay * blur) / field,
         "correlation_horizontal": next_column,
         "correlation_vertical": next_row,
-        "read_noise": float(camera.sensor.ccd.read_noise_e) * system_gain * float(np.sqrt(moments.white)),
+        "read_noise": float(camera.sensor.ccd.read_noise_e)
+        * system_gain
+        * float(np.sqrt(moments.white)),
     }
 
 

@@ -17,34 +17,52 @@ LAMP_K = 2856.0
 
 
 def quantum_efficiency(sensor: Sensor, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-    """Return the photocathode's quantum efficiency, linear in its table, scaled to its luminous sensitivity."""
+    """Return the photocathode's quantum efficiency, linear in its table, scaled to its luminous
+    sensitivity.
+    """
     cathode = sensor.photocathode
     scale = float(cathode.luminous_sensitivity_ua_per_lm) / luminous_sensitivity(
         cathode.wavelength_nm, cathode.relative_quantum_efficiency
     )
     table = scale * np.asarray(cathode.relative_quantum_efficiency)
-    return np.interp(np.asarray(wavelength_nm, float), cathode.wavelength_nm, table, left=0.0, right=0.0)
+    return np.interp(
+        np.asarray(wavelength_nm, float), cathode.wavelength_nm, table, left=0.0, right=0.0
+    )
 
 
 def detection_weights(
     wavelength_nm: ArrayLike, table_nm: ArrayLike, efficiency: ArrayLike, *, averaged: bool = False
 ) -> NDArray[np.float64]:
-    """Return detected photons per spectral irradiance of each band, per m2, s and W m-2 nm-1, shape (band,).
+    """Return detected photons per spectral irradiance of each band, per m2, s and W m-2 nm-1, shape
+    (band,).
 
-    Between bands, ascending, irradiance is taken as linear, or as an average over each (`RadianceCube.averaged`);
-    efficiency is linear in its table and zero outside.
+    Between bands, ascending, irradiance is taken as linear, or as an average over each
+    (`RadianceCube.averaged`); efficiency is linear in its table and zero outside.
 
     Notes
     -----
-    int hat_b(l) QE(l) l/(h c) dl, hat_b linear from 1 at band b to 0 at its neighbours: exact for any spacing of the
-    bands, where a sum over bands alone misses what the efficiency does between them. Of averages QE(b) b/(h c) times
-    int hat_b dl: bands of a rendering stand where the efficiency bends, and a line's light keeps that of its own.
+    int hat_b(l) QE(l) l/(h c) dl, hat_b linear from 1 at band b to 0 at its neighbours: exact for
+    any spacing of the bands, where a sum over bands alone misses what the efficiency does between
+    them. Of averages QE(b) b/(h c) times int hat_b dl: bands of a rendering stand where the
+    efficiency bends, and a line's light keeps that of its own.
     """
-    bands, nm, share = np.asarray(wavelength_nm, float), np.asarray(table_nm, float), np.asarray(efficiency, float)
+    bands, nm, share = (
+        np.asarray(wavelength_nm, float),
+        np.asarray(table_nm, float),
+        np.asarray(efficiency, float),
+    )
     if bands.size < 2:
-        raise BadInput(f"a spectrum must have at least two bands to be integrated, got {bands.size}")
+        raise BadInput(
+            f"a spectrum must have at least two bands to be integrated, got {bands.size}"
+        )
     if averaged:
-        return band_widths(bands) * np.interp(bands, nm, share, left=0.0, right=0.0) * bands * 1e-9 / JOULE_METRE
+        return (
+            band_widths(bands)
+            * np.interp(bands, nm, share, left=0.0, right=0.0)
+            * bands
+            * 1e-9
+            / JOULE_METRE
+        )
     return hat_integrals(bands, (nm, share), (nm[[0, -1]], nm[[0, -1]])) * 1e-9 / JOULE_METRE
 
 
@@ -70,7 +88,9 @@ def photoelectrons_per_lumen_s(sensor: Sensor) -> float:
 
 
 def ebi_per_s_cm2(sensor: Sensor, temperature_c: float | None = None) -> float:
-    """Return photoelectrons emitted in the dark, per s and cm2: EBI times S/e, doubling with warmth."""
+    """Return photoelectrons emitted in the dark, per s and cm2: EBI times S/e, doubling with
+    warmth.
+    """
     cathode = sensor.photocathode
     warmer = 0.0 if temperature_c is None else temperature_c - float(cathode.ebi_temperature_c)
     rate = float(cathode.ebi_lm_per_cm2) * photoelectrons_per_lumen_s(sensor)
@@ -82,7 +102,8 @@ def photons_per_photoelectron(sensor: Sensor) -> float:
 
     Notes
     -----
-    A luminous gain of lm out per lm in means G/(K_lm E_ph) photons per lm in, and S/e photoelectrons per lm in.
+    A luminous gain of lm out per lm in means G/(K_lm E_ph) photons per lm in, and S/e
+    photoelectrons per lm in.
     """
     photon_lumen_s = float(sensor.phosphor.luminous_efficacy_lm_per_w) * (
         float(sensor.phosphor.photon_energy_ev) * ELEMENTARY_CHARGE_C
@@ -91,44 +112,56 @@ def photons_per_photoelectron(sensor: Sensor) -> float:
 
 
 def gain_factor(sensor: Sensor, mcp_v: float | None, gain_control: float | None) -> float:
-    """Return the gain relative to the nominal one, by the MCP's voltage or by the control word that sets it.
+    """Return the gain relative to the nominal one, by the MCP's voltage or by the control word that
+    sets it.
 
     Notes
     -----
-    (V/V0)^m, or ratio^((word - reference)/counts): the published gain of an intensified camera at control words 0 to
-    255 follows it within 3 % with a ratio of 1.95 per 51 counts.
+    (V/V0)^m, or ratio^((word - reference)/counts): the published gain of an intensified camera at
+    control words 0 to 255 follows it within 3 % with a ratio of 1.95 per 51 counts.
     """
     plate = sensor.microchannel_plate
     if mcp_v is not None and gain_control is not None:
         raise BadInput(
-            f"mcp_v and gain_control set the same gain and must not both be given, got {mcp_v:g} V and {gain_control:g}"
+            f"mcp_v and gain_control set the same gain and must not both be given, got {mcp_v:g} "
+            f"V and {gain_control:g}"
         )
     if gain_control is not None:
         ratio = float(plate.gain_control_ratio)
-        steps = (gain_control - float(plate.gain_control_reference)) / float(plate.gain_control_counts)
+        steps = (gain_control - float(plate.gain_control_reference)) / float(
+            plate.gain_control_counts
+        )
         if steps * math.log10(ratio) > 30.0:
-            raise BadInput(f"a control word must raise the gain by at most 30 decades, got {gain_control:g}")
+            raise BadInput(
+                f"a control word must raise the gain by at most 30 decades, got {gain_control:g}"
+            )
         return ratio**steps
-    return 1.0 if mcp_v is None else (mcp_v / float(plate.reference_v)) ** float(plate.gain_exponent)
+    return (
+        1.0 if mcp_v is None else (mcp_v / float(plate.reference_v)) ** float(plate.gain_exponent)
+    )
 
 
 def photons_per_lux(
-    sensor: Sensor | SolidStateCamera, wavelength_nm: NDArray[np.float64], radiance: NDArray[np.float64]
+    sensor: Sensor | SolidStateCamera,
+    wavelength_nm: NDArray[np.float64],
+    radiance: NDArray[np.float64],
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the photons of light of a given spectrum, in bands, and what turns radiance in these into photons.
+    """Return the photons of light of a given spectrum, in bands, and what turns radiance in these
+    into photons.
 
     Returns
     -------
     photon_ratio
-        Photons per s and cm2 on photocathode or chip at 1 lux of this light, referred to the wavelength of peak
-        quantum efficiency: one that is detected half as well counts half.
+        Photons per s and cm2 on photocathode or chip at 1 lux of this light, referred to the
+        wavelength of peak quantum efficiency: one that is detected half as well counts half.
     weight
         Photons per radiance of each band, relative to the light's own, shape (band,).
 
     Notes
     -----
-    Sums over bands replace integrals in the photometric and in the photoelectric sum alike, scaled so that light of
-    2856 K has exactly the tube's luminous sensitivity, or that of the chip's table of quantum efficiency.
+    Sums over bands replace integrals in the photometric and in the photoelectric sum alike, scaled
+    so that light of 2856 K has exactly the tube's luminous sensitivity, or that of the chip's table
+    of quantum efficiency.
     """
     width = band_widths(wavelength_nm)
     lumens = width * LUMENS_PER_WATT * luminous_efficiency(wavelength_nm)

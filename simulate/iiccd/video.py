@@ -1,4 +1,6 @@
-"""Video: low pass along lines, black level, gamma and digitiser; a digital camera has no low pass."""
+"""Video: low pass along lines, black level, gamma and digitiser; a digital camera has no low
+pass.
+"""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -18,23 +20,29 @@ Array = NDArray[np.floating]
 
 
 _OF_READOUT = (
-    "row_noise_dn2", "row_noise_exponent", "interference_dn2", "interference_x_cy_per_px", "interference_y_cy_per_px",
+    "row_noise_dn2",
+    "row_noise_exponent",
+    "interference_dn2",
+    "interference_x_cy_per_px",
+    "interference_y_cy_per_px",
     "compression_fraction",
-)  # fmt: skip
+)
 # Where the boost of aperture correction is stated.
 CORRECTED_MHZ = 4.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class VideoFilter:
-    """Butterworth low pass on the staircase of the pixel clock, sampled once a clock: a causal digital filter.
+    """Butterworth low pass on the staircase of the pixel clock, sampled once a clock: a causal
+    digital filter.
 
     Notes
     -----
-    A pixel's value is held for one clock period T; the digitiser samples at the period's end. With the step response
-    s(t) of the analog filter the sampled impulse response is h[n] = s((n + 1) T) - s(n T). Aperture correction adds
-    what a line differs from the mean of itself one clock before and one after, 1 + 2 c (1 - cos(2 pi f T)): the MTF may
-    then exceed 1. Its delay line holds the image back by one clock.
+    A pixel's value is held for one clock period T; the digitiser samples at the period's end. With
+    the step response s(t) of the analog filter the sampled impulse response is h[n] = s((n + 1) T)
+    - s(n T). Aperture correction adds what a line differs from the mean of itself one clock before
+    and one after, 1 + 2 c (1 - cos(2 pi f T)): the MTF may then exceed 1. Its delay line holds the
+    image back by one clock.
     """
 
     # Of the low pass.
@@ -44,7 +52,9 @@ class VideoFilter:
     aperture_correction_db: float = 0.0  # boost at `CORRECTED_MHZ`; 0 is none
 
     def step_response(self, time_clocks: Array) -> Array:
-        """Step response at times in clock periods, dimensionless; 0 before the step, 1 long after it."""
+        """Step response at times in clock periods, dimensionless; 0 before the step, 1 long after
+        it.
+        """
         rate = 2.0 * np.pi * self.bandwidth_mhz / self.pixel_clock_mhz
         index = np.arange(self.order)
         poles = rate * np.exp(1j * np.pi * (2 * index + self.order + 1) / (2 * self.order))
@@ -55,7 +65,9 @@ class VideoFilter:
         return np.where(np.asarray(time_clocks) > 0, response, 0.0)
 
     def impulse_response(self, length: int = 32) -> Array:
-        """Sampled impulse response h, shape (length,), two longer with aperture correction, summing to 1."""
+        """Sampled impulse response h, shape (length,), two longer with aperture correction, summing
+        to 1.
+        """
         response = np.diff(self.step_response(np.arange(length + 1.0)))
         response = response / response.sum()
         if self.aperture_correction_db == 0.0:
@@ -92,8 +104,12 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
     black_level_dn: float  # level without charge, DN
     bit_depth: int  # bits of the digitiser, at most 16
     low_pass: VideoFilter | NoFilter = NoFilter()  # filter along lines
-    gamma: float = 1.0  # exponent y = x^gamma of the signal above black, relative to full scale, dimensionless
-    gain: float = 1.0  # factor of the automatic gain, which acts on signal and noise alike, dimensionless
+    gamma: float = (
+        1.0  # exponent y = x^gamma of the signal above black, relative to full scale, dimensionless
+    )
+    gain: float = (
+        1.0  # factor of the automatic gain, which acts on signal and noise alike, dimensionless
+    )
     sync_jitter_px: float = 0.0  # standard deviation of the start of a line, pixels
     line_noise_dn: float = 0.0  # standard deviation of an offset common to a line, DN
     # Of a digital read-out, see `labdata.solid_state.Readout`.
@@ -103,7 +119,10 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
     interference_x_cy_per_px: float = 0.5
     interference_y_cy_per_px: float = 0.5
     compression_fraction: float = 0.0
-    effects: ClassVar = {"line jitter": {"sync_jitter_px": 0.0}, "row noise": {"line_noise_dn": 0.0}}
+    effects: ClassVar = {
+        "line jitter": {"sync_jitter_px": 0.0},
+        "row noise": {"line_noise_dn": 0.0},
+    }
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
@@ -124,8 +143,12 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
             jitter_px = float(video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz
         gain = 10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0)
         readout = getattr(camera.description, "readout", None)
-        shared = {name: float(getattr(readout, name)) for name in _OF_READOUT if readout is not None}
-        return values_of(cls, video, low_pass=low_pass, gain=gain, sync_jitter_px=jitter_px, **shared)
+        shared = {
+            name: float(getattr(readout, name)) for name in _OF_READOUT if readout is not None
+        }
+        return values_of(
+            cls, video, low_pass=low_pass, gain=gain, sync_jitter_px=jitter_px, **shared
+        )
 
     def __post_init__(self) -> None:
         if not 1 <= self.bit_depth <= 16:
@@ -134,7 +157,9 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
             raise BadInput(f"gamma must be positive, got {self.gamma:g}")
         # A parabola through three pixels describes shifts well below a pixel only.
         if not 0.0 <= self.sync_jitter_px <= 0.5:
-            raise BadInput(f"sync_jitter_px must lie between 0 and 0.5, got {self.sync_jitter_px:g}")
+            raise BadInput(
+                f"sync_jitter_px must lie between 0 and 0.5, got {self.sync_jitter_px:g}"
+            )
         if not self.line_noise_dn >= 0.0:
             raise BadInput(f"line_noise_dn must not be negative, got {self.line_noise_dn:g}")
 
@@ -147,7 +172,10 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
     def taps(self) -> tuple[float, ...]:
         """The impulse response along a line as it matters, (tap,)."""
         taps = self.low_pass.impulse_response()
-        return tuple(float(tap) for tap in taps[: np.flatnonzero(np.abs(taps) > ACCURACY.min_filter_tap)[-1] + 1])
+        return tuple(
+            float(tap)
+            for tap in taps[: np.flatnonzero(np.abs(taps) > ACCURACY.min_filter_tap)[-1] + 1]
+        )
 
     def mean(self, light: StageImage) -> StageImage:
         """Return the level, DN, neither rounded nor clipped."""
@@ -160,13 +188,19 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
         """Return whole DN between 0 and full scale, uint8 or uint16."""
         signal = filter_lines(light.values, self.low_pass.impulse_response())
         if self.sync_jitter_px > 0.0:
-            late = self.sync_jitter_px * rng.standard_normal((*signal.shape[:-1], 1), dtype=np.float32)
+            late = self.sync_jitter_px * rng.standard_normal(
+                (*signal.shape[:-1], 1), dtype=np.float32
+            )
             signal = shift_lines(signal, late)
         level = self._level(signal)
         if self.line_noise_dn > 0.0:
-            level += np.float32(self.line_noise_dn) * rng.standard_normal((*level.shape[:-1], 1), dtype=np.float32)
+            level += np.float32(self.line_noise_dn) * rng.standard_normal(
+                (*level.shape[:-1], 1), dtype=np.float32
+            )
         self._add_readout_noise(level, rng)
-        return light.with_values(np.clip(np.rint(level), 0, self.full_scale_dn).astype(self.code_type))
+        return light.with_values(
+            np.clip(np.rint(level), 0, self.full_scale_dn).astype(self.code_type)
+        )
 
     def _add_readout_noise(self, level: NDArray[np.float32], rng: np.random.Generator) -> None:
         """Add offsets of rows and interference to frames (..., row, col), each frame its own."""
@@ -176,7 +210,9 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
                 frame += draw_row_offsets(rng, rows, self.row_noise_dn2, self.row_noise_exponent)
             if self.interference_dn2 > 0.0:
                 across, down = self.interference_x_cy_per_px, self.interference_y_cy_per_px
-                frame += draw_interference(rng, (rows, columns), self.interference_dn2, across, down)
+                frame += draw_interference(
+                    rng, (rows, columns), self.interference_dn2, across, down
+                )
 
     def _level(self, signal: NDArray[np.float32]) -> NDArray[np.float32]:
         signal = signal * np.float32(self.conversion_gain_dn_per_e * self.gain)
@@ -213,13 +249,19 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
 
 
 def shift_lines(lines: NDArray[np.float32], late_px: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return lines (..., col) delayed by less than a pixel, (..., 1), by a parabola through three pixels."""
+    """Return lines (..., col) delayed by less than a pixel, (..., 1), by a parabola through three
+    pixels.
+    """
     slope = 0.5 * (_neighbour(lines, 1) - _neighbour(lines, -1))
-    return (lines - late_px * slope + np.float32(0.5) * late_px**2 * _bend(lines)).astype(np.float32)
+    return (lines - late_px * slope + np.float32(0.5) * late_px**2 * _bend(lines)).astype(
+        np.float32
+    )
 
 
 def _bend(lines: NDArray[np.float32]) -> NDArray[np.float32]:
-    return (_neighbour(lines, 1) - np.float32(2.0) * lines + _neighbour(lines, -1)).astype(np.float32)
+    return (_neighbour(lines, 1) - np.float32(2.0) * lines + _neighbour(lines, -1)).astype(
+        np.float32
+    )
 
 
 def _neighbour(lines: NDArray[np.float32], step: int) -> NDArray[np.float32]:
@@ -230,10 +272,16 @@ def _neighbour(lines: NDArray[np.float32], step: int) -> NDArray[np.float32]:
 
 
 def filter_lines(lines: NDArray, impulse_response: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return lines (..., col) after a causal filter; the first pixel is repeated before the line."""
-    taps = impulse_response[: np.flatnonzero(np.abs(impulse_response) > 1e-7)[-1] + 1].astype(np.float32)
+    """Return lines (..., col) after a causal filter; the first pixel is repeated before the
+    line.
+    """
+    taps = impulse_response[: np.flatnonzero(np.abs(impulse_response) > 1e-7)[-1] + 1].astype(
+        np.float32
+    )
     lead, columns = len(taps) - 1, lines.shape[-1]
-    padded = np.concatenate([np.repeat(lines[..., :1], lead, axis=-1), lines], axis=-1).astype(np.float32)
+    padded = np.concatenate([np.repeat(lines[..., :1], lead, axis=-1), lines], axis=-1).astype(
+        np.float32
+    )
     total = taps[0] * padded[..., lead : lead + columns]
     for n in range(1, len(taps)):
         total += taps[n] * padded[..., lead - n : lead - n + columns]

@@ -1,4 +1,6 @@
-"""Stages of infrared arrays: thermal lag, noise and fixed pattern of bolometers and of cooled photodiodes."""
+"""Stages of infrared arrays: thermal lag, noise and fixed pattern of bolometers and of cooled
+photodiodes.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,7 +24,9 @@ def _pattern(seed: tuple[int, ...], shape: tuple[int, int]) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalLag(Stage, slot=Slot.LAG, takes="signal of pixels", emits="signal of samples"):
-    """Thermal time constant of a bolometer: exp(-T / tau) of the frame before stays; the first frame is steady."""
+    """Thermal time constant of a bolometer: exp(-T / tau) of the frame before stays; the first
+    frame is steady.
+    """
 
     effects: ClassVar = {"thermal lag": {"carry_over": 0.0}}
     carry_over: float
@@ -61,10 +65,11 @@ class BolometerNoise(Stage, slot=Slot.NOISE, takes="signal of samples", emits="n
 
 @dataclass(frozen=True, kw_only=True)
 class BolometerPattern(Stage, slot=Slot.PATTERN, takes="noisy signal", emits="corrected signal"):
-    """Fixed pattern behind the correction by a shutter, which grows until the next one, and drift of the housing.
+    """Fixed pattern behind the correction by a shutter, which grows until the next one, and drift
+    of the housing.
 
-    The variance of the pixels' pattern rises linearly from one shutter to the next; the part that has grown is another
-    one after each shutter.
+    The variance of the pixels' pattern rises linearly from one shutter to the next; the part that
+    has grown is another one after each shutter.
     """
 
     effects: ClassVar = {
@@ -86,7 +91,9 @@ class BolometerPattern(Stage, slot=Slot.PATTERN, takes="noisy signal", emits="co
         grown = np.sqrt(max(self.before**2 - self.after**2, 0.0) * age_s / self.interval_s)
         pattern = self.after * _pattern((self.seed, 20), (rows, cols))
         pattern += grown * _pattern((self.seed, 21, int(shutter)), (rows, cols))
-        pattern += self.column * _pattern((self.seed, 22), (1, cols)) + self.row * _pattern((self.seed, 23), (rows, 1))
+        pattern += self.column * _pattern((self.seed, 22), (1, cols)) + self.row * _pattern(
+            (self.seed, 23), (rows, 1)
+        )
         return light.with_values(light.values + (pattern + self.drift_per_s * age_s))
 
 
@@ -106,8 +113,12 @@ class PhotonNoise(Stage, slot=Slot.NOISE, takes="signal of pixels", emits="noisy
         electrons = light.values
         shot = self.photon * np.sqrt(np.maximum(electrons, 0.0))
         # Wells hold 1e4 electrons and more, whose number is normal.
-        filled = np.minimum(electrons + shot * rng.standard_normal(electrons.shape, np.float32), self.full_well_e)
-        return light.with_values(filled + self.read_noise_e * rng.standard_normal(electrons.shape, np.float32))
+        filled = np.minimum(
+            electrons + shot * rng.standard_normal(electrons.shape, np.float32), self.full_well_e
+        )
+        return light.with_values(
+            filled + self.read_noise_e * rng.standard_normal(electrons.shape, np.float32)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,8 +127,9 @@ class TwoPointCorrection(Stage, slot=Slot.PATTERN, takes="noisy signal", emits="
 
     Notes
     -----
-    Pixels whose response curves by q_i S^2 keep q_i (S - S_1)(S - S_2): nothing at the two points, most midway and
-    beyond. With the pattern that no correction removes, its standard deviation over S has the shape of a W.
+    Pixels whose response curves by q_i S^2 keep q_i (S - S_1)(S - S_2): nothing at the two points,
+    most midway and beyond. With the pattern that no correction removes, its standard deviation over
+    S has the shape of a W.
     """
 
     effects: ClassVar = {"correction residual": {"midway": 0.0}, "pixel pattern": {"pixel": 0.0}}
@@ -129,6 +141,13 @@ class TwoPointCorrection(Stage, slot=Slot.PATTERN, takes="noisy signal", emits="
 
     def mean(self, light: StageImage) -> StageImage:
         shape = light.values.shape[-2:]
-        curve = 4.0 * (light.values - self.low) * (light.values - self.high) / (self.high - self.low) ** 2
-        pattern = self.midway * curve * _pattern((self.seed, 24), shape) + self.pixel * _pattern((self.seed, 25), shape)
+        curve = (
+            4.0
+            * (light.values - self.low)
+            * (light.values - self.high)
+            / (self.high - self.low) ** 2
+        )
+        pattern = self.midway * curve * _pattern((self.seed, 24), shape) + self.pixel * _pattern(
+            (self.seed, 25), shape
+        )
         return light.with_values(light.values + pattern)

@@ -1,4 +1,6 @@
-"""Lens and detector of an infrared imager: from cells of the scene to the pixels or lines of a frame."""
+"""Lens and detector of an infrared imager: from cells of the scene to the pixels or lines of a
+frame.
+"""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -17,7 +19,9 @@ Array = NDArray[np.floating]
 
 
 class Slot(Enum):
-    """Place of a stage in the chain, in the order of the light; its random numbers follow from the value."""
+    """Place of a stage in the chain, in the order of the light; its random numbers follow from the
+    value.
+    """
 
     OPTICS = "optics and footprint"
     NARCISSUS = "narcissus"
@@ -29,7 +33,9 @@ class Slot(Enum):
     DIGITISER = "digitiser"
 
 
-def diffraction_transfer(frequency_cy_per_mrad: Array, wavelength_um: float, aperture_mm: float) -> Array:
+def diffraction_transfer(
+    frequency_cy_per_mrad: Array, wavelength_um: float, aperture_mm: float
+) -> Array:
     r"""Return the transfer of a perfect lens of a round aperture.
 
     Notes
@@ -44,8 +50,8 @@ def diffraction_transfer(frequency_cy_per_mrad: Array, wavelength_um: float, ape
 class Optics(Stage, slot=Slot.OPTICS, takes="signal of cells", emits="signal of pixels"):
     """Blur of the lens and average over the detector's footprint, at the pixels of a frame.
 
-    Cells are the picture's own, whole numbers of them in a pixel; their averages are undone, so that the blur does not
-    depend on their number.
+    Cells are the picture's own, whole numbers of them in a pixel; their averages are undone, so
+    that the blur does not depend on their number.
     """
 
     effects: ClassVar = {
@@ -74,20 +80,29 @@ class Optics(Stage, slot=Slot.OPTICS, takes="signal of cells", emits="signal of 
     def mean(self, light: StageImage) -> StageImage:
         values = np.asarray(light.values, np.float32)
         oversample = values.shape[-2] // self.shape[0]
-        if oversample < 1 or values.shape[-2:] != (oversample * self.shape[0], oversample * self.shape[1]):
+        if oversample < 1 or values.shape[-2:] != (
+            oversample * self.shape[0],
+            oversample * self.shape[1],
+        ):
             raise BadInput(
-                f"a picture must have a whole number of cells in each of {self.shape[0]} x {self.shape[1]} pixels, "
-                f"got {values.shape[-2]} x {values.shape[-1]}"
+                f"a picture must have a whole number of cells in each of {self.shape[0]} x "
+                f"{self.shape[1]} pixels, got {values.shape[-2]} x {values.shape[-1]}"
             )
         margin, level = LIMITS.margin_px * oversample, np.float32(values.mean(dtype=float))
-        wide = np.pad(values - level, [(0, 0)] * (values.ndim - 2) + [(margin, margin)] * 2, mode="edge")
+        wide = np.pad(
+            values - level, [(0, 0)] * (values.ndim - 2) + [(margin, margin)] * 2, mode="edge"
+        )
         cell = self.pitch_mrad[0] / oversample, self.pitch_mrad[1] / oversample
         fy, fx = np.fft.fftfreq(wide.shape[-2])[:, None], np.fft.rfftfreq(wide.shape[-1])[None, :]
         transfer = self.transfer(fy / cell[0], fx / cell[1], cell).astype(np.complex64)
         # The middle of a pixel lies on an edge of cells where these are even in number.
         late = 0.5 if oversample % 2 == 0 else 0.0
-        transfer *= np.exp(2j * np.pi * late * (fy + (0.0 if self.whole_lines else fx))).astype(np.complex64)
-        blurred = irfft_image(rfft_image(wide) * transfer, wide.shape[-2:])[..., margin:-margin, margin:-margin]
+        transfer *= np.exp(2j * np.pi * late * (fy + (0.0 if self.whole_lines else fx))).astype(
+            np.complex64
+        )
+        blurred = irfft_image(rfft_image(wide) * transfer, wide.shape[-2:])[
+            ..., margin:-margin, margin:-margin
+        ]
         middle = (oversample - 1) // 2
         kept = (
             blurred[..., middle::oversample, :]

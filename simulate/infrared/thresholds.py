@@ -7,19 +7,24 @@ from dataclasses import dataclass
 class ImagerLimits:
     """Numbers of the imagers that are neither physics nor a description's."""
 
-    # The picture goes on beyond the frame as it ends there, for so many pixels: ten times the blur of a lens.
+    # The picture goes on beyond the frame as it ends there, for so many pixels: ten times the blur
+    # of a lens.
     margin_px: int = 8
-    # Cells on each side of a pixel that hold all that a lens of f/1 and 10 um transfers to pixels of 17 um.
+    # Cells on each side of a pixel that hold all that a lens of f/1 and 10 um transfers to pixels
+    # of 17 um.
     oversample: int = 4
-    # Steps of time in an active line: a sixteenth of the shortest dwell; and time constants of lead before it.
+    # Steps of time in an active line: a sixteenth of the shortest dwell; and time constants of lead
+    # before it.
     line_steps: int = 4096
     lead: float = 8.0
-    # Full scale of a cooled array over its well, so that a full well is at full scale under noise and correction.
+    # Full scale of a cooled array over its well, so that a full well is at full scale under noise
+    # and correction.
     full_scale_of_well: float = 0.98
     # Least span that is set by a picture, K, and share of its cells that may lie beyond.
     least_span_k: float = 5.0
     beyond_span: float = 0.002
-    # Values of 1/f noise in a line: above their Nyquist frequency, 1 MHz, it is weaker than a knee of 0.1 MHz' white.
+    # Values of 1/f noise in a line: above their Nyquist frequency, 1 MHz, it is weaker than a knee
+    # of 0.1 MHz' white.
     values_per_line: int = 128
 
 

@@ -24,12 +24,14 @@ def visibility_extinction_per_km(visibility_km: float) -> float:
 
 
 def kruse_exponent(visibility_km: float) -> float:
-    """Return q of extinction proportional to wavelength^-q: 1.6 beyond 50 km, 1.3 down to fog, there 0.585 V^(1/3).
+    """Return q of extinction proportional to wavelength^-q: 1.6 beyond 50 km, 1.3 down to fog,
+    there 0.585 V^(1/3).
 
     Notes
     -----
-    Kruse, but for haze from 2 to 6 km: his 0.585 V^(1/3) makes the near infrared 0.06 too dark at 2 km in visibility of
-    5 km against the rural haze of MODTRAN 5, whose spectrum does not depend on its amount.
+    Kruse, but for haze from 2 to 6 km: his 0.585 V^(1/3) makes the near infrared 0.06 too dark at 2
+    km in visibility of 5 km against the rural haze of MODTRAN 5, whose spectrum does not depend on
+    its amount.
     """
     if visibility_km > 50.0:
         return 1.6
@@ -56,18 +58,22 @@ EARTH_RADIUS_KM = 6370.0
 
 
 def airmass(elevation_deg: ArrayLike) -> Array:
-    """Return the relative air mass, dimensionless: 1 at the zenith, 37.9 at the horizon and for all below it.
+    """Return the relative air mass, dimensionless: 1 at the zenith, 37.9 at the horizon and for all
+    below it.
 
     Notes
     -----
-    1 / (sin h + 0.50572 (h + 6.07995)^-1.6364), h in degrees (Kasten and Young, Appl. Opt. 28, 4735, 1989).
+    1 / (sin h + 0.50572 (h + 6.07995)^-1.6364), h in degrees (Kasten and Young, Appl. Opt. 28,
+    4735, 1989).
     """
     elevation = np.maximum(np.asarray(elevation_deg, float), 0.0)
     return 1.0 / (np.sin(np.deg2rad(elevation)) + 0.50572 * (elevation + 6.07995) ** -1.6364)
 
 
 def ozone_mass(elevation_deg: ArrayLike) -> Array:
-    """Return the relative mass of a layer of ozone 22 km up, dimensionless (Bird and Riordan 1984, eq. 2-10)."""
+    """Return the relative mass of a layer of ozone 22 km up, dimensionless (Bird and Riordan 1984,
+    eq. 2-10).
+    """
     sine = np.sin(np.deg2rad(np.maximum(np.asarray(elevation_deg, float), 0.0)))
     relative = 22.0 / EARTH_RADIUS_KM
     return (1.0 + relative) / np.sqrt(np.square(sine) + 2.0 * relative)
@@ -75,26 +81,33 @@ def ozone_mass(elevation_deg: ArrayLike) -> Array:
 
 def _coefficient(wavelength_nm: ArrayLike, name: str) -> Array:
     gases = table("gases")
-    return np.interp(np.atleast_1d(np.asarray(wavelength_nm, float)), gases["wavelength_nm"], gases[name])
+    return np.interp(
+        np.atleast_1d(np.asarray(wavelength_nm, float)), gases["wavelength_nm"], gases[name]
+    )
 
 
 def water_transmittance(wavelength_nm: ArrayLike, precipitable_cm: ArrayLike) -> Array:
-    """Return the transmittance of water vapour, shape (band, path), for water on each path as a layer of liquid, cm.
+    """Return the transmittance of water vapour, shape (band, path), for water on each path as a
+    layer of liquid, cm.
 
     Notes
     -----
     exp(-0.2385 x / (1 + 20.07 x)^0.45), x = a w (Bird and Riordan 1984, eq. 2-8).
     """
-    amount = _coefficient(wavelength_nm, "water_vapour_per_cm")[:, None] * np.atleast_1d(precipitable_cm)
+    amount = _coefficient(wavelength_nm, "water_vapour_per_cm")[:, None] * np.atleast_1d(
+        precipitable_cm
+    )
     return np.exp(-0.2385 * amount / (1.0 + 20.07 * amount) ** 0.45)
 
 
 def uniform_gas_transmittance(wavelength_nm: ArrayLike, airmass: ArrayLike) -> Array:
-    """Return the transmittance of oxygen and carbon dioxide, shape (band, path), for pressure-corrected air masses.
+    """Return the transmittance of oxygen and carbon dioxide, shape (band, path), for
+    pressure-corrected air masses.
 
     Notes
     -----
-    exp(-1.41 x / (1 + 118.3 x)^0.45), x = a m (Bird and Riordan 1984, eq. 2-11, the constant of its program).
+    exp(-1.41 x / (1 + 118.3 x)^0.45), x = a m (Bird and Riordan 1984, eq. 2-11, the constant of its
+    program).
     """
     amount = _coefficient(wavelength_nm, "mixed_gases")[:, None] * np.atleast_1d(airmass)
     return np.exp(-1.41 * amount / (1.0 + 118.3 * amount) ** 0.45)
@@ -102,7 +115,9 @@ def uniform_gas_transmittance(wavelength_nm: ArrayLike, airmass: ArrayLike) -> A
 
 def ozone_transmittance(wavelength_nm: ArrayLike, ozone_atm_cm: ArrayLike) -> Array:
     """Return the transmittance of ozone, shape (band, path), for ozone on each path, atm cm."""
-    return np.exp(-_coefficient(wavelength_nm, "ozone_per_atm_cm")[:, None] * np.atleast_1d(ozone_atm_cm))
+    return np.exp(
+        -_coefficient(wavelength_nm, "ozone_per_atm_cm")[:, None] * np.atleast_1d(ozone_atm_cm)
+    )
 
 
 def vapour_density_g_m3(temperature_c: float, relative_humidity: float) -> float:
@@ -112,7 +127,9 @@ def vapour_density_g_m3(temperature_c: float, relative_humidity: float) -> float
     -----
     Saturation pressure 6.112 exp(17.62 t / (243.12 + t)) hPa (Magnus, WMO Guide 8), ideal gas.
     """
-    pressure_pa = 611.2 * np.exp(17.62 * temperature_c / (243.12 + temperature_c)) * relative_humidity
+    pressure_pa = (
+        611.2 * np.exp(17.62 * temperature_c / (243.12 + temperature_c)) * relative_humidity
+    )
     return float(1e3 * pressure_pa / (461.5 * (temperature_c + 273.15)))
 
 
@@ -126,7 +143,8 @@ def rayleigh_depth(wavelength_nm: ArrayLike) -> Array:
 
     Notes
     -----
-    0.00864 L^-(3.916 + 0.074 L + 0.05/L), L in um (Leckner, Solar Energy 20, 143, 1978, after Froehlich and Shaw).
+    0.00864 L^-(3.916 + 0.074 L + 0.05/L), L in um (Leckner, Solar Energy 20, 143, 1978, after
+    Froehlich and Shaw).
     """
     micrometre = np.asarray(wavelength_nm, float) * 1e-3
     return 0.00864 * micrometre ** -(3.916 + 0.074 * micrometre + 0.05 / micrometre)
@@ -141,7 +159,9 @@ class SkyLight(Protocol):
     """Light source of the path radiance of air."""
 
     def air_radiance(self, direction: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the radiance of an infinite path along directions (path, 3), W m-2 sr-1 nm-1, shape (band, path)."""
+        """Return the radiance of an infinite path along directions (path, 3), W m-2 sr-1 nm-1,
+        shape (band, path).
+        """
         ...
 
 
@@ -151,25 +171,32 @@ class Atmosphere:
 
     Notes
     -----
-    Extinction at 550 nm is 3.912/V, molecules included; the rest of it is haze, falling by Kruse's power of wavelength.
-    Single scattering: light scattered out of a path is lost, so that an image loses contrast and not resolution. There
-    is no refraction.
+    Extinction at 550 nm is 3.912/V, molecules included; the rest of it is haze, falling by Kruse's
+    power of wavelength. Single scattering: light scattered out of a path is lost, so that an image
+    loses contrast and not resolution. There is no refraction.
     """
 
-    visibility_km: float = 23.0  # meteorological range: distance at which a black object has a contrast of 2 %, km
+    visibility_km: float = (
+        23.0  # meteorological range: distance at which a black object has a contrast of 2 %, km
+    )
     relative_humidity: float = 0.5  # at the ground, 0 to 1, dimensionless
     # Of the air at the ground.
     temperature_c: float = 15.0
     pressure_hpa: float = SEA_LEVEL_HPA
     ozone_atm_cm: float = 0.3  # ozone overhead, atm cm
-    aerosol_scale_height_km: float = 1.2  # height of a column of the haze at the ground that holds all of it, km
-    light: SkyLight | None = None  # light source of the path radiance, set by `NightSky.air`; None: no path radiance
+    aerosol_scale_height_km: float = (
+        1.2  # height of a column of the haze at the ground that holds all of it, km
+    )
+    light: SkyLight | None = (
+        None  # light source of the path radiance, set by `NightSky.air`; None: no path radiance
+    )
 
     def __post_init__(self) -> None:
         clearest = KOSCHMIEDER / float(rayleigh_per_km(REFERENCE_NM))
         if not 0.01 <= self.visibility_km <= clearest:
             raise BadInput(
-                f"visibility_km must lie between 0.01 and that of clean air, {clearest:.0f}, got {self.visibility_km:g}"
+                f"visibility_km must lie between 0.01 and that of clean air, {clearest:.0f}, got "
+                f"{self.visibility_km:g}"
             )
         if not 0.0 <= self.relative_humidity <= 1.0:
             raise BadInput(f"relative_humidity must lie in [0, 1], got {self.relative_humidity:g}")
@@ -209,34 +236,51 @@ class Atmosphere:
         return self.haze_per_km(wavelength_nm) * self.aerosol_scale_height_km
 
     def transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> Array:
-        """Return the transmittance of paths near the ground of lengths (path,), m, shape (band, path)."""
-        return self._particle_transmittance(range_m, wavelength_nm) * self.gas_transmittance(range_m, wavelength_nm)
+        """Return the transmittance of paths near the ground of lengths (path,), m, shape (band,
+        path).
+        """
+        return self._particle_transmittance(range_m, wavelength_nm) * self.gas_transmittance(
+            range_m, wavelength_nm
+        )
 
-    def path_radiance(self, range_m: ArrayLike, wavelength_nm: ArrayLike, direction: Array) -> Array:
-        """Return the path radiance of lengths (path,) in directions (path, 3), W m-2 sr-1 nm-1, shape (band, path).
+    def path_radiance(
+        self, range_m: ArrayLike, wavelength_nm: ArrayLike, direction: Array
+    ) -> Array:
+        """Return the path radiance of lengths (path,) in directions (path, 3), W m-2 sr-1 nm-1,
+        shape (band, path).
 
         Notes
         -----
-        J (1 - T_scattering) T_gas(half the path), J the radiance of an endless path (`NightSky.air_radiance`).
+        J (1 - T_scattering) T_gas(half the path), J the radiance of an endless path
+        (`NightSky.air_radiance`).
         """
         grid = require_grid(wavelength_nm)
         metres = np.atleast_1d(np.asarray(range_m, float))
         if self.light is None:
             return np.zeros((grid.size, metres.size))
         endless = self.light.air_radiance(direction, grid)
-        return endless * (1.0 - self._particle_transmittance(metres, grid)) * self.gas_transmittance(0.5 * metres, grid)
+        return (
+            endless
+            * (1.0 - self._particle_transmittance(metres, grid))
+            * self.gas_transmittance(0.5 * metres, grid)
+        )
 
     def slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> Array:
-        """Return the transmittance of the atmosphere, shape (band, path), along elevations (path,) in degrees.
+        """Return the transmittance of the atmosphere, shape (band, path), along elevations (path,)
+        in degrees.
 
         Paths below the horizon count as along it.
         """
         depth = self.molecules_depth(wavelength_nm) + self.haze_depth(wavelength_nm)
         mass = np.atleast_1d(airmass(elevation_deg))
-        return np.exp(-depth[:, None] * mass) * self.gas_slant_transmittance(elevation_deg, wavelength_nm)
+        return np.exp(-depth[:, None] * mass) * self.gas_slant_transmittance(
+            elevation_deg, wavelength_nm
+        )
 
     def gas_slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> Array:
-        """Return the gas transmittance of the atmosphere, shape (band, path), along elevations in degrees."""
+        """Return the gas transmittance of the atmosphere, shape (band, path), along elevations in
+        degrees.
+        """
         mass = np.atleast_1d(airmass(elevation_deg))
         pressure = self.pressure_hpa / SEA_LEVEL_HPA
         ozone = np.atleast_1d(ozone_mass(elevation_deg)) * self.ozone_atm_cm
@@ -247,7 +291,9 @@ class Atmosphere:
         )
 
     def _particle_transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> Array:
-        """Return the transmittance of haze and molecules on paths near the ground, shape (band, path)."""
+        """Return the transmittance of haze and molecules on paths near the ground, shape (band,
+        path).
+        """
         metres = np.atleast_1d(np.asarray(range_m, float))
         if metres.size and not metres.min() >= 0.0:
             raise BadInput(f"a range must not be negative, got {metres.min():g} m")
@@ -260,7 +306,9 @@ class Atmosphere:
         return 1e-3 * (molecules + self.haze_per_km(wavelength))
 
     def gas_transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> Array:
-        """Return the gas transmittance near the ground, without ozone, which absorbs less than 0.1 % per km."""
+        """Return the gas transmittance near the ground, without ozone, which absorbs less than 0.1
+        % per km.
+        """
         metres = np.atleast_1d(np.asarray(range_m, float))
         mixed = 1e-3 * metres / SCALE_HEIGHT_KM * self.pressure_hpa / SEA_LEVEL_HPA
         water = water_transmittance(wavelength_nm, 1e-4 * metres * self.vapour_g_m3)

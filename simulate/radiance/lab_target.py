@@ -1,7 +1,9 @@
-"""Lab targets in closed form (bars, an edge, a pinhole with its holder, or the open port), and their light.
+"""Lab targets in closed form (bars, an edge, a pinhole with its holder, or the open port), and
+their light.
 
-Lengths are in column pitches of the image; x runs right, y down, z away from the camera. The plate lies at z = 0, the
-holder's ring in front of it. Cells where materials meet are averaged over many points.
+Lengths are in column pitches of the image; x runs right, y down, z away from the camera. The plate
+lies at z = 0, the holder's ring in front of it. Cells where materials meet are averaged over many
+points.
 """
 
 from collections.abc import Iterator
@@ -36,14 +38,19 @@ def as_stood(kind: Kind, target: Target) -> Target:
 
 @dataclass(frozen=True, kw_only=True)
 class TargetView:
-    """A rectangle of cells on the plane of the target, viewed from a point in front of its centre."""
+    """A rectangle of cells on the plane of the target, viewed from a point in front of its
+    centre.
+    """
 
     shape: tuple[int, int]  # cells, (row, col)
     cell_px: tuple[float, float]  # size of a cell (x, y), column pitches
-    corner_px: tuple[float, float]  # corner of the first cell (x, y) relative to the target's centre, column pitches
+    corner_px: tuple[
+        float, float
+    ]  # corner of the first cell (x, y) relative to the target's centre, column pitches
     metre_per_px: float  # size of a column pitch on the target's plane, m
     distance_m: float  # distance of the lens, m
-    # Intersection of the optical axis with the plane (x, y), relative to the target's centre, column pitches.
+    # Intersection of the optical axis with the plane (x, y), relative to the target's centre,
+    # column pitches.
     eye_px: tuple[float, float] = (0.0, 0.0)
 
     def tiles(self, rows: int) -> Iterator[tuple[slice, "TargetView"]]:
@@ -51,10 +58,15 @@ class TargetView:
         for start in range(0, self.shape[0], rows):
             stop = min(start + rows, self.shape[0])
             corner = (self.corner_px[0], self.corner_px[1] + start * self.cell_px[1])
-            yield slice(start, stop), replace(self, shape=(stop - start, self.shape[1]), corner_px=corner)
+            yield (
+                slice(start, stop),
+                replace(self, shape=(stop - start, self.shape[1]), corner_px=corner),
+            )
 
     def places_px(self, cell: Array) -> Array:
-        """Return positions (x, y) of cell coordinates (row, col), integers at corners, shape (point, 2)."""
+        """Return positions (x, y) of cell coordinates (row, col), integers at corners, shape
+        (point, 2).
+        """
         return np.array(self.corner_px) + cell[:, ::-1] * np.array(self.cell_px)
 
     def cells_px(self, place_px: Array) -> Array:
@@ -64,55 +76,80 @@ class TargetView:
 
 # Cells along one side of the block that one point represents in uniform parts.
 BLOCK = 4
-# Points in a cell where materials meet: a straight border is then located to better than 1/256 of the cell.
+# Points in a cell where materials meet: a straight border is then located to better than 1/256 of
+# the cell.
 POINTS = 256
 MATERIALS = 3
 
 
-def render_bench(scene: LabScene, kind: Kind, target: Target, view: TargetView, wavelength_nm: Array) -> RadianceCube:
-    """Return the spectral radiance at the lens, averaged over each cell, for a port of radiance Planck(T).
+def render_bench(
+    scene: LabScene, kind: Kind, target: Target, view: TargetView, wavelength_nm: Array
+) -> RadianceCube:
+    """Return the spectral radiance at the lens, averaged over each cell, for a port of radiance
+    Planck(T).
 
-    The target stands at the origin: "dark" is the plate without an opening, "flat" the port. Missing fields of the
-    target are as of `as_stood`. Numbers of cells are multiples of `BLOCK`. Raises BadInput if the target lacks what its
-    kind needs.
+    The target stands at the origin: "dark" is the plate without an opening, "flat" the port.
+    Missing fields of the target are as of `as_stood`. Numbers of cells are multiples of `BLOCK`.
+    Raises BadInput if the target lacks what its kind needs.
 
     Notes
     -----
-    L = tau L_port, the port being behind all of the target, plus rho E_room/pi where the room light is not occluded.
+    L = tau L_port, the port being behind all of the target, plus rho E_room/pi where the room light
+    is not occluded.
     """
     shares = _shares(scene, kind, as_stood(kind, target), view).reshape(2 * MATERIALS, -1)
     port = planck(wavelength_nm, scene.sphere.temperature_k)
     # The room light's illuminance is relative to the port's exitance; both are Planck radiators.
     fine = np.arange(380.0, 771.0, 5.0)
     eye = luminous_efficiency(fine)
-    light, lamp = (np.sum(eye * planck(fine, source.temperature_k)) for source in (scene.sphere, scene.room_light))
-    room = planck(wavelength_nm, scene.room_light.temperature_k) * scene.room_light.relative_illuminance * light / lamp
+    light, lamp = (
+        np.sum(eye * planck(fine, source.temperature_k))
+        for source in (scene.sphere, scene.room_light)
+    )
+    room = (
+        planck(wavelength_nm, scene.room_light.temperature_k)
+        * scene.room_light.relative_illuminance
+        * light
+        / lamp
+    )
     surfaces = (scene.open, scene.mask, scene.ring)
     through = [surface.transmittance_at(wavelength_nm) * port for surface in surfaces]
     back = [surface.reflectance_at(wavelength_nm) * room for surface in surfaces]
     spectra = np.stack([*through, *back], axis=1).astype(np.float32)
-    return RadianceCube(wavelength_nm=wavelength_nm, radiance=(spectra @ shares).reshape(-1, *view.shape))
+    return RadianceCube(
+        wavelength_nm=wavelength_nm, radiance=(spectra @ shares).reshape(-1, *view.shape)
+    )
 
 
 def _shares(scene: LabScene, kind: Kind, target: Target, view: TargetView) -> NDArray[np.float32]:
-    """Return the fraction of each cell that transmits the port, then that reflects the room light, by material."""
+    """Return the fraction of each cell that transmits the port, then that reflects the room light,
+    by material.
+    """
     rows, columns = view.shape
     mixed = outline_cells(target_outlines(kind, target, scene.holder), view)
     blocks = mixed.reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK).any(axis=(1, 3))
-    centre = np.stack(np.meshgrid(*(np.arange(n // BLOCK) for n in view.shape), indexing="ij"), axis=-1)
+    centre = np.stack(
+        np.meshgrid(*(np.arange(n // BLOCK) for n in view.shape), indexing="ij"), axis=-1
+    )
     coarse = _fractions_at(scene, kind, target, view, (centre.reshape(-1, 2) + 0.5) * BLOCK)
     shares = coarse.reshape(-1, *blocks.shape).repeat(BLOCK, axis=1).repeat(BLOCK, axis=2)
     plain = np.argwhere(blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1) & ~mixed)
     shares[:, plain[:, 0], plain[:, 1]] = _fractions_at(scene, kind, target, view, plain + 0.5)
     inside = (0.5 + np.arange(1, POINTS + 1)[:, None] * R2) % 1.0
-    for part in np.array_split(np.argwhere(mixed), max(1, np.count_nonzero(mixed) * POINTS // 2_000_000)):
+    for part in np.array_split(
+        np.argwhere(mixed), max(1, np.count_nonzero(mixed) * POINTS // 2_000_000)
+    ):
         many = _fractions_at(scene, kind, target, view, (part[:, None, :] + inside).reshape(-1, 2))
-        shares[:, part[:, 0], part[:, 1]] = many.reshape(2 * MATERIALS, len(part), POINTS).mean(axis=2)
+        shares[:, part[:, 0], part[:, 1]] = many.reshape(2 * MATERIALS, len(part), POINTS).mean(
+            axis=2
+        )
     return shares
 
 
 def target_outlines(kind: Kind, target: Target, holder: Holder) -> list[Array]:
-    """Return the polylines (x, y) where materials meet in the image, each of shape (point, 2), column pitches."""
+    """Return the polylines (x, y) where materials meet in the image, each of shape (point, 2),
+    column pitches.
+    """
     if kind == "bars":
         if target.frequency_cy_per_px is None or target.bars is None:
             raise BadInput("bars must have a frequency_cy_per_px, got none")
@@ -124,10 +161,15 @@ def target_outlines(kind: Kind, target: Target, holder: Holder) -> list[Array]:
         return [np.array([[0.0, -FAR_PX], [0.0, FAR_PX]]) @ _tilt(target)]
     if kind == "point":
         if target.pinhole_px is None or not target.pinhole_px > 0.0:
-            raise BadInput(f"a point source must have a positive pinhole_px, got {target.pinhole_px}")
+            raise BadInput(
+                f"a point source must have a positive pinhole_px, got {target.pinhole_px}"
+            )
         turn = np.linspace(0.0, 2.0 * np.pi, 257)
         circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        return [radius * circle for radius in (0.5 * target.pinhole_px, holder.inner_radius_px, holder.outer_radius_px)]
+        return [
+            radius * circle
+            for radius in (0.5 * target.pinhole_px, holder.inner_radius_px, holder.outer_radius_px)
+        ]
     if kind in ("flat", "dark"):
         return []
     raise BadInput(f"a lab target must be dark, flat, edge, bars or point, got {kind!r}")
@@ -148,13 +190,19 @@ def outline_cells(outlines: list[Array], view: TargetView) -> NDArray[np.bool_]:
         corners = view.cells_px(line)
         way = np.insert(np.cumsum(np.abs(np.diff(corners, axis=0)).max(axis=1)), 0, 0.0)
         steps = np.arange(0.0, way[-1], 0.25)
-        cells = np.stack([np.floor(np.interp(steps, way, axis)).astype(int) + 1 for axis in corners.T])
-        inside = (cells >= 0).all(axis=0) & (cells[0] < mixed.shape[0]) & (cells[1] < mixed.shape[1])
+        cells = np.stack(
+            [np.floor(np.interp(steps, way, axis)).astype(int) + 1 for axis in corners.T]
+        )
+        inside = (
+            (cells >= 0).all(axis=0) & (cells[0] < mixed.shape[0]) & (cells[1] < mixed.shape[1])
+        )
         mixed[tuple(cells[:, inside])] = True
     return np.asarray(binary_dilation(mixed, np.ones((3, 3))), bool)[1:-1, 1:-1]
 
 
-def _fractions_at(scene: LabScene, kind: Kind, target: Target, view: TargetView, cell: Array) -> NDArray[np.float32]:
+def _fractions_at(
+    scene: LabScene, kind: Kind, target: Target, view: TargetView, cell: Array
+) -> NDArray[np.float32]:
     """Return for cell coordinates (row, col) the weight of port and room light, by material."""
     place = view.places_px(cell)
     material = np.where(_is_open(kind, target, place), OPEN, MASK)
@@ -168,7 +216,9 @@ def _fractions_at(scene: LabScene, kind: Kind, target: Target, view: TargetView,
         ring = _meets_ring(scene.holder, before, view)
         material[ring], surface_m[ring] = RING, before[ring]
         if 0.0 < height < -lamp_m[2]:
-            shaded = ~ring & _meets_ring(scene.holder, surface_m - height / lamp_m[2] * (lamp_m - surface_m), view)
+            shaded = ~ring & _meets_ring(
+                scene.holder, surface_m - height / lamp_m[2] * (lamp_m - surface_m), view
+            )
     way = lamp_m - surface_m
     distance, straight = np.linalg.norm(way, axis=1), np.linalg.norm(lamp_m)
     # Irradiance by the room light relative to that at the target's centre.
@@ -185,7 +235,9 @@ def _is_open(kind: Kind, target: Target, place_px: Array) -> NDArray[np.bool_]:
     if kind == "bars":
         width, bars = 0.5 / (target.frequency_cy_per_px or np.inf), target.bars or 0
         number = np.floor(x / width + bars - 0.5)
-        return (np.abs(y) < 3.5 * width) & (number >= 0) & (number < 2 * bars - 1) & (number % 2 == 0)
+        return (
+            (np.abs(y) < 3.5 * width) & (number >= 0) & (number < 2 * bars - 1) & (number % 2 == 0)
+        )
     if kind == "point":
         return np.hypot(x, y) < 0.5 * (target.pinhole_px or 0.0)
     return np.full(len(place_px), kind == "flat")

@@ -1,4 +1,6 @@
-"""Materials: spectral reflectance and transmittance, BRDF, the shipped library, and panes of glass."""
+"""Materials: spectral reflectance and transmittance, BRDF, the shipped library, and panes of
+glass.
+"""
 
 from dataclasses import dataclass
 from functools import cache
@@ -38,22 +40,24 @@ class Material:
     wavelength_nm
         Wavelengths of the tables, ascending, nm; one wavelength makes a grey material.
     reflectance, transmittance
-        Fractions of the light, dimensionless, together at most 1; linear between wavelengths, constant outside. One
-        value applies to all wavelengths.
+        Fractions of the light, dimensionless, together at most 1; linear between wavelengths,
+        constant outside. One value applies to all wavelengths.
     finish
-        "matt" (Lambertian), "glossy" (a dielectric over a diffuse base of this reflectance), "metal" (rough mirror of
-        this reflectance at normal incidence) or "retroreflective" (a lobe back to the light over a diffuse base).
+        "matt" (Lambertian), "glossy" (a dielectric over a diffuse base of this reflectance),
+        "metal" (rough mirror of this reflectance at normal incidence) or "retroreflective" (a lobe
+        back to the light over a diffuse base).
     roughness
         Roughness of dielectric or metal (GGX's a), dimensionless.
     refractive_index
         Of the dielectric, dimensionless.
     retroreflected_share, half_width_deg
-        Fraction of the light in the lobe, and the angle between light and viewer at half of its maximum.
+        Fraction of the light in the lobe, and the angle between light and viewer at half of its
+        maximum.
     emissivity
         Between 8 and 12 um, dimensionless; None if unknown.
     slab
-        Name of the slab (`simulate.thermal.temperatures`) that it covers unless a scene says otherwise; None without
-        one.
+        Name of the slab (`simulate.thermal.temperatures`) that it covers unless a scene says
+        otherwise; None without one.
     source
         Where the numbers come from.
     """
@@ -83,16 +87,23 @@ class Material:
 
     def _check_tables(self) -> None:
         count = len(self.wavelength_nm)
-        if count == 0 or len(self.reflectance) not in (1, count) or len(self.transmittance) not in (1, count):
+        if (
+            count == 0
+            or len(self.reflectance) not in (1, count)
+            or len(self.transmittance) not in (1, count)
+        ):
             raise BadInput(
-                "a material must have one reflectance and one transmittance for all wavelengths or for each, got "
-                f"{count} wavelengths, {len(self.reflectance)} and {len(self.transmittance)}"
+                "a material must have one reflectance and one transmittance for all wavelengths "
+                f"or for each, got {count} wavelengths, {len(self.reflectance)} and "
+                f"{len(self.transmittance)}"
             )
-        for back, through in zip(self._each(self.reflectance), self._each(self.transmittance), strict=True):
+        for back, through in zip(
+            self._each(self.reflectance), self._each(self.transmittance), strict=True
+        ):
             if back < 0.0 or through < 0.0 or back + through > 1.0:
                 raise BadInput(
-                    f"reflectance and transmittance must not be negative nor exceed 1 together, got {back:g} "
-                    f"and {through:g}"
+                    "reflectance and transmittance must not be negative nor exceed 1 together, "
+                    f"got {back:g} and {through:g}"
                 )
 
     def _each(self, shares: tuple[float, ...]) -> tuple[float, ...]:
@@ -100,12 +111,18 @@ class Material:
         return shares * len(self.wavelength_nm) if len(shares) == 1 else shares
 
     def reflectance_at(self, wavelength_nm: ArrayLike) -> Array:
-        """Return the reflectance at wavelengths, dimensionless; of the base alone under a coat or lobe."""
-        return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.reflectance))
+        """Return the reflectance at wavelengths, dimensionless; of the base alone under a coat or
+        lobe.
+        """
+        return np.interp(
+            np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.reflectance)
+        )
 
     def transmittance_at(self, wavelength_nm: ArrayLike) -> Array:
         """Return the transmittance at wavelengths, dimensionless."""
-        return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.transmittance))
+        return np.interp(
+            np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.transmittance)
+        )
 
     def brdf(self) -> "Brdf":
         """Return the BRDF."""
@@ -113,8 +130,14 @@ class Material:
         from simulate.radiance.brdf.protocol import Lambert
 
         table = Reflectance(wavelength_nm=self.wavelength_nm, share=self._each(self.reflectance))
-        if self.finish == "glossy" and self.roughness is not None and self.refractive_index is not None:
-            return Glossy(reflectance=table, roughness=self.roughness, refractive_index=self.refractive_index)
+        if (
+            self.finish == "glossy"
+            and self.roughness is not None
+            and self.refractive_index is not None
+        ):
+            return Glossy(
+                reflectance=table, roughness=self.roughness, refractive_index=self.refractive_index
+            )
         if self.finish == "metal" and self.roughness is not None:
             return Metal(reflectance=table, roughness=self.roughness)
         if self.retroreflected_share is not None and self.half_width_deg is not None:
@@ -163,13 +186,16 @@ GRAZING = 1e-6
 
 
 def clearest(refractive_index: float) -> float:
-    """Return the transmittance at normal incidence of a pane that absorbs nothing, dimensionless."""
+    """Return the transmittance at normal incidence of a pane that absorbs nothing,
+    dimensionless.
+    """
     face = float(dielectric(1.0, refractive_index))
     return (1.0 - face) / (1.0 + face)
 
 
 def internal_transmittance(transmittance: ArrayLike, refractive_index: float) -> Array:
-    """Return the internal transmittance of the glass at normal incidence, from a pane's transmittance.
+    """Return the internal transmittance of the glass at normal incidence, from a pane's
+    transmittance.
 
     Notes
     -----
@@ -180,16 +206,21 @@ def internal_transmittance(transmittance: ArrayLike, refractive_index: float) ->
     return 2.0 * through / (once + np.sqrt(once**2 + 4.0 * (face * through) ** 2))
 
 
-def pane_shares(cosine: Array, transmittance: Array, refractive_index: float) -> tuple[Array, Array]:
-    """Return reflectance and transmittance of a pane for unpolarised light, each of shape (ray, band).
+def pane_shares(
+    cosine: Array, transmittance: Array, refractive_index: float
+) -> tuple[Array, Array]:
+    """Return reflectance and transmittance of a pane for unpolarised light, each of shape (ray,
+    band).
 
-    By cosines of the angles of incidence (ray,), transmittance at normal incidence (band,) and index of the glass.
+    By cosines of the angles of incidence (ray,), transmittance at normal incidence (band,) and
+    index of the glass.
 
     Notes
     -----
-    All reflections between the faces are summed without interference (Born and Wolf, Principles of Optics, 7.6, for a
-    coherence length below the thickness): for each polarisation T = (1 - r)^2 t / (1 - r^2 t^2), R = r (1 + t T), with
-    t to the power of 1/cos of the angle in the glass. The rest is absorbed.
+    All reflections between the faces are summed without interference (Born and Wolf, Principles of
+    Optics, 7.6, for a coherence length below the thickness): for each polarisation T = (1 - r)^2 t
+    / (1 - r^2 t^2), R = r (1 + t T), with t to the power of 1/cos of the angle in the glass. The
+    rest is absorbed.
     """
     steep = np.clip(np.abs(cosine), GRAZING, 1.0)
     inside = np.sqrt(1.0 - (1.0 - steep**2) / refractive_index**2)

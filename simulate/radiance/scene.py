@@ -1,4 +1,6 @@
-"""Scenes from TOML files, and the description of the lab bench: sphere, target plate, holder and room light."""
+"""Scenes from TOML files, and the description of the lab bench: sphere, target plate, holder and
+room light.
+"""
 
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -15,7 +17,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """Integrating sphere whose port lights the target from behind; the requested illuminance sets its radiance.
+    """Integrating sphere whose port lights the target from behind; the requested illuminance sets
+    its radiance.
 
     Parameters
     ----------
@@ -38,9 +41,11 @@ class RoomLight:
     temperature_k
         Colour temperature, K.
     relative_illuminance
-        Illuminance it would give at the target's centre, over the exitance of the sphere's port, dimensionless.
+        Illuminance it would give at the target's centre, over the exitance of the sphere's port,
+        dimensionless.
     position_m
-        Position (x, y, z) relative to the target's centre, m: x right and y down in the image, z away from the camera.
+        Position (x, y, z) relative to the target's centre, m: x right and y down in the image, z
+        away from the camera.
     """
 
     temperature_k: float
@@ -99,7 +104,8 @@ class LabScene:
         for name in ("open", "mask", "ring"):
             if getattr(self, name).finish != "matt":
                 raise BadInput(
-                    f"materials of the bench must be matt, got a {getattr(self, name).finish} one for {name}"
+                    f"materials of the bench must be matt, got a {getattr(self, name).finish} one "
+                    f"for {name}"
                 )
         if not self.holder.outer_radius_px > self.holder.inner_radius_px > 0.0:
             raise BadInput(
@@ -109,7 +115,8 @@ class LabScene:
 
 
 def load_scene(name_or_path: str | Path = "bench") -> "LabScene | OutdoorScene":
-    """Return a shipped scene by name, or a scene from a TOML file: a lab bench, or an outdoor scene with a camera.
+    """Return a shipped scene by name, or a scene from a TOML file: a lab bench, or an outdoor scene
+    with a camera.
 
     Raises BadInput if there is no such scene, or the file breaks a rule.
     """
@@ -117,9 +124,13 @@ def load_scene(name_or_path: str | Path = "bench") -> "LabScene | OutdoorScene":
     if path.suffix == ".toml":
         return _read(path)
     shipped = resources.files("simulate") / "scenes"
-    names = sorted(file.name.removesuffix(".toml") for file in shipped.iterdir() if file.name.endswith(".toml"))
+    names = sorted(
+        file.name.removesuffix(".toml") for file in shipped.iterdir() if file.name.endswith(".toml")
+    )
     if str(name_or_path) not in names:
-        raise BadInput(f"a scene must be a .toml file or one of {', '.join(names)}, got {str(name_or_path)!r}")
+        raise BadInput(
+            f"a scene must be a .toml file or one of {', '.join(names)}, got {str(name_or_path)!r}"
+        )
     with resources.as_file(shipped / f"{name_or_path}.toml") as file:
         return _read(file)
 

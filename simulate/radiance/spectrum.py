@@ -1,4 +1,6 @@
-"""Spectra of light sources, with a continuum and lines, black bodies, and the spectral grid of a rendering."""
+"""Spectra of light sources, with a continuum and lines, black bodies, and the spectral grid of a
+rendering.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -17,11 +19,14 @@ Array = NDArray[np.floating]
 # CODATA 2018: W m-2 K-4; J s; m/s; J/K.
 STEFAN_BOLTZMANN = 5.670374419e-8
 PLANCK, LIGHT, BOLTZMANN = 6.62607015e-34, 2.99792458e8, 1.380649e-23
-# Terms of the series: exp(-n x) is below 1e-9 of the first one after these, for x of 0.5 (14 um at 2000 K) and more.
+# Terms of the series: exp(-n x) is below 1e-9 of the first one after these, for x of 0.5 (14 um at
+# 2000 K) and more.
 TERMS = 40
 
 
-def band_radiance(low_um: ArrayLike, high_um: ArrayLike, temperature_k: ArrayLike) -> NDArray[np.float64]:
+def band_radiance(
+    low_um: ArrayLike, high_um: ArrayLike, temperature_k: ArrayLike
+) -> NDArray[np.float64]:
     r"""Return the radiance of a black body between two wavelengths, W m-2 sr-1.
 
     Parameters
@@ -36,35 +41,49 @@ def band_radiance(low_um: ArrayLike, high_um: ArrayLike, temperature_k: ArrayLik
     .. math:: L = \frac{2 k^4 T^4}{h^3 c^2} \sum_n e^{-nx} (x^3/n + 3x^2/n^2 + 6x/n^3 + 6/n^4),
         \quad x = \frac{hc}{\lambda k T}
 
-    from the low end minus from the high end (Chang and Rhee, Int. Comm. Heat Mass Transfer 11, 451, 1984). `TERMS`
-    terms are exact to 1e-8 for wavelength times temperature below 28,000 um K.
+    from the low end minus from the high end (Chang and Rhee, Int. Comm. Heat Mass Transfer 11, 451,
+    1984). `TERMS` terms are exact to 1e-8 for wavelength times temperature below 28,000 um K.
     """
     kelvin = np.asarray(temperature_k, float)
     scale = 2.0 * BOLTZMANN**4 / (PLANCK**3 * LIGHT**2) * kelvin**4
     return scale * (_series(_exponent(high_um, kelvin), 3) - _series(_exponent(low_um, kelvin), 3))
 
 
-def band_photon_radiance(low_um: ArrayLike, high_um: ArrayLike, temperature_k: ArrayLike) -> NDArray[np.float64]:
-    """Return the photon radiance of a black body between two wavelengths, s-1 m-2 sr-1, as `band_radiance`."""
+def band_photon_radiance(
+    low_um: ArrayLike, high_um: ArrayLike, temperature_k: ArrayLike
+) -> NDArray[np.float64]:
+    """Return the photon radiance of a black body between two wavelengths, s-1 m-2 sr-1, as
+    `band_radiance`.
+    """
     kelvin = np.asarray(temperature_k, float)
     scale = 2.0 * BOLTZMANN**3 / (PLANCK**3 * LIGHT**2) * kelvin**3
     return scale * (_series(_exponent(high_um, kelvin), 2) - _series(_exponent(low_um, kelvin), 2))
 
 
-def band_radiance_slope(low_um: ArrayLike, high_um: ArrayLike, temperature_k: ArrayLike) -> NDArray[np.float64]:
+def band_radiance_slope(
+    low_um: ArrayLike, high_um: ArrayLike, temperature_k: ArrayLike
+) -> NDArray[np.float64]:
     r"""Return the derivative of `band_radiance` with temperature, W m-2 sr-1 K-1.
 
     Notes
     -----
-    .. math:: T \frac{dL}{dT} = 4 L + \left[\frac{2 k^4 T^4}{h^3 c^2} \frac{x^4}{e^x - 1}\right]_{low}^{high}
+    .. math::
+
+        T \frac{dL}{dT} = 4 L
+        + \left[\frac{2 k^4 T^4}{h^3 c^2} \frac{x^4}{e^x - 1}\right]_{low}^{high}
     """
     kelvin = np.asarray(temperature_k, float)
     scale = 2.0 * BOLTZMANN**4 / (PLANCK**3 * LIGHT**2) * kelvin**4
-    low, high = (-(x**4) * np.exp(-x) / np.expm1(-x) for x in (_exponent(end, kelvin) for end in (low_um, high_um)))
+    low, high = (
+        -(x**4) * np.exp(-x) / np.expm1(-x)
+        for x in (_exponent(end, kelvin) for end in (low_um, high_um))
+    )
     return (4.0 * band_radiance(low_um, high_um, kelvin) + scale * (high - low)) / kelvin
 
 
-def brightness_temperature(low_um: float, high_um: float, radiance: ArrayLike) -> NDArray[np.float64]:
+def brightness_temperature(
+    low_um: float, high_um: float, radiance: ArrayLike
+) -> NDArray[np.float64]:
     """Return the temperature of the black body of a band radiance (W m-2 sr-1, above 0), K.
 
     Notes
@@ -100,14 +119,50 @@ LUMENS_PER_WATT = 683.0
 
 # CIE 1924 photopic luminous efficiency, every 10 nm from 380 nm.
 EYE_NM = np.arange(380.0, 771.0, 10.0)
-# fmt: off
-EYE_SHARE = np.array([
-    0.000039, 0.00012, 0.000396, 0.00121, 0.004, 0.0116, 0.023, 0.038, 0.06, 0.09098,
-    0.13902, 0.20802, 0.323, 0.503, 0.71, 0.862, 0.954, 0.99495, 0.995, 0.952,
-    0.87, 0.757, 0.631, 0.503, 0.381, 0.265, 0.175, 0.107, 0.061, 0.032,
-    0.017, 0.00821, 0.004102, 0.002091, 0.001047, 0.00052, 0.000249, 0.00012, 0.00006, 0.00003,
-])
-# fmt: on
+EYE_SHARE = np.array(
+    [
+        0.000039,
+        0.00012,
+        0.000396,
+        0.00121,
+        0.004,
+        0.0116,
+        0.023,
+        0.038,
+        0.06,
+        0.09098,
+        0.13902,
+        0.20802,
+        0.323,
+        0.503,
+        0.71,
+        0.862,
+        0.954,
+        0.99495,
+        0.995,
+        0.952,
+        0.87,
+        0.757,
+        0.631,
+        0.503,
+        0.381,
+        0.265,
+        0.175,
+        0.107,
+        0.061,
+        0.032,
+        0.017,
+        0.00821,
+        0.004102,
+        0.002091,
+        0.001047,
+        0.00052,
+        0.000249,
+        0.00012,
+        0.00006,
+        0.00003,
+    ]
+)
 
 
 def luminous_efficiency(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
@@ -136,7 +191,9 @@ class SourceSpectrum:
 
     wavelength_nm: Array  # wavelengths of the continuum, ascending, shape (sample,), nm
     density: Array  # power per nm at them, linear between and zero outside, shape (sample,)
-    line_nm: tuple[float, ...] = ()  # wavelengths of lines too narrow for any grid, ascending, shape (line,), nm
+    line_nm: tuple[
+        float, ...
+    ] = ()  # wavelengths of lines too narrow for any grid, ascending, shape (line,), nm
     line_power: tuple[float, ...] = ()  # power of each, shape (line,)
 
     def __post_init__(self) -> None:
@@ -149,22 +206,31 @@ class SourceSpectrum:
         if not (np.diff(wavelength) > 0.0).all() or not wavelength[0] > 0.0:
             raise BadInput("the wavelengths of a spectrum must be positive and ascend")
         if len(self.line_nm) != len(self.line_power):
-            raise BadInput(f"each line must have a power, got {len(self.line_nm)} lines, {len(self.line_power)} powers")
-        if not np.isfinite(density).all() or density.min() < 0.0 or min(self.line_power, default=0.0) < 0.0:
+            raise BadInput(
+                f"each line must have a power, got {len(self.line_nm)} lines, "
+                f"{len(self.line_power)} powers"
+            )
+        if (
+            not np.isfinite(density).all()
+            or density.min() < 0.0
+            or min(self.line_power, default=0.0) < 0.0
+        ):
             raise BadInput("the power of a spectrum must be finite and not negative")
         object.__setattr__(self, "wavelength_nm", read_only(wavelength))
         object.__setattr__(self, "density", read_only(density))
 
     def on(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the power per nm in the bands of a complete grid, shape (band,); widths depend on neighbours.
+        """Return the power per nm in the bands of a complete grid, shape (band,); widths depend on
+        neighbours.
 
         Raises BadInput if the grid does not ascend, or has fewer than two bands.
 
         Notes
         -----
-        A band's value is int hat S dl / int hat dl, hat linear from 1 at the band to 0 at its neighbours; a line of
-        power P at a band of width w adds P / w. So the sum of value times band width (`cube.band_widths`) times any
-        function that is linear between the bands is its exact integral over the spectrum, on every grid.
+        A band's value is int hat S dl / int hat dl, hat linear from 1 at the band to 0 at its
+        neighbours; a line of power P at a band of width w adds P / w. So the sum of value times
+        band width (`cube.band_widths`) times any function that is linear between the bands is its
+        exact integral over the spectrum, on every grid.
         """
         grid = require_grid(wavelength_nm)
         power = hat_integrals(grid, (self.wavelength_nm, self.density))
@@ -178,26 +244,41 @@ class SourceSpectrum:
         return replace(self, density=factor * self.density, line_power=powers)
 
     def multiply(self, factor: Callable[[Array], Array]) -> "SourceSpectrum":
-        """Return the spectrum multiplied by a function of wavelength, nm, such as a filter or a reflectance."""
+        """Return the spectrum multiplied by a function of wavelength, nm, such as a filter or a
+        reflectance.
+        """
         shares = factor(np.asarray(self.line_nm, float)) if self.line_nm else np.empty(0)
-        powers = tuple(float(share * power) for share, power in zip(shares, self.line_power, strict=True))
+        powers = tuple(
+            float(share * power) for share, power in zip(shares, self.line_power, strict=True)
+        )
         return replace(self, density=self.density * factor(self.wavelength_nm), line_power=powers)
 
     def total(self, low_nm: float = 0.0, high_nm: float = np.inf) -> float:
         """Return the power between two wavelengths, nm."""
         low, high = max(low_nm, self.wavelength_nm[0]), min(high_nm, self.wavelength_nm[-1])
-        lines = sum(p for nm, p in zip(self.line_nm, self.line_power, strict=True) if low_nm <= nm <= high_nm)
+        lines = sum(
+            p
+            for nm, p in zip(self.line_nm, self.line_power, strict=True)
+            if low_nm <= nm <= high_nm
+        )
         if not high > low:
             return float(lines)
         inside = self.wavelength_nm[(self.wavelength_nm > low) & (self.wavelength_nm < high)]
         edges = np.concatenate([[low], inside, [high]])
-        return float(np.trapezoid(np.interp(edges, self.wavelength_nm, self.density), edges) + lines)
+        return float(
+            np.trapezoid(np.interp(edges, self.wavelength_nm, self.density), edges) + lines
+        )
 
     def through(self, table_nm: ArrayLike, share: ArrayLike) -> float:
-        """Return the integral of the power times a table, linear between its wavelengths and zero outside: exact."""
+        """Return the integral of the power times a table, linear between its wavelengths and zero
+        outside: exact.
+        """
         nm = np.asarray(table_nm, float)
         smooth = hat_integrals(nm[[0, -1]], (self.wavelength_nm, self.density), (nm, share)).sum()
-        lines = np.interp(self.line_nm, nm, np.asarray(share, float), left=0.0, right=0.0) * self.line_power
+        lines = (
+            np.interp(self.line_nm, nm, np.asarray(share, float), left=0.0, right=0.0)
+            * self.line_power
+        )
         return float(smooth + lines.sum())
 
     @property
@@ -209,8 +290,12 @@ class SourceSpectrum:
 def sum_spectra(parts: list[SourceSpectrum]) -> SourceSpectrum:
     """Return the sum of spectra, all lines kept."""
     fine = np.unique(np.concatenate([part.wavelength_nm for part in parts]))
-    density = sum(np.interp(fine, part.wavelength_nm, part.density, left=0.0, right=0.0) for part in parts)
-    lines = sorted((nm, p) for part in parts for nm, p in zip(part.line_nm, part.line_power, strict=True))
+    density = sum(
+        np.interp(fine, part.wavelength_nm, part.density, left=0.0, right=0.0) for part in parts
+    )
+    lines = sorted(
+        (nm, p) for part in parts for nm, p in zip(part.line_nm, part.line_power, strict=True)
+    )
     return SourceSpectrum(
         wavelength_nm=fine,
         density=np.asarray(density),
@@ -220,27 +305,37 @@ def sum_spectra(parts: list[SourceSpectrum]) -> SourceSpectrum:
 
 
 def require_grid(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-    """Return a grid of wavelengths as an array; raise BadInput if it does not ascend or has fewer than two bands."""
+    """Return a grid of wavelengths as an array; raise BadInput if it does not ascend or has fewer
+    than two bands.
+    """
     grid = np.atleast_1d(np.asarray(wavelength_nm, float))
     if grid.ndim != 1 or grid.size < 2:
-        raise BadInput(f"a spectral grid must be a row of at least two bands, got shape {grid.shape}")
+        raise BadInput(
+            f"a spectral grid must be a row of at least two bands, got shape {grid.shape}"
+        )
     if not (np.diff(grid) > 0.0).all() or not grid[0] > 0.0:
         raise BadInput("the wavelengths of a spectral grid must be positive and ascend")
     return grid
 
 
 def hat_integrals(grid: ArrayLike, *tables: Table) -> NDArray[np.float64]:
-    """Return int hat_b f g dl of each band of a grid, shape (band,): hats are 1 at their band and 0 at its neighbours.
+    """Return int hat_b f g dl of each band of a grid, shape (band,): hats are 1 at their band and 0
+    at its neighbours.
 
-    f and g are tables of ascending wavelengths, nm, and values, linear between and zero outside; at most two.
+    f and g are tables of ascending wavelengths, nm, and values, linear between and zero outside; at
+    most two.
 
     Notes
     -----
-    Simpson's rule between all knots, of the grid and of the tables, is exact: the product there is a cubic at most.
+    Simpson's rule between all knots, of the grid and of the tables, is exact: the product there is
+    a cubic at most.
     """
     bands = np.asarray(grid, float)
     known = [(np.asarray(nm, float), np.asarray(value, float)) for nm, value in tables]
-    low, high = max(bands[0], *(nm[0] for nm, _ in known)), min(bands[-1], *(nm[-1] for nm, _ in known))
+    low, high = (
+        max(bands[0], *(nm[0] for nm, _ in known)),
+        min(bands[-1], *(nm[-1] for nm, _ in known)),
+    )
     total = np.zeros(bands.size)
     if not high > low:
         return total
@@ -260,7 +355,9 @@ def hat_integrals(grid: ArrayLike, *tables: Table) -> NDArray[np.float64]:
 
 def _hats_at(grid: Array, wavelength_nm: float) -> Array:
     """Return each band's hat at one wavelength; zero for one outside the grid."""
-    return np.array([np.interp(wavelength_nm, grid, unit, left=0.0, right=0.0) for unit in np.eye(grid.size)])
+    return np.array(
+        [np.interp(wavelength_nm, grid, unit, left=0.0, right=0.0) for unit in np.eye(grid.size)]
+    )
 
 
 def spectral_grid(
@@ -273,27 +370,41 @@ def spectral_grid(
 ) -> Array:
     """Return the bands for sources and a sensor, ascending, shape (band,), nm.
 
-    They are both ends of the response, each line between them, and bands where response or spectra are most curved.
+    They are both ends of the response, each line between them, and bands where response or spectra
+    are most curved.
 
     Parameters
     ----------
     sources, spectra
-        Spectra of the lights; reflectances and transmittances that multiply them, as wavelengths and values.
+        Spectra of the lights; reflectances and transmittances that multiply them, as wavelengths
+        and values.
     response_nm, response
-        The sensor's response per W at wavelengths, ascending, linear between them; the grid covers where it is above 0.
+        The sensor's response per W at wavelengths, ascending, linear between them; the grid covers
+        where it is above 0.
     tolerance
-        Largest error of any source's detected light, as a sum over |error| between bands, as a fraction of it.
+        Largest error of any source's detected light, as a sum over |error| between bands, as a
+        fraction of it.
     """
     if not tolerance > 0.0:
         raise BadInput(f"the tolerance of a spectral grid must be positive, got {tolerance:g}")
     sensor_nm, sensor_response = np.asarray(response_nm, float), np.asarray(response, float)
     low, high = _span(sensor_nm, sensor_response)
     grid = _start(low, high, [nm for source in sources for nm in source.line_nm if low < nm < high])
-    knots = [sensor_nm, *(np.asarray(nm, float) for nm, _ in spectra), *(source.wavelength_nm for source in sources)]
+    knots = [
+        sensor_nm,
+        *(np.asarray(nm, float) for nm, _ in spectra),
+        *(source.wavelength_nm for source in sources),
+    ]
     fine = np.unique(np.concatenate([np.arange(low, high, 1.0), grid, *knots]))
     fine = fine[(fine >= low) & (fine <= high)]
     sensor = np.interp(fine, sensor_nm, sensor_response, left=0.0, right=0.0)
-    factors = [sensor, *(sensor * np.interp(fine, np.asarray(nm, float), np.asarray(v, float)) for nm, v in spectra)]
+    factors = [
+        sensor,
+        *(
+            sensor * np.interp(fine, np.asarray(nm, float), np.asarray(v, float))
+            for nm, v in spectra
+        ),
+    ]
     while True:
         error, next_nm = _worst(grid, fine, factors, sources)
         if error <= tolerance:
@@ -304,15 +415,21 @@ def spectral_grid(
 def _span(wavelength_nm: Array, response: Array) -> tuple[float, float]:
     positive = np.flatnonzero(response > 0.0)
     if positive.size == 0:
-        raise BadInput("a sensor must respond at some wavelength, got a response that is nowhere positive")
+        raise BadInput(
+            "a sensor must respond at some wavelength, got a response that is nowhere positive"
+        )
     first, last = max(positive[0] - 1, 0), min(positive[-1] + 1, len(response) - 1)
     if first == last:
         raise BadInput("a sensor's response must have at least two wavelengths, got one")
     return float(wavelength_nm[first]), float(wavelength_nm[last])
 
 
-def _start(low: float, high: float, lines: list[float], widest_nm: float = 50.0, foot_nm: float = 4.0) -> Array:
-    """Return an equidistant grid with every line, and a neighbour on both sides of it where no other band is close."""
+def _start(
+    low: float, high: float, lines: list[float], widest_nm: float = 50.0, foot_nm: float = 4.0
+) -> Array:
+    """Return an equidistant grid with every line, and a neighbour on both sides of it where no
+    other band is close.
+    """
     grid = np.linspace(low, high, max(2, int(np.ceil((high - low) / widest_nm)) + 1))
     grid = np.union1d(grid, lines)
     for line in lines:
@@ -326,21 +443,27 @@ def _start(low: float, high: float, lines: list[float], widest_nm: float = 50.0,
 def _worst(
     grid: Array, fine: Array, factors: Sequence[Array], sources: Sequence[SourceSpectrum]
 ) -> tuple[float, float]:
-    """Return the largest relative error of any source seen through any factor, and the wavelength of the next band.
+    """Return the largest relative error of any source seen through any factor, and the wavelength
+    of the next band.
 
-    That is where the factor is farthest from the line between bands, in the interval that adds most to the error. A
-    source is averaged over bands (`SourceSpectrum.on`), so that only the bending of a factor between bands is an error.
+    That is where the factor is farthest from the line between bands, in the interval that adds most
+    to the error. A source is averaged over bands (`SourceSpectrum.on`), so that only the bending of
+    a factor between bands is an error.
     """
     worst, place = 0.0, 0.0
     interval = np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, grid.size - 2)
     width = band_widths(fine)
-    bents = [np.abs(factor - np.interp(fine, grid, np.interp(grid, fine, factor))) for factor in factors]
+    bents = [
+        np.abs(factor - np.interp(fine, grid, np.interp(grid, fine, factor))) for factor in factors
+    ]
     for source in sources:
         density = np.interp(fine, source.wavelength_nm, source.density, left=0.0, right=0.0) * width
         lines = np.asarray(source.line_nm, float)
         for factor, bent in zip(factors, bents, strict=True):
             seen = np.sum(factor * density)
-            seen += np.sum(np.interp(lines, fine, factor, left=0.0, right=0.0) * np.asarray(source.line_power))
+            seen += np.sum(
+                np.interp(lines, fine, factor, left=0.0, right=0.0) * np.asarray(source.line_power)
+            )
             part = bent * density
             if seen > 0.0 and part.sum() / seen > worst:
                 worst = float(part.sum() / seen)
@@ -352,7 +475,12 @@ def _worst(
 @cache
 def table(name: str) -> dict[str, Array]:
     """Return the columns of `tables/name.csv` by their headings."""
-    text = (resources.files("simulate.radiance") / "tables" / f"{name}.csv").read_text(encoding="utf-8")
+    text = (resources.files("simulate.radiance") / "tables" / f"{name}.csv").read_text(
+        encoding="utf-8"
+    )
     lines = [line for line in text.splitlines() if line and not line.startswith("#")]
     values = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
-    return {heading: read_only(column) for heading, column in zip(lines[0].split(","), values.T, strict=True)}
+    return {
+        heading: read_only(column)
+        for heading, column in zip(lines[0].split(","), values.T, strict=True)
+    }

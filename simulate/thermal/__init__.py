@@ -1,1 +1,3 @@
-"""Surface temperatures: layered slabs under sun, sky, air and neighbours, with the weather of a day."""
+"""Surface temperatures: layered slabs under sun, sky, air and neighbours, with the weather of a
+day.
+"""

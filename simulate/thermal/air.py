@@ -1,9 +1,9 @@
 """Infrared transmittance and emission of the air near the ground, in fixed spectral bins.
 
-The bins are those of `air.csv`: 0.15 to 0.35 um wide from 3 to 5 um, 0.5 um from 7.5 to 14 um. In place of the law of
-that file, the MODTRAN 5 database of pyBSM (LeMaster and Eismann, Proc. SPIE 10204, 2017; Apache-2.0) serves as an
-optional extra. It is read from its files: pyBSM is not imported, so that a folder of them serves as well where the
-package cannot be installed.
+The bins are those of `air.csv`: 0.15 to 0.35 um wide from 3 to 5 um, 0.5 um from 7.5 to 14 um. In
+place of the law of that file, the MODTRAN 5 database of pyBSM (LeMaster and Eismann, Proc. SPIE
+10204, 2017; Apache-2.0) serves as an optional extra. It is read from its files: pyBSM is not
+imported, so that a folder of them serves as well where the package cannot be installed.
 """
 
 from dataclasses import dataclass, field
@@ -29,21 +29,22 @@ Array = NDArray[np.floating]
 WINDOWS_UM = ((3.0, 5.0), (7.5, 14.0))
 # Temperature to which the continuum's coefficients belong, K.
 CONTINUUM_K = 296.0
-# Extinction of rural haze at 70 to 80 % relative humidity over that at 0.55 um (LOWTRAN7), at 4 and at 10 um.
+# Extinction of rural haze at 70 to 80 % relative humidity over that at 0.55 um (LOWTRAN7), at 4 and
+# at 10 um.
 HAZE_MWIR, HAZE_LWIR = 0.111, 0.090
 VISIBLE_NM = 550.0
 # Air of the database at the ground: mid-latitude summer at sea level.
 MODTRAN_K, MODTRAN_G_M3, MODTRAN_HPA = 294.2, 14.0, 1013.0
 # Its visibilities, km, and their codes.
 CODE_OF_KM = {5.0: 2, 23.0: 1}
-# Paths used: height of the sensor and distance on the ground of its target, km. Towards the horizon the paths of the
-# database are shorter than it says: 5 km from a sensor 2 m up has the visible transmittance of 3.7 km, 8 km from one
-# 32.5 m up that of 7.8 km.
+# Paths used: height of the sensor and distance on the ground of its target, km. Towards the horizon
+# the paths of the database are shorter than it says: 5 km from a sensor 2 m up has the visible
+# transmittance of 3.7 km, 8 km from one 32.5 m up that of 7.8 km.
 PATHS_KM = ((0.002, (0.0, 0.1, 0.5)), (0.0325, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)))
 WAVELENGTH_UM = np.linspace(0.3, 14.0, 1371)
 HOLDS = (
-    "the MODTRAN database holds level paths to 8 km less than 100 m up, in air of 21 C with 14 g/m3 of water vapour "
-    "(76 % humidity) at sea level, with visibilities of 5 to 23 km"
+    "the MODTRAN database holds level paths to 8 km less than 100 m up, in air of 21 C with 14 "
+    "g/m3 of water vapour (76 % humidity) at sea level, with visibilities of 5 to 23 km"
 )
 
 
@@ -136,7 +137,9 @@ class InfraredAir:
         relative = np.where(self.low_um < WINDOWS_UM[1][0], HAZE_MWIR, HAZE_LWIR)
         if self.visibility_km is None:
             return 0.0 * relative
-        return relative * float(Atmosphere(visibility_km=self.visibility_km).haze_per_km(VISIBLE_NM)[0])
+        return relative * float(
+            Atmosphere(visibility_km=self.visibility_km).haze_per_km(VISIBLE_NM)[0]
+        )
 
     def depth(self, dry_km: ArrayLike, water_km: ArrayLike, continuum_km: ArrayLike) -> Array:
         r"""Return the optical depth of gases on paths, shape (path, bin), dimensionless.
@@ -144,8 +147,8 @@ class InfraredAir:
         Parameters
         ----------
         dry_km, water_km, continuum_km
-            Length of each path in air as at the ground for dry gases, lines of water and its continuum, shape (path,),
-            km. They are the same on a level path.
+            Length of each path in air as at the ground for dry gases, lines of water and its
+            continuum, shape (path,), km. They are the same on a level path.
 
         Notes
         -----
@@ -153,17 +156,21 @@ class InfraredAir:
             D(A r, a, n) + D(B q r, b, 1/2) + C q^2 r \exp\left(s (1/T - 1/296)\right), \quad
             D(x, p, n) = \frac{p}{n} \left(\left(1 + x/p\right)^n - 1\right)
 
-        with the water vapour q: lines are weak on short paths, where their depth grows with the range, and saturate
-        beyond the depth p. n = 1/2 is the band model of Malkmus (J. Opt. Soc. Am. 57, 323, 1967); the bin of carbon
-        dioxide's band at 4.3 um, of which some is opaque within metres, has n = 0.3.
+        with the water vapour q: lines are weak on short paths, where their depth grows with the
+        range, and saturate beyond the depth p. n = 1/2 is the band model of Malkmus (J. Opt. Soc.
+        Am. 57, 323, 1967); the bin of carbon dioxide's band at 4.3 um, of which some is opaque
+        within metres, has n = 0.3.
 
-        Fitted to MODTRAN 5.2 with 360 ppm of carbon dioxide at 294.2 K and 14 g m-3, 2 m to 8 km (database of pyBSM),
-        and in other airs, 263 to 303 K and 20 to 100 % relative humidity, to LOWTRAN7, whose depth is multiplied by the
-        0.8th power of MODTRAN's over its own on that length at 294.2 K. The emission of a path is within 3.3 % of
-        MODTRAN's over 0.1 to 8 km; the transmittance of a band is within 0.015 of LOWTRAN7's from 8 to 14 um, and up to
-        0.05 higher from 3 to 5 um, where MODTRAN's is.
+        Fitted to MODTRAN 5.2 with 360 ppm of carbon dioxide at 294.2 K and 14 g m-3, 2 m to 8 km
+        (database of pyBSM), and in other airs, 263 to 303 K and 20 to 100 % relative humidity, to
+        LOWTRAN7, whose depth is multiplied by the 0.8th power of MODTRAN's over its own on that
+        length at 294.2 K. The emission of a path is within 3.3 % of MODTRAN's over 0.1 to 8 km; the
+        transmittance of a band is within 0.015 of LOWTRAN7's from 8 to 14 um, and up to 0.05 higher
+        from 3 to 5 um, where MODTRAN's is.
         """
-        dry, water, continuum = (np.asarray(km, float).reshape(-1, 1) for km in (dry_km, water_km, continuum_km))
+        dry, water, continuum = (
+            np.asarray(km, float).reshape(-1, 1) for km in (dry_km, water_km, continuum_km)
+        )
         row, vapour = self.rows, self.vapour_g_m3
         warmth = np.exp(row["continuum_k"] * (1.0 / self.temperature_k - 1.0 / CONTINUUM_K))
         return (
@@ -191,19 +198,23 @@ class InfraredAir:
 
         Notes
         -----
-        T L + (1 - T) B(air): air in thermal equilibrium emits what it absorbs; haze counts as absorbing.
+        T L + (1 - T) B(air): air in thermal equilibrium emits what it absorbs; haze counts as
+        absorbing.
         """
         through = self.transmittance(range_m)
         return through * radiance + (1.0 - through) * self.black_body(self.temperature_k)
 
     def kelvin_per_radiance(self, temperature_k: float) -> float:
-        """Return the change of temperature of a black body that changes its radiance in all bins by 1 W m-2 sr-1, K."""
+        """Return the change of temperature of a black body that changes its radiance in all bins by
+        1 W m-2 sr-1, K.
+        """
         return 1.0 / float(band_radiance_slope(self.edges_um[0], self.edges_um[-1], temperature_k))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModtranAir(InfraredAir):
-    """Air near the ground whose transmittance is that of MODTRAN's paths; the sky's depth stays that of the band model.
+    """Air near the ground whose transmittance is that of MODTRAN's paths; the sky's depth stays
+    that of the band model.
 
     Parameters
     ----------
@@ -214,8 +225,9 @@ class ModtranAir(InfraredAir):
     """
 
     notes: ClassVar[tuple[str, ...]] = (
-        "transmittance of paths: MODTRAN 5.2.1, mid-latitude summer, rural haze (database of pyBSM); the paths emit as "
-        "black bodies of the scene's air do, for the database has the emission of air 1 km up, 4.5 K colder",
+        "transmittance of paths: MODTRAN 5.2.1, mid-latitude summer, rural haze (database of "
+        "pyBSM); the paths emit as black bodies of the scene's air do, for the database has the "
+        "emission of air 1 km up, 4.5 K colder",
     )
     path_m: Array = field(repr=False, compare=False)
     path_depth: Array = field(repr=False, compare=False)
@@ -225,23 +237,31 @@ class ModtranAir(InfraredAir):
 
         Notes
         -----
-        The logarithm of the depth is linear in that of the length, below 2 m and beyond the longest path as well.
+        The logarithm of the depth is linear in that of the length, below 2 m and beyond the longest
+        path as well.
         """
-        known, length = np.log(self.path_m), np.log(np.maximum(np.asarray(range_m, float).reshape(-1), 1e-6))
+        known, length = (
+            np.log(self.path_m),
+            np.log(np.maximum(np.asarray(range_m, float).reshape(-1), 1e-6)),
+        )
         first = np.clip(np.searchsorted(known, length) - 1, 0, len(known) - 2)
         part = ((length - known[first]) / (known[first + 1] - known[first]))[:, None]
         depth = np.log(self.path_depth)
         return np.exp(-np.exp(depth[first] + part * (depth[first + 1] - depth[first])))
 
     def after_path(self, radiance: Array, range_m: ArrayLike) -> Array:
-        """Return radiance (path, bin) after level paths of lengths (path,), m; longer ones than known are refused."""
+        """Return radiance (path, bin) after level paths of lengths (path,), m; longer ones than
+        known are refused.
+        """
         farthest = float(np.max(range_m, initial=0.0))
         if farthest > self.path_m[-1]:
             raise BadInput(f"{HOLDS}, got a surface {1e-3 * farthest:.3g} km away")
         return super().after_path(radiance, range_m)
 
 
-def modtran_air(air: InfraredAir, scene: OutdoorScene, weather: Weather, height_m: float) -> ModtranAir:
+def modtran_air(
+    air: InfraredAir, scene: OutdoorScene, weather: Weather, height_m: float
+) -> ModtranAir:
     """Return air with the transmittance of MODTRAN's paths for a scene that asks for it.
 
     Parameters
@@ -265,25 +285,35 @@ def modtran_air(air: InfraredAir, scene: OutdoorScene, weather: Weather, height_
     assert scene.weather is not None
     visibility, pressure = scene.weather.visibility_km, float(weather.pressure_hpa[-1])
     differs = {
-        f"air of {air.temperature_k - 273.15:.1f} C": abs(air.temperature_k - MODTRAN_K) > MODTRAN.air_k,
-        f"{air.vapour_g_m3:.1f} g/m3 of water vapour": abs(air.vapour_g_m3 - MODTRAN_G_M3) > MODTRAN.vapour_g_m3,
+        f"air of {air.temperature_k - 273.15:.1f} C": abs(air.temperature_k - MODTRAN_K)
+        > MODTRAN.air_k,
+        f"{air.vapour_g_m3:.1f} g/m3 of water vapour": abs(air.vapour_g_m3 - MODTRAN_G_M3)
+        > MODTRAN.vapour_g_m3,
         f"a pressure of {pressure:.0f} hPa": abs(pressure - MODTRAN_HPA) > MODTRAN.pressure_hpa,
         f"a visibility of {visibility:g} km": not min(CODE_OF_KM) <= visibility <= max(CODE_OF_KM),
         f"a camera {height_m:.0f} m up": height_m > MODTRAN.height_m,
     }
     if any(differs.values()):
-        raise BadInput(f"{HOLDS}, got {', '.join(value for value, wrong in differs.items() if wrong)}")
+        raise BadInput(
+            f"{HOLDS}, got {', '.join(value for value, wrong in differs.items() if wrong)}"
+        )
     folder = _folder(scene, scene.weather)
-    known = np.genfromtxt(folder / "fileDecoder.csv", delimiter=",", skip_header=1, usecols=(0, 1, 2, 3))
+    known = np.genfromtxt(
+        folder / "fileDecoder.csv", delimiter=",", skip_header=1, usecols=(0, 1, 2, 3)
+    )
     lengths = np.array([np.hypot(height, km) for height, each in PATHS_KM for km in each])
     hazy, clear = (_bin_depths(folder, known, code, air) for code in CODE_OF_KM.values())
     # The depth of haze is as the reciprocal of the visibility.
     ends = [1.0 / km for km in CODE_OF_KM]
     part = (1.0 / visibility - ends[1]) / (ends[0] - ends[1])
     return ModtranAir(
-        edges_um=air.edges_um, temperature_k=air.temperature_k, vapour_g_m3=air.vapour_g_m3,
-        visibility_km=air.visibility_km, path_m=1e3 * lengths, path_depth=part * hazy + (1.0 - part) * clear,
-    )  # fmt: skip
+        edges_um=air.edges_um,
+        temperature_k=air.temperature_k,
+        vapour_g_m3=air.vapour_g_m3,
+        visibility_km=air.visibility_km,
+        path_m=1e3 * lengths,
+        path_depth=part * hazy + (1.0 - part) * clear,
+    )
 
 
 def _folder(scene: OutdoorScene, state: State) -> Path:
@@ -294,17 +324,22 @@ def _folder(scene: OutdoorScene, state: State) -> Path:
         package = find_spec("pybsm")
         if package is None or not package.submodule_search_locations:
             raise BadInput(
-                "atmosphere = \"modtran5\" needs the database of pyBSM: pip install 'charact[modtran5]', or name its "
+                'atmosphere = "modtran5" needs the database of pyBSM: pip install '
+                "'charact[modtran5]', or name its "
                 "folder atms as modtran_folder"
             )
         folder = Path(package.submodule_search_locations[0]) / "atms"
     if not (folder / "fileDecoder.csv").is_file():
-        raise BadInput(f"the MODTRAN database must have a file fileDecoder.csv, got none in {folder}")
+        raise BadInput(
+            f"the MODTRAN database must have a file fileDecoder.csv, got none in {folder}"
+        )
     return folder
 
 
 def _bin_depths(folder: Path, known: Array, code: int, air: InfraredAir) -> Array:
-    """Return the optical depths of the paths in bins, as means of the transmittance by the air's black body."""
+    """Return the optical depths of the paths in bins, as means of the transmittance by the air's
+    black body.
+    """
     part = (np.arange(INFRARED.bin_points) + 0.5) / INFRARED.bin_points
     um = air.low_um[:, None] + part * (air.high_um - air.low_um)[:, None]
     weight = band_radiance(um - 1e-3, um + 1e-3, air.temperature_k)
@@ -312,24 +347,30 @@ def _bin_depths(folder: Path, known: Array, code: int, air: InfraredAir) -> Arra
     depths = []
     for height, each in PATHS_KM:
         for km in each:
-            through = np.interp(um, WAVELENGTH_UM, _transmittance(folder, known, (height, km, code)))
+            through = np.interp(
+                um, WAVELENGTH_UM, _transmittance(folder, known, (height, km, code))
+            )
             depths.append(-np.log(np.maximum((weight * through).sum(axis=1), MODTRAN.least)))
     return np.maximum(depths, MODTRAN.least)
 
 
 def _transmittance(folder: Path, known: Array, path: tuple[float, float, int]) -> Array:
-    """Return the transmittance along a path of the database, by its height, distance and code, shape (wavelength,)."""
+    """Return the transmittance along a path of the database, by its height, distance and code,
+    shape (wavelength,).
+    """
     rows = known[np.isclose(known[:, 1:4], path, atol=1e-6).all(axis=1)]
     name = f"{int(rows[0, 0])}.bin" if len(rows) else "none"
     file = folder / name
     values = np.fromfile(file, np.float32) if file.is_file() else np.empty(0, np.float32)
     if values.size != 5 * len(WAVELENGTH_UM):
         raise BadInput(
-            f"the MODTRAN database must have {5 * len(WAVELENGTH_UM)} numbers for the path from {1e3 * path[0]:g} m up "
-            f"to {path[1]:g} km away, got {values.size} in {folder / name}"
+            f"the MODTRAN database must have {5 * len(WAVELENGTH_UM)} numbers for the path from "
+            f"{1e3 * path[0]:g} m up to {path[1]:g} km away, got {values.size} in {folder / name}"
         )
     # Five columns one after another, the first of them the transmittance.
     through = values[: len(WAVELENGTH_UM)].astype(float)
     if not (np.isfinite(through).all() and through.min() >= 0.0 and through.max() <= 1.0 + 1e-3):
-        raise BadInput(f"transmittances of the MODTRAN database must lie between 0 and 1, got others in {file}")
+        raise BadInput(
+            f"transmittances of the MODTRAN database must lie between 0 and 1, got others in {file}"
+        )
     return through

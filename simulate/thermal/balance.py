@@ -13,7 +13,16 @@ from simulate.radiance.outdoor.scene import Weather as State
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.clear_day import sky_radiance
 from simulate.thermal.exposure import RING_SINE, Exposure, Facets
-from simulate.thermal.slab import ZERO_C, Columns, Exchange, Forcing, kernels, march, periodic_start, vapour_pressure_pa
+from simulate.thermal.slab import (
+    ZERO_C,
+    Columns,
+    Exchange,
+    Forcing,
+    kernels,
+    march,
+    periodic_start,
+    vapour_pressure_pa,
+)
 from simulate.thermal.thresholds import LIMITS, UNCERTAINTY
 from simulate.thermal.weather import DAY_STEPS, Weather
 
@@ -34,14 +43,16 @@ class Solution:
     faces_k
         At the end of each step of the weather, shape (step, facet), K.
     kernel
-        Effect of the flux at each step of the last day on the last temperature, 0 for prescribed ones, shape
-        (`DAY_STEPS`, facet), K per W m-2.
+        Effect of the flux at each step of the last day on the last temperature, 0 for prescribed
+        ones, shape (`DAY_STEPS`, facet), K per W m-2.
     shaded_k, shaded_kernel
         Last temperature (facet,), K, and kernel of the same facets without direct sun.
     effects, left_out
-        What terms change at the last time, and what those left out could have changed: mK, at the facet where most.
+        What terms change at the last time, and what those left out could have changed: mK, at the
+        facet where most.
     errors_k
-        Change of the last temperature by one standard deviation of each input (`UNCERTAINTY`), shape (facet,), K.
+        Change of the last temperature by one standard deviation of each input (`UNCERTAINTY`),
+        shape (facet,), K.
     """
 
     faces_k: Array
@@ -60,7 +71,8 @@ class Balance:
     Parameters
     ----------
     facets, exposure
-        Facets and their view factors; `exposure.lit` at every `LIMITS.sun_steps`-th step of the last day.
+        Facets and their view factors; `exposure.lit` at every `LIMITS.sun_steps`-th step of the
+        last day.
     slabs, things
         Slab, with its absorptivity, and object of each.
     weather, state
@@ -92,8 +104,12 @@ class Balance:
 
     @cached_property
     def heating(self) -> Array:
-        """Fraction of sunlight that heats, not reflected and not spent on evaporation, shape (facet,)."""
-        return self.absorptivity * (1.0 - np.array([float(slab.latent_fraction) for slab in self.slabs]))
+        """Fraction of sunlight that heats, not reflected and not spent on evaporation, shape
+        (facet,).
+        """
+        return self.absorptivity * (
+            1.0 - np.array([float(slab.latent_fraction) for slab in self.slabs])
+        )
 
     @cached_property
     def rings(self) -> Array:
@@ -104,7 +120,9 @@ class Balance:
 
     @cached_property
     def direct_sunlight(self) -> Array:
-        """Sunlight straight from the sun, shape (step, facet), W m-2; shadows of each day are those of the last one."""
+        """Sunlight straight from the sun, shape (step, facet), W m-2; shadows of each day are those
+        of the last one.
+        """
         at, known = np.arange(DAY_STEPS) / LIMITS.sun_steps, np.arange(len(self.exposure.lit))
         lit = np.stack([np.interp(at, known, facet) for facet in self.exposure.lit.T], axis=1)
         return self.weather.direct_w_m2[:, None] * np.tile(lit, (len(self.weather) // DAY_STEPS, 1))
@@ -121,17 +139,25 @@ class Balance:
         return self._reflect(self.sunlight) + beyond
 
     def longwave(self, faces_k: Array) -> tuple[Array, Array]:
-        """Return longwave from the sky and from surfaces of given temperatures, shape (step, facet), W m-2."""
+        """Return longwave from the sky and from surfaces of given temperatures, shape (step,
+        facet), W m-2.
+        """
         exposure, steps = self.exposure, slice(len(self.weather) - len(faces_k), None)
         ground = STEFAN_BOLTZMANN * self.weather.air_k[steps, None] ** 4 * exposure.beyond
-        return self.rings[steps] @ exposure.rings.T, self.radiosity(faces_k) @ exposure.sees.T + ground
+        return self.rings[steps] @ exposure.rings.T, self.radiosity(
+            faces_k
+        ) @ exposure.sees.T + ground
 
     def radiosity(self, faces_k: Array) -> Array:
-        """Return longwave that facets emit and mirror, at temperatures of the last steps, shape (step, facet), W m-2.
+        """Return longwave that facets emit and mirror, at temperatures of the last steps, shape
+        (step, facet), W m-2.
 
         They mirror the sky that they see, and else surfaces of their own temperature.
         """
-        emitted, steps = STEFAN_BOLTZMANN * faces_k**4, slice(len(self.weather) - len(faces_k), None)
+        emitted, steps = (
+            STEFAN_BOLTZMANN * faces_k**4,
+            slice(len(self.weather) - len(faces_k), None),
+        )
         mirrored = self.rings[steps] @ self.exposure.rings.T + (1.0 - self.exposure.sky) * emitted
         return self.emissivity * emitted + (1.0 - self.emissivity) * mirrored
 
@@ -141,12 +167,13 @@ class Balance:
         Parameters
         ----------
         tolerance_mk
-            What further passes of neighbours, and a second reflection of the sun, may change at the last time, mK.
+            What further passes of neighbours, and a second reflection of the sun, may change at the
+            last time, mK.
 
         Notes
         -----
-        The first pass takes neighbours at the temperature of the air, each further one at their own. Each shrinks the
-        error by no less than (1 - F) h_r/(h_r + h).
+        The first pass takes neighbours at the temperature of the air, each further one at their
+        own. Each shrinks the error by no less than (1 - F) h_r/(h_r + h).
         """
         tolerance = 1e-3 * tolerance_mk
         rules = [self._rule_temperature_k(facet) for facet in range(len(self.facets))]
@@ -155,7 +182,13 @@ class Balance:
         kernel = np.zeros((DAY_STEPS, len(rules)))
         if not len(free):
             errors = {"prescribed temperature": self._sd_of_prescribed_k()}
-            return Solution(faces_k=at_air, kernel=kernel, shaded_k=at_air[-1], shaded_kernel=kernel, errors_k=errors)
+            return Solution(
+                faces_k=at_air,
+                kernel=kernel,
+                shaded_k=at_air[-1],
+                shaded_kernel=kernel,
+                errors_k=errors,
+            )
         columns = Columns.of([self.slabs[facet] for facet in free])
         second, more = self._reflect(self.sunlight_by_reflection), 0.0
         faces, flux, passes = at_air, self._flux(at_air), 1
@@ -169,16 +202,23 @@ class Balance:
                 more = second if by_two > tolerance else 0.0
             new = self._flux(faces) + self.heating * more
             radiative = 4.0 * STEFAN_BOLTZMANN * (self.emissivity * faces[-1] ** 3)[free]
-            shrink = (1.0 - self.exposure.sky[free]) * radiative / forcing.loss(faces[-1, free], -1)[1]
+            shrink = (
+                (1.0 - self.exposure.sky[free]) * radiative / forcing.loss(faces[-1, free], -1)[1]
+            )
             rest = _effect(kernel, new - flux) / (1.0 - float(shrink.max()))
             if rest <= tolerance or passes == LIMITS.max_neighbour_passes:
                 break
             flux, passes = new, passes + 1
         kernel[:, free] = kernels(columns, forcing.part(LAST), faces[LAST][:, free])
-        terms = {name: _effect(kernel, term) for name, term in self._terms(free, flux, faces, at_air).items()}
+        terms = {
+            name: _effect(kernel, term)
+            for name, term in self._terms(free, flux, faces, at_air).items()
+        }
         left = {
             f"neighbours at their own temperatures, pass {passes + 1} and further": rest,
-            "moonlight, were the moon full": _effect(kernel, np.full((DAY_STEPS, 1), FULL_MOON_W_M2)),
+            "moonlight, were the moon full": _effect(
+                kernel, np.full((DAY_STEPS, 1), FULL_MOON_W_M2)
+            ),
         }
         (left if by_two <= tolerance else terms)["sunlight by two reflections"] = by_two
         effects, left_out = (
@@ -201,9 +241,15 @@ class Balance:
         )
 
     def _errors_k(
-        self, free: NDArray[np.int64], columns: Columns, forcing: Forcing, faces: Array, kernel: Array
+        self,
+        free: NDArray[np.int64],
+        columns: Columns,
+        forcing: Forcing,
+        faces: Array,
+        kernel: Array,
     ) -> dict[str, Array]:
-        """Change of the last temperatures by one standard deviation of each input: linear by kernels, K.
+        """Change of the last temperatures by one standard deviation of each input: linear by
+        kernels, K.
 
         Neighbours change too, by as much over the whole day as at its end.
         """
@@ -214,14 +260,18 @@ class Balance:
         evaporated = np.array([float(slab.latent_fraction) for slab in self.slabs])
         gained = sky + neighbours - STEFAN_BOLTZMANN * faces[LAST] ** 4
         fluxes = {
-            "longwave of the sky": self.emissivity * self.exposure.sky * self.weather.longwave_sd_w_m2,
+            "longwave of the sky": self.emissivity
+            * self.exposure.sky
+            * self.weather.longwave_sd_w_m2,
             "convection": -UNCERTAINTY.convection * convected,
             "absorptivity": UNCERTAINTY.absorptivity * (1.0 - evaporated) * sun,
             "emissivity": UNCERTAINTY.emissivity * gained,
         }
         found = {name: (kernel * flux).sum(axis=0) for name, flux in fluxes.items()}
         factor = 1.0 + UNCERTAINTY.inertia
-        heavier = replace(columns, capacity=factor * columns.capacity, conductance=factor * columns.conductance)
+        heavier = replace(
+            columns, capacity=factor * columns.capacity, conductance=factor * columns.conductance
+        )
         found["thermal inertia"] = np.zeros(len(self.slabs))
         found["thermal inertia"][free] = _face_temperatures(heavier, forcing)[-1] - faces[-1, free]
         found["prescribed temperature"] = self._sd_of_prescribed_k()
@@ -231,29 +281,44 @@ class Balance:
         return {name: through @ error for name, error in found.items()}
 
     def _sd_of_prescribed_k(self) -> Array:
-        """Standard deviation of temperatures that slabs prescribe with 95 % bounds, else 0, shape (facet,), K."""
+        """Standard deviation of temperatures that slabs prescribe with 95 % bounds, else 0, shape
+        (facet,), K.
+        """
         found = np.zeros(len(self.slabs))
         for facet, (slab, thing) in enumerate(zip(self.slabs, self.things, strict=True)):
             given = slab.temperature_c or slab.above_air_k or slab.above_mean_air_k
             stated = thing.temperature_c is not None or thing.above_air_k is not None
-            if given is not None and not stated and given.low is not None and given.high is not None:
+            if (
+                given is not None
+                and not stated
+                and given.low is not None
+                and given.high is not None
+            ):
                 found[facet] = (given.high - given.low) / (2.0 * 1.96)
         return found
 
     def _rule_temperature_k(self, facet: int) -> Array | None:
-        """The temperature that an object or else its slab prescribes, shape (step,), K; None where it is free."""
+        """The temperature that an object or else its slab prescribes, shape (step,), K; None where
+        it is free.
+        """
         slab, thing, air = self.slabs[facet], self.things[facet], self.weather.air_k
         for rules in (thing, slab):
             if rules.temperature_c is not None:
                 return np.full(len(air), ZERO_C + float(rules.temperature_c))
             if rules.above_air_k is not None:
                 return air + float(rules.above_air_k)
-        return None if slab.above_mean_air_k is None else np.full(len(air), air.mean() + float(slab.above_mean_air_k))
+        return (
+            None
+            if slab.above_mean_air_k is None
+            else np.full(len(air), air.mean() + float(slab.above_mean_air_k))
+        )
 
     @cached_property
     def _heat(self) -> Array:
         """Heat from within, shape (step, facet), W m-2."""
-        hour = np.array([time.hour + time.minute / 60.0 + time.second / 3600.0 for time in self.weather.times])
+        hour = np.array(
+            [time.hour + time.minute / 60.0 + time.second / 3600.0 for time in self.weather.times]
+        )
         found = np.zeros((len(hour), len(self.things)))
         for facet, thing in enumerate(self.things):
             start, end = thing.heat_hours or (0.0, 24.0)
@@ -272,7 +337,9 @@ class Balance:
             + self._heat
         )
 
-    def _forcing(self, free: NDArray[np.int64], flux: Array, *, condensation: bool = True) -> Forcing:
+    def _forcing(
+        self, free: NDArray[np.int64], flux: Array, *, condensation: bool = True
+    ) -> Forcing:
         weather = self.weather
         return Forcing(
             flux_w_m2=flux[:, free],
@@ -284,25 +351,33 @@ class Balance:
             exchange=Exchange(
                 law=self.state.convection,
                 constant_w_m2_k=self.state.convection_w_m2_k or 0.0,
-                wind_coefficient=np.array([float(self.slabs[facet].wind_coefficient) for facet in free]),
+                wind_coefficient=np.array(
+                    [float(self.slabs[facet].wind_coefficient) for facet in free]
+                ),
                 upward=self.facets.normal[free, 2],
                 condensation=condensation,
             ),
         )
 
-    def _terms(self, free: NDArray[np.int64], flux: Array, faces: Array, at_air: Array) -> dict[str, Array]:
+    def _terms(
+        self, free: NDArray[np.int64], flux: Array, faces: Array, at_air: Array
+    ) -> dict[str, Array]:
         """Fluxes of the terms that are kept, last day or all of it, W m-2."""
         sky, neighbours = self.longwave(faces[LAST])
         condensed, last = np.zeros((DAY_STEPS, len(self.slabs))), faces[LAST][:, free]
-        losses = [self._forcing(free, flux, condensation=on).loss(last, LAST)[0] for on in (True, False)]
+        losses = [
+            self._forcing(free, flux, condensation=on).loss(last, LAST)[0] for on in (True, False)
+        ]
         condensed[:, free] = losses[0] - losses[1]
         even = self.weather.longwave_w_m2[LAST, None] * self.exposure.sky
         return {
             "sun, with its shadows": self.heating * self.sunlight,
             "sunlight by one reflection": self.heating * self.sunlight_by_reflection,
             "sky by its directions, not its mean": self.emissivity * (sky - even),
-            "neighbours at their own temperatures": self.emissivity * (neighbours - self.longwave(at_air[LAST])[1]),
-            "evaporation": (self.absorptivity - self.heating) * (self.sunlight + self.sunlight_by_reflection),
+            "neighbours at their own temperatures": self.emissivity
+            * (neighbours - self.longwave(at_air[LAST])[1]),
+            "evaporation": (self.absorptivity - self.heating)
+            * (self.sunlight + self.sunlight_by_reflection),
             "condensation": condensed,
             "heat sources": self._heat,
         }

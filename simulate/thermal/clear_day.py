@@ -13,7 +13,8 @@ from simulate.thermal.thresholds import LIMITS
 Array = NDArray[np.floating]
 # That of the model's authors: with 1361 W/m2 all of it would be 0.4 % lower.
 SOLAR_CONSTANT_W_M2 = 1366.1
-# Solar hours of the highest air temperature and of the strongest wind; decay of the air's temperature over a night.
+# Solar hours of the highest air temperature and of the strongest wind; decay of the air's
+# temperature over a night.
 WARMEST_H, WINDIEST_H, NIGHT_DECAY = 15.0, 14.0, 2.2
 # Wind over its daily maximum: at night, and where the day's part starts.
 NIGHT_WIND, DAY_WIND = 0.3, 0.4
@@ -24,15 +25,21 @@ CLOUD_EMISSIVITY = 0.9
 def sun_directions(place: ObserverLocation, times: list[datetime]) -> tuple[Array, Array]:
     """Return the sun's direction (time, 3), x east, y north, z up, and its distance (time,), au."""
     bodies = [ephemeris(place, time).sun for time in times]
-    return np.array([body.direction for body in bodies]), np.array([body.distance_km / AU_KM for body in bodies])
+    return np.array([body.direction for body in bodies]), np.array(
+        [body.distance_km / AU_KM for body in bodies]
+    )
 
 
 def solar_hour(place: ObserverLocation, times: list[datetime]) -> Array:
     """Return the local mean solar time, hours in [0, 24)."""
-    return (np.array([time.timestamp() for time in times]) / 3600.0 + place.longitude_deg / 15.0) % 24.0
+    return (
+        np.array([time.timestamp() for time in times]) / 3600.0 + place.longitude_deg / 15.0
+    ) % 24.0
 
 
-def clear_sun(sine: ArrayLike, distance_au: ArrayLike, altitude_m: float, turbidity: float) -> tuple[Array, Array]:
+def clear_sun(
+    sine: ArrayLike, distance_au: ArrayLike, altitude_m: float, turbidity: float
+) -> tuple[Array, Array]:
     """Return direct normal and diffuse horizontal irradiance of a clear sky, W m-2.
 
     Parameters
@@ -58,27 +65,36 @@ def clear_sun(sine: ArrayLike, distance_au: ArrayLike, altitude_m: float, turbid
     outside = SOLAR_CONSTANT_W_M2 / np.square(distance_au)
     low, high = np.exp(-altitude_m / 8000.0), np.exp(-altitude_m / 1250.0)
     total = (5.09e-5 * altitude_m + 0.868) * outside * cosine
-    total = total * np.exp(-(3.92e-5 * altitude_m + 0.0387) * mass * (low + high * (turbidity - 1.0)))
+    total = total * np.exp(
+        -(3.92e-5 * altitude_m + 0.0387) * mass * (low + high * (turbidity - 1.0))
+    )
     direct = (0.664 + 0.163 / low) * outside * np.exp(-0.09 * mass * (turbidity - 1.0))
     limit = 1.0 - (0.1 - 0.2 * np.exp(-turbidity)) / (0.1 + 0.882 / low)
     direct = np.minimum(direct, total * limit / cosine)
     return np.where(shines, direct, 0.0), np.where(shines, total - direct * cosine, 0.0)
 
 
-def sun_under_cloud(direct: Array, diffuse: Array, sine: Array, cloud: float) -> tuple[Array, Array]:
-    """Return direct and diffuse irradiance where clouds cover a fraction of the sky (Kasten and Czeplak, 1980)."""
+def sun_under_cloud(
+    direct: Array, diffuse: Array, sine: Array, cloud: float
+) -> tuple[Array, Array]:
+    """Return direct and diffuse irradiance where clouds cover a fraction of the sky (Kasten and
+    Czeplak, 1980).
+    """
     total = (direct * np.maximum(sine, 0.0) + diffuse) * (1.0 - 0.75 * cloud**3.4)
     direct = (1.0 - cloud) * direct
     return direct, total - direct * np.maximum(sine, 0.0)
 
 
-def sky_emissivity(dew_point_k: Array, hour: Array, pressure_hpa: ArrayLike, cloud: ArrayLike) -> Array:
+def sky_emissivity(
+    dew_point_k: Array, hour: Array, pressure_hpa: ArrayLike, cloud: ArrayLike
+) -> Array:
     """Return the hemispherical emissivity of the sky for longwave, dimensionless.
 
     Notes
     -----
-    Berdahl and Martin, Solar Energy 32, 663 (1984), with their terms of hour and pressure; low opaque cloud adds
-    `CLOUD_EMISSIVITY` of what lacks. The formulas in use differ by 0.04, which is 0.5 to 0.8 K of a surface at night.
+    Berdahl and Martin, Solar Energy 32, 663 (1984), with their terms of hour and pressure; low
+    opaque cloud adds `CLOUD_EMISSIVITY` of what lacks. The formulas in use differ by 0.04, which is
+    0.5 to 0.8 K of a surface at night.
     """
     dew = (dew_point_k - ZERO_C) / 100.0
     clear = 0.711 + 0.56 * dew + 0.73 * dew**2 + 0.013 * np.cos(2.0 * np.pi * hour / 24.0)
@@ -87,15 +103,19 @@ def sky_emissivity(dew_point_k: Array, hour: Array, pressure_hpa: ArrayLike, clo
 
 
 def sky_radiance(emissivity: Array, air_k: Array, dew_point_k: Array, sine: Array) -> Array:
-    """Return pi times the sky's longwave radiance at elevations of a sine, W m-2, shape (time, elevation).
+    """Return pi times the sky's longwave radiance at elevations of a sine, W m-2, shape (time,
+    elevation).
 
     Notes
     -----
-    1 - e(z) = exp(-t sec^n z) with n = 0.20 + 0.035 w, w the precipitable water in cm; fitted to LOWTRAN within 0.011
-    down to 5 degrees. The optical depth t is that which has the hemispherical emissivity as its mean: the zenith has
-    0.945 of it. A sky that radiates as much as a black body of the air's temperature is even.
+    1 - e(z) = exp(-t sec^n z) with n = 0.20 + 0.035 w, w the precipitable water in cm; fitted to
+    LOWTRAN within 0.011 down to 5 degrees. The optical depth t is that which has the hemispherical
+    emissivity as its mean: the zenith has 0.945 of it. A sky that radiates as much as a black body
+    of the air's temperature is even.
     """
-    emissivity, air_k, dew_point_k = (np.asarray(value, float)[:, None] for value in (emissivity, air_k, dew_point_k))
+    emissivity, air_k, dew_point_k = (
+        np.asarray(value, float)[:, None] for value in (emissivity, air_k, dew_point_k)
+    )
     black = STEFAN_BOLTZMANN * air_k**4
     overcast = emissivity > 1.0 - LIMITS.even_sky
     clear = np.where(overcast, 0.5, emissivity)
@@ -105,13 +125,16 @@ def sky_radiance(emissivity: Array, air_k: Array, dew_point_k: Array, sine: Arra
     depth = -np.log(1.0 - 0.945 * clear)
     for _ in range(LIMITS.newton_steps):
         left = np.exp(-depth * path)
-        depth += (left.mean(axis=1, keepdims=True) - 1.0 + clear) / (path * left).mean(axis=1, keepdims=True)
+        depth += (left.mean(axis=1, keepdims=True) - 1.0 + clear) / (path * left).mean(
+            axis=1, keepdims=True
+        )
     directional = -np.expm1(-depth * np.maximum(np.asarray(sine), 1e-3) ** -steepness)
     return np.where(overcast, emissivity, directional) * black
 
 
 def course(hour: Array, up: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the course of a clear day by solar hours: the air's temperature from 0 to 1, and wind over its maximum.
+    """Return the course of a clear day by solar hours: the air's temperature from 0 to 1, and wind
+    over its maximum.
 
     Parameters
     ----------
@@ -122,8 +145,8 @@ def course(hour: Array, up: NDArray[np.bool_]) -> tuple[Array, Array]:
 
     Notes
     -----
-    The air is coldest at sunrise, follows a sine to its maximum and on to sunset, and then decays (Parton and Logan,
-    Agric. Meteorol. 23, 205, 1981), shifted so that it meets the next sunrise.
+    The air is coldest at sunrise, follows a sine to its maximum and on to sunset, and then decays
+    (Parton and Logan, Agric. Meteorol. 23, 205, 1981), shifted so that it meets the next sunrise.
     """
     half = 12.0 * up.mean() if 0.02 < up.mean() < 0.98 else 6.0
     rise, fall = 12.0 - half, 12.0 + half

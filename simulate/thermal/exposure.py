@@ -1,7 +1,8 @@
 """View factors of facets: sun, sky and each other, sampled by rays.
 
-A facet is the part of an object's surface with one material and one of 26 directions. Sample points represent it in
-the heat balance; pixels of an image differ from it by their exposure to sun and sky.
+A facet is the part of an object's surface with one material and one of 26 directions. Sample points
+represent it in the heat balance; pixels of an image differ from it by their exposure to sun and
+sky.
 """
 
 from dataclasses import dataclass
@@ -18,12 +19,15 @@ from simulate.thermal.thresholds import LIMITS
 
 Array = NDArray[np.floating]
 Index = NDArray[np.int64]
-# Rings of the sky, equal in what level ground receives of a uniform sky, and the sine of the elevation of each.
+# Rings of the sky, equal in what level ground receives of a uniform sky, and the sine of the
+# elevation of each.
 RINGS = 12
 RING_SINE = np.sqrt((np.arange(RINGS) + 0.5) / RINGS)
-# Steps by which the rings that a plane sees are integrated, of each ring, around, and of the plane's normal.
+# Steps by which the rings that a plane sees are integrated, of each ring, around, and of the
+# plane's normal.
 OPEN_HEIGHTS, OPEN_TURNS, OPEN_TILTS = 16, 180, 181
-# Components of a normal count as zero within 22.5 degrees: there are 26 directions, in a table of 27.
+# Components of a normal count as zero within 22.5 degrees: there are 26 directions, in a table of
+# 27.
 SLANT, DIRECTIONS = 0.3827, 27
 
 
@@ -77,7 +81,9 @@ class Facets:
     def names(self) -> list[str]:
         """OBJECT:MATERIAL of each."""
         objects, materials = self.surfaces.objects, self.surfaces.materials
-        return [f"{objects[o]}:{materials[m]}" for o, m in zip(self.object, self.material, strict=True)]
+        return [
+            f"{objects[o]}:{materials[m]}" for o, m in zip(self.object, self.material, strict=True)
+        ]
 
     @cached_property
     def _of_row(self) -> Index:
@@ -88,7 +94,9 @@ class Facets:
         return found
 
     def of_faces(self, face: Index) -> Index:
-        """Return the facet of each face, shape (face,): for a direction that a copy alone has, the nearest."""
+        """Return the facet of each face, shape (face,): for a direction that a copy alone has, the
+        nearest.
+        """
         if len(face) and face.max() < len(self._of_row):
             return self._of_row[face]
         normal = self.surfaces.tracer.normals(face)
@@ -132,7 +140,8 @@ class Spots:
     Parameters
     ----------
     start_m, normal
-        Where rays start, a little above the surface, and the outer unit normal, each of shape (spot, 3).
+        Where rays start, a little above the surface, and the outer unit normal, each of shape
+        (spot, 3).
     """
 
     start_m: Array
@@ -185,7 +194,8 @@ def view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> tuple[Array, 
     Returns
     -------
     rings
-        Fraction of each ring of `RING_SINE` that is open sky, together the sky view factor, shape (spot, ring).
+        Fraction of each ring of `RING_SINE` that is open sky, together the sky view factor, shape
+        (spot, ring).
     face
         What each ray hits, `NOTHING` for sky or the ground's end, shape (spot, ray).
     """
@@ -201,7 +211,8 @@ def view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> tuple[Array, 
 
 @cache
 def _open_rings() -> Array:
-    """Return what planes see of each ring without obstacles, by the angle of their normal from the zenith.
+    """Return what planes see of each ring without obstacles, by the angle of their normal from the
+    zenith.
 
     Shape (angle, ring), from 0 to 180 degrees.
     """
@@ -210,12 +221,16 @@ def _open_rings() -> Array:
     sine = edge[:-1, None] + step * (np.arange(OPEN_HEIGHTS) + 0.5)
     turn = 2.0 * np.pi * (np.arange(OPEN_TURNS) + 0.5) / OPEN_TURNS
     tilt = np.linspace(0.0, np.pi, OPEN_TILTS)[:, None, None, None]
-    cosine = np.cos(tilt) * sine[..., None] + np.sin(tilt) * np.sqrt(1.0 - sine[..., None] ** 2) * np.cos(turn)
+    cosine = np.cos(tilt) * sine[..., None] + np.sin(tilt) * np.sqrt(
+        1.0 - sine[..., None] ** 2
+    ) * np.cos(turn)
     return (2.0 * step * np.maximum(cosine, 0.0).mean(axis=3)).sum(axis=2)
 
 
 def open_rings(normal: Array) -> Array:
-    """Return what planes of unit normals (point, 3) see of each ring without obstacles, shape (point, ring)."""
+    """Return what planes of unit normals (point, 3) see of each ring without obstacles, shape
+    (point, ring).
+    """
     place = np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi * (OPEN_TILTS - 1)
     below = np.minimum(place.astype(np.int64), OPEN_TILTS - 2)
     along, table = (place - below)[:, None], _open_rings()
@@ -231,8 +246,8 @@ class Views:
     rings
         Of each ring of the sky, shape (spot, ring).
     face, weight, range_m
-        What each ray hits, `NOTHING` for sky or the ground's end, its weight where it hits, and how far away, m, shape
-        (spot, ray).
+        What each ray hits, `NOTHING` for sky or the ground's end, its weight where it hits, and how
+        far away, m, shape (spot, ray).
     beyond
         Below the horizon where the scene ends, shape (spot,).
     """
@@ -254,8 +269,9 @@ def precise_view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> Views
 
     Notes
     -----
-    The sky that a plane sees without obstacles, and what it sees below the horizon, are known. Rays find what hides the
-    sky, and which surfaces lie below; where more than half of the sky is hidden, they find the open rest instead.
+    The sky that a plane sees without obstacles, and what it sees below the horizon, are known. Rays
+    find what hides the sky, and which surfaces lie below; where more than half of the sky is
+    hidden, they find the open rest instead.
     """
     pairs, spot = even.pairs(), np.arange(len(spots.normal))[:, None]
     along = cosine_lobe(pairs.reshape(-1, 2)).reshape(*pairs.shape[:2], 3)
@@ -268,13 +284,17 @@ def precise_view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> Views
     above = known.sum(axis=1)
     count = up.sum(axis=1)
     weight = np.where(
-        up, (above / np.maximum(count, 1))[:, None], ((1.0 - above) / np.maximum(even.rays - count, 1))[:, None]
+        up,
+        (above / np.maximum(count, 1))[:, None],
+        ((1.0 - above) / np.maximum(even.rays - count, 1))[:, None],
     )
     ring = np.minimum((height**2 * RINGS).astype(np.int64), RINGS - 1)
     hidden = (up & hits).sum(axis=1)
     by_rest = 2 * hidden > count
     counted = up & (hits ^ by_rest[:, None])
-    found = np.bincount((spot * RINGS + ring)[counted], weight[counted], len(face) * RINGS).reshape(-1, RINGS)
+    found = np.bincount((spot * RINGS + ring)[counted], weight[counted], len(face) * RINGS).reshape(
+        -1, RINGS
+    )
     rings = np.where(by_rest[:, None], found, known - found)
     # Without a ray above or below the horizon, that part counts as open.
     return Views(
@@ -295,9 +315,11 @@ class Exposure:
     rings
         Of each ring of the sky, shape (facet, ring).
     sees
-        Fraction of the hemisphere in which one facet sees the other, cosine-weighted, shape (facet, facet).
+        Fraction of the hemisphere in which one facet sees the other, cosine-weighted, shape (facet,
+        facet).
     beyond
-        Fraction that is neither sky nor surface: below the horizon where the scene ends, shape (facet,).
+        Fraction that is neither sky nor surface: below the horizon where the scene ends, shape
+        (facet,).
     lit
         Mean cosine of the sun where it shines, shape (time, facet).
     """
@@ -316,15 +338,21 @@ class Exposure:
 def exposure_of(facets: Facets, sun: Array, rng: np.random.Generator) -> Exposure:
     """Return what facets see of sun (directions of shape (time, 3)), sky and each other."""
     spots, count = spots_of(facets, rng), len(facets)
-    rings, face = view(facets.surfaces, spots, SequenceSlice.random(len(spots.normal), LIMITS.rays, rng))
+    rings, face = view(
+        facets.surfaces, spots, SequenceSlice.random(len(spots.normal), LIMITS.rays, rng)
+    )
     rings = rings.reshape(count, LIMITS.points, RINGS).mean(axis=1)
     face = face.reshape(count, -1)
     viewer, ray = np.nonzero(face != NOTHING)
     seen = facets.of_faces(face[viewer, ray])
-    sees = np.bincount(viewer * count + seen, minlength=count**2).reshape(count, count) / (LIMITS.points * LIMITS.rays)
+    sees = np.bincount(viewer * count + seen, minlength=count**2).reshape(count, count) / (
+        LIMITS.points * LIMITS.rays
+    )
     return Exposure(
         rings=rings,
         sees=sees,
         beyond=np.maximum(1.0 - rings.sum(axis=1) - sees.sum(axis=1), 0.0),
-        lit=sun_cosines(facets.shades, spots, sun).reshape(len(sun), count, LIMITS.points).mean(axis=2),
+        lit=sun_cosines(facets.shades, spots, sun)
+        .reshape(len(sun), count, LIMITS.points)
+        .mean(axis=2),
     )

@@ -1,4 +1,6 @@
-"""Infrared image of a scene without an imager: radiance in bins, truth, terms, and notes on what limits it."""
+"""Infrared image of a scene without an imager: radiance in bins, truth, terms, and notes on what
+limits it.
+"""
 
 from dataclasses import dataclass
 
@@ -27,16 +29,19 @@ class InfraredPicture:
     edges_um
         Edges of the spectral bins, um.
     radiance
-        Radiance in each bin, W m-2 sr-1, shape (row, col, bin): at the middle of each pixel, and where objects or faces
-        meet the mean over its parts.
+        Radiance in each bin, W m-2 sr-1, shape (row, col, bin): at the middle of each pixel, and
+        where objects or faces meet the mean over its parts.
     truth
-        Temperature, K, NaN for the sky, range, material, object and normal of the middles of the pixels.
+        Temperature, K, NaN for the sky, range, material, object and normal of the middles of the
+        pixels.
     error_k
-        Monte Carlo error of a pixel that shows a surface, root mean square, as a temperature difference, K.
+        Monte Carlo error of a pixel that shows a surface, root mean square, as a temperature
+        difference, K.
     rays
         Rays of a pixel to its surroundings, of diffuse surfaces and of glossy ones or metals.
     effects, left_out
-        What terms change, and what those left out could change: mK of apparent temperature, at the pixel where most.
+        What terms change, and what those left out could change: mK of apparent temperature, at the
+        pixel where most.
     notes
         How it was made, in sentences.
     """
@@ -51,24 +56,38 @@ class InfraredPicture:
     notes: tuple[str, ...] = ()
 
     def apparent_k(self) -> NDArray[np.float32]:
-        """Return the temperature of black bodies of the pixels' radiance over all bins, shape (row, col), K."""
-        return apparent_temperature(self.radiance.sum(axis=2), (self.edges_um[0], self.edges_um[-1]))
+        """Return the temperature of black bodies of the pixels' radiance over all bins, shape (row,
+        col), K.
+        """
+        return apparent_temperature(
+            self.radiance.sum(axis=2), (self.edges_um[0], self.edges_um[-1])
+        )
 
     def text(self, netd_mk: float) -> str:
         """Return retained and neglected terms over the noise of an imager, as lines."""
-        rows = [(effect, "kept") for effect in self.effects] + [(effect, "left out") for effect in self.left_out]
+        rows = [(effect, "kept") for effect in self.effects] + [
+            (effect, "left out") for effect in self.left_out
+        ]
         rows.sort(key=lambda row: -row[0].influence)
-        lines = [f"{'term of infrared radiance':46}  {'changes at most, mK':>20}  {'times the NETD':>14}"]
+        lines = [
+            f"{'term of infrared radiance':46}  {'changes at most, mK':>20}  {'times the NETD':>14}"
+        ]
         lines += [
-            f"{effect.name:46}  {effect.influence:20.3g}  {effect.influence / netd_mk:14.2g}  {verdict}"
+            (
+                f"{effect.name:46}  {effect.influence:20.3g}  {effect.influence / netd_mk:14.2g}  "
+                f"{verdict}"
+            )
             for effect, verdict in rows
         ]
-        by_chance = f"by chance surfaces are uncertain by {1e3 * self.error_k:.2g} mK, root mean square"
+        by_chance = (
+            f"by chance surfaces are uncertain by {1e3 * self.error_k:.2g} mK, root mean square"
+        )
         return "\n".join([*lines, f"{by_chance}; NETD of a pixel {netd_mk:.3g} mK"])
 
 
 def apparent_temperature(radiance: Array, band_um: tuple[float, float]) -> NDArray[np.float32]:
-    """Return temperatures of black bodies of given radiances (W m-2 sr-1) in a band (um), K, to 1e-4 K.
+    """Return temperatures of black bodies of given radiances (W m-2 sr-1) in a band (um), K, to
+    1e-4 K.
 
     Examples
     --------
@@ -85,7 +104,9 @@ def apparent_temperature(radiance: Array, band_um: tuple[float, float]) -> NDArr
     return (1.0 / found).astype(np.float32)
 
 
-def notes_beyond_laws(air: InfraredAir, sun: Array, viewpoint: Viewpoint, truth: AuxiliaryLayers) -> tuple[str, ...]:
+def notes_beyond_laws(
+    air: InfraredAir, sun: Array, viewpoint: Viewpoint, truth: AuxiliaryLayers
+) -> tuple[str, ...]:
     """Return what of a picture lies beyond the range of the laws of air, sky and sun, in sentences.
 
     Parameters
@@ -96,14 +117,18 @@ def notes_beyond_laws(air: InfraredAir, sun: Array, viewpoint: Viewpoint, truth:
         Pixels, and what they show.
     """
     (coldest, warmest), (driest, wettest) = INFRARED.fitted_c, INFRARED.fitted_humidity
-    celsius, elevation = air.temperature_k - ZERO_C, float(np.rad2deg(np.arcsin(np.clip(sun[2], -1.0, 1.0))))
+    celsius, elevation = (
+        air.temperature_k - ZERO_C,
+        float(np.rad2deg(np.arcsin(np.clip(sun[2], -1.0, 1.0)))),
+    )
     vapour_pa = 1e-3 * air.vapour_g_m3 * VAPOUR_GAS * air.temperature_k
     humidity = vapour_pa / float(vapour_pressure_pa(air.temperature_k))
     surface, notes = truth.object >= 0, []
     if not (coldest <= celsius <= warmest and driest <= humidity <= wettest + 1e-6):
         notes.append(
-            f"air of {celsius:.0f} C and {100.0 * humidity:.0f} % relative humidity lies beyond the {coldest:g} to "
-            f"{warmest:g} C and {100.0 * driest:.0f} to {100.0 * wettest:.0f} % to which its transmittance was fitted"
+            f"air of {celsius:.0f} C and {100.0 * humidity:.0f} % relative humidity lies beyond "
+            f"the {coldest:g} to {warmest:g} C and {100.0 * driest:.0f} to {100.0 * wettest:.0f} "
+            "% to which its transmittance was fitted"
         )
     far_km = 1e-3 * float(truth.range_m[surface].max(initial=0.0))
     if far_km > INFRARED.farthest_km:
@@ -115,12 +140,13 @@ def notes_beyond_laws(air: InfraredAir, sun: Array, viewpoint: Viewpoint, truth:
     low = ~surface.ravel() & (height > 0.0) & (height < np.sin(np.deg2rad(INFRARED.lowest_sky_deg)))
     if low.any():
         notes.append(
-            f"{100.0 * float(low.mean()):.2g} % of the pixels show sky less than {INFRARED.lowest_sky_deg:g} degrees "
-            f"above the horizon, which is uncertain by {INFRARED.low_sky_k:g} K"
+            f"{100.0 * float(low.mean()):.2g} % of the pixels show sky less than "
+            f"{INFRARED.lowest_sky_deg:g} degrees above the horizon, which is uncertain by "
+            f"{INFRARED.low_sky_k:g} K"
         )
     if abs(elevation) < INFRARED.low_sun_deg:
         notes.append(
-            f"the sun stands {elevation:.1f} degrees above the horizon without refraction: sunlight that surfaces "
-            "reflect begins or ends at 0"
+            f"the sun stands {elevation:.1f} degrees above the horizon without refraction: "
+            "sunlight that surfaces reflect begins or ends at 0"
         )
     return tuple(notes)

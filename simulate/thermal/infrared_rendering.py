@@ -1,4 +1,6 @@
-"""Infrared image of a scene: radiance in spectral bins by emission, traced reflection, air and sky."""
+"""Infrared image of a scene: radiance in spectral bins by emission, traced reflection, air and
+sky.
+"""
 
 import os
 from collections.abc import Callable
@@ -34,7 +36,11 @@ from simulate.thermal.thresholds import INFRARED
 Array = NDArray[np.floating]
 Index = NDArray[np.int64]
 AIR, MORE, SUN = "air on the path", "reflected light of surfaces that reflect", "sunlight reflected"
-BINS, FINER, BETWEEN = "transmittance by bins, not one of the band", "bins finer than these", "air between surfaces"
+BINS, FINER, BETWEEN = (
+    "transmittance by bins, not one of the band",
+    "bins finer than these",
+    "air between surfaces",
+)
 GLASS, INSIDE = "what lies behind clear glass", "sky and sun on it through the glass"
 
 
@@ -44,7 +50,9 @@ STEPS, OCTAVES = 8, 14
 
 @dataclass(frozen=True, kw_only=True)
 class _Seen:
-    """Pixels: radiance (pixel, bin), temperature (pixel,), K, NaN for the sky, and those that meet a surface."""
+    """Pixels: radiance (pixel, bin), temperature (pixel,), K, NaN for the sky, and those that meet
+    a surface.
+    """
 
     radiance: Array
     kelvin: Array
@@ -73,26 +81,37 @@ class _Look:
     def rows(self, start: int) -> _Seen:
         """Return the pixels of some rows."""
         stop = min(start + INFRARED.rows, self.viewpoint.shape[0])
-        grid = np.meshgrid(np.arange(start, stop), np.arange(self.viewpoint.shape[1]), indexing="ij")
+        grid = np.meshgrid(
+            np.arange(start, stop), np.arange(self.viewpoint.shape[1]), indexing="ij"
+        )
         row, col = (axis.ravel() for axis in grid)
         even = low_discrepancy_points(row, col, self.rays, [self.seed, start])
         return self.see(row + 0.5, col + 0.5, even, np.random.default_rng([self.seed, start]))
 
     def mean_radiance(self, pixels: Index) -> tuple[Array, Array]:
-        """Return the radiance of pixels (pixel,) as means over parts of each, (pixel, bin), and their error, (pixel,).
+        """Return the radiance of pixels (pixel,) as means over parts of each, (pixel, bin), and
+        their error, (pixel,).
 
-        Where an edge crosses side^2 parts in a grid, the area to one side of it errs by about side^-1.5.
+        Where an edge crosses side^2 parts in a grid, the area to one side of it errs by about
+        side^-1.5.
         """
         side, rng = INFRARED.edge_parts, np.random.default_rng([self.seed, 3, int(pixels[0])])
         part = (np.indices((side, side)).reshape(2, -1, 1) + 0.5) / side
-        row, col = (place + at for place, at in zip(np.divmod(pixels, self.viewpoint.shape[1]), part, strict=True))
+        row, col = (
+            place + at
+            for place, at in zip(np.divmod(pixels, self.viewpoint.shape[1]), part, strict=True)
+        )
         even = SequenceSlice.random(row.size, max(self.rays // side, 1), rng)
         few = replace(self, mirror_rays=max(self.mirror_rays // side**2, 1))
-        parts = few.see(row.ravel(), col.ravel(), even, rng).radiance.reshape(side**2, len(pixels), -1)
+        parts = few.see(row.ravel(), col.ravel(), even, rng).radiance.reshape(
+            side**2, len(pixels), -1
+        )
         return parts.mean(axis=0), parts.sum(axis=2).std(axis=0) / side**1.5
 
     def see(self, row: Array, col: Array, even: SequenceSlice, rng: np.random.Generator) -> _Seen:
-        """Return points of the image, at coordinates (point,), by the rays of a sequence for each."""
+        """Return points of the image, at coordinates (point,), by the rays of a sequence for
+        each.
+        """
         facets = self.temperatures.balance.facets
         tracer = facets.surfaces.tracer
         origin, towards = self.viewpoint.rays(row, col)
@@ -102,19 +121,28 @@ class _Look:
         points = self.surfaces.bsdfs.points(facets.surfaces, hit.face[met], place, towards[met])
         spots = Spots.on(facets.surfaces, points.face, place)
         seen = precise_view(facets.surfaces, spots, even.some(met))
-        kelvin, incoming = self.temperatures.spots_k(facets.of_faces(points.face), spots, seen), self._diffuse(seen)
+        kelvin, incoming = (
+            self.temperatures.spots_k(facets.of_faces(points.face), spots, seen),
+            self._diffuse(seen),
+        )
         start_m = tracer.above(points.face, place, points.normal)
         behind = np.flatnonzero(~points.outside)
         if len(behind):
             spots = Spots(start_m=start_m[behind], normal=points.normal[behind])
-            incoming[behind] = self._diffuse(precise_view(facets.surfaces, spots, even.some(met[behind])))
+            incoming[behind] = self._diffuse(
+                precise_view(facets.surfaces, spots, even.some(met[behind]))
+            )
         albedo = np.pi * self.surfaces.bsdfs.diffuse_brdf(points)
         for which, brdf in points.glossy:
             outgoing = within(shading_frames(points.normal[which]), points.outgoing[which])
             albedo[which] = brdf.albedo(outgoing, self.air.centre_nm).T
-            incoming[which] = self._mirrored(points.normal[which], outgoing, start_m[which], brdf, rng)
+            incoming[which] = self._mirrored(
+                points.normal[which], outgoing, start_m[which], brdf, rng
+            )
         leaving = (1.0 - albedo) * self.air.black_body(kelvin) + albedo * incoming
-        clear, through = self._clear(points.material, np.einsum("ij,ij->i", points.normal, points.outgoing))
+        clear, through = self._clear(
+            points.material, np.einsum("ij,ij->i", points.normal, points.outgoing)
+        )
         if len(clear):
             # No more than the pane does not reflect.
             through = np.minimum(through, 1.0 - albedo[clear])
@@ -126,9 +154,13 @@ class _Look:
             assert self.sky.sun is not None
             some = points.some(lit)
             cosine = some.normal @ self.sky.sun
-            value = self.surfaces.bsdfs.value(some, np.broadcast_to(self.sky.sun, some.normal.shape))
+            value = self.surfaces.bsdfs.value(
+                some, np.broadcast_to(self.sky.sun, some.normal.shape)
+            )
             leaving[lit] += value * cosine[:, None] * self.sky.sunlight
-        radiance[met] = leaving if AIR in self.without else self.air.after_path(leaving, hit.range_m[met])
+        radiance[met] = (
+            leaving if AIR in self.without else self.air.after_path(leaving, hit.range_m[met])
+        )
         seen = _Seen(
             radiance=radiance,
             kelvin=np.full(len(row), np.nan),
@@ -150,7 +182,10 @@ class _Look:
     def _diffuse(self, seen: Views) -> Array:
         """Mean radiance that spots see by the cosine law, shape (spot, bin)."""
         spot, face, part, range_m = seen.surfaces()
-        of, ground = self.temperatures.balance.facets.of_faces(face), self.air.black_body(self.air.temperature_k)
+        of, ground = (
+            self.temperatures.balance.facets.of_faces(face),
+            self.air.black_body(self.air.temperature_k),
+        )
         found = seen.rings @ self.surfaces.rings + seen.beyond[:, None] * ground
         step = self._step_of(range_m)
         for number, light in enumerate(self.of_facets.T):
@@ -170,10 +205,14 @@ class _Look:
         """Row of `_through` of paths; shorter ones than a metre count as that long."""
         return np.rint(STEPS * np.log2(np.clip(range_m, 1.0, 2.0**OCTAVES))).astype(np.int64)
 
-    def _mirrored(self, normal: Array, outgoing: Array, start_m: Array, brdf: Brdf, rng: np.random.Generator) -> Array:
-        """Mean radiance that points see, weighted by the BRDF, by rays drawn from it, shape (point, bin).
+    def _mirrored(
+        self, normal: Array, outgoing: Array, start_m: Array, brdf: Brdf, rng: np.random.Generator
+    ) -> Array:
+        """Mean radiance that points see, weighted by the BRDF, by rays drawn from it, shape (point,
+        bin).
 
-        The mean over the weights rather than their expectation: surroundings of one radiance are seen without noise.
+        The mean over the weights rather than their expectation: surroundings of one radiance are
+        seen without noise.
         """
         found = np.empty((len(normal), len(self.air.low_um)))
         each = max(1, INFRARED.batch_rays // self.mirror_rays)
@@ -183,10 +222,13 @@ class _Look:
             out = np.repeat(outgoing[part], self.mirror_rays, axis=0)
             numbers = cast(np.random.Generator, EvenNumbers(count, self.mirror_rays, rng))
             local, density = brdf.sample(out, numbers)
-            weight = brdf.value(local, out, self.air.centre_nm) * np.maximum(local[:, 2], 0.0) / density
+            weight = (
+                brdf.value(local, out, self.air.centre_nm) * np.maximum(local[:, 2], 0.0) / density
+            )
             frames = np.repeat(shading_frames(normal[part]), self.mirror_rays, axis=0)
             light = self._along(
-                np.repeat(start_m[part], self.mirror_rays, axis=0), np.einsum("ij,ijk->ik", local, frames)
+                np.repeat(start_m[part], self.mirror_rays, axis=0),
+                np.einsum("ij,ijk->ik", local, frames),
             )
             weight = weight.T.reshape(count, self.mirror_rays, -1)
             # A lobe of which all is below the surface is seen as it is drawn.
@@ -214,7 +256,9 @@ class _Look:
             if len(clear):
                 rays = hit.met[clear]
                 place = start_m[rays] + hit.range_m[rays, None] * direction[rays]
-                behind = self._along(tracer.above(face[clear], place, -facing[clear]), direction[rays], panes - 1)
+                behind = self._along(
+                    tracer.above(face[clear], place, -facing[clear]), direction[rays], panes - 1
+                )
                 light[clear] += through * (behind - light[clear])
         if BETWEEN not in self.without:
             ground = self.air.black_body(self.air.temperature_k)
@@ -228,7 +272,9 @@ class _Look:
             return np.zeros(0, np.int64)
         faces = np.flatnonzero(points.normal @ self.sky.sun > 0.0)
         way = np.broadcast_to(self.sky.sun, (len(faces), 3))
-        return faces[~self.temperatures.balance.facets.surfaces.tracer.is_occluded(start_m[faces], way)]
+        return faces[
+            ~self.temperatures.balance.facets.surfaces.tracer.is_occluded(start_m[faces], way)
+        ]
 
 
 def infrared_radiance(
@@ -242,7 +288,8 @@ def infrared_radiance(
     seed: int = 0,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> InfraredPicture:
-    """Return the infrared radiance of a scene as a camera would see it without lens, blur and noise.
+    """Return the infrared radiance of a scene as a camera would see it without lens, blur and
+    noise.
 
     Parameters
     ----------
@@ -255,7 +302,8 @@ def infrared_radiance(
     band_um
         Ends of the band, um; all bins that it overlaps are computed in full.
     netd_k
-        Noise-equivalent temperature difference of one pixel of the view, K, by which rays are chosen.
+        Noise-equivalent temperature difference of one pixel of the view, K, by which rays are
+        chosen.
     tolerance
         What terms left out may change together, as a fraction of that; None: no term is left out.
     seed
@@ -270,20 +318,33 @@ def infrared_radiance(
 
     Notes
     -----
-    A surface sends out (1 - a) B(T) + a L, with its albedo a towards the viewer (Kirchhoff's law for the same BRDF) and
-    the mean radiance L of what it sees: by the cosine law of diffuse surfaces, by rays drawn from the BRDF of others.
-    Those rays see the sky by its direction and facets of the scene with all their own reflections, taken as diffuse. In
-    surroundings of one temperature every pixel is a black body whatever its material, angle and range.
+    A surface sends out (1 - a) B(T) + a L, with its albedo a towards the viewer (Kirchhoff's law
+    for the same BRDF) and the mean radiance L of what it sees: by the cosine law of diffuse
+    surfaces, by rays drawn from the BRDF of others. Those rays see the sky by its direction and
+    facets of the scene with all their own reflections, taken as diffuse. In surroundings of one
+    temperature every pixel is a black body whatever its material, angle and range.
 
     Examples
     --------
-    >>> picture = infrared_radiance(temperatures, scene, viewpoint, band_um=(8, 12), netd_k=0.05)  # doctest: +SKIP
+    >>> picture = infrared_radiance(
+    ...     temperatures, scene, viewpoint, band_um=(8, 12), netd_k=0.05
+    ... )  # doctest: +SKIP
     """
-    return _render(look_at(temperatures, scene, viewpoint, band_um=band_um, seed=seed), netd_k, tolerance, progress)
+    return _render(
+        look_at(temperatures, scene, viewpoint, band_um=band_um, seed=seed),
+        netd_k,
+        tolerance,
+        progress,
+    )
 
 
 def look_at(
-    temperatures: Temperatures, scene: OutdoorScene, viewpoint: Viewpoint, *, band_um: tuple[float, float], seed: int
+    temperatures: Temperatures,
+    scene: OutdoorScene,
+    viewpoint: Viewpoint,
+    *,
+    band_um: tuple[float, float],
+    seed: int,
 ) -> _Look:
     """Return what a picture is made of, with few rays and all terms."""
     state = scene.weather
@@ -304,7 +365,9 @@ def look_at(
     )
 
 
-def _render(look: _Look, netd_k: float, tolerance: float | None, progress: Callable[[float], None]) -> InfraredPicture:
+def _render(
+    look: _Look, netd_k: float, tolerance: float | None, progress: Callable[[float], None]
+) -> InfraredPicture:
     look, error_k, short = _enough_rays(look, netd_k)
     kept, left_out = _effects(look, netd_k, tolerance)
     look = replace(look, without=frozenset(effect.name for effect in left_out))
@@ -313,9 +376,14 @@ def _render(look: _Look, netd_k: float, tolerance: float | None, progress: Calla
         for part in run(look.rows, starts):
             parts.append(part)
             progress(len(parts) / len(starts))
-        radiance, truth = np.concatenate([part.radiance.astype(np.float32) for part in parts]), _truth(look, parts)
+        radiance, truth = (
+            np.concatenate([part.radiance.astype(np.float32) for part in parts]),
+            _truth(look, parts),
+        )
         edges = np.flatnonzero(truth.edges(shadows=look.sky.sun is not None))
-        batches = np.array_split(edges, max(1, len(edges) // INFRARED.edge_batch)) if len(edges) else []
+        batches = (
+            np.array_split(edges, max(1, len(edges) // INFRARED.edge_batch)) if len(edges) else []
+        )
         off = np.zeros(len(radiance))
         for pixels, (mean, error) in zip(batches, run(look.mean_radiance, batches), strict=True):
             radiance[pixels], off[pixels] = mean, error
@@ -329,12 +397,16 @@ def _render(look: _Look, netd_k: float, tolerance: float | None, progress: Calla
         effects=kept,
         left_out=left_out,
         notes=(
-            f"infrared radiance by {look.rays} rays of a pixel, {look.mirror_rays} of glossy ones and metals: by "
-            f"chance surfaces are uncertain by {1e3 * error_k:.2g} mK, root mean square",
+            f"infrared radiance by {look.rays} rays of a pixel, {look.mirror_rays} of glossy ones "
+            f"and metals: by chance surfaces are uncertain by {1e3 * error_k:.2g} mK, root mean "
+            "square",
             *short,
-            f"{100.0 * len(edges) / len(radiance):.2g} % of the pixels show where objects or faces meet, each as the "
-            f"mean of {INFRARED.edge_parts**2} parts: uncertain by {1e3 * off_k:.2g} mK, root mean square",
-            *notes_beyond_laws(look.air, look.temperatures.balance.weather.sun[-1], look.viewpoint, truth),
+            f"{100.0 * len(edges) / len(radiance):.2g} % of the pixels show where objects or "
+            f"faces meet, each as the mean of {INFRARED.edge_parts**2} parts: uncertain by "
+            f"{1e3 * off_k:.2g} mK, root mean square",
+            *notes_beyond_laws(
+                look.air, look.temperatures.balance.weather.sun[-1], look.viewpoint, truth
+            ),
             *look.air.notes,
             *notes_on_sky(look.air),
             *look.temperatures.balance.weather.notes,
@@ -351,8 +423,13 @@ def _pilot(look: _Look, turn: int) -> _Seen:
 
 
 def _enough_rays(look: _Look, netd_k: float) -> tuple[_Look, float, tuple[str, ...]]:
-    """Double the rays until two independent views of some pixels agree; return also the error, K, and a note on it."""
-    limit, per_radiance = INFRARED.error_share * netd_k, look.air.kelvin_per_radiance(look.air.temperature_k)
+    """Double the rays until two independent views of some pixels agree; return also the error, K,
+    and a note on it.
+    """
+    limit, per_radiance = (
+        INFRARED.error_share * netd_k,
+        look.air.kelvin_per_radiance(look.air.temperature_k),
+    )
     while True:
         first, second = _pilot(look, 1), _pilot(look, 2)
         apart = (first.radiance - second.radiance).sum(axis=1) * per_radiance / np.sqrt(2.0)
@@ -361,20 +438,25 @@ def _enough_rays(look: _Look, netd_k: float) -> tuple[_Look, float, tuple[str, .
         more = replace(
             look,
             rays=min(2 * look.rays, INFRARED.max_rays) if errors[0] > limit else look.rays,
-            mirror_rays=min(2 * look.mirror_rays, INFRARED.max_mirror_rays) if errors[1] > limit else look.mirror_rays,
+            mirror_rays=min(2 * look.mirror_rays, INFRARED.max_mirror_rays)
+            if errors[1] > limit
+            else look.mirror_rays,
         )
         if (more.rays, more.mirror_rays) == (look.rays, look.mirror_rays):
             break
         look = more
     short = tuple(
-        f"{name} are uncertain by {1e3 * error:.2g} mK by chance, more than {INFRARED.error_share:g} of the imager's "
-        f"{1e3 * netd_k:.3g} mK: there are at most {most} rays of a pixel"
+        f"{name} are uncertain by {1e3 * error:.2g} mK by chance, more than "
+        f"{INFRARED.error_share:g} of the imager's {1e3 * netd_k:.3g} mK: there are at most "
+        f"{most} rays of a pixel"
         for name, error, most in zip(
-            ("diffuse surfaces", "glossy surfaces and metals"), errors, (INFRARED.max_rays, INFRARED.max_mirror_rays),
+            ("diffuse surfaces", "glossy surfaces and metals"),
+            errors,
+            (INFRARED.max_rays, INFRARED.max_mirror_rays),
             strict=True,
         )
         if error > limit
-    )  # fmt: skip
+    )
     return look, _root_mean_square(apart[surface]), short
 
 
@@ -393,31 +475,47 @@ def _effects(
         return float(np.abs(full.radiance.sum(axis=1) - radiance.sum(axis=1)).max() * per_radiance)
 
     optional = [
-        OptionalEffect(name=name, influence=change(_pilot(replace(look, without=frozenset({name})), 1).radiance))
+        OptionalEffect(
+            name=name,
+            influence=change(_pilot(replace(look, without=frozenset({name})), 1).radiance),
+        )
         for name in (AIR, MORE, SUN, BETWEEN)
     ]
     plan = select_effects(optional, 1e3 * (tolerance or 0.0) * netd_k)
     met = full.met
-    black, bare = look.air.black_body(full.kelvin[met]), _pilot(replace(look, without=frozenset({AIR})), 1)
+    black, bare = (
+        look.air.black_body(full.kelvin[met]),
+        _pilot(replace(look, without=frozenset({AIR})), 1),
+    )
     through = look.air.transmittance(full.range_m[met])
     ground = look.air.black_body(look.air.temperature_k)
     mean = (through * ground).sum(axis=1, keepdims=True) / ground.sum()
     one_bin = np.array(full.radiance)
     one_bin[met] = mean * bare.radiance[met] + (1.0 - mean) * ground
     # Panes are few pixels, which random ones may miss.
-    no_glass = _pilot(replace(look, without=frozenset({GLASS})), 1) if look.surfaces.clear.any() else full
+    no_glass = (
+        _pilot(replace(look, without=frozenset({GLASS})), 1) if look.surfaces.clear.any() else full
+    )
     always = [
         OptionalEffect(name=GLASS, influence=change(no_glass.radiance)),
         OptionalEffect(name=BINS, influence=change(one_bin)),
         OptionalEffect(
             name="reflected sky and surfaces",
-            influence=float(np.abs((bare.radiance[met] - black).sum(axis=1)).max(initial=0.0) * per_radiance),
+            influence=float(
+                np.abs((bare.radiance[met] - black).sum(axis=1)).max(initial=0.0) * per_radiance
+            ),
         ),
     ]
     metals = bool((full.albedo > 0.5).any())
-    finer = OptionalEffect(name=FINER, influence=INFRARED.finer_bins_metal_mk if metals else INFRARED.finer_bins_mk)
+    finer = OptionalEffect(
+        name=FINER, influence=INFRARED.finer_bins_metal_mk if metals else INFRARED.finer_bins_mk
+    )
     inside = look.surfaces.change_by_lit_interiors(look.sky, ground) * per_radiance
-    return (*plan.kept, *always), (*plan.left_out, finer, OptionalEffect(name=INSIDE, influence=inside))
+    return (*plan.kept, *always), (
+        *plan.left_out,
+        finer,
+        OptionalEffect(name=INSIDE, influence=inside),
+    )
 
 
 def _truth(look: _Look, parts: list[_Seen]) -> AuxiliaryLayers:
@@ -430,7 +528,10 @@ def _truth(look: _Look, parts: list[_Seen]) -> AuxiliaryLayers:
     for part in parts:
         met, row = first + part.met, part.points.face & ROW
         material[met], thing[met] = surfaces.material_of[row], surfaces.object_of[row]
-        normal[met], shadow[met] = part.points.normal, part.shadow if look.sky.sun is not None else 0
+        normal[met], shadow[met] = (
+            part.points.normal,
+            part.shadow if look.sky.sun is not None else 0,
+        )
         first += len(part.radiance)
     return AuxiliaryLayers(
         material=material.reshape(shape),
@@ -438,7 +539,9 @@ def _truth(look: _Look, parts: list[_Seen]) -> AuxiliaryLayers:
         range_m=np.concatenate([part.range_m for part in parts]).astype(np.float32).reshape(shape),
         normal=normal.reshape(*shape, 3),
         shadow=shadow.reshape(shape),
-        temperature_k=np.concatenate([part.kelvin for part in parts]).astype(np.float32).reshape(shape),
+        temperature_k=np.concatenate([part.kelvin for part in parts])
+        .astype(np.float32)
+        .reshape(shape),
         materials=surfaces.materials,
         objects=surfaces.objects,
         sources=() if look.sky.sun is None else ("sun",),

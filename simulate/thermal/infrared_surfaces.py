@@ -1,4 +1,6 @@
-"""Infrared reflectance and transmittance of materials, and the radiance that facets emit and reflect."""
+"""Infrared reflectance and transmittance of materials, and the radiance that facets emit and
+reflect.
+"""
 
 from dataclasses import dataclass
 from importlib import resources
@@ -22,11 +24,13 @@ from simulate.thermal.thresholds import INFRARED
 
 Array = NDArray[np.floating]
 Index = NDArray[np.int64]
-# Between these wavelengths, nm, the emissivity goes from that of 3.5 to 4.1 um to that of 8 to 14 um.
+# Between these wavelengths, nm, the emissivity goes from that of 3.5 to 4.1 um to that of 8 to 14
+# um.
 BETWEEN_NM = tuple(1e3 * end for end in (WINDOWS_UM[0][1], WINDOWS_UM[1][0]))
 # Refractive index of window glass from 3 to 4.6 um.
 GLASS_INDEX = 1.47
-# Roughness of window glass, and reflectances of a base or metal by which that of an emissivity is found.
+# Roughness of window glass, and reflectances of a base or metal by which that of an emissivity is
+# found.
 GLASS_ROUGHNESS, TRIED = 0.01, np.linspace(0.0, 1.0, 129)
 UP = np.array([[0.0, 0.0, 1.0]])
 # Light between facets is followed until a further reflection adds less than this fraction.
@@ -39,17 +43,17 @@ def infrared_brdf(surface: MaterialSpec, slab: Slab) -> Brdf:
     Parameters
     ----------
     surface
-        The material, whose finish it keeps. Panes of glass mirror. Retroreflectors and measured surfaces, whose shape
-        is known in the visible alone, are diffuse.
+        The material, whose finish it keeps. Panes of glass mirror. Retroreflectors and measured
+        surfaces, whose shape is known in the visible alone, are diffuse.
     slab
-        Its slab, whose emissivity is taken as that along the normal; without one for 3.5 to 4.1 um, that of 8 to 14 um.
-        Of a pane it is all that is not reflected: absorbed or transmitted.
+        Its slab, whose emissivity is taken as that along the normal; without one for 3.5 to 4.1 um,
+        that of 8 to 14 um. Of a pane it is all that is not reflected: absorbed or transmitted.
 
     Notes
     -----
-    By Kirchhoff's law the emissivity towards a direction is 1 minus the albedo towards it. The base under a coat, or
-    the metal, has the reflectance with which that holds along the normal; where the coat alone reflects more, the base
-    is black and the emissivity lower.
+    By Kirchhoff's law the emissivity towards a direction is 1 minus the albedo towards it. The base
+    under a coat, or the metal, has the reflectance with which that holds along the normal; where
+    the coat alone reflects more, the base is black and the emissivity lower.
     """
     longwave = float(slab.emissivity)
     shares = tuple(1.0 - float(value or longwave) for value in (slab.emissivity_mwir, longwave))
@@ -68,14 +72,16 @@ def infrared_brdf(surface: MaterialSpec, slab: Slab) -> Brdf:
 
 
 def pane_transmittance(thickness_mm: float, edges_um: tuple[float, ...]) -> Array:
-    """Return the transmittance of a pane of soda-lime glass at normal incidence in bins, shape (bin,).
+    """Return the transmittance of a pane of soda-lime glass at normal incidence in bins, shape
+    (bin,).
 
     Notes
     -----
-    (1 - r)^2 t / (1 - r^2 t^2) with r of a face and t = exp(-4 pi k d / wavelength), the mean over each bin. It is 0
-    beyond 5 um, and less than 1 % from 4.5 um on for 4 mm. The extinction coefficient k (`glass.csv`) is that of clear
-    soda-lime glass (Rubin, Sol. Energy Mater. 12, 275, 1985; at 5 um that of all kinds), from the database of
-    refractiveindex.info, which is in the public domain.
+    (1 - r)^2 t / (1 - r^2 t^2) with r of a face and t = exp(-4 pi k d / wavelength), the mean over
+    each bin. It is 0 beyond 5 um, and less than 1 % from 4.5 um on for 4 mm. The extinction
+    coefficient k (`glass.csv`) is that of clear soda-lime glass (Rubin, Sol. Energy Mater. 12, 275,
+    1985; at 5 um that of all kinds), from the database of refractiveindex.info, which is in the
+    public domain.
 
     Examples
     --------
@@ -83,7 +89,10 @@ def pane_transmittance(thickness_mm: float, edges_um: tuple[float, ...]) -> Arra
     [0.24, 0.16, 0.0]
     """
     edges = np.array(edges_um)
-    um = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(INFRARED.bin_points) + 0.5) / INFRARED.bin_points
+    um = (
+        edges[:-1, None]
+        + np.diff(edges)[:, None] * (np.arange(INFRARED.bin_points) + 0.5) / INFRARED.bin_points
+    )
     with (resources.files("simulate.thermal") / "glass.csv").open(encoding="utf-8") as file:
         known_um, extinction = np.genfromtxt(file, delimiter=",", skip_header=1).T
     depth = 4e3 * np.pi * np.interp(um, known_um, extinction) * thickness_mm / um
@@ -106,11 +115,13 @@ class InfraredSurfaces:
     bsdfs
         BRDFs of the materials.
     clear
-        Transmittance at normal incidence of those that are panes of glass with layers, else 0, shape (material, bin).
+        Transmittance at normal incidence of those that are panes of glass with layers, else 0,
+        shape (material, bin).
     rings
         Mean radiance of each ring of the sky, W m-2 sr-1, shape (ring, bin).
     facets
-        Radiance of each facet, the same in all directions, panes taken as opaque, W m-2 sr-1, shape (facet, bin).
+        Radiance of each facet, the same in all directions, panes taken as opaque, W m-2 sr-1, shape
+        (facet, bin).
     black
         That of black bodies of their temperatures, shape (facet, bin).
     """
@@ -122,7 +133,8 @@ class InfraredSurfaces:
     black: Array
 
     def through(self, material: Index, cosine: Array) -> tuple[Index, Array]:
-        """Return which rays meet clear panes, and the transmittance of each, shape (ray that does, bin).
+        """Return which rays meet clear panes, and the transmittance of each, shape (ray that does,
+        bin).
 
         Parameters
         ----------
@@ -137,12 +149,15 @@ class InfraredSurfaces:
         return glass, found
 
     def change_by_lit_interiors(self, sky: Surroundings, ground: Array) -> float:
-        """Return an upper bound of what sky and sun through panes change of diffuse surfaces behind them, W m-2 sr-1.
+        """Return an upper bound of what sky and sun through panes change of diffuse surfaces behind
+        them, W m-2 sr-1.
 
         By the most reflecting of them, below a sky wholly seen through the clearest pane.
         """
         light = np.abs(self.rings - ground).max(axis=0) + sky.sunlight / np.pi
-        return float((np.pi * self.bsdfs.rho_by_pi[:-1].max(axis=0) * self.clear.max(axis=0) * light).sum())
+        return float(
+            (np.pi * self.bsdfs.rho_by_pi[:-1].max(axis=0) * self.clear.max(axis=0) * light).sum()
+        )
 
 
 def infrared_surfaces(
@@ -152,8 +167,9 @@ def infrared_surfaces(
 
     Notes
     -----
-    Facets reflect diffusely, by their emissivity along the normal, whatever they see: L = e B(T) + (1 - e) (sky +
-    facets + ground where the scene ends + sun), solved by adding reflections until they converge.
+    Facets reflect diffusely, by their emissivity along the normal, whatever they see: L = e B(T) +
+    (1 - e) (sky + facets + ground where the scene ends + sun), solved by adding reflections until
+    they converge.
     """
     balance = temperatures.balance
     facets, exposure = balance.facets, balance.exposure
@@ -178,5 +194,9 @@ def infrared_surfaces(
         for surface, slab in zip(specs, slabs, strict=True)
     ]
     return InfraredSurfaces(
-        bsdfs=BsdfSet.of(brdfs, air.centre_nm), clear=np.array(clear), rings=rings, facets=found, black=black
+        bsdfs=BsdfSet.of(brdfs, air.centre_nm),
+        clear=np.array(clear),
+        rings=rings,
+        facets=found,
+        black=black,
     )

@@ -1,8 +1,10 @@
-"""Temperatures of layered slabs over time: implicit steps, the periodic state they start from, and their kernels.
+"""Temperatures of layered slabs over time: implicit steps, the periodic state they start from, and
+their kernels.
 
-Heat flows through each slab only along its depth, and slabs do not act on each other. Properties do not change with
-temperature, so that the inside of a slab is linear: each step eliminates it from the back, solves the balance of the
-face by Newton's method, and substitutes back. All slabs are computed together.
+Heat flows through each slab only along its depth, and slabs do not act on each other. Properties do
+not change with temperature, so that the inside of a slab is linear: each step eliminates it from
+the back, solves the balance of the face by Newton's method, and substitutes back. All slabs are
+computed together.
 """
 
 from collections.abc import Sequence
@@ -26,13 +28,17 @@ LINEAR_LAWS = {"mcadams": (5.7, 3.8), "watmuff": (2.8, 3.0)}
 
 
 def vapour_pressure_pa(dew_point_k: ArrayLike) -> Array:
-    """Return the pressure of vapour that is saturated at a temperature, Pa (Magnus formula over water)."""
+    """Return the pressure of vapour that is saturated at a temperature, Pa (Magnus formula over
+    water).
+    """
     celsius = np.asarray(dew_point_k, float) - ZERO_C
     return 611.2 * np.exp(17.62 * celsius / (243.12 + celsius))
 
 
 def dew_point_k(air_k: ArrayLike, relative_humidity: ArrayLike) -> Array:
-    """Return the dew point of air with a relative humidity (0 to 1), K: `vapour_pressure_pa` inverted."""
+    """Return the dew point of air with a relative humidity (0 to 1), K: `vapour_pressure_pa`
+    inverted.
+    """
     ratio = np.log(np.asarray(relative_humidity, float) * vapour_pressure_pa(air_k) / 611.2)
     return ZERO_C + 243.12 * ratio / (17.62 - ratio)
 
@@ -44,8 +50,8 @@ class Exchange:
     Parameters
     ----------
     law, constant_w_m2_k
-        "buoyant" (natural convection plus a coefficient times wind), "mcadams" (5.7 + 3.8 v), "watmuff" (2.8 + 3 v) or
-        "constant", of which this is the coefficient, W m-2 K-1.
+        "buoyant" (natural convection plus a coefficient times wind), "mcadams" (5.7 + 3.8 v),
+        "watmuff" (2.8 + 3 v) or "constant", of which this is the coefficient, W m-2 K-1.
     wind_coefficient
         Of the law "buoyant", shape (surface,), W m-2 K-1 / (m/s).
     upward
@@ -63,19 +69,23 @@ class Exchange:
     def loss(
         self, surface_k: Array, air_k: Array, wind_m_s: Array, vapour_pa: Array, pressure_hpa: Array
     ) -> tuple[Array, Array]:
-        """Return the heat flux from surfaces to air, W m-2, and its derivative with their temperature, W m-2 K-1.
+        """Return the heat flux from surfaces to air, W m-2, and its derivative with their
+        temperature, W m-2 K-1.
 
         Notes
         -----
-        Natural convection by TARP (Walton, NBSSIR 83-2655, 1983): on a surface warmer than the air and facing up, or
-        colder and facing down, h = 9.482 dT^(1/3)/(7.238 - |cos|), else 1.810 dT^(1/3)/(1.382 + |cos|). Condensation:
-        (h/gamma) (e_s(T) - e_a) where the surface is below the dew point; its water runs off and does not evaporate.
+        Natural convection by TARP (Walton, NBSSIR 83-2655, 1983): on a surface warmer than the air
+        and facing up, or colder and facing down, h = 9.482 dT^(1/3)/(7.238 - |cos|), else 1.810
+        dT^(1/3)/(1.382 + |cos|). Condensation: (h/gamma) (e_s(T) - e_a) where the surface is below
+        the dew point; its water runs off and does not evaporate.
         """
         excess = surface_k - air_k
         if self.law == "buoyant":
             steep = np.abs(self.upward)
             unstable = excess * self.upward > 0.0
-            natural = np.where(unstable, 9.482 / (7.238 - steep), 1.810 / (1.382 + steep)) * np.cbrt(np.abs(excess))
+            natural = np.where(
+                unstable, 9.482 / (7.238 - steep), 1.810 / (1.382 + steep)
+            ) * np.cbrt(np.abs(excess))
             forced = self.wind_coefficient * wind_m_s
             h, slope = natural + forced, 4.0 / 3.0 * natural + forced
         else:
@@ -97,11 +107,14 @@ class Columns:
     capacity
         Heat capacity of each cell, shape (cell, surface), J m-2 K-1.
     conductance
-        From the face to the first cell, from each to the next, 0 behind the last, shape (cell + 1, surface), W m-2 K-1.
+        From the face to the first cell, from each to the next, 0 behind the last, shape (cell + 1,
+        surface), W m-2 K-1.
     back
-        From cells to what lies behind, 0 but for the last one and for padding, shape (cell, surface), W m-2 K-1.
+        From cells to what lies behind, 0 but for the last one and for padding, shape (cell,
+        surface), W m-2 K-1.
     back_k, max_k
-        Temperature behind, NaN: that of the air; and at which the face melts, or infinite, shape (surface,), K.
+        Temperature behind, NaN: that of the air; and at which the face melts, or infinite, shape
+        (surface,), K.
     """
 
     capacity: Array
@@ -123,9 +136,15 @@ class Columns:
             behind = float(slab.back_w_m2_k)
             back[: len(stored), number] = 0.0
             back[len(stored) - 1, number] = behind * between[-1] / (behind + between[-1])
-        back_k = np.array([np.nan if slab.back_c is None else float(slab.back_c) + ZERO_C for slab in slabs])
-        max_k = np.array([np.inf if slab.max_c is None else float(slab.max_c) + ZERO_C for slab in slabs])
-        return cls(capacity=capacity, conductance=conductance, back=back, back_k=back_k, max_k=max_k)
+        back_k = np.array(
+            [np.nan if slab.back_c is None else float(slab.back_c) + ZERO_C for slab in slabs]
+        )
+        max_k = np.array(
+            [np.inf if slab.max_c is None else float(slab.max_c) + ZERO_C for slab in slabs]
+        )
+        return cls(
+            capacity=capacity, conductance=conductance, back=back, back_k=back_k, max_k=max_k
+        )
 
     def diagonal(self, rate: Array | float) -> Array:
         """Return the matrix's diagonal for a rate of change (1/s) of each cell's temperature."""
@@ -139,7 +158,9 @@ def _cells(slab: Slab, cells: int) -> tuple[Array, Array]:
         growth = LIMITS.ratio ** np.arange(cells)
         thickness.append(float(layer.thickness_mm) * 1e-3 * growth / growth.sum())
         conductivity.append(np.full(cells, float(layer.conductivity_w_m_k)))
-        stored.append(thickness[-1] * float(layer.density_kg_m3) * float(layer.specific_heat_j_kg_k))
+        stored.append(
+            thickness[-1] * float(layer.density_kg_m3) * float(layer.specific_heat_j_kg_k)
+        )
     half = 0.5 * np.concatenate(thickness) / np.concatenate(conductivity)
     resistance = np.concatenate([half, [0.0]]) + np.concatenate([[0.0], half])
     return np.concatenate(stored), 1.0 / resistance
@@ -152,7 +173,8 @@ class Forcing:
     Parameters
     ----------
     flux_w_m2
-        Absorbed sun, sky and neighbours and heat sources, W m-2: all that does not depend on the surface's temperature.
+        Absorbed sun, sky and neighbours and heat sources, W m-2: all that does not depend on the
+        surface's temperature.
     air_k, wind_m_s, vapour_pa, pressure_hpa
         Of the air.
     emissivity
@@ -178,17 +200,30 @@ class Forcing:
         return replace(self, **{name: getattr(self, name)[steps] for name in timed})
 
     def loss(self, surface_k: Array, steps: int | slice) -> tuple[Array, Array]:
-        """Return what the face loses to sky and air at some steps, W m-2, and its derivative, W m-2 K-1."""
-        air = (self.air_k[steps], self.wind_m_s[steps], self.vapour_pa[steps], self.pressure_hpa[steps])
+        """Return what the face loses to sky and air at some steps, W m-2, and its derivative, W m-2
+        K-1.
+        """
+        air = (
+            self.air_k[steps],
+            self.wind_m_s[steps],
+            self.vapour_pa[steps],
+            self.pressure_hpa[steps],
+        )
         flux, slope = self.exchange.loss(surface_k, *air)
         emitted = self.emissivity * STEFAN_BOLTZMANN * surface_k**3
         return flux + emitted * surface_k, slope + 4.0 * emitted
 
     def convection(self, surface_k: Array, steps: int | slice) -> Array:
-        """Return the heat flux of convection, without condensation, from faces at some steps, W m-2."""
+        """Return the heat flux of convection, without condensation, from faces at some steps, W
+        m-2.
+        """
         dry = replace(self.exchange, condensation=False)
         return dry.loss(
-            surface_k, self.air_k[steps], self.wind_m_s[steps], self.vapour_pa[steps], self.pressure_hpa[steps]
+            surface_k,
+            self.air_k[steps],
+            self.wind_m_s[steps],
+            self.vapour_pa[steps],
+            self.pressure_hpa[steps],
         )[0]
 
     def behind_k(self, columns: Columns, steps: int | slice) -> Array:
@@ -196,8 +231,11 @@ class Forcing:
         return np.where(np.isnan(columns.back_k), self.air_k[steps], columns.back_k)
 
 
-def march(columns: Columns, forcing: Forcing, start_k: Array, step_s: float = LIMITS.step_s) -> tuple[Array, Array]:
-    """Return faces at the end of each step, shape (step, surface), and cells at the last, shape (cell, surface), K.
+def march(
+    columns: Columns, forcing: Forcing, start_k: Array, step_s: float = LIMITS.step_s
+) -> tuple[Array, Array]:
+    """Return faces at the end of each step, shape (step, surface), and cells at the last, shape
+    (cell, surface), K.
 
     Parameters
     ----------
@@ -228,7 +266,12 @@ def march(columns: Columns, forcing: Forcing, start_k: Array, step_s: float = LI
 
 
 def _balance_faces(
-    columns: Columns, forcing: Forcing, step: int, eliminated: "_Elimination", reduced: Array, face: Array
+    columns: Columns,
+    forcing: Forcing,
+    step: int,
+    eliminated: "_Elimination",
+    reduced: Array,
+    face: Array,
 ) -> Array:
     """Solve the balance of faces: what they absorb is what they lose and conduct inwards."""
     front, through = columns.conductance[0], eliminated.pivot[0]
@@ -236,7 +279,8 @@ def _balance_faces(
     for attempt in range(LIMITS.max_steps):
         lost, slope = forcing.loss(face, step)
         change = (forcing.flux_w_m2[step] + offset - lost - inward * face) / (slope + inward)
-        # Where a law has a kink (dew point, air temperature) full steps may go to and fro across it.
+        # Where a law has a kink (dew point, air temperature) full steps may go to and fro across
+        # it.
         face = np.minimum(face + (change if attempt < 10 else 0.5 * change), columns.max_k)
         if np.abs(np.where(face < columns.max_k, change, 0.0)).max() < LIMITS.converged_k:
             return face
@@ -245,7 +289,9 @@ def _balance_faces(
 
 @dataclass(frozen=True)
 class _Elimination:
-    """Elimination of the inside of slabs from the back to the face; the arrays may have a first axis of harmonics."""
+    """Elimination of the inside of slabs from the back to the face; the arrays may have a first
+    axis of harmonics.
+    """
 
     coupling: Array
     pivot: Array
@@ -268,12 +314,17 @@ class _Elimination:
         """Return the temperature of each cell from that of the face."""
         inside, before = np.empty_like(reduced), face
         for cell in range(len(reduced)):
-            before = inside[cell] = (reduced[cell] + self.coupling[cell] * before) / self.pivot[cell]
+            before = inside[cell] = (reduced[cell] + self.coupling[cell] * before) / self.pivot[
+                cell
+            ]
         return inside
 
 
-def periodic_start(columns: Columns, forcing: Forcing, step_s: float = LIMITS.step_s) -> tuple[Array, Array]:
-    """Return what a day leads to if it is repeated for ever: faces (step, surface), and cells as `march` has them, K.
+def periodic_start(
+    columns: Columns, forcing: Forcing, step_s: float = LIMITS.step_s
+) -> tuple[Array, Array]:
+    """Return what a day leads to if it is repeated for ever: faces (step, surface), and cells as
+    `march` has them, K.
 
     Raises
     ------
@@ -282,9 +333,10 @@ def periodic_start(columns: Columns, forcing: Forcing, step_s: float = LIMITS.st
 
     Notes
     -----
-    For each harmonic of the day the slab is a linear admittance, that of the cells and steps of `march`. What the face
-    loses is split into a part linear in its temperature, which the harmonics solve exactly, and the remainder at each
-    time, which is repeated until it stays. The start is thus that of the non-linear slab, without days of spin-up.
+    For each harmonic of the day the slab is a linear admittance, that of the cells and steps of
+    `march`. What the face loses is split into a part linear in its temperature, which the harmonics
+    solve exactly, and the remainder at each time, which is repeated until it stays. The start is
+    thus that of the non-linear slab, without days of spin-up.
     """
     steps, surfaces = len(forcing), columns.capacity.shape[1]
     turn = np.exp(-2j * np.pi * np.arange(steps // 2 + 1) / steps)
@@ -302,37 +354,48 @@ def periodic_start(columns: Columns, forcing: Forcing, step_s: float = LIMITS.st
         linear = 0.5 * (slope.max(axis=0) + slope.min(axis=0))
         remainder = np.fft.rfft(forcing.flux_w_m2 - melting - lost + linear * face, axis=0)
         new = np.fft.irfft((remainder + offset) / (linear + admittance), steps, axis=0)
-        # Melting takes what would warm the face beyond its limit; the limit is met when it no longer changes.
-        taken = np.where(columns.max_k < np.inf, np.maximum(melting + linear * (new - columns.max_k), 0.0), 0.0)
+        # Melting takes what would warm the face beyond its limit; the limit is met when it no
+        # longer changes.
+        taken = np.where(
+            columns.max_k < np.inf, np.maximum(melting + linear * (new - columns.max_k), 0.0), 0.0
+        )
         new = np.minimum(new, columns.max_k)
         change = max(np.abs(new - face).max(), np.abs((taken - melting) / linear).max())
         face, melting = new, taken
         if change < LIMITS.periodic_k:
             cells = eliminated.substitute(reduced, np.fft.rfft(face, axis=0))
-            weight = np.where((np.arange(len(turn)) == 0) | (2 * np.arange(len(turn)) == steps), 1.0, 2.0)
-            # The last time of the day comes one step before its first: harmonics turned back by one step.
+            weight = np.where(
+                (np.arange(len(turn)) == 0) | (2 * np.arange(len(turn)) == steps), 1.0, 2.0
+            )
+            # The last time of the day comes one step before its first: harmonics turned back by one
+            # step.
             at_end = np.einsum("h,chs->cs", weight * turn, cells).real / steps
             return face, at_end
     raise ArithmeticError(f"the periodic state must converge within {LIMITS.max_passes} passes")
 
 
-def kernels(columns: Columns, forcing: Forcing, faces_k: Array, step_s: float = LIMITS.step_s) -> Array:
-    """Return how the last temperature of each face depends on the flux at each time of day, K per W m-2.
+def kernels(
+    columns: Columns, forcing: Forcing, faces_k: Array, step_s: float = LIMITS.step_s
+) -> Array:
+    """Return how the last temperature of each face depends on the flux at each time of day, K per W
+    m-2.
 
     Parameters
     ----------
     columns, forcing, faces_k
-        Slabs, what acts on them in the last day, and the temperatures of their faces in it, shape (step, surface), K.
+        Slabs, what acts on them in the last day, and the temperatures of their faces in it, shape
+        (step, surface), K.
 
     Returns
     -------
     Array
-        Effect of 1 W m-2 more during a step of this day and of all days before it, shape (step, surface).
+        Effect of 1 W m-2 more during a step of this day and of all days before it, shape (step,
+        surface).
 
     Notes
     -----
-    The transpose of the linearised `march`, once backwards in time: exact, and as fast as one solution. Days before the
-    last one are followed in steps of an hour.
+    The transpose of the linearised `march`, once backwards in time: exact, and as fast as one
+    solution. Days before the last one are followed in steps of an hour.
     """
     slope = np.array([forcing.loss(faces_k[step], step)[1] for step in range(len(forcing))])
     slope = np.where(faces_k < columns.max_k, slope, np.inf)
@@ -340,7 +403,9 @@ def kernels(columns: Columns, forcing: Forcing, faces_k: Array, step_s: float = 
     found = np.zeros_like(slope)
 
     def backwards(source: Array, steps: Sequence[int], length_s: float, last: bool) -> Array:
-        """Follow the sources of the transposed problem back through steps, and return those of the step before."""
+        """Follow the sources of the transposed problem back through steps, and return those of the
+        step before.
+        """
         for step in steps:
             passed = front / (slope[step] + front)
             diagonal = columns.diagonal(1.0 / length_s)

@@ -1,4 +1,6 @@
-"""Surface temperatures of a scene: of its objects over a day, and of the pixels of a view at the scene's time."""
+"""Surface temperatures of a scene: of its objects over a day, and of the pixels of a view at the
+scene's time.
+"""
 
 import math
 import os
@@ -24,7 +26,14 @@ from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.sky.moon import sun_spectrum
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.balance import GROUND_REFLECTANCE, LAST, Balance, Solution
-from simulate.thermal.exposure import Spots, Views, exposure_of, facets_of, precise_view, sun_cosines
+from simulate.thermal.exposure import (
+    Spots,
+    Views,
+    exposure_of,
+    facets_of,
+    precise_view,
+    sun_cosines,
+)
 from simulate.thermal.slab import ZERO_C
 from simulate.thermal.thresholds import LIMITS
 from simulate.thermal.weather import DAY_STEPS, weather_of
@@ -38,7 +47,10 @@ def library() -> dict[str, Slab]:
     """Return the slabs that ship by their names."""
     with resources.as_file(resources.files("simulate.thermal") / "library.toml") as path:
         tables = read_toml(path)["slab"]
-    return {name: from_mapping(table | {"label": name}, Slab, where="library.toml") for name, table in tables.items()}
+    return {
+        name: from_mapping(table | {"label": name}, Slab, where="library.toml")
+        for name, table in tables.items()
+    }
 
 
 def slab_of(scene: OutdoorScene, surface: MaterialSpec) -> Slab:
@@ -51,19 +63,26 @@ def slab_of(scene: OutdoorScene, surface: MaterialSpec) -> Slab:
 
     Notes
     -----
-    Where the scene states the material's reflectance by numbers, the absorptivity is 1 minus that reflectance over the
-    sun's spectrum, unless the scene's slab states it; elsewhere that of the slab.
+    Where the scene states the material's reflectance by numbers, the absorptivity is 1 minus that
+    reflectance over the sun's spectrum, unless the scene's slab states it; elsewhere that of the
+    slab.
     """
     described = {slab.label: slab for slab in scene.slab}
-    name = surface.slab or surface.material.slab or (None if surface.pane_transmittance is None else GLASS)
+    name = (
+        surface.slab
+        or surface.material.slab
+        or (None if surface.pane_transmittance is None else GLASS)
+    )
     if name is None:
         raise BadInput(
-            f"a material must have a slab for its temperature, got {surface.label!r} without one; give slab = one of "
-            f"{', '.join(sorted({*described, *library()}))}, or describe one in [[slab]]"
+            f"a material must have a slab for its temperature, got {surface.label!r} without one; "
+            f"give slab = one of {', '.join(sorted({*described, *library()}))}, or describe one "
+            "in [[slab]]"
         )
     if name not in described and name not in library():
         raise BadInput(
-            f"slab must be one of {', '.join(sorted({*described, *library()}))}, got {name!r} of {surface.label!r}"
+            f"slab must be one of {', '.join(sorted({*described, *library()}))}, got {name!r} of "
+            f"{surface.label!r}"
         )
     slab = described.get(name) or library()[name]
     if slab.absorptivity is not None and (name in described or surface.reflectance is None):
@@ -72,15 +91,19 @@ def slab_of(scene: OutdoorScene, surface: MaterialSpec) -> Slab:
 
 
 def _absorptivity(surface: MaterialSpec) -> Parameter:
-    """1 minus the reflectance over the sun's spectrum; tables end before the sun does and are constant from there."""
+    """1 minus the reflectance over the sun's spectrum; tables end before the sun does and are
+    constant from there.
+    """
     sun = sun_spectrum()
     nm = np.asarray(sun.wavelength_nm)
-    reflectance = np.trapezoid(surface.material.reflectance_at(nm) * sun.density, nm) / np.trapezoid(sun.density, nm)
+    reflectance = np.trapezoid(
+        surface.material.reflectance_at(nm) * sun.density, nm
+    ) / np.trapezoid(sun.density, nm)
     return Parameter(
         value=float(1.0 - reflectance),
         standing="derived",
-        source=f"reflectance of {surface.label!r} over the sun from {nm[0]:.0f} to {nm[-1]:.0f} nm, its table constant "
-        f"beyond {surface.material.wavelength_nm[-1]:.0f} nm",
+        source=f"reflectance of {surface.label!r} over the sun from {nm[0]:.0f} to {nm[-1]:.0f} "
+        f"nm, its table constant beyond {surface.material.wavelength_nm[-1]:.0f} nm",
     )
 
 
@@ -96,8 +119,9 @@ class Temperatures:
     balance, solution
         What acts on its facets, and their temperatures.
     at_rest, returns
-        Of a scene whose objects have moved since its time: the temperatures of that time, and rotation (facet, 3, 3)
-        and shift (facet, 3), m, by which points on each facet return to where they were.
+        Of a scene whose objects have moved since its time: the temperatures of that time, and
+        rotation (facet, 3, 3) and shift (facet, 3), m, by which points on each facet return to
+        where they were.
     """
 
     balance: Balance
@@ -108,15 +132,17 @@ class Temperatures:
     def moved(self, scene: OutdoorScene) -> "Temperatures":
         """Return the temperatures of the scene with its objects in other poses for some seconds.
 
-        Surfaces keep their temperatures, those that an object had heated or shaded among them. The light that facets
-        reflect onto each other stays as before.
+        Surfaces keep their temperatures, those that an object had heated or shaded among them. The
+        light that facets reflect onto each other stays as before.
         """
         poses = {thing.label: thing for thing in scene.object}
         pairs = [(thing, poses[thing.label]) for thing in self.balance.things]
         if all(replace(rest, keyframe=()) == replace(now, keyframe=()) for rest, now in pairs):
             return self
         turn = np.array([rotation_of(rest) @ rotation_of(now).T for rest, now in pairs])
-        rest_m, now_m = (np.array([pose.position_m for pose in poses]) for poses in zip(*pairs, strict=True))
+        rest_m, now_m = (
+            np.array([pose.position_m for pose in poses]) for poses in zip(*pairs, strict=True)
+        )
         shift_m = rest_m - np.einsum("fij,fj->fi", turn, now_m)
         clear = build_surfaces(scene)
         surfaces = clear if clear.panes is None else build_surfaces(scene, opaque=True)
@@ -130,7 +156,8 @@ class Temperatures:
         Returns
         -------
         hours, air_c, surfaces_c
-            25 hours of local time; the air's temperature, C; mean over the area of each OBJECT:MATERIAL, C.
+            25 hours of local time; the air's temperature, C; mean over the area of each
+            OBJECT:MATERIAL, C.
         """
         weather, facets = self.balance.weather, self.balance.facets
         steps = np.maximum(len(weather) - 1 - LIMITS.steps_of_hour * np.arange(24, -1, -1), 0)
@@ -148,8 +175,8 @@ class Temperatures:
 
         Notes
         -----
-        Each input of `UNCERTAINTY` is off alike everywhere, so that its effect is averaged with its sign; different
-        inputs are independent. What was left out counts in full.
+        Each input of `UNCERTAINTY` is off alike everywhere, so that its effect is averaged with its
+        sign; different inputs are independent. What was left out counts in full.
         """
         facets = self.balance.facets
         left_out_k = 1e-3 * sum(effect.influence for effect in self.solution.left_out)
@@ -165,12 +192,14 @@ class Temperatures:
     def map_k(
         self, viewpoint: Viewpoint, progress: Callable[[float], None] = lambda fraction: None
     ) -> NDArray[np.float32]:
-        """Return the temperatures of the middles of a view's pixels at the scene's time, NaN for the sky, K.
+        """Return the temperatures of the middles of a view's pixels at the scene's time, NaN for
+        the sky, K.
 
         Notes
         -----
-        A pixel's point differs from its facet by what it sees of sun, sky and surfaces. Kernels make these fluxes a
-        temperature, from the facet as it is and from the same in the shade, weighted by how near each one is.
+        A pixel's point differs from its facet by what it sees of sun, sky and surfaces. Kernels
+        make these fluxes a temperature, from the facet as it is and from the same in the shade,
+        weighted by how near each one is.
         """
         _ = (self.at_rest or self)._references
         parts, starts = [], list(range(0, viewpoint.shape[0], LIMITS.rows))
@@ -187,7 +216,9 @@ class Temperatures:
         origin, towards = viewpoint.rays(row + 0.5, col + 0.5)
         hit = surfaces.tracer.hits(origin, towards)
         met = hit.met
-        spots = Spots.on(surfaces, hit.face[met], origin[met] + hit.range_m[met, None] * towards[met])
+        spots = Spots.on(
+            surfaces, hit.face[met], origin[met] + hit.range_m[met, None] * towards[met]
+        )
         kelvin = np.full(len(row), np.nan, np.float32)
         even = low_discrepancy_points(row[met], col[met], LIMITS.pixel_rays, [start])
         kelvin[met] = self.spots_k(
@@ -196,17 +227,24 @@ class Temperatures:
         return kelvin.reshape(stop - start, -1)
 
     def spots_k(self, facet: NDArray[np.int64], spots: Spots, seen: Views) -> Array:
-        """Return the temperatures of spots on facets (spot,) at the scene's time by what they see, shape (spot,), K."""
+        """Return the temperatures of spots on facets (spot,) at the scene's time by what they see,
+        shape (spot,), K.
+        """
         if self.at_rest is not None and self.returns is not None:
             turn, shift = (each[facet] for each in self.returns)
             before = Spots(
                 start_m=np.einsum("sij,sj->si", turn, spots.start_m) + shift,
                 normal=np.einsum("sij,sj->si", turn, spots.normal),
             )
-            even = SequenceSlice.random(len(facet), LIMITS.pixel_rays, np.random.default_rng(len(facet)))
+            even = SequenceSlice.random(
+                len(facet), LIMITS.pixel_rays, np.random.default_rng(len(facet))
+            )
             seen = precise_view(self.at_rest.balance.facets.surfaces, before, even)
             return self.at_rest.spots_k(facet, before, seen)
-        facets, slots = self.balance.facets, np.arange(LIMITS.slot_steps // 2, DAY_STEPS, LIMITS.slot_steps)
+        facets, slots = (
+            self.balance.facets,
+            np.arange(LIMITS.slot_steps // 2, DAY_STEPS, LIMITS.slot_steps),
+        )
         spot, face, part, _ = seen.surfaces()
         other = facets.of_faces(face)
         sun = self.balance.weather.sun[LAST][slots]
@@ -214,8 +252,13 @@ class Temperatures:
         lit = sun_cosines(facets.shades, spots, sun[up])
         found, weight = [], []
         for by in self._references:
-            change = np.einsum("sr,sr->s", by.rings[facet], seen.rings) + by.beyond[facet] * seen.beyond
-            change += np.bincount(spot, part * by.surfaces[facet[spot], other], len(facet)) - by.due_k[facet]
+            change = (
+                np.einsum("sr,sr->s", by.rings[facet], seen.rings) + by.beyond[facet] * seen.beyond
+            )
+            change += (
+                np.bincount(spot, part * by.surfaces[facet[spot], other], len(facet))
+                - by.due_k[facet]
+            )
             change += np.einsum("ts,ts->s", by.sun[np.ix_(up, facet)], lit)
             found.append(by.last_k[facet] + change)
             weight.append(1.0 / (change**2 + LIMITS.near_k**2))
@@ -224,26 +267,47 @@ class Temperatures:
     @cached_property
     def _references(self) -> "tuple[_Reference, ...]":
         solution, lit = self.solution, self.balance.exposure.lit
-        pairs = (solution.faces_k[-1], solution.kernel, lit), (solution.shaded_k, solution.shaded_kernel, 0.0 * lit)
+        pairs = (
+            (solution.faces_k[-1], solution.kernel, lit),
+            (solution.shaded_k, solution.shaded_kernel, 0.0 * lit),
+        )
         return tuple(self._reference(*pair) for pair in pairs)
 
     def _reference(self, last_k: Array, kernel: Array, lit: Array) -> "_Reference":
         balance, weather, exposure = self.balance, self.balance.weather, self.balance.exposure
         heating, emissivity = balance.heating, balance.emissivity
-        direct = (kernel * weather.direct_w_m2[LAST, None]).reshape(-1, LIMITS.slot_steps, kernel.shape[1]).sum(axis=1)
+        direct = (
+            (kernel * weather.direct_w_m2[LAST, None])
+            .reshape(-1, LIMITS.slot_steps, kernel.shape[1])
+            .sum(axis=1)
+        )
         sunlight = balance.reflectivity * (balance.sunlight + balance.sunlight_by_reflection)[LAST]
         longwave = balance.radiosity(self.solution.faces_k[LAST])
-        ground = GROUND_REFLECTANCE * weather.global_w_m2[LAST], STEFAN_BOLTZMANN * weather.air_k[LAST] ** 4
+        ground = (
+            GROUND_REFLECTANCE * weather.global_w_m2[LAST],
+            STEFAN_BOLTZMANN * weather.air_k[LAST] ** 4,
+        )
         sun = heating * direct
         sky = heating[:, None] * (kernel.T @ weather.diffuse_w_m2[LAST, None])
         rings = sky + emissivity[:, None] * (kernel.T @ balance.rings[LAST])
-        surfaces = heating[:, None] * (kernel.T @ sunlight) + emissivity[:, None] * (kernel.T @ longwave)
-        beyond = heating * (kernel.T @ ground[0]) + emissivity * (kernel.T @ ground[1])
-        due = (rings * exposure.rings).sum(axis=1) + (surfaces * exposure.sees).sum(axis=1) + beyond * exposure.beyond
-        due += (sun * lit[np.arange(LIMITS.slot_steps // 2, DAY_STEPS, LIMITS.slot_steps) // LIMITS.sun_steps]).sum(
-            axis=0
+        surfaces = heating[:, None] * (kernel.T @ sunlight) + emissivity[:, None] * (
+            kernel.T @ longwave
         )
-        return _Reference(last_k=last_k, due_k=due, sun=sun, rings=rings, surfaces=surfaces, beyond=beyond)
+        beyond = heating * (kernel.T @ ground[0]) + emissivity * (kernel.T @ ground[1])
+        due = (
+            (rings * exposure.rings).sum(axis=1)
+            + (surfaces * exposure.sees).sum(axis=1)
+            + beyond * exposure.beyond
+        )
+        due += (
+            sun
+            * lit[
+                np.arange(LIMITS.slot_steps // 2, DAY_STEPS, LIMITS.slot_steps) // LIMITS.sun_steps
+            ]
+        ).sum(axis=0)
+        return _Reference(
+            last_k=last_k, due_k=due, sun=sun, rings=rings, surfaces=surfaces, beyond=beyond
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,8 +321,8 @@ class _Reference:
     sun
         By the sun in each slot of the day at a cosine of 1, shape (slot, facet).
     rings, surfaces, beyond
-        By all that comes from each ring of the sky (facet, ring), from each facet (facet, facet) and from the ground
-        where the scene ends (facet,), were it all that is seen.
+        By all that comes from each ring of the sky (facet, ring), from each facet (facet, facet)
+        and from the ground where the scene ends (facet,), were it all that is seen.
     """
 
     last_k: Array
@@ -269,7 +333,9 @@ class _Reference:
     beyond: Array
 
 
-def temperatures_of(scene: OutdoorScene, *, tolerance_mk: float = LIMITS.tolerance_mk, seed: int = 0) -> Temperatures:
+def temperatures_of(
+    scene: OutdoorScene, *, tolerance_mk: float = LIMITS.tolerance_mk, seed: int = 0
+) -> Temperatures:
     """Return the surface temperatures of a scene.
 
     Parameters
@@ -284,19 +350,28 @@ def temperatures_of(scene: OutdoorScene, *, tolerance_mk: float = LIMITS.toleran
     Raises
     ------
     BadInput
-        If the scene lacks a place, weather with wind, or the slab of a material; if its weather file does not suit.
+        If the scene lacks a place, weather with wind, or the slab of a material; if its weather
+        file does not suit.
     """
     weather, clear = weather_of(scene), BuiltScene(scene).surfaces
     surfaces = clear if clear.panes is None else build_surfaces(scene, opaque=True)
     if not len(surfaces.mesh.faces):
-        raise BadInput(f"a scene must have an object with a surface for temperatures, got none in {scene.name!r}")
+        raise BadInput(
+            f"a scene must have an object with a surface for temperatures, got none in "
+            f"{scene.name!r}"
+        )
     by_label = {surface.label: surface for surface in scene.material}
     slabs = {name: slab_of(scene, by_label[name]) for name in surfaces.materials}
-    things, facets = {thing.label: thing for thing in scene.object}, facets_of(surfaces, clear.tracer)
+    things, facets = (
+        {thing.label: thing for thing in scene.object},
+        facets_of(surfaces, clear.tracer),
+    )
     assert scene.weather is not None
     balance = Balance(
         facets=facets,
-        exposure=exposure_of(facets, weather.sun[LAST][:: LIMITS.sun_steps], np.random.default_rng(seed)),
+        exposure=exposure_of(
+            facets, weather.sun[LAST][:: LIMITS.sun_steps], np.random.default_rng(seed)
+        ),
         slabs=tuple(slabs[surfaces.materials[number]] for number in facets.material),
         things=tuple(things[surfaces.objects[number]] for number in facets.object),
         weather=weather,

@@ -1,4 +1,6 @@
-"""The weather up to a scene's time, in steps: of files, or of a synthetic day through the scene's numbers."""
+"""The weather up to a scene's time, in steps: of files, or of a synthetic day through the scene's
+numbers.
+"""
 
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -13,7 +15,14 @@ from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.outdoor.scene import Weather as State
 from simulate.radiance.sky.moon import EARTH_RADIUS_KM, ObserverLocation
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN
-from simulate.thermal.clear_day import clear_sun, course, sky_emissivity, solar_hour, sun_directions, sun_under_cloud
+from simulate.thermal.clear_day import (
+    clear_sun,
+    course,
+    sky_emissivity,
+    solar_hour,
+    sun_directions,
+    sun_under_cloud,
+)
 from simulate.thermal.slab import ZERO_C, dew_point_k
 from simulate.thermal.thresholds import LIMITS, UNCERTAINTY, WEATHER_BOUNDS
 from simulate.thermal.weather_files import Record, read_weather, utc_text
@@ -23,12 +32,15 @@ DAY_STEPS = round(86400.0 / LIMITS.step_s)
 # Sunlight of hours is interpolated as a fraction of the clear sky's where that is more, W m-2.
 SHINES_W_M2 = 10.0
 STANDARD_HPA, SCALE_M = 1013.25, 8434.5
-MODELLED = "longwave of the sky was modelled (Berdahl and Martin), not measured: uncertain by 15 W/m2"
+MODELLED = (
+    "longwave of the sky was modelled (Berdahl and Martin), not measured: uncertain by 15 W/m2"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weather:
-    """Weather at the ends of steps of `LIMITS.step_s`, the last of which is the scene's time; arrays of shape (step,).
+    """Weather at the ends of steps of `LIMITS.step_s`, the last of which is the scene's time;
+    arrays of shape (step,).
 
     Parameters
     ----------
@@ -85,23 +97,31 @@ def weather_of(scene: OutdoorScene) -> Weather:
     Raises
     ------
     BadInput
-        If the scene has no place or no weather with wind, or its file has gaps, another date or a place far away.
+        If the scene has no place or no weather with wind, or its file has gaps, another date or a
+        place far away.
     """
     where, state = scene.place, scene.weather
     if where is None:
-        raise BadInput(f"a scene must have a [place] with a time for surface temperatures, got none in {scene.name!r}")
+        raise BadInput(
+            f"a scene must have a [place] with a time for surface temperatures, got none in "
+            f"{scene.name!r}"
+        )
     if state is None or (state.wind_m_s is None and not state.file):
         raise BadInput(
-            "a scene must have a [weather] with wind_m_s or with a file for surface temperatures, got "
-            f"{'none' if state is None else 'neither'} in {scene.name!r}"
+            "a scene must have a [weather] with wind_m_s or with a file for surface "
+            f"temperatures, got {'none' if state is None else 'neither'} in {scene.name!r}"
         )
     place = ObserverLocation(
-        latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m
+        latitude_deg=where.latitude_deg,
+        longitude_deg=where.longitude_deg,
+        altitude_m=where.altitude_m,
     )
     if not state.file:
         return _synthetic_day(state, place, where.moment)
     names = (state.file,) if isinstance(state.file, str) else state.file
-    return weather_from_files([scene.file(name) for name in names], place, where.moment, state.linke_turbidity)
+    return weather_from_files(
+        [scene.file(name) for name in names], place, where.moment, state.linke_turbidity
+    )
 
 
 def _times(moment: datetime, steps: int) -> list[datetime]:
@@ -118,14 +138,19 @@ def _synthetic_day(state: State, place: ObserverLocation, moment: datetime) -> W
         air, wind = np.zeros(DAY_STEPS), np.ones(DAY_STEPS)
     air_k = ZERO_C + state.temperature_c + state.daily_swing_k * (air - air[-1])
     if state.dew_point_c is None and not 0.0 < state.relative_humidity <= 1.0:
-        raise BadInput(f"relative_humidity must lie above 0 and up to 1, got {state.relative_humidity:g}")
+        raise BadInput(
+            f"relative_humidity must lie above 0 and up to 1, got {state.relative_humidity:g}"
+        )
     dew = dew_point_k(ZERO_C + state.temperature_c, state.relative_humidity)
     dew = float(dew if state.dew_point_c is None else ZERO_C + state.dew_point_c)
     dew_k, coldest = np.full(DAY_STEPS, min(dew, air_k.min())), air_k.min()
     notes = (f"weather of a {state.day} day through the state at {moment.isoformat()}", MODELLED)
     if dew > coldest:
         notes += (
-            f"the dew point is that of the day's coldest air, {coldest - ZERO_C:.1f} C, not {dew - ZERO_C:.1f} C",
+            (
+                f"the dew point is that of the day's coldest air, {coldest - ZERO_C:.1f} C, not "
+                f"{dew - ZERO_C:.1f} C"
+            ),
         )
     direct, diffuse = clear_sun(sun[:, 2], distance, place.altitude_m, state.linke_turbidity)
     direct, diffuse = sun_under_cloud(direct, diffuse, sun[:, 2], state.cloud)
@@ -138,22 +163,29 @@ def _synthetic_day(state: State, place: ObserverLocation, moment: datetime) -> W
         pressure_hpa=pressure,
         direct_w_m2=direct,
         diffuse_w_m2=diffuse,
-        longwave_w_m2=sky_emissivity(dew_k, hour, pressure, state.cloud) * STEFAN_BOLTZMANN * air_k**4,
+        longwave_w_m2=sky_emissivity(dew_k, hour, pressure, state.cloud)
+        * STEFAN_BOLTZMANN
+        * air_k**4,
         notes=notes,
     )
 
 
-def weather_from_files(paths: list[Path], place: ObserverLocation, moment: datetime, turbidity: float = 3.8) -> Weather:
+def weather_from_files(
+    paths: list[Path], place: ObserverLocation, moment: datetime, turbidity: float = 3.8
+) -> Weather:
     """Return the weather of files up to a moment; see `weather_of`."""
     records = [read_weather(path, moment) for path in paths]
     names = ", ".join(record.name for record in records)
     away = max(_distance_km(record.place, place) for record in records)
     if away > LIMITS.farthest_km:
         raise BadInput(
-            f"a weather file must be from within {LIMITS.farthest_km:g} km of the scene, got {names} {away:.0f} km away"
+            f"a weather file must be from within {LIMITS.farthest_km:g} km of the scene, got "
+            f"{names} {away:.0f} km away"
         )
     record = _join(records, names)
-    begins = np.concatenate([record.time_s[:1], record.time_s[1:][np.diff(record.time_s) > 2.0 * record.interval_s]])
+    begins = np.concatenate(
+        [record.time_s[:1], record.time_s[1:][np.diff(record.time_s) > 2.0 * record.interval_s]]
+    )
     begin = begins[begins <= moment.timestamp()].max(initial=record.time_s[0])
     covered = (moment.timestamp() - begin + record.interval_s) / 86400.0
     times = _times(moment, DAY_STEPS * int(np.clip(covered, 1, LIMITS.max_weather_days)))
@@ -168,7 +200,12 @@ def weather_from_files(paths: list[Path], place: ObserverLocation, moment: datet
     pressure = found.get("pressure_hpa", np.full(len(times), _pressure(place)))
     notes = tuple(note for record in records for note in record.notes)
     if record.interval_s > LIMITS.step_s:
-        notes += (f"weather in steps of {record.interval_s / 60.0:g} minutes: clouds and gusts that pass are averaged",)
+        notes += (
+            (
+                f"weather in steps of {record.interval_s / 60.0:g} minutes: clouds and gusts that "
+                f"pass are averaged"
+            ),
+        )
     if len(times) == DAY_STEPS:
         notes += ("one day of weather: slabs start as if the days before it had been alike",)
     longwave_sd = max(record.longwave_sd_w_m2 for record in records)
@@ -186,21 +223,30 @@ def weather_from_files(paths: list[Path], place: ObserverLocation, moment: datet
         pressure_hpa=pressure,
         notes=(f"weather of {names}, {away:.0f} km away", *notes),
         longwave_sd_w_m2=longwave_sd,
-        **{name: found[name] for name in ("wind_m_s", "direct_w_m2", "diffuse_w_m2", "longwave_w_m2")},
+        **{
+            name: found[name]
+            for name in ("wind_m_s", "direct_w_m2", "diffuse_w_m2", "longwave_w_m2")
+        },
     )
 
 
 def _join(records: list[Record], names: str) -> Record:
     """Return the rows of several files, with the columns that all have."""
     first = records[0]
-    time_s, order = np.unique(np.concatenate([record.time_s for record in records]), return_index=True)
+    time_s, order = np.unique(
+        np.concatenate([record.time_s for record in records]), return_index=True
+    )
     common = [name for name in first.columns if all(name in record.columns for record in records)]
-    columns = {name: np.concatenate([record.columns[name] for record in records])[order] for name in common}
+    columns = {
+        name: np.concatenate([record.columns[name] for record in records])[order] for name in common
+    }
     return replace(first, name=names, time_s=time_s, columns=columns)
 
 
 def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
-    """Return a column at times, linear between rows; gaps longer than a step or a row are refused."""
+    """Return a column at times, linear between rows; gaps longer than a step or a row are
+    refused.
+    """
     seconds = np.array([time.timestamp() for time in times])
     fine = np.isfinite(record.columns[name])
     known = record.time_s[fine]
@@ -211,44 +257,59 @@ def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
     if inside[gap + 1] - inside[gap] > max(LIMITS.step_s, 1.01 * record.interval_s):
         start, end = (utc_text(float(inside[index])) for index in (gap, gap + 1))
         raise BadInput(
-            f"a weather file must cover the day before the scene's time without gaps, got {record.name} without {name} "
-            f"between {start} and {end}"
+            "a weather file must cover the day before the scene's time without gaps, got "
+            f"{record.name} without {name} between {start} and {end}"
         )
     values, (low, high) = record.columns[name][fine], WEATHER_BOUNDS[name]
-    wrong = np.flatnonzero(((values < low) | (values > high)) & (known > ends[0]) & (known < ends[1]))
+    wrong = np.flatnonzero(
+        ((values < low) | (values > high)) & (known > ends[0]) & (known < ends[1])
+    )
     if len(wrong):
         raise BadInput(
-            f"{name} of a weather file must lie from {low:g} to {high:g}, got {values[wrong[0]]:g} at "
-            f"{utc_text(float(known[wrong[0]]))} in {record.name}"
+            f"{name} of a weather file must lie from {low:g} to {high:g}, got "
+            f"{values[wrong[0]]:g} at {utc_text(float(known[wrong[0]]))} in {record.name}"
         )
     return np.interp(seconds, known, values)
 
 
 def _refuse_sun_at_night(record: Record, place: ObserverLocation, times: list[datetime]) -> None:
-    """Refuse a file in which the sun shines at night at a place, for its hours are those of another time zone."""
+    """Refuse a file in which the sun shines at night at a place, for its hours are those of another
+    time zone.
+    """
     ends = times[0].timestamp(), times[-1].timestamp()
     light = np.nan_to_num(record.columns["direct_w_m2"])
-    rows = np.flatnonzero((light > LIMITS.night_w_m2) & (record.time_s >= ends[0]) & (record.time_s <= ends[1]))
+    rows = np.flatnonzero(
+        (light > LIMITS.night_w_m2) & (record.time_s >= ends[0]) & (record.time_s <= ends[1])
+    )
     rows = rows[:: max(1, round(LIMITS.step_s / record.interval_s))]
     for row in rows:
         # The row is the mean of the interval before it.
         end = float(record.time_s[row])
-        whole = [datetime.fromtimestamp(end - part * record.interval_s, UTC) for part in (0.0, 0.5, 1.0)]
+        whole = [
+            datetime.fromtimestamp(end - part * record.interval_s, UTC) for part in (0.0, 0.5, 1.0)
+        ]
         sine = sun_directions(place, whole)[0][:, 2].max()
         if sine < LIMITS.night_sine:
             raise BadInput(
-                f"sunlight of a weather file must fall by day, got {light[row]:.0f} W/m2 at {whole[0].isoformat()} in "
-                f"{record.name} with the sun {np.rad2deg(np.arcsin(-sine)):.0f} degrees below the horizon: its time "
-                "zone or its place is wrong"
+                f"sunlight of a weather file must fall by day, got {light[row]:.0f} W/m2 at "
+                f"{whole[0].isoformat()} in {record.name} with the sun "
+                f"{np.rad2deg(np.arcsin(-sine)):.0f} degrees below the horizon: its time zone or "
+                "its place is wrong"
             )
 
 
 def _sunlight(record: Record, name: str, times: list[datetime], clear: Array) -> Array:
-    """Return sunlight at times from means over hours: their fraction of the clear sky's is interpolated."""
+    """Return sunlight at times from means over hours: their fraction of the clear sky's is
+    interpolated.
+    """
     seconds = np.array([time.timestamp() for time in times])
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (clear + np.concatenate([clear[:1], clear[:-1]]))) * LIMITS.step_s])
+    total = np.concatenate(
+        [[0.0], np.cumsum(0.5 * (clear + np.concatenate([clear[:1], clear[:-1]]))) * LIMITS.step_s]
+    )
     ends = np.concatenate([[seconds[0] - LIMITS.step_s], seconds])
-    mean = np.interp(record.time_s, ends, total) - np.interp(record.time_s - record.interval_s, ends, total)
+    mean = np.interp(record.time_s, ends, total) - np.interp(
+        record.time_s - record.interval_s, ends, total
+    )
     mean /= record.interval_s
     within = (record.time_s - record.interval_s >= ends[0]) & (record.time_s <= ends[-1])
     lit = (mean > SHINES_W_M2) & within & np.isfinite(record.columns[name])
@@ -268,5 +329,7 @@ def _distance_km(one: ObserverLocation, other: ObserverLocation) -> float:
     for place in (one, other):
         latitude, longitude = np.deg2rad([place.latitude_deg, place.longitude_deg])
         level = np.cos(latitude)
-        points.append(np.array([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)]))
+        points.append(
+            np.array([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)])
+        )
     return float(EARTH_RADIUS_KM * np.linalg.norm(points[0] - points[1]))

@@ -1,4 +1,6 @@
-"""One virtual instrument as a process of its own: `python -m simulate.virtual_bench dg645 --folder F --parent PID`."""
+"""One virtual instrument as a process of its own: `python -m simulate.virtual_bench dg645 --folder
+F --parent PID`.
+"""
 
 import argparse
 import signal
@@ -17,10 +19,16 @@ def main() -> None:
     """Serve until the bench stops this process or has ended."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", help="model of instrument, such as dg645")
-    parser.add_argument("--folder", type=Path, required=True, help="folder of the bench: link, outputs and faults")
+    parser.add_argument(
+        "--folder", type=Path, required=True, help="folder of the bench: link, outputs and faults"
+    )
     parser.add_argument("--parent", type=int, required=True, help="process whose end ends this one")
-    parser.add_argument("--address", type=int, default=0, help="its GPIB address, where it stands behind an adapter")
-    parser.add_argument("--time-scale", type=float, default=1.0, help="how much faster than life it moves")
+    parser.add_argument(
+        "--address", type=int, default=0, help="its GPIB address, where it stands behind an adapter"
+    )
+    parser.add_argument(
+        "--time-scale", type=float, default=1.0, help="how much faster than life it moves"
+    )
     asked = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     model = virtual_model(asked.model)

@@ -1,10 +1,23 @@
-"""The functions of the Aravis C library that make its fake GigE Vision camera, declared for ctypes."""
+"""The functions of the Aravis C library that make its fake GigE Vision camera, declared for
+ctypes.
+"""
 
 import ctypes
 import ctypes.util
 import re
 from collections.abc import Callable
-from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_size_t, c_uint32, c_uint64, c_void_p
+from ctypes import (
+    CFUNCTYPE,
+    POINTER,
+    byref,
+    c_bool,
+    c_char_p,
+    c_double,
+    c_size_t,
+    c_uint32,
+    c_uint64,
+    c_void_p,
+)
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -59,18 +72,23 @@ MONO_8, MONO_16 = 0x01080001, 0x01100007
 class FakeCamera:
     """Aravis' fake GigE Vision camera on one network interface.
 
-    `address` is that of the interface, "127.0.0.1" for loopback; `serial` has at most 15 characters; `description` is
-    the file of `genicam_description`. A missing library, interface or GigE Vision port is BadInput.
+    `address` is that of the interface, "127.0.0.1" for loopback; `serial` has at most 15
+    characters; `description` is the file of `genicam_description`. A missing library, interface or
+    GigE Vision port is BadInput.
     """
 
     def __init__(self, address: str, serial: str, description: Path) -> None:
         self._library = load()
         self._camera = self._call(
-            "arv_gv_fake_camera_new_full", address.encode(), serial.encode(), str(description).encode()
+            "arv_gv_fake_camera_new_full",
+            address.encode(),
+            serial.encode(),
+            str(description).encode(),
         )
         if not self._camera or not self._call("arv_gv_fake_camera_is_running", self._camera):
             raise BadInput(
-                f"a virtual camera needs the GigE Vision port of a local interface, got no port on {address}"
+                "a virtual camera needs the GigE Vision port of a local interface, got no port "
+                f"on {address}"
             )
         self._registers = self._call("arv_gv_fake_camera_get_fake_camera", self._camera)
         self._callback: Any = None
@@ -89,7 +107,9 @@ class FakeCamera:
     def name_model(self, name: str) -> None:
         """Give the camera a model name."""
         text = name.encode()[: MODEL_NAME_BYTES - 1].ljust(MODEL_NAME_BYTES, b"\0")
-        self._call("arv_fake_camera_write_memory", self._registers, Register.MODEL_NAME, len(text), text)
+        self._call(
+            "arv_fake_camera_write_memory", self._registers, Register.MODEL_NAME, len(text), text
+        )
 
     def lose_packets(self, share: float) -> None:
         """Lose a fraction of the packets of each frame on the wire."""
@@ -98,7 +118,9 @@ class FakeCamera:
         gobject.g_object_set(self._camera, b"gvsp-lost-ratio", share, None)
 
     def fill_frames(self, pixels: Callable[[int], bytes]) -> None:
-        """Give every frame the pixels that `pixels` returns for its number; called by the wire's thread."""
+        """Give every frame the pixels that `pixels` returns for its number; called by the wire's
+        thread.
+        """
 
         def fill(buffer: int, *_: int | None) -> None:
             data = pixels(self._call("arv_buffer_get_frame_id", buffer))
@@ -112,7 +134,9 @@ class FakeCamera:
         self._call("arv_fake_camera_set_fill_pattern", self._registers, self._callback, None)
 
     def send_when_triggered(self, frame_rate_hz: float, ready: Callable[[], bytes]) -> None:
-        """Send a frame for each `trigger`, at most `frame_rate_hz` a second, with the pixels that `ready` returns."""
+        """Send a frame for each `trigger`, at most `frame_rate_hz` a second, with the pixels that
+        `ready` returns.
+        """
         self._call("arv_fake_camera_set_trigger_frequency", self._registers, frame_rate_hz)
         self.fill_frames(lambda _: ready())
         self.hold_trigger()
@@ -137,12 +161,18 @@ class FakeCamera:
 def genicam_description(longest_exposure_us: float) -> str:
     """Return the fake camera's GenICam description for a video camera of a longest exposure, us."""
     library, size = load(), c_size_t()
-    text = library.arv_fake_camera_get_genicam_xml(library.arv_fake_camera_new(b"description"), byref(size))
+    text = library.arv_fake_camera_get_genicam_xml(
+        library.arv_fake_camera_new(b"description"), byref(size)
+    )
     own = ctypes.string_at(text, size.value).decode()
     longest = own.replace("<Max>10000000.0</Max>", f"<Max>{longest_exposure_us:.1f}</Max>")
-    grey = re.sub(r'\s*<EnumEntry Name="(?:Bayer|RGB)\w+".*?</EnumEntry>', "", longest, flags=re.DOTALL)
+    grey = re.sub(
+        r'\s*<EnumEntry Name="(?:Bayer|RGB)\w+".*?</EnumEntry>', "", longest, flags=re.DOTALL
+    )
     if longest == own or grey == longest:
-        raise BadInput("the fake camera's description must be that of Aravis 0.8, got one of another form")
+        raise BadInput(
+            "the fake camera's description must be that of Aravis 0.8, got one of another form"
+        )
     return grey
 
 
@@ -158,7 +188,9 @@ def load() -> ctypes.CDLL:
             getattr(library, function).restype = result
             getattr(library, function).argtypes = arguments
         return library
-    raise BadInput("a camera on real wires needs the Aravis library 0.8 (Debian: libaravis-0.8-0), got none")
+    raise BadInput(
+        "a camera on real wires needs the Aravis library 0.8 (Debian: libaravis-0.8-0), got none"
+    )
 
 
 def is_available() -> bool:

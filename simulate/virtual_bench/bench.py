@@ -15,11 +15,18 @@ from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.faults import Faults, inject_faults
 from simulate.virtual_bench.in_process import InProcessCamera, InProcessInstruments
 from simulate.virtual_bench.instrument import virtual_model
-from simulate.virtual_bench.outputs import Outputs, VirtualOperator, read_outputs, read_placement, read_room_light_lux
+from simulate.virtual_bench.outputs import (
+    Outputs,
+    VirtualOperator,
+    read_outputs,
+    read_placement,
+    read_room_light_lux,
+)
 from simulate.virtual_bench.process import VirtualInstruments
 from simulate.virtual_bench.true_sensor import TRUTH, BenchTruth, load_or_draw_truth, read_truth
 
-SILENCE_S = 15.0  # drawing one frame may take long on a busy machine; a dead camera's port is noticed at once
+# drawing one frame may take long on a busy machine; a dead camera's port is noticed at once
+SILENCE_S = 15.0
 
 
 class VirtualBench:
@@ -28,16 +35,19 @@ class VirtualBench:
     Parameters
     ----------
     folder
-        Folder of the bench, apart from every session; made where it is missing, gone on with where it is not.
+        Folder of the bench, apart from every session; made where it is missing, gone on with where
+        it is not.
     sensor, seed
-        Description from whose ranges the device is drawn, and seed of the device and of every frame.
+        Description from whose ranges the device is drawn, and seed of the device and of every
+        frame.
     wires
-        Which instruments stand at the bench, and where they live. "virtual": camera and instruments are processes
-        on real wires, save those whose port is named, which are real; where Aravis cannot be had, the camera's wire
-        is left out and said to be. "in-process": everything inside this process; `inside` then holds the
-        instruments.
+        Which instruments stand at the bench, and where they live. "virtual": camera and instruments
+        are processes on real wires, save those whose port is named, which are real; where Aravis
+        cannot be had, the camera's wire is left out and said to be. "in-process": everything inside
+        this process; `inside` then holds the instruments.
     lamp
-        Calibration of the light source that the wires name; what the lamp truly makes is drawn within it.
+        Calibration of the light source that the wires name; what the lamp truly makes is drawn
+        within it.
     time_scale
         How much faster than life high voltage and filter wheel move, dimensionless.
     say
@@ -62,10 +72,15 @@ class VirtualBench:
         self._wires_folder = _next_wires_folder(self.folder)
         wires = InstrumentConfig() if wires is None else wires
         if wires.bench == "real":
-            raise BadInput("a virtual bench must be virtual or in-process, got the wires of a real one")
+            raise BadInput(
+                "a virtual bench must be virtual or in-process, got the wires of a real one"
+            )
         named = [one for one in wires.instruments if one.port]
         if wires.bench == "in-process" and named:
-            raise BadInput(f"a bench inside a process must have no serial ports, got {named[0].port} for a real one")
+            raise BadInput(
+                f"a bench inside a process must have no serial ports, got {named[0].port} for a "
+                "real one"
+            )
         self._time_scale, self._asked, self._lamp = time_scale, wires, lamp
         self._sensor, self._seed, self._say = sensor, seed, say
         self.operator = VirtualOperator(self.folder)
@@ -82,7 +97,9 @@ class VirtualBench:
         with ExitStack() as running:
             self._start_instruments(running)
             if self._camera_has_a_wire():
-                self.camera = running.enter_context(CameraProcess(self.folder, self._wires_folder, say=self._say))
+                self.camera = running.enter_context(
+                    CameraProcess(self.folder, self._wires_folder, say=self._say)
+                )
             self._running = running.pop_all()
         return self
 
@@ -92,7 +109,9 @@ class VirtualBench:
     @property
     def wires(self) -> InstrumentConfig:
         """How the instruments are reached."""
-        ports: dict[Role, str | None] = {one.role: self._port(one) for one in self._asked.instruments}
+        ports: dict[Role, str | None] = {
+            one.role: self._port(one) for one in self._asked.instruments
+        }
         reached = self._asked.with_ports(ports)
         return replace(reached, camera=self.camera.identifier) if self.camera else reached
 
@@ -100,7 +119,9 @@ class VirtualBench:
     def instruments(self) -> VirtualInstruments:
         """The serial instruments' processes, to be unplugged and plugged in."""
         if self._instruments is None:
-            raise BadInput("instruments inside this process cannot be unplugged, got an in-process bench")
+            raise BadInput(
+                "instruments inside this process cannot be unplugged, got an in-process bench"
+            )
         return self._instruments
 
     @property
@@ -116,18 +137,26 @@ class VirtualBench:
         """Return the present outputs of the instruments."""
         if self.inside is None:
             return read_outputs(self._wires_folder)
-        return replace(self.inside.outputs(), room_light_lux=read_room_light_lux(self._wires_folder))
+        return replace(
+            self.inside.outputs(), room_light_lux=read_room_light_lux(self._wires_folder)
+        )
 
     def provoke(self, instrument: str, faults: Faults) -> None:
-        """Inject faults into a virtual instrument, the camera or the surroundings; BadInput for a real instrument."""
+        """Inject faults into a virtual instrument, the camera or the surroundings; BadInput for a
+        real instrument.
+        """
         there = [one for one in self._asked.instruments if not one.port]
         virtual: dict[str, Role] = {virtual_model(one.model).place: one.role for one in there}
         if instrument in virtual and self.inside is not None:
             self.inside.ports[virtual[instrument]].faults = faults
-        elif instrument in (*virtual, "surroundings") or (instrument == "camera" and self.camera is not None):
+        elif instrument in (*virtual, "surroundings") or (
+            instrument == "camera" and self.camera is not None
+        ):
             inject_faults(self._wires_folder, instrument, faults)
         else:
-            raise BadInput(f"a fault must strike an instrument on the wires of this bench, got {instrument}")
+            raise BadInput(
+                f"a fault must strike an instrument on the wires of this bench, got {instrument}"
+            )
 
     def truth(self) -> BenchTruth:
         """Return the true state of the bench, for comparison after a measurement."""
@@ -142,7 +171,9 @@ class VirtualBench:
         real = [one for one in self._asked.instruments if one.port]
         self.real = tuple(f"the {one.role} is a real {one.model} at {one.port}" for one in real)
         for sentence in self.real:
-            self._say(f"Of this virtual bench {sentence}; the virtual tube feels nothing of what it does.")
+            self._say(
+                f"Of this virtual bench {sentence}; the virtual tube feels nothing of what it does."
+            )
         instruments = VirtualInstruments(
             self._wires_folder,
             models=tuple(one.model for one in self._asked.instruments if not one.port),
@@ -164,13 +195,14 @@ class VirtualBench:
     def _camera_has_a_wire(self) -> bool:
         if self._asked.bench == "in-process":
             self.left_out = (
-                "All wires were left out, as asked: camera and instruments live inside this process, "
-                "and no other process makes the tube safe.",
+                "All wires were left out, as asked: camera and instruments live inside this "
+                "process, and no other process makes the tube safe.",
             )
         elif not aravis_library.is_available():
             self.left_out = (
-                "The camera's GigE Vision wire was left out: the Aravis library is not on this machine "
-                "(Debian: apt-get install libaravis-0.8-0), so the camera lives inside this process.",
+                "The camera's GigE Vision wire was left out: the Aravis library is not on this "
+                "machine (Debian: apt-get install libaravis-0.8-0), so the camera lives inside "
+                "this process.",
             )
         for sentence in self.left_out:
             self._say(sentence)
@@ -178,6 +210,8 @@ class VirtualBench:
 
 
 def _next_wires_folder(folder: Path) -> Path:
-    """Return an unused folder for the wires of this run: instruments of a killed run may still use theirs."""
+    """Return an unused folder for the wires of this run: instruments of a killed run may still use
+    theirs.
+    """
     runs = (int(path.suffix[1:]) for path in folder.glob("wires.*") if path.suffix[1:].isdigit())
     return folder / f"wires.{max(runs, default=0) + 1}"

@@ -38,10 +38,14 @@ def main(arguments: list[str]) -> int:
     """Run the camera until the process that started it is gone."""
     parser = argparse.ArgumentParser(prog="python -m simulate.virtual_bench.camera")
     parser.add_argument("folder", type=Path, help="folder of the bench")
-    parser.add_argument("wires", type=Path, help="folder of the wires of the instruments that now run")
+    parser.add_argument(
+        "wires", type=Path, help="folder of the wires of the instruments that now run"
+    )
     parser.add_argument("serial")
     parser.add_argument("--parent", type=int, required=True, help="process whose end is ours")
-    parser.add_argument("--lost-packet-share", type=float, default=0.0, help="share of packets lost on the wire")
+    parser.add_argument(
+        "--lost-packet-share", type=float, default=0.0, help="share of packets lost on the wire"
+    )
     options = parser.parse_args(arguments)
     try:
         lock = hold_loopback(options.parent)
@@ -68,8 +72,9 @@ def main(arguments: list[str]) -> int:
 class VirtualCamera:
     """A camera that exposes what a tube sees as long as a client asks for frames.
 
-    Frames are drawn in this thread. The wire's own thread takes them without waiting, and so answers its client at any
-    time. `description` is the file to which its GenICam description is written.
+    Frames are drawn in this thread. The wire's own thread takes them without waiting, and so
+    answers its client at any time. `description` is the file to which its GenICam description is
+    written.
     """
 
     def __init__(
@@ -157,30 +162,43 @@ class VirtualCamera:
                 if scene == self._scene():
                     return pixels
         except BaseException:
-            # Nothing can leave through C; a camera without a frame falls dead rather than send something else.
+            # Nothing can leave through C; a camera without a frame falls dead rather than send
+            # something else.
             traceback.print_exc()
             os._exit(1)
 
     def _as_sent(self, frame: NDArray) -> bytes:
-        """Return the frame's window in the pixel format; 8-bit pixels of a deeper digitiser are its upper bits."""
-        row, col = self._wire.read(aravis.Register.Y_OFFSET), self._wire.read(aravis.Register.X_OFFSET)
+        """Return the frame's window in the pixel format; 8-bit pixels of a deeper digitiser are its
+        upper bits.
+        """
+        row, col = (
+            self._wire.read(aravis.Register.Y_OFFSET),
+            self._wire.read(aravis.Register.X_OFFSET),
+        )
         pixels = frame[
-            row : row + self._wire.read(aravis.Register.HEIGHT), col : col + self._wire.read(aravis.Register.WIDTH)
+            row : row + self._wire.read(aravis.Register.HEIGHT),
+            col : col + self._wire.read(aravis.Register.WIDTH),
         ]
         pixel_format = self._wire.read(aravis.Register.PIXEL_FORMAT)
         if pixel_format == aravis.MONO_16:
             return pixels.astype("<u2").tobytes()
         if pixel_format == aravis.MONO_8:
             return (pixels >> max(0, self._tube.sensor.video.bit_depth - 8)).astype("u1").tobytes()
-        raise BadInput(f"the virtual camera sends Mono8 and Mono16, got pixel format {pixel_format:#x}")
+        raise BadInput(
+            f"the virtual camera sends Mono8 and Mono16, got pixel format {pixel_format:#x}"
+        )
 
 
 def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
-    """Wait for the single GigE Vision port of the loopback interface and lock it while `parent` lives.
+    """Wait for the single GigE Vision port of the loopback interface and lock it while `parent`
+    lives.
 
-    The lock is in a folder that other users may write to: anything but a file of this user is BadInput.
+    The lock is in a folder that other users may write to: anything but a file of this user is
+    BadInput.
     """
-    lock = _open_lock((folder or Path(tempfile.gettempdir())) / f"charact-virtual-camera-{os.getuid()}.lock")
+    lock = _open_lock(
+        (folder or Path(tempfile.gettempdir())) / f"charact-virtual-camera-{os.getuid()}.lock"
+    )
     until_s = time.monotonic() + LOCK_WAIT_S
     reported = False
     while True:
@@ -193,7 +211,10 @@ def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
                 reported = True
         if os.getppid() != parent or time.monotonic() > until_s:
             lock.close()
-            raise BadInput(f"one virtual camera runs on a machine at a time, waited {LOCK_WAIT_S:g} s for another")
+            raise BadInput(
+                f"one virtual camera runs on a machine at a time, waited {LOCK_WAIT_S:g} s for "
+                f"another"
+            )
         time.sleep(0.1)
 
 
@@ -209,8 +230,8 @@ def _open_lock(path: Path) -> IO[bytes]:
     if not stat.S_ISREG(there.st_mode) or there.st_uid != os.getuid() or there.st_nlink != 1:
         os.close(descriptor)
         raise BadInput(
-            f"{rule}, got one of type {stat.filemode(there.st_mode)}, user {there.st_uid} and {there.st_nlink} names, "
-            f"{remedy}"
+            f"{rule}, got one of type {stat.filemode(there.st_mode)}, user {there.st_uid} and "
+            f"{there.st_nlink} names, {remedy}"
         )
     return os.fdopen(descriptor, "r+b")
 
@@ -227,8 +248,8 @@ STOP_S = 3.0
 class CameraProcess:
     """The virtual camera on its loopback wire, between `with` and the end of its block.
 
-    It lives in a session of its own, so that Ctrl-C at the terminal does not unplug it, and ends when the process
-    that started it is gone.
+    It lives in a session of its own, so that Ctrl-C at the terminal does not unplug it, and ends
+    when the process that started it is gone.
     """
 
     def __init__(
@@ -240,7 +261,15 @@ class CameraProcess:
         say: Callable[[str], None] = lambda sentence: None,
     ) -> None:
         serial = "VB" + hashlib.sha256(str(folder).encode()).hexdigest()[:10]
-        self._command = [sys.executable, "-P", "-m", "simulate.virtual_bench.camera", str(folder), str(wires), serial]
+        self._command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "simulate.virtual_bench.camera",
+            str(folder),
+            str(wires),
+            serial,
+        ]
         self._command += ["--lost-packet-share", str(lost_packet_share)]
         self._log, self._say = wires / "camera.stderr", say
         self.identifier = ""  # Aravis identifier of the camera, once it runs
@@ -290,7 +319,9 @@ class CameraProcess:
         """Return the next message of the camera, or None if it ended or sent none in time."""
         if self._process.stdout is None:
             return None
-        ready, _, _ = select.select([self._process.stdout], [], [], max(0.0, until_s - time.monotonic()))
+        ready, _, _ = select.select(
+            [self._process.stdout], [], [], max(0.0, until_s - time.monotonic())
+        )
         line = self._process.stdout.readline() if ready else ""
         return json.loads(line) if line else None
 

@@ -14,12 +14,15 @@ class Faults:
     silent: bool = False  #: It hears nothing and says nothing
     mute: bool = False  #: It obeys, but none of its answers arrives
     late_s: float = 0.0  #: Extra time before each answer, s
-    #: A short circuit of the load: a supply trips on current, a lamp goes out, as long as this holds
+    # : A short circuit of the load: a supply trips on current, a lamp goes out, as long as this
+    # holds
     tripped: bool = False
     garbage: bool = False  #: Every byte of its answers arrives changed
     half_lines: bool = False  #: Only the first half of each answer arrives
     unplugged: bool = False  #: Its port is gone as long as this holds; its outputs stay as they are
-    power_cycles: int = 0  #: How often it has lost its power for a moment; each rise is one more time
+    power_cycles: int = (
+        0  #: How often it has lost its power for a moment; each rise is one more time
+    )
     stalled: bool = False  #: The camera answers, and sends no frame
     lost_packet_share: float = 0.0  #: Fraction of the camera's packets that get lost, dimensionless
     clock_jump_s: float = 0.0  #: How far the camera's clock is off its time, s
@@ -29,7 +32,9 @@ class Faults:
     disobedient: bool = False
     untriggered: bool = False  #: No pulses come to the delay generator's trigger input
     port_name: str = ""  #: Name under which its port stands now; empty: its own
-    room_light_lux: float = 0.0  #: Of the surroundings: light that falls on the photocathode besides the source's, lux
+    room_light_lux: float = (
+        0.0  #: Of the surroundings: light that falls on the photocathode besides the source's, lux
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "panel", tuple(self.panel))  # JSON knows lists only
@@ -44,7 +49,9 @@ class Faults:
 
 
 def inject_faults(folder: Path, instrument: str, faults: Faults) -> None:
-    """Set the faults of a place at the bench whose wires lie in a folder; `Faults()` removes them."""
+    """Set the faults of a place at the bench whose wires lie in a folder; `Faults()` removes
+    them.
+    """
     replace_file(faults_file(folder, instrument), json.dumps(asdict(faults)))
 
 

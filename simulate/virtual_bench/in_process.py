@@ -44,7 +44,9 @@ class InProcessPort:
             self.advance()
             if faults.disobedient != self._faults.disobedient:
                 # Its outputs stay as they are now, whatever it answers.
-                self._shown = copy.deepcopy(self._instrument) if faults.disobedient else self._instrument
+                self._shown = (
+                    copy.deepcopy(self._instrument) if faults.disobedient else self._instrument
+                )
             if faults.power_cycles > self._faults.power_cycles:
                 self._instrument.power_cycle()
             if faults.panel != self._faults.panel:
@@ -109,7 +111,8 @@ class InProcessInstruments:
     def __init__(self, wires: InstrumentConfig | None = None, *, time_scale: float = 1.0) -> None:
         there = (wires or InstrumentConfig()).instruments
         self.ports: dict[Role, InProcessPort] = {
-            one.role: InProcessPort(virtual_model(one.model).make(one.address, time_scale)) for one in there
+            one.role: InProcessPort(virtual_model(one.model).make(one.address, time_scale))
+            for one in there
         }
 
     @property
@@ -144,7 +147,9 @@ POLL_S = 0.05  # Longest wait for a frame between two calls of `while_waiting`, 
 
 
 class InProcessCamera:
-    """Camera with the driver's interface and the frames of the virtual camera, exposed to `outputs`."""
+    """Camera with the driver's interface and the frames of the virtual camera, exposed to
+    `outputs`.
+    """
 
     identifier = "in-process"
 
@@ -170,8 +175,14 @@ class InProcessCamera:
         return None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set the settings that are not None and return all; size and pixel format are fixed by the sensor."""
-        given = {item.name: value for item in fields(settings) if (value := getattr(settings, item.name)) is not None}
+        """Set the settings that are not None and return all; size and pixel format are fixed by the
+        sensor.
+        """
+        given = {
+            item.name: value
+            for item in fields(settings)
+            if (value := getattr(settings, item.name)) is not None
+        }
         for name in ("rows", "columns", "pixel_format"):
             own = getattr(self._settings, name)
             if given.get(name, own) != own:
@@ -191,7 +202,9 @@ class InProcessCamera:
 
     def _expose(self) -> Frame:
         self._number += 1
-        scene = self._tube.scene(exposure_s=self._settings.exposure_s or 0.0, gain_db=self._settings.gain_db or 0.0)
+        scene = self._tube.scene(
+            exposure_s=self._settings.exposure_s or 0.0, gain_db=self._settings.gain_db or 0.0
+        )
         deep = self._settings.pixel_format != "Mono8"
         pixels = self._tube.expose(scene).astype(np.uint16 if deep else np.uint8, copy=False)
         return Frame(pixels=pixels, number=self._number, time_s=time.time())
@@ -204,7 +217,12 @@ class InProcessCapture:
     losses = ()
 
     def __init__(
-        self, camera: InProcessCamera, *, frames: int, discard: int, while_waiting: Callable[[], None]
+        self,
+        camera: InProcessCamera,
+        *,
+        frames: int,
+        discard: int,
+        while_waiting: Callable[[], None],
     ) -> None:
         self._camera, self._frames, self._discard = camera, frames, discard
         self._while_waiting = while_waiting

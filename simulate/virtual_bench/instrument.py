@@ -1,7 +1,9 @@
-"""Common parts of the virtual instruments: lines, buses, command language, delays, published outputs, models by name.
+"""Common parts of the virtual instruments: lines, buses, command language, delays, published
+outputs, models by name.
 
-A package brings a virtual instrument with a Python entry point of the group `charact.virtual_instruments` whose value
-is a `VirtualModel`; its name is the one of the driver's model in the group `charact.instruments`.
+A package brings a virtual instrument with a Python entry point of the group
+`charact.virtual_instruments` whose value is a `VirtualModel`; its name is the one of the driver's
+model in the group `charact.instruments`.
 """
 
 import math
@@ -49,12 +51,14 @@ class VirtualModel:
     """One model of virtual instrument."""
 
     name: str  #: Name of the model, such as "dg645"
-    place: str  #: Where it stands at the bench, such as "delay_generator": the name of its port and of its faults
+    # : Where it stands at the bench, such as "delay_generator": the name of its port and of its
+    # faults
+    place: str
     #: Makes it, from its address on a bus and how much faster than life it moves
     make: Callable[[int, float], SerialInstrument]
     baud: int | None  #: Rate set on it, baud; None: a USB adapter, which has none
-    #: Commands that do what a hand at its panel does, by setting: of a gate "source", "idle level", "width" and "busy"
-    #: (every second trigger is lost), of a supply "voltage" and "on"
+    # : Commands that do what a hand at its panel does, by setting: of a gate "source", "idle
+    # level", "width" and "busy" : (every second trigger is lost), of a supply "voltage" and "on"
     panel: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
@@ -92,7 +96,12 @@ class LineInstrument(VirtualInstrument):
         *lines, self._line = (self._line + data.replace(b"\r", b"\n")).split(b"\n")
         if len(self._line) > self.longest_line:
             self._line = self._overrun(self._line)
-        said = (each for line in lines if line.strip() for each in self._replies(line.decode("ascii", "replace")))
+        said = (
+            each
+            for line in lines
+            if line.strip()
+            for each in self._replies(line.decode("ascii", "replace"))
+        )
         return [(seconds, answer.encode("latin-1") + self.answer_end) for seconds, answer in said]
 
     def _overrun(self, line: bytes) -> bytes:
@@ -162,7 +171,9 @@ class StandardEvent(IntFlag):
 
 
 class RefusedCommand(Exception):
-    """The instrument refuses a command; `code` is its error code or the bit of its status register."""
+    """The instrument refuses a command; `code` is its error code or the bit of its status
+    register.
+    """
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -216,7 +227,9 @@ def _command(text: str) -> Command | None:
 
 
 class EdgeDelays:
-    """Delays of a generator's edges, each behind another one, in steps of 5 ps; `start` is the trigger."""
+    """Delays of a generator's edges, each behind another one, in steps of 5 ps; `start` is the
+    trigger.
+    """
 
     def __init__(self, reference: dict[int, int], start: int) -> None:
         self.reference, self.start = dict(reference), start
@@ -229,7 +242,9 @@ class EdgeDelays:
         return moved
 
     def total(self, edge: int) -> int:
-        """Steps of an edge after the trigger; edges that refer to each other in a ring are a RecursionError."""
+        """Steps of an edge after the trigger; edges that refer to each other in a ring are a
+        RecursionError.
+        """
         steps, seen = 0, set()
         while edge != self.start:
             if edge in seen:
@@ -314,13 +329,19 @@ class VoltageSource(VirtualInstrument):
 
 
 def virtual_models() -> dict[str, VirtualModel]:
-    """Return all virtual models by name: those of the package `instruments`, and those of other packages."""
-    return models_by_name("simulate.virtual_bench.instruments", VirtualModel, "charact.virtual_instruments")
+    """Return all virtual models by name: those of the package `instruments`, and those of other
+    packages.
+    """
+    return models_by_name(
+        "simulate.virtual_bench.instruments", VirtualModel, "charact.virtual_instruments"
+    )
 
 
 def virtual_model(name: str) -> VirtualModel:
     """Return a virtual model by its name."""
     known = virtual_models()
     if name not in known:
-        raise BadInput(f"a virtual instrument must be one of {', '.join(sorted(known))}, got {name!r}")
+        raise BadInput(
+            f"a virtual instrument must be one of {', '.join(sorted(known))}, got {name!r}"
+        )
     return known[name]

@@ -1,4 +1,6 @@
-"""State files of the virtual bench: outputs of its instruments, and the target placed by its operator."""
+"""State files of the virtual bench: outputs of its instruments, and the target placed by its
+operator.
+"""
 
 import json
 import math
@@ -12,7 +14,8 @@ from labdata.conditions import Conditions
 from labdata.target import Kind, Target
 
 GATE_FILE, VOLTAGE_FILE, LAMP_FILE, WHEEL_FILE, THERMOMETER_FILE = (
-    f"{name}.output.json" for name in ("gate", "high_voltage", "light_source", "filter_wheel", "thermometer")
+    f"{name}.output.json"
+    for name in ("gate", "high_voltage", "light_source", "filter_wheel", "thermometer")
 )
 
 
@@ -24,9 +27,11 @@ class GateOutput:
     """What the delay generator's AB output does to the gate unit."""
 
     gate_open: bool = False  #: Whether the gate opens at all
-    gate_ns: float = 0.0  #: Width of one opening, ns; infinite where the output idles in the state that opens the gate
+    # : Width of one opening, ns; infinite where the output idles in the state that opens the gate
+    gate_ns: float = 0.0
     gate_hz: float = 0.0  #: Openings per second, Hz
-    #: What triggers them: the generator's own clock, the mains, or the camera's field pulse at its input
+    # : What triggers them: the generator's own clock, the mains, or the camera's field pulse at its
+    # input
     gate_trigger: Trigger = "clock"
     gate_delay_ns: float = 0.0  #: From trigger to opening, ns
 
@@ -42,13 +47,19 @@ class Outputs:
     gate_trigger: Trigger = "clock"  #: See `GateOutput`
     gate_delay_ns: float = 0.0  #: See `GateOutput`
     lamp_a: float | None = None  #: Current through the lamp of the bench, A; None: it has no lamp
-    filter_position: int | None = None  #: Position of the wheel before the lamp; None: it turns, or there is none
+    filter_position: int | None = (
+        None  #: Position of the wheel before the lamp; None: it turns, or there is none
+    )
     has_wheel: bool = False  #: Whether there is a wheel before the lamp
-    temperature_c: float | None = None  #: Temperature of the tube, degrees Celsius; None: nobody measures it
+    temperature_c: float | None = (
+        None  #: Temperature of the tube, degrees Celsius; None: nobody measures it
+    )
     room_light_lux: float = 0.0  #: Light of the surroundings on the photocathode, lux
 
     def open_ns(self, exposure_s: float) -> float:
-        """Time that the gate is open during one exposure of `exposure_s` seconds, ns, averaged over its phase."""
+        """Time that the gate is open during one exposure of `exposure_s` seconds, ns, averaged over
+        its phase.
+        """
         if not self.gate_open:
             return 0.0
         exposure_ns = exposure_s * 1e9
@@ -63,7 +74,9 @@ def publish(folder: Path, file: str, outputs: dict[str, Any]) -> None:
 
 
 def read_outputs(folder: Path) -> Outputs:
-    """Read the outputs of the instruments of a bench; an instrument without a file has no output."""
+    """Read the outputs of the instruments of a bench; an instrument without a file has no
+    output.
+    """
     gate = _read(Path(folder) / GATE_FILE) or vars(GateOutput())
     voltage = _read(Path(folder) / VOLTAGE_FILE) or {"mcp_v": 0.0}
     warm = _read(Path(folder) / THERMOMETER_FILE)
@@ -125,18 +138,30 @@ class VirtualOperator:
 
     def __init__(self, folder: Path) -> None:
         self._folder = Path(folder)
-        self.while_waiting: Callable[[], None] = lambda: None  # Never called: the virtual operator acts at once
+        self.while_waiting: Callable[[], None] = lambda: (
+            None
+        )  # Never called: the virtual operator acts at once
 
     def place(
-        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+        self,
+        *,
+        kind: Kind,
+        target: Target,
+        illuminance_lux: float,
+        filter_density: float | None = None,
     ) -> Conditions:
         """Place a target, set the light to the requested meter reading, and return the reading."""
         placement = TargetPlacement(
-            number=read_placement(self._folder).number + 1, kind=kind, target=target, illuminance_lux=illuminance_lux
+            number=read_placement(self._folder).number + 1,
+            kind=kind,
+            target=target,
+            illuminance_lux=illuminance_lux,
         )
         replace_file(self._folder / _FILE, json.dumps(asdict(placement)))
         return Conditions(
-            illuminance_lux=illuminance_lux, illuminance_relative_sd=METER_RELATIVE_SD, filter_density=filter_density
+            illuminance_lux=illuminance_lux,
+            illuminance_relative_sd=METER_RELATIVE_SD,
+            filter_density=filter_density,
         )
 
     def darken(self) -> None:

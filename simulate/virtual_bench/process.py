@@ -16,9 +16,9 @@ STOP_S = 3.0
 class VirtualInstruments:
     """The serial instruments of one virtual bench, each a process of its own.
 
-    They live in sessions of their own, so that Ctrl-C at the terminal does not unplug them, and outlive a killed
-    bench until their lines have been quiet for some seconds, so that a bench server can still reach them. The folder
-    holds links to the ports, published outputs and faults.
+    They live in sessions of their own, so that Ctrl-C at the terminal does not unplug them, and
+    outlive a killed bench until their lines have been quiet for some seconds, so that a bench
+    server can still reach them. The folder holds links to the ports, published outputs and faults.
     """
 
     def __init__(
@@ -72,7 +72,9 @@ class VirtualInstruments:
         self._processes[instrument].wait()
 
     def plug_in(self, instrument: str) -> None:
-        """Start an instrument again that was unplugged, as after a power cycle; its port is there on return."""
+        """Start an instrument again that was unplugged, as after a power cycle; its port is there
+        on return.
+        """
         self.switch_on(instrument)
         self.await_ports()
 
@@ -88,9 +90,14 @@ class VirtualInstruments:
             for instrument, process in self._processes.items():
                 if process.poll() is not None:
                     said = self._complaints(instrument).read_text().strip().splitlines()[-1:]
-                    raise BadInput(f"the virtual {instrument} must start, got exit {process.returncode}: {said}")
+                    raise BadInput(
+                        f"the virtual {instrument} must start, got exit {process.returncode}: "
+                        f"{said}"
+                    )
             if time.monotonic() > deadline_s:
-                raise BadInput(f"the virtual instruments must start within {START_S:g} s in {self.folder}")
+                raise BadInput(
+                    f"the virtual instruments must start within {START_S:g} s in {self.folder}"
+                )
             time.sleep(0.01)
 
     def stop(self) -> None:
@@ -115,11 +122,20 @@ class VirtualInstruments:
             "--folder",
             str(self.folder),
         ]
-        command += ["--parent", str(os.getpid()), "--address", str(self._addresses.get(instrument, 0))]
+        command += [
+            "--parent",
+            str(os.getpid()),
+            "--address",
+            str(self._addresses.get(instrument, 0)),
+        ]
         command += ["--time-scale", str(self._time_scale)]
         with self._complaints(instrument).open("wb") as complaints:
             return subprocess.Popen(
-                command, start_new_session=True, stdin=subprocess.DEVNULL, stdout=complaints, stderr=complaints
+                command,
+                start_new_session=True,
+                stdin=subprocess.DEVNULL,
+                stdout=complaints,
+                stderr=complaints,
             )
 
     def _complaints(self, instrument: str) -> Path:

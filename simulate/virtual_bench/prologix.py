@@ -1,4 +1,6 @@
-"""A virtual Prologix GPIB-USB adapter: lines that begin with ++ are its own, all else goes to the current address."""
+"""A virtual Prologix GPIB-USB adapter: lines that begin with ++ are its own, all else goes to the
+current address.
+"""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -17,13 +19,23 @@ class _Unrecognized(Exception):
 
 
 class PrologixAdapter:
-    """GPIB-USB adapter with factory settings (controller, read after write, address 0) before its instruments."""
+    """GPIB-USB adapter with factory settings (controller, read after write, address 0) before its
+    instruments.
+    """
 
     def __init__(self, bus: Mapping[int, BusInstrument]) -> None:
         self._bus = dict(bus)
         self._address = 0
-        self._settings = {"mode": 1, "auto": 1, "eoi": 1, "eos": 0, "eot_enable": 0, "eot_char": 10, "savecfg": 1,
-                          "read_tmo_ms": 500}  # fmt: skip
+        self._settings = {
+            "mode": 1,
+            "auto": 1,
+            "eoi": 1,
+            "eos": 0,
+            "eot_enable": 0,
+            "eot_char": 10,
+            "savecfg": 1,
+            "read_tmo_ms": 500,
+        }
         self._line, self._escaped, self._plus = bytearray(), False, 0
 
     @property
@@ -34,7 +46,11 @@ class PrologixAdapter:
 
     def receive(self, data: bytes) -> list[tuple[float, bytes]]:
         """Take bytes from the USB side; return answers, each with the time it takes, s."""
-        return [answer for line, own in self._lines(data) for answer in (self._own(line) if own else self._pass(line))]
+        return [
+            answer
+            for line, own in self._lines(data)
+            for answer in (self._own(line) if own else self._pass(line))
+        ]
 
     def _lines(self, data: bytes) -> Iterator[tuple[bytes, bool]]:
         """Yield complete lines, unescaped, and whether each is a ++ command."""
@@ -102,7 +118,9 @@ class PrologixAdapter:
     def _setting(self, name: str, arguments: list[str]) -> str | list[tuple[float, bytes]]:
         if not arguments:
             return str(self._settings[name])
-        lowest, highest = {"eos": (0, 3), "eot_char": (0, 255), "read_tmo_ms": (1, 3000)}.get(name, (0, 1))
+        lowest, highest = {"eos": (0, 3), "eot_char": (0, 255), "read_tmo_ms": (1, 3000)}.get(
+            name, (0, 1)
+        )
         self._settings[name] = _whole(arguments, lowest, highest)
         return []
 

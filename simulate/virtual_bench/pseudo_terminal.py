@@ -15,13 +15,16 @@ from simulate.virtual_bench.instrument import SerialInstrument
 from simulate.virtual_bench.prologix import PrologixAdapter
 
 TICK_S = 0.02  # Longest time between two updates of an instrument's physics, s
-ORPHAN_S = 5.0  # An instrument whose bench is gone switches itself off after this time without a byte, s
+ORPHAN_S = (
+    5.0  # An instrument whose bench is gone switches itself off after this time without a byte, s
+)
 
 
 class PseudoTerminal:
     """The instrument's end of a pseudo-terminal, with a link at a stable path to the other end.
 
-    Another rate than `baud` at the far end turns bytes to garbage; None: a USB adapter, which has no rate.
+    Another rate than `baud` at the far end turns bytes to garbage; None: a USB adapter, which has
+    no rate.
     """
 
     def __init__(self, link: Path, *, baud: int | None) -> None:
@@ -33,7 +36,9 @@ class PseudoTerminal:
         """Plug in: a new terminal behind the same link, or behind one of another name."""
         self._link = self.link.with_name(name) if name else self.link
         self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)  # else the line echoes our own answers back to us until a client opens it
+        tty.setraw(
+            self._slave
+        )  # else the line echoes our own answers back to us until a client opens it
         os.set_blocking(self._master, False)
         self._link.unlink(missing_ok=True)
         self._link.symlink_to(os.ttyname(self._slave))
@@ -66,19 +71,32 @@ class PseudoTerminal:
 
     def seconds(self, characters: int) -> float:
         """Time that characters take on the line, s."""
-        return 0.0 if self._baud is None else characters * 10 / self._baud  # start, eight data bits, stop
+        return (
+            0.0 if self._baud is None else characters * 10 / self._baud
+        )  # start, eight data bits, stop
 
     def _as_heard(self, data: bytes) -> bytes:
         if self._baud is None:
             return data
         far_end = termios.tcgetattr(self._master)[5]
-        return data if far_end == getattr(termios, f"B{self._baud}") else bytes(byte ^ 0xA5 for byte in data)
+        return (
+            data
+            if far_end == getattr(termios, f"B{self._baud}")
+            else bytes(byte ^ 0xA5 for byte in data)
+        )
 
 
 def serve(
-    instrument: SerialInstrument, terminal: PseudoTerminal, *, folder: Path, faults: FaultFile, parent: int
+    instrument: SerialInstrument,
+    terminal: PseudoTerminal,
+    *,
+    folder: Path,
+    faults: FaultFile,
+    parent: int,
 ) -> None:
-    """Answer on the terminal until the bench process `parent` has ended and the line has been idle for `ORPHAN_S`."""
+    """Answer on the terminal until the bench process `parent` has ended and the line has been idle
+    for `ORPHAN_S`.
+    """
     waiting: deque[tuple[float, bytes]] = deque()
     heard_s, before = time.monotonic(), Faults()
     while os.getppid() == parent or time.monotonic() - heard_s < ORPHAN_S:

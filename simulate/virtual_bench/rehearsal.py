@@ -13,23 +13,62 @@ from labdata.errors import BadInput
 from labdata.event_log import EventLog, read_events
 from simulate.virtual_bench.faults import Faults
 
-Place = Literal["delay_generator", "high_voltage", "filter_wheel", "light_source", "light_meter", "thermometer",
-                "camera", "surroundings"]  # fmt: skip
-Kind = Literal["garbage", "half lines", "silence", "no answers", "late answers", "unplugged", "power cycle", "trip",
-               "packet loss", "stalled camera", "clock jump", "front panel", "disobedience", "no triggers",
-               "port renamed", "room light"]  # fmt: skip
+Place = Literal[
+    "delay_generator",
+    "high_voltage",
+    "filter_wheel",
+    "light_source",
+    "light_meter",
+    "thermometer",
+    "camera",
+    "surroundings",
+]
+Kind = Literal[
+    "garbage",
+    "half lines",
+    "silence",
+    "no answers",
+    "late answers",
+    "unplugged",
+    "power cycle",
+    "trip",
+    "packet loss",
+    "stalled camera",
+    "clock jump",
+    "front panel",
+    "disobedience",
+    "no triggers",
+    "port renamed",
+    "room light",
+]
 
 # Field of `Faults` by kind
 _FIELDS: dict[Kind, str] = {
-    "garbage": "garbage", "half lines": "half_lines", "silence": "silent", "no answers": "mute",
-    "late answers": "late_s", "unplugged": "unplugged", "power cycle": "power_cycles", "trip": "tripped",
-    "packet loss": "lost_packet_share", "stalled camera": "stalled", "clock jump": "clock_jump_s",
-    "front panel": "panel", "disobedience": "disobedient", "no triggers": "untriggered",
-    "port renamed": "port_name", "room light": "room_light_lux",
-}  # fmt: skip
+    "garbage": "garbage",
+    "half lines": "half_lines",
+    "silence": "silent",
+    "no answers": "mute",
+    "late answers": "late_s",
+    "unplugged": "unplugged",
+    "power cycle": "power_cycles",
+    "trip": "tripped",
+    "packet loss": "lost_packet_share",
+    "stalled camera": "stalled",
+    "clock jump": "clock_jump_s",
+    "front panel": "panel",
+    "disobedience": "disobedient",
+    "no triggers": "untriggered",
+    "port renamed": "port_name",
+    "room light": "room_light_lux",
+}
 
 # Kinds that need a number, and what it counts; those that only some instruments can suffer.
-_COUNTED = {"late answers": "s late", "packet loss": "share of packets", "clock jump": "s off", "room light": "lux"}
+_COUNTED = {
+    "late answers": "s late",
+    "packet loss": "share of packets",
+    "clock jump": "s off",
+    "room light": "lux",
+}
 _OF_THE_CAMERA = ("packet loss", "stalled camera", "clock jump")
 _OF = {
     "trip": ("high_voltage", "light_source"),
@@ -46,28 +85,48 @@ class ScriptedFault:
 
     instrument: Place  #: Whose
     kind: Kind  #: What is wrong with it
-    at_step: str | None = None  #: Label of the step whose beginning starts the clock; None: the beginning of the run
+    at_step: str | None = (
+        None  #: Label of the step whose beginning starts the clock; None: the beginning of the run
+    )
     at_s: float = 0.0  #: How long after that it strikes, s
     for_s: float = 1.0  #: How long it lasts, s; a power cycle is over at once
-    #: For late answers how late, s; for packet loss the fraction lost; for a clock jump how far, s; for room light the
-    #: illuminance on the photocathode, lux
+    # : For late answers how late, s; for packet loss the fraction lost; for a clock jump how far,
+    # s; for room light the : illuminance on the photocathode, lux
     value: float | None = None
-    panel: tuple[str, ...] = ()  #: For the front panel: what is entered there, in the instrument's own language
+    panel: tuple[
+        str, ...
+    ] = ()  #: For the front panel: what is entered there, in the instrument's own language
 
     def __post_init__(self) -> None:
         if not self.at_s >= 0.0 or not self.for_s > 0.0:
-            raise BadInput(f"a fault must strike at 0 s or later for some time, got {self.at_s:g} and {self.for_s:g} s")
+            raise BadInput(
+                f"a fault must strike at 0 s or later for some time, got {self.at_s:g} and "
+                f"{self.for_s:g} s"
+            )
         if (self.kind in _OF_THE_CAMERA) != (self.instrument == "camera"):
-            raise BadInput(f"a camera must suffer one of {', '.join(_OF_THE_CAMERA)}, and no other, got {self.words}")
+            raise BadInput(
+                f"a camera must suffer one of {', '.join(_OF_THE_CAMERA)}, and no other, got "
+                f"{self.words}"
+            )
         if self.instrument not in _OF.get(self.kind, (self.instrument,)):
-            raise BadInput(f"a fault of kind {self.kind!r} must be of {' or '.join(_OF[self.kind])}, got {self.words}")
+            raise BadInput(
+                f"a fault of kind {self.kind!r} must be of {' or '.join(_OF[self.kind])}, got "
+                f"{self.words}"
+            )
         if self.instrument == "surroundings" and self.kind != "room light":
-            raise BadInput(f"the surroundings must suffer room light, and nothing else, got {self.words}")
+            raise BadInput(
+                f"the surroundings must suffer room light, and nothing else, got {self.words}"
+            )
         if (self.kind == "front panel") != bool(self.panel):
-            raise BadInput(f"panel must hold commands for a front panel, and for no other, got {self.panel}")
+            raise BadInput(
+                f"panel must hold commands for a front panel, and for no other, got {self.panel}"
+            )
         if (self.kind in _COUNTED) != (self.value is not None):
             counted = ", ".join(_COUNTED)
-            raise BadInput(f"value must be given for {counted}, and for no other, got {self.value} for {self.kind}")
+            raise BadInput(
+                f"value must be given for {counted}, and for no other, got {self.value} for "
+                f"{self.kind}"
+            )
         if self.kind == "packet loss" and not 0.0 < (self.value or 0.0) <= 1.0:
             raise BadInput(f"the share of packets lost must lie between 0 and 1, got {self.value}")
 
@@ -80,7 +139,11 @@ class ScriptedFault:
     @property
     def faults(self) -> Faults:
         """The fault as `Faults`; the caller counts power cycles."""
-        others = {"power cycle": 1, "front panel": self.panel, "port renamed": f"{self.instrument}.renamed"}
+        others = {
+            "power cycle": 1,
+            "front panel": self.panel,
+            "port renamed": f"{self.instrument}.renamed",
+        }
         value: Any = self.value if self.kind in _COUNTED else others.get(self.kind, True)
         return Faults(**{_FIELDS[self.kind]: value})
 
@@ -97,9 +160,14 @@ class FaultScript:
 
 
 def combine_faults(strikes: list[ScriptedFault], power_cycles: int) -> Faults:
-    """Combine the faults of one instrument that hold now; of two that count something, the worse one."""
+    """Combine the faults of one instrument that hold now; of two that count something, the worse
+    one.
+    """
     names = vars(Faults())
-    wrong = {name: max((getattr(each.faults, name) for each in strikes), default=names[name]) for name in names}
+    wrong = {
+        name: max((getattr(each.faults, name) for each in strikes), default=names[name])
+        for name in names
+    }
     return Faults(**{**wrong, "power_cycles": power_cycles})
 
 
@@ -108,12 +176,14 @@ STRUCK = "fault strikes"
 
 
 class Rehearsal:
-    """Injects scripted faults during its `with` block, in a thread of its own, and removes them at its end.
+    """Injects scripted faults during its `with` block, in a thread of its own, and removes them at
+    its end.
 
     Parameters
     ----------
     provoke
-        Gives an instrument its faults, see `VirtualBench.provoke`; one that it does not know is BadInput on entering.
+        Gives an instrument its faults, see `VirtualBench.provoke`; one that it does not know is
+        BadInput on entering.
     steps
         Log of the session, which tells which step begins.
     log
@@ -139,7 +209,9 @@ class Rehearsal:
     def __enter__(self) -> Self:
         logged = read_events(self._log_path) if self._log_path.exists() else []
         struck = {each["number"] for each in logged if each["event"] == STRUCK}
-        self._left = {number: one for number, one in enumerate(self._script.fault) if number not in struck}
+        self._left = {
+            number: one for number, one in enumerate(self._script.fault) if number not in struck
+        }
         for instrument in {one.instrument for one in self._script.fault}:
             self._provoke(instrument, Faults())
         self._log = EventLog(self._log_path)
@@ -187,12 +259,18 @@ class Rehearsal:
         self._log("fault ends", number=number)
 
     def _tell(self, instrument: str) -> None:
-        holding = [one for number in self._holding if (one := self._script.fault[number]).instrument == instrument]
+        holding = [
+            one
+            for number in self._holding
+            if (one := self._script.fault[number]).instrument == instrument
+        ]
         self._provoke(instrument, combine_faults(holding, self._power_cycles[instrument]))
 
 
 class _Steps:
-    """Which steps of the running acquisition began, and when; what its log held before belongs to an earlier run."""
+    """Which steps of the running acquisition began, and when; what its log held before belongs to
+    an earlier run.
+    """
 
     def __init__(self, log: Path) -> None:
         self._log = log

@@ -1,4 +1,6 @@
-"""True state of a virtual bench: a random device of the described type, and the errors of meter, lamp and filters."""
+"""True state of a virtual bench: a random device of the described type, and the errors of meter,
+lamp and filters.
+"""
 
 import json
 import zlib
@@ -39,16 +41,19 @@ VARIED = (
 
 
 def draw_true_sensor(sensor: Sensor, seed: int) -> Sensor:
-    """Draw a device within the ranges of a description: the parameters of `VARIED`, exact; `seed` names the device.
+    """Draw a device within the ranges of a description: the parameters of `VARIED`, exact; `seed`
+    names the device.
 
     Notes
     -----
-    Each side of the value is half a normal law whose 95 % point is the bound, cut off at the bound: a device outside
-    what the sheet calls possible would be another camera.
+    Each side of the value is half a normal law whose 95 % point is the bound, cut off at the bound:
+    a device outside what the sheet calls possible would be another camera.
     """
     known = sensor.parameters()
     drawn = {path: _within(known[path], _stream(seed, path)) for path in VARIED if path in known}
-    specimen = sensor.with_values({path: value for path, value in drawn.items() if value is not None})
+    specimen = sensor.with_values(
+        {path: value for path, value in drawn.items() if value is not None}
+    )
     note = f"A specimen drawn within the ranges of {sensor.name} with the seed {seed}."
     return replace(specimen, name=f"{sensor.name}, specimen {seed}", notes=(*sensor.notes, note))
 
@@ -80,10 +85,14 @@ class BenchTruth:
     sensor: Sensor  #: The device, every parameter exact
     seed: int  #: Seed of the device and of every frame
     light_per_reading: float  #: True illuminance over the meter's reading, dimensionless
-    lamp: LampCalibration | None = None  #: What the lamp of the bench truly makes of its currents; None: there is none
+    lamp: LampCalibration | None = (
+        None  #: What the lamp of the bench truly makes of its currents; None: there is none
+    )
 
     def illuminance_lux(self, placement: TargetPlacement, outputs: Outputs) -> float:
-        """True illuminance on the photocathode, lux: room light plus lamp or, without a lamp, the operator's light."""
+        """True illuminance on the photocathode, lux: room light plus lamp or, without a lamp, the
+        operator's light.
+        """
         return outputs.room_light_lux + self._source_lux(placement, outputs)
 
     def _source_lux(self, placement: TargetPlacement, outputs: Outputs) -> float:
@@ -92,12 +101,20 @@ class BenchTruth:
         position = outputs.filter_position if outputs.has_wheel else 1
         if position is None or position > len(self.lamp.filter_density) or outputs.lamp_a == 0.0:
             return 0.0  # the body of a turning wheel, and a position without a filter, are opaque
-        # Below its calibration a diode's light goes on falling by the same power; so does the truth.
-        return self.lamp.light_at(outputs.lamp_a, position, beyond_a=outputs.lamp_a).illuminance_lux or 0.0
+        # Below its calibration a diode's light goes on falling by the same power; so does the
+        # truth.
+        return (
+            self.lamp.light_at(outputs.lamp_a, position, beyond_a=outputs.lamp_a).illuminance_lux
+            or 0.0
+        )
 
 
-def load_or_draw_truth(folder: Path, sensor: Sensor, seed: int, lamp: LampCalibration | None = None) -> BenchTruth:
-    """Draw a device, its meter and its lamp into a folder, or load them; another seed or sensor is BadInput."""
+def load_or_draw_truth(
+    folder: Path, sensor: Sensor, seed: int, lamp: LampCalibration | None = None
+) -> BenchTruth:
+    """Draw a device, its meter and its lamp into a folder, or load them; another seed or sensor is
+    BadInput.
+    """
     asked = {"seed": seed, "drawn_from": sensor.name}
     if lamp is not None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -105,13 +122,18 @@ def load_or_draw_truth(folder: Path, sensor: Sensor, seed: int, lamp: LampCalibr
     if (folder / "truth.json").is_file():
         there = json.loads((folder / "truth.json").read_text())
         if {name: there[name] for name in asked} != asked:
-            raise BadInput(f"a virtual bench must keep its seed and sensor, got {asked} for the bench of {there}")
+            raise BadInput(
+                f"a virtual bench must keep its seed and sensor, got {asked} for the bench of "
+                f"{there}"
+            )
         return read_truth(folder)
     meter = np.random.default_rng(np.random.SeedSequence((seed, 0x1D)))
     light_per_reading = float(np.exp(METER_RELATIVE_SD * meter.standard_normal()))
     folder.mkdir(parents=True, exist_ok=True)
     replace_file(folder / "sensor.toml", to_toml(draw_true_sensor(sensor, seed)))
-    replace_file(folder / "truth.json", json.dumps({**asked, "light_per_reading": light_per_reading}))
+    replace_file(
+        folder / "truth.json", json.dumps({**asked, "light_per_reading": light_per_reading})
+    )
     return read_truth(folder)
 
 
@@ -127,7 +149,9 @@ def read_truth(folder: Path) -> BenchTruth:
 
 
 def _true_lamp(lamp: LampCalibration, seed: int) -> LampCalibration:
-    """Draw the true lamp within its calibration uncertainty: one error for all currents, one per filter."""
+    """Draw the true lamp within its calibration uncertainty: one error for all currents, one per
+    filter.
+    """
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0x1A)))
     brighter = float(rng.standard_normal())
     densities = (
@@ -137,7 +161,9 @@ def _true_lamp(lamp: LampCalibration, seed: int) -> LampCalibration:
     pairs = zip(lamp.illuminance_lux, lamp.relative_sd, strict=True)
     return replace(
         lamp,
-        illuminance_lux=tuple(lux * float(np.exp(relative_sd * brighter)) for lux, relative_sd in pairs),
+        illuminance_lux=tuple(
+            lux * float(np.exp(relative_sd * brighter)) for lux, relative_sd in pairs
+        ),
         relative_sd=(0.0,) * len(lamp.relative_sd),
         filter_density=tuple(max(0.0, density) for density in densities),
         filter_density_sd=0.0,

@@ -16,7 +16,8 @@ from simulate.lab import LabBench
 from simulate.virtual_bench.outputs import Outputs, TargetPlacement, read_placement
 from simulate.virtual_bench.true_sensor import TRUTH, read_truth
 
-STEPS = 32  # Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own
+# Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own
+STEPS = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,22 +32,41 @@ class Fields:
 
     @classmethod
     def of(cls, outputs: Outputs, *, field_hz: float, exposure_s: float, phase: float) -> "Fields":
-        """Return the timing of a gate and the fields; `phase`: of a gate that the camera does not trigger, 0 to 1."""
-        # Relative difference between the clock of a gate generator and that of a camera, two ordinary crystals
-        rates = {"clock": outputs.gate_hz * (1.0 + 2e-5), "mains": outputs.gate_hz, "camera": field_hz}
+        """Return the timing of a gate and the fields; `phase`: of a gate that the camera does not
+        trigger, 0 to 1.
+        """
+        # Relative difference between the clock of a gate generator and that of a camera, two
+        # ordinary crystals
+        rates = {
+            "clock": outputs.gate_hz * (1.0 + 2e-5),
+            "mains": outputs.gate_hz,
+            "camera": field_hz,
+        }
         rate_hz = rates[outputs.gate_trigger]
-        first_s = -outputs.gate_delay_ns * 1e-9 if outputs.gate_trigger == "camera" else phase / rate_hz
-        return cls(width_ns=outputs.gate_ns, rate_hz=rate_hz, field_hz=field_hz, exposure_s=exposure_s, first_s=first_s)
+        first_s = (
+            -outputs.gate_delay_ns * 1e-9 if outputs.gate_trigger == "camera" else phase / rate_hz
+        )
+        return cls(
+            width_ns=outputs.gate_ns,
+            rate_hz=rate_hz,
+            field_hz=field_hz,
+            exposure_s=exposure_s,
+            first_s=first_s,
+        )
 
     def open_ns(self, first_field: int, fields: int) -> NDArray[np.floating]:
         """Return the open time of the gate in each field, ns."""
         ends_s = self.first_s + (np.arange(first_field, first_field + fields) + 1.0) / self.field_hz
-        return fields_open_ns(ends_s - self.exposure_s, self.exposure_s, width_ns=self.width_ns, rate_hz=self.rate_hz)
+        return fields_open_ns(
+            ends_s - self.exposure_s, self.exposure_s, width_ns=self.width_ns, rate_hz=self.rate_hz
+        )
 
     def lights_ns(self, first_field: int, fields: int) -> tuple[float, ...]:
         """Return the same to a `STEPS`-th of an opening, ns."""
         step_ns = self.width_ns / STEPS
-        return tuple(float(one) for one in np.round(self.open_ns(first_field, fields) / step_ns) * step_ns)
+        return tuple(
+            float(one) for one in np.round(self.open_ns(first_field, fields) / step_ns) * step_ns
+        )
 
     @property
     def in_step(self) -> bool:
@@ -54,7 +74,8 @@ class Fields:
         return float(np.ptp(self.open_ns(0, round(60.0 * self.field_hz)))) < IN_STEP * self.width_ns
 
 
-GATE_EXTINCTION = 1e-7  # light that a closed gate lets through, over an open one: 1e6 to 1e7 to one in the visible
+# light that a closed gate lets through, over an open one: 1e6 to 1e7 to one in the visible
+GATE_EXTINCTION = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,15 +84,18 @@ class Scene:
 
     placement: TargetPlacement
     conditions: Conditions
-    fields: Fields | None = None  #: How gate and fields run against one another, where they do not keep step
+    fields: Fields | None = (
+        None  #: How gate and fields run against one another, where they do not keep step
+    )
 
 
 class VirtualTube:
     """An intensified camera on the virtual bench.
 
-    Every frame is drawn when it is exposed, from the state of the bench at that moment, so that no frame can show
-    conditions that are past. Its noise follows from the bench's seed, the number of the placement before the camera,
-    and how many frames were exposed since: the same plan, taken again with the same seed, gives the same frames.
+    Every frame is drawn when it is exposed, from the state of the bench at that moment, so that no
+    frame can show conditions that are past. Its noise follows from the bench's seed, the number of
+    the placement before the camera, and how many frames were exposed since: the same plan, taken
+    again with the same seed, gives the same frames.
     """
 
     def __init__(self, folder: Path, outputs: Callable[[], Outputs]) -> None:
@@ -89,17 +113,23 @@ class VirtualTube:
         return self._truth.sensor
 
     def scene(self, *, exposure_s: float, gain_db: float) -> Scene:
-        """Return the present target and the true conditions at the tube for a field's exposure, s, and a gain, dB."""
+        """Return the present target and the true conditions at the tube for a field's exposure, s,
+        and a gain, dB.
+        """
         placement, outputs = read_placement(self._folder), self._outputs()
         if outputs.room_light_lux:
-            placement = replace(placement, kind="flat", target=Target())  # it falls on everything, darks included
+            placement = replace(
+                placement, kind="flat", target=Target()
+            )  # it falls on everything, darks included
         field_hz = float(self.sensor.video.field_rate_hz)
         exposure_s = min(exposure_s, 1.0 / field_hz)
         fields = self._fields(outputs, field_hz, whole_field_s(exposure_s, field_hz))
         open_ns = outputs.open_ns(exposure_s) if fields is None else float(fields.open_ns(0, 1)[0])
         conditions = Conditions(
             exposure_s=exposure_s,
-            mcp_v=max(round(outputs.mcp_v, 2), 1.0),  # an MCP without voltage multiplies by next to nothing
+            mcp_v=max(
+                round(outputs.mcp_v, 2), 1.0
+            ),  # an MCP without voltage multiplies by next to nothing
             gate_ns=max(open_ns, exposure_s * 1e9 * GATE_EXTINCTION),
             illuminance_lux=self._truth.illuminance_lux(placement, outputs),
             camera_gain_db=gain_db,
@@ -113,14 +143,18 @@ class VirtualTube:
         self._bench.mcp_input(scene.placement.kind, scene.placement.target, scene.conditions)
 
     def warm_up(self) -> None:
-        """Draw a dark and a lit frame that nobody sees, so that compiling, once on a machine, delays no frame."""
+        """Draw a dark and a lit frame that nobody sees, so that compiling, once on a machine,
+        delays no frame.
+        """
         exposure_s = 1.0 / float(self.sensor.video.field_rate_hz)
         shown: tuple[tuple[Kind, float], ...] = (("dark", 0.0), ("flat", 1e-4))
         for kind, lux in shown:
             conditions = Conditions(
-                exposure_s=exposure_s, gate_ns=exposure_s * 1e9, illuminance_lux=lux,
+                exposure_s=exposure_s,
+                gate_ns=exposure_s * 1e9,
+                illuminance_lux=lux,
                 mcp_v=float(self.sensor.microchannel_plate.reference_v),
-            )  # fmt: skip
+            )
             next(iter(self._bench.stream(kind, Target(), conditions, seed=0, first_frame=0)))
 
     def expose(self, scene: Scene) -> NDArray:
@@ -128,9 +162,14 @@ class VirtualTube:
         if scene.fields is not None:
             return self._woven(scene, scene.fields)
         if scene != self._scene:
-            same_placement = self._scene is not None and scene.placement.number == self._scene.placement.number
-            # The lag of the phosphor is drawn again at the start of a segment: a changed scene begins with one.
-            self._frame = -(-self._frame // SEGMENT_FRAMES) * SEGMENT_FRAMES if same_placement else 0
+            same_placement = (
+                self._scene is not None and scene.placement.number == self._scene.placement.number
+            )
+            # The lag of the phosphor is drawn again at the start of a segment: a changed scene
+            # begins with one.
+            self._frame = (
+                -(-self._frame // SEGMENT_FRAMES) * SEGMENT_FRAMES if same_placement else 0
+            )
             self._scene = scene
             self._frames = self._bench.stream(
                 scene.placement.kind,

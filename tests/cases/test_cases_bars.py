@@ -1,4 +1,6 @@
-"""Bars of others: a region alone is enough, bright or dark, any number, any direction, however little noise."""
+"""Bars of others: a region alone is enough, bright or dark, any number, any direction, however
+little noise.
+"""
 
 from pathlib import Path
 
@@ -21,9 +23,16 @@ FINE = 5
 
 
 def bars_of(
-    number: int, frequency: float, angle_deg: float, length_periods: float, *, sigma_px: float = SIGMA_PX
+    number: int,
+    frequency: float,
+    angle_deg: float,
+    length_periods: float,
+    *,
+    sigma_px: float = SIGMA_PX,
 ) -> NDArray[np.float64]:
-    """Bars under a Gaussian blur, integrated over square pixels, 1 on a wide bar, with ground all around."""
+    """Bars under a Gaussian blur, integrated over square pixels, 1 on a wide bar, with ground all
+    around.
+    """
     angle, step = np.deg2rad(angle_deg), sigma_px * np.sqrt(2.0)
     margin_px = max(30.0, 1.5 / frequency)
     width, length = number / frequency, length_periods / frequency
@@ -31,7 +40,9 @@ def bars_of(
         int(width * abs(np.sin(angle)) + length * abs(np.cos(angle)) + 2 * margin_px),
         int(width * abs(np.cos(angle)) + length * abs(np.sin(angle)) + 2 * margin_px),
     )
-    row, col = (((np.arange(side * FINE) + 0.5) / FINE - 0.5) - (side - 1) / 2 - 0.3 for side in shape)
+    row, col = (
+        ((np.arange(side * FINE) + 0.5) / FINE - 0.5) - (side - 1) / 2 - 0.3 for side in shape
+    )
     across = col[None, :] * np.cos(angle) + row[:, None] * np.sin(angle)
     along = row[:, None] * np.cos(angle) - col[None, :] * np.sin(angle)
 
@@ -55,7 +66,9 @@ def measured(frames: NDArray, **said) -> Measurement:
     """Measure frames of which hardly more than a region is said."""
     context = Context(seed=1, quick=True)
     region = (0, 0, *frames.shape[1:])
-    return measure("bars", FrameStack(data=frames), region=region, context=context, **said).measurements[0]
+    return measure(
+        "bars", FrameStack(data=frames), region=region, context=context, **said
+    ).measurements[0]
 
 
 def holds(found: Measurement, truth: float) -> bool:
@@ -69,7 +82,9 @@ def test_a_region_alone_is_enough() -> None:
         pytest.skip(f"the case's file is not here: {file}")
     stack = read_frames(file)
     for said in ({}, {"bars": 3}):
-        found = measure("bars", stack, region=(20, 20, 56, 56), context=Context(quick=True), **said).measurements[0]
+        found = measure(
+            "bars", stack, region=(20, 20, 56, 56), context=Context(quick=True), **said
+        ).measurements[0]
         assert found.status == "ok"
         assert found.frequency_cy_per_px == pytest.approx(0.1, rel=0.005)
         assert found.value == pytest.approx(0.641, abs=0.004)
@@ -89,7 +104,9 @@ def test_a_region_alone_is_enough() -> None:
 def test_any_number_of_dark_or_bright_bars_of_any_length(
     number, frequency, angle_deg, length_periods, dark, seed
 ) -> None:
-    """USAF-1951-like, STANAG-like, ISO-12233-like: the number counted, the frequency to a percent, the MTF in place."""
+    """USAF-1951-like, STANAG-like, ISO-12233-like: the number counted, the frequency to a percent,
+    the MTF in place.
+    """
     light = bars_of(number, frequency, angle_deg, length_periods)
     light = 0.1 + 0.7 * (1.0 - light if dark else light)
     rng, full_scale_dn = np.random.default_rng([seed, number]), 4095 if dark else 255
@@ -100,7 +117,9 @@ def test_any_number_of_dark_or_bright_bars_of_any_length(
     assert found.provenance.settings["bars"] == number
 
 
-@pytest.mark.parametrize(("dark", "kind"), [(False, np.uint16), (True, float)], ids=["bright codes", "dark"])
+@pytest.mark.parametrize(
+    ("dark", "kind"), [(False, np.uint16), (True, float)], ids=["bright codes", "dark"]
+)
 def test_the_plateau_of_a_picture_without_noise_is_no_clipping(dark: bool, kind: type) -> None:
     light = bars_of(3, 0.05, 5.0, 2.5)
     light = 300.0 + 2000.0 * (1.0 - light if dark else light)
@@ -110,7 +129,9 @@ def test_the_plateau_of_a_picture_without_noise_is_no_clipping(dark: bool, kind:
 
 
 def test_wings_of_a_second_gaussian_are_no_sharpening(seed: int) -> None:
-    """A core and a tenth to a quarter of the light in one three times as wide: 1.7 % low, and `processed`, before."""
+    """A core and a tenth to a quarter of the light in one three times as wide: 1.7 % low, and
+    `processed`, before.
+    """
     rng, truth_of = np.random.default_rng(seed), np.array([0.08, 0.13])
     for frequency, share in zip(truth_of, (0.12, 0.25), strict=True):
         core, wing = (bars_of(4, frequency, 0.0, 3.5, sigma_px=sigma_px) for sigma_px in (0.9, 2.7))
@@ -132,5 +153,7 @@ def test_a_wave_that_fills_its_region_a_spot_and_noise_are_no_bars(seed: int) ->
         np.zeros(row.shape),
     )
     for picture in pictures:
-        found = measured((400.0 + 1000.0 * picture + 20.0 * rng.standard_normal((3, 90, 100))).astype(np.uint16))
+        found = measured(
+            (400.0 + 1000.0 * picture + 20.0 * rng.standard_normal((3, 90, 100))).astype(np.uint16)
+        )
         assert found.status != "ok", (found.value, found.notes)

@@ -1,4 +1,6 @@
-"""Halos and blooms of the textbook: flat and rimmed discs through a core's Gaussian, drawn by plain numpy."""
+"""Halos and blooms of the textbook: flat and rimmed discs through a core's Gaussian, drawn by plain
+numpy.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +22,9 @@ SIDE, FINE = 160, 5
 
 
 def light_of(diameter_px, fraction, core_px, *, rise=1.0, wing=0.0, row=79.3, col=80.2):
-    """Light of a source at pixels, its highest 1: a disc that rises evenly to its edge, a core, an exponential."""
+    """Light of a source at pixels, its highest 1: a disc that rises evenly to its edge, a core, an
+    exponential.
+    """
     count = FINE * SIDE
     at = np.fft.fftfreq(count, 1.0 / count) / FINE
     far = np.hypot(at[:, None], at[None, :])
@@ -28,7 +32,9 @@ def light_of(diameter_px, fraction, core_px, *, rise=1.0, wing=0.0, row=79.3, co
     core += wing * np.exp(-far / 3.0) / (2.0 * np.pi * 9.0)
     rows, cols = ((np.arange(count) - FINE // 2) / FINE - place for place in (row, col))
     x = np.hypot(rows[:, None], cols[None, :])
-    disc = (1.0 + 2.0 * (rise - 1.0) * x / diameter_px) * np.clip(0.5 + FINE * (0.5 * diameter_px - x), 0.0, 1.0)
+    disc = (1.0 + 2.0 * (rise - 1.0) * x / diameter_px) * np.clip(
+        0.5 + FINE * (0.5 * diameter_px - x), 0.0, 1.0
+    )
     point = np.zeros_like(disc)
     point[round(FINE * row) + FINE // 2, round(FINE * col) + FINE // 2] = 1.0
     blur = np.fft.rfft2(core / core.sum())
@@ -44,7 +50,9 @@ def session_of(light, rng, *, bits=12, dark_dn=20.0, electrons_per_dn=8.0, frame
     for index, times in enumerate([0.0, *np.geomspace(0.3, 3000.0, 5)]):
         electrons = np.maximum(times * (full - dark_dn) * electrons_per_dn * light, 0.0)
         signal = rng.poisson(np.broadcast_to(electrons, (frames, *light.shape))) / electrons_per_dn
-        data = np.clip(np.rint(dark_dn + signal + 2.0 * rng.standard_normal(signal.shape)), 0, full).astype(np.uint16)
+        data = np.clip(
+            np.rint(dark_dn + signal + 2.0 * rng.standard_normal(signal.shape)), 0, full
+        ).astype(np.uint16)
         kind = "point" if times else "dark"
         conditions = Conditions(exposure_s=0.02, illuminance_lux=1e-5 * times if times else None)
         held = FrameStack(data=data, full_scale_dn=full)
@@ -74,7 +82,9 @@ def test_the_flat_disc_of_the_case_is_44_px_wide_and_holds_12_percent():
         (50.0, 0.1, 1.3, 1.8, 0.0, 12),
     ],
 )
-def test_flat_and_rimmed_discs_are_as_wide_as_drawn(diameter_px, fraction, core_px, rise, wing, bits, seed):
+def test_flat_and_rimmed_discs_are_as_wide_as_drawn(
+    diameter_px, fraction, core_px, rise, wing, bits, seed
+):
     rng = np.random.default_rng(seed)
     light = light_of(diameter_px, fraction, core_px, rise=rise, wing=wing)
     session = session_of(light, rng, bits=bits, electrons_per_dn=8.0 if bits == 12 else 40.0)
@@ -116,14 +126,16 @@ def test_stuck_pixels_and_hits_are_no_blooms_and_are_counted(seed):
 
 
 def test_a_mask_that_leaks_has_no_veiling_glare(seed):
-    """A ring of light about the pinhole holds four fifths of all: what does not fill the frame is no glare."""
+    """A ring of light about the pinhole holds four fifths of all: what does not fill the frame is
+    no glare.
+    """
     rng = np.random.default_rng(seed)
     light = light_of(44.0, 0.12, 1.3)
     x = np.hypot(*np.ogrid[-79.3 : SIDE - 79.3, -80.2 : SIDE - 80.2])
     ring = ((x > 5.0) & (x < 68.0)).astype(float)
-    (glare,) = bloom.measure(session_of(light + 4.0 * light.sum() / ring.sum() * ring, rng), context=QUICK).find(
-        "veiling_glare"
-    )
+    (glare,) = bloom.measure(
+        session_of(light + 4.0 * light.sum() / ring.sum() * ring, rng), context=QUICK
+    ).find("veiling_glare")
     assert glare.status != "ok"
 
 
@@ -131,8 +143,12 @@ def test_every_flag_says_its_effect_and_its_remedy(seed):
     rng = np.random.default_rng(seed)
     light = light_of(44.0, 0.12, 1.3)
     two = light + 0.6 * np.roll(light, 30, axis=1)
-    found = [one for one in bloom.measure(session_of(two, rng), context=QUICK).measurements if one.flags]
+    found = [
+        one for one in bloom.measure(session_of(two, rng), context=QUICK).measurements if one.flags
+    ]
     assert found
     for one in found:
         for flag in one.flags:
-            assert any(note.startswith(f"{flag}: ") and "what settles it" in note for note in one.notes)
+            assert any(
+                note.startswith(f"{flag}: ") and "what settles it" in note for note in one.notes
+            )

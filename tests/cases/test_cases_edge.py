@@ -1,4 +1,6 @@
-"""Edges that others made: the files of the cases, and siblings drawn here with their truth in closed form."""
+"""Edges that others made: the files of the cases, and siblings drawn here with their truth in
+closed form.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -43,10 +45,14 @@ def gaussian(sigma_px):
 
 
 def drawn(transfer, angle_deg, rows=150, cols=140, shift=0.3):
-    """Edge from 0 to 1 of a blur and square pixels, and its MTF50 along the normal, both by sums over frequencies."""
+    """Edge from 0 to 1 of a blur and square pixels, and its MTF50 along the normal, both by sums
+    over frequencies.
+    """
     turn = np.deg2rad(angle_deg)
     frequency = (np.arange(32768) + 0.5) / 8192.0
-    modulus = transfer(frequency) * np.sinc(frequency * np.cos(turn)) * np.sinc(frequency * np.sin(turn))
+    modulus = (
+        transfer(frequency) * np.sinc(frequency * np.cos(turn)) * np.sinc(frequency * np.sin(turn))
+    )
     place = np.concatenate([np.arange(0.0, 16.0, 0.04), np.arange(16.0, 220.0, 0.5)])
     kept = np.abs(modulus) > 1e-9
     weight = (modulus / np.pi / frequency / 8192.0)[kept]
@@ -57,13 +63,19 @@ def drawn(transfer, angle_deg, rows=150, cols=140, shift=0.3):
     return 0.5 + np.sign(away) * np.interp(np.abs(away), place, spread), half
 
 
-def recorded(edge, seed, *, bits=12, full_well_e=1e4, read_noise_e=4.0, levels=(0.1, 0.7), frames=1):
+def recorded(
+    edge, seed, *, bits=12, full_well_e=1e4, read_noise_e=4.0, levels=(0.1, 0.7), frames=1
+):
     """Frames with photon and read noise in whole codes."""
     rng = np.random.default_rng(seed)
     top = 2.0**bits - 1.0
     electrons = (levels[0] + (levels[1] - levels[0]) * edge) * full_well_e
-    noisy = rng.poisson(electrons, (frames, *edge.shape)) + rng.normal(0.0, read_noise_e, (frames, *edge.shape))
-    return np.clip(np.rint(noisy * top / full_well_e), 0, top).astype(np.uint8 if bits == 8 else np.uint16)
+    noisy = rng.poisson(electrons, (frames, *edge.shape)) + rng.normal(
+        0.0, read_noise_e, (frames, *edge.shape)
+    )
+    return np.clip(np.rint(noisy * top / full_well_e), 0, top).astype(
+        np.uint8 if bits == 8 else np.uint16
+    )
 
 
 def holds(found, truth):
@@ -112,10 +124,16 @@ def test_clean_edges_of_other_depths_are_ok(bits):
 
 def test_clipping_of_a_left_shifted_picture_is_named():
     stack = frames_of(CASES / "l1-clipped-left-shifted-12-bit" / "e.tif")
-    shifted, plain = mtf50_of(stack), mtf50_of(FrameStack(data=stack.data // 16, full_scale_dn=4095.0))
+    shifted, plain = (
+        mtf50_of(stack),
+        mtf50_of(FrameStack(data=stack.data // 16, full_scale_dn=4095.0)),
+    )
     for found in (shifted, plain):
         assert "clipped" in found.flags
-        assert any(note.startswith("clipped: ") and ("65520" in note or "4095" in note) for note in found.notes)
+        assert any(
+            note.startswith("clipped: ") and ("65520" in note or "4095" in note)
+            for note in found.notes
+        )
 
 
 @pytest.mark.parametrize("kind", ["left-shifted", "float", "below the top"])
@@ -123,13 +141,17 @@ def test_clipping_of_a_left_shifted_picture_is_named():
 def test_clipping_at_the_data_s_own_ceiling(kind, cut):
     edge, _ = drawn(gaussian(1.2), 5.0)
     data = np.minimum(recorded(edge, 1), np.uint16(cut * 4095))
-    data = {"left-shifted": data * np.uint16(16), "float": data / 4095.0, "below the top": data}[kind]
+    data = {"left-shifted": data * np.uint16(16), "float": data / 4095.0, "below the top": data}[
+        kind
+    ]
     assert clipping_flags(data, None) == ("clipped",)
 
 
 @pytest.mark.parametrize("kind", ["float", "rounded", "averaged"])
 def test_the_flat_plateau_of_a_picture_without_noise_is_no_clipping(kind):
-    """Blurred so little that both plateaus are one value each, as simulated and much averaged pictures are."""
+    """Blurred so little that both plateaus are one value each, as simulated and much averaged
+    pictures are.
+    """
     edge, truth = drawn(gaussian(0.7), 5.0)
     data = 400.0 + 2000.0 * edge
     if kind == "averaged":
@@ -155,7 +177,9 @@ def test_a_sharpened_edge_is_told(amount):
 
 
 def test_where_no_form_fits_the_answer_needs_none_and_is_wider():
-    """Light smeared evenly over 4 px along the normal, as a target that moves through the exposure has it."""
+    """Light smeared evenly over 4 px along the normal, as a target that moves through the exposure
+    has it.
+    """
     transfer = lambda f: gaussian(0.5)(f) * np.sinc(4.0 * f)  # noqa: E731
     edge, truth = drawn(transfer, 6.0)
     stack = FrameStack(data=recorded(edge, 5, frames=4))

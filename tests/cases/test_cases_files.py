@@ -1,4 +1,6 @@
-"""Files of other programs: the number of the plain file, or a sentence that says what the file holds and what to do."""
+"""Files of other programs: the number of the plain file, or a sentence that says what the file
+holds and what to do.
+"""
 
 import json
 import shutil
@@ -23,7 +25,10 @@ from tests.charact.cli.runner import charact
 ROOT = Path(__file__).resolve().parents[2]
 CASES = ROOT.parent / "shared" / "cases"
 
-VERB = f'{sys.executable} -P -c "from charact.cli import main; main()" mtf edge --method edge-slanted --quick'
+VERB = (
+    f'{sys.executable} -P -c "from charact.cli import main; main()" mtf edge --method '
+    f"edge-slanted --quick"
+)
 
 # An edge blurred by a Gaussian has its MTF at 0.5 where exp(-2 (pi sigma f)^2) is.
 MTF50_CY_PER_PX = 0.125
@@ -45,8 +50,12 @@ def measured(*arguments: object) -> tuple[float, str, list[str], list[int]]:
     return one["value"], one["status"], one["notes"], one["region"]
 
 
-def edge(bits: int = 12, frames: int = 1, size: int = 96, sigma_px: float = SIGMA_PX, seed: int = 1) -> np.ndarray:
-    """Frames of an edge at 5 degrees, shape (frame, row, col), with Gaussian noise of 0.3 % of full scale."""
+def edge(
+    bits: int = 12, frames: int = 1, size: int = 96, sigma_px: float = SIGMA_PX, seed: int = 1
+) -> np.ndarray:
+    """Frames of an edge at 5 degrees, shape (frame, row, col), with Gaussian noise of 0.3 % of full
+    scale.
+    """
     row, col = np.mgrid[:size, :size] - size / 2
     across = col * np.cos(np.deg2rad(5.0)) + row * np.sin(np.deg2rad(5.0))
     top = 2**bits - 1
@@ -78,8 +87,12 @@ def test_planes_of_a_fits_cube_are_not_frames():
 
 def test_the_colours_of_an_array_are_planes(tmp_path):
     np.save(tmp_path / "a.npy", np.stack([edge(8, seed=seed)[0] for seed in range(3)], axis=-1))
-    assert measured(tmp_path / "a.npy", "--plane", "r")[0] == pytest.approx(MTF50_CY_PER_PX, rel=0.02)
-    assert any("colour picture" in note for note in read_frames(tmp_path / "a.npy", "luminance").notes)
+    assert measured(tmp_path / "a.npy", "--plane", "r")[0] == pytest.approx(
+        MTF50_CY_PER_PX, rel=0.02
+    )
+    assert any(
+        "colour picture" in note for note in read_frames(tmp_path / "a.npy", "luminance").notes
+    )
 
 
 def written(path: Path, data: np.ndarray, axes: str) -> Path:
@@ -112,7 +125,8 @@ def test_an_axis_counts_frames_only_where_the_file_says_so(tmp_path, name):
     for letter in "CZ":
         path = written(tmp_path / f"{letter}{name}", data, f"{letter}YX")
         with pytest.raises(
-            BadInput, match=rf"\(0 \w+ of {frames}, 1 row of 96, 2 col of 96\) .* --axis 0 .* --plane 0"
+            BadInput,
+            match=rf"\(0 \w+ of {frames}, 1 row of 96, 2 col of 96\) .* --axis 0 .* --plane 0",
         ):
             read_frames(path)
         assert np.array_equal(read_frames(path, axis="0").data, data)
@@ -126,12 +140,17 @@ def test_an_axis_counts_frames_only_where_the_file_says_so(tmp_path, name):
 def test_frames_of_several_channels_and_focus_positions_are_cut_by_plane_numbers(tmp_path):
     data = edge(frames=24, size=16).reshape(2, 3, 4, 16, 16)
     tifffile.imwrite(tmp_path / "a.ome.tif", data, metadata={"axes": "TCZYX"})
-    with pytest.raises(BadInput, match=r"0 frame of 2, 1 channel of 3, 2 focus of 4, .* --plane 0,0 takes one plane"):
+    with pytest.raises(
+        BadInput,
+        match=r"0 frame of 2, 1 channel of 3, 2 focus of 4, .* --plane 0,0 takes one plane",
+    ):
         read_frames(tmp_path / "a.ome.tif")
     assert np.array_equal(read_frames(tmp_path / "a.ome.tif", "2,1").data, data[:, 2, 1])
 
 
-@pytest.mark.parametrize(("labels", "rule"), [("ttyx", "0 frame of 2, 1 unnamed of 3"), ("tzcx", "rows and columns")])
+@pytest.mark.parametrize(
+    ("labels", "rule"), [("ttyx", "0 frame of 2, 1 unnamed of 3"), ("tzcx", "rows and columns")]
+)
 def test_labels_that_name_no_picture_are_refused_by_name(tmp_path, labels, rule):
     import zarr
 
@@ -161,20 +180,28 @@ def test_a_card_that_counts_the_frames_of_a_fits_cube_names_its_axis(tmp_path):
 def test_a_transposed_stack_is_told_its_axis(tmp_path, name):
     data = edge(frames=16)
     turned = np.ascontiguousarray(np.moveaxis(data, 0, -1))
-    np.save(tmp_path / name, turned) if name == "a.npy" else tifffile.imwrite(tmp_path / name, turned)
+    np.save(tmp_path / name, turned) if name == "a.npy" else tifffile.imwrite(
+        tmp_path / name, turned
+    )
     with pytest.raises(
-        BadInput, match=r"0 row of 96, 1 col of 96, 2 unnamed of 16\) .* --axis 2 takes axis 2 for frames"
+        BadInput,
+        match=r"0 row of 96, 1 col of 96, 2 unnamed of 16\) .* --axis 2 takes axis 2 for frames",
     ):
         read_frames(tmp_path / name)
     assert np.array_equal(read_frames(tmp_path / name, axis="2").data, data)
 
 
 def test_three_frames_that_their_writer_marked_as_colours_get_a_warning(tmp_path):
-    """Tifffile marks three pages of 8 bits as the planes of an RGB picture unless it is told otherwise."""
+    """Tifffile marks three pages of 8 bits as the planes of an RGB picture unless it is told
+    otherwise.
+    """
     data = edge(8, frames=3)
     with warnings.catch_warnings(action="ignore"):
         tifffile.imwrite(tmp_path / "a.tif", data)
-    assert any("its writer marked the three planes" in note for note in read_frames(tmp_path / "a.tif").notes)
+    assert any(
+        "its writer marked the three planes" in note
+        for note in read_frames(tmp_path / "a.tif").notes
+    )
     assert np.array_equal(read_frames(tmp_path / "a.tif", axis="0").data, data)
     assert not read_frames(tmp_path / "a.tif", axis="0").notes
 
@@ -185,7 +212,9 @@ def test_a_session_keeps_the_axis_and_the_plane_of_its_files(tmp_path):
     with pytest.raises(BadInput, match="--axis 2"):
         import_frames([tmp_path / "a.npy"], tmp_path / "S")
     import_frames([tmp_path / "a.npy"], tmp_path / "S", axis="2", kind="edge")
-    assert np.array_equal(open_session(tmp_path / "S").stack("a").read().data, np.moveaxis(data, -1, 0))
+    assert np.array_equal(
+        open_session(tmp_path / "S").stack("a").read().data, np.moveaxis(data, -1, 0)
+    )
 
 
 def _gz(path: Path, data: np.ndarray) -> None:
@@ -194,7 +223,9 @@ def _gz(path: Path, data: np.ndarray) -> None:
 
 def _fz(path: Path, data: np.ndarray) -> None:
     fits = pytest.importorskip("astropy.io.fits")
-    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(data, compression_type="RICE_1")]).writeto(path)
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(data, compression_type="RICE_1")]).writeto(
+        path
+    )
 
 
 def _cv2(path: Path, data: np.ndarray) -> None:
@@ -224,9 +255,16 @@ def _ser(path: Path, data: np.ndarray) -> None:
 
 
 def _spe(path: Path, data: np.ndarray) -> None:
-    """WinView's header: x and y size, type 3 (16 bits unsigned), frames and version at their offsets."""
+    """WinView's header: x and y size, type 3 (16 bits unsigned), frames and version at their
+    offsets.
+    """
     header = bytearray(4100)
-    for at, form, value in ((42, "<H", data.shape[1]), (656, "<H", data.shape[0]), (108, "<h", 3), (1446, "<i", 1)):
+    for at, form, value in (
+        (42, "<H", data.shape[1]),
+        (656, "<H", data.shape[0]),
+        (108, "<h", 3),
+        (1446, "<i", 1),
+    ):
         struct.pack_into(form, header, at, value)
     struct.pack_into("<f", header, 1992, 2.5)
     path.write_bytes(bytes(header) + data.tobytes())
@@ -297,7 +335,9 @@ def test_a_lossy_file_is_measured_and_named_so(tmp_path, name, write):
 @pytest.mark.parametrize("suffix", [".jpg", ".bmp", ".pgm", ".ser", ".spe", ".avi"])
 def test_half_a_file_is_refused_in_a_sentence(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
-    {".ser": _ser, ".spe": _spe, ".avi": _avi(0)}.get(suffix, _cv2)(path, edge(8 if suffix != ".spe" else 12)[0])
+    {".ser": _ser, ".spe": _spe, ".avi": _avi(0)}.get(suffix, _cv2)(
+        path, edge(8 if suffix != ".spe" else 12)[0]
+    )
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(BadInput, match=r"must be whole|got something else"):
@@ -305,7 +345,9 @@ def test_half_a_file_is_refused_in_a_sentence(tmp_path, suffix):
 
 
 def test_frames_of_lightfield_stand_apart_by_their_time_stamps(tmp_path):
-    """SPE 3.0: the XML at the end states count, size and stride of the frames, 16 bytes of time stamps between them."""
+    """SPE 3.0: the XML at the end states count, size and stride of the frames, 16 bytes of time
+    stamps between them.
+    """
     data = edge(frames=3)
     _spe(tmp_path / "a.spe", data[0])
     header = bytearray((tmp_path / "a.spe").read_bytes()[:4100])
@@ -313,11 +355,16 @@ def test_frames_of_lightfield_stand_apart_by_their_time_stamps(tmp_path):
     struct.pack_into("<f", header, 1992, 3.0)
     struct.pack_into("<Q", header, 678, 4100 + len(body))
     size = data[0].nbytes
-    regions = f'<DataBlock type="Region" count="1" width="96" height="96" size="{size}" stride="{size}" />'
+    regions = (
+        f'<DataBlock type="Region" count="1" width="96" height="96" size="{size}" '
+        f'stride="{size}" />'
+    )
     for count in (1, 2):
         footer = (
-            '<SpeFormat version="3.0" xmlns="http://www.princetoninstruments.com/spe/2009"><DataFormat>'
-            f'<DataBlock type="Frame" count="3" pixelFormat="MonochromeUnsigned16" size="{size}" stride="{size + 16}">'
+            '<SpeFormat version="3.0" '
+            'xmlns="http://www.princetoninstruments.com/spe/2009"><DataFormat>'
+            f'<DataBlock type="Frame" count="3" pixelFormat="MonochromeUnsigned16" size="{size}" '
+            f'stride="{size + 16}">'
             f"{regions * count}</DataBlock></DataFormat></SpeFormat>"
         )
         (tmp_path / "a.spe").write_bytes(bytes(header) + body + footer.encode())
@@ -331,11 +378,17 @@ def test_frames_of_winview_are_those_that_imageio_reads(tmp_path):
     from imageio.v3 import imread
 
     _spe(tmp_path / "a.spe", edge()[0])
-    assert np.array_equal(imread(tmp_path / "a.spe", plugin="SPE")[0], read_frames(tmp_path / "a.spe").data[0])
+    assert np.array_equal(
+        imread(tmp_path / "a.spe", plugin="SPE")[0], read_frames(tmp_path / "a.spe").data[0]
+    )
 
 
 def test_a_missing_library_is_named_with_its_command(tmp_path, monkeypatch):
-    missing = (("h5py", "a.h5", "hdf5"), ("sif_parser", "a.sif", "sif"), ("astropy.io", "a.fits", "fits"))
+    missing = (
+        ("h5py", "a.h5", "hdf5"),
+        ("sif_parser", "a.sif", "sif"),
+        ("astropy.io", "a.fits", "fits"),
+    )
     for module, name, extra in missing:
         monkeypatch.setitem(sys.modules, module, None)
         (tmp_path / name).write_bytes(b"x")
@@ -344,7 +397,9 @@ def test_a_missing_library_is_named_with_its_command(tmp_path, monkeypatch):
 
 
 def test_a_border_without_pixels_moves_no_region(tmp_path):
-    """Rows and columns at the top, bottom, left and right that are NaN; regions stay those of the file."""
+    """Rows and columns at the top, bottom, left and right that are NaN; regions stay those of the
+    file.
+    """
     top, bottom, left, right = 2, 9, 17, 1
     data = edge().astype(np.float32)[0]
     plain = data[top : 96 - bottom, left : 96 - right]
@@ -356,7 +411,10 @@ def test_a_border_without_pixels_moves_no_region(tmp_path):
     value, _, notes, region = measured(tmp_path / "framed.npy", "--roi", f"{top + 10},20,64,64")
     assert region == [top + 10, 20, 64, 64]
     assert value == measured(tmp_path / "plain.npy", "--roi", f"10,{20 - left},64,64")[0]
-    assert any(f"rows {top} to {95 - bottom} of 96 and columns {left} to {95 - right} of 96" in note for note in notes)
+    assert any(
+        f"rows {top} to {95 - bottom} of 96 and columns {left} to {95 - right} of 96" in note
+        for note in notes
+    )
 
 
 def test_few_pixels_without_a_value_are_filled_and_many_refused(tmp_path):
@@ -376,11 +434,18 @@ def test_few_pixels_without_a_value_are_filled_and_many_refused(tmp_path):
 @pytest.mark.parametrize("bits", [10, 14])
 def test_swapped_bytes_are_reported_and_plain_ones_are_not(tmp_path, bits):
     data = edge(bits, frames=2)
-    for name, values in (("plain", data), ("big", data.astype(">u2")), ("left", data << (16 - bits))):
+    for name, values in (
+        ("plain", data),
+        ("big", data.astype(">u2")),
+        ("left", data << (16 - bits)),
+    ):
         np.save(tmp_path / f"{name}.npy", values)
         assert not any("swapped" in note for note in read_frames(tmp_path / f"{name}.npy").notes)
     np.save(tmp_path / "swapped.npy", data.byteswap())
-    assert any(f"the {bits - 8} lowest of the low one" in note for note in read_frames(tmp_path / "swapped.npy").notes)
+    assert any(
+        f"the {bits - 8} lowest of the low one" in note
+        for note in read_frames(tmp_path / "swapped.npy").notes
+    )
 
 
 @pytest.mark.parametrize(("bits", "shift"), [(12, 4), (14, 2), (12, 0)])
@@ -459,10 +524,15 @@ def test_a_folder_that_takes_no_file_holds_no_half_one(tmp_path):
     (tmp_path / "disk").mkdir()
     mount = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c"]
     mounted = f"mount -t tmpfs -o size=8k none {tmp_path}/disk"
-    if shutil.which("unshare") is None or subprocess.run([*mount, mounted], capture_output=True).returncode:
+    if (
+        shutil.which("unshare") is None
+        or subprocess.run([*mount, mounted], capture_output=True).returncode
+    ):
         pytest.skip("no small disk may be mounted here")
     verb = f"{VERB} {tmp_path}/a.npy"
-    script = f"{mounted} && {verb} --annotate {tmp_path}/disk/x.png; echo code $?; ls -A {tmp_path}/disk"
+    script = (
+        f"{mounted} && {verb} --annotate {tmp_path}/disk/x.png; echo code $?; ls -A {tmp_path}/disk"
+    )
     done = subprocess.run([*mount, script], capture_output=True, text=True, cwd=ROOT)
     lines = done.stdout.splitlines()
     assert "\nmtf50 " in done.stdout and " 0.12" in done.stdout

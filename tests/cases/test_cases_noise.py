@@ -99,8 +99,22 @@ def test_neighbours_that_share_two_percent_give_both_gains_and_no_word_of_tubes(
     assert not [word for word in TUBES if word in said]
 
 
-def written(folder, rng, *, gain=0.4, read_e=5.0, black=100.0, scale=1.0, dtype=np.uint16, size=(128, 160), frames=2,
-            levels=(500.0, 1500.0, 3000.0, 5000.0, 8000.0), wrong=lambda data: data, state="", em=1.0):  # fmt: skip
+def written(
+    folder,
+    rng,
+    *,
+    gain=0.4,
+    read_e=5.0,
+    black=100.0,
+    scale=1.0,
+    dtype=np.uint16,
+    size=(128, 160),
+    frames=2,
+    levels=(500.0, 1500.0, 3000.0, 5000.0, 8000.0),
+    wrong=lambda data: data,
+    state="",
+    em=1.0,
+):
     """A session of a plain camera: electrons, a register, read noise, whole codes, then a scale."""
     lines = ['name = "sibling"']
     for index, level in enumerate((0.0, *levels)):
@@ -111,7 +125,13 @@ def written(folder, rng, *, gain=0.4, read_e=5.0, black=100.0, scale=1.0, dtype=
         data = wrong(np.clip(codes, -1e9 if dtype != np.uint16 else 0, 65535.0)) * scale
         np.save(folder / f"{index}.npy", data.astype(dtype))
         kind = "flat" if index else "dark"
-        lines += ["[[stack]]", f'label = "s{index}"', f'kind = "{kind}"', f'frames = "{index}.npy"', state]
+        lines += [
+            "[[stack]]",
+            f'label = "s{index}"',
+            f'kind = "{kind}"',
+            f'frames = "{index}.npy"',
+            state,
+        ]
     (folder / "session.toml").write_text("\n".join(lines) + "\n")
     return folder
 
@@ -129,10 +149,23 @@ def test_half_a_percent_of_stuck_and_blinking_pixels_moves_nothing(tmp_path, see
         flat[:, places[50:]] += 60.0 * gain / 0.4 * (rng.random((len(data), 50)) < 0.5)
         return np.minimum(data, top)
 
-    levels = tuple(level * min(1.0, top / 4095.0 * 0.4 / gain) for level in (500.0, 1500.0, 3000.0, 5000.0, 8000.0))
+    levels = tuple(
+        level * min(1.0, top / 4095.0 * 0.4 / gain)
+        for level in (500.0, 1500.0, 3000.0, 5000.0, 8000.0)
+    )
     read_e = 5.0 if top > 255 else 40.0
-    result = measured(written(tmp_path, rng, wrong=wrong, frames=frames, gain=gain, read_e=read_e, black=20.0,
-                              levels=levels))  # fmt: skip
+    result = measured(
+        written(
+            tmp_path,
+            rng,
+            wrong=wrong,
+            frames=frames,
+            gain=gain,
+            read_e=read_e,
+            black=20.0,
+            levels=levels,
+        )
+    )
     holds(one(result, "system_gain"), gain, 0.04)
     holds(one(result, "read_noise", "DN"), np.hypot(read_e * gain, 12.0**-0.5), 0.03)
 
@@ -145,7 +178,9 @@ def test_hits_in_single_frames_move_nothing(tmp_path, seed, frames):
         struck = rng.random(data.shape) < 1e-4
         return data + struck * rng.exponential(800.0, data.shape)
 
-    result = measured(written(tmp_path, rng, wrong=lambda data: np.rint(wrong(data)), frames=frames))
+    result = measured(
+        written(tmp_path, rng, wrong=lambda data: np.rint(wrong(data)), frames=frames)
+    )
     holds(one(result, "system_gain"), 0.4, 0.04)
     holds(one(result, "read_noise", "DN"), np.hypot(2.0, 12.0**-0.5), 0.03)
 
@@ -162,7 +197,9 @@ def test_hits_in_single_frames_move_nothing(tmp_path, seed, frames):
 )
 def test_every_scale_gives_the_same_electrons(tmp_path, seed, scale, black, dtype):
     """Shares of one, codes shifted to the left, volts, negative numbers: only DN change."""
-    result = measured(written(tmp_path, np.random.default_rng(seed), scale=scale, black=black, dtype=dtype))
+    result = measured(
+        written(tmp_path, np.random.default_rng(seed), scale=scale, black=black, dtype=dtype)
+    )
     holds(one(result, "system_gain"), 0.4 * scale, 0.04)
     holds(one(result, "read_noise", "e-"), 5.0, 0.04)
     holds(one(result, "read_noise", "DN"), np.hypot(2.0, 12.0**-0.5) * scale, 0.03)
@@ -172,8 +209,16 @@ def test_every_scale_gives_the_same_electrons(tmp_path, seed, scale, black, dtyp
 @pytest.mark.parametrize("em", [1.0, 30.0, 500.0])
 def test_a_register_that_is_stated_counts(tmp_path, seed, em):
     rng = np.random.default_rng(seed)
-    folder = written(tmp_path, rng, em=em, state=f"em_gain = {em}", read_e=30.0, frames=6,
-                     levels=tuple(em * n for n in (20.0, 40.0, 80.0, 160.0)), gain=0.2)  # fmt: skip
+    folder = written(
+        tmp_path,
+        rng,
+        em=em,
+        state=f"em_gain = {em}",
+        read_e=30.0,
+        frames=6,
+        levels=tuple(em * n for n in (20.0, 40.0, 80.0, 160.0)),
+        gain=0.2,
+    )
     holds(one(measured(folder), "system_gain"), 0.2 * em, 0.05)
 
 
@@ -190,8 +235,15 @@ def test_excess_noise_of_a_register_lies_between_one_and_two():
 
 def test_a_described_register_counts_without_a_stated_gain(tmp_path, seed):
     rng = np.random.default_rng(seed)
-    folder = written(tmp_path, rng, em=1000.0, read_e=50.0, frames=6, gain=0.02,
-                     levels=tuple(1000.0 * n for n in (20.0, 40.0, 80.0, 160.0)))  # fmt: skip
+    folder = written(
+        tmp_path,
+        rng,
+        em=1000.0,
+        read_e=50.0,
+        frames=6,
+        gain=0.02,
+        levels=tuple(1000.0 * n for n in (20.0, 40.0, 80.0, 160.0)),
+    )
     manifest = folder / "session.toml"
     manifest.write_text('sensor = "emccd-512"\n' + manifest.read_text())
     gain = one(measured(folder), "system_gain")

@@ -1,4 +1,6 @@
-"""Points that users of other tools reported: a diffraction spot, a dense field; and siblings drawn here."""
+"""Points that users of other tools reported: a diffraction spot, a dense field; and siblings drawn
+here.
+"""
 
 from pathlib import Path
 
@@ -53,14 +55,21 @@ def gaussian_field(places, sigma, size):
     at = np.arange(size)
 
     def line(middle):
-        return 0.5 * (erf((at + 0.5 - middle) / sigma / np.sqrt(2)) - erf((at - 0.5 - middle) / sigma / np.sqrt(2)))
+        return 0.5 * (
+            erf((at + 0.5 - middle) / sigma / np.sqrt(2))
+            - erf((at - 0.5 - middle) / sigma / np.sqrt(2))
+        )
 
     return sum(light * np.outer(line(row), line(col)) for light, col, row in places)
 
 
 def test_the_diffraction_spot_has_its_closed_form():
-    """MTF50 of an Airy spot of cut-off 0.45 cy/px times the pixel is 0.172; it came out as 0.0318."""
-    for found in both(mtf.measure_all("point", case("f1-diffraction-spot", "airy.tif"), context=QUICK)):
+    """MTF50 of an Airy spot of cut-off 0.45 cy/px times the pixel is 0.172; it came out as
+    0.0318.
+    """
+    for found in both(
+        mtf.measure_all("point", case("f1-diffraction-spot", "airy.tif"), context=QUICK)
+    ):
         assert found.status == "ok", found.flags
         assert holds(found, 0.172) and found.value == pytest.approx(0.172, rel=0.01)
 
@@ -85,7 +94,9 @@ def test_diffraction_spots_of_one_frame_are_ok(cut_off, bits, size, place, seed)
     data = np.clip(np.rint(0.05 * 2**bits + gain * electrons), 0, 2**bits - 1).astype(
         np.uint8 if bits == 8 else np.uint16
     )
-    result = mtf.measure_all("point", FrameStack(data=data[None], full_scale_dn=2.0**bits - 1), context=QUICK)
+    result = mtf.measure_all(
+        "point", FrameStack(data=data[None], full_scale_dn=2.0**bits - 1), context=QUICK
+    )
     for found in both(result):
         assert found.status == "ok", found.flags
         low, high = found.interval95
@@ -99,14 +110,26 @@ def test_a_spot_in_a_field_of_neighbours_is_its_own(sigma, pitch, frames, seed):
     rng = np.random.default_rng(seed)
     middle = 24.0
     places = [
-        (float(rng.uniform(0.6, 1.8)) * 8000.0, middle + pitch * col + rng.uniform(-0.8, 0.8), middle + pitch * row)
-        for col in range(-2, 3) for row in range(-2, 3) if (row, col) != (0, 0)
-    ]  # fmt: skip
+        (
+            float(rng.uniform(0.6, 1.8)) * 8000.0,
+            middle + pitch * col + rng.uniform(-0.8, 0.8),
+            middle + pitch * row,
+        )
+        for col in range(-2, 3)
+        for row in range(-2, 3)
+        if (row, col) != (0, 0)
+    ]
     mean = gaussian_field([(8000.0, middle + 0.3, middle - 0.2), *places], sigma, 49)
-    data = np.rint(100.0 + rng.poisson(mean, (frames, *mean.shape)) + rng.normal(0.0, 8.0, (frames, *mean.shape)))
+    data = np.rint(
+        100.0
+        + rng.poisson(mean, (frames, *mean.shape))
+        + rng.normal(0.0, 8.0, (frames, *mean.shape))
+    )
     f = np.linspace(0.001, 0.6, 6001)
     truth = f[np.argmax(np.exp(-2 * (np.pi * f * sigma) ** 2) * np.sinc(f) < 0.5)]
-    result = mtf.measure("point", FrameStack(data=data.astype(np.uint16)), region=(8, 8, 33, 33), context=QUICK)
+    result = mtf.measure(
+        "point", FrameStack(data=data.astype(np.uint16)), region=(8, 8, 33, 33), context=QUICK
+    )
     for found in both(result):
         assert found.status == "ok", found.flags
         low, high = found.interval95
@@ -117,9 +140,18 @@ def test_a_spot_in_a_field_of_neighbours_is_its_own(sigma, pitch, frames, seed):
 def test_each_flag_of_a_point_names_what_settles_it(seed):
     """A spot cut by the region: how large the effect may be, and --roi."""
     rng = np.random.default_rng(seed)
-    data = np.rint(100.0 + rng.poisson(gaussian_field([(9000.0, 4.0, 16.0)], 1.1, 33)) + rng.normal(0.0, 5.0, (33, 33)))
+    data = np.rint(
+        100.0
+        + rng.poisson(gaussian_field([(9000.0, 4.0, 16.0)], 1.1, 33))
+        + rng.normal(0.0, 5.0, (33, 33))
+    )
     found = both(
-        mtf.measure("point", FrameStack(data=data.astype(np.uint16)[None]), region=(0, 0, 33, 33), context=QUICK)
+        mtf.measure(
+            "point",
+            FrameStack(data=data.astype(np.uint16)[None]),
+            region=(0, 0, 33, 33),
+            context=QUICK,
+        )
     )
     assert "window-too-small" in found[0].flags and "too-few-frames" not in found[0].flags
     (note,) = (note for note in found[0].notes if note.startswith("window-too-small"))

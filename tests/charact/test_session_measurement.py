@@ -34,7 +34,9 @@ def test_a_halo_of_four_gaps_sets_the_gap(context: Context) -> None:
     "halo",
     [
         make_refusal("halo_diameter", "px", "no halo", method="series-forward"),
-        measurement_from_sd("halo_diameter", "px", 48.0, 0.1, method="series-forward", flags=("saturated",)),
+        measurement_from_sd(
+            "halo_diameter", "px", 48.0, 0.1, method="series-forward", flags=("saturated",)
+        ),
     ],
 )
 def test_a_halo_that_is_not_sound_tells_nothing(context: Context, halo) -> None:
@@ -50,13 +52,18 @@ def edge_and_dark(folder: Path, volts: int, seed: int) -> None:
     (folder / "session.toml").write_text(
         'name = "s"\n'
         + "".join(
-            f'[[stack]]\nlabel = "{kind}"\nkind = "{kind}"\nframes = "{kind}.npy"\nmcp_v = {voltage}\n'
+            (
+                f'[[stack]]\nlabel = "{kind}"\nkind = "{kind}"\nframes = "{kind}.npy"\nmcp_v = '
+                f"{voltage}\n"
+            )
             for kind, voltage in stacks
         )
     )
 
 
-def test_what_an_analysis_says_of_its_progress_is_told_within_its_part(tmp_path: Path, seed: int) -> None:
+def test_what_an_analysis_says_of_its_progress_is_told_within_its_part(
+    tmp_path: Path, seed: int
+) -> None:
     edge_and_dark(tmp_path, 700, seed)
     told: list[tuple[str, float]] = []
     measure(tmp_path, quick=True, progress=lambda sentence, share: told.append((sentence, share)))
@@ -68,7 +75,9 @@ def test_what_an_analysis_says_of_its_progress_is_told_within_its_part(tmp_path:
 
 
 @pytest.mark.parametrize(("volts", "known"), [(700, True), (720, False)])
-def test_the_dark_under_an_edge_s_settings_is_its_black(tmp_path: Path, volts: int, known: bool, seed: int) -> None:
+def test_the_dark_under_an_edge_s_settings_is_its_black(
+    tmp_path: Path, volts: int, known: bool, seed: int
+) -> None:
     edge_and_dark(tmp_path, volts, seed)
     (mtf50,) = [m for m in measure(tmp_path, quick=True).find("mtf50") if m.stack == "edge"]
     dark = np.load(tmp_path / "dark.npy").mean()
@@ -76,23 +85,38 @@ def test_the_dark_under_an_edge_s_settings_is_its_black(tmp_path: Path, volts: i
     assert any(note.startswith("No light") for note in mtf50.notes) == known
 
 
-def test_of_sound_points_the_one_with_most_light_is_told_though_another_seems_surer(monkeypatch, seed: int) -> None:
-    """A faint point whose halo by chance came out small has the narrowest interval, and too high an MTF."""
+def test_of_sound_points_the_one_with_most_light_is_told_though_another_seems_surer(
+    monkeypatch, seed: int
+) -> None:
+    """A faint point whose halo by chance came out small has the narrowest interval, and too high an
+    MTF.
+    """
     rng = np.random.default_rng(seed)
-    frames = {label: np.rint(20.0 + rng.normal(0.0, 2.0, (8, 40, 40))) for label in ("faint", "bright", "brightest")}
+    frames = {
+        label: np.rint(20.0 + rng.normal(0.0, 2.0, (8, 40, 40)))
+        for label in ("faint", "bright", "brightest")
+    }
     for label, light in (("faint", 60.0), ("bright", 150.0), ("brightest", 400.0)):
         frames[label][:, 18:21, 18:21] += light
-    told = {"faint": (0.21, 0.005, ()), "bright": (0.19, 0.009, ()), "brightest": (0.18, 0.004, ("saturated",))}
+    told = {
+        "faint": (0.21, 0.005, ()),
+        "bright": (0.19, 0.009, ()),
+        "brightest": (0.18, 0.004, ("saturated",)),
+    }
 
     def measured(_, stack, **__):
         (label,) = (name for name, held in frames.items() if np.array_equal(held, stack.data))
         value, sd, flags = told[label]
-        one = measurement_from_sd("mtf50", "cy/px", value, sd, method="fake", flags=flags, orientation_deg=0.0)
+        one = measurement_from_sd(
+            "mtf50", "cy/px", value, sd, method="fake", flags=flags, orientation_deg=0.0
+        )
         return Result(measurements=(one,))
 
     monkeypatch.setattr("charact.mtf.measure", measured)
     stacks = tuple(
-        InMemoryStack(label=label, kind="point", frames="", folder=Path(), held=FrameStack(data=held))
+        InMemoryStack(
+            label=label, kind="point", frames="", folder=Path(), held=FrameStack(data=held)
+        )
         for label, held in frames.items()
     )
     session = Session(folder=Path(), name="points", stacks=stacks)
@@ -106,9 +130,14 @@ def test_a_number_is_tied_to_its_frames(tmp_path: Path, seed: int) -> None:
     edge = measurement_from_sd(
         "mtf50", "cy/px", 0.2, 0.01, method="a", stack="edge", provenance=Provenance(version="1")
     )
-    both = measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, method="b", provenance=Provenance(version="1"))
+    both = measurement_from_sd(
+        "mtf50", "cy/px", 0.2, 0.01, method="b", provenance=Provenance(version="1")
+    )
     one, all_of_them = with_inputs(Result(measurements=(edge, both)), session).measurements
-    digests = {name: sha256((tmp_path / name).read_bytes()).hexdigest() for name in ("edge.npy", "dark.npy")}
+    digests = {
+        name: sha256((tmp_path / name).read_bytes()).hexdigest()
+        for name in ("edge.npy", "dark.npy")
+    }
     assert one.provenance is not None and one.provenance.inputs == {"edge.npy": digests["edge.npy"]}
     assert all_of_them.provenance is not None and all_of_them.provenance.inputs == digests
 
@@ -125,19 +154,32 @@ def test_a_folder_of_frames_has_one_digest_that_every_file_in_it_changes(tmp_pat
 def tiny_session(folder: Path, seed: int, size: int = 3) -> None:
     """Keep a session of darks, flats and targets of a few pixels in a folder."""
     rng = np.random.default_rng(seed)
-    stacks = [("dark", "dark", 0), *((f"flat {level}", "flat", level) for level in (50, 100, 200, 400))]
+    stacks = [
+        ("dark", "dark", 0),
+        *((f"flat {level}", "flat", level) for level in (50, 100, 200, 400)),
+    ]
     stacks += [(kind, kind, 90) for kind in ("edge", "bars", "point")]
     lines = ['name = "tiny"', "bit_depth = 12"]
     for label, kind, level in stacks:
-        np.save(folder / f"{label}.npy", rng.poisson(10.0 + level, (8, size, size)).astype(np.uint16))
-        lines += ["[[stack]]", f'label = "{label}"', f'kind = "{kind}"', f'frames = "{label}.npy"', "exposure_s = 0.01"]
+        np.save(
+            folder / f"{label}.npy", rng.poisson(10.0 + level, (8, size, size)).astype(np.uint16)
+        )
+        lines += [
+            "[[stack]]",
+            f'label = "{label}"',
+            f'kind = "{kind}"',
+            f'frames = "{label}.npy"',
+            "exposure_s = 0.01",
+        ]
         lines += [f"illuminance_lux = {level}.0"] * (level > 0)
         lines += ["target = { bars = 4, frequency_cy_per_px = 0.1 }"] * (kind == "bars")
     (folder / "session.toml").write_text("\n".join(lines) + "\n")
 
 
 @pytest.mark.parametrize("size", [1, 3])
-def test_frames_of_a_few_pixels_lose_their_targets_alone(tmp_path: Path, seed: int, size: int) -> None:
+def test_frames_of_a_few_pixels_lose_their_targets_alone(
+    tmp_path: Path, seed: int, size: int
+) -> None:
     tiny_session(tmp_path, seed, size)
     result = measure(tmp_path, quick=True)
     assert result.find("dark_signal")[0].value is not None
@@ -147,10 +189,18 @@ def test_frames_of_a_few_pixels_lose_their_targets_alone(tmp_path: Path, seed: i
 
 
 @pytest.mark.parametrize(
-    "failure", [np.linalg.LinAlgError("singular matrix"), ZeroDivisionError("division by zero"), FloatingPointError()]
+    "failure",
+    [
+        np.linalg.LinAlgError("singular matrix"),
+        ZeroDivisionError("division by zero"),
+        FloatingPointError(),
+    ],
 )
 def test_a_numerical_failure_of_one_method_is_a_refusal_and_the_others_go_on(
-    tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch, failure: ArithmeticError | ValueError
+    tmp_path: Path,
+    seed: int,
+    monkeypatch: pytest.MonkeyPatch,
+    failure: ArithmeticError | ValueError,
 ) -> None:
     def fail(*_: object, **__: object) -> Result:
         raise failure

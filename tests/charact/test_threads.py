@@ -1,4 +1,6 @@
-"""A method works on one thread of the linear algebra library, whatever the process had, and gives the others back."""
+"""A method works on one thread of the linear algebra library, whatever the process had, and gives
+the others back.
+"""
 
 import pytest
 import scipy.linalg  # noqa: F401  # its library must be there to be counted
@@ -9,7 +11,9 @@ from labdata.measurement import Result
 
 
 def threads() -> set[int]:
-    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+    return {
+        library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+    }
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """What every camera keeps to, whatever its wire: one suite for all of them.
 
-A test module makes a `Bench` for its camera in a fixture called `laws` and inherits from `CameraLaws`.
+A test module makes a `Bench` for its camera in a fixture called `laws` and inherits from
+`CameraLaws`.
 """
 
 import time
@@ -23,15 +24,19 @@ class Bench:
     """A camera under test."""
 
     open: Callable[[], AbstractContextManager[Any]]  # Returns the camera, not yet open
-    # Returns the camera, not yet open, as it is while no frame comes for at least 0.7 s after at most one
+    # Returns the camera, not yet open, as it is while no frame comes for at least 0.7 s after at
+    # most one
     quiet: Callable[[], AbstractContextManager[Any]]
-    is_whole: Callable[[Frame], bool]  # Whether a frame holds exactly the picture that the camera sent under its number
+    is_whole: Callable[
+        [Frame], bool
+    ]  # Whether a frame holds exactly the picture that the camera sent under its number
     asked: tuple[CameraSettings, ...] = ()  # Settings that the camera can take, each tried alone
     # Settings that it must refuse, each with the rule that the sentence states
     refused: tuple[tuple[CameraSettings, str], ...] = field(default_factory=tuple)
     frames: int = 12  # Whole frames to take at a time
     loses: bool = False  # Whether its wire loses frames
-    counts_from: int = 0  # The number that the camera gives to the first frame it sends in a capture, be it lost or not
+    # The number that the camera gives to the first frame it sends in a capture, be it lost or not
+    counts_from: int = 0
 
 
 def taken(camera: Any, frames: int, discard: int = 0) -> tuple[list[Frame], Any]:
@@ -42,7 +47,9 @@ def taken(camera: Any, frames: int, discard: int = 0) -> tuple[list[Frame], Any]
 class WaitingLaws:
     """A run shows that it is alive and looks after its bench however long a camera exposes."""
 
-    def test_a_run_is_called_ten_times_a_second_while_no_frame_comes_and_may_end_the_capture(self, laws: Bench) -> None:
+    def test_a_run_is_called_ten_times_a_second_while_no_frame_comes_and_may_end_the_capture(
+        self, laws: Bench
+    ) -> None:
         calls_s: list[float] = []
 
         def waiting() -> None:
@@ -52,7 +59,10 @@ class WaitingLaws:
 
         frames: list[Frame] = []
         with laws.quiet() as camera:
-            with pytest.raises(ZeroDivisionError), camera.capture(frames=30, while_waiting=waiting) as capture:
+            with (
+                pytest.raises(ZeroDivisionError),
+                camera.capture(frames=30, while_waiting=waiting) as capture,
+            ):
                 frames.extend(capture)
             ended_s = time.monotonic()
         assert len(frames) <= 1
@@ -84,7 +94,10 @@ class CameraLaws(WaitingLaws):
         assert {frame.pixels.shape for frame in frames} == {(settings.rows, settings.columns)}
         assert all(not frame.pixels.flags.writeable for frame in frames)
         span = frames[-1].number - frames[0].number + 1
-        print(f"\n    asked {laws.frames}, whole {len(frames)}, counted lost {capture.lost_frames} of {span} numbered")
+        print(
+            f"\n    asked {laws.frames}, whole {len(frames)}, counted lost {capture.lost_frames} "
+            f"of {span} numbered"
+        )
 
     def test_numbers_and_time_stamps_rise_and_every_gap_is_counted(self, laws: Bench) -> None:
         with laws.open() as camera:
@@ -110,7 +123,9 @@ class CameraLaws(WaitingLaws):
             before = camera.configure(CameraSettings())
             assert camera.configure(CameraSettings()) == before
             for asked in laws.asked:
-                given = {name: value for name, value in vars(asked).items() if value not in (None, ())}
+                given = {
+                    name: value for name, value in vars(asked).items() if value not in (None, ())
+                }
                 read_back = camera.configure(asked)
                 for name, value in given.items():
                     expected = value if isinstance(value, str) else pytest.approx(value, rel=0.01)
@@ -119,7 +134,9 @@ class CameraLaws(WaitingLaws):
                 assert frames[0].pixels.shape == (read_back.rows, read_back.columns)
                 camera.configure(_set_of(before, given))
 
-    def test_what_it_cannot_do_is_refused_in_a_sentence_and_leaves_it_as_it_was(self, laws: Bench) -> None:
+    def test_what_it_cannot_do_is_refused_in_a_sentence_and_leaves_it_as_it_was(
+        self, laws: Bench
+    ) -> None:
         with laws.open() as camera:
             before = camera.configure(CameraSettings())
             for asked, rule in laws.refused:
@@ -133,7 +150,9 @@ class CameraLaws(WaitingLaws):
         with laws.open() as camera, pytest.raises(BadInput, match="at least 1 frame"):
             camera.capture(frames=frames, discard=discard)
 
-    def test_a_capture_left_early_or_by_an_error_leaves_the_camera_fit_for_the_next(self, laws: Bench) -> None:
+    def test_a_capture_left_early_or_by_an_error_leaves_the_camera_fit_for_the_next(
+        self, laws: Bench
+    ) -> None:
         with laws.open() as camera:
             with camera.capture(frames=laws.frames) as capture:
                 next(iter(capture))

@@ -17,14 +17,20 @@ SIZE = (6, 8)
 class FakeRig:
     """Camera, bench and operator in one diary."""
 
-    def __init__(self, *, fail: Callable[[str], BaseException | None] = lambda event: None, lose: int = 0) -> None:
+    def __init__(
+        self, *, fail: Callable[[str], BaseException | None] = lambda event: None, lose: int = 0
+    ) -> None:
         self.diary: list[str] = []
         self.fail, self.lose = fail, lose
         self.gate_open = False
         self.light_lux = 0.0
         self.mcp_v = 0.0
         self.frames_sent = 0
-        self.camera, self.bench, self.operator = FakeCamera(self), FakeBench(self), FakeOperator(self)
+        self.camera, self.bench, self.operator = (
+            FakeCamera(self),
+            FakeBench(self),
+            FakeOperator(self),
+        )
 
     def happens(self, event: str) -> None:
         self.diary.append(event)
@@ -53,7 +59,12 @@ class FakeCamera(_Opened):
     def __init__(self, rig: FakeRig) -> None:
         super().__init__(rig)
         self.settings = CameraSettings(
-            rows=SIZE[0], columns=SIZE[1], pixel_format="Mono8", exposure_s=0.016683, gain_db=0.0, frame_rate_hz=30.0
+            rows=SIZE[0],
+            columns=SIZE[1],
+            pixel_format="Mono8",
+            exposure_s=0.016683,
+            gain_db=0.0,
+            frame_rate_hz=30.0,
         )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -95,7 +106,9 @@ class FakeCapture:
             self.rig.frames_sent += 1
             self.rig.happens("frame")
             number = self.rig.frames_sent
-            yield Frame(pixels=np.full(SIZE, number % 251, np.uint8), number=number, time_s=float(number))
+            yield Frame(
+                pixels=np.full(SIZE, number % 251, np.uint8), number=number, time_s=float(number)
+            )
 
 
 class FakeBench(_Opened):
@@ -133,7 +146,8 @@ class FakeBench(_Opened):
         self.rig.gate_open, self.rig.mcp_v = bool(conditions.gate_ns), conditions.mcp_v or 0.0
         # A supply reads back with its own resolution.
         return Conditions(
-            mcp_v=None if conditions.mcp_v is None else conditions.mcp_v + 0.25, gate_ns=conditions.gate_ns
+            mcp_v=None if conditions.mcp_v is None else conditions.mcp_v + 0.25,
+            gate_ns=conditions.gate_ns,
         )
 
     def read_meters(self) -> tuple[Conditions, tuple[str, ...]]:

@@ -1,4 +1,6 @@
-"""A video device at the ioctl boundary: it answers requests as a kernel would, from a script of what goes wrong."""
+"""A video device at the ioctl boundary: it answers requests as a kernel would, from a script of
+what goes wrong.
+"""
 
 import errno
 from collections.abc import Callable, Iterable, Iterator
@@ -9,7 +11,14 @@ from typing import Any
 import numpy as np
 
 from drivers.cameras.v4l2.fields import PROGRESSIVE
-from drivers.cameras.v4l2.structures import BUFFER_FAULTY, CAN_CAPTURE, CAN_STREAM, NEXT_CONTROL, Request, code_of
+from drivers.cameras.v4l2.structures import (
+    BUFFER_FAULTY,
+    CAN_CAPTURE,
+    CAN_STREAM,
+    NEXT_CONTROL,
+    Request,
+    code_of,
+)
 
 ROWS, COLUMNS = 24, 32
 SIZES = ((ROWS, COLUMNS), (12, 16))
@@ -153,7 +162,12 @@ class FakeDevice:
 
     def _g_fmt(self, it: Any) -> None:
         pix = it.of.pix
-        pix.width, pix.height, pix.pixelformat, pix.field = self.columns, self.rows, self.code, self.field
+        pix.width, pix.height, pix.pixelformat, pix.field = (
+            self.columns,
+            self.rows,
+            self.code,
+            self.field,
+        )
         pix.bytesperline = int(self.columns * (BYTES[self._letters] // 1))
         pix.sizeimage = self.size_bytes
 
@@ -161,7 +175,9 @@ class FakeDevice:
         pix = it.of.pix
         if pix.pixelformat in map(code_of, self.letters):
             self.code = pix.pixelformat
-        self.rows, self.columns = min(SIZES, key=lambda size: abs(size[0] - pix.height) + abs(size[1] - pix.width))
+        self.rows, self.columns = min(
+            SIZES, key=lambda size: abs(size[0] - pix.height) + abs(size[1] - pix.width)
+        )
         self._g_fmt(it)
 
     def _g_std(self, it: Any) -> None:
@@ -231,7 +247,11 @@ class FakeDevice:
         self.lent[index].data[:there] = whole[:there]
         if sent.faulty:
             self.lent[index].data[there // 2 :] = 0
-        it.index, it.bytesused, it.sequence = index if sent.index is None else sent.index, there, sent.sequence
+        it.index, it.bytesused, it.sequence = (
+            index if sent.index is None else sent.index,
+            there,
+            sent.sequence,
+        )
         it.flags = BUFFER_FAULTY if sent.faulty else 0
         it.field = self.field if sent.field is None else sent.field
         at_us = round(1e6 * (1000.0 + sent.sequence * PERIOD_S))
@@ -240,7 +260,12 @@ class FakeDevice:
     def _bytes(self, sequence: int) -> np.ndarray:
         letters = self._letters
         if letters.startswith("Y1"):
-            return luma(sequence, self.rows, self.columns, deep=True).astype("<u2").reshape(-1).view(np.uint8)
+            return (
+                luma(sequence, self.rows, self.columns, deep=True)
+                .astype("<u2")
+                .reshape(-1)
+                .view(np.uint8)
+            )
         grey = luma(sequence, self.rows, self.columns)
         if letters == "GREY":
             return grey.reshape(-1)

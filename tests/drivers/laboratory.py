@@ -1,4 +1,5 @@
-"""A tube in a laboratory, with instruments that obey, half obey, break or are changed by hand, in simulated time.
+"""A tube in a laboratory, with instruments that obey, half obey, break or are changed by hand, in
+simulated time.
 
 What hurts the tube is computed here from its own laws; none of the interlock's rules is known here.
 """
@@ -24,8 +25,8 @@ SENSOR = load_sensor("pulnix-ag5745ef3")
 LIMITS = replace(limits_in_force(Limits(), SENSOR), ramp_v_per_s=1000.0)
 SAFE_AFTER_S = 1.0  # A tube that should have been made safe this long ago is hurt, s
 
-# An instrument that fails or is changed must be noticed within this time, s: 0.5, and one answer that another look
-# awaits meanwhile, for looks take turns here
+# An instrument that fails or is changed must be noticed within this time, s: 0.5, and one answer
+# that another look awaits meanwhile, for looks take turns here
 NOTICED_AFTER_S = 0.9
 
 EXCHANGE_S, ANSWER_S = 0.01, 0.4
@@ -61,7 +62,9 @@ CLOCK = Clock()
 
 
 class Wire(InstrumentLine):
-    """A line without bytes: what is sent happens in the laboratory, as far as the instrument obeys."""
+    """A line without bytes: what is sent happens in the laboratory, as far as the instrument
+    obeys.
+    """
 
     def __init__(self, name: str, obey: Callable[[object, float], None]) -> None:
         super().__init__(None, name=name)  # type: ignore[arg-type]
@@ -127,9 +130,14 @@ class Laboratory:
 
     has_lamp: bool = True
     between: Callable[[], None] = lambda: None  # Called between two exchanges of a procedure
-    lasts: Callable[[float], None] = CLOCK.sleep  # Called as lasts(seconds) by procedures that take their time
+    lasts: Callable[[float], None] = (
+        CLOCK.sleep
+    )  # Called as lasts(seconds) by procedures that take their time
     hurts: list[str] = field(default_factory=list)
-    open: tuple[float, float] = (1e6, 50.0)  # a bench that somebody left on: width in ns, rate in Hz
+    open: tuple[float, float] = (
+        1e6,
+        50.0,
+    )  # a bench that somebody left on: width in ns, rate in Hz
     volts: float = 700.0
     lamp_a: float = 0.0
     placed_lux: float = 1e-3  # light that a person set
@@ -145,7 +153,8 @@ class Laboratory:
     stamp_s: float = -math.inf
     fault_s: float = math.inf
     cold_s: float = -math.inf  # when the tube was last seen safe
-    # What nothing may be made hotter after: the end of the server, a safe action since the present order began
+    # What nothing may be made hotter after: the end of the server, a safe action since the present
+    # order began
     stopped_by: str = ""
     # What demands the safe state of a hot tube, and since when, s
     demands: dict[str, float] = field(default_factory=dict)
@@ -185,7 +194,9 @@ class Laboratory:
         """E S G d of the description, written out again."""
         amperes_per_m2 = lux * float(SENSOR.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6
         plate = SENSOR.microchannel_plate
-        gain = float(plate.electron_gain) * (self.volts / float(plate.reference_v)) ** float(plate.gain_exponent)
+        gain = float(plate.electron_gain) * (self.volts / float(plate.reference_v)) ** float(
+            plate.gain_exponent
+        )
         return amperes_per_m2 * gain * self.duty * 1e9 / 1e4
 
     @property
@@ -195,7 +206,9 @@ class Laboratory:
 
     @property
     def most_lux(self) -> float:
-        return float(SENSOR.limits.point_illuminance_lux if self.before[1] else SENSOR.limits.illuminance_lux)
+        return float(
+            SENSOR.limits.point_illuminance_lux if self.before[1] else SENSOR.limits.illuminance_lux
+        )
 
     @property
     def looking(self) -> bool:
@@ -206,7 +219,9 @@ class Laboratory:
         """Share of a frame's pixels that the present light saturates."""
         if not self.looking:
             return 0.0
-        fills = self.anode_na_per_cm2(self.own_lux + self.door_lux) > float(SENSOR.limits.anode_na_per_cm2)
+        fills = self.anode_na_per_cm2(self.own_lux + self.door_lux) > float(
+            SENSOR.limits.anode_na_per_cm2
+        )
         return (1e-3 if self.before[1] and self.door_lux == 0.0 else 0.9) if fills else 0.0
 
     # What instruments do
@@ -248,18 +263,25 @@ class Laboratory:
         self.volts, self.supply.line.changed_s = 0.0, math.inf
 
     def places(self, lux: float, target: Target, point: bool, share: float) -> None:
-        """A person places a target and sets the light to what a meter should read, as far as known with what comes in.
+        """A person places a target and sets the light to what a meter should read, as far as known
+        with what comes in.
 
         Where there is a lamp it is that of the lamp, behind the filter that is thought to stand.
         """
-        if (target, point) != self.before and self.open[0] > 0.0 and self.gate.line.changed_s == math.inf:
+        if (
+            (target, point) != self.before
+            and self.open[0] > 0.0
+            and self.gate.line.changed_s == math.inf
+        ):
             self.hurts.append("a target moved before an open gate")
         self.before = (target, point)
         own_lux = max(0.0, lux - (self.door_lux if self.door_seen else 0.0))
         if not self.has_lamp:
             self.placed_lux += share * (own_lux - self.placed_lux)
         elif lux != 0.0:
-            self.lamp_a += share * (own_lux / LUX_PER_A * 10.0 ** DENSITIES[self.thought - 1] - self.lamp_a)
+            self.lamp_a += share * (
+                own_lux / LUX_PER_A * 10.0 ** DENSITIES[self.thought - 1] - self.lamp_a
+            )
         self._illumination(lux)
 
     def burns(self, current_a: float, share: float) -> None:
@@ -286,14 +308,18 @@ class Laboratory:
         self._current_is_borne()
 
     def turns(self, position: int, share: float) -> None:
-        """The wheel turns, or stops half-way; what light there is passes through whatever comes by."""
+        """The wheel turns, or stops half-way; what light there is passes through whatever comes
+        by.
+        """
         if self.known_lux > 0.0:
             self.hurts.append("a filter turned in the light")
         around = (position - self.filter) % len(DENSITIES)
         self.filter = (self.filter - 1 + round(share * around)) % len(DENSITIES) + 1
 
     def _current_is_borne(self) -> None:
-        """The plate bears what the light asks now, unless somebody changed that light by hand since it was read."""
+        """The plate bears what the light asks now, unless somebody changed that light by hand since
+        it was read.
+        """
         if min(self.lamp.line.changed_s, self.wheel.line.changed_s) < math.inf:
             return
         asked = self.anode_na_per_cm2(self.noted_lux)
@@ -317,16 +343,25 @@ class Laboratory:
             self.cold_s = CLOCK.now_s
         since_s, why = self._demand()
         if CLOCK.now_s - since_s > SAFE_AFTER_S:
-            for hot, line in ((self.open[0] > 0.0, self.gate.line), (self.volts > 0.0, self.supply.line)):
+            for hot, line in (
+                (self.open[0] > 0.0, self.gate.line),
+                (self.volts > 0.0, self.supply.line),
+            ):
                 if hot and not (line.in_vain and line.tried_s >= since_s):
-                    self.hurts.append(f"the {line.name} was hot {why} for {CLOCK.now_s - since_s:.2f} s")
+                    self.hurts.append(
+                        f"the {line.name} was hot {why} for {CLOCK.now_s - since_s:.2f} s"
+                    )
 
     def _demand(self) -> tuple[float, str]:
-        """Since when something demands the safe state of a hot tube, and why; a time to come where nothing does."""
+        """Since when something demands the safe state of a hot tube, and why; a time to come where
+        nothing does.
+        """
         now_s, lines = CLOCK.now_s, (self.gate.line, self.supply.line)
         present = {
-            "under too much current": not self.anode_na_per_cm2(self.known_lux) <= 1.3 * self.most_na_per_cm2,
-            "before too bright a light": self.open[0] > 0.0 and not self.known_lux <= 1.3 * self.most_lux,
+            "under too much current": not self.anode_na_per_cm2(self.known_lux)
+            <= 1.3 * self.most_na_per_cm2,
+            "before too bright a light": self.open[0] > 0.0
+            and not self.known_lux <= 1.3 * self.most_lux,
         }
         for why, holds in present.items():
             if holds:
@@ -337,17 +372,29 @@ class Laboratory:
             "after a failure": self.fault_s,
             "without a guard": self.beat_s + 0.3,
             "without a sign of life of the run": self.stamp_s + 1.2,
-            **{f"with a {line.name} changed by hand": line.changed_s + NOTICED_AFTER_S for line in lines},
-            **{f"with a broken {line.name}": line.since_s + NOTICED_AFTER_S for line in lines if line.is_seen_broken},
+            **{
+                f"with a {line.name} changed by hand": line.changed_s + NOTICED_AFTER_S
+                for line in lines
+            },
+            **{
+                f"with a broken {line.name}": line.since_s + NOTICED_AFTER_S
+                for line in lines
+                if line.is_seen_broken
+            },
         }
         return min((max(since_s, self.cold_s), why) for why, since_s in all_since_s.items())
 
     def _gets_safe(self, line: Wire) -> None:
-        """An instrument gets safe now: it must not be late, but for one whose port is back only now."""
+        """An instrument gets safe now: it must not be late, but for one whose port is back only
+        now.
+        """
         since_s, why = self._demand()
         late = CLOCK.now_s - since_s > SAFE_AFTER_S and not line.in_vain
         if late and not 0.0 <= CLOCK.now_s - line.back_s < 2.0:
-            self.hurts.append(f"the {line.name} was made safe {CLOCK.now_s - since_s:.2f} s after it was hot {why}")
+            self.hurts.append(
+                f"the {line.name} was made safe {CLOCK.now_s - since_s:.2f} s after it was hot "
+                f"{why}"
+            )
 
 
 class Gate:

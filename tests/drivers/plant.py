@@ -1,4 +1,6 @@
-"""Stories of a bench server: what a client may ask, in whatever order, while anything happens in its laboratory."""
+"""Stories of a bench server: what a client may ask, in whatever order, while anything happens in
+its laboratory.
+"""
 
 import contextlib
 import importlib.util
@@ -22,7 +24,9 @@ from labdata.gating import Gating
 from labdata.instrument_config import InstrumentConfig, Meters
 from labdata.target import Target
 
-_spec = importlib.util.spec_from_file_location("laboratory", Path(__file__).with_name("laboratory.py"))
+_spec = importlib.util.spec_from_file_location(
+    "laboratory", Path(__file__).with_name("laboratory.py")
+)
 laboratory = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(laboratory)
 CLOCK, LIMITS, SENSOR = laboratory.CLOCK, laboratory.LIMITS, laboratory.SENSOR
@@ -30,9 +34,27 @@ CLOCK, LIMITS, SENSOR = laboratory.CLOCK, laboratory.LIMITS, laboratory.SENSOR
 TICK_S = 0.1
 VOLTS = (0.0, 50.0, 400.0, 600.0, 800.0, 850.0, 899.0, 900.0, 901.0, 950.0, 2000.0)
 WIDTHS_NS = (0.0, 1e3, 1.6e5, 1e6, 1.6e7, 1.7e7, 1.99e7, 2e7, 2.01e7, 1e9)
-LUX = (0.0, 1e-5, 1e-4, 1e-3, 5e-3, 9.9e-3, 1.01e-2, 1.1e-2, 0.5, 9.0, 10.0, 10.5, 1e5, float("nan"))
+LUX = (
+    0.0,
+    1e-5,
+    1e-4,
+    1e-3,
+    5e-3,
+    9.9e-3,
+    1.01e-2,
+    1.1e-2,
+    0.5,
+    9.0,
+    10.0,
+    10.5,
+    1e5,
+    float("nan"),
+)
 TARGETS = (Target(), Target(angle_deg=5.0), Target(pinhole_px=1.0))
-FIELDS_HZ = (59.94, 49.0)  # a gate that is too wide at the second is not open for too much of the time
+FIELDS_HZ = (
+    59.94,
+    49.0,
+)  # a gate that is too wide at the second is not open for too much of the time
 DELAYS = (0, 1, 1, 1, 2, 2, 3, 4, 5, 7, 9, 11)  # exchanges of an order before something happens
 TROUBLES = ("silent", "mute", "wrong", "gone", "disobedient", "half")
 
@@ -55,7 +77,9 @@ class InOneThread:
 @contextlib.contextmanager
 def simulated_time():
     """Let the server sleep in simulated time and start no threads; a plant calls their steps."""
-    threads = mock.Mock(Thread=mock.Mock(), Event=threading.Event, Lock=threading.Lock, RLock=threading.RLock)
+    threads = mock.Mock(
+        Thread=mock.Mock(), Event=threading.Event, Lock=threading.Lock, RLock=threading.RLock
+    )
     with (
         mock.patch.object(safe_state, "time", CLOCK),
         mock.patch.object(tube_bench, "Crew", InOneThread),
@@ -72,9 +96,17 @@ class Plant:
         assert without is None or without in {one.name for one in (*RULES, *REACTIONS)}
         self.rules = tuple(rule for rule in RULES if rule.name != without)
         self.reactions = tuple(one for one in REACTIONS if one.name != without)
-        self.has_lamp, self.has_meter, field_hz = kind % 3 == 2, kind % 3 > 0, FIELDS_HZ[kind // 3 % 2]
-        self.lab = laboratory.Laboratory(has_lamp=self.has_lamp, between=self.between, lasts=self.passes)
-        wires = InstrumentConfig(light="lamp", wheel="wheel") if self.has_lamp else InstrumentConfig()
+        self.has_lamp, self.has_meter, field_hz = (
+            kind % 3 == 2,
+            kind % 3 > 0,
+            FIELDS_HZ[kind // 3 % 2],
+        )
+        self.lab = laboratory.Laboratory(
+            has_lamp=self.has_lamp, between=self.between, lasts=self.passes
+        )
+        wires = (
+            InstrumentConfig(light="lamp", wheel="wheel") if self.has_lamp else InstrumentConfig()
+        )
         self.setup = BenchSetup(
             wires=wires,
             limits=limits,
@@ -94,18 +126,24 @@ class Plant:
     # The server
 
     def open(self) -> None:
-        """Start a server at this laboratory, its instruments mended; a bench that fails to open is not used."""
+        """Start a server at this laboratory, its instruments mended; a bench that fails to open is
+        not used.
+        """
         lab = self.lab
         self.in_order = self.over = self.refused = False
         self.hung_until_s = self.silent_until_s = self.run_hangs_until_s = -1.0
         self.placing: dict[int, Callable[[], None]] = {}
-        self.interlock = Interlock(self.setup.limits, rules=self.rules, reactions=self.reactions, clock=CLOCK.monotonic)
+        self.interlock = Interlock(
+            self.setup.limits, rules=self.rules, reactions=self.reactions, clock=CLOCK.monotonic
+        )
         self.interruption = self.slip = None
         lab.fault_s, lab.truly_dark_seen, lab.thought = float("inf"), False, 1
         lab.demands.clear()
         lab.stopped_by = ""
         if self.number % 2:
-            lab.filter = len(laboratory.DENSITIES)  # somebody turned the wheel while the bench was off
+            lab.filter = len(
+                laboratory.DENSITIES
+            )  # somebody turned the wheel while the bench was off
         lab.beat_s = lab.stamp_s = self.stamp_s = CLOCK.now_s
         drivers = {"gate": lab.gate, "supply": lab.supply, "light-meter": lab.meter}
         if self.has_lamp:
@@ -116,11 +154,15 @@ class Plant:
             driver.line.mend()
             driver.line.release()
         lab.supply.is_on = False
-        stations = {role: tube_bench.Station(driver.line, driver) for role, driver in drivers.items()}
+        stations = {
+            role: tube_bench.Station(driver.line, driver) for role, driver in drivers.items()
+        }
         for station in stations.values():
             station.procedure = Procedure(self)
         self.next_look_s, self.next_meter_s = CLOCK.now_s, CLOCK.now_s + 1.0
-        self.server = server.BenchServer(self, self.setup, lambda *_, **__: None, clock=CLOCK.monotonic)
+        self.server = server.BenchServer(
+            self, self.setup, lambda *_, **__: None, clock=CLOCK.monotonic
+        )
         with mock.patch.object(server, "TubeBench", type("Bench", (ErringBench,), {"plant": self})):
             self.server.open_bench(stations)
         self.ask("light_unknown")
@@ -139,9 +181,13 @@ class Plant:
     # The client
 
     def ask(self, command: str, *arguments, later: bool = False, **named) -> None:
-        """Ask for something, and have the server obey all that it was asked for, unless that comes later."""
+        """Ask for something, and have the server obey all that it was asked for, unless that comes
+        later.
+        """
         self.number += 1
-        self.server.take(Request(number=self.number, command=command, arguments=arguments, named=named))
+        self.server.take(
+            Request(number=self.number, command=command, arguments=arguments, named=named)
+        )
         if not later:
             self.obey()
 
@@ -158,8 +204,18 @@ class Plant:
                 self.make_safe()
                 self.lab.watch()
 
-    def place(self, lux: float, target: Target, *, share: float = 1.0, shows: bool = True, later: bool = False) -> None:
-        """A person places a target and sets a light where the bench permits it, and says what a meter reads."""
+    def place(
+        self,
+        lux: float,
+        target: Target,
+        *,
+        share: float = 1.0,
+        shows: bool = True,
+        later: bool = False,
+    ) -> None:
+        """A person places a target and sets a light where the bench permits it, and says what a
+        meter reads.
+        """
         point = target.pinhole_px is not None
         self.placing[self.number + 1] = partial(self.lab.places, lux, target, point, share)
         self.ask("permit_light", lux, point=point, target=target, later=later)
@@ -185,15 +241,21 @@ class Plant:
             self.say_light(zero=True)
 
     def show_dark_frame(self) -> None:
-        """Take a frame with the light out, once all that was asked before is done, as a client waits for it."""
+        """Take a frame with the light out, once all that was asked before is done, as a client
+        waits for it.
+        """
         self.obey()
         lab, bright = self.lab, self.lab.looking and self.lab.own_lux + self.lab.door_lux > 1e-5
         if lab.looking and not bright:
             lab.truly_dark_seen = True
-        self.ask("dark_frame_seen", FrameLevels(mean=0.8 if bright else 0.05, saturated=lab.saturated))
+        self.ask(
+            "dark_frame_seen", FrameLevels(mean=0.8 if bright else 0.05, saturated=lab.saturated)
+        )
 
     def show_frame(self, *, allowed: float = 0.0, more: float = 0.0) -> None:
-        """Take a frame, once all that was asked before is done; some light in view may saturate a few more pixels."""
+        """Take a frame, once all that was asked before is done; some light in view may saturate a
+        few more pixels.
+        """
         self.obey()
         lab = self.lab
         levels = FrameLevels(mean=0.2, saturated=min(1.0, lab.saturated + more), allowed=allowed)
@@ -211,14 +273,20 @@ class Plant:
     def between(self) -> None:
         """Let a moment pass in a procedure, in which another thread may have its turn."""
         CLOCK.sleep(0.005)
-        if self.interruption is not None and self.in_order and threading.current_thread() is not self.safe_thread:
+        if (
+            self.interruption is not None
+            and self.in_order
+            and threading.current_thread() is not self.safe_thread
+        ):
             left, happens = self.interruption
             self.interruption = (left - 1, happens) if left else None
             if not left:
                 happens()
 
     def passes(self, seconds: float) -> None:
-        """Let time pass in small ticks, at each of which every thread of the server has its turn."""
+        """Let time pass in small ticks, at each of which every thread of the server has its
+        turn.
+        """
         until_s = CLOCK.now_s + seconds
         while CLOCK.now_s < until_s - 1e-9:
             CLOCK.now_s = min(CLOCK.now_s + TICK_S, until_s)
@@ -263,7 +331,9 @@ class Plant:
     looking = False
 
     def make_safe(self) -> None:
-        """Let the thread of the safe action have its turn; a procedure that it waits for goes on meanwhile."""
+        """Let the thread of the safe action have its turn; a procedure that it waits for goes on
+        meanwhile.
+        """
         while self.safe_thread is not None or not self.server.to_make_safe.empty():
             if self.safe_thread is None:
                 self.waits, self.goes_on = queue.SimpleQueue(), threading.Event()
@@ -330,7 +400,9 @@ class Procedure:
 
 
 class ErringBench(tube_bench.TubeBench):
-    """A bench whose procedures may leave out a step or err, and between whose steps other threads have their turn."""
+    """A bench whose procedures may leave out a step or err, and between whose steps other threads
+    have their turn.
+    """
 
     plant: Plant
 
@@ -363,7 +435,9 @@ def run(plant: Plant, program: bytes) -> None:
 
 
 def bounds_hold(plant: Plant) -> None:
-    """The interlock never thinks the tube cooler than it is, but for what was changed by hand a moment ago."""
+    """The interlock never thinks the tube cooler than it is, but for what was changed by hand a
+    moment ago.
+    """
     state, lab = plant.interlock.state, plant.lab
     unseen = {
         line.name
@@ -371,7 +445,9 @@ def bounds_hold(plant: Plant) -> None:
         if line.changed_s <= CLOCK.now_s
     }
     if lab.duty > state.duty * (1 + 1e-9) and "gate" not in unseen:
-        lab.hurts.append(f"the gate was thought open for {state.duty:.3g} and was for {lab.duty:.3g}")
+        lab.hurts.append(
+            f"the gate was thought open for {state.duty:.3g} and was for {lab.duty:.3g}"
+        )
     if lab.volts > state.mcp_v * (1 + 1e-9) and "supply" not in unseen:
         lab.hurts.append(f"the gain was thought {state.mcp_v:g} V and was {lab.volts:g}")
     if lab.known_lux > 1.25 * state.light_lux + 1e-5 and not unseen & {"lamp", "wheel"}:
@@ -390,18 +466,49 @@ def step(plant: Plant, what: int, first: int, second: int) -> None:
         plant.ask("set_conditions", asked, later=second > 250)
     elif what < 164:
         plant.place(
-            _of(LUX, first), _of(TARGETS, second // 16), share=second % 3 / 2, shows=second > 40, later=second < 4
+            _of(LUX, first),
+            _of(TARGETS, second // 16),
+            share=second % 3 / 2,
+            shows=second > 40,
+            later=second < 4,
         )
     elif what < 172:
         target = _of(TARGETS, second // 16)
         point, density = target.pinhole_px is not None, (None, *laboratory.DENSITIES)[second % 8]
-        plant.ask("shine", _of(LUX, first), point=point, target=target, filter_density=density, later=second > 250)
+        plant.ask(
+            "shine",
+            _of(LUX, first),
+            point=point,
+            target=target,
+            filter_density=density,
+            later=second > 250,
+        )
     elif what < 192:
-        other = (plant.darken, partial(plant.ask, "shut_gate"), partial(plant.ask, "read_meters"), plant.say_light)
-        more = (partial(plant.ask, "verify"), partial(plant.ask, "check"), partial(plant.ask, "light_unknown"))
-        _of((*other, *more, partial(plant.ask, "safe"), plant.show_dark_frame, partial(plant.ask, "nonsense")), first)()
+        other = (
+            plant.darken,
+            partial(plant.ask, "shut_gate"),
+            partial(plant.ask, "read_meters"),
+            plant.say_light,
+        )
+        more = (
+            partial(plant.ask, "verify"),
+            partial(plant.ask, "check"),
+            partial(plant.ask, "light_unknown"),
+        )
+        _of(
+            (
+                *other,
+                *more,
+                partial(plant.ask, "safe"),
+                plant.show_dark_frame,
+                partial(plant.ask, "nonsense"),
+            ),
+            first,
+        )()
     elif what < 204:
-        plant.show_frame(allowed=(0.0, 0.0, 0.3)[first % 3], more=(0.0, 0.0, 0.02, 0.04)[second % 4])
+        plant.show_frame(
+            allowed=(0.0, 0.0, 0.3)[first % 3], more=(0.0, 0.0, 0.02, 0.04)[second % 4]
+        )
     elif what < 216:
         plant.interruption = (_of(DELAYS, what), partial(_happens, plant, second))
         _sensible(plant, first, second)
@@ -421,7 +528,9 @@ def _happens(plant: Plant, which: int) -> None:
         plant.server.take(Request(number=0, command="safe"))
         plant.make_safe()
     elif kind < 4:
-        _of(lines, detail).break_down(_of(TROUBLES, which // 3), back_after_s=1.0 if detail % 2 else float("inf"))
+        _of(lines, detail).break_down(
+            _of(TROUBLES, which // 3), back_after_s=1.0 if detail % 2 else float("inf")
+        )
     elif kind < 8:
         lab.opens_door(_of((0.0, 1e-4, 3e-3, 6e-3, 9e-3, 0.1, 50.0), detail))
         if detail % 2:
@@ -445,7 +554,9 @@ def _happens(plant: Plant, which: int) -> None:
 
 
 def _by_hand(plant: Plant, which: int) -> None:
-    """Somebody turns a knob at the front panel; a server that failed or ended does not look any more."""
+    """Somebody turns a knob at the front panel; a server that failed or ended does not look any
+    more.
+    """
     lab, now_s = plant.lab, CLOCK.now_s
     if plant.over or lab.fault_s <= now_s:
         return
@@ -472,7 +583,10 @@ def _sensible(plant: Plant, first: int, second: int) -> None:
             plant.place(1e-4, Target())
         return
     plant.passes(0.02)
-    volts, lux = _of((600.0, 800.0, 865.0, 899.0, 899.0), first), _of((1e-4, 2e-3, 5e-3, 9e-3, 5.2), second)
+    volts, lux = (
+        _of((600.0, 800.0, 865.0, 899.0, 899.0), first),
+        _of((1e-4, 2e-3, 5e-3, 9e-3, 5.2), second),
+    )
     target = TARGETS[2] if lux > 1.0 else TARGETS[0]
     width_ns = 1.6e7 if plant.setup.field_hz > 50.0 else 1.9e7
     if not state.dark and first % 4:
@@ -495,7 +609,10 @@ def _sensible(plant: Plant, first: int, second: int) -> None:
 
 def _lines(plant: Plant):
     lab = plant.lab
-    return [one.line for one in (lab.gate, lab.supply, lab.gate, lab.supply, lab.lamp, lab.wheel, lab.meter)]
+    return [
+        one.line
+        for one in (lab.gate, lab.supply, lab.gate, lab.supply, lab.lamp, lab.wheel, lab.meter)
+    ]
 
 
 def _of(values, byte: int):

@@ -1,4 +1,6 @@
-"""A plan becomes a session: in the order that spares the tube, with what was read back, and without losing a frame."""
+"""A plan becomes a session: in the order that spares the tube, with what was read back, and without
+losing a frame.
+"""
 
 import importlib.util
 from dataclasses import replace
@@ -27,12 +29,19 @@ _spec.loader.exec_module(fake_rig)
 FakeRig = fake_rig.FakeRig
 
 
-def step(label: str, *, frames: int = 4, kind: str = "flat", lux: float | None = 1e-4, **conditions) -> Step:
+def step(
+    label: str, *, frames: int = 4, kind: str = "flat", lux: float | None = 1e-4, **conditions
+) -> Step:
     asked = {"mcp_v": 700.0, "gate_ns": 1.6e7, **conditions}
-    return Step(label=label, kind=kind, frames=frames, conditions=Conditions(illuminance_lux=lux, **asked))
+    return Step(
+        label=label, kind=kind, frames=frames, conditions=Conditions(illuminance_lux=lux, **asked)
+    )
 
 
-PLAN = Plan(name="series", steps=(step("dark", kind="dark", lux=None), step("low"), step("high", mcp_v=800.0)))
+PLAN = Plan(
+    name="series",
+    steps=(step("dark", kind="dark", lux=None), step("low"), step("high", mcp_v=800.0)),
+)
 
 
 # What no driver sets: on or off, a record of it would be a claim.
@@ -46,7 +55,9 @@ UNSETTABLE = (
 
 
 def take(rig, folder, plan=PLAN, **options):
-    return acquire(plan, folder, camera=rig.camera, bench=rig.bench, operator=rig.operator, **options)
+    return acquire(
+        plan, folder, camera=rig.camera, bench=rig.bench, operator=rig.operator, **options
+    )
 
 
 def at_frame(number: int, error: BaseException):
@@ -60,11 +71,15 @@ def test_every_frame_of_the_plan_arrives_in_order(tmp_path):
     assert [entry.label for entry in session.stacks] == ["dark", "low", "high"]
     numbers = np.concatenate([entry.read().frame_number for entry in session.stacks])
     assert numbers.tolist() == list(range(1, 13))
-    assert all((frame == number).all() for entry in session.stacks for frame, number in _frames(entry))
+    assert all(
+        (frame == number).all() for entry in session.stacks for frame, number in _frames(entry)
+    )
 
 
 def test_asked_and_read_back_are_both_recorded(tmp_path):
-    session = take(FakeRig(), tmp_path / "s", Plan(name="p", steps=(step("low", exposure_s=0.0162004),)))
+    session = take(
+        FakeRig(), tmp_path / "s", Plan(name="p", steps=(step("low", exposure_s=0.0162004),))
+    )
     entry = session.stack("low")
     assert entry.asked.mcp_v == 700.0
     assert entry.conditions.mcp_v == 700.25
@@ -83,12 +98,21 @@ def test_light_is_out_while_gate_and_gain_move_and_the_gate_is_shut_while_target
 def test_the_tube_is_made_safe_before_all_else_and_before_anything_is_closed(tmp_path):
     rig = FakeRig()
     take(rig, tmp_path / "s")
-    order = ["bench opens", "camera opens", "made safe", "darkened", "camera closes", "bench closes"]
+    order = [
+        "bench opens",
+        "camera opens",
+        "made safe",
+        "darkened",
+        "camera closes",
+        "bench closes",
+    ]
     assert [event for event in rig.diary if event in order] == order
     assert not rig.gate_open
 
 
-@pytest.mark.parametrize("error", [CameraError("camera fake has gone"), KeyboardInterrupt(), OSError(28, "disk full")])
+@pytest.mark.parametrize(
+    "error", [CameraError("camera fake has gone"), KeyboardInterrupt(), OSError(28, "disk full")]
+)
 def test_any_end_shuts_the_gate_before_the_camera_is_stopped_and_keeps_the_frames(tmp_path, error):
     rig = FakeRig(fail=at_frame(7, error))
     with pytest.raises(type(error)):
@@ -111,7 +135,9 @@ def test_a_bench_that_cannot_be_made_safe_does_not_hide_the_first_error(tmp_path
 
 def test_a_trip_of_the_supply_ends_the_run_at_the_next_frame(tmp_path):
     trip = BenchError("high-voltage supply tripped")
-    rig = FakeRig(fail=lambda event: trip if event == "bench checked" and rig.frames_sent == 6 else None)
+    rig = FakeRig(
+        fail=lambda event: trip if event == "bench checked" and rig.frames_sent == 6 else None
+    )
     with pytest.raises(BenchError, match="tripped"):
         take(rig, tmp_path / "s")
     assert not rig.gate_open
@@ -137,9 +163,13 @@ def test_a_resumed_run_repeats_nothing_and_fills_up_what_was_broken_off(tmp_path
 
 
 def test_what_was_taken_while_the_bench_failed_is_put_aside_and_taken_anew(tmp_path):
-    """The gate is shut some frames before anybody is told: they are dark, and no light is measured in them."""
+    """The gate is shut some frames before anybody is told: they are dark, and no light is measured
+    in them.
+    """
     trip = InstrumentTripped("high-voltage supply tripped")
-    rig = FakeRig(fail=lambda event: trip if event == "bench checked" and rig.frames_sent == 6 else None)
+    rig = FakeRig(
+        fail=lambda event: trip if event == "bench checked" and rig.frames_sent == 6 else None
+    )
     with pytest.raises(InstrumentTripped):
         take(rig, tmp_path / "s")
     broken = open_session(tmp_path / "s").stack("low")
@@ -149,18 +179,26 @@ def test_what_was_taken_while_the_bench_failed_is_put_aside_and_taken_anew(tmp_p
     session = take(rig, tmp_path / "s", resume=True)
     assert rig.diary.count("frame") == 8
     assert session.stack("low").read().frame_number.tolist() == [1, 2, 3, 4]
-    assert any("acquired again" in note and "low.aside-1.zarr" in note for note in session.stack("low").notes)
+    assert any(
+        "acquired again" in note and "low.aside-1.zarr" in note
+        for note in session.stack("low").notes
+    )
     assert (tmp_path / "s" / "frames" / "low.aside-1.zarr").is_dir()
 
 
 def test_a_stack_that_is_full_when_the_bench_fails_is_doubted_as_well(tmp_path):
     sets = iter(range(1, 100))
     trip = InstrumentTripped("high-voltage supply tripped")
-    rig = FakeRig(fail=lambda event: trip if event == "conditions set" and next(sets) == 4 else None)
+    rig = FakeRig(
+        fail=lambda event: trip if event == "conditions set" and next(sets) == 4 else None
+    )
     with pytest.raises(InstrumentTripped):
         take(rig, tmp_path / "s")
     assert len(open_session(tmp_path / "s").stack("low").read()) == 4
-    assert any("acquired again" in note for note in take(FakeRig(), tmp_path / "s", resume=True).stack("low").notes)
+    assert any(
+        "acquired again" in note
+        for note in take(FakeRig(), tmp_path / "s", resume=True).stack("low").notes
+    )
 
 
 def test_resuming_a_complete_run_switches_nothing_on(tmp_path):
@@ -177,7 +215,10 @@ def test_a_stack_is_not_gone_on_with_under_another_voltage(tmp_path):
     rig = FakeRig()
     honest = rig.bench.set_conditions
     rig.bench.set_conditions = lambda asked: replace(honest(asked), mcp_v=690.0)
-    with pytest.raises(BadInput, match=r"must read back what it did in its first run, got mcp_v of 690 after 700\.25"):
+    with pytest.raises(
+        BadInput,
+        match=r"must read back what it did in its first run, got mcp_v of 690 after 700\.25",
+    ):
         take(rig, tmp_path / "s", resume=True)
     assert "frame" not in rig.diary
     assert len(open_session(tmp_path / "s").stack("low").read()) == 2
@@ -188,7 +229,12 @@ def test_a_changed_plan_is_not_resumed_but_other_wires_are(tmp_path):
     other = replace(PLAN, steps=(*PLAN.steps[:2], step("high", mcp_v=810.0)))
     with pytest.raises(BadInput, match="step 'high'"):
         take(FakeRig(), tmp_path / "s", other, resume=True)
-    take(FakeRig(), tmp_path / "s", replace(PLAN, wires=InstrumentConfig(camera="another")), resume=True)
+    take(
+        FakeRig(),
+        tmp_path / "s",
+        replace(PLAN, wires=InstrumentConfig(camera="another")),
+        resume=True,
+    )
 
 
 def test_a_folder_with_a_session_is_not_written_over(tmp_path):
@@ -213,7 +259,11 @@ class Doubtful:
                 judge.seen[step.label] += 1
 
             def enough(self):
-                return "enough seen" if step.until and judge.seen[step.label] >= judge.enough_after else None
+                return (
+                    "enough seen"
+                    if step.until and judge.seen[step.label] >= judge.enough_after
+                    else None
+                )
 
             def is_saturated(self):
                 return (step.conditions.illuminance_lux or 0.0) > judge.saturates_lux
@@ -241,21 +291,30 @@ def test_a_level_stops_when_its_judge_has_seen_enough_and_says_so(tmp_path):
     assert [len(entry.read()) for entry in session.stacks] == [9, 4]
     assert all(entry.finished for entry in session.stacks)
     assert session.stack("level").notes == ("enough seen",)
-    (told,) = [each for each in read_events(tmp_path / "s" / "log.jsonl") if each.get("stopped_early")]
+    (told,) = [
+        each for each in read_events(tmp_path / "s" / "log.jsonl") if each.get("stopped_early")
+    ]
     assert (told["step"], told["stopped_early"]) == ("level", "enough seen")
 
 
 def test_a_level_broken_off_is_judged_with_the_frames_it_has(tmp_path):
     with pytest.raises(CameraError):
         plan = Plan(name="p", steps=(ADAPTIVE,))
-        take(FakeRig(fail=at_frame(7, CameraError("gone"))), tmp_path / "s", plan, judge=Doubtful(enough_after=9))
+        take(
+            FakeRig(fail=at_frame(7, CameraError("gone"))),
+            tmp_path / "s",
+            plan,
+            judge=Doubtful(enough_after=9),
+        )
     rig = FakeRig()
     session = take(rig, tmp_path / "s", plan, judge=Doubtful(enough_after=9), resume=True)
     assert rig.diary.count("frame") == 3
     assert len(session.stack("level").read()) == 9
 
 
-SEARCH = replace(step("sat", lux=1e-5), search=SaturationSearch(most_illuminance_lux=1e-3, within_percent=10.0))
+SEARCH = replace(
+    step("sat", lux=1e-5), search=SaturationSearch(most_illuminance_lux=1e-3, within_percent=10.0)
+)
 
 
 def levels(session) -> list[float]:
@@ -263,13 +322,21 @@ def levels(session) -> list[float]:
 
 
 def test_the_light_that_saturates_is_found_within_what_was_asked(tmp_path):
-    session = take(FakeRig(), tmp_path / "s", Plan(name="p", steps=(SEARCH,)), judge=Doubtful(saturates_lux=3.3e-4))
+    session = take(
+        FakeRig(),
+        tmp_path / "s",
+        Plan(name="p", steps=(SEARCH,)),
+        judge=Doubtful(saturates_lux=3.3e-4),
+    )
     lux = levels(session)
     assert lux[:6] == pytest.approx([1e-5 * 2**n for n in range(6)])
     below, above = max(x for x in lux if x <= 3.3e-4), min(x for x in lux if x > 3.3e-4)
     assert above <= 1.1 * below
     assert session.notes == (
-        f"search 'sat': saturation begins between {below:.4g} and {above:.4g} lux, after {len(lux)} levels",
+        (
+            f"search 'sat': saturation begins between {below:.4g} and {above:.4g} lux, after "
+            f"{len(lux)} levels"
+        ),
     )
     assert len(lux) <= SEARCH.search.most_levels(1e-5)
 
@@ -306,9 +373,15 @@ def test_the_log_tells_what_happened(tmp_path):
     begins = [number for number, each in enumerate(told) if each["event"] == "run begins"]
     first, second = told[: begins[1]], told[begins[1] :]
     assert [each["step"] for each in first if each["event"] == "step finished"] == ["dark"]
-    assert (first[-1]["event"], first[-1]["whole"], first[-1]["kind"]) == ("run ends", False, "CameraError")
+    assert (first[-1]["event"], first[-1]["whole"], first[-1]["kind"]) == (
+        "run ends",
+        False,
+        "CameraError",
+    )
     assert "camera fake has gone" in first[-1]["reason"]
-    assert next(each for each in second if each["event"] == "bench opened")["broken_off"] == {"low": 2}
+    assert next(each for each in second if each["event"] == "bench opened")["broken_off"] == {
+        "low": 2
+    }
     assert [each["step"] for each in second if each["event"] == "step finished"] == ["low", "high"]
     assert second[-1]["whole"] is True
 
@@ -337,7 +410,11 @@ def test_a_full_disk_shuts_the_gate_first_and_keeps_what_was_stored(tmp_path, mo
     assert not rig.gate_open and rig.mcp_v == 0.0
     assert open_session(tmp_path / "s").stack("dark").finished
     monkeypatch.undo()
-    assert [len(entry.read()) for entry in take(FakeRig(), tmp_path / "s", resume=True).stacks] == [4, 4, 4]
+    assert [len(entry.read()) for entry in take(FakeRig(), tmp_path / "s", resume=True).stacks] == [
+        4,
+        4,
+        4,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -348,7 +425,11 @@ def test_a_full_disk_shuts_the_gate_first_and_keeps_what_was_stored(tmp_path, mo
         (step("bars", kind="bars"), "must have its bars"),
         (step("gate", gate_ns=1.9e7, exposure_s=0.01), "must not exceed the exposure"),
         (step("much", frames=10**12), "disk"),
-        *((step("wish", **wish), f"{name} must be left out") for wish in UNSETTABLE for name in wish),
+        *(
+            (step("wish", **wish), f"{name} must be left out")
+            for wish in UNSETTABLE
+            for name in wish
+        ),
     ],
 )
 def test_the_whole_plan_is_checked_before_anything_opens(tmp_path, wrong, rule):
@@ -356,22 +437,37 @@ def test_the_whole_plan_is_checked_before_anything_opens(tmp_path, wrong, rule):
     plan = Plan(name="p", sensor="pulnix-ag5745ef3", steps=(step("good"), wrong))
     with pytest.raises(BadInput, match=rule):
         take(rig, tmp_path / "s", plan)
-    assert rig.diary == ["bench opens", "bench closes"], "the tube is made safe, and nothing else opens"
+    assert rig.diary == ["bench opens", "bench closes"], (
+        "the tube is made safe, and nothing else opens"
+    )
     assert not (tmp_path / "s").exists()
 
 
 @pytest.mark.parametrize(
     ("picture", "rule"),
     [
-        ({"rows": 494}, r"first_row \+ rows of the picture must not exceed the sensor's 493, got 494"),
+        (
+            {"rows": 494},
+            r"first_row \+ rows of the picture must not exceed the sensor's 493, got 494",
+        ),
         ({"first_column": 700, "columns": 69}, r"must not exceed the sensor's 768, got 769"),
-        ({"first_row": 3, "rows": 20}, "first_row of interlaced video must be even, so that fields keep order, got 3"),
+        (
+            {"first_row": 3, "rows": 20},
+            "first_row of interlaced video must be even, so that fields keep order, got 3",
+        ),
     ],
 )
-def test_a_picture_that_the_sensor_does_not_have_is_refused_before_anything_opens(tmp_path, picture, rule):
+def test_a_picture_that_the_sensor_does_not_have_is_refused_before_anything_opens(
+    tmp_path, picture, rule
+):
     rig = FakeRig()
     with pytest.raises(BadInput, match=rule):
-        plan = Plan(name="p", sensor="pulnix-ag5745ef3", picture=FrameFormat(**picture), steps=(step("good"),))
+        plan = Plan(
+            name="p",
+            sensor="pulnix-ag5745ef3",
+            picture=FrameFormat(**picture),
+            steps=(step("good"),),
+        )
         take(rig, tmp_path / "s", plan)
     assert rig.diary == ["bench opens", "bench closes"]
 
@@ -379,11 +475,15 @@ def test_a_picture_that_the_sensor_does_not_have_is_refused_before_anything_open
 def test_the_camera_is_asked_for_the_picture_of_the_plan_and_for_the_whole_sensor_else(tmp_path):
     sensor = load_sensor("pulnix-ag5745ef3")
     plan = Plan(name="p", steps=(step("good"),))
-    part = replace(plan, picture=FrameFormat(first_row=100, rows=200, pixel_format="Mono10p", trigger="Line1"))
+    part = replace(
+        plan, picture=FrameFormat(first_row=100, rows=200, pixel_format="Mono10p", trigger="Line1")
+    )
     whole = CameraSettings(first_row=0, first_column=0, rows=493, columns=768, pixel_format="Mono8")
     assert picture_of(plan, sensor) == whole
     assert picture_of(plan, None) == CameraSettings()
-    assert picture_of(part, sensor) == replace(whole, first_row=100, rows=200, pixel_format="Mono10p", trigger="Line1")
+    assert picture_of(part, sensor) == replace(
+        whole, first_row=100, rows=200, pixel_format="Mono10p", trigger="Line1"
+    )
     assert bytes_of(part, sensor) == 4 * 200 * 768 * 2
     rig = FakeRig()
     take(rig, tmp_path / "s", replace(plan, picture=FrameFormat(trigger="Line1")))
@@ -395,7 +495,9 @@ def test_codes_of_the_sensor_are_not_cut_to_a_narrower_format(tmp_path):
     sensor = load_sensor("pulnix-ag5745ef3")
     deep = replace(sensor, video=replace(sensor.video, bit_depth=12))
     plan = Plan(name="p", picture=FrameFormat(pixel_format="Mono10"), steps=(step("good"),))
-    with pytest.raises(BadInput, match="pixel_format must hold the sensor's 12 bits, got Mono10 of 10"):
+    with pytest.raises(
+        BadInput, match="pixel_format must hold the sensor's 12 bits, got Mono10 of 10"
+    ):
         check_plan(plan, tmp_path, deep)
 
 

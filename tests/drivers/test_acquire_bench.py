@@ -37,7 +37,9 @@ STEPS = (
     ),
 )
 
-FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="the virtual output moves faster than life")
+FAST = Override(
+    limit="ramp_v_per_s", value=4000.0, reason="the virtual output moves faster than life"
+)
 
 
 OTHERS = InstrumentConfig(
@@ -64,9 +66,17 @@ def taken(folder, wires, lamp=None):
     folder.mkdir()
     save_sensor(small, folder / "small.toml")
     plan = Plan(
-        name="twice", sensor=str(folder / "small.toml"), seed=5, overrides=(FAST,), wires=wires, lamp=lamp, steps=STEPS
+        name="twice",
+        sensor=str(folder / "small.toml"),
+        seed=5,
+        overrides=(FAST,),
+        wires=wires,
+        lamp=lamp,
+        steps=STEPS,
     )
-    with VirtualBench(folder / "bench", small, plan.seed, wires=wires, lamp=lamp, time_scale=20.0) as rig:
+    with VirtualBench(
+        folder / "bench", small, plan.seed, wires=wires, lamp=lamp, time_scale=20.0
+    ) as rig:
         lines = None
         camera = rig.in_process_camera()
         if inside := rig.inside:
@@ -75,7 +85,9 @@ def taken(folder, wires, lamp=None):
             camera = AravisCamera(rig.camera.identifier, silence_s=rig.silence_s)
         limits = limits_in_force(plan.limits, small, plan.overrides)
         bench = open_bench(rig.wires, limits, log=folder / "safety.jsonl", lines=lines, lamp=lamp)
-        session = acquire(plan, folder / "session", camera=camera, bench=bench, operator=rig.operator)
+        session = acquire(
+            plan, folder / "session", camera=camera, bench=bench, operator=rig.operator
+        )
         left_open, left_v = rig.outputs().gate_open, rig.outputs().mcp_v
         return session, rig.left_out, left_open, left_v
 
@@ -107,7 +119,9 @@ def test_a_run_without_wires_gives_the_same_frames_again(inside, tmp_path):
 
 @pytest.mark.wires
 @pytest.mark.aravis
-@pytest.mark.skipif(not aravis_library.is_available(), reason="the Aravis library is not on this machine")
+@pytest.mark.skipif(
+    not aravis_library.is_available(), reason="the Aravis library is not on this machine"
+)
 def test_a_run_over_real_wires_gives_the_same_frames_as_one_without(inside, tmp_path):
     wired, left_out, gate_open, mcp_v = taken(tmp_path / "wired", InstrumentConfig())
     assert left_out == ()
@@ -116,7 +130,9 @@ def test_a_run_over_real_wires_gives_the_same_frames_as_one_without(inside, tmp_
     for entry in inside[0].stacks:
         other = wired.stack(entry.label)
         assert np.array_equal(other.read().data, entry.read().data)
-        assert replace(other.conditions, exposure_s=None) == replace(entry.conditions, exposure_s=None)
+        assert replace(other.conditions, exposure_s=None) == replace(
+            entry.conditions, exposure_s=None
+        )
 
 
 def test_the_other_gate_and_supply_with_lamp_wheel_and_meters_make_a_whole_bench(tmp_path):
@@ -124,7 +140,10 @@ def test_the_other_gate_and_supply_with_lamp_wheel_and_meters_make_a_whole_bench
     assert [len(entry.read()) for entry in session.stacks] == [3, 3, 3]
     assert not gate_open and mcp_v < 11.0
     dark, flat, edge = (entry.conditions for entry in session.stacks)
-    assert (flat.mcp_v, edge.mcp_v) == (pytest.approx(700.0, abs=2.0), pytest.approx(680.0, abs=2.0))
+    assert (flat.mcp_v, edge.mcp_v) == (
+        pytest.approx(700.0, abs=2.0),
+        pytest.approx(680.0, abs=2.0),
+    )
     assert (dark.lamp_a, flat.lamp_a, flat.filter_density) == (0.0, pytest.approx(1.0), 4.0)
     assert edge.illuminance_lux == pytest.approx(2e-5)
     assert flat.metered_w is not None and edge.metered_w is not None and dark.metered_w is not None

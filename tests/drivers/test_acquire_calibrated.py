@@ -1,4 +1,6 @@
-"""What is asked in luminous gain is set in volts, and what the supply reads back is recorded in both."""
+"""What is asked in luminous gain is set in volts, and what the supply reads back is recorded in
+both.
+"""
 
 import tomllib
 from dataclasses import replace
@@ -14,7 +16,8 @@ from labdata.plan_file import SweepRecord, plan_of, plan_toml
 from labdata.sensors import load_sensor
 from tests.drivers.fake_rig import FakeRig
 
-# A tube whose gain goes as the tenth power of its voltage, so that the volts of a gain are known without the table.
+# A tube whose gain goes as the tenth power of its voltage, so that the volts of a gain are known
+# without the table.
 VOLTS = (500.0, 640.0, 800.0, 900.0)
 TABLE = GainTable(
     source="integrating sphere",
@@ -28,7 +31,10 @@ TABLE = GainTable(
 def asking(table: GainTable | None = TABLE, *, tube: str | None = None, **asked) -> Plan:
     asked = Conditions(gate_ns=1.6e7, **asked)
     return Plan(
-        name="p", tube=tube, gain_table=table, steps=(Step(label="a", kind="dark", frames=3, conditions=asked),)
+        name="p",
+        tube=tube,
+        gain_table=table,
+        steps=(Step(label="a", kind="dark", frames=3, conditions=asked),),
     )
 
 
@@ -38,10 +44,16 @@ def test_a_gain_is_set_as_the_volts_that_give_it():
         assert volts == round(800.0 * (gain / 2e4) ** 0.1)
 
 
-def test_volts_asked_and_read_and_the_gain_of_what_was_read_are_recorded_with_their_source(tmp_path):
+def test_volts_asked_and_read_and_the_gain_of_what_was_read_are_recorded_with_their_source(
+    tmp_path,
+):
     rig = FakeRig()
     session = acquire(
-        asking(luminous_gain=1e4), tmp_path / "s", camera=rig.camera, bench=rig.bench, operator=rig.operator
+        asking(luminous_gain=1e4),
+        tmp_path / "s",
+        camera=rig.camera,
+        bench=rig.bench,
+        operator=rig.operator,
     )
     entry = session.stack("a")
     assert (entry.asked.luminous_gain, entry.asked.mcp_v) == (1e4, 746.0)
@@ -54,11 +66,23 @@ def test_volts_asked_and_read_and_the_gain_of_what_was_read_are_recorded_with_th
 @pytest.mark.parametrize(
     ("plan", "rule"),
     [
-        (asking(luminous_gain=1e6), r"luminous_gain must lie within the gain table, .* got 1e\+06, in step 'a'"),
-        (asking(mcp_v=480.0), "mcp_v must lie within the gain table, 500 to 900, got 480, in step 'a'"),
+        (
+            asking(luminous_gain=1e6),
+            r"luminous_gain must lie within the gain table, .* got 1e\+06, in step 'a'",
+        ),
+        (
+            asking(mcp_v=480.0),
+            "mcp_v must lie within the gain table, 500 to 900, got 480, in step 'a'",
+        ),
         (asking(luminous_gain=1e4, mcp_v=700.0), "needs by the gain table, 746, got 700"),
-        (asking(None, luminous_gain=1e4), "must have a gain table in the plan or its sensor, got none"),
-        (asking(tube="0043", luminous_gain=1e4), "must be of the plan's tube '0043', got one of '0042'"),
+        (
+            asking(None, luminous_gain=1e4),
+            "must have a gain table in the plan or its sensor, got none",
+        ),
+        (
+            asking(tube="0043", luminous_gain=1e4),
+            "must be of the plan's tube '0043', got one of '0042'",
+        ),
     ],
 )
 def test_what_the_calibration_does_not_tell_is_refused(plan, rule):

@@ -1,4 +1,6 @@
-"""Frames over a real GigE Vision wire: whole, numbered, of the settings read back, and never of a time before."""
+"""Frames over a real GigE Vision wire: whole, numbered, of the settings read back, and never of a
+time before.
+"""
 
 import subprocess
 import sys
@@ -63,7 +65,9 @@ def test_the_camera_inside_this_process_sends_the_same_frames(small):
         wired, _ = taken(camera, 3, discard=1)
     with InProcessCamera(folder, lambda: read_outputs(wires)) as camera:
         inside, _ = taken(camera, 3, discard=1)
-    assert all(np.array_equal(one.pixels, other.pixels) for one, other in zip(wired, inside, strict=True))
+    assert all(
+        np.array_equal(one.pixels, other.pixels) for one, other in zip(wired, inside, strict=True)
+    )
 
 
 def test_no_frame_shows_light_that_is_gone(small):
@@ -75,7 +79,9 @@ def test_no_frame_shows_light_that_is_gone(small):
             bright, _ = taken(camera, 3)
             operator.place(kind="flat", target=Target(), illuminance_lux=0.0)
             dark, _ = taken(camera, 3)
-            assert max(frame.pixels.mean() for frame in dark) < 0.7 * min(frame.pixels.mean() for frame in bright)
+            assert max(frame.pixels.mean() for frame in dark) < 0.7 * min(
+                frame.pixels.mean() for frame in bright
+            )
 
 
 def test_a_closed_gate_leaves_the_black_level(small):
@@ -94,7 +100,12 @@ def test_a_closed_gate_leaves_the_black_level(small):
 def test_every_setting_asked_is_read_back(small):
     _, _, process = small
     asked = CameraSettings(
-        rows=40, columns=64, pixel_format="Mono16", exposure_s=0.012, gain_db=6.0, frame_rate_hz=20.0
+        rows=40,
+        columns=64,
+        pixel_format="Mono16",
+        exposure_s=0.012,
+        gain_db=6.0,
+        frame_rate_hz=20.0,
     )
     with opened(process) as camera:
         before = camera.configure(CameraSettings())
@@ -153,7 +164,9 @@ def test_a_camera_is_found_by_name_by_address_and_in_the_list(small):
 def test_an_unknown_camera_is_refused_with_those_that_are_there(small):
     _, _, process = small
     with (
-        pytest.raises(CameraError, match=f"no-such-camera cannot be opened .*found: {process.identifier}"),
+        pytest.raises(
+            CameraError, match=f"no-such-camera cannot be opened .*found: {process.identifier}"
+        ),
         AravisCamera("no-such-camera"),
     ):
         pass
@@ -184,7 +197,9 @@ with AravisCamera(sys.argv[1], silence_s=30.0) as camera, camera.capture(frames=
 
 def test_a_camera_locked_by_a_dead_client_frees_itself_and_the_wait_is_told(small):
     _, _, process = small
-    with subprocess.Popen([sys.executable, "-c", HOLDER, process.identifier], stdout=subprocess.PIPE) as holder:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, process.identifier], stdout=subprocess.PIPE
+    ) as holder:
         assert holder.stdout and holder.stdout.readline()
         holder.kill()
     said, began_s = [], time.monotonic()

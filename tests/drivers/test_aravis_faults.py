@@ -1,4 +1,6 @@
-"""What goes wrong on a GigE Vision wire: lost packets, a camera that dies, and buffers that must be large enough."""
+"""What goes wrong on a GigE Vision wire: lost packets, a camera that dies, and buffers that must be
+large enough.
+"""
 
 import os
 import signal
@@ -27,7 +29,8 @@ def test_40_of_40_full_frames_arrive_whole_with_consecutive_numbers(tmp_path):
     assert [frame.number - frames[0].number for frame in frames] == list(range(40))
     assert all(frame.pixels.shape == (493, 768) for frame in frames)
     assert np.all(np.diff([frame.time_s for frame in frames]) > 0)
-    # A frame whose tail never came would be black there, below the darkest pixel of the black level.
+    # A frame whose tail never came would be black there, below the darkest pixel of the black
+    # level.
     assert min(int(frame.pixels[-40:].min()) for frame in frames) > 0
     assert len({frame.pixels.tobytes() for frame in frames}) == 40
 
@@ -41,18 +44,28 @@ def test_frames_with_lost_packets_are_counted_and_never_handed_out(tmp_path):
     assert numbers == sorted(numbers)
     tube = VirtualTube(folder, lambda: read_outputs(wires))
     drawn = LabBench(tube.sensor).expose(
-        "dark", Target(), tube.scene(exposure_s=0.016683, gain_db=0.0).conditions, frames=80, seed=frame_seed(3, 0)
+        "dark",
+        Target(),
+        tube.scene(exposure_s=0.016683, gain_db=0.0).conditions,
+        frames=80,
+        seed=frame_seed(3, 0),
     )
     there = {frame.tobytes() for frame in drawn.data}
     assert all(frame.pixels.tobytes() in there for frame in frames)
 
 
-@pytest.mark.parametrize(("how", "sentence"), [(signal.SIGKILL, "has gone"), (signal.SIGSTOP, "no longer answers")])
+@pytest.mark.parametrize(
+    ("how", "sentence"), [(signal.SIGKILL, "has gone"), (signal.SIGSTOP, "no longer answers")]
+)
 def test_a_camera_that_dies_in_mid_run_is_noticed_within_a_second_or_two(tmp_path, how, sentence):
     folder, wires = wired_bench(tmp_path / "bench", rows=61, columns=84)
     with CameraProcess(folder, wires) as process:
         camera = opened(process)
-        with pytest.raises(CameraError, match=sentence) as caught, camera, camera.capture(frames=10_000) as capture:
+        with (
+            pytest.raises(CameraError, match=sentence) as caught,
+            camera,
+            camera.capture(frames=10_000) as capture,
+        ):
             for number, _ in enumerate(capture):
                 if number == 3:
                     os.kill(process.pid, how)

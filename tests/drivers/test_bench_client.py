@@ -1,4 +1,6 @@
-"""Client and server of a bench, starved of what processes need: where one is killed, the other makes safe."""
+"""Client and server of a bench, starved of what processes need: where one is killed, the other
+makes safe.
+"""
 
 import json
 import resource
@@ -67,7 +69,9 @@ def ms_until_safe(virtual, since_s: float) -> float:
 
 @pytest.mark.parametrize("of", [*STARVED, "everything"])
 @pytest.mark.parametrize("killed", ["client", "server"])
-def test_a_starved_process_makes_safe_within_a_second_of_the_death_of_the_other(virtual, pair, tmp_path, killed, of):
+def test_a_starved_process_makes_safe_within_a_second_of_the_death_of_the_other(
+    virtual, pair, tmp_path, killed, of
+):
     client, server_pid = pair
     assert read_outputs(virtual.folder).gate_open
     for pid in (client.pid, server_pid):
@@ -77,7 +81,8 @@ def test_a_starved_process_makes_safe_within_a_second_of_the_death_of_the_other(
     assert read_outputs(virtual.folder).gate_open
     killed_s = time.monotonic()
     subprocess.run(
-        ["kill", f"-{signal.SIGKILL.value}", str(client.pid if killed == "client" else server_pid)], check=True
+        ["kill", f"-{signal.SIGKILL.value}", str(client.pid if killed == "client" else server_pid)],
+        check=True,
     )
     took_ms = ms_until_safe(virtual, killed_s)
     print(f"{killed} killed, both starved of {of}: safe after {took_ms:.0f} ms")

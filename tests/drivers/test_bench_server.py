@@ -1,4 +1,6 @@
-"""The server of a bench, step by step in simulated time: what it obeys and refuses, and when it makes the tube safe."""
+"""The server of a bench, step by step in simulated time: what it obeys and refuses, and when it
+makes the tube safe.
+"""
 
 import importlib.util
 import socket
@@ -63,9 +65,9 @@ def hot(bench):
 def test_a_client_can_ask_for_the_commands_of_a_bench_alone(bench, command):
     bench.ask(command)
     assert isinstance(bench.last_error, BadInput)
-    assert f"a command must be one of set_conditions, shut_gate, .* got {command}".split(" .* ")[0] in str(
-        bench.last_error
-    )
+    assert f"a command must be one of set_conditions, shut_gate, .* got {command}".split(" .* ")[
+        0
+    ] in str(bench.last_error)
 
 
 def test_no_order_goes_on_after_a_safe_action_wherever_that_struck_it():

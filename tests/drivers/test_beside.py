@@ -1,4 +1,6 @@
-"""Light and temperature are read beside each stack; a silent meter is told, and ends a run only where it is needed."""
+"""Light and temperature are read beside each stack; a silent meter is told, and ends a run only
+where it is needed.
+"""
 
 import numpy as np
 import pytest
@@ -32,7 +34,13 @@ def virtual():
 def opened(virtual, tmp_path, **meters) -> Bench:
     limits = Limits(ramp_v_per_s=10000.0)
     lines = lines_on(virtual.ports, WIRES)
-    return open_bench(WIRES, limits, log=tmp_path / "log", lines=lines, meters=Meters(lux_per_w=LUX_PER_W, **meters))
+    return open_bench(
+        WIRES,
+        limits,
+        log=tmp_path / "log",
+        lines=lines,
+        meters=Meters(lux_per_w=LUX_PER_W, **meters),
+    )
 
 
 def test_what_is_read_has_its_unit_and_its_time(virtual, tmp_path):
@@ -42,28 +50,39 @@ def test_what_is_read_has_its_unit_and_its_time(virtual, tmp_path):
     assert read.metered_w == pytest.approx(TRUE_LUX / LUX_PER_W, abs=5 * NOISE_W)
     assert read.metered_lux == pytest.approx(TRUE_LUX, rel=0.02)
     assert read.temperature_c == pytest.approx(TEMPERATURE_C)
-    assert read.metered_time_s is not None and 0.0 <= (read.temperature_time_s or 0.0) - read.metered_time_s < 1.0
+    assert (
+        read.metered_time_s is not None
+        and 0.0 <= (read.temperature_time_s or 0.0) - read.metered_time_s < 1.0
+    )
 
 
-@pytest.mark.parametrize(("role", "kept"), [("light-meter", "temperature_c"), ("thermometer", "metered_w")])
+@pytest.mark.parametrize(
+    ("role", "kept"), [("light-meter", "temperature_c"), ("thermometer", "metered_w")]
+)
 def test_a_silent_meter_is_told_and_the_other_one_is_read(virtual, tmp_path, role, kept):
     with opened(virtual, tmp_path) as bench:
         virtual.ports[role].faults = Faults(silent=True)
         read, silent = bench.read_meters()
         assert len(silent) == 1 and "must answer" in silent[0]
-        assert [name for name in ("temperature_c", "metered_w") if getattr(read, name) is not None] == [kept]
+        assert [
+            name for name in ("temperature_c", "metered_w") if getattr(read, name) is not None
+        ] == [kept]
         virtual.ports[role].faults = Faults()
         assert bench.read_meters()[1] == ()
 
 
-@pytest.mark.parametrize(("role", "key"), [("light-meter", "light_needed"), ("thermometer", "temperature_needed")])
+@pytest.mark.parametrize(
+    ("role", "key"), [("light-meter", "light_needed"), ("thermometer", "temperature_needed")]
+)
 def test_a_silent_meter_that_is_needed_ends_the_work(virtual, tmp_path, role, key):
     virtual.ports[role].faults = Faults(silent=True)
     with pytest.raises(InstrumentTimeout), opened(virtual, tmp_path, **{key: True}):
         pass
 
 
-@pytest.mark.parametrize(("role", "key"), [("light-meter", "light_needed"), ("thermometer", "temperature_needed")])
+@pytest.mark.parametrize(
+    ("role", "key"), [("light-meter", "light_needed"), ("thermometer", "temperature_needed")]
+)
 def test_a_meter_that_is_needed_may_not_fall_silent_either(virtual, tmp_path, role, key):
     with opened(virtual, tmp_path, **{key: True}) as bench:
         virtual.ports[role].faults = Faults(silent=True)
@@ -73,7 +92,9 @@ def test_a_meter_that_is_needed_may_not_fall_silent_either(virtual, tmp_path, ro
 
 def test_a_meter_that_is_needed_must_be_there():
     step = Step(label="a", kind="dark", frames=1, conditions=Conditions())
-    with pytest.raises(BadInput, match="a light_meter that a plan needs must be named in its wires, got none"):
+    with pytest.raises(
+        BadInput, match="a light_meter that a plan needs must be named in its wires, got none"
+    ):
         Plan(name="p", meters=Meters(light_needed=True), steps=(step,))
 
 
@@ -90,7 +111,9 @@ class Blind:
 
 
 def test_light_that_only_the_meter_sees_is_taken_for_light(virtual, tmp_path):
-    """A door left open: the next command that wants the dark is refused, and far too much makes the tube safe."""
+    """A door left open: the next command that wants the dark is refused, and far too much makes the
+    tube safe.
+    """
     with opened(virtual, tmp_path) as bench:
         light = bench.guard(Blind())
         light.place(kind="flat", target=Target(), illuminance_lux=0.0)

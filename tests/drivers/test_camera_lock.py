@@ -1,4 +1,6 @@
-"""The lock of the virtual camera lies where other users may write: nothing that they put there is followed."""
+"""The lock of the virtual camera lies where other users may write: nothing that they put there is
+followed.
+"""
 
 import os
 import signal
@@ -39,7 +41,9 @@ def test_what_another_user_put_there_is_refused_at_once_and_left_alone(tmp_path,
     before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("the lock was waited for"))
     signal.alarm(10)
     try:
-        with pytest.raises(BadInput, match=r"must be a regular file of this user alone, got .* set TMPDIR to"):
+        with pytest.raises(
+            BadInput, match=r"must be a regular file of this user alone, got .* set TMPDIR to"
+        ):
             hold_loopback(os.getppid(), folder=tmp_path)
     finally:
         signal.alarm(0)

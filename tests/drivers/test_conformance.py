@@ -18,10 +18,14 @@ TRIALS = [(name, rule) for name, model in models().items() for rule in rules_for
 @pytest.fixture(scope="module")
 def running(tmp_path_factory):
     with ExitStack() as pairs:
-        yield cache(lambda name: pairs.enter_context(VirtualPair(name, tmp_path_factory.mktemp(name))))
+        yield cache(
+            lambda name: pairs.enter_context(VirtualPair(name, tmp_path_factory.mktemp(name)))
+        )
 
 
-@pytest.mark.parametrize(("name", "rule"), TRIALS, ids=[f"{name}-{rule.__name__}" for name, rule in TRIALS])
+@pytest.mark.parametrize(
+    ("name", "rule"), TRIALS, ids=[f"{name}-{rule.__name__}" for name, rule in TRIALS]
+)
 def test_a_pair_keeps_the_rule(running, name, rule):
     pair = running(name)
     pair.heal()

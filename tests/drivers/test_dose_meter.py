@@ -1,4 +1,6 @@
-"""The dose meter counts what may flow, writes it down when the gate is shut, and never stands in the way."""
+"""The dose meter counts what may flow, writes it down when the gate is shut, and never stands in
+the way.
+"""
 
 from dataclasses import replace
 
@@ -26,7 +28,9 @@ def meter(ledger):
 
 
 def test_charge_is_current_times_time_less_what_the_plate_cannot_give(meter, ledger):
-    """1 mlux on 1350 uA/lm is 135 pA/cm2, times a gain of 50 is 6.75 nA/cm2; half the time for 4 s."""
+    """1 mlux on 1350 uA/lm is 135 pA/cm2, times a gain of 50 is 6.75 nA/cm2; half the time for
+    4 s.
+    """
     meter.watch(SHUT, 0.0)
     meter.watch(LIT, 4.0)
     meter.watch(SHUT, 5.0)

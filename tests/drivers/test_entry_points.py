@@ -1,4 +1,6 @@
-"""A small package that is installed beside ours brings an instrument: its driver and its virtual twin."""
+"""A small package that is installed beside ours brings an instrument: its driver and its virtual
+twin.
+"""
 
 import os
 import textwrap
@@ -37,10 +39,17 @@ MODULE = """
         name="room-sensor",
         role="thermometer",
         title="room sensor",
-        line=lambda port, address: FramedLine(port, name="room sensor", command_end=b"\\r\\n", known=KNOWN),
+        line=lambda port, address: FramedLine(
+            port, name="room sensor", command_end=b"\\r\\n", known=KNOWN
+        ),
         driver=Thermometer,
     )
-    VIRTUAL = VirtualModel(name="room-sensor", place="thermometer", make=lambda address, scale: Virtual(), baud=9600)
+    VIRTUAL = VirtualModel(
+        name="room-sensor",
+        place="thermometer",
+        make=lambda address, scale: Virtual(),
+        baud=9600,
+    )
 """
 
 
@@ -57,13 +66,21 @@ def installed(tmp_path, monkeypatch):
         groups = (f"[charact.{group}]\n{line}\n" for group, line in points.items())
         (about / "entry_points.txt").write_text("\n".join(groups))
         monkeypatch.syspath_prepend(site)
-        monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(site), os.environ.get("PYTHONPATH", ""), os.getcwd())))
+        monkeypatch.setenv(
+            "PYTHONPATH",
+            os.pathsep.join((str(site), os.environ.get("PYTHONPATH", ""), os.getcwd())),
+        )
 
     return install
 
 
-def test_an_instrument_of_another_package_stands_at_the_bench_and_keeps_the_rules(installed, tmp_path):
-    installed(instruments="room-sensor = room_sensor:MODEL", virtual_instruments="room-sensor = room_sensor:VIRTUAL")
+def test_an_instrument_of_another_package_stands_at_the_bench_and_keeps_the_rules(
+    installed, tmp_path
+):
+    installed(
+        instruments="room-sensor = room_sensor:MODEL",
+        virtual_instruments="room-sensor = room_sensor:VIRTUAL",
+    )
     assert models()["room-sensor"].role == "thermometer"
     assert "room-sensor" in virtual_models()
     with VirtualPair("room-sensor", tmp_path / "wires") as pair:
@@ -76,9 +93,18 @@ def test_an_instrument_of_another_package_stands_at_the_bench_and_keeps_the_rule
 @pytest.mark.parametrize(
     ("point", "sentence"),
     [
-        ("room-sensor = room_sensor:NOTHING", "the instrument 'room-sensor' of room_sensor:NOTHING must load, got"),
-        ("other = room_sensor:MODEL", "the entry point 'other' must be a InstrumentModel of that name"),
-        ("dg645 = room_sensor:MODEL", "the entry point 'dg645' must be a InstrumentModel of that name"),
+        (
+            "room-sensor = room_sensor:NOTHING",
+            "the instrument 'room-sensor' of room_sensor:NOTHING must load, got",
+        ),
+        (
+            "other = room_sensor:MODEL",
+            "the entry point 'other' must be a InstrumentModel of that name",
+        ),
+        (
+            "dg645 = room_sensor:MODEL",
+            "the entry point 'dg645' must be a InstrumentModel of that name",
+        ),
     ],
 )
 def test_a_package_that_brings_something_else_is_told_in_a_sentence(installed, point, sentence):

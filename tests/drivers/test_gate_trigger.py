@@ -1,4 +1,6 @@
-"""A gate opens at each trigger that it was told to take, no more often than was asked, and says where none comes."""
+"""A gate opens at each trigger that it was told to take, no more often than was asked, and says
+where none comes.
+"""
 
 import time
 
@@ -27,9 +29,15 @@ def dg645(**wired):
 
 def test_a_triggered_gate_opens_once_for_each_field_and_holds_off_what_comes_too_early():
     gate, port = dg645()
-    assert gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, delay_ns=3e6, sync="triggered") == pytest.approx(WIDTH_NS)
+    assert gate.open(
+        width_ns=WIDTH_NS, rate_hz=FIELD_HZ, delay_ns=3e6, sync="triggered"
+    ) == pytest.approx(WIDTH_NS)
     out = port.gate()
-    assert (out.gate_trigger, out.gate_hz, out.gate_delay_ns) == ("camera", FIELD_HZ, pytest.approx(3e6))
+    assert (out.gate_trigger, out.gate_hz, out.gate_delay_ns) == (
+        "camera",
+        FIELD_HZ,
+        pytest.approx(3e6),
+    )
     assert float(gate.line.ask("HOLD?")) == pytest.approx(HOLDOFF / FIELD_HZ, abs=1e-9)
     ringing, port = dg645(external_hz=2.0 * FIELD_HZ)
     ringing.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
@@ -38,13 +46,17 @@ def test_a_triggered_gate_opens_once_for_each_field_and_holds_off_what_comes_too
 
 def test_a_gate_at_whose_input_nothing_comes_is_told_and_left_shut():
     gate, port = dg645(external_hz=0.0)
-    with pytest.raises(InstrumentRejected, match=r"must be triggered 59\.9401 times a second, got no trigger"):
+    with pytest.raises(
+        InstrumentRejected, match=r"must be triggered 59\.9401 times a second, got no trigger"
+    ):
         gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
     assert not port.gate().gate_open
 
 
 @pytest.mark.parametrize("sync", ["triggered", "line-locked"])
-def test_triggers_that_stay_away_are_reported_at_a_look_and_not_while_one_is_still_due(monkeypatch, sync):
+def test_triggers_that_stay_away_are_reported_at_a_look_and_not_while_one_is_still_due(
+    monkeypatch, sync
+):
     gate, port = dg645()
     gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync=sync)
     port.far_end()
@@ -54,7 +66,9 @@ def test_triggers_that_stay_away_are_reported_at_a_look_and_not_while_one_is_sti
     monkeypatch.setattr(gate_limits.time, "monotonic", lambda: now_s + 1.9 / FIELD_HZ)
     gate.look()
     monkeypatch.setattr(gate_limits.time, "monotonic", lambda: now_s + 2.1 / FIELD_HZ)
-    with pytest.raises(InstrumentRejected, match=r"must be triggered .* times a second, got no trigger"):
+    with pytest.raises(
+        InstrumentRejected, match=r"must be triggered .* times a second, got no trigger"
+    ):
         gate.look()
 
 
@@ -76,7 +90,9 @@ def test_the_older_generator_takes_the_mains_and_refuses_what_it_cannot_hold_off
         gate.check_pulse(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
 
 
-@pytest.mark.parametrize(("delay_ns", "fits"), [(0.0, False), (9e6, True), (1.4e7, True), (1.5e7, False)])
+@pytest.mark.parametrize(
+    ("delay_ns", "fits"), [(0.0, False), (9e6, True), (1.4e7, True), (1.5e7, False)]
+)
 def test_a_triggered_gate_must_open_inside_the_exposure(tmp_path, delay_ns, fits):
     asked = Conditions(mcp_v=700.0, gate_ns=WIDTH_NS, exposure_s=0.008)
     step = Step(label="a", kind="dark", frames=1, conditions=asked)

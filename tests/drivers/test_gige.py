@@ -1,4 +1,6 @@
-"""Block numbers of GigE Vision become running numbers across their wrap, and the control port says who listens."""
+"""Block numbers of GigE Vision become running numbers across their wrap, and the control port says
+who listens.
+"""
 
 import socket
 
@@ -12,7 +14,13 @@ from drivers.cameras.frame_assembly import RunningNumbers
 
 def test_running_numbers_go_on_where_16_bits_start_again_at_1():
     numbers = RunningNumbers(BLOCK_NUMBERS)
-    assert [numbers.running(block) for block in (65533, 65534, 65535, 1, 2)] == [65533, 65534, 65535, 65536, 65537]
+    assert [numbers.running(block) for block in (65533, 65534, 65535, 1, 2)] == [
+        65533,
+        65534,
+        65535,
+        65536,
+        65537,
+    ]
 
 
 def test_a_gap_across_the_wrap_keeps_its_width():
@@ -28,12 +36,22 @@ def test_a_late_block_keeps_its_place_before_the_later_ones():
 
 def test_a_late_block_from_before_the_wrap_is_late_and_not_a_cycle_ahead():
     numbers = RunningNumbers(BLOCK_NUMBERS)
-    assert [numbers.running(block) for block in (65534, 1, 65535, 2)] == [65534, 65536, 65535, 65537]
+    assert [numbers.running(block) for block in (65534, 1, 65535, 2)] == [
+        65534,
+        65536,
+        65535,
+        65537,
+    ]
 
 
 def test_blocks_of_64_bits_do_not_wrap():
     numbers = RunningNumbers(BLOCK_NUMBERS)
-    assert [numbers.running(block) for block in (65534, 65535, 65536, 200000)] == [65534, 65535, 65536, 200000]
+    assert [numbers.running(block) for block in (65534, 65535, 65536, 200000)] == [
+        65534,
+        65535,
+        65536,
+        200000,
+    ]
 
 
 @pytest.fixture

@@ -61,13 +61,19 @@ def lines(virtual):
 
 @pytest.fixture
 def bench(lines, tmp_path):
-    return open_bench(InstrumentConfig(bench="in-process"), LIMITS, log=tmp_path / "safety.jsonl", lines=lines)
+    return open_bench(
+        InstrumentConfig(bench="in-process"), LIMITS, log=tmp_path / "safety.jsonl", lines=lines
+    )
 
 
 def test_conditions_are_read_back_and_reach_the_tube(bench, virtual):
     with bench:
-        read = bench.set_conditions(Conditions(mcp_v=780.0, gate_ns=1.6e7, illuminance_lux=1e-4, exposure_s=0.0167))
-        assert read == Conditions(mcp_v=780.0, gate_ns=1.6e7, illuminance_lux=1e-4, exposure_s=0.0167)
+        read = bench.set_conditions(
+            Conditions(mcp_v=780.0, gate_ns=1.6e7, illuminance_lux=1e-4, exposure_s=0.0167)
+        )
+        assert read == Conditions(
+            mcp_v=780.0, gate_ns=1.6e7, illuminance_lux=1e-4, exposure_s=0.0167
+        )
         out = virtual.outputs()
         assert out.mcp_v == 780
         assert out.open_ns(1 / FIELD_RATE_HZ) == pytest.approx(1.6e7, rel=1e-6)
@@ -86,7 +92,9 @@ def test_what_is_not_asked_for_is_off(bench, virtual):
 def test_the_gate_is_shut_whenever_the_gain_moves(virtual, lines, tmp_path, first_v, then_v):
     witness = Witness(virtual)
     lines = {role: witness.wrap(line) for role, line in lines.items()}
-    with open_bench(InstrumentConfig(bench="in-process"), LIMITS, log=tmp_path / "log", lines=lines) as bench:
+    with open_bench(
+        InstrumentConfig(bench="in-process"), LIMITS, log=tmp_path / "log", lines=lines
+    ) as bench:
         bench.set_conditions(Conditions(mcp_v=first_v, gate_ns=1e6))
         witness.seen.clear()
         bench.set_conditions(Conditions(mcp_v=then_v, gate_ns=2e6))
@@ -100,11 +108,15 @@ def test_the_gate_is_shut_whenever_the_gain_moves(virtual, lines, tmp_path, firs
 def test_no_step_up_is_larger_than_50_v_nor_faster_than_the_limit(virtual, lines, tmp_path):
     witness = Witness(virtual)
     lines = {role: witness.wrap(line) for role, line in lines.items()}
-    with open_bench(InstrumentConfig(), Limits(ramp_v_per_s=1000), log=tmp_path / "log", lines=lines) as bench:
+    with open_bench(
+        InstrumentConfig(), Limits(ramp_v_per_s=1000), log=tmp_path / "log", lines=lines
+    ) as bench:
         began_s = time.monotonic()
         bench.set_conditions(Conditions(mcp_v=650))
         assert time.monotonic() - began_s >= 0.6
-    levels = [float(command.split()[1]) for command, _ in witness.seen if command.startswith("VSET")]
+    levels = [
+        float(command.split()[1]) for command, _ in witness.seen if command.startswith("VSET")
+    ]
     assert levels[0] == 50
     assert max(after - before for before, after in itertools.pairwise(levels)) <= 50
 
@@ -115,10 +127,16 @@ def test_no_step_up_is_larger_than_50_v_nor_faster_than_the_limit(virtual, lines
         (Conditions(mcp_v=901), "mcp_v must not exceed the limit 900, got 901"),
         (Conditions(mcp_v=30), "mcp_v must be 0 \\(off\\) or at least 50, got 30"),
         (Conditions(mcp_v=780.4), "mcp_v must be a multiple of the supply's 1 V, got 780.4"),
-        (Conditions(mcp_v=600, gate_ns=10.003), "gate_ns must be a multiple of the generator's 0.005 ns, got 10.003"),
-        (Conditions(mcp_v=600, gate_ns=1.66e7), "gate_ns must not exceed the limit 1.65e\\+07, got 1.66e\\+07"),
+        (
+            Conditions(mcp_v=600, gate_ns=10.003),
+            "gate_ns must be a multiple of the generator's 0.005 ns, got 10.003",
+        ),
+        (
+            Conditions(mcp_v=600, gate_ns=1.66e7),
+            "gate_ns must not exceed the limit 1.65e\\+07, got 1.66e\\+07",
+        ),
     ],
-)  # fmt: skip
+)
 def test_nothing_beyond_a_limit_is_done_even_in_part(bench, virtual, conditions, rule):
     with bench:
         bench.set_conditions(Conditions(mcp_v=500, gate_ns=1e6))
@@ -172,7 +190,12 @@ def test_safe_can_be_asked_for_and_work_go_on(bench, virtual):
 
 
 def test_a_trip_ends_the_work_and_says_so(bench, virtual):
-    with pytest.raises(InstrumentTripped, match="high-voltage supply must stay on, got a trip on current"), bench:
+    with (
+        pytest.raises(
+            InstrumentTripped, match="high-voltage supply must stay on, got a trip on current"
+        ),
+        bench,
+    ):
         bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
         bench.check()
         virtual.supply_port.faults = Faults(tripped=True)
@@ -212,12 +235,16 @@ def test_every_safety_step_is_logged(bench, tmp_path):
 
 def test_the_wires_left_out_are_named(bench, tmp_path):
     assert bench.wires_left_out
-    on_wires = open_bench(InstrumentConfig(gate_port="/dev/a", supply_port="/dev/b"), LIMITS, log=tmp_path / "log")
+    on_wires = open_bench(
+        InstrumentConfig(gate_port="/dev/a", supply_port="/dev/b"), LIMITS, log=tmp_path / "log"
+    )
     assert on_wires.wires_left_out == ()
 
 
 def test_a_bench_needs_ports(tmp_path):
-    with pytest.raises(BadInput, match="must have its serial port, got none for gate_port and supply_port"):
+    with pytest.raises(
+        BadInput, match="must have its serial port, got none for gate_port and supply_port"
+    ):
         open_bench(InstrumentConfig(), LIMITS, log=tmp_path / "log")
 
 
@@ -258,7 +285,9 @@ def test_no_light_before_a_dark_frame_was_seen_through_the_open_gate(bench):
         light.place(kind="flat", target=Target(), illuminance_lux=0.0)
         bench.dark_frame_seen(FrameLevels.of(dark_frame(), 255.0))
         assert not bench.dark_seen  # behind a shut gate every frame is dark
-        with pytest.raises(InterlockRefused, match="a dark frame must be seen through the open gate"):
+        with pytest.raises(
+            InterlockRefused, match="a dark frame must be seen through the open gate"
+        ):
             light.place(kind="flat", target=Target(), illuminance_lux=1e-4)
         assert hands.placed == [0.0]
 
@@ -268,7 +297,9 @@ def test_light_goes_on_in_the_proper_order_and_not_further_than_the_gain_bears(b
         hands = Hands()
         assert lit(bench, hands, 1e-4).illuminance_lux == 1e-4
         assert hands.placed == [0.0, 1e-4]
-        with pytest.raises(InterlockRefused, match="the light must be down before the gain goes up"):
+        with pytest.raises(
+            InterlockRefused, match="the light must be down before the gain goes up"
+        ):
             bench.set_conditions(Conditions(mcp_v=800.0))
 
 

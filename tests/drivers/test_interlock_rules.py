@@ -1,4 +1,6 @@
-"""Nothing that a client asks or that happens hurts a tube behind the bench server; without any one rule it does."""
+"""Nothing that a client asks or that happens hurts a tube behind the bench server; without any one
+rule it does.
+"""
 
 import importlib.util
 from collections import Counter
@@ -10,7 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    rule,
+    run_state_machine_as_test,
+)
 
 from drivers.bench.interlock import REACTIONS, RULES, Interlock
 from drivers.bench.state import (
@@ -114,7 +122,9 @@ SEEDS = {
 
 
 def hurts_of(*, name: str, steps: int = 40_000, **made) -> list[str]:
-    """What hurts a tube first, over programs of 400 steps; where one of `SEEDS` does it, it is the first."""
+    """What hurts a tube first, over programs of 400 steps; where one of `SEEDS` does it, it is the
+    first.
+    """
     for seed in range(SEEDS.get(name, 0), SEEDS.get(name, 0) + steps // 400):
         tube = plant.Plant(kind=seed, **made)
         plant.run(tube, np.random.default_rng(seed).bytes(1200))
@@ -171,19 +181,43 @@ def light(lux: float, **changes) -> SetLight:
     ("event", "command", "sentence"),
     [
         (None, light(0.02), "illuminance_lux must not exceed the limit 0.01, got 0.02"),
-        (None, RaiseGain(goal_v=850.0, rate_v_per_s=50.0), "the gate must be shut while the gain moves"),
+        (
+            None,
+            RaiseGain(goal_v=850.0, rate_v_per_s=50.0),
+            "the gate must be shut while the gain moves",
+        ),
         (None, LowerGain(goal_v=700.0), "the gate must be shut while the gain moves"),
         (None, light(0.0, target=Target(bars=4)), "the gate must be shut while a target is placed"),
-        (None, OpenGate(width_ns=2.1e7, rate_hz=10.0), r"gate_ns must not exceed the limit 2e\+07, got 2.1e\+07"),
-        (None, OpenGate(width_ns=1.9e7, rate_hz=59.94), "open for at most 0.999 of the time, got 1.139"),
+        (
+            None,
+            OpenGate(width_ns=2.1e7, rate_hz=10.0),
+            r"gate_ns must not exceed the limit 2e\+07, got 2.1e\+07",
+        ),
+        (
+            None,
+            OpenGate(width_ns=1.9e7, rate_hz=59.94),
+            "open for at most 0.999 of the time, got 1.139",
+        ),
         (
             LightRead(illuminance_lux=1e-4),
             OpenGate(width_ns=1e6, rate_hz=50.0),
             "light must be out when the gate opens",
         ),
-        (LightRead(illuminance_lux=1e-4), TurnFilter(position=2), "must be out while a filter turns, got up to 0.0001"),
-        (FilterMoved(), light(1e-4), "the filter must be read before there is light, got none read before 0.0001 lux"),
-        (Failed(sentence="the supply tripped"), light(1e-4), "reopened after a failure, got: the supply tripped"),
+        (
+            LightRead(illuminance_lux=1e-4),
+            TurnFilter(position=2),
+            "must be out while a filter turns, got up to 0.0001",
+        ),
+        (
+            FilterMoved(),
+            light(1e-4),
+            "the filter must be read before there is light, got none read before 0.0001 lux",
+        ),
+        (
+            Failed(sentence="the supply tripped"),
+            light(1e-4),
+            "reopened after a failure, got: the supply tripped",
+        ),
         (Heard(now_s=99.0), light(1e-4), "shown life within 0.6 s, got 1 s of silence"),
     ],
 )
@@ -200,7 +234,9 @@ def test_more_light_is_allowed_at_less_gain():
     tube.permit(light(9e-3))
     tube = hot()
     tube.tell(GainRead(mcp_v=890.0))
-    with pytest.raises(InterlockRefused, match=r"exceed 120 nA/cm2 of MCP output, got 169.2.*lower the gain before"):
+    with pytest.raises(
+        InterlockRefused, match=r"exceed 120 nA/cm2 of MCP output, got 169.2.*lower the gain before"
+    ):
         tube.permit(light(9e-3))
     tube.permit(light(6e-3))
 
@@ -208,7 +244,11 @@ def test_more_light_is_allowed_at_less_gain():
 def test_nothing_is_known_before_it_is_read():
     tube = unread()
     tube.tell(Heard(now_s=100.0))
-    for command in (RaiseGain(goal_v=100.0, rate_v_per_s=1.0), OpenGate(width_ns=1e3, rate_hz=1.0), light(1e-6)):
+    for command in (
+        RaiseGain(goal_v=100.0, rate_v_per_s=1.0),
+        OpenGate(width_ns=1e3, rate_hz=1.0),
+        light(1e-6),
+    ):
         with pytest.raises(InterlockRefused):
             tube.permit(command)
 

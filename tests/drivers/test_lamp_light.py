@@ -1,4 +1,6 @@
-"""The lamp of the bench is lit and put out in the order that spares the tube, and is out in the safe state."""
+"""The lamp of the bench is lit and put out in the order that spares the tube, and is out in the
+safe state.
+"""
 
 import numpy as np
 import pytest
@@ -54,7 +56,9 @@ def virtual():
 
 @pytest.fixture
 def bench(virtual, tmp_path):
-    return open_bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines_on(virtual.ports, WIRES), lamp=LAMP)
+    return open_bench(
+        WIRES, LIMITS, log=tmp_path / "log", lines=lines_on(virtual.ports, WIRES), lamp=LAMP
+    )
 
 
 def at_gain(bench, hands):
@@ -82,11 +86,16 @@ def test_a_filter_turns_in_the_dark_only(bench, virtual):
     with bench:
         light = at_gain(bench, Hands())
         light.place(kind="flat", target=Target(), illuminance_lux=2.5e-5)
-        with pytest.raises(InterlockRefused, match=r"the light must be out while a filter turns, got up to 2.5e-05"):
+        with pytest.raises(
+            InterlockRefused, match=r"the light must be out while a filter turns, got up to 2.5e-05"
+        ):
             bench.interlock.permit(TurnFilter(position=1))
         lit: list[float] = []
         turns = virtual.ports["filter-wheel"]
-        send, turns.send = turns.send, lambda data: (lit.append(virtual.outputs().lamp_a), send(data))
+        send, turns.send = (
+            turns.send,
+            lambda data: (lit.append(virtual.outputs().lamp_a), send(data)),
+        )
         light.place(kind="flat", target=Target(), illuminance_lux=2.5e-4, filter_density=3.0)
         assert lit and set(lit) == {0.0}
         assert virtual.outputs().filter_position == 4
@@ -96,7 +105,9 @@ def test_the_gain_goes_up_only_when_the_lamp_is_out(bench):
     with bench:
         light = at_gain(bench, Hands())
         light.place(kind="flat", target=Target(), illuminance_lux=1e-4)
-        with pytest.raises(InterlockRefused, match="the light must be down before the gain goes up"):
+        with pytest.raises(
+            InterlockRefused, match="the light must be down before the gain goes up"
+        ):
             bench.set_conditions(Conditions(mcp_v=800.0))
         light.place(**DARK)
         assert bench.set_conditions(Conditions(mcp_v=800.0)).mcp_v == 800.0
@@ -124,19 +135,28 @@ def test_making_safe_puts_the_lamp_out_and_a_lamp_that_cannot_be_heard_is_told(b
 
 
 def test_a_wheel_that_somebody_turned_is_told(virtual):
-    ours, theirs = (FilterWheel(PromptLine(virtual.ports["filter-wheel"], name="filter wheel")) for _ in range(2))
+    ours, theirs = (
+        FilterWheel(PromptLine(virtual.ports["filter-wheel"], name="filter wheel"))
+        for _ in range(2)
+    )
     ours.look()
     ours.look()
     theirs.turn_to(4)
-    with pytest.raises(InstrumentRejected, match="filter wheel must stay at 1, got 4: somebody turned it"):
+    with pytest.raises(
+        InstrumentRejected, match="filter wheel must stay at 1, got 4: somebody turned it"
+    ):
         ours.look()
 
 
-def test_a_lamp_without_a_calibration_and_a_wheel_without_enough_filters_are_refused(virtual, tmp_path):
+def test_a_lamp_without_a_calibration_and_a_wheel_without_enough_filters_are_refused(
+    virtual, tmp_path
+):
     lines = lines_on(virtual.ports, WIRES)
     with pytest.raises(BadInput, match="a light source must have its calibration, got None"):
         open_bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines)
-    many = LampCalibration(**{**vars(LAMP), "filter_density": tuple(float(each) for each in range(9))})
+    many = LampCalibration(
+        **{**vars(LAMP), "filter_density": tuple(float(each) for each in range(9))}
+    )
     with (
         pytest.raises(BadInput, match="a position for each filter, got 6 for 9"),
         open_bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines, lamp=many),

@@ -1,4 +1,6 @@
-"""The Aravis driver keeps the laws of cameras over a GigE Vision wire that loses none to 5 % of its packets."""
+"""The Aravis driver keeps the laws of cameras over a GigE Vision wire that loses none to 5 % of its
+packets.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +20,9 @@ from tests.drivers.fake_video import luma
 pytestmark = [
     pytest.mark.wires,
     pytest.mark.aravis,
-    pytest.mark.skipif(not aravis_library.is_available(), reason="the Aravis library is not on this machine"),
+    pytest.mark.skipif(
+        not aravis_library.is_available(), reason="the Aravis library is not on this machine"
+    ),
 ]
 PATIENCE_S = 20.0
 SHARES = (0.0, 0.001, 0.01, 0.05)
@@ -42,7 +46,9 @@ def untriggered(identifier: str) -> Iterator[AravisCamera]:
 
 
 @pytest.fixture(scope="module", params=SHARES, ids=lambda share: f"{share:.1%} of packets lost")
-def wire(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, float]]:
+def wire(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[str, float]]:
     folder: Path = tmp_path_factory.mktemp("camera")
     with pattern_camera.running(folder, request.param) as identifier:
         yield identifier, request.param
@@ -77,7 +83,9 @@ class TestAravis(CameraLaws):
         )
 
 
-def test_as_many_frames_are_whole_as_packets_that_all_arrive_would_leave(wire: tuple[str, float]) -> None:
+def test_as_many_frames_are_whole_as_packets_that_all_arrive_would_leave(
+    wire: tuple[str, float],
+) -> None:
     identifier, share = wire
     with AravisCamera(identifier, silence_s=PATIENCE_S) as camera:
         frames, capture = taken(camera, 200)
@@ -85,12 +93,17 @@ def test_as_many_frames_are_whole_as_packets_that_all_arrive_would_leave(wire: t
     whole = (1 - share) ** pattern_camera.PACKETS
     expected = numbered * (1 - whole)
     print(
-        f"\n    {share:.1%} of packets lost: 200 whole of {numbered} frames, counted lost {capture.lost_frames} "
-        f"(expected {expected:.1f}), packets lost {capture.lost_packets}, sent again {capture.resent_packets}"
+        f"\n    {share:.1%} of packets lost: 200 whole of {numbered} frames, counted lost "
+        f"{capture.lost_frames} (expected {expected:.1f}), packets lost {capture.lost_packets}, "
+        f"sent again {capture.resent_packets}"
     )
     assert all(is_whole(frame) for frame in frames)
     # As rare on either side as four standard errors.
-    assert binom.ppf(3e-5, numbered, 1 - whole) <= capture.lost_frames <= binom.ppf(1 - 3e-5, numbered, 1 - whole)
+    assert (
+        binom.ppf(3e-5, numbered, 1 - whole)
+        <= capture.lost_frames
+        <= binom.ppf(1 - 3e-5, numbered, 1 - whole)
+    )
     assert capture.lost_packets > 0 or capture.lost_frames == 0
     assert capture.resent_packets == 0
 

@@ -1,4 +1,6 @@
-"""A recorded session keeps the laws of cameras, and plays what was recorded: numbers, stamps, gaps and pixels."""
+"""A recorded session keeps the laws of cameras, and plays what was recorded: numbers, stamps, gaps
+and pixels.
+"""
 
 import time
 from itertools import pairwise
@@ -29,7 +31,9 @@ def recorded(tmp_path_factory):
             with writer.begin_stack(label, "flat", (24, 32), np.uint8, CONDITIONS) as stack:
                 for number in numbers:
                     stack.append(luma(number), 100.0 + number * PERIOD_S, number)
-                missing = [number for one, later in pairwise(numbers) for number in range(one + 1, later)]
+                missing = [
+                    number for one, later in pairwise(numbers) for number in range(one + 1, later)
+                ]
                 stack.finish(losses=lost_frames_with_reason("missing packets", missing))
     return folder
 
@@ -49,14 +53,24 @@ class TestReplay(CameraLaws):
             loses=label == "lossy",
             counts_from=1,
             asked=(
-                CameraSettings(rows=24, columns=32, first_row=0, first_column=0, pixel_format="Mono8"),
-                CameraSettings(exposure_s=0.016, gain_db=3.0, frame_rate_hz=1 / PERIOD_S, trigger="off"),
+                CameraSettings(
+                    rows=24, columns=32, first_row=0, first_column=0, pixel_format="Mono8"
+                ),
+                CameraSettings(
+                    exposure_s=0.016, gain_db=3.0, frame_rate_hz=1 / PERIOD_S, trigger="off"
+                ),
             ),
             refused=(
                 (CameraSettings(rows=25), "rows of the replay .* must be as recorded, 24, got 25"),
-                (CameraSettings(pixel_format="Mono16"), "pixel_format .* as recorded, Mono8, got Mono16"),
+                (
+                    CameraSettings(pixel_format="Mono16"),
+                    "pixel_format .* as recorded, Mono8, got Mono16",
+                ),
                 (CameraSettings(exposure_s=0.03), "exposure_s .* as recorded, 0.016, got 0.03"),
-                (CameraSettings(field_order="top first"), "field_order .* as recorded, None, got top first"),
+                (
+                    CameraSettings(field_order="top first"),
+                    "field_order .* as recorded, None, got top first",
+                ),
             ),
         )
 
@@ -84,7 +98,9 @@ def test_a_session_is_played_stack_after_stack_and_then_has_ended(recorded):
 
 def test_frames_that_are_played_back_are_never_taken_for_new_ones(recorded):
     with ReplayCamera(recorded, label="whole") as camera:
-        assert camera.configure(CameraSettings()).notes == (f"frames are a replay of {recorded}#whole",)
+        assert camera.configure(CameraSettings()).notes == (
+            f"frames are a replay of {recorded}#whole",
+        )
 
 
 def test_more_frames_than_were_recorded_are_refused(recorded):
@@ -108,7 +124,10 @@ def test_an_unknown_stack_or_folder_is_refused(recorded, tmp_path):
         ReplayCamera(recorded, label="other"),
     ):
         pass
-    with pytest.raises(BadInput, match="a session must be a folder"), ReplayCamera(tmp_path / "none"):
+    with (
+        pytest.raises(BadInput, match="a session must be a folder"),
+        ReplayCamera(tmp_path / "none"),
+    ):
         pass
 
 

@@ -21,7 +21,11 @@ def dropping():
     """Every fifth frame is missing, every seventh is spoiled, every eleventh is cut short."""
     for sequence in count():
         if sequence % 5 != 4:
-            yield Sent(sequence=sequence, faulty=sequence % 7 == 3, share=0.5 if sequence % 11 == 6 else 1.0)
+            yield Sent(
+                sequence=sequence,
+                faulty=sequence % 7 == 3,
+                share=0.5 if sequence % 11 == 6 else 1.0,
+            )
 
 
 class SlowDevice(FakeDevice):
@@ -32,13 +36,17 @@ class SlowDevice(FakeDevice):
         return False
 
 
-@pytest.mark.parametrize("loses", [False, True], ids=["all arrive", "a third does not arrive whole"])
+@pytest.mark.parametrize(
+    "loses", [False, True], ids=["all arrive", "a third does not arrive whole"]
+)
 class TestV4l2(CameraLaws):
     @pytest.fixture
     def laws(self, loses: bool) -> Bench:
         return Bench(
             quiet=lambda: V4l2Camera("fake", silence_s=5.0, open_device=lambda _: SlowDevice(list)),
-            open=lambda: V4l2Camera("fake", open_device=lambda _: FakeDevice(dropping if loses else steadily)),
+            open=lambda: V4l2Camera(
+                "fake", open_device=lambda _: FakeDevice(dropping if loses else steadily)
+            ),
             is_whole=is_whole,
             loses=loses,
             asked=(
@@ -48,7 +56,9 @@ class TestV4l2(CameraLaws):
                 CameraSettings(exposure_s=0.02),
                 CameraSettings(gain_db=20.0),
                 CameraSettings(frame_rate_hz=30 / 1.001),
-                CameraSettings(first_row=0, first_column=0, trigger="off", field_order="progressive"),
+                CameraSettings(
+                    first_row=0, first_column=0, trigger="off", field_order="progressive"
+                ),
             ),
             refused=(
                 (CameraSettings(rows=5000), "rows and columns that it offers .*24x32, 12x16"),
@@ -57,8 +67,14 @@ class TestV4l2(CameraLaws):
                     CameraSettings(frame_rate_hz=500.0),
                     "must accept the requested frame rate, 500 Hz, but reads back 60",
                 ),
-                (CameraSettings(pixel_format="RGB8"), "must be one of Mono8, Mono16, YUYV, got 'RGB8'"),
-                (CameraSettings(pixel_format="Mono12"), "must be one of Mono8, Mono16, YUYV, got 'Mono12'"),
+                (
+                    CameraSettings(pixel_format="RGB8"),
+                    "must be one of Mono8, Mono16, YUYV, got 'RGB8'",
+                ),
+                (
+                    CameraSettings(pixel_format="Mono12"),
+                    "must be one of Mono8, Mono16, YUYV, got 'Mono12'",
+                ),
                 (CameraSettings(exposure_s=100.0), r"must lie in 0\.0001\.\.1 s, got 100"),
                 (CameraSettings(gain_db=999.0), r"must lie in 0\.\.255 of its own steps, got 999"),
                 (CameraSettings(first_row=3), "must begin at row 0 and column 0"),

@@ -10,7 +10,13 @@ import pytest
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from drivers.errors import BenchError, BenchStopped, InstrumentDisconnected, InstrumentReplyError, InstrumentTimeout
+from drivers.errors import (
+    BenchError,
+    BenchStopped,
+    InstrumentDisconnected,
+    InstrumentReplyError,
+    InstrumentTimeout,
+)
 from drivers.instruments import high_voltage, iseg
 from drivers.instruments.filter_wheel import PromptLine
 from drivers.instruments.iseg import IsegLine
@@ -74,7 +80,8 @@ def test_an_answer_comes_whole_though_its_bytes_come_in_pieces(line, port):
 def test_a_fragment_without_terminator_is_silence_and_is_named(line, port):
     port.answers[b"TRAT?\n"] = [(0.0, b"+59.9")]
     with pytest.raises(
-        InstrumentTimeout, match=r"delay generator must answer TRAT\? within 0.15 s, got only b'\+59.9'"
+        InstrumentTimeout,
+        match=r"delay generator must answer TRAT\? within 0.15 s, got only b'\+59.9'",
     ):
         line.ask("TRAT?")
 
@@ -90,7 +97,11 @@ def test_even_an_answer_that_comes_during_resynchronisation_is_not_mistaken(line
 
 
 def test_an_answer_due_to_whoever_held_the_port_before_is_not_taken_for_ones_own(line, port):
-    port.answers |= {b"LERR?\n": [(0.08, b"0\r\n")], b"*IDN?\n": [(0.09, KNOWN)], b"TSRC?\n": [(0.09, b"5\r\n")]}
+    port.answers |= {
+        b"LERR?\n": [(0.08, b"0\r\n")],
+        b"*IDN?\n": [(0.09, KNOWN)],
+        b"TSRC?\n": [(0.09, b"5\r\n")],
+    }
     port.send(b"LERR?\n")
     assert line.ask("TSRC?") == "5"
 
@@ -162,7 +173,9 @@ def test_nothing_of_another_thread_follows_the_first_order_of_the_safe_action(ki
             line.order("HVOF")
 
     ordering, _ = in_a_thread(order)
-    ordering.join(0.1)  # the order waits for the exchange, which is past its check and has still to send
+    ordering.join(
+        0.1
+    )  # the order waits for the exchange, which is past its check and has still to send
     port.go.set()
     ordering.join(5.0)
     ramping.join(5.0)
@@ -230,7 +243,13 @@ def test_the_adapter_is_set_up_at_the_first_question_and_never_talks_by_itself(a
     assert port.sent == []
     assert (adapter.ask("VOUT?"), adapter.ask("VOUT?")) == ("800", "800")
     adapter.write("VSET 1+2")
-    assert port.sent == [b"++ver\n", ADAPTER, b"++addr\n", *2 * [b"VOUT?\n++read eoi\n"], b"VSET 1\x1b+2\n"]
+    assert port.sent == [
+        b"++ver\n",
+        ADAPTER,
+        b"++addr\n",
+        *2 * [b"VOUT?\n++read eoi\n"],
+        b"VSET 1\x1b+2\n",
+    ]
 
 
 def test_an_order_on_a_fresh_line_goes_out_to_its_address_before_anything_else(adapter, port):
@@ -269,7 +288,10 @@ def terminal():
 
 
 def test_a_port_that_does_not_exist_is_lost():
-    with pytest.raises(InstrumentDisconnected, match="the port /dev/no-such-port of the supply must be free to open"):
+    with pytest.raises(
+        InstrumentDisconnected,
+        match="the port /dev/no-such-port of the supply must be free to open",
+    ):
         SerialPort("/dev/no-such-port", name="supply")
 
 
@@ -323,7 +345,9 @@ def usb(device: str, number: str | None, location: str = "1-2") -> ListPortInfo:
         ((None, "1-2"), ("A1", "1-2"), False),
     ],
 )
-def test_an_adapter_with_a_serial_number_is_found_wherever_it_comes_back(monkeypatch, tmp_path, before, after, moves):
+def test_an_adapter_with_a_serial_number_is_found_wherever_it_comes_back(
+    monkeypatch, tmp_path, before, after, moves
+):
     first, second = (PseudoTerminal(tmp_path / name, baud=9600) for name in ("first", "second"))
     old, new = (str(terminal.link.resolve()) for terminal in (first, second))
     listed = [usb(old, *before)]
@@ -344,7 +368,9 @@ def test_an_adapter_with_a_serial_number_is_found_wherever_it_comes_back(monkeyp
 
 def test_a_serial_number_that_several_adapters_have_names_none_of_them(monkeypatch, terminal):
     path = os.ttyname(terminal[1])
-    monkeypatch.setattr(list_ports, "comports", lambda: [usb(path, "0001"), usb("/dev/ttyUSB9", "0001")])
+    monkeypatch.setattr(
+        list_ports, "comports", lambda: [usb(path, "0001"), usb("/dev/ttyUSB9", "0001")]
+    )
     port = SerialPort(path, name="supply")
     monkeypatch.setattr(list_ports, "comports", lambda: [usb("/dev/ttyUSB9", "0001")])
     port.reopen()
@@ -385,7 +411,9 @@ def test_an_inherited_port_speaks_where_no_further_descriptor_can_be_had(termina
         for _ in range(100):
             port.send(b"x" * 4096)
     os.close(terminal.pop(0))
-    with pytest.raises(InstrumentDisconnected, match="the supply must stay on the inherited descriptor"):
+    with pytest.raises(
+        InstrumentDisconnected, match="the supply must stay on the inherited descriptor"
+    ):
         port.receive(0.1)
     port.close()
     with pytest.raises(InstrumentDisconnected):

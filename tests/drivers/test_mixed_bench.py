@@ -1,4 +1,6 @@
-"""Real and virtual instruments stand at one bench: an instrument whose port is named is real, the rest is virtual."""
+"""Real and virtual instruments stand at one bench: an instrument whose port is named is real, the
+rest is virtual.
+"""
 
 import pytest
 
@@ -24,11 +26,18 @@ def somewhere_else(tmp_path):
 
 
 def test_a_real_thermometer_is_read_next_to_a_virtual_tube(somewhere_else, tmp_path, monkeypatch):
-    monkeypatch.setattr(aravis_library, "is_available", lambda: False)  # the camera has no part in this
+    monkeypatch.setattr(
+        aravis_library, "is_available", lambda: False
+    )  # the camera has no part in this
     told: list[str] = []
     wires = InstrumentConfig(thermometer="ctc100", thermometer_port=somewhere_else)
     with VirtualBench(
-        tmp_path / "bench", load_sensor("pulnix-ag5745ef3"), 3, wires=wires, time_scale=20.0, say=told.append
+        tmp_path / "bench",
+        load_sensor("pulnix-ag5745ef3"),
+        3,
+        wires=wires,
+        time_scale=20.0,
+        say=told.append,
     ) as virtual:
         assert virtual.wires.thermometer_port == somewhere_else
         assert str(virtual.wires.gate_port).startswith(str(tmp_path / "bench"))

@@ -42,6 +42,8 @@ def test_the_time_left_follows_from_the_pace_so_far(monkeypatch):
     assert pace.words(101) == ", 20.0 frames/s, 20 s left"
 
 
-@pytest.mark.parametrize(("seconds", "words"), [(12.4, "12 s"), (200.0, "3 min 20 s"), (7500.0, "2 h 5 min")])
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(12.4, "12 s"), (200.0, "3 min 20 s"), (7500.0, "2 h 5 min")]
+)
 def test_durations_are_said_as_a_person_would(seconds, words):
     assert duration(seconds) == words

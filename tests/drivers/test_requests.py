@@ -1,4 +1,6 @@
-"""Ctrl-C once finishes the step, twice shuts the gate now; a paused run waits with the gate shut and the light out."""
+"""Ctrl-C once finishes the step, twice shuts the gate now; a paused run waits with the gate shut
+and the light out.
+"""
 
 import importlib.util
 import os
@@ -22,7 +24,10 @@ fake_rig = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(fake_rig)
 
 LIT = Conditions(mcp_v=700.0, gate_ns=1.6e7, illuminance_lux=1e-4)
-PLAN = Plan(name="p", steps=tuple(Step(label=label, kind="flat", frames=4, conditions=LIT) for label in "abc"))
+PLAN = Plan(
+    name="p",
+    steps=tuple(Step(label=label, kind="flat", frames=4, conditions=LIT) for label in "abc"),
+)
 
 
 def rig_that_signals(*numbers: signal.Signals, at_frame: int):
@@ -38,7 +43,9 @@ def rig_that_signals(*numbers: signal.Signals, at_frame: int):
 
 
 def take(rig, folder, **options):
-    return acquire(PLAN, folder, camera=rig.camera, bench=rig.bench, operator=rig.operator, **options)
+    return acquire(
+        PLAN, folder, camera=rig.camera, bench=rig.bench, operator=rig.operator, **options
+    )
 
 
 def lengths(folder) -> list[int]:
@@ -67,7 +74,9 @@ def test_a_second_interrupt_shuts_the_gate_at_once(tmp_path):
 
 
 def test_an_interrupt_while_the_tube_is_made_safe_does_not_keep_that_up(tmp_path):
-    rig = fake_rig.FakeRig(fail=lambda event: os.kill(os.getpid(), signal.SIGINT) if event == "bench closes" else None)
+    rig = fake_rig.FakeRig(
+        fail=lambda event: os.kill(os.getpid(), signal.SIGINT) if event == "bench closes" else None
+    )
     assert [len(entry.read()) for entry in take(rig, tmp_path / "s").stacks] == [4, 4, 4]
 
 
@@ -98,7 +107,9 @@ def test_a_paused_run_still_looks_at_its_bench(tmp_path):
 
     def trip(event: str):
         return (
-            InstrumentTripped("high-voltage supply tripped") if event == "bench checked" and next(looks) == 3 else None
+            InstrumentTripped("high-voltage supply tripped")
+            if event == "bench checked" and next(looks) == 3
+            else None
         )
 
     with pytest.raises(InstrumentTripped):

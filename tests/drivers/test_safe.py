@@ -59,7 +59,10 @@ def test_a_supply_that_hears_again_is_switched_off_after_all(virtual, drivers, r
 def test_a_line_that_could_not_be_opened_leaves_the_other_to_be_made_safe(virtual, drivers, record):
     safety = make_safe(gate=None, supply=drivers["supply"], record=record)
     assert virtual.outputs().mcp_v < 11
-    assert safety.sentence() == f"the gate may be open, the high voltage is off and down to {safety.residual_v:g} V"
+    assert (
+        safety.sentence()
+        == f"the gate may be open, the high voltage is off and down to {safety.residual_v:g} V"
+    )
     assert safety.failures == ("the delay generator could not be reached",)
 
 

@@ -1,4 +1,6 @@
-"""The drivers say exactly what the manuals ask for: each test is the list of exchanges on the line."""
+"""The drivers say exactly what the manuals ask for: each test is the list of exchanges on the
+line.
+"""
 
 import pytest
 
@@ -63,9 +65,15 @@ SHUT = [
 ]
 OTHER_EDGES = [f"DLAY {edge},0,0" for edge in range(4, 10)]
 PROGRAM = sets(
-    *OTHER_EDGES, "BURM 0", "ADVT 0", "INHB 0", "LAMP 1,4", "TRAT 60.000000", "DLAY 2,0,0.000000000000",
+    *OTHER_EDGES,
+    "BURM 0",
+    "ADVT 0",
+    "INHB 0",
+    "LAMP 1,4",
+    "TRAT 60.000000",
+    "DLAY 2,0,0.000000000000",
     "DLAY 3,2,0.016000000000",
-)  # fmt: skip
+)
 READ_BACK = [
     ("TRAT?", "+60.000000"),
     ("LAMP? 1", "+4.00"),
@@ -98,7 +106,9 @@ def test_each_setting_of_an_open_gate_is_compared_at_every_look(place):
     question, answer = OPEN[place]
     changed = answer.replace("0", "3", 1) if "0" in answer else "0"
     looks = [*OPEN, *OPEN[:place], (question, changed)]
-    with Exchanges(*SHUT, *PROGRAM, *READ_BACK, *TRIGGER, ("INSR?", "5"), *looks, name="gate") as line:
+    with Exchanges(
+        *SHUT, *PROGRAM, *READ_BACK, *TRIGGER, ("INSR?", "5"), *looks, name="gate"
+    ) as line:
         gate = DelayGenerator(line)
         gate.open(width_ns=1.6e7, rate_hz=60.0)
         gate.look()
@@ -113,7 +123,9 @@ def test_a_gate_that_nobody_set_shows_a_sign_of_life_and_one_that_was_shut_must_
         gate.look()
         gate.shut()
         gate.look()
-        with pytest.raises(InstrumentRejected, match="the gate must keep its trigger source at 5, got 1: somebody"):
+        with pytest.raises(
+            InstrumentRejected, match="the gate must keep its trigger source at 5, got 1: somebody"
+        ):
             gate.look()
 
 
@@ -128,7 +140,9 @@ def test_a_setting_that_is_half_done_is_compared_with_nothing():
 
 def test_lost_triggers_shut_the_gate_again():
     with (
-        Exchanges(*SHUT, *PROGRAM, *READ_BACK, *TRIGGER, ("INSR?", "7"), *SHUT, name="delay generator") as line,
+        Exchanges(
+            *SHUT, *PROGRAM, *READ_BACK, *TRIGGER, ("INSR?", "7"), *SHUT, name="delay generator"
+        ) as line,
         pytest.raises(InstrumentRejected, match="must use every trigger, got some lost at 60 Hz"),
     ):
         DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0)
@@ -138,14 +152,19 @@ def test_a_width_read_back_otherwise_never_opens_the_gate():
     back = [*READ_BACK[:3], ("DLAY? 3", "2,+0.015000000000")]
     with (
         Exchanges(*SHUT, *PROGRAM, *back) as line,
-        pytest.raises(InstrumentRejected, match=r"must keep a gate width of 1.6e[+]07 ns, got 1.5e[+]07 ns back"),
+        pytest.raises(
+            InstrumentRejected,
+            match=r"must keep a gate width of 1.6e[+]07 ns, got 1.5e[+]07 ns back",
+        ),
     ):
         DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0)
 
 
 def test_a_refused_command_is_told_with_its_meaning():
     with (
-        Exchanges(("TSRC 5", None), ("LPOL 1,1", None), ("LOFF 1,0", None), ("LERR?", "171")) as line,
+        Exchanges(
+            ("TSRC 5", None), ("LPOL 1,1", None), ("LOFF 1,0", None), ("LERR?", "171")
+        ) as line,
         pytest.raises(InstrumentRejected, match="error 171: overrun") as refusal,
     ):
         DelayGenerator(line).shut()
@@ -161,13 +180,17 @@ ON, OFF = ("*STB?", "128"), ("*STB?", "0")
 
 
 def test_the_supply_is_off_and_limited_before_anything_else():
-    with Exchanges(*done("HVOF"), ("*STB?", "0"), *done("VSET 50", "VLIM 900"), ("VLIM?", "900")) as line:
+    with Exchanges(
+        *done("HVOF"), ("*STB?", "0"), *done("VSET 50", "VLIM 900"), ("VLIM?", "900")
+    ) as line:
         HighVoltage(line).prepare(limit_v=900)
 
 
 def test_a_limit_read_back_higher_is_refused():
     with (
-        Exchanges(*done("HVOF"), ("*STB?", "0"), *done("VSET 50", "VLIM 900"), ("VLIM?", "5000")) as line,
+        Exchanges(
+            *done("HVOF"), ("*STB?", "0"), *done("VSET 50", "VLIM 900"), ("VLIM?", "5000")
+        ) as line,
         pytest.raises(InstrumentRejected, match="must keep a limit of 900 V, got 5000 V back"),
     ):
         HighVoltage(line).prepare(limit_v=900)
@@ -182,7 +205,9 @@ def test_the_voltage_rises_in_small_steps_and_is_verified_at_the_output():
 
 def test_an_output_that_does_not_follow_is_refused():
     with (
-        Exchanges(("VSET?", "50"), ON, *done("VSET 100"), ("VOUT?", "50"), ("VOUT?", "50"), ON) as line,
+        Exchanges(
+            ("VSET?", "50"), ON, *done("VSET 100"), ("VOUT?", "50"), ("VOUT?", "50"), ON
+        ) as line,
         pytest.raises(InstrumentRejected, match="must put out 100 V as set, got 50 V"),
     ):
         HighVoltage(line).raise_to(100, rate_v_per_s=1000)
@@ -201,7 +226,11 @@ RAISED = [("VSET?", "50"), ON, *done("VSET 100"), ("VOUT?", "100"), ("VOUT?", "1
     ("look", "error", "sentence"),
     [
         ([ON, ("VOUT?", "104")], None, ""),
-        ([ON, ("VOUT?", "106"), ON], InstrumentRejected, "put out 100 V as set, got 106 V: somebody changed it"),
+        (
+            [ON, ("VOUT?", "106"), ON],
+            InstrumentRejected,
+            "put out 100 V as set, got 106 V: somebody changed it",
+        ),
         ([ON, ("VOUT?", "95"), ON], InstrumentRejected, "put out 100 V as set, got 95 V"),
         ([ON, ("VOUT?", "95"), ("*STB?", "4")], InstrumentTripped, "got a trip on current"),
         ([OFF], InstrumentTripped, "got a trip without a trip bit"),
@@ -221,20 +250,26 @@ def test_a_supply_that_is_on_is_compared_with_its_set_point(look, error, sentenc
 
 
 def test_a_supply_that_is_off_must_not_rise_or_be_on():
-    falling = [exchange for volts in ("300", "30", "3", "7") for exchange in (OFF, ("VOUT?", volts))]
+    falling = [
+        exchange for volts in ("300", "30", "3", "7") for exchange in (OFF, ("VOUT?", volts))
+    ]
     with Exchanges(("VOUT?", "700"), *done("HVOF"), *falling, OFF, ("VOUT?", "8"), ON) as line:
         supply = HighVoltage(line)
         supply.look()  # nothing was set
         supply.order_off()
         for _ in range(4):
             supply.look()
-        with pytest.raises(InstrumentRejected, match="stay off, at 3 V or less, got 8 V: somebody switched it on"):
+        with pytest.raises(
+            InstrumentRejected, match="stay off, at 3 V or less, got 8 V: somebody switched it on"
+        ):
             supply.look()
         with pytest.raises(InstrumentRejected, match="stay off, got high voltage on"):
             supply.look()
 
 
-@pytest.mark.parametrize(("status", "how"), [(130, "on voltage"), (4, "on current"), (0, "without a trip bit")])
+@pytest.mark.parametrize(
+    ("status", "how"), [(130, "on voltage"), (4, "on current"), (0, "without a trip bit")]
+)
 def test_a_supply_that_switched_itself_off_is_tripped(status, how):
     with Exchanges(("*STB?", str(status))) as line, pytest.raises(InstrumentTripped, match=how):
         HighVoltage(line).check_on()

@@ -1,4 +1,6 @@
-"""What goes wrong between a program and a video device: unplugging, silence, spoiled frames, numbers that leap."""
+"""What goes wrong between a program and a video device: unplugging, silence, spoiled frames,
+numbers that leap.
+"""
 
 import errno
 import time
@@ -8,7 +10,14 @@ import numpy as np
 import pytest
 
 from drivers.cameras.v4l2 import V4l2Camera
-from drivers.cameras.v4l2.fields import ALTERNATE, BOTTOM, BOTTOM_THEN_TOP, INTERLACED, TOP, TOP_THEN_BOTTOM
+from drivers.cameras.v4l2.fields import (
+    ALTERNATE,
+    BOTTOM,
+    BOTTOM_THEN_TOP,
+    INTERLACED,
+    TOP,
+    TOP_THEN_BOTTOM,
+)
 from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from tests.drivers.camera_laws import taken
@@ -37,7 +46,10 @@ def test_silence_ends_in_the_time_allowed():
     device = FakeDevice(lambda: [Sent(sequence=0)])
     device.wait = lambda timeout_s: time.sleep(timeout_s)
     began_s = time.monotonic()
-    with camera_on(device, silence_s=0.1) as camera, pytest.raises(CameraError, match="has sent no frame for"):
+    with (
+        camera_on(device, silence_s=0.1) as camera,
+        pytest.raises(CameraError, match="has sent no frame for"),
+    ):
         taken(camera, 2)
     assert time.monotonic() - began_s < 1.0
     assert device.is_closed
@@ -70,7 +82,10 @@ def test_a_driver_that_tells_a_frame_period_of_a_century_is_not_waited_for_as_lo
     device = FakeDevice(list)
     device.period = (4_000_000_000, 1)
     began_s = time.monotonic()
-    with camera_on(device, silence_s=0.05) as camera, pytest.raises(CameraError, match="has sent no frame for"):
+    with (
+        camera_on(device, silence_s=0.05) as camera,
+        pytest.raises(CameraError, match="has sent no frame for"),
+    ):
         taken(camera, 1)
     assert time.monotonic() - began_s < 2.0
 
@@ -78,7 +93,10 @@ def test_a_driver_that_tells_a_frame_period_of_a_century_is_not_waited_for_as_lo
 def test_a_device_that_is_always_ready_and_never_has_a_frame_is_left_in_time():
     began_s = time.monotonic()
     device = FakeDevice(list)
-    with camera_on(device, silence_s=0.05) as camera, pytest.raises(CameraError, match="has sent no frame for"):
+    with (
+        camera_on(device, silence_s=0.05) as camera,
+        pytest.raises(CameraError, match="has sent no frame for"),
+    ):
         taken(camera, 1)
     assert time.monotonic() - began_s < 1.0
 
@@ -127,13 +145,19 @@ def test_a_number_that_comes_again_is_too_late():
 
 def test_a_camera_that_sends_only_broken_frames_is_given_up():
     broken = FakeDevice(lambda: (Sent(sequence=n, faulty=True) for n in count()))
-    with camera_on(broken) as camera, pytest.raises(CameraError, match="must send whole frames, got 24 broken"):
+    with (
+        camera_on(broken) as camera,
+        pytest.raises(CameraError, match="must send whole frames, got 24 broken"),
+    ):
         taken(camera, 3)
 
 
 def test_a_buffer_that_was_never_lent_is_refused():
     device = FakeDevice(lambda: [Sent(sequence=0, index=99)])
-    with camera_on(device) as camera, pytest.raises(CameraError, match="one of 8 buffers, got number 99"):
+    with (
+        camera_on(device) as camera,
+        pytest.raises(CameraError, match="one of 8 buffers, got number 99"),
+    ):
         taken(camera, 1)
 
 
@@ -166,7 +190,9 @@ def test_the_older_field_follows_the_video_standard(standard):
     assert order == frame.field_order == ("bottom first" if standard == NTSC else "top first")
 
 
-@pytest.mark.parametrize(("field", "order"), [(TOP_THEN_BOTTOM, "top first"), (BOTTOM_THEN_TOP, "bottom first")])
+@pytest.mark.parametrize(
+    ("field", "order"), [(TOP_THEN_BOTTOM, "top first"), (BOTTOM_THEN_TOP, "bottom first")]
+)
 def test_fields_that_come_one_after_the_other_are_woven_into_rows(field, order):
     with camera_on(FakeDevice(field=field, standard=NTSC)) as camera:
         (frame,), _ = taken(camera, 1)
@@ -180,16 +206,25 @@ def test_fields_that_come_one_after_the_other_are_woven_into_rows(field, order):
 def fields_apart(standard: int, *, without: tuple[int, ...] = ()):
     """Fields in the order of a standard, two for each sequence number, some of them never sent."""
     older, younger = (BOTTOM, TOP) if standard == NTSC else (TOP, BOTTOM)
-    sent = (Sent(sequence=at // 2, field=younger if at % 2 else older) for at in count() if at not in without)
+    sent = (
+        Sent(sequence=at // 2, field=younger if at % 2 else older)
+        for at in count()
+        if at not in without
+    )
     return lambda: sent
 
 
 @pytest.mark.parametrize("standard", [NTSC, PAL])
 def test_fields_that_come_each_for_itself_are_put_together_two_by_two(standard):
-    with camera_on(FakeDevice(fields_apart(standard), field=ALTERNATE, standard=standard)) as camera:
+    with camera_on(
+        FakeDevice(fields_apart(standard), field=ALTERNATE, standard=standard)
+    ) as camera:
         settings = camera.configure(CameraSettings())
         frames, capture = taken(camera, 4)
-    assert (settings.rows, settings.field_order) == (2 * ROWS, "bottom first" if standard == NTSC else "top first")
+    assert (settings.rows, settings.field_order) == (
+        2 * ROWS,
+        "bottom first" if standard == NTSC else "top first",
+    )
     assert [frame.number for frame in frames] == [0, 1, 2, 3]
     assert capture.lost_frames == 0
     for frame in frames:
@@ -200,7 +235,9 @@ def test_fields_that_come_each_for_itself_are_put_together_two_by_two(standard):
 
 @pytest.mark.parametrize("field", [4, 5])
 def test_a_frame_of_one_field_only_is_lost_and_no_other(field):
-    with camera_on(FakeDevice(fields_apart(NTSC, without=(field,)), field=ALTERNATE, standard=NTSC)) as camera:
+    with camera_on(
+        FakeDevice(fields_apart(NTSC, without=(field,)), field=ALTERNATE, standard=NTSC)
+    ) as camera:
         frames, capture = taken(camera, 5)
     assert [frame.number for frame in frames] == [0, 1, 3, 4, 5]
     (lost,) = capture.losses
@@ -209,7 +246,9 @@ def test_a_frame_of_one_field_only_is_lost_and_no_other(field):
 
 
 def test_a_capture_that_begins_in_the_middle_of_a_frame_begins_with_the_next():
-    with camera_on(FakeDevice(fields_apart(PAL, without=(0,)), field=ALTERNATE, standard=PAL)) as camera:
+    with camera_on(
+        FakeDevice(fields_apart(PAL, without=(0,)), field=ALTERNATE, standard=PAL)
+    ) as camera:
         frames, capture = taken(camera, 2)
     assert [frame.number for frame in frames] == [1, 2]
     assert capture.lost_frames == 0
@@ -250,7 +289,9 @@ def test_buffers_are_given_back_in_the_order_of_use_and_the_camera_is_stopped():
     device = FakeDevice()
     with camera_on(device) as camera:
         taken(camera, 20)
-    stream = [name for name in device.asked if name in ("STREAMON", "DQBUF", "STREAMOFF", "REQBUFS")]
+    stream = [
+        name for name in device.asked if name in ("STREAMON", "DQBUF", "STREAMOFF", "REQBUFS")
+    ]
     assert stream == ["REQBUFS", "STREAMON", *["DQBUF"] * 20, "STREAMOFF", "REQBUFS"]
     assert [memory.is_closed for memory in device.memory] == [True] * 8
     assert device.is_closed

@@ -43,7 +43,9 @@ ASKED = {one.name: one for one in vars(structures).values() if isinstance(one, s
 
 
 def picture(letters: str, rows: int, columns: int, row_bytes: int, **more) -> BufferImage:
-    return BufferImage(rows=rows, columns=columns, row_bytes=row_bytes, layout=LAYOUTS[code_of(letters)], **more)
+    return BufferImage(
+        rows=rows, columns=columns, row_bytes=row_bytes, layout=LAYOUTS[code_of(letters)], **more
+    )
 
 
 def grey(letters: str, rows: int, columns: int, row_bytes: int, data: list[int]) -> list[list[int]]:
@@ -55,16 +57,31 @@ def test_every_request_has_the_number_and_size_of_the_kernels():
 
 
 PLACES = {
-    "v4l2_buffer": (structures.Buffer, {"flags": "flags", "timestamp": "timestamp", "sequence": "sequence",
-                                        "m": "offset", "length": "length"}),
-    "v4l2_pix_format": (structures.PixelFormat, {"field": "field", "bytesperline": "bytesperline",
-                                                 "quantization": "quantization"}),
-    "v4l2_queryctrl": (structures.ControlQuery, {"name": "name", "minimum": "minimum", "flags": "flags"}),
+    "v4l2_buffer": (
+        structures.Buffer,
+        {
+            "flags": "flags",
+            "timestamp": "timestamp",
+            "sequence": "sequence",
+            "m": "offset",
+            "length": "length",
+        },
+    ),
+    "v4l2_pix_format": (
+        structures.PixelFormat,
+        {"field": "field", "bytesperline": "bytesperline", "quantization": "quantization"},
+    ),
+    "v4l2_queryctrl": (
+        structures.ControlQuery,
+        {"name": "name", "minimum": "minimum", "flags": "flags"},
+    ),
     "v4l2_input": (structures.Input, {"std": "std", "status": "status"}),
-}  # fmt: skip
+}
 
 
-@pytest.mark.skipif(not (HEADER.exists() and shutil.which("gcc")), reason="the kernel's header or gcc is not here")
+@pytest.mark.skipif(
+    not (HEADER.exists() and shutil.which("gcc")), reason="the kernel's header or gcc is not here"
+)
 def test_fields_lie_where_the_header_of_this_machine_puts_them(tmp_path):
     lines = [
         f'printf("%zu\\n", offsetof(struct {name}, {theirs}));'
@@ -73,11 +90,17 @@ def test_fields_lie_where_the_header_of_this_machine_puts_them(tmp_path):
     ]
     source = tmp_path / "places.c"
     source.write_text(
-        "#include <stdio.h>\n#include <stddef.h>\n#include <linux/videodev2.h>\nint main() {" + "".join(lines) + "}"
+        "#include <stdio.h>\n#include <stddef.h>\n#include <linux/videodev2.h>\nint main() {"
+        + "".join(lines)
+        + "}"
     )
     subprocess.run(["gcc", "-o", tmp_path / "places", source], check=True, timeout=60)
-    told = subprocess.run([tmp_path / "places"], capture_output=True, text=True, check=True, timeout=10).stdout.split()
-    ours = [getattr(kind, name).offset for kind, pairs in PLACES.values() for name in pairs.values()]
+    told = subprocess.run(
+        [tmp_path / "places"], capture_output=True, text=True, check=True, timeout=10
+    ).stdout.split()
+    ours = [
+        getattr(kind, name).offset for kind, pairs in PLACES.values() for name in pairs.values()
+    ]
     assert list(map(int, told)) == ours
 
 
@@ -89,7 +112,9 @@ def test_the_last_row_need_not_be_padded():
     assert grey("GREY", 2, 3, 4, [1, 2, 3, 99, 4, 5, 6]) == [[1, 2, 3], [4, 5, 6]]
 
 
-@pytest.mark.parametrize(("letters", "value"), [("Y10 ", 0x03FF), ("Y12 ", 0x0FFF), ("Y14 ", 0x3FFF), ("Y16 ", 0xFFFE)])
+@pytest.mark.parametrize(
+    ("letters", "value"), [("Y10 ", 0x03FF), ("Y12 ", 0x0FFF), ("Y14 ", 0x3FFF), ("Y16 ", 0xFFFE)]
+)
 def test_deeper_grey_comes_little_end_first(letters, value):
     assert grey(letters, 1, 2, 4, [value & 0xFF, value >> 8, 1, 0]) == [[value, 1]]
 
@@ -118,11 +143,14 @@ def test_luma_of_paired_video_leaves_the_colour_out(letters, data):
 def test_luma_of_planar_video_is_its_first_plane(letters):
     one = picture(letters, 2, 2, 2)
     assert one.size_bytes == (8 if letters in ("NV16", "422P") else 6)
-    assert one.grey(np.array([1, 2, 3, 4, 99, 99, 99, 99][: one.size_bytes], np.uint8)).tolist() == [[1, 2], [3, 4]]
+    assert one.grey(
+        np.array([1, 2, 3, 4, 99, 99, 99, 99][: one.size_bytes], np.uint8)
+    ).tolist() == [[1, 2], [3, 4]]
 
 
 @pytest.mark.parametrize(
-    ("rows", "columns", "row_bytes"), [(0, 4, 4), (4, 0, 4), (4, 4, 3), (1 << 20, 4, 4), (4, 4, 4_000_000_000)]
+    ("rows", "columns", "row_bytes"),
+    [(0, 4, 4), (4, 0, 4), (4, 4, 3), (1 << 20, 4, 4), (4, 4, 4_000_000_000)],
 )
 def test_a_picture_that_cannot_be_is_refused(rows, columns, row_bytes):
     with pytest.raises(BadInput):

@@ -15,7 +15,18 @@ from simulate.virtual_bench.process import VirtualInstruments
 from simulate.virtual_bench.true_sensor import TRUTH, load_or_draw_truth
 
 CHARACT = Path(sys.executable).with_name("charact")
-NAMES = ("serial", "json", "numpy", "socket", "pickle", "struct", "multiprocessing", "simulate", "labdata", "charact")
+NAMES = (
+    "serial",
+    "json",
+    "numpy",
+    "socket",
+    "pickle",
+    "struct",
+    "multiprocessing",
+    "simulate",
+    "labdata",
+    "charact",
+)
 FOCUS = """
 import charact.cli
 import charact.cli.application
@@ -38,7 +49,9 @@ def hostile(tmp_path, monkeypatch):
     folder = tmp_path / "hostile"
     folder.mkdir()
     for name in NAMES:
-        (folder / f"{name}.py").write_text(f"open({str(folder / 'executed')!r}, 'a').write({name!r})\n")
+        (folder / f"{name}.py").write_text(
+            f"open({str(folder / 'executed')!r}, 'a').write({name!r})\n"
+        )
     monkeypatch.chdir(folder)
     monkeypatch.delenv("PYTHONPATH", raising=False)
     yield folder
@@ -72,11 +85,15 @@ def test_virtual_instruments(hostile, tmp_path):
 
 @pytest.mark.wires
 @pytest.mark.aravis
-@pytest.mark.skipif(not aravis_library.is_available(), reason="the Aravis library is not on this machine")
+@pytest.mark.skipif(
+    not aravis_library.is_available(), reason="the Aravis library is not on this machine"
+)
 def test_the_virtual_camera(hostile, tmp_path):
     sensor = load_sensor("pulnix-ag5745ef3")
     folder, wires = tmp_path / "bench", tmp_path / "bench" / "wires"
     wires.mkdir(parents=True)
-    load_or_draw_truth(folder / TRUTH, replace(sensor, ccd=replace(sensor.ccd, rows=24, columns=36)), 3)
+    load_or_draw_truth(
+        folder / TRUTH, replace(sensor, ccd=replace(sensor.ccd, rows=24, columns=36)), 3
+    )
     with CameraProcess(folder, wires) as process:
         assert process.identifier

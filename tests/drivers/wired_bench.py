@@ -13,14 +13,18 @@ from simulate.virtual_bench.true_sensor import TRUTH, load_or_draw_truth
 MARKS = [
     pytest.mark.wires,
     pytest.mark.aravis,
-    pytest.mark.skipif(not aravis_library.is_available(), reason="the Aravis library is not on this machine"),
+    pytest.mark.skipif(
+        not aravis_library.is_available(), reason="the Aravis library is not on this machine"
+    ),
 ]
 OPEN = GateOutput(gate_open=True, gate_ns=1.6e7, gate_hz=60 / 1.001)
 PATIENCE_S = 20.0  # drawing shares the machine with other tests
 
 
 def wired_bench(folder, *, rows, columns, seed=3):
-    """A bench whose gate is open and whose plate has its voltage, without instruments that could move them."""
+    """A bench whose gate is open and whose plate has its voltage, without instruments that could
+    move them.
+    """
     sensor = load_sensor("pulnix-ag5745ef3")
     small = replace(sensor, ccd=replace(sensor.ccd, rows=rows, columns=columns))
     wires = folder / "wires"

@@ -32,13 +32,24 @@ def log(tmp_path):
 
 @pytest.fixture
 def bench(virtual, log):
-    return open_bench(InstrumentConfig(gate_port=virtual.gate_port, supply_port=virtual.supply_port), LIMITS, log=log)
+    return open_bench(
+        InstrumentConfig(gate_port=virtual.gate_port, supply_port=virtual.supply_port),
+        LIMITS,
+        log=log,
+    )
 
 
 def test_a_port_that_is_missing_is_told_at_once(virtual, log):
-    bench = open_bench(InstrumentConfig(gate_port=virtual.gate_port, supply_port="/dev/no-such-port"), LIMITS, log=log)
+    bench = open_bench(
+        InstrumentConfig(gate_port=virtual.gate_port, supply_port="/dev/no-such-port"),
+        LIMITS,
+        log=log,
+    )
     with (
-        pytest.raises(InstrumentDisconnected, match="the port /dev/no-such-port of the high-voltage supply must"),
+        pytest.raises(
+            InstrumentDisconnected,
+            match="the port /dev/no-such-port of the high-voltage supply must",
+        ),
         bench,
     ):
         pass
@@ -69,13 +80,19 @@ def test_a_port_in_use_is_told_at_once(bench, virtual, log, tmp_path):
 
 
 def test_swapped_cables_are_noticed_before_anything_is_switched_on(virtual, log):
-    bench = open_bench(InstrumentConfig(gate_port=virtual.supply_port, supply_port=virtual.gate_port), LIMITS, log=log)
+    bench = open_bench(
+        InstrumentConfig(gate_port=virtual.supply_port, supply_port=virtual.gate_port),
+        LIMITS,
+        log=log,
+    )
     with pytest.raises(BenchError), bench:
         pass
     assert read_outputs(virtual.folder).mcp_v == 0
 
 
-def test_a_client_that_talks_nonsense_to_its_server_loses_it_with_the_tube_safe(bench, virtual, log):
+def test_a_client_that_talks_nonsense_to_its_server_loses_it_with_the_tube_safe(
+    bench, virtual, log
+):
     with pytest.raises(BenchServerLost), bench:
         bench.set_conditions(Conditions(mcp_v=300.0, gate_ns=1e6))
         bench._server._socket.send(b"nonsense")
@@ -90,5 +107,8 @@ def test_a_client_that_talks_nonsense_to_its_server_loses_it_with_the_tube_safe(
 
 def test_a_log_that_cannot_be_written_is_told_before_anything_is_opened(virtual, tmp_path):
     wires = InstrumentConfig(gate_port=virtual.gate_port, supply_port=virtual.supply_port)
-    with pytest.raises(BadInput, match="must be a file that can be written"), open_bench(wires, LIMITS, log=tmp_path):
+    with (
+        pytest.raises(BadInput, match="must be a file that can be written"),
+        open_bench(wires, LIMITS, log=tmp_path),
+    ):
         pass

@@ -1,4 +1,6 @@
-"""One strike of some faults: what `make study NAME=fault-campaign` does with every fault, five times each."""
+"""One strike of some faults: what `make study NAME=fault-campaign` does with every fault, five
+times each.
+"""
 
 import numpy as np
 import pytest
@@ -67,7 +69,9 @@ def strike(rig: CampaignRig, kind: str) -> Outcome:
     for _ in range(2):
         session = rig.folder / f"struck-{len(list(rig.folder.glob('struck-*'))) - 1}"
         after_s = min(AFTER_S, fault.latest_s)
-        if (outcome := try_fault(rig, rig.plan(), session, kind, fault, after_s=after_s)) is not None:
+        if (
+            outcome := try_fault(rig, rig.plan(), session, kind, fault, after_s=after_s)
+        ) is not None:
             return outcome
         session.with_name(f"struck-{len(list(rig.folder.glob('struck-*')))}").mkdir()
     raise AssertionError(f"{kind} must strike, got two runs that ended before")
@@ -93,17 +97,37 @@ def test_a_run_that_is_left_alone_completes_what_was_struck(rig):
 def test_every_fault_of_the_campaign_can_be_drawn_and_has_a_limit():
     for kind in KINDS:
         fault = draw_fault(kind, np.random.default_rng(SEED))
-        # Lost packets leave the tube as planned: they end a run only once more frames are broken than may be.
+        # Lost packets leave the tube as planned: they end a run only once more frames are broken
+        # than may be.
         assert 0.0 < fault.limit_s <= (5.0 if kind == "packet loss" else 2.0), kind
 
 
 def test_the_page_shows_median_and_worst_and_what_broke():
-    safe = {"kind": "silence", "live": True, "limit_s": 1.0, "last_words": "", "acknowledged": 3, "found": 3}
+    safe = {
+        "kind": "silence",
+        "live": True,
+        "limit_s": 1.0,
+        "last_words": "",
+        "acknowledged": 3,
+        "found": 3,
+    }
     outcomes = (
-        Outcome(gate_s=None, voltage_s=0.4, endured=False, sentence="it was silent", broken=(), **safe),
-        Outcome(gate_s=0.2, voltage_s=0.3, endured=False, sentence="it was silent", broken=("too late",), **safe),
+        Outcome(
+            gate_s=None, voltage_s=0.4, endured=False, sentence="it was silent", broken=(), **safe
+        ),
+        Outcome(
+            gate_s=0.2,
+            voltage_s=0.3,
+            endured=False,
+            sentence="it was silent",
+            broken=("too late",),
+            **safe,
+        ),
         Outcome(gate_s=None, voltage_s=None, endured=True, sentence="complete", broken=(), **safe),
     )
     row = Row(kind="silence", outcomes=outcomes, resumed=((), ("a frame is lost",)))
-    assert "| silence | 3 | 1 | 200 / 200 | 350 / 400 | 1000 | it was silent | 9 / 9 | 1 of 2 |" in page([row], "")
+    assert (
+        "| silence | 3 | 1 | 200 / 200 | 350 / 400 | 1000 | it was silent | 9 / 9 | 1 of 2 |"
+        in page([row], "")
+    )
     assert row.broken == ("too late", "resumed: a frame is lost")

@@ -1,4 +1,6 @@
-"""Whatever becomes of the program at the bench, the process that outlives it puts the lamp out within a second."""
+"""Whatever becomes of the program at the bench, the process that outlives it puts the lamp out
+within a second.
+"""
 
 import os
 import signal
@@ -102,7 +104,13 @@ def await_end(log: Path) -> None:
 def test_a_kill_puts_the_lamp_out_within_a_second(virtual, log, killed):
     root = str(Path(__file__).parents[2])
     client = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(CLIENT.format(root=root)), str(virtual.folder), str(log)],
+        [
+            sys.executable,
+            "-c",
+            textwrap.dedent(CLIENT.format(root=root)),
+            str(virtual.folder),
+            str(log),
+        ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -121,7 +129,9 @@ def test_a_kill_puts_the_lamp_out_within_a_second(virtual, log, killed):
 
 
 @pytest.mark.parametrize("struck", ["filter_wheel"])
-def test_an_instrument_that_falls_silent_ends_the_work_and_whatever_hears_is_made_safe(virtual, log, struck):
+def test_an_instrument_that_falls_silent_ends_the_work_and_whatever_hears_is_made_safe(
+    virtual, log, struck
+):
     with pytest.raises(BenchError, match="must answer"), bench_at(virtual.folder, log) as bench:
         light_up(bench, virtual.folder)
         inject_faults(virtual.folder, struck, Faults(mute=True))
@@ -130,7 +140,11 @@ def test_an_instrument_that_falls_silent_ends_the_work_and_whatever_hears_is_mad
             time.sleep(0.02)
             bench.check()
     inject_faults(virtual.folder, struck, Faults())
-    told = {each["event"]: each["monotonic_s"] - struck_s for each in read_events(log) if "monotonic_s" in each}
+    told = {
+        each["event"]: each["monotonic_s"] - struck_s
+        for each in read_events(log)
+        if "monotonic_s" in each
+    }
     # The answer is waited for as long as an answer may take; then everything goes at once.
     assert told["light: o 0"] - told["making safe"] < WITHIN_S
     out = read_outputs(virtual.folder)

@@ -1,8 +1,8 @@
-"""`python -m tests.fuzz --seconds 3600`: every parser of bytes from outside, each for its share of the time, in its
-own processes.
+"""`python -m tests.fuzz --seconds 3600`: every parser of bytes from outside, each for its share of
+the time, in its own processes.
 
-A parser that crashes takes only its own process along: decoders that are not ours are among them. What broke is told
-with the seed that makes it again: `python -m tests.fuzz --again PARSER SEED`.
+A parser that crashes takes only its own process along: decoders that are not ours are among them.
+What broke is told with the seed that makes it again: `python -m tests.fuzz --again PARSER SEED`.
 """
 
 import argparse
@@ -26,7 +26,8 @@ PARSERS: dict[str, Callable[[random.Random, Path], bool]] = {
     "documents": documents.once,
     "pictures": pictures.once,
 }
-"""What is fuzzed: each reads something drawn, in a folder of its own, and returns whether it was still sound."""
+"""What is fuzzed: each reads something drawn, in a folder of its own, and returns whether it was
+sound."""
 
 SLICE_S = 120.0
 STUCK_S = 300.0  # of a busy machine; the processor time of a case has its own bound
@@ -38,8 +39,12 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=3600.0, help="time in all, s")
     parser.add_argument("--seed", type=int, default=time.time_ns() % 2**31)
     parser.add_argument("--only", choices=PARSERS)
-    parser.add_argument("--again", nargs=2, metavar=("PARSER", "SEED"), help="one case, with what it raises")
-    parser.add_argument("--slice", nargs=3, metavar=("PARSER", "SECONDS", "STATE"), help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--again", nargs=2, metavar=("PARSER", "SEED"), help="one case, with what it raises"
+    )
+    parser.add_argument(
+        "--slice", nargs=3, metavar=("PARSER", "SECONDS", "STATE"), help=argparse.SUPPRESS
+    )
     asked = parser.parse_args()
     if asked.again:
         return _again(asked.again[0], int(asked.again[1]))
@@ -61,18 +66,30 @@ def _all(names: list[str], seconds: float, seed: int) -> int:
         tallies[name]["most_mb"] = most_mb
     for name, tally in tallies.items():
         print(
-            f"{name}: {tally['read']} read in {tally['seconds']} s, {tally['sound']} of them still sound, "
-            f"{tally['broken']} broke it; {tally['most_mb']} MB at most"
+            f"{name}: {tally['read']} read in {tally['seconds']} s, {tally['sound']} of them "
+            f"still sound, {tally['broken']} broke it; {tally['most_mb']} MB at most"
         )
     return 1 if any(tally["broken"] for tally in tallies.values()) else 0
 
 
 def _sliced(name: str, seconds: float, seed: int) -> dict[str, int]:
-    """Run one slice in its own process; one that crashes or goes no further there has broken something."""
+    """Run one slice in its own process; one that crashes or goes no further there has broken
+    something.
+    """
     with tempfile.TemporaryDirectory() as folder:
         state = Path(folder) / "seed"
         state.touch()
-        command = [sys.executable, "-m", "tests.fuzz", "--slice", name, str(seconds), str(state), "--seed", str(seed)]
+        command = [
+            sys.executable,
+            "-m",
+            "tests.fuzz",
+            "--slice",
+            name,
+            str(seconds),
+            str(state),
+            "--seed",
+            str(seed),
+        ]
         said, how = _outlived(subprocess.Popen(command, stdout=subprocess.PIPE, text=True), state)
         last = state.read_text()
     lines = said.splitlines()
@@ -83,12 +100,17 @@ def _sliced(name: str, seconds: float, seed: int) -> dict[str, int]:
 
 
 def _outlived(process: subprocess.Popen, state: Path) -> tuple[str, str]:
-    """Wait for the end of a slice; return what it said, and how it ended if that was no good end."""
+    """Wait for the end of a slice; return what it said, and how it ended if that was no good
+    end.
+    """
     before = ""
     while True:
         try:
             said, _ = process.communicate(timeout=STUCK_S)
-            return said, "" if process.returncode == 0 else f"ended with {_ended(process.returncode)}"
+            return (
+                said,
+                "" if process.returncode == 0 else f"ended with {_ended(process.returncode)}",
+            )
         except subprocess.TimeoutExpired:
             if (now := state.read_text()) and now == before:
                 process.kill()
@@ -118,7 +140,10 @@ def _slice(name: str, seconds: float, state: Path, seed: int) -> int:
                 require_little(most_resident_mb() - before_mb)
             except Exception as error:  # whatever it is, it is what is looked for
                 tally["broken"] += 1
-                print(f"{type(error).__name__}: {str(error)[:200]!r} at --again {name} {seed}", flush=True)
+                print(
+                    f"{type(error).__name__}: {str(error)[:200]!r} at --again {name} {seed}",
+                    flush=True,
+                )
     tally["most_mb"] = round(most_resident_mb())
     print(json.dumps(tally))
     return 0

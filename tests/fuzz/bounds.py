@@ -1,4 +1,6 @@
-"""Bounds on whoever reads bytes from outside: a time after which it hangs, and memory that it may not ask for."""
+"""Bounds on whoever reads bytes from outside: a time after which it hangs, and memory that it may
+not ask for.
+"""
 
 import resource
 import signal
@@ -37,7 +39,9 @@ def in_time(longest_s: float = LONGEST_S) -> Iterator[None]:
 
 
 def limit_memory() -> None:
-    """Let this process ask for no more memory than is reasonable; what asks for more gets a MemoryError."""
+    """Let this process ask for no more memory than is reasonable; what asks for more gets a
+    MemoryError.
+    """
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, hard))
 
@@ -50,4 +54,6 @@ def most_resident_mb() -> float:
 def require_little(grown_mb: float) -> None:
     """Refuse growth of the most memory ever in use, MB that no small file explains."""
     if grown_mb > MOST_GROWTH_MB:
-        raise MemoryError(f"a small file must be read in {MOST_GROWTH_MB:g} MB, got {grown_mb:.0f} MB more")
+        raise MemoryError(
+            f"a small file must be read in {MOST_GROWTH_MB:g} MB, got {grown_mb:.0f} MB more"
+        )

@@ -26,11 +26,46 @@ from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
 
 VALUES = (
-    "nan", "inf", "-inf", "0", "-0.0", "-1", "1e400", "1e308", "-1e308", "5e-324", "9" * 400, "1" + "0" * 5000, "0x10",
-    "true", "false", '""', '"a"', '"../../etc"', '"\\u0000"', '"\\ud83d"', '"ü☃"', "[]", "[[]]", "{}", "{ a = 1 }",
-    "[1, 2]", "[nan, 1]", "[[1], [2]]", "1979-05-27T07:32:00Z", "07:32:00", "'''x'''", "[" * 60 + "]" * 60,
-    "[" * 3000, '"' + "x" * 20_000 + '"', "{ value = 1, low = 2 }", '{ value = "x" }', "100000", "2e9", "1e-9",
-)  # fmt: skip
+    "nan",
+    "inf",
+    "-inf",
+    "0",
+    "-0.0",
+    "-1",
+    "1e400",
+    "1e308",
+    "-1e308",
+    "5e-324",
+    "9" * 400,
+    "1" + "0" * 5000,
+    "0x10",
+    "true",
+    "false",
+    '""',
+    '"a"',
+    '"../../etc"',
+    '"\\u0000"',
+    '"\\ud83d"',
+    '"ü☃"',
+    "[]",
+    "[[]]",
+    "{}",
+    "{ a = 1 }",
+    "[1, 2]",
+    "[nan, 1]",
+    "[[1], [2]]",
+    "1979-05-27T07:32:00Z",
+    "07:32:00",
+    "'''x'''",
+    "[" * 60 + "]" * 60,
+    "[" * 3000,
+    '"' + "x" * 20_000 + '"',
+    "{ value = 1, low = 2 }",
+    '{ value = "x" }',
+    "100000",
+    "2e9",
+    "1e-9",
+)
 KEYS = (
     "step",
     "sweep",
@@ -201,7 +236,9 @@ TARGETS: dict[str, tuple[Reader, Callable[[], list[bytes]], str]] = {
 def mangled(document: bytes, rng: random.Random) -> bytes:
     """Return a document with one to four things wrong with it."""
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
-        document = rng.choice((_value, _value, _value, _word, _key, _line, _bytes, _cut))(document, rng)
+        document = rng.choice((_value, _value, _value, _word, _key, _line, _bytes, _cut))(
+            document, rng
+        )
     return document
 
 
@@ -222,7 +259,11 @@ def _word(document: bytes, rng: random.Random) -> bytes:
 
 def _key(document: bytes, rng: random.Random) -> bytes:
     place = rng.choice(list(LINE.finditer(document)) or [re.match(b"", document)])
-    new = f"{rng.choice(KEYS)} = {rng.choice(VALUES)}\n" if rng.random() < 0.5 else f"[[{rng.choice(KEYS)}]]\n"
+    new = (
+        f"{rng.choice(KEYS)} = {rng.choice(VALUES)}\n"
+        if rng.random() < 0.5
+        else f"[[{rng.choice(KEYS)}]]\n"
+    )
     return document[: place.start()] + new.encode() + document[place.start() :]
 
 

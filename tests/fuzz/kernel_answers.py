@@ -1,4 +1,6 @@
-"""Answers that no kernel should give: the structures of V4L2 with noise in them, to the driver of a video device."""
+"""Answers that no kernel should give: the structures of V4L2 with noise in them, to the driver of a
+video device.
+"""
 
 import ctypes
 import random
@@ -14,8 +16,21 @@ from labdata.errors import BadInput
 from tests.drivers.camera_laws import taken
 from tests.drivers.fake_video import FakeDevice
 
-ANSWERS = ("QUERYCAP", "ENUM_FMT", "ENUM_FRAMESIZES", "G_FMT", "S_FMT", "REQBUFS", "QUERYBUF", "DQBUF", "G_PARM",
-           "QUERYCTRL", "QUERYMENU", "G_CTRL", "G_STD")  # fmt: skip
+ANSWERS = (
+    "QUERYCAP",
+    "ENUM_FMT",
+    "ENUM_FRAMESIZES",
+    "G_FMT",
+    "S_FMT",
+    "REQBUFS",
+    "QUERYBUF",
+    "DQBUF",
+    "G_PARM",
+    "QUERYCTRL",
+    "QUERYMENU",
+    "G_CTRL",
+    "G_STD",
+)
 LONGEST_S = 1.0  # of the processor: a busy machine may take longer
 SILENCE_S = 0.02
 
@@ -23,7 +38,9 @@ Noise = Callable[[bytes], bytes]
 
 
 def noise(rng: random.Random) -> Noise:
-    """Draw what becomes of an answer: all of it noise, which rarely passes the first check, or a few bytes changed."""
+    """Draw what becomes of an answer: all of it noise, which rarely passes the first check, or a
+    few bytes changed.
+    """
     if rng.random() < 0.3:
         return lambda good: rng.randbytes(len(good))
     values = (0, 1, 2, 127, 128, 255, rng.randrange(256))
@@ -45,17 +62,25 @@ def spoiled(wrong: dict[str, Noise], first: int) -> Callable[[str, ctypes.Struct
 
 
 def once(rng: random.Random, _folder: Path) -> bool:
-    """Open a device that answers noise, look at it, set it, take frames; whether it came to frames."""
+    """Open a device that answers noise, look at it, set it, take frames; whether it came to
+    frames.
+    """
     wrong = {rng.choice(ANSWERS): noise(rng) for _ in range(rng.choice((1, 1, 2, 3)))}
     began_s, came = time.process_time(), False
     device = FakeDevice(spoil=spoiled(wrong, rng.randrange(4)))
     try:
         with V4l2Camera("fake", open_device=lambda _: device, silence_s=SILENCE_S) as camera:
             describe(device, "fake")
-            camera.configure(CameraSettings(rows=12, columns=16, pixel_format="Mono16", exposure_s=0.01, gain_db=3.0))
+            camera.configure(
+                CameraSettings(
+                    rows=12, columns=16, pixel_format="Mono16", exposure_s=0.01, gain_db=3.0
+                )
+            )
             frames, capture = taken(camera, 4)
             assert len(frames) == 4, "a capture hands out the frames that were asked for"
-            assert capture.lost_frames == frames[-1].number - frames[0].number - 3, "what is missing is counted"
+            assert capture.lost_frames == frames[-1].number - frames[0].number - 3, (
+                "what is missing is counted"
+            )
             came = True
     except (CameraError, BadInput) as refusal:
         assert str(refusal), "a refusal says why"

@@ -1,7 +1,8 @@
 """Files of frames that nobody meant: pictures, arrays, raw files and meshes, mangled and read.
 
-Decoders that are not ours do most of this reading, some of them in C; whoever calls this in a loop does so in a process
-of its own. Only BadInput may come of it, and no picture of other pixels than its header states.
+Decoders that are not ours do most of this reading, some of them in C; whoever calls this in a loop
+does so in a process of its own. Only BadInput may come of it, and no picture of other pixels than
+its header states.
 """
 
 import json
@@ -39,11 +40,15 @@ def _frames(kind: type = np.uint16, *shape: int) -> np.ndarray:
 
 
 def _tiff(**options) -> Callable[[Path], object]:
-    return lambda path: tifffile.imwrite(path, _frames(), **{"photometric": "minisblack", **options})
+    return lambda path: tifffile.imwrite(
+        path, _frames(), **{"photometric": "minisblack", **options}
+    )
 
 
 def _picture(kind: type, *shape: int) -> Callable[[Path], object]:
-    return lambda path: path.write_bytes(cv2.imencode(path.suffix, _frames(kind, *shape))[1].tobytes())
+    return lambda path: path.write_bytes(
+        cv2.imencode(path.suffix, _frames(kind, *shape))[1].tobytes()
+    )
 
 
 # Astropy and trimesh take seconds to import: they are imported where they write.
@@ -65,7 +70,9 @@ def _mesh(path: Path) -> None:
 def _fpack(path: Path) -> None:
     from astropy.io import fits
 
-    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(_frames(np.int16, ROWS, COLUMNS))]).writeto(path)
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(_frames(np.int16, ROWS, COLUMNS))]).writeto(
+        path
+    )
 
 
 def _ser(path: Path) -> None:
@@ -150,7 +157,9 @@ def once(rng: random.Random, folder: Path) -> bool:
 
 
 def read(name: str, rng: random.Random, folder: Path, *, wrong: bool = True) -> bool:
-    """Read a file, mangled if it should be; whether it was sound. Anything but BadInput comes out."""
+    """Read a file, mangled if it should be; whether it was sound. Anything but BadInput comes
+    out.
+    """
     whole, path = sound(name), folder / sound(name).name
     shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
     if whole.is_dir():
@@ -195,7 +204,9 @@ def _road() -> OutdoorScene:
 
 
 def mangled_bytes(data: bytes, rng: random.Random) -> bytes:
-    """Return a file with something wrong in it: in its words and lines if it has any, else in its bytes and numbers."""
+    """Return a file with something wrong in it: in its words and lines if it has any, else in its
+    bytes and numbers.
+    """
     if rng.random() < 0.3:
         return mangled(data, rng)
     if data[:1] == b"{" and rng.random() < 0.7:
@@ -206,7 +217,9 @@ def mangled_bytes(data: bytes, rng: random.Random) -> bytes:
         # Headers come first, and there numbers have the most to say.
         end = len(out) if rng.random() < 0.4 else min(len(out), 400)
         at = rng.randrange(max(1, end - width))
-        value = rng.choice((0, 1, 2 ** (8 * width) - 1, 2 ** (8 * width - 1), rng.randrange(2 ** (8 * width))))
+        value = rng.choice(
+            (0, 1, 2 ** (8 * width) - 1, 2 ** (8 * width - 1), rng.randrange(2 ** (8 * width)))
+        )
         out[at : at + width] = value.to_bytes(width, rng.choice(("little", "big")))
     return bytes(out)
 
@@ -219,6 +232,21 @@ def _other_json(data: bytes, rng: random.Random) -> bytes:
         return mangled(data, rng)
     if not isinstance(document, dict) or not document:
         return data
-    strange = (0, -1, 1e99, "", "x", None, [], {}, [10**12, 4, 4], [10**6, 10**6], [0, 4, 4], "int8", "float64", "<U9")
+    strange = (
+        0,
+        -1,
+        1e99,
+        "",
+        "x",
+        None,
+        [],
+        {},
+        [10**12, 4, 4],
+        [10**6, 10**6],
+        [0, 4, 4],
+        "int8",
+        "float64",
+        "<U9",
+    )
     document[rng.choice(sorted(document))] = rng.choice(strange)
     return json.dumps(document).encode()

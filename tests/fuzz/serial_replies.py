@@ -1,8 +1,8 @@
 """Replies that no instrument should give, to every parser of serial replies.
 
-Each question of each driver is answered by bytes that are random, cut, repeated, or nearly right. A driver may end in
-one of its own errors and in nothing else, within its time and with bounded memory. A new driver adds its line to
-`PARSERS`.
+Each question of each driver is answered by bytes that are random, cut, repeated, or nearly right. A
+driver may end in one of its own errors and in nothing else, within its time and with bounded
+memory. A new driver adds its line to `PARSERS`.
 """
 
 import random
@@ -25,12 +25,41 @@ from labdata.errors import BadInput
 ANSWER_S = 0.002
 WITHIN_S = 5.0  # a busy machine may take seconds over what takes milliseconds
 PIECES = (
-    b"\r\n", b"\n", b"\r", b"> ", b"0", b"-1", b"5\r\n", b"+60.000000\r\n", b"2,+0.016000000000\r\n", b"nan", b"1e999",
-    b"9" * 400, b"S1=ON \r\n", b"S1=TRP\r\n", b"S1", b"=", b"U1\r\n", b"+05000-01\r\n", b"0001-7\r\n", b"????\r\n",
-    b"? UMAX=0900\r\n", b"#\r\n480012;3.15;3000V;100uA\r\n", b"T1\r\n004\r\n", b"pos?\r3\r> ", b"*idn?\r", b"FW102C",
-    b"Command error CMD_NOT_DEFINED\n> ", b"ERROR 2: out of range\r\n", b"DC2100\r\n", b"14\r\n", b"Version 6\r\n",
-    b"\xff\xfe", b"\x00" * 40, b"x" * (LONGEST_ANSWER + 10),
-)  # fmt: skip
+    b"\r\n",
+    b"\n",
+    b"\r",
+    b"> ",
+    b"0",
+    b"-1",
+    b"5\r\n",
+    b"+60.000000\r\n",
+    b"2,+0.016000000000\r\n",
+    b"nan",
+    b"1e999",
+    b"9" * 400,
+    b"S1=ON \r\n",
+    b"S1=TRP\r\n",
+    b"S1",
+    b"=",
+    b"U1\r\n",
+    b"+05000-01\r\n",
+    b"0001-7\r\n",
+    b"????\r\n",
+    b"? UMAX=0900\r\n",
+    b"#\r\n480012;3.15;3000V;100uA\r\n",
+    b"T1\r\n004\r\n",
+    b"pos?\r3\r> ",
+    b"*idn?\r",
+    b"FW102C",
+    b"Command error CMD_NOT_DEFINED\n> ",
+    b"ERROR 2: out of range\r\n",
+    b"DC2100\r\n",
+    b"14\r\n",
+    b"Version 6\r\n",
+    b"\xff\xfe",
+    b"\x00" * 40,
+    b"x" * (LONGEST_ANSWER + 10),
+)
 
 
 class NoisyPort:
@@ -96,7 +125,9 @@ def _at_800_v(supply: Supply) -> Supply:
 PARSERS: dict[str, Callable[[NoisyPort], object]] = {
     "dg645 identity": lambda port: DelayGenerator(_framed(port)).identify(),
     "dg645 shut": lambda port: DelayGenerator(_framed(port)).shut(),
-    "dg645 width": lambda port: DelayGenerator(_framed(port))._verify_delay("gate width", 3, 2, 1e6),
+    "dg645 width": lambda port: DelayGenerator(_framed(port))._verify_delay(
+        "gate width", 3, 2, 1e6
+    ),
     "dg645 look": lambda port: DelayGenerator(_framed(port)).look(),
     "dg645 look after shut": lambda port: _after_shut(DelayGenerator(_framed(port))).look(),
     "dg535 delay": lambda port: Dg535(_bus(port)).identify(),
@@ -105,7 +136,9 @@ PARSERS: dict[str, Callable[[NoisyPort], object]] = {
     "ps350 status": lambda port: HighVoltage(_bus(port)).check_on(),
     "ps350 look": lambda port: _at_800_v(HighVoltage(_bus(port))).look(),
     "ps350 volts": lambda port: HighVoltage(_bus(port)).read_voltage_v(),
-    "prologix address": lambda port: PrologixLine(port, name="instrument", address=14, answer_s=ANSWER_S).ask("VOUT?"),
+    "prologix address": lambda port: PrologixLine(
+        port, name="instrument", address=14, answer_s=ANSWER_S
+    ).ask("VOUT?"),
     "iseg identity": lambda port: Iseg(_echo(port)).identify(),
     "iseg state": lambda port: Iseg(_echo(port)).check_on(),
     "iseg look": lambda port: _at_800_v(Iseg(_echo(port))).look(),
@@ -122,7 +155,9 @@ PARSERS: dict[str, Callable[[NoisyPort], object]] = {
 
 
 def reply(rng: random.Random) -> bytes:
-    """Draw what an instrument might say: pieces of real answers, cut, repeated, and with wrong bytes among them."""
+    """Draw what an instrument might say: pieces of real answers, cut, repeated, and with wrong
+    bytes among them.
+    """
     said = b"".join(rng.choice(PIECES) * rng.choice((1, 1, 1, 3)) for _ in range(rng.randrange(8)))
     if rng.random() < 0.3:
         said = rng.randbytes(rng.randrange(200))
@@ -135,14 +170,18 @@ def reply(rng: random.Random) -> bytes:
 
 
 def try_once(name: str, said: bytes, rng: random.Random) -> bool:
-    """Let one parser hear one reply; whether it was one. What is not one of the drivers' own errors comes out."""
+    """Let one parser hear one reply; whether it was one. What is not one of the drivers' own errors
+    comes out.
+    """
     began_s, heard = time.monotonic(), True
     try:
         PARSERS[name](NoisyPort(said, rng))
     except (BenchError, BadInput) as error:
         heard = False
         if len(str(error)) > 1000:
-            raise AssertionError(f"a sentence must stay one, got {len(str(error))} characters") from error
+            raise AssertionError(
+                f"a sentence must stay one, got {len(str(error))} characters"
+            ) from error
     if (took_s := time.monotonic() - began_s) > WITHIN_S:
         raise AssertionError(f"{name} must end within {WITHIN_S:g} s, got {took_s:.2f} s")
     return heard

@@ -1,4 +1,6 @@
-"""Mangled files of frames give one sentence or frames: never another exception, never memory that they do not need."""
+"""Mangled files of frames give one sentence or frames: never another exception, never memory that
+they do not need.
+"""
 
 import random
 import struct
@@ -31,13 +33,16 @@ def test_a_mangled_file_is_refused_in_a_sentence_or_read(name, tmp_path):
 def _png(header: bytes, *, data: bytes = b"") -> bytes:
     parts = ((b"IHDR", header), (b"IDAT", zlib.compress(data)), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in parts
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        for kind, body in parts
     )
 
 
 def test_a_small_png_that_states_a_gigabyte_is_refused_before_it_takes_one(tmp_path):
     (tmp_path / "a.png").write_bytes(_png(struct.pack(">IIBBBBB", 16_000, 16_000, 16, 0, 0, 0, 0)))
-    with pytest.raises(BadInput, match=r"must fit into its file, got 512000000 bytes of pixels stated by a\.png"):
+    with pytest.raises(
+        BadInput, match=r"must fit into its file, got 512000000 bytes of pixels stated by a\.png"
+    ):
         read_frames(tmp_path / "a.png")
 
 
@@ -73,7 +78,9 @@ def test_a_frame_of_the_store_that_was_cut_or_grew_is_refused(tmp_path):
     file = chunk(tmp_path / "a.zarr", 1)
     for content in (file.read_bytes()[:-9], file.read_bytes() + b"more"):
         file.write_bytes(content)
-        with pytest.raises(BadInput, match=r"must be as it describes them|must be what was acknowledged"):
+        with pytest.raises(
+            BadInput, match=r"must be as it describes them|must be what was acknowledged"
+        ):
             read_frames(tmp_path / "a.zarr")
 
 

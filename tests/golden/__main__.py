@@ -3,10 +3,10 @@
     python -m tests.golden record [SECTION ...]     write tests/golden/*.csv
     python -m tests.golden compare [SECTION ...]    table of what moved; exit 1 beyond a guard
 
-Sections are `methods`, `frames`, `sensors` and `effects`; `methods:WORD` compares methods with the word in their name.
-Guard of a method: value and interval within 0.1 of half the
-68 % width (a quarter of the width of the 95 % interval), status equal in 99 % of the cases. Guard of all others: equal
-digests.
+Sections are `methods`, `frames`, `sensors` and `effects`; `methods:WORD` compares methods with the
+word in their name. Guard of a method: value and interval within 0.1 of half the
+68 % width (a quarter of the width of the 95 % interval), status equal in 99 % of the cases. Guard
+of all others: equal digests.
 """
 
 import csv
@@ -21,7 +21,14 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-CASES = {"mtf50": 20, "mtf": 20, "covariance_gain": 4, "system_gain": 8, "post_gain_mtf50": 6, "halo_diameter": 6}
+CASES = {
+    "mtf50": 20,
+    "mtf": 20,
+    "covariance_gain": 4,
+    "system_gain": 8,
+    "post_gain_mtf50": 6,
+    "halo_diameter": 6,
+}
 SENSORS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512")
 LEVELS_PE = (0.0, 0.03, 0.5, 3.0, 40.0, 400.0)
 SETTINGS = ((), ("--exact",), ("--error-budget", "0"), ("--temperature-c", "0"))
@@ -49,7 +56,9 @@ def methods(word: str = "") -> list[Row]:
                 if method.kind == case.kind and word in method.name:
                     row = attempt(method, case, Context(quick=True))
                     name = f"{quantity} {method.name} {case.kind} {case.name} {case.seed}"
-                    numbers = ["" if x is None else f"{x:.7g}" for x in (row.value, row.low95, row.high95)]
+                    numbers = [
+                        "" if x is None else f"{x:.7g}" for x in (row.value, row.low95, row.high95)
+                    ]
                     rows.append((name, *numbers, row.status, " ".join(row.flags)))
         print(quantity, len(rows), file=sys.stderr)
     return rows
@@ -57,7 +66,10 @@ def methods(word: str = "") -> list[Row]:
 
 def _charact(*arguments: str) -> str:
     done = subprocess.run(
-        [str(Path(sys.executable).with_name("charact")), *arguments], capture_output=True, text=True, check=False
+        [str(Path(sys.executable).with_name("charact")), *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return done.stdout if done.returncode == 0 else f"exit {done.returncode}: {done.stderr}"
 
@@ -89,10 +101,24 @@ def frames() -> list[Row]:
                 for number, setting in enumerate(SETTINGS):
                     out = Path(scratch, f"{sensor}-{level}-{number}")
                     said = _charact(
-                        "simulate", str(picture), str(out), "--sensor", sensor, "--frames", "2", "--seed", "45",
-                        "--photoelectrons-per-dn", str(level), *setting,
-                    )  # fmt: skip
-                    done = _digest_of(out) if out.is_dir() else hashlib.sha256(said.encode()).hexdigest()
+                        "simulate",
+                        str(picture),
+                        str(out),
+                        "--sensor",
+                        sensor,
+                        "--frames",
+                        "2",
+                        "--seed",
+                        "45",
+                        "--photoelectrons-per-dn",
+                        str(level),
+                        *setting,
+                    )
+                    done = (
+                        _digest_of(out)
+                        if out.is_dir()
+                        else hashlib.sha256(said.encode()).hexdigest()
+                    )
                     rows.append((f"{sensor} {level:g} {' '.join(setting)}", done))
     return rows
 
@@ -117,9 +143,17 @@ def effects() -> list[Row]:
         for sensor in SENSORS:
             for level in LEVELS_PE:
                 said = _charact(
-                    "simulate", str(picture), str(Path(scratch, f"{sensor}{level}")), "--sensor", sensor,
-                    "--frames", "1", "--photoelectrons-per-dn", str(level), "--explain",
-                )  # fmt: skip
+                    "simulate",
+                    str(picture),
+                    str(Path(scratch, f"{sensor}{level}")),
+                    "--sensor",
+                    sensor,
+                    "--frames",
+                    "1",
+                    "--photoelectrons-per-dn",
+                    str(level),
+                    "--explain",
+                )
                 rows.append((f"{sensor} {level:g}", " ".join(re.findall(r"\d[\d.e+-]* ?%", said))))
     return rows
 
@@ -142,7 +176,10 @@ def compare(section: str) -> bool:
     after = {row[0]: row[1:] for row in (methods(word) if word else SECTIONS[name]())}
     missing, added = before.keys() - after.keys(), after.keys() - before.keys()
     changed = [key for key in before if key in after and before[key] != after[key]]
-    print(f"\n{name}: {len(before)} rows, {len(changed)} changed, {len(missing)} missing, {len(added)} added")
+    print(
+        f"\n{name}: {len(before)} rows, {len(changed)} changed, {len(missing)} missing, "
+        f"{len(added)} added"
+    )
     if name != "methods":
         for key in changed[:20]:
             print(f"  {key}: {before[key]} -> {after[key]}")

@@ -11,7 +11,9 @@ TOP, LEFT, BOTTOM, RIGHT = 2, 4, 38, 56
 
 
 def write(path: Path, data: np.ndarray) -> None:
-    """Write a mosaic of the shape (40, 60) whose active area is rows 2 to 38 and columns 4 to 56."""
+    """Write a mosaic of the shape (40, 60) whose active area is rows 2 to 38 and columns 4 to
+    56.
+    """
     tags = [
         (50706, "B", 4, (1, 4, 0, 0), True),  # DNG version
         (50707, "B", 4, (1, 1, 0, 0), True),
@@ -30,4 +32,6 @@ def write(path: Path, data: np.ndarray) -> None:
         (50778, "H", 1, 21, True),
         (50829, "I", 4, (TOP, LEFT, BOTTOM, RIGHT), True),  # active area
     ]
-    tifffile.imwrite(path, data, photometric=32803, planarconfig=1, extratags=tags, metadata=None, subfiletype=0)
+    tifffile.imwrite(
+        path, data, photometric=32803, planarconfig=1, extratags=tags, metadata=None, subfiletype=0
+    )

@@ -1,4 +1,6 @@
-"""What waits for a file delays nobody: queueing never waits, and each item is written or counted."""
+"""What waits for a file delays nobody: queueing never waits, and each item is written or
+counted.
+"""
 
 import threading
 import time
@@ -7,7 +9,8 @@ import pytest
 
 from labdata.background import BackgroundWriter
 
-SOON_S = 0.2  # What must not wait returns within this, s: a fifth of the time in which a tube must be safe
+# What must not wait returns within this, s: a fifth of the time in which a tube must be safe
+SOON_S = 0.2
 
 
 class Stuck:
@@ -87,7 +90,9 @@ def test_a_full_queue_drops_what_comes_and_keeps_what_waits(stuck):
 
 
 def test_a_signal_handler_may_put_while_its_thread_is_inside_put(stuck, monkeypatch):
-    """The lock is taken again by the thread that has it, as a handler between two lines of `put` does."""
+    """The lock is taken again by the thread that has it, as a handler between two lines of `put`
+    does.
+    """
     writer = BackgroundWriter(stuck, name="test")
     done = threading.Event()
 

@@ -7,7 +7,9 @@ from labdata.errors import BadInput
 
 
 def test_a_gap_in_the_numbers_is_told_with_its_reasons():
-    lost = losses_before(15, expected=10, faults={11: "missing packets", 12: "missing packets", 30: "late"})
+    lost = losses_before(
+        15, expected=10, faults={11: "missing packets", 12: "missing packets", 30: "late"}
+    )
     assert [(one.first, one.last, one.reason) for one in lost] == [
         (10, 10, "never arrived"),
         (11, 12, "missing packets"),

@@ -32,7 +32,10 @@ def test_a_mosaic_that_does_not_show_is_stated_with_the_plane(
     cv2.imwrite(str(tmp_path / "dark.png"), data[0])
     with pytest.raises(BadInput, match=f"got plane '{plane}' of dark.png; .* --plane rggb:{plane}"):
         read_frames(tmp_path / "dark.png", plane)
-    for stack in (read_frames(tmp_path / "dark.png", f"rggb:{plane}"), read_array(data[:1], f"rggb:{plane}")):
+    for stack in (
+        read_frames(tmp_path / "dark.png", f"rggb:{plane}"),
+        read_array(data[:1], f"rggb:{plane}"),
+    ):
         assert np.array_equal(stack.data[0], data[0, site[0] :: 2, site[1] :: 2])
         assert (stack.plane, stack.sample_pitch_px) == (plane, 2)
         assert any("two pixels of the camera apart" in note for note in stack.notes)
@@ -56,17 +59,25 @@ def write_fits(path: Path, data: np.ndarray, **cards: object) -> None:
     unit.writeto(path)
 
 
-@pytest.mark.parametrize(("across", "down", "red"), [(0, 0, (0, 0)), (1, 0, (0, 1)), (0, 1, (1, 0)), (1, 1, (1, 1))])
-def test_offsets_of_a_fits_header_move_the_mosaic(tmp_path: Path, across: int, down: int, red: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    ("across", "down", "red"), [(0, 0, (0, 0)), (1, 0, (0, 1)), (0, 1, (1, 0)), (1, 1, (1, 1))]
+)
+def test_offsets_of_a_fits_header_move_the_mosaic(
+    tmp_path: Path, across: int, down: int, red: tuple[int, int]
+) -> None:
     data = dark()
     write_fits(tmp_path / "a.fits", data, BAYERPAT="RGGB", XBAYROFF=across, YBAYROFF=down)
-    assert np.array_equal(read_frames(tmp_path / "a.fits", "r").data, data[:, red[0] :: 2, red[1] :: 2])
+    assert np.array_equal(
+        read_frames(tmp_path / "a.fits", "r").data, data[:, red[0] :: 2, red[1] :: 2]
+    )
 
 
 def test_a_plane_stated_against_the_file_is_refused(tmp_path: Path) -> None:
     write_fits(tmp_path / "a.fits", dark(), BAYERPAT="GRBG")
     assert np.array_equal(read_frames(tmp_path / "a.fits", "grbg:r").data, dark()[:, 0::2, 1::2])
-    with pytest.raises(BadInput, match=r"mosaic of a\.fits is grbg by the file itself, got the plane rggb:r"):
+    with pytest.raises(
+        BadInput, match=r"mosaic of a\.fits is grbg by the file itself, got the plane rggb:r"
+    ):
         read_frames(tmp_path / "a.fits", "rggb:r")
 
 
@@ -104,13 +115,19 @@ def test_a_recorded_mosaic_gives_the_same_plane_read_at_once_and_on_demand(tmp_p
     assert np.array_equal(entry.read().frame_number, np.arange(5))
 
 
-def test_a_session_knows_the_plane_of_its_files_and_how_far_its_samples_lie_apart(tmp_path: Path) -> None:
+def test_a_session_knows_the_plane_of_its_files_and_how_far_its_samples_lie_apart(
+    tmp_path: Path,
+) -> None:
     np.save(tmp_path / "a.npy", dark())
     np.save(tmp_path / "b.npy", dark())
     session = import_frames([tmp_path / "a.npy"], tmp_path / "s", kind="dark", plane="rggb:g2")
     assert session.sampling == ("g2", 2)
-    session = import_frames([tmp_path / "b.npy"], tmp_path / "s", kind="flat", plane="rggb:b", add=True)
-    with pytest.raises(BadInput, match="one colour plane, got g2 in 'a' and b in 'b' of session 's'"):
+    session = import_frames(
+        [tmp_path / "b.npy"], tmp_path / "s", kind="flat", plane="rggb:b", add=True
+    )
+    with pytest.raises(
+        BadInput, match="one colour plane, got g2 in 'a' and b in 'b' of session 's'"
+    ):
         _ = session.sampling
     grey = import_frames([tmp_path / "a.npy"], tmp_path / "t", kind="dark")
     assert grey.sampling == ("mono", 1)

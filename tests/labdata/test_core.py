@@ -11,7 +11,12 @@ from labdata import BadInput, Conditions, FrameStack, Measurement, Posterior, Re
 from labdata.camera_description import Parameter
 from labdata.flags import FLAGS, Finding, order_flags
 from labdata.limits import Limits
-from labdata.measurement import make_measurement, make_refusal, measurement_from_draws, measurement_from_sd
+from labdata.measurement import (
+    make_measurement,
+    make_refusal,
+    measurement_from_draws,
+    measurement_from_sd,
+)
 from labdata.plan import Plan, Step
 from labdata.quantity import QUANTITIES, convert_frequency
 
@@ -33,10 +38,19 @@ def test_frames_cannot_be_written_to_through_the_stack():
     [
         ({"data": np.zeros((3, 4))}, r"axes \(frame, row, col\), got shape \(3, 4\)"),
         ({"data": np.zeros((0, 3, 4))}, "at least one pixel"),
-        ({"data": np.full((1, 2, 2), np.nan)}, "must be finite, got 4 that are NaN or infinite of 4"),
+        (
+            {"data": np.full((1, 2, 2), np.nan)},
+            "must be finite, got 4 that are NaN or infinite of 4",
+        ),
         ({"data": np.zeros((1, 2, 2), bool)}, "whole or real numbers, got the type bool"),
-        ({"data": np.zeros((2, 2, 2)), "time_s": np.zeros(3)}, "time_s must be empty or one for each of 2 frames"),
-        ({"data": np.zeros((2, 2, 2)), "frame_number": np.zeros(1)}, "frame_number must be empty or one for each"),
+        (
+            {"data": np.zeros((2, 2, 2)), "time_s": np.zeros(3)},
+            "time_s must be empty or one for each of 2 frames",
+        ),
+        (
+            {"data": np.zeros((2, 2, 2)), "frame_number": np.zeros(1)},
+            "frame_number must be empty or one for each",
+        ),
     ],
 )
 def test_what_is_no_stack_is_refused(fields, rule):
@@ -48,9 +62,18 @@ def test_what_is_no_stack_is_refused(fields, rule):
 @settings(deadline=None)
 def test_a_region_is_cut_as_it_is_named_or_refused(row, col, height, width):
     stack = FrameStack(data=np.arange(2 * 8 * 9).reshape(2, 8, 9), time_s=np.arange(2.0))
-    inside = row >= 0 and col >= 0 and height > 0 and width > 0 and row + height <= 8 and col + width <= 9
+    inside = (
+        row >= 0
+        and col >= 0
+        and height > 0
+        and width > 0
+        and row + height <= 8
+        and col + width <= 9
+    )
     if not inside:
-        with pytest.raises(BadInput, match=f"8 rows and 9 columns, got {row},{col},{height},{width}"):
+        with pytest.raises(
+            BadInput, match=f"8 rows and 9 columns, got {row},{col},{height},{width}"
+        ):
             stack.region(row, col, height, width)
         return
     cut = stack.region(row, col, height, width)
@@ -106,10 +129,17 @@ def test_a_plan_is_checked_whole_when_it_is_made():
 
 def test_a_number_without_flags_is_ok_and_with_flags_suspect():
     assert make_measurement("mtf50", "cy/px", 0.2, None, None, method="m").status == "ok"
-    suspect = make_measurement("mtf50", "cy/px", 0.2, None, None, method="m", flags=("lag", "agc", "lag"))
+    suspect = make_measurement(
+        "mtf50", "cy/px", 0.2, None, None, method="m", flags=("lag", "agc", "lag")
+    )
     assert (suspect.status, suspect.flags) == ("suspect", ("lag", "agc"))
     assert suspect.with_(flags=("drift",)).flags == ("lag", "agc", "drift")
-    assert make_measurement("mtf50", "cy/px", 0.2, None, None, method="m").with_(flags=("drift",)).status == "suspect"
+    assert (
+        make_measurement("mtf50", "cy/px", 0.2, None, None, method="m")
+        .with_(flags=("drift",))
+        .status
+        == "suspect"
+    )
 
 
 def test_a_finding_makes_a_number_suspect_and_says_its_effect_and_remedy():
@@ -117,7 +147,10 @@ def test_a_finding_makes_a_number_suspect_and_says_its_effect_and_remedy():
     found = Finding(flag="gamma", effect="MTF50 may be up to 1.3 % high", remedy="--black-dn 0")
     suspect = number.with_(findings=(found,))
     assert (suspect.status, suspect.flags) == ("suspect", ("gamma",))
-    assert suspect.notes == ("first", "gamma: MTF50 may be up to 1.3 % high; what settles it: --black-dn 0")
+    assert suspect.notes == (
+        "first",
+        "gamma: MTF50 may be up to 1.3 % high; what settles it: --black-dn 0",
+    )
     with pytest.raises(ValueError, match="must be one of"):
         Finding(flag="odd", effect="", remedy="")
 
@@ -151,10 +184,15 @@ def test_intervals_of_draws_and_of_a_standard_deviation_agree(seed):
     draws = np.random.default_rng(seed).normal(5.0, 0.1, 40_000)
     drawn = measurement_from_draws("blur_factor", "1", draws, method="m")
     exact = measurement_from_sd("blur_factor", "1", 5.0, 0.1, method="m")
-    # Standard error of the 2.5 % quantile of n normal draws: sqrt(p (1 - p) / n) / density, here 2.7 sd / sqrt(n).
+    # Standard error of the 2.5 % quantile of n normal draws: sqrt(p (1 - p) / n) / density, here
+    # 2.7 sd / sqrt(n).
     standard_error = 2.7 * 0.1 / 200
-    assert np.array(drawn.interval95) == pytest.approx(np.array(exact.interval95), abs=4.5 * standard_error)
-    assert np.array(drawn.interval68) == pytest.approx(np.array(exact.interval68), abs=4.5 * standard_error)
+    assert np.array(drawn.interval95) == pytest.approx(
+        np.array(exact.interval95), abs=4.5 * standard_error
+    )
+    assert np.array(drawn.interval68) == pytest.approx(
+        np.array(exact.interval68), abs=4.5 * standard_error
+    )
 
 
 def test_a_posterior_names_each_column_of_its_draws():
@@ -168,19 +206,27 @@ def test_results_add_up_and_are_searched_by_what_they_say():
     def of(label: str) -> Measurement:
         return make_measurement("bloom_diameter", "px", 9.0, None, None, method="m", stack=label)
 
-    both = Result(measurements=(of("a"),), evidence={"a": {}}) + Result(measurements=(of("b"),), evidence={"b": {}})
+    both = Result(measurements=(of("a"),), evidence={"a": {}}) + Result(
+        measurements=(of("b"),), evidence={"b": {}}
+    )
     assert both.find("bloom_diameter", stack="b") == (of("b"),)
     assert both.evidence.keys() == {"a", "b"}
     assert both.find("mtf50") == ()
 
 
 def test_570_television_lines_are_27_lp_per_mm_at_the_cathode():
-    """Regression truth 8: 768 columns are 576 lines, and 570 lines over 493 rows of 13 um are 27.2 lp/mm at 18/11."""
+    """Regression truth 8: 768 columns are 576 lines, and 570 lines over 493 rows of 13 um are 27.2
+    lp/mm at 18/11.
+    """
     assert convert_frequency(0.5, "tvl/ph", picture_height_px=768 * 3 / 4) == 576
     height_px = 493 * 13.0 / 11.0
     at_570 = 570 / convert_frequency(1.0, "tvl/ph", picture_height_px=height_px)
-    assert convert_frequency(at_570, "lp/mm", pitch_um=11.0) / (18 / 11) == pytest.approx(27.2, abs=0.05)
-    assert convert_frequency(0.1, "cy/mrad", pitch_um=11.0, focal_length_mm=22.0) == pytest.approx(0.2)
+    assert convert_frequency(at_570, "lp/mm", pitch_um=11.0) / (18 / 11) == pytest.approx(
+        27.2, abs=0.05
+    )
+    assert convert_frequency(0.1, "cy/mrad", pitch_um=11.0, focal_length_mm=22.0) == pytest.approx(
+        0.2
+    )
 
 
 @pytest.mark.parametrize(

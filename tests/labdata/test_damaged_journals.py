@@ -1,4 +1,6 @@
-"""No damage of a journal loses a frame in silence, hands one out changed, or costs a byte of the record."""
+"""No damage of a journal loses a frame in silence, hands one out changed, or costs a byte of the
+record.
+"""
 
 import json
 import os
@@ -46,13 +48,17 @@ def array_of(folder: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def quick_disk(monkeypatch):
-    """What survives a power cut is tested elsewhere; here the disk is forced to nothing some thousand times."""
+    """What survives a power cut is tested elsewhere; here the disk is forced to nothing some
+    thousand times.
+    """
     monkeypatch.setattr(os, "fsync", lambda file: None)
 
 
 @pytest.fixture(autouse=True)
 def restored_once(monkeypatch):
-    """Each damage is restored once, although a journal is read by everybody who looks at its stack."""
+    """Each damage is restored once, although a journal is read by everybody who looks at its
+    stack.
+    """
     found: dict = {}
 
     def once(damaged, there, path):
@@ -94,11 +100,17 @@ def lines_of(sound: dict[bool, Path]) -> list[bytes]:
 
 def record_of(folder: Path) -> dict[Path, bytes]:
     """All journals and chunks below a folder."""
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.name == JOURNAL or path.name.startswith("c.")}
+    return {
+        path: path.read_bytes()
+        for path in folder.rglob("*")
+        if path.name == JOURNAL or path.name.startswith("c.")
+    }
 
 
 def check_reading(folder: Path) -> tuple[int, tuple[str, ...]]:
-    """Read a session; return the number of frames lost, and the notes. Nothing is changed, wrong or lost in silence."""
+    """Read a session; return the number of frames lost, and the notes. Nothing is changed, wrong or
+    lost in silence.
+    """
     before, journal = record_of(folder), array_of(folder) / JOURNAL
     session = open_session(folder)
     entry = session.stack("flat")
@@ -108,9 +120,15 @@ def check_reading(folder: Path) -> tuple[int, tuple[str, ...]]:
         assert str(journal) in str(error)
         return FRAMES, (str(error),)
     assert read.lost_frames == entry.lost_frames == FRAMES - len(read)
-    for data, number, time_s in zip(read.data, read.frame_number.tolist(), read.time_s, strict=True):
+    for data, number, time_s in zip(
+        read.data, read.frame_number.tolist(), read.time_s, strict=True
+    ):
         place = number - FIRST_NUMBER
-        assert 0 <= place < FRAMES and time_s == 0.5 + place / 30 and np.array_equal(data, pixels(place))
+        assert (
+            0 <= place < FRAMES
+            and time_s == 0.5 + place / 30
+            and np.array_equal(data, pixels(place))
+        )
     assert len(set(read.frame_number.tolist())) == len(read)
     unread = open_lazy_stack(entry)
     assert np.array_equal(unread.frames(0, len(unread)), read.data)
@@ -119,14 +137,18 @@ def check_reading(folder: Path) -> tuple[int, tuple[str, ...]]:
     assert set(notes) == set(session.notes)
     if read.lost_frames:
         (note,) = notes
-        (missing, *_) = sorted(set(range(FRAMES)) - set((read.frame_number - FIRST_NUMBER).tolist()))
+        (missing, *_) = sorted(
+            set(range(FRAMES)) - set((read.frame_number - FIRST_NUMBER).tolist())
+        )
         assert re.search(rf"frames? {missing}\b", note) and f"got {len(read)}" in note
     assert record_of(folder) == before
     return read.lost_frames, notes
 
 
 def check_resuming(folder: Path, lost: int) -> None:
-    """Go on with a stack of which frames are lost: its record is still there, in place or put aside."""
+    """Go on with a stack of which frames are lost: its record is still there, in place or put
+    aside.
+    """
     before, journal = record_of(folder), (array_of(folder) / JOURNAL).read_bytes()
     with SessionWriter.resume(folder) as writer:
         assert writer.partial == {"flat": FRAMES - lost}
@@ -135,7 +157,9 @@ def check_resuming(folder: Path, lost: int) -> None:
             stack.append(pixels(NEW_NUMBER), 99.0, NEW_NUMBER)
             stack.finish()
     after = record_of(folder)
-    assert any(content.startswith(journal) for path, content in after.items() if path.name == JOURNAL)
+    assert any(
+        content.startswith(journal) for path, content in after.items() if path.name == JOURNAL
+    )
     kept = list(after.values())
     assert all(content in kept for path, content in before.items() if path.name != JOURNAL)
     read = open_session(folder).stack("flat").read()
@@ -152,8 +176,18 @@ def damages(line: bytes, rng: random.Random) -> Iterator[tuple[str, str, bytes]]
         spans = [span.span() for span in re.finditer(pattern, line)]
         for how in ("changed", "inserted", "removed"):
             at = rng.choice([at for first, last in spans for at in range(first, last)])
-            byte = bytes([rng.choice([other for other in b'0123456789abcdefx}", \n\r\0\xff' if other != line[at]])])
-            yield place, how, line[:at] + (b"" if how == "removed" else byte) + line[at + (how != "inserted") :]
+            byte = bytes(
+                [
+                    rng.choice(
+                        [other for other in b'0123456789abcdefx}", \n\r\0\xff' if other != line[at]]
+                    )
+                ]
+            )
+            yield (
+                place,
+                how,
+                line[:at] + (b"" if how == "removed" else byte) + line[at + (how != "inserted") :],
+            )
 
 
 @pytest.mark.parametrize("finished", [True, False])
@@ -161,20 +195,28 @@ def damages(line: bytes, rng: random.Random) -> Iterator[tuple[str, str, bytes]]
 def test_one_damaged_byte_costs_no_frame(tmp_path, sound, finished, place, seed):
     """21 damages of four lines of a finished stack and of one that is gone on with: 168."""
     lines = lines_of(sound)
-    for where, how, damaged in damages(lines[place], random.Random(100 * seed + place + 1000 * finished)):
+    for where, how, damaged in damages(
+        lines[place], random.Random(100 * seed + place + 1000 * finished)
+    ):
         journal = b"".join((*lines[:place], damaged, *lines[place + 1 :]))
         folder = copied(sound, tmp_path / "s", finished=finished, journal=journal)
         lost, notes = check_reading(folder)
         assert lost == 0, (where, how, damaged)
         # A last line that lacks its end may have been cut short by a crash, and nothing is missing.
         if (where, place) != ("end", FRAMES - 1):
-            assert re.search(rf"lines? ({place + 1}|{place}|{place + 2})\b", notes[0]), (where, how, damaged)
+            assert re.search(rf"lines? ({place + 1}|{place}|{place + 2})\b", notes[0]), (
+                where,
+                how,
+                damaged,
+            )
         if not finished:
             check_resuming(folder, lost)
 
 
 @pytest.mark.parametrize("finished", [True, False])
-def test_a_line_that_is_missing_is_told_and_one_that_is_there_twice_costs_nothing(tmp_path, sound, finished):
+def test_a_line_that_is_missing_is_told_and_one_that_is_there_twice_costs_nothing(
+    tmp_path, sound, finished
+):
     lines = lines_of(sound)
     for place, line in enumerate(lines):
         for there in ([], [line, line]):
@@ -187,7 +229,9 @@ def test_a_line_that_is_missing_is_told_and_one_that_is_there_twice_costs_nothin
 
 @pytest.mark.parametrize("finished", [True, False])
 @pytest.mark.parametrize("part", range(4))
-def test_whatever_the_damage_no_frame_is_lost_in_silence_or_handed_out_changed(tmp_path, sound, finished, part, seed):
+def test_whatever_the_damage_no_frame_is_lost_in_silence_or_handed_out_changed(
+    tmp_path, sound, finished, part, seed
+):
     """Bytes changed by the dozen, lines cut, exchanged and swept away: 160 journals."""
     rng = random.Random(10 * seed + part)
     whole = b"".join(lines_of(sound))
@@ -240,10 +284,14 @@ def test_damage_that_shows_without_checksums_is_told_as_well(tmp_path, sound, fi
 
 
 def test_a_torn_line_that_a_later_run_ended_is_no_frame(tmp_path, sound):
-    """Whatever part of the last line a power cut left, the stack goes on, and again after a second cut."""
+    """Whatever part of the last line a power cut left, the stack goes on, and again after a second
+    cut.
+    """
     *lines, last = lines_of(sound)
     for cut in (1, 40, len(last) - 3):
-        folder = copied(sound, tmp_path / "s", finished=False, journal=b"".join((*lines, last[:cut])))
+        folder = copied(
+            sound, tmp_path / "s", finished=False, journal=b"".join((*lines, last[:cut]))
+        )
         with SessionWriter.resume(folder) as writer, begun(writer) as stack:
             assert len(stack) == FRAMES - 1
             for number in (1, 2):
@@ -270,7 +318,9 @@ def test_who_follows_a_growing_array_passes_over_damaged_lines(tmp_path, sound):
 
 
 def test_a_frame_is_restored_only_where_its_chunk_is_the_one_acknowledged(tmp_path, sound):
-    """A line of another frame in the place of the missing one, its index made to fit, proves nothing."""
+    """A line of another frame in the place of the missing one, its index made to fit, proves
+    nothing.
+    """
     lines = lines_of(sound)
     lines[5] = lines[5].replace(b'"time_s": ', b'"time_s": 1', 1)
     folder = copied(sound, tmp_path / "s", finished=True, journal=b"".join(lines))
@@ -283,7 +333,12 @@ def test_a_frame_is_restored_only_where_its_chunk_is_the_one_acknowledged(tmp_pa
 
 def test_the_sentence_of_a_long_damage_stays_short(tmp_path, sound):
     lines = [json.dumps({"index": n}).encode() + b"\n" for n in range(FRAMES)]
-    folder = copied(sound, tmp_path / "s", finished=True, journal=lines_of(sound)[0] + b"".join(lines[1:]))
+    folder = copied(
+        sound, tmp_path / "s", finished=True, journal=lines_of(sound)[0] + b"".join(lines[1:])
+    )
     lost, (note,) = check_reading(folder)
     assert lost == FRAMES - 1
-    assert "lines 2, 3, 4, 5, 6 and 6 more are damaged; frames 1, 2, 3, 4, 5 and 6 more are not read" in note
+    assert (
+        "lines 2, 3, 4, 5, 6 and 6 more are damaged; frames 1, 2, 3, 4, 5 and 6 more are not read"
+        in note
+    )

@@ -1,4 +1,6 @@
-"""The dose of a tube adds up over sessions, outlives half-written lines, and warns of a life used up."""
+"""The dose of a tube adds up over sessions, outlives half-written lines, and warns of a life used
+up.
+"""
 
 import math
 import multiprocessing
@@ -13,7 +15,16 @@ import pytest
 
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor
-from labdata.tube_dose import FOLDER_VARIABLE, Dose, DoseLedger, _lock, dose_of, ledger_of, total_dose, warnings
+from labdata.tube_dose import (
+    FOLDER_VARIABLE,
+    Dose,
+    DoseLedger,
+    _lock,
+    dose_of,
+    ledger_of,
+    total_dose,
+    warnings,
+)
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 
@@ -24,7 +35,9 @@ def dose(charge: float = 1e-6, hours: float = 0.5, log_sd: float = 0.4) -> Dose:
 
 def test_the_worked_example_of_the_tubes_life_is_met():
     """25 nA/cm2 for 1000 h are 0.09 C/cm2."""
-    whole = dose_of(delivered_na_per_cm2=25.0, lit_s=3.6e6, at_gain_s=3.6e6, point=False, log_sd=0.0)
+    whole = dose_of(
+        delivered_na_per_cm2=25.0, lit_s=3.6e6, at_gain_s=3.6e6, point=False, log_sd=0.0
+    )
     assert whole.screen_c_per_cm2 == pytest.approx(0.09)
     assert whole.hours_at_gain == pytest.approx(1000.0)
 
@@ -60,13 +73,17 @@ def test_half_a_line_is_left_alone_and_the_next_dose_begins_anew(tmp_path):
     assert ledger.total().screen_c_per_cm2 == pytest.approx(2e-6)
 
 
-@pytest.mark.parametrize("line", ["[]", "7", "{}", '{"screen_c_per_cm2": -1}', "hello", '{"hours_at_gain": "x"}'])
+@pytest.mark.parametrize(
+    "line", ["[]", "7", "{}", '{"screen_c_per_cm2": -1}', "hello", '{"hours_at_gain": "x"}']
+)
 def test_a_line_that_is_no_dose_is_refused_with_its_number(tmp_path, line):
     ledger = DoseLedger(tmp_path / "tube.jsonl")
     ledger.append(dose())
     with open(ledger.path, "a") as file:
         file.write(line + "\n")
-    with pytest.raises(BadInput, match="every line of a dose ledger must hold a dose, got another in line 2"):
+    with pytest.raises(
+        BadInput, match="every line of a dose ledger must hold a dose, got another in line 2"
+    ):
         ledger.total()
 
 
@@ -95,14 +112,17 @@ def test_what_was_written_survives_kill_9(tmp_path):
 
 
 HOLDER = (
-    "import fcntl, sys; f = open(sys.argv[1], 'ab'); fcntl.flock(f, 2); print('locked', flush=True); sys.stdin.read()"
+    "import fcntl, sys; f = open(sys.argv[1], 'ab'); fcntl.flock(f, 2); print('locked', "
+    "flush=True); sys.stdin.read()"
 )
 
 
 @contextmanager
 def locked(path):
     """Another process holds the lock of a ledger."""
-    holder = subprocess.Popen([sys.executable, "-c", HOLDER, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
     assert holder.stdin is not None and holder.stdout is not None
     holder.stdout.readline()
     yield
@@ -116,7 +136,9 @@ def test_a_lock_that_another_process_keeps_is_waited_for_only_so_long(tmp_path, 
     before = ledger.path.read_bytes()
     with locked(ledger.path):
         began_s = time.monotonic()
-        with pytest.raises(TimeoutError, match=r"^another process has locked it for more than 0\.2 s$"):
+        with pytest.raises(
+            TimeoutError, match=r"^another process has locked it for more than 0\.2 s$"
+        ):
             ledger.append(dose())
         assert 0.2 <= time.monotonic() - began_s < 1.0
         assert len(ledger) == 1
@@ -141,9 +163,13 @@ def test_an_append_reads_one_byte_of_the_ledger_however_long_it_is(tmp_path, mon
     ledger.append(dose())
     read = []
     pread = os.pread
-    monkeypatch.setattr(os, "pread", lambda file, count, at: read.append(count) or pread(file, count, at))
+    monkeypatch.setattr(
+        os, "pread", lambda file, count, at: read.append(count) or pread(file, count, at)
+    )
     monkeypatch.setattr(DoseLedger, "_doses", lambda self: pytest.fail("the ledger was read"))
-    monkeypatch.setattr(type(ledger.path), "read_bytes", lambda self: pytest.fail("the ledger was read"))
+    monkeypatch.setattr(
+        type(ledger.path), "read_bytes", lambda self: pytest.fail("the ledger was read")
+    )
     ledger.append(dose())
     assert read == [1]
 
@@ -151,7 +177,9 @@ def test_an_append_reads_one_byte_of_the_ledger_however_long_it_is(tmp_path, mon
 def test_a_life_nearly_used_up_is_warned_of():
     assert warnings(dose(charge=0.2), SENSOR) == ()
     (told,) = warnings(dose(charge=0.25), SENSOR)
-    assert told == "The tube's screen charge is 0.25 C/cm2, 83% of the 0.3 C/cm2 expected of its life."
+    assert (
+        told == "The tube's screen charge is 0.25 C/cm2, 83% of the 0.3 C/cm2 expected of its life."
+    )
     (told,) = warnings(dose(hours=20_000.0), SENSOR)
     assert "time at gain is 2e+04 h, 100% of the 20000 h" in told
 

@@ -63,7 +63,9 @@ def disk(monkeypatch):
 
 
 @pytest.mark.parametrize("takes_bytes", [0, 7])
-def test_lines_that_a_full_disk_did_not_take_are_counted_and_raise_nothing(tmp_path, disk, takes_bytes):
+def test_lines_that_a_full_disk_did_not_take_are_counted_and_raise_nothing(
+    tmp_path, disk, takes_bytes
+):
     log = EventLog(tmp_path / "log.jsonl")
     disk.takes_bytes = takes_bytes
     log("lost")
@@ -144,7 +146,9 @@ def test_a_pipe_whose_reader_comes_late_has_all_lines(tmp_path):
 
 @pytest.mark.parametrize("name", [".", "none/log.jsonl"])
 def test_a_file_that_cannot_be_opened_is_one_sentence(tmp_path, name):
-    with pytest.raises(BadInput, match=r"^an event log must be a file that can be written, got .*: [A-Z][a-z ]+$"):
+    with pytest.raises(
+        BadInput, match=r"^an event log must be a file that can be written, got .*: [A-Z][a-z ]+$"
+    ):
         EventLog(tmp_path / name)
 
 

@@ -1,4 +1,6 @@
-"""What is no regular file, or unpacks to more than a camera or this machine holds, ends at once in one sentence."""
+"""What is no regular file, or unpacks to more than a camera or this machine holds, ends at once in
+one sentence.
+"""
 
 import gzip
 import os
@@ -55,7 +57,11 @@ def png(path: Path) -> None:
     packing = zlib.compressobj(1)
     row = bytes(1 + SIDE)
     data = b"".join(packing.compress(row) for _ in range(SIDE)) + packing.flush()
-    parts = ((b"IHDR", struct.pack(">IIBBBBB", SIDE, SIDE, 8, 0, 0, 0, 0)), (b"IDAT", data), (b"IEND", b""))
+    parts = (
+        (b"IHDR", struct.pack(">IIBBBBB", SIDE, SIDE, 8, 0, 0, 0, 0)),
+        (b"IDAT", data),
+        (b"IEND", b""),
+    )
     path.write_bytes(
         b"\x89PNG\r\n\x1a\n"
         + b"".join(
@@ -90,7 +96,9 @@ def sparse_npy(path: Path) -> None:
 
 
 def fits_header(**cards: object) -> bytes:
-    text = "".join(f"{key:<8}= {value:>20}".ljust(80) for key, value in cards.items()) + "END".ljust(80)
+    text = "".join(
+        f"{key:<8}= {value:>20}".ljust(80) for key, value in cards.items()
+    ) + "END".ljust(80)
     return text.ljust(-(-len(text) // 2880) * 2880).encode()
 
 
@@ -111,7 +119,9 @@ def fits_without_end(path: Path) -> None:
 
 def hdf5(path: Path) -> None:
     with h5py.File(path, "w") as file:
-        file.create_dataset("frames", (4, SIDE, SIDE), "u2", chunks=(1, 1000, 1000), compression="gzip")
+        file.create_dataset(
+            "frames", (4, SIDE, SIDE), "u2", chunks=(1, 1000, 1000), compression="gzip"
+        )
 
 
 def ppm(path: Path) -> None:
@@ -127,7 +137,10 @@ def raw(path: Path) -> None:
 
 TOO_LARGE = f"at most {MOST_PICTURE_PX} pixels, got"
 BOMBS = {
-    "a.png": (png, f"{TOO_LARGE} 17000 rows x 17000 columns = 289000000 in a.png: cut out the part"),
+    "a.png": (
+        png,
+        f"{TOO_LARGE} 17000 rows x 17000 columns = 289000000 in a.png: cut out the part",
+    ),
     "a.tif": (tiff, f"{TOO_LARGE} 1000000 rows x 1000000 columns"),
     "a.npy": (npy, "fewer pixels than its header states, in"),
     "b.npy": (sparse_npy, f"{TOO_LARGE} 34000 rows"),
@@ -140,7 +153,9 @@ BOMBS = {
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_a_file_that_states_or_unpacks_to_too_much_is_refused_before_it_takes_memory(tmp_path, name):
+def test_a_file_that_states_or_unpacks_to_too_much_is_refused_before_it_takes_memory(
+    tmp_path, name
+):
     write, rule = BOMBS[name]
     write(tmp_path / name)
     before_mb = most_resident_mb()
@@ -152,7 +167,9 @@ def test_a_file_that_states_or_unpacks_to_too_much_is_refused_before_it_takes_me
     assert most_resident_mb() - before_mb < 50.0
 
 
-@pytest.mark.parametrize(("name", "verb"), [("a.tif", ("mtf", "edge")), ("a.npy", ("import", "frames"))])
+@pytest.mark.parametrize(
+    ("name", "verb"), [("a.tif", ("mtf", "edge")), ("a.npy", ("import", "frames"))]
+)
 def test_the_command_line_says_it_in_one_sentence(tmp_path, name, verb):
     write, rule = BOMBS[name]
     write(tmp_path / name)
@@ -177,7 +194,9 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_what_is_read_whole_must_fit_into_half_of_the_memory_and_what_is_mapped_need_not(tmp_path, name, monkeypatch):
+def test_what_is_read_whole_must_fit_into_half_of_the_memory_and_what_is_mapped_need_not(
+    tmp_path, name, monkeypatch
+):
     frames = np.random.default_rng(1).integers(0, 255, (5, 200, 300), dtype=np.uint8)
     WRITERS[name](tmp_path / name, frames)
     assert read_frames(tmp_path / name, axis="frame").shape[1:] == (200, 300)
@@ -185,7 +204,9 @@ def test_what_is_read_whole_must_fit_into_half_of_the_memory_and_what_is_mapped_
     if name == "a.npy":
         assert read_frames(tmp_path / name).shape == (5, 200, 300)
     else:
-        with pytest.raises(BadInput, match=rf"must take at most 0\.0001 GB, 50% .* in {name}: write fewer frames"):
+        with pytest.raises(
+            BadInput, match=rf"must take at most 0\.0001 GB, 50% .* in {name}: write fewer frames"
+        ):
             read_frames(tmp_path / name)
 
 
@@ -212,7 +233,10 @@ ENDINGS = (".tif", ".npy", ".fits", ".png", ".dng", ".h5", ".ser", ".spe", ".sif
 def test_what_is_no_regular_file_is_not_opened(tmp_path, monkeypatch, kind, ending):
     monkeypatch.chdir(tmp_path)
     OTHERS[kind](tmp_path / f"a{ending}")
-    with pytest.raises(BadInput, match="the folder" if kind == "a folder" else f"must be a regular file, got {kind}"):
+    with pytest.raises(
+        BadInput,
+        match="the folder" if kind == "a folder" else f"must be a regular file, got {kind}",
+    ):
         read_frames(tmp_path / f"a{ending}")
 
 
@@ -225,12 +249,16 @@ def test_a_link_to_a_file_is_as_good_as_the_file(tmp_path):
 MANIFEST = 'name = "s"\n[[stack]]\nlabel = "flat"\nkind = "flat"\nframes = "{frames}"\n'
 
 
-@pytest.mark.parametrize(("kind", "verb"), [("a named pipe", "measure"), ("a device", "noise"), ("a socket", "bloom")])
+@pytest.mark.parametrize(
+    ("kind", "verb"), [("a named pipe", "measure"), ("a device", "noise"), ("a socket", "bloom")]
+)
 def test_a_session_names_none_of_them(tmp_path, monkeypatch, kind, verb):
     monkeypatch.chdir(tmp_path)
     OTHERS[kind](tmp_path / "a.npy")
     (tmp_path / "session.toml").write_text(MANIFEST.format(frames="a.npy"))
-    assert f"frames of stack 'flat' must be a regular file, got {kind}" in one_sentence(charact(verb, tmp_path))
+    assert f"frames of stack 'flat' must be a regular file, got {kind}" in one_sentence(
+        charact(verb, tmp_path)
+    )
 
 
 def test_frames_that_became_a_pipe_after_the_session_was_opened_are_not_waited_for(tmp_path):
@@ -263,7 +291,9 @@ def test_an_hdf5_file_whose_pixels_lie_in_a_device_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("kind", OTHERS)
-@pytest.mark.parametrize("verb", [("plan",), ("simulate", "airfield", "out", "--sensor"), ("import", "emva1288")])
+@pytest.mark.parametrize(
+    "verb", [("plan",), ("simulate", "airfield", "out", "--sensor"), ("import", "emva1288")]
+)
 def test_a_plan_a_sensor_and_a_descriptor_are_regular_files(tmp_path, monkeypatch, kind, verb):
     monkeypatch.chdir(tmp_path)
     OTHERS[kind](tmp_path / "a.toml")

@@ -1,4 +1,6 @@
-"""A disk that is really full ends a session cleanly: what it took is whole, all else has its number and reason."""
+"""A disk that is really full ends a session cleanly: what it took is whole, all else has its number
+and reason.
+"""
 
 import json
 import os
@@ -11,7 +13,8 @@ import pytest
 
 DISK_BYTES = 4 << 20
 
-# A file system of its own, seen by this process alone, so that no rights are needed and nothing is left behind.
+# A file system of its own, seen by this process alone, so that no rights are needed and nothing is
+# left behind.
 MOUNTED = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c"]
 CHILD = """
     import json, sys
@@ -41,7 +44,11 @@ CHILD = """
     print(json.dumps({
         "said": said,
         "acknowledged": stack.acknowledged,
-        "whole": [int(n) for n, frame in zip(read.frame_number, read.data) if (frame == pixels ^ int(n)).all()],
+        "whole": [
+            int(n)
+            for n, frame in zip(read.frame_number, read.data)
+            if (frame == pixels ^ int(n)).all()
+        ],
         "finished": entry.finished,
         "lost": [(one.first, one.last, one.reason) for one in entry.losses],
     }))
@@ -51,7 +58,10 @@ CHILD = """
 def on_a_small_disk(folder) -> dict:
     """Run the child on a file system of a few megabytes; skipped where nobody may mount one."""
     mount = f"mount -t tmpfs -o size={DISK_BYTES} none {folder}"
-    if shutil.which("unshare") is None or subprocess.run([*MOUNTED, mount], capture_output=True).returncode:
+    if (
+        shutil.which("unshare") is None
+        or subprocess.run([*MOUNTED, mount], capture_output=True).returncode
+    ):
         pytest.skip("nobody may mount a small disk here")
     child = [sys.executable, "-c", textwrap.dedent(CHILD), str(folder)]
     done = subprocess.run(

@@ -1,4 +1,6 @@
-"""Gain by calibration is monotone, goes there and back, and says nothing outside what was calibrated."""
+"""Gain by calibration is monotone, goes there and back, and says nothing outside what was
+calibrated.
+"""
 
 import pytest
 
@@ -27,7 +29,9 @@ def test_volts_lead_to_the_gain_and_back():
 
 
 def test_where_the_power_changes_the_gain_between_points_is_less_certain():
-    bent = GainTable(source="x", mcp_v=VOLTS, luminous_gain=(1e3, 1e4, 2e4, 3e4), relative_sd=(0.01,) * 4)
+    bent = GainTable(
+        source="x", mcp_v=VOLTS, luminous_gain=(1e3, 1e4, 2e4, 3e4), relative_sd=(0.01,) * 4
+    )
     assert bent.gain_at(700.0)[1] == pytest.approx(0.01)
     assert bent.gain_at(750.0)[1] > 0.1
 
@@ -38,7 +42,9 @@ def test_outside_the_table_nothing_is_said(volts):
         TABLE.gain_at(volts)
 
 
-@pytest.mark.parametrize("gains", [(1.0, 3.0, 2.0, 4.0), (0.0, 1.0, 2.0, 3.0), (1.0, 1.0, 2.0, 3.0), (1.0, 2.0)])
+@pytest.mark.parametrize(
+    "gains", [(1.0, 3.0, 2.0, 4.0), (0.0, 1.0, 2.0, 3.0), (1.0, 1.0, 2.0, 3.0), (1.0, 2.0)]
+)
 def test_a_table_that_does_not_rise_is_none(gains):
     with pytest.raises(BadInput):
         GainTable(source="x", mcp_v=VOLTS, luminous_gain=gains, relative_sd=(0.01,) * len(gains))

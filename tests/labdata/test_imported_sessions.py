@@ -54,14 +54,23 @@ def test_the_images_stay_where_they_are(tmp_path):
     ("change", "rule"),
     [
         (("n 12 7 5\n", ""), "must hold a line n and at least one of b or d"),
-        (("b 40000.0 120.0", "b forty 120.0"), r"got 'b forty 120\.0' in line 4 of EMVA1288_Data\.txt"),
+        (
+            ("b 40000.0 120.0", "b forty 120.0"),
+            r"got 'b forty 120\.0' in line 4 of EMVA1288_Data\.txt",
+        ),
         (("b 40000.0 120.0", "b 40000.0"), r"got 'b 40000\.0' in line 4"),
         (("v 3.0", "q 3.0"), r"must be v, n, b, d or i with its values, got 'q 3\.0' in line 2"),
-        (("n 12 7 5", "n 12 8 5"), r"images must be the 8x5 px of EMVA1288_Data\.txt, got 7x5 px in images/b0\.png"),
+        (
+            ("n 12 7 5", "n 12 8 5"),
+            r"images must be the 8x5 px of EMVA1288_Data\.txt, got 7x5 px in images/b0\.png",
+        ),
         (("images\\b0.png", "images/none.png"), r"must exist to be read, got .*none\.png"),
         (("i images\\b1.png\n", ""), "must have two images or more, got 1 at 40000 ns"),
         (("b 40000.0 120.0", "b -40000.0 120.0"), "exposure_s must not be negative"),
-        (("d2.png", "none.png"), r"the frames of stack 'dark-001-spatial' must exist to be read, got .*none\.png"),
+        (
+            ("d2.png", "none.png"),
+            r"the frames of stack 'dark-001-spatial' must exist to be read, got .*none\.png",
+        ),
     ],
 )
 def test_a_descriptor_that_breaks_its_format_is_refused(tmp_path, change, rule):
@@ -88,7 +97,9 @@ def test_an_import_does_not_write_over_a_session(tmp_path):
 
 
 def test_the_real_series_is_imported_whole(shared_data, tmp_path):
-    session = import_emva1288(shared_data / "emva001_basler_ccd12" / "EMVA1288_Data.txt", tmp_path / "S")
+    session = import_emva1288(
+        shared_data / "emva001_basler_ccd12" / "EMVA1288_Data.txt", tmp_path / "S"
+    )
     bright, dark = session.of_kind("flat"), session.of_kind("dark")
     assert len(bright) == len(dark) == 26
     assert sorted(len(stack.paths) for stack in bright) == [2] * 25 + [16]
@@ -115,7 +126,10 @@ def test_loose_files_become_a_stack_each(tmp_path):
 def test_conditions_are_read_from_names_and_gather_frames(tmp_path):
     names = ("700V_5e6ns_1.npy", "700V_5e6ns_2.npy", "1050.5V_5e6ns_1.npy")
     session = import_frames(
-        frames(tmp_path / "in", *names), tmp_path / "S", kind="flat", name_pattern="{mcp_v}V_{gate_ns}ns_*"
+        frames(tmp_path / "in", *names),
+        tmp_path / "S",
+        kind="flat",
+        name_pattern="{mcp_v}V_{gate_ns}ns_*",
     )
     low, high = session.stacks
     assert low.conditions == Conditions(mcp_v=700.0, gate_ns=5e6)
@@ -129,7 +143,10 @@ def test_conditions_are_read_from_names_and_gather_frames(tmp_path):
         ("{mcp_volt}V_*", "must be one of exposure_s, mcp_v, .*, got 'mcp_volt'"),
         ("flat_*", r"must name one condition or more, each once, in braces, got 'flat_\*'"),
         ("{mcp_v}V_{mcp_v}V", "each once"),
-        ("{mcp_v}kV_*", r"every file name must match the pattern '\{mcp_v\}kV_\*', got '700V_1\.npy'"),
+        (
+            "{mcp_v}kV_*",
+            r"every file name must match the pattern '\{mcp_v\}kV_\*', got '700V_1\.npy'",
+        ),
     ],
 )
 def test_a_pattern_that_does_not_fit_is_refused(tmp_path, pattern, rule):
@@ -156,15 +173,24 @@ def test_fits_frames_are_gathered_by_what_their_headers_state(tmp_path):
         fits_frame(tmp_path / "f2.fit", 1010, **flat),
         fits_frame(tmp_path / "f3.fit", 3000, **flat),
         fits_frame(tmp_path / "other colour.fit", 1000, **flat, FILTER="R"),
-        # A temperature in kelvins says nothing here, and a file without kind and exposure is a stack of its own.
-        fits_frame(tmp_path / "kelvin.fit", 50, IMAGETYP="Light Frame", EXPTIME=2.0, CCD_TEMP=168.0),
+        # A temperature in kelvins says nothing here, and a file without kind and exposure is a
+        # stack of its own.
+        fits_frame(
+            tmp_path / "kelvin.fit", 50, IMAGETYP="Light Frame", EXPTIME=2.0, CCD_TEMP=168.0
+        ),
         fits_frame(tmp_path / "silent.fit", 50),
     ]
     session = import_frames(files, tmp_path / "S")
     found = {tuple(path.stem for path in stack.paths): stack for stack in session.stacks}
     assert set(found) == {
-        ("silent",), ("b1", "b2"), ("warm",), ("f1", "f2"), ("f3",), ("other colour",), ("kelvin",),
-    }  # fmt: skip
+        ("silent",),
+        ("b1", "b2"),
+        ("warm",),
+        ("f1", "f2"),
+        ("f3",),
+        ("other colour",),
+        ("kelvin",),
+    }
     assert found["b1", "b2"].kind == "dark"
     assert found["b1", "b2"].conditions == Conditions(exposure_s=0.0, temperature_c=-10.0)
     assert found["f1", "f2"].kind == "flat"
@@ -175,18 +201,25 @@ def test_fits_frames_are_gathered_by_what_their_headers_state(tmp_path):
     assert [stack.kind for stack in told.stacks] == ["flat"]
     # A gain that changes from dark to flat is in no condition: noise would compare them in silence.
     other = fits_frame(tmp_path / "gain.fit", 1000, **flat, GAIN=2)
-    with pytest.raises(BadInput, match=r"must have one GAIN, got 'none' in f1\.fit and '2' in gain\.fit"):
+    with pytest.raises(
+        BadInput, match=r"must have one GAIN, got 'none' in f1\.fit and '2' in gain\.fit"
+    ):
         import_frames([files[3], other], tmp_path / "U")
     with pytest.raises(BadInput, match="must have one GAIN"):
         import_frames([other], tmp_path / "T", label="other", add=True)
 
 
 def test_files_of_one_stack_are_named_and_added_to_a_session(tmp_path):
-    import_frames(frames(tmp_path / "in", "b.npy", "a.npy"), tmp_path / "S", kind="dark", label="dark")
-    session = import_frames(frames(tmp_path / "lit", "c.npy"), tmp_path / "S", kind="flat", label="flat", add=True)
+    import_frames(
+        frames(tmp_path / "in", "b.npy", "a.npy"), tmp_path / "S", kind="dark", label="dark"
+    )
+    session = import_frames(
+        frames(tmp_path / "lit", "c.npy"), tmp_path / "S", kind="flat", label="flat", add=True
+    )
     assert [(stack.label, stack.kind, len(stack.read().data)) for stack in session.stacks] == [
-        ("dark", "dark", 2), ("flat", "flat", 1),
-    ]  # fmt: skip
+        ("dark", "dark", 2),
+        ("flat", "flat", 1),
+    ]
     before = (tmp_path / "S" / "session.toml").read_bytes()
     for keys, rule in (
         ({"label": "flat", "add": True}, "every stack's label must be its own, got 'flat' twice"),
@@ -220,8 +253,12 @@ def test_files_without_frames_and_stacks_of_several_sizes_are_not_imported(tmp_p
         import_frames([tmp_path / "empty.tif"], tmp_path / "S")
     files = frames(tmp_path / "in", "700V_1.npy", "700V_2.npy")
     np.save(files[1], np.zeros((1, 3, 5), np.uint8))
-    with pytest.raises(BadInput, match=r"one picture size, got 3 x 4 in 700V_1\.npy and 3 x 5 in 700V_2\.npy"):
+    with pytest.raises(
+        BadInput, match=r"one picture size, got 3 x 4 in 700V_1\.npy and 3 x 5 in 700V_2\.npy"
+    ):
         import_frames(files, tmp_path / "S", name_pattern="{mcp_v}V_*")
     assert not (tmp_path / "S" / "session.toml").exists()
     session = import_frames(files, tmp_path / "S")
-    assert session.notes == ("pictures of several sizes, rows x columns: 3 x 4 (700V_1), 3 x 5 (700V_2)",)
+    assert session.notes == (
+        "pictures of several sizes, rows x columns: 3 x 4 (700V_1), 3 x 5 (700V_2)",
+    )

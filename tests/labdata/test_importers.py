@@ -62,7 +62,9 @@ def test_a_packed_file_cut_anywhere_is_refused_or_whole(tmp_path):
     assert refused > 0.9 * (len(sizes) - 12)
 
 
-@pytest.mark.parametrize("options", [{}, {"rowsperstrip": 4}, {"tile": (16, 16)}, {"compression": "deflate"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"rowsperstrip": 4}, {"tile": (16, 16)}, {"compression": "deflate"}]
+)
 def test_no_way_of_laying_out_a_tiff_hides_that_its_end_is_missing(tmp_path, options):
     data = pixels("u2", (2, 40, 48))
     with tifffile.TiffWriter(tmp_path / "a.tif") as file:
@@ -136,7 +138,8 @@ def test_a_zarr_array_of_anyone_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("plane", "row", "col", "black"), [("r", 0, 0, 64), ("g1", 0, 1, 65), ("g2", 1, 0, 66), ("b", 1, 1, 67)]
+    ("plane", "row", "col", "black"),
+    [("r", 0, 0, 64), ("g1", 0, 1, 65), ("g2", 1, 0, 66), ("b", 1, 1, 67)],
 )
 def test_a_mosaic_is_taken_apart_and_never_interpolated(tmp_path, plane, row, col, black):
     data = np.arange(40 * 60, dtype=np.uint16).reshape(40, 60)
@@ -194,7 +197,8 @@ def test_a_picture_that_is_not_finite_is_refused_with_its_name(tmp_path, bad):
     data[1, 2, 3] = bad
     tifffile.imwrite(tmp_path / "a.tif", data, photometric="minisblack")
     with pytest.raises(
-        BadInput, match=r"every pixel must be finite, .*, got 1 that are NaN or infinite of 140, in .*a\.tif"
+        BadInput,
+        match=r"every pixel must be finite, .*, got 1 that are NaN or infinite of 140, in .*a\.tif",
     ):
         read_frames(tmp_path / "a.tif")
 
@@ -212,10 +216,14 @@ def test_an_array_without_pixels_is_refused_by_its_shape(tmp_path, shape):
     fits = pytest.importorskip("astropy.io.fits")
     data = np.zeros(shape, np.uint8)
     np.save(tmp_path / "a.npy", data)
-    zarr.create_array(tmp_path / "a.zarr", shape=shape, dtype="u1", chunks=tuple(max(1, side) for side in shape))
+    zarr.create_array(
+        tmp_path / "a.zarr", shape=shape, dtype="u1", chunks=tuple(max(1, side) for side in shape)
+    )
     fits.PrimaryHDU(data).writeto(tmp_path / "a.fits")
     for name in ("a.npy", "a.zarr", "a.fits"):
-        with pytest.raises(BadInput, match=rf"must hold pixels, got the shape {re.escape(str(shape))}.*{name}"):
+        with pytest.raises(
+            BadInput, match=rf"must hold pixels, got the shape {re.escape(str(shape))}.*{name}"
+        ):
             read_frames(tmp_path / name)
 
 
@@ -248,7 +256,10 @@ def test_the_full_scale_shows_where_pixels_pile_up(tmp_path, bits, kind):
     stack = read_frames(tmp_path / "a.npy")
     assert stack.full_scale_dn == top
     assert stack.notes == (
-        f"full scale found from the data: 5 pixels hold the highest code, {top} DN, which is that of {bits} bits",
+        (
+            f"full scale found from the data: 5 pixels hold the highest code, {top} DN, which is "
+            f"that of {bits} bits"
+        ),
     )
 
 
@@ -269,4 +280,6 @@ def test_a_session_of_raw_files_keeps_their_plane(tmp_path):
     with pytest.raises(BadInput, match=r"must be one of b, g1, g2, r, got None for a\.dng"):
         import_frames([tmp_path / "a.dng"], tmp_path / "S")
     session = import_frames([tmp_path / "a.dng"], tmp_path / "S", plane="g1", kind="flat")
-    assert np.array_equal(session.stack("a").read().data, read_frames(tmp_path / "a.dng", "g1").data)
+    assert np.array_equal(
+        session.stack("a").read().data, read_frames(tmp_path / "a.dng", "g1").data
+    )

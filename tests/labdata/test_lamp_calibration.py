@@ -1,4 +1,6 @@
-"""A lamp makes the light that is asked for, through the filter that is asked for, or says that it cannot."""
+"""A lamp makes the light that is asked for, through the filter that is asked for, or says that it
+cannot.
+"""
 
 import math
 
@@ -22,7 +24,9 @@ LAMP = LampCalibration(
 def test_the_light_is_that_of_the_current_through_the_filter(lux):
     setting = LAMP.setting(lux)
     density = LAMP.filter_density[setting.position - 1]
-    assert setting.read.illuminance_lux == pytest.approx(setting.current_a * 10.0**-density, rel=1e-9)
+    assert setting.read.illuminance_lux == pytest.approx(
+        setting.current_a * 10.0**-density, rel=1e-9
+    )
     # Half a milliampere of a current of at least 10 mA.
     assert setting.read.illuminance_lux == pytest.approx(lux, rel=0.05)
     assert setting.current_a == pytest.approx(round(setting.current_a, 3), abs=1e-12)
@@ -37,7 +41,9 @@ def test_the_densest_filter_that_lets_enough_light_pass_is_chosen():
 def test_the_filters_uncertainty_is_added_to_the_lamps():
     bare, filtered = LAMP.setting(0.1, 0.0).read, LAMP.setting(1e-3, 2.0).read
     assert bare.illuminance_relative_sd == pytest.approx(0.03)
-    assert filtered.illuminance_relative_sd == pytest.approx(math.hypot(0.03, 0.01 * math.log(10.0)))
+    assert filtered.illuminance_relative_sd == pytest.approx(
+        math.hypot(0.03, 0.01 * math.log(10.0))
+    )
 
 
 @pytest.mark.parametrize(
@@ -54,7 +60,9 @@ def test_what_the_lamp_cannot_make_is_refused(lux, density, rule):
         LAMP.setting(lux, density)
 
 
-@pytest.mark.parametrize("changes", [{"source": " "}, {"filter_density": ()}, {"filter_density": (1.0, 1.0)}])
+@pytest.mark.parametrize(
+    "changes", [{"source": " "}, {"filter_density": ()}, {"filter_density": (1.0, 1.0)}]
+)
 def test_a_calibration_that_cannot_be_is_refused(changes):
     with pytest.raises(BadInput):
         LampCalibration(**{**vars(LAMP), **changes})

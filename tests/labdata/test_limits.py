@@ -1,4 +1,6 @@
-"""A plan can only tighten a tube's limits; to set one aside it names it and says why, and the session repeats that."""
+"""A plan can only tighten a tube's limits; to set one aside it names it and says why, and the
+session repeats that.
+"""
 
 from dataclasses import fields
 
@@ -22,13 +24,16 @@ def test_the_tighter_of_plan_and_tube_holds():
 
 def test_a_limit_above_the_tubes_needs_an_override():
     with pytest.raises(
-        BadInput, match=r"limits.mcp_v must not exceed the tube's 900 \(a single plate.*\[\[override\]\]"
+        BadInput,
+        match=r"limits.mcp_v must not exceed the tube's 900 \(a single plate.*\[\[override\]\]",
     ):
         limits_in_force(Limits(mcp_v=950.0), SENSOR)
 
 
 def test_an_override_holds_and_is_told_with_both_reasons():
-    held = limits_in_force(Limits(), SENSOR, (Override(limit="mcp_v", value=950.0, reason="a stack of two"),))
+    held = limits_in_force(
+        Limits(), SENSOR, (Override(limit="mcp_v", value=950.0, reason="a stack of two"),)
+    )
     assert held.mcp_v == 950.0
     (told,) = held.overridden
     assert told.startswith("The tube's limit mcp_v of 900 (a single plate")
@@ -57,13 +62,21 @@ def test_one_limit_is_overridden_once():
 def test_an_unknown_tube_is_taken_for_a_delicate_and_strong_one():
     unknown, known = limits_in_force(), limits_in_force(Limits(), SENSOR)
     assert not unknown.known
-    assert all(getattr(unknown, name) <= getattr(known, name) for name in LIMITS if not name.startswith("point_anode"))
+    assert all(
+        getattr(unknown, name) <= getattr(known, name)
+        for name in LIMITS
+        if not name.startswith("point_anode")
+    )
     for volts in (600.0, 800.0, 900.0):
-        assert unknown.load.anode_na_per_cm2(1e-3, volts, 1.0) > known.load.anode_na_per_cm2(1e-3, volts, 1.0)
+        assert unknown.load.anode_na_per_cm2(1e-3, volts, 1.0) > known.load.anode_na_per_cm2(
+            1e-3, volts, 1.0
+        )
 
 
 @pytest.mark.parametrize("name", TUBES)
 def test_every_limit_of_a_shipped_tube_has_its_reason(name):
     limits = load_sensor(name).limits
     assert all(getattr(limits, item.name).source for item in fields(TubeLimits))
-    assert not any("nothing is known" in getattr(limits, item.name).source for item in fields(TubeLimits))
+    assert not any(
+        "nothing is known" in getattr(limits, item.name).source for item in fields(TubeLimits)
+    )

@@ -22,12 +22,14 @@ def outer(x):
 def said(root: Path) -> list[str]:
     """What a fresh process computes, and how many loops it took from disk."""
     ask = (
-        "from labdata.numba_cache import keep_loops; keep_loops(); from simulate.part.outer import outer;"
-        "print(outer(1.0), sum(outer.stats.cache_hits.values()))"
+        "from labdata.numba_cache import keep_loops; keep_loops(); from simulate.part.outer "
+        "import outer;print(outer(1.0), sum(outer.stats.cache_hits.values()))"
     )
     settings = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA")}
     settings["PYTHONPATH"] = str(root)
-    done = subprocess.run([sys.executable, "-c", ask], env=settings, cwd=root, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", ask], env=settings, cwd=root, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
 
@@ -51,4 +53,6 @@ def test_a_loop_forgets_what_another_file_said_before(tmp_path):
 
 def test_loops_of_other_packages_are_left_to_numba():
     assert labdata.numba_cache.stamp_of(Path(os.__file__)) is None
-    assert labdata.numba_cache.stamp_of(labdata.numba_cache.ROOT / "simulate" / "radiance" / "geometry" / "embree.py")
+    assert labdata.numba_cache.stamp_of(
+        labdata.numba_cache.ROOT / "simulate" / "radiance" / "geometry" / "embree.py"
+    )

@@ -23,21 +23,46 @@ def a_result(seed: int = 1) -> Result:
         seed=seed,
         flags=("prior-bound",),
     )
-    provenance = Provenance(version="0.1.0", seed=seed, settings={"window_px": 30}, inputs={"a.tif": "00"})
+    provenance = Provenance(
+        version="0.1.0", seed=seed, settings={"window_px": 30}, inputs={"a.tif": "00"}
+    )
     shared = {"posterior": posterior, "provenance": provenance, "seconds": 0.4}
     return Result(
         measurements=(
             measurement_from_draws(
-                "mtf50", "cy/px", draws[:, 0], method="edge", stack="edge-01", region=(1, 2, 30, 40), **shared
+                "mtf50",
+                "cy/px",
+                draws[:, 0],
+                method="edge",
+                stack="edge-01",
+                region=(1, 2, 30, 40),
+                **shared,
             ),
-            measurement_from_draws("mtf10", "cy/px", 2 * draws[:, 0], method="edge", flags=("lag",), **shared),
+            measurement_from_draws(
+                "mtf10", "cy/px", 2 * draws[:, 0], method="edge", flags=("lag",), **shared
+            ),
             make_measurement(
-                "mtf", "1", 0.5, (0.4, 0.6), (0.3, 0.7), method="bars", frequency_cy_per_px=0.12, notes=("a",)
+                "mtf",
+                "1",
+                0.5,
+                (0.4, 0.6),
+                (0.3, 0.7),
+                method="bars",
+                frequency_cy_per_px=0.12,
+                notes=("a",),
             ),
             make_refusal("halo_diameter", "px", "no point source was found", method="halo"),
         ),
-        curves={"mtf": Curve(frequency_cy_per_px=np.linspace(0, 0.5, 9), value=np.ones(9), interval95=np.ones((2, 9)))},
-        evidence={"edge-spread": {"figure": "edge-spread", "x_px": [0.0, 1.5], "truth": {"mtf50": 0.2}}},
+        curves={
+            "mtf": Curve(
+                frequency_cy_per_px=np.linspace(0, 0.5, 9),
+                value=np.ones(9),
+                interval95=np.ones((2, 9)),
+            )
+        },
+        evidence={
+            "edge-spread": {"figure": "edge-spread", "x_px": [0.0, 1.5], "truth": {"mtf50": 0.2}}
+        },
     )
 
 
@@ -45,7 +70,8 @@ def same(one, other) -> bool:
     """Whether two results are equal, arrays included."""
     if dataclasses.is_dataclass(one):
         return type(one) is type(other) and all(
-            same(getattr(one, item.name), getattr(other, item.name)) for item in dataclasses.fields(one)
+            same(getattr(one, item.name), getattr(other, item.name))
+            for item in dataclasses.fields(one)
         )
     if isinstance(one, np.ndarray):
         return np.array_equal(one, other)
@@ -77,7 +103,9 @@ def test_measurements_of_one_posterior_share_its_draws_on_the_disk(tmp_path):
         assert sum(name.endswith(".draws") for name in packed.files) == 1
 
 
-@pytest.mark.parametrize("damage", [b"", b"{", b'{"format": 1}', b'{"format": 9, "draws": "none.npz"}'])
+@pytest.mark.parametrize(
+    "damage", [b"", b"{", b'{"format": 1}', b'{"format": 9, "draws": "none.npz"}']
+)
 def test_a_damaged_result_is_refused_in_a_sentence(tmp_path, damage):
     result_io.save(a_result(), tmp_path)
     (tmp_path / result_io.RESULTS).write_bytes(damage)
@@ -87,7 +115,9 @@ def test_a_damaged_result_is_refused_in_a_sentence(tmp_path, damage):
 
 def test_a_number_that_is_not_finite_is_a_gap_and_not_a_crash(tmp_path):
     curve = Curve(frequency_cy_per_px=np.array([0.0, 0.1]), value=np.array([1.0, np.nan]))
-    result_io.save(Result(curves={"mtf": curve}, evidence={"a": {"x": [np.inf, np.float32(2.0)]}}), tmp_path)
+    result_io.save(
+        Result(curves={"mtf": curve}, evidence={"a": {"x": [np.inf, np.float32(2.0)]}}), tmp_path
+    )
     loaded = result_io.load(tmp_path)
     assert loaded is not None
     assert np.isnan(loaded.curves["mtf"].value[1])
@@ -95,18 +125,32 @@ def test_a_number_that_is_not_finite_is_a_gap_and_not_a_crash(tmp_path):
 
 
 def test_the_json_of_a_verb_keeps_the_contract():
-    written = json.loads(json.dumps(result_io.to_json(a_result(), given="edge.tif", version="0.1.0"), allow_nan=False))
+    written = json.loads(
+        json.dumps(
+            result_io.to_json(a_result(), given="edge.tif", version="0.1.0"), allow_nan=False
+        )
+    )
     assert written["charact"] == "0.1.0"
     assert written["input"] == "edge.tif"
     first, second, third, last = written["measurements"]
     for one in written["measurements"]:
-        assert {"quantity", "unit", "value", "interval68", "interval95", "status", "flags", "method", "seconds"} <= (
-            one.keys()
-        )
+        assert {
+            "quantity",
+            "unit",
+            "value",
+            "interval68",
+            "interval95",
+            "status",
+            "flags",
+            "method",
+            "seconds",
+        } <= (one.keys())
     assert first["status"] == "ok"
     assert first["region"] == [1, 2, 30, 40]
     assert first["stack"] == "edge-01"
-    assert first["interval95"][0] <= first["interval68"][0] <= first["value"] <= first["interval68"][1]
+    assert (
+        first["interval95"][0] <= first["interval68"][0] <= first["value"] <= first["interval68"][1]
+    )
     assert second["status"] == "suspect"
     assert second["flags"] == ["lag"]
     assert "region" not in second
@@ -115,5 +159,7 @@ def test_the_json_of_a_verb_keeps_the_contract():
     assert last["value"] is None
     assert last["reason"] == "no point source was found"
     curve = written["curves"]["mtf"]
-    assert len(curve["frequency_cy_per_px"]) == len(curve["value"]) == len(curve["interval95"][0]) == 9
+    assert (
+        len(curve["frequency_cy_per_px"]) == len(curve["value"]) == len(curve["interval95"][0]) == 9
+    )
     assert curve["interval68"] is None

@@ -1,4 +1,6 @@
-"""The shipped camera: what the sheet says follows from its numbers, and draws inside its ranges are cameras."""
+"""The shipped camera: what the sheet says follows from its numbers, and draws inside its ranges are
+cameras.
+"""
 
 from dataclasses import replace
 
@@ -33,13 +35,19 @@ def sensor() -> Sensor:
 def responsivity_a_per_w(sensor: Sensor, wavelength_nm):
     cathode = sensor.photocathode
     efficiency = np.interp(
-        wavelength_nm, cathode.wavelength_nm, cathode.relative_quantum_efficiency, left=0.0, right=0.0
+        wavelength_nm,
+        cathode.wavelength_nm,
+        cathode.relative_quantum_efficiency,
+        left=0.0,
+        right=0.0,
     )
     return efficiency * ELECTRON_C * wavelength_nm * 1e-9 / (PLANCK_J_S * LIGHT_M_PER_S)
 
 
 def test_the_cathode_table_has_the_luminous_sensitivity_of_a_2856_k_lamp(sensor):
-    """Regression truth 1 of the physics reference: 1996 uA/lm at the table's own scale, 228 mA/W at 830 nm."""
+    """Regression truth 1 of the physics reference: 1996 uA/lm at the table's own scale, 228 mA/W at
+    830 nm.
+    """
     wavelength_nm = np.arange(380.0, 1100.0)
     metre = wavelength_nm * 1e-9
     lamp = metre**-5 / np.expm1(PLANCK_J_S * LIGHT_M_PER_S / (metre * BOLTZMANN_J_PER_K * 2856.0))
@@ -62,8 +70,12 @@ def test_the_ebi_is_one_photoelectron_a_second_in_a_pixel(sensor):
 def test_the_luminous_gain_is_ten_thousand_photons_a_photoelectron(sensor):
     """Regression truth 3: 15,000 lm/lm at 1350 uA/lm is 10,229 photons per photoelectron."""
     joule_per_photon = float(sensor.phosphor.photon_energy_ev) * ELECTRON_C
-    photons_per_lumen_s = 1.0 / (float(sensor.phosphor.luminous_efficacy_lm_per_w) * joule_per_photon)
-    electrons_per_lumen_s = float(sensor.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6 / ELECTRON_C
+    photons_per_lumen_s = 1.0 / (
+        float(sensor.phosphor.luminous_efficacy_lm_per_w) * joule_per_photon
+    )
+    electrons_per_lumen_s = (
+        float(sensor.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6 / ELECTRON_C
+    )
     photons = float(sensor.tube.luminous_gain) * photons_per_lumen_s / electrons_per_lumen_s
     assert photons == pytest.approx(10229.0, rel=1e-3)
     assert photons / float(sensor.microchannel_plate.electron_gain) == pytest.approx(
@@ -74,7 +86,9 @@ def test_the_luminous_gain_is_ten_thousand_photons_a_photoelectron(sensor):
 def test_what_is_derived_follows_from_its_factors(sensor):
     plate, taper, video = sensor.microchannel_plate, sensor.taper, sensor.video
     open_area = float(plate.open_area_ratio)
-    detected = float(plate.film_transmission) * (open_area + (1 - open_area) * float(plate.web_recovery))
+    detected = float(plate.film_transmission) * (
+        open_area + (1 - open_area) * float(plate.web_recovery)
+    )
     assert detected == pytest.approx(float(plate.detection_probability), rel=1e-3)
     fibres = float(taper.core_fraction) * float(taper.bulk_transmission)
     collected = (float(taper.numerical_aperture) / float(taper.demagnification)) ** 2 * fibres
@@ -141,7 +155,11 @@ def test_what_is_neither_sheet_nor_definition_has_a_range(sensor):
         "video.aperture_correction_db",
         "video.setup_ire",
     }
-    unsure = {path for path, one in sensor.parameters().items() if one.standing != "sheet" and one.low is None}
+    unsure = {
+        path
+        for path, one in sensor.parameters().items()
+        if one.standing != "sheet" and one.low is None
+    }
     # Limits are what is allowed, which is not known more or less well.
     assert {path for path in unsure if not path.startswith("limits.")} == exact
 
@@ -150,15 +168,26 @@ def test_draws_inside_the_ranges_are_cameras_that_see(sensor, seed):
     rng = np.random.default_rng(seed)
     for _ in range(200):
         drawn = sensor.with_values(
-            {p: rng.uniform(q.low, q.high) for p, q in sensor.parameters().items() if q.low is not None}
+            {
+                p: rng.uniform(q.low, q.high)
+                for p, q in sensor.parameters().items()
+                if q.low is not None
+            }
         )
         sensitivity = float(drawn.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6
-        efficacy, energy = drawn.phosphor.luminous_efficacy_lm_per_w, drawn.phosphor.photon_energy_ev
+        efficacy, energy = (
+            drawn.phosphor.luminous_efficacy_lm_per_w,
+            drawn.phosphor.photon_energy_ev,
+        )
         photons = float(drawn.tube.luminous_gain) / (float(efficacy) * float(energy)) / sensitivity
         electrons = photons * float(drawn.taper.transmission) * float(drawn.ccd.quantum_efficiency)
         filled_by = float(drawn.ccd.full_well_e) / electrons
-        assert 10 < filled_by < 500  # photoelectrons that fill a field pixel; the reference says 40 to 160
-        at_64 = np.exp(-((64 / float(drawn.tube.mtf_frequency_lp_per_mm)) ** float(drawn.tube.mtf_exponent)))
+        assert (
+            10 < filled_by < 500
+        )  # photoelectrons that fill a field pixel; the reference says 40 to 160
+        at_64 = np.exp(
+            -((64 / float(drawn.tube.mtf_frequency_lp_per_mm)) ** float(drawn.tube.mtf_exponent))
+        )
         assert 0.01 < at_64 < 0.12
         assert float(drawn.phosphor.slow_decay_ms) > 5 * float(drawn.phosphor.fast_decay_ms)
 
@@ -175,7 +204,10 @@ def test_posterior_draws_survive_the_file_to_the_last_bit(sensor, seed, tmp_path
     from labdata.sensor import Draws
 
     values = np.random.default_rng(seed).normal(size=(50, 2))
-    draws = Draws(names=("tube.post_gain_share", "tube.mtf_exponent"), values=tuple(map(tuple, values.tolist())))
+    draws = Draws(
+        names=("tube.post_gain_share", "tube.mtf_exponent"),
+        values=tuple(map(tuple, values.tolist())),
+    )
     fitted = replace(sensor, draws=draws)
     save_sensor(fitted, tmp_path / "f.toml")
     assert load_sensor(tmp_path / "f.toml").draws == draws
@@ -185,20 +217,37 @@ def test_a_bare_number_is_an_exact_parameter(sensor):
     for path, parameter in sensor.parameters().items():
         mapping, (stage, name) = to_mapping(sensor), path.split(".")
         mapping[stage][name] = parameter.value
-        assert from_mapping(mapping, Sensor).parameters()[path] == Parameter(value=parameter.value), path
+        assert from_mapping(mapping, Sensor).parameters()[path] == Parameter(
+            value=parameter.value
+        ), path
 
 
 @pytest.mark.parametrize(
     ("path", "value", "sentence"),
     [
-        (("optics", "fnumber"), 1.4, "unknown key 'fnumber' in optics of s.toml; did you mean 'f_number'?"),
-        (("tube", "luminous_gain"), "high", 'luminous_gain must be a number or a table, got "high", in tube of s.toml'),
-        (("tube", "luminous_gain"), True, "luminous_gain must be a number or a table, got true, in tube of s.toml"),
+        (
+            ("optics", "fnumber"),
+            1.4,
+            "unknown key 'fnumber' in optics of s.toml; did you mean 'f_number'?",
+        ),
+        (
+            ("tube", "luminous_gain"),
+            "high",
+            'luminous_gain must be a number or a table, got "high", in tube of s.toml',
+        ),
+        (
+            ("tube", "luminous_gain"),
+            True,
+            "luminous_gain must be a number or a table, got true, in tube of s.toml",
+        ),
         (("ccd", "rows"), 12.5, "rows must be a whole number, got 12.5, in ccd of s.toml"),
         (
             ("tube", "luminous_gain"),
             {"value": 1.0, "low": 2.0, "high": 3.0},
-            "a value must lie between its low and high, got 1 for 2..3, in luminous_gain of tube of s.toml",
+            (
+                "a value must lie between its low and high, got 1 for 2..3, in luminous_gain of "
+                "tube of s.toml"
+            ),
         ),
         (
             ("tube", "luminous_gain"),
@@ -222,25 +271,43 @@ def test_every_shipped_description_loads_and_its_toml_is_stable():
 
 
 def test_the_gain_control_has_the_published_table(sensor):
-    """Luminous gain at 0, 51, 102, 153, 204 and 255 counts within 2.5 %, and the tube's own at the reference."""
+    """Luminous gain at 0, 51, 102, 153, 204 and 255 counts within 2.5 %, and the tube's own at the
+    reference.
+    """
     plate = sensor.microchannel_plate
     counts = np.arange(0.0, 256.0, 51.0)
     published = [2512.0, 5012.0, 9772.0, 19055.0, 36728.0, 70795.0]
     turns = (counts - float(plate.gain_control_reference)) / float(plate.gain_control_counts)
-    assert float(sensor.tube.luminous_gain) * float(plate.gain_control_ratio) ** turns == pytest.approx(
-        published, rel=0.025
-    )
+    assert float(sensor.tube.luminous_gain) * float(
+        plate.gain_control_ratio
+    ) ** turns == pytest.approx(published, rel=0.025)
 
 
 IMPOSSIBLE = [
     ("optics.f_number", 0.0, "f_number must be positive, got 0"),
     ("optics.vignetting_fraction", 1.5, "vignetting_fraction must lie between 0 and 1, got 1.5"),
-    ("optics.distortion_fraction", -0.6, "distortion_fraction must lie between -0.5 and 0.5, got -0.6"),
+    (
+        "optics.distortion_fraction",
+        -0.6,
+        "distortion_fraction must lie between -0.5 and 0.5, got -0.6",
+    ),
     ("photocathode.gate_on_off_ratio", 0.5, "gate_on_off_ratio must be at least 1, got 0.5"),
-    ("photocathode.bright_source_v", 900.0, "bright_source_v must not exceed gap_v, got 900 over 800"),
+    (
+        "photocathode.bright_source_v",
+        900.0,
+        "bright_source_v must not exceed gap_v, got 900 over 800",
+    ),
     ("photocathode.halo_fraction", -0.1, "halo_fraction must lie between 0 and 1, got -0.1"),
-    ("microchannel_plate.detection_probability", 1.01, "detection_probability must lie between 0 and 1, got 1.01"),
-    ("microchannel_plate.detection_probability", 0.0, "detection_probability must be positive, got 0"),
+    (
+        "microchannel_plate.detection_probability",
+        1.01,
+        "detection_probability must lie between 0 and 1, got 1.01",
+    ),
+    (
+        "microchannel_plate.detection_probability",
+        0.0,
+        "detection_probability must be positive, got 0",
+    ),
     ("microchannel_plate.gain_control_ratio", 1.0, "gain_control_ratio must exceed 1, got 1"),
     ("tube.luminous_gain", float("nan"), "value of a parameter must be a finite number, got nan"),
     ("phosphor.slow_decay_ms", 0.0, "slow_decay_ms must be positive, got 0"),
@@ -272,9 +339,14 @@ def test_a_table_of_efficiency_rises_in_wavelength(sensor):
 
 
 def test_a_digital_camera_has_no_analog_video_and_an_analog_one_all_of_it(sensor):
-    with pytest.raises(BadInput, match="without bandwidth_mhz must have no analog video, got lines, pixel_clock_mhz"):
+    with pytest.raises(
+        BadInput,
+        match="without bandwidth_mhz must have no analog video, got lines, pixel_clock_mhz",
+    ):
         replace(sensor.video, bandwidth_mhz=None)
-    with pytest.raises(BadInput, match="with bandwidth_mhz must have all its analog video, got no sync_jitter_ns"):
+    with pytest.raises(
+        BadInput, match="with bandwidth_mhz must have all its analog video, got no sync_jitter_ns"
+    ):
         replace(sensor.video, sync_jitter_ns=None)
     with pytest.raises(BadInput, match="with automatic_gain must have automatic_gain_range_db"):
         replace(sensor.video, automatic_gain_s=None)
@@ -283,25 +355,35 @@ def test_a_digital_camera_has_no_analog_video_and_an_analog_one_all_of_it(sensor
 
 
 def test_the_digital_intensified_camera_follows_from_its_numbers():
-    """Peak efficiency 0.50; what is derived follows from its factors; more than its 18 mm do not fall on the CCD."""
+    """Peak efficiency 0.50; what is derived follows from its factors; more than its 18 mm do not
+    fall on the CCD.
+    """
     camera = load_sensor("gen3-digital-iccd")
     peak = max(camera.photocathode.relative_quantum_efficiency)
     scale = float(camera.photocathode.luminous_sensitivity_ua_per_lm) / 1996.0
     assert peak * scale == pytest.approx(0.50, rel=0.01)
     plate, taper = camera.microchannel_plate, camera.taper
     open_area = float(plate.open_area_ratio)
-    detected = float(plate.film_transmission) * (open_area + (1 - open_area) * float(plate.web_recovery))
+    detected = float(plate.film_transmission) * (
+        open_area + (1 - open_area) * float(plate.web_recovery)
+    )
     assert detected == pytest.approx(float(plate.detection_probability), rel=1e-3)
     fibres = float(taper.core_fraction) * float(taper.bulk_transmission)
-    assert fibres * float(taper.numerical_aperture) ** 2 == pytest.approx(float(taper.transmission), rel=1e-3)
+    assert fibres * float(taper.numerical_aperture) ** 2 == pytest.approx(
+        float(taper.transmission), rel=1e-3
+    )
     photons = float(camera.tube.luminous_gain) / (
         float(camera.phosphor.luminous_efficacy_lm_per_w)
         * float(camera.phosphor.photon_energy_ev)
         * float(camera.photocathode.luminous_sensitivity_ua_per_lm)
         * 1e-6
     )
-    assert photons / float(camera.phosphor.photons_per_electron) == pytest.approx(float(plate.electron_gain), rel=5e-3)
-    filled = (2**camera.video.bit_depth - 1 - float(camera.video.black_level_dn)) / float(camera.ccd.full_well_e)
+    assert photons / float(camera.phosphor.photons_per_electron) == pytest.approx(
+        float(plate.electron_gain), rel=5e-3
+    )
+    filled = (2**camera.video.bit_depth - 1 - float(camera.video.black_level_dn)) / float(
+        camera.ccd.full_well_e
+    )
     assert filled == pytest.approx(float(camera.video.conversion_gain_dn_per_e), rel=1e-3)
     assert camera.video.digital
     assert camera.video.low_pass is None
@@ -314,7 +396,15 @@ def test_every_number_of_every_shipped_camera_says_where_it_comes_from_and_draws
     for name in sensor_names():
         camera = load_camera(name)
         known = camera.parameters()
-        assert all(one.source and one.standing in ("sheet", "default", "derived") for one in known.values()), name
-        ranged = {path: one for path, one in known.items() if one.low is not None and path != "ccd.quantum_efficiency"}
+        assert all(
+            one.source and one.standing in ("sheet", "default", "derived") for one in known.values()
+        ), name
+        ranged = {
+            path: one
+            for path, one in known.items()
+            if one.low is not None and path != "ccd.quantum_efficiency"
+        }
         for _ in range(20):
-            camera.with_values({path: rng.uniform(one.low, one.high) for path, one in ranged.items()})
+            camera.with_values(
+                {path: rng.uniform(one.low, one.high) for path, one in ranged.items()}
+            )

@@ -1,4 +1,6 @@
-"""A session opens as it is written, reads its frames when asked, and names what is wrong in one sentence."""
+"""A session opens as it is written, reads its frames when asked, and names what is wrong in one
+sentence.
+"""
 
 from pathlib import Path
 
@@ -48,7 +50,11 @@ target = { bars = 4, frequency_cy_per_px = 0.12, angle_deg = 90.0 }
         assert session.is_interlaced
         (stack,) = session.of_kind("flat")
         assert stack.conditions == Conditions(
-            exposure_s=0.0167, mcp_v=780.0, gate_ns=1.6e7, illuminance_lux=1e-4, photons_per_px=5200.0
+            exposure_s=0.0167,
+            mcp_v=780.0,
+            gate_ns=1.6e7,
+            illuminance_lux=1e-4,
+            photons_per_px=5200.0,
         )
         assert stack.target == Target(bars=4, frequency_cy_per_px=0.12, angle_deg=90.0)
     read = session.stack("flat-03").read()
@@ -71,7 +77,9 @@ def test_files_of_one_stack_follow_one_another(tmp_path):
     session = open_session(session_of(tmp_path, manifest, a=first, b=second))
     assert session.stack("flat-03").read().data[:, 0, 0].tolist() == [0, 0, 1]
     np.save(tmp_path / "b.npy", np.ones((9, 9), np.uint8))
-    with pytest.raises(BadInput, match=r"must have one picture size, got \(3, 4\) and \(9, 9\) in 'flat-03'"):
+    with pytest.raises(
+        BadInput, match=r"must have one picture size, got \(3, 4\) and \(9, 9\) in 'flat-03'"
+    ):
         session.stack("flat-03").read()
 
 
@@ -89,7 +97,11 @@ def test_a_sensor_beside_the_session_is_found(tmp_path):
     from labdata.sensors import load_sensor, save_sensor
 
     ours = replace(load_sensor("pulnix-ag5745ef3"), name="ours")
-    session_of(tmp_path, 'name = "s"\nsensor = "ours.toml"\ninterlaced = false\n' + FLAT, a=np.zeros((1, 2, 2)))
+    session_of(
+        tmp_path,
+        'name = "s"\nsensor = "ours.toml"\ninterlaced = false\n' + FLAT,
+        a=np.zeros((1, 2, 2)),
+    )
     save_sensor(ours, tmp_path / "ours.toml")
     session = open_session(tmp_path)
     assert session.sensor == ours
@@ -97,8 +109,12 @@ def test_a_sensor_beside_the_session_is_found(tmp_path):
 
 
 def test_pixels_beyond_the_digitiser_are_refused(tmp_path):
-    folder = session_of(tmp_path, 'name = "s"\nbit_depth = 8\n' + FLAT, a=np.full((1, 2, 2), 300, np.uint16))
-    with pytest.raises(BadInput, match="must not exceed the 255 DN of 8 bits, got 300 in stack 'flat-03'"):
+    folder = session_of(
+        tmp_path, 'name = "s"\nbit_depth = 8\n' + FLAT, a=np.full((1, 2, 2), 300, np.uint16)
+    )
+    with pytest.raises(
+        BadInput, match="must not exceed the 255 DN of 8 bits, got 300 in stack 'flat-03'"
+    ):
         open_session(folder).stack("flat-03").read()
 
 
@@ -106,7 +122,10 @@ def test_pixels_beyond_the_digitiser_are_refused(tmp_path):
     ("manifest", "sentence"),
     [
         ('name = "s"\n', "a session must have at least one stack, got none in {folder}"),
-        ('name = "s"\n' + FLAT * 2, "every stack's label must be its own, got 'flat-03' twice in {folder}"),
+        (
+            'name = "s"\n' + FLAT * 2,
+            "every stack's label must be its own, got 'flat-03' twice in {folder}",
+        ),
         (
             'name = "s"\n' + FLAT.replace("a.npy", "b.npy"),
             "the frames of stack 'flat-03' must exist to be read, got {folder}/b.npy",
@@ -115,11 +134,14 @@ def test_pixels_beyond_the_digitiser_are_refused(tmp_path):
             'name = "s"\n' + FLAT.replace('"a.npy"', "[]"),
             "a stack must name its frames, got none for 'flat-03' in {folder}",
         ),
-        ('name = "s"\nbit_depth = 0\n' + FLAT, "bit_depth must lie between 1 and 32, got 0 in {folder}"),
+        (
+            'name = "s"\nbit_depth = 0\n' + FLAT,
+            "bit_depth must lie between 1 and 32, got 0 in {folder}",
+        ),
         (
             'name = "s"\nsensor = "none"\n' + FLAT,
-            "a sensor must be one of emccd-512, gen3-digital-iccd, insb-mwir-640, machine-vision, pulnix-ag5745ef3, "
-            "scanning-lwir, vox-lwir-640 or the path of a TOML file, got 'none'",
+            "a sensor must be one of emccd-512, gen3-digital-iccd, insb-mwir-640, machine-vision, "
+            "pulnix-ag5745ef3, scanning-lwir, vox-lwir-640 or the path of a TOML file, got 'none'",
         ),
     ],
 )
@@ -132,8 +154,13 @@ def test_what_is_wrong_with_a_session_is_one_sentence(tmp_path, manifest, senten
 
 def test_what_a_target_states_for_another_kind_is_noted(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros((1, 4, 4), np.uint8))
-    stack = '[[stack]]\nlabel = "{0}"\nkind = "{0}"\nframes = "a.npy"\ntarget = {{ bars = 4, pinhole_px = 1.0 }}\n'
-    (tmp_path / "session.toml").write_text('name = "a"\n' + stack.format("edge") + stack.format("bars"))
+    stack = (
+        '[[stack]]\nlabel = "{0}"\nkind = "{0}"\nframes = "a.npy"\ntarget = {{ bars = 4, '
+        "pinhole_px = 1.0 }}\n"
+    )
+    (tmp_path / "session.toml").write_text(
+        'name = "a"\n' + stack.format("edge") + stack.format("bars")
+    )
     assert open_session(tmp_path).notes == (
         "stack 'edge' of kind 'edge' does not use its target's bars and pinhole_px",
         "stack 'bars' of kind 'bars' does not use its target's pinhole_px",
@@ -156,11 +183,19 @@ def test_a_stated_bit_depth_outweighs_what_the_data_show(tmp_path):
 
 
 def test_black_is_the_level_of_the_dark_under_the_very_settings(tmp_path):
-    """Darks at two voltages: an edge at one of them has its black, one at a third has none but is like the first."""
+    """Darks at two voltages: an edge at one of them has its black, one at a third has none but is
+    like the first.
+    """
     manifest = 'name = "s"\n' + "".join(
         f'[[stack]]\nlabel = "{kind}-{volts}"\nkind = "{kind}"\nframes = "{kind}.npy"\n'
         f"mcp_v = {volts}\ngate_ns = 1e6\nexposure_s = 0.02\n"
-        for kind, volts in (("dark", 700), ("edge", 700), ("edge", 750), ("dark", 800), ("edge", 800))
+        for kind, volts in (
+            ("dark", 700),
+            ("edge", 700),
+            ("edge", 750),
+            ("dark", 800),
+            ("edge", 800),
+        )
     )
     dark = np.array([[[7, 8], [9, 9]], [[8, 8], [8, 9]]])
     folder = session_of(tmp_path, manifest, dark=dark, edge=np.ones((1, 2, 2)))

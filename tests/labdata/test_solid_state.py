@@ -1,4 +1,6 @@
-"""A camera without a tube: described, told apart from intensified ones, and kept out of where a tube is needed."""
+"""A camera without a tube: described, told apart from intensified ones, and kept out of where a
+tube is needed.
+"""
 
 from dataclasses import replace
 
@@ -23,7 +25,9 @@ def camera() -> SolidStateCamera:
 
 def test_a_camera_with_a_tube_is_a_sensor_and_one_without_is_not(camera):
     assert isinstance(load_camera("pulnix-ag5745ef3"), Sensor)
-    with pytest.raises(BadInput, match=r"must be an intensified camera, got 'EMCCD 512', which has no \[tube\]"):
+    with pytest.raises(
+        BadInput, match=r"must be an intensified camera, got 'EMCCD 512', which has no \[tube\]"
+    ):
         load_sensor("emccd-512")
 
 
@@ -63,7 +67,8 @@ def test_a_session_of_such_a_camera_is_that_of_any_camera(camera, tmp_path):
     np.save(tmp_path / "f.npy", np.zeros((2, 8, 8), np.uint16))
     (tmp_path / "camera.toml").write_text(to_toml(camera))
     (tmp_path / "session.toml").write_text(
-        'name = "s"\nsensor = "camera.toml"\n[[stack]]\nlabel = "a"\nkind = "dark"\nframes = "f.npy"\nem_gain = 300.0\n'
+        'name = "s"\nsensor = "camera.toml"\n[[stack]]\nlabel = "a"\nkind = "dark"\nframes = '
+        '"f.npy"\nem_gain = 300.0\n'
     )
     session = open_session(tmp_path)
     assert session.sensor is None

@@ -1,4 +1,6 @@
-"""The storage thread writes beside the camera: bounded, in order, and each frame that it could not write is told."""
+"""The storage thread writes beside the camera: bounded, in order, and each frame that it could not
+write is told.
+"""
 
 import errno
 import os
@@ -22,7 +24,8 @@ SHAPE = (49, 77)
 
 def frames(count: int, first: int = 1) -> list[Frame]:
     return [
-        Frame(pixels=np.full(SHAPE, n % 256, np.uint8), number=n, time_s=n / 30) for n in range(first, first + count)
+        Frame(pixels=np.full(SHAPE, n % 256, np.uint8), number=n, time_s=n / 30)
+        for n in range(first, first + count)
     ]
 
 
@@ -92,7 +95,10 @@ def test_a_queue_that_stays_full_ends_in_a_sentence_and_the_frame_has_a_reason(w
         stack.enqueue(first)
         storage.wait()
         disk.go_on.clear()
-        with pytest.raises(BadInput, match=r"the disk must keep up with the camera, got \d frames waiting for 0\.05 s"):
+        with pytest.raises(
+            BadInput,
+            match=r"the disk must keep up with the camera, got \d frames waiting for 0\.05 s",
+        ):
             for frame in rest:
                 stack.enqueue(frame)
         assert storage.waiting_bytes <= 5 * size
@@ -104,7 +110,9 @@ def test_a_queue_that_stays_full_ends_in_a_sentence_and_the_frame_has_a_reason(w
     assert "did not keep up" in entry.losses[0].reason
 
 
-def test_a_full_disk_ends_the_writing_and_every_frame_that_waited_has_number_and_reason(writer, monkeypatch):
+def test_a_full_disk_ends_the_writing_and_every_frame_that_waited_has_number_and_reason(
+    writer, monkeypatch
+):
     disk = Disk(monkeypatch)
     refusal = "the disk must take every frame, got 'No space left on device' after 3 frames"
     with pytest.raises(BadInput, match=refusal), Storage(writer) as storage:
@@ -137,7 +145,10 @@ def test_what_is_doubted_is_doubted_after_its_frames(writer):
 
 
 def test_a_stack_that_may_not_be_begun_is_told_when_its_frames_come(writer):
-    with pytest.raises(BadInput, match="a complete stack cannot be begun again"), Storage(writer) as storage:
+    with (
+        pytest.raises(BadInput, match="a complete stack cannot be begun again"),
+        Storage(writer) as storage,
+    ):
         for _ in range(2):
             stack = begun(storage)
             stack.enqueue(frames(1)[0])
@@ -164,7 +175,9 @@ def test_a_disk_is_stalled_while_work_waits_and_nothing_moves(writer, monkeypatc
         assert storage.stall_s == 0.0
 
 
-def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_counted(writer, monkeypatch):
+def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_counted(
+    writer, monkeypatch
+):
     monkeypatch.setattr("labdata.storage_thread.STALLED_S", 0.3)
     disk = Disk(monkeypatch)
     sentence = r"got no progress for 0\.3 s: 5 frames of .* are not acknowledged"
@@ -183,10 +196,14 @@ def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_count
     disk.go_on.set()
     storage._thread.join(5.0)
     assert not storage._thread.is_alive()
-    assert open_session(writer.folder).stack("flat").read().frame_number.tolist() == list(range(1, 9))
+    assert open_session(writer.folder).stack("flat").read().frame_number.tolist() == list(
+        range(1, 9)
+    )
 
 
-def test_an_error_in_the_block_keeps_its_name_and_tells_of_the_frozen_disk_as_well(writer, monkeypatch):
+def test_an_error_in_the_block_keeps_its_name_and_tells_of_the_frozen_disk_as_well(
+    writer, monkeypatch
+):
     monkeypatch.setattr("labdata.storage_thread.STALLED_S", 0.2)
     disk = Disk(monkeypatch)
     with pytest.raises(KeyboardInterrupt) as interrupted, Storage(writer) as storage:
@@ -236,5 +253,7 @@ except BadInput as error:
 
 
 def test_a_process_whose_disk_is_frozen_ends(tmp_path):
-    done = subprocess.run([sys.executable, "-c", STUCK, tmp_path / "s"], capture_output=True, text=True, timeout=30)
+    done = subprocess.run(
+        [sys.executable, "-c", STUCK, tmp_path / "s"], capture_output=True, text=True, timeout=30
+    )
     assert done.returncode == 0 and "1 frames of" in done.stdout

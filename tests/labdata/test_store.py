@@ -49,7 +49,9 @@ def expected_sha256(index: int) -> str:
 
 def killed_after(frames: int, folder: Path) -> list[str]:
     """Start the writer, kill it -9 once it has told of some frames, and return all that it told."""
-    process = subprocess.Popen([sys.executable, "-c", WRITER, str(folder)], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(folder)], stdout=subprocess.PIPE, text=True
+    )
     assert process.stdout is not None
     told = [process.stdout.readline() for _ in range(frames + 1)]
     os.kill(process.pid, signal.SIGKILL)
@@ -69,7 +71,9 @@ def test_every_acknowledged_frame_outlives_a_kill(tmp_path, seed):
         stack = open_session(folder).stack("flat").read()
         assert len(stack) >= len(told)
         assert stack.frame_number.tolist() == list(range(len(stack)))
-        assert [store.sha256(frame) for frame in stack.data] == [expected_sha256(n) for n in range(len(stack))]
+        assert [store.sha256(frame) for frame in stack.data] == [
+            expected_sha256(n) for n in range(len(stack))
+        ]
         assert all(expected_sha256(index) == digest for index, digest in told.items())
     assert sorted(told) == list(range(len(told)))
 
@@ -95,16 +99,27 @@ def writer_of(folder: Path, **keys) -> SessionWriter:
 
 
 def begun(writer: SessionWriter, label: str = "flat", **changes) -> StackWriter:
-    keys = {"kind": "flat", "shape": SHAPE, "dtype": np.uint8, "conditions": Conditions(mcp_v=700.0), **changes}
+    keys = {
+        "kind": "flat",
+        "shape": SHAPE,
+        "dtype": np.uint8,
+        "conditions": Conditions(mcp_v=700.0),
+        **changes,
+    }
     return writer.begin_stack(label, **keys)
 
 
 def test_frames_come_back_with_their_stamps_numbers_and_losses(tmp_path):
     taken = {"asked": Conditions(mcp_v=701.0), "target": Target(contrast=0.9)}
-    with writer_of(tmp_path / "s", sensor="pulnix-ag5745ef3", bit_depth=8) as writer, begun(writer, **taken) as stack:
+    with (
+        writer_of(tmp_path / "s", sensor="pulnix-ag5745ef3", bit_depth=8) as writer,
+        begun(writer, **taken) as stack,
+    ):
         for n in range(4):
             stack.append(frame(10 * n), 0.5 + n / 30, 100 + 2 * n)
-        stack.finish(losses=(LostFrames(first=101, last=103, reason="missing packets"),), notes=("warm",))
+        stack.finish(
+            losses=(LostFrames(first=101, last=103, reason="missing packets"),), notes=("warm",)
+        )
     entry = open_session(tmp_path / "s").stack("flat")
     read = entry.read()
     assert read.data[:, 0, 0].tolist() == [0, 10, 20, 30]
@@ -136,7 +151,9 @@ def test_big_endian_pixels_are_refused_rather_than_turned(tmp_path):
     array.close()
 
 
-def test_a_frame_is_on_the_disk_before_the_array_grows_and_the_array_before_the_journal(tmp_path, monkeypatch):
+def test_a_frame_is_on_the_disk_before_the_array_grows_and_the_array_before_the_journal(
+    tmp_path, monkeypatch
+):
     array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
     events = []
     fsync, replace = os.fsync, os.replace
@@ -162,7 +179,9 @@ def test_a_frame_is_on_the_disk_before_the_array_grows_and_the_array_before_the_
     ]
 
 
-def test_the_array_grows_only_when_every_frame_written_with_it_is_on_the_disk(tmp_path, monkeypatch):
+def test_the_array_grows_only_when_every_frame_written_with_it_is_on_the_disk(
+    tmp_path, monkeypatch
+):
     array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
     fsync, done = os.fsync, []
 
@@ -181,13 +200,17 @@ def test_the_array_grows_only_when_every_frame_written_with_it_is_on_the_disk(tm
 
 def test_frames_written_together_are_the_same_as_one_after_the_other(tmp_path):
     frames = [Frame(pixels=frame(10 * n), number=5 + n, time_s=n / 30) for n in range(5)]
-    together, apart = (ArrayWriter(tmp_path / name, SHAPE, np.uint8) for name in ("a.zarr", "b.zarr"))
+    together, apart = (
+        ArrayWriter(tmp_path / name, SHAPE, np.uint8) for name in ("a.zarr", "b.zarr")
+    )
     told = together.extend(frames[:3]) + together.extend(frames[3:])
     assert told == tuple(apart.append(each.pixels, each.time_s, each.number) for each in frames)
     together.close()
     apart.close()
     for name in ("zarr.json", "journal.jsonl", "c.3.0.0"):
-        assert (tmp_path / "a.zarr" / name).read_bytes() == (tmp_path / "b.zarr" / name).read_bytes()
+        assert (tmp_path / "a.zarr" / name).read_bytes() == (
+            tmp_path / "b.zarr" / name
+        ).read_bytes()
 
 
 def test_an_array_does_not_show_a_frame_that_was_torn_by_a_crash(tmp_path):
@@ -235,7 +258,9 @@ def test_a_full_disk_is_a_sentence_and_the_frames_so_far_are_kept(tmp_path, monk
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", full)
-        with pytest.raises(BadInput, match="the disk must take every frame, got 'No space left on device' after 1 "):
+        with pytest.raises(
+            BadInput, match="the disk must take every frame, got 'No space left on device' after 1 "
+        ):
             array.append(frame(2), 1, 1)
     assert not list((tmp_path / "a.zarr").glob(".*.partial"))
     array.append(frame(3), 2, 2)
@@ -303,7 +328,9 @@ def test_resuming_goes_on_behind_the_last_frame_and_keeps_what_is_finished(tmp_p
     assert session.stack("flat").read().data[:, 0, 0].tolist() == [2, 3]
 
 
-def test_frames_that_a_kill_left_before_the_manifest_knew_of_them_are_no_part_of_their_stack(tmp_path, monkeypatch):
+def test_frames_that_a_kill_left_before_the_manifest_knew_of_them_are_no_part_of_their_stack(
+    tmp_path, monkeypatch
+):
     with writer_of(tmp_path) as writer:
         monkeypatch.setattr(writer, "_save", lambda form: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt), begun(writer) as stack:
@@ -326,7 +353,9 @@ def test_a_stack_goes_on_only_as_it_was_begun(tmp_path):
     with SessionWriter.resume(tmp_path / "s") as writer:
         with pytest.raises(BadInput, match="another kind, target or setting for 'flat'"):
             begun(writer, asked=Conditions(mcp_v=720.0))
-        with pytest.raises(BadInput, match=r"was begun with frames of \(49, 77\) uint8, got \(4, 4\) uint8"):
+        with pytest.raises(
+            BadInput, match=r"was begun with frames of \(49, 77\) uint8, got \(4, 4\) uint8"
+        ):
             begun(writer, asked=Conditions(mcp_v=700.0), shape=(4, 4))
         writer.set_aside("flat")
         with begun(writer, shape=(4, 4)) as stack:
@@ -341,21 +370,35 @@ def test_a_stack_without_frames_is_no_part_of_the_session(tmp_path):
         with begun(writer, "dark", kind="dark") as stack:
             stack.append(frame(1), 0, 0)
             stack.finish()
-        with begun(writer) as stack, pytest.raises(BadInput, match="at least one frame, got none in 'flat'"):
+        with (
+            begun(writer) as stack,
+            pytest.raises(BadInput, match="at least one frame, got none in 'flat'"),
+        ):
             stack.finish()
     assert [entry.label for entry in open_session(tmp_path / "s").stacks] == ["dark"]
 
 
 def test_two_writers_do_not_share_a_session(tmp_path):
-    code = "import sys; from labdata.session_writer import SessionWriter; SessionWriter.resume(sys.argv[1])"
+    code = (
+        "import sys; from labdata.session_writer import SessionWriter; "
+        "SessionWriter.resume(sys.argv[1])"
+    )
     with writer_of(tmp_path / "s"):
-        other = subprocess.run([sys.executable, "-c", code, str(tmp_path / "s")], capture_output=True, text=True)
+        other = subprocess.run(
+            [sys.executable, "-c", code, str(tmp_path / "s")], capture_output=True, text=True
+        )
     assert other.returncode == 1
     assert "one process may write to a session at a time" in other.stderr
-    assert subprocess.run([sys.executable, "-c", code, str(tmp_path / "s")], check=False).returncode == 0
+    assert (
+        subprocess.run([sys.executable, "-c", code, str(tmp_path / "s")], check=False).returncode
+        == 0
+    )
 
 
 @pytest.mark.parametrize("label", ["", "a/b", ".hidden", "a\\b"])
 def test_a_label_that_is_no_file_name_is_refused(tmp_path, label):
-    with writer_of(tmp_path / "s") as writer, pytest.raises(BadInput, match="a label must be a file name"):
+    with (
+        writer_of(tmp_path / "s") as writer,
+        pytest.raises(BadInput, match="a label must be a file name"),
+    ):
         begun(writer, label)

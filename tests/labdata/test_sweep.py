@@ -1,4 +1,6 @@
-"""A sweep takes every combination once, in the order asked for, the same at every reading, with its darks between."""
+"""A sweep takes every combination once, in the order asked for, the same at every reading, with its
+darks between.
+"""
 
 import itertools
 from collections import Counter
@@ -34,7 +36,11 @@ unhurried = settings(deadline=None, derandomize=True, max_examples=60)
 
 
 def settings_of(sweep: SweepRecord) -> list[tuple]:
-    return [(s.conditions.mcp_v, s.conditions.illuminance_lux) for s in sweep.steps() if s.kind != "dark"]
+    return [
+        (s.conditions.mcp_v, s.conditions.illuminance_lux)
+        for s in sweep.steps()
+        if s.kind != "dark"
+    ]
 
 
 def test_light_runs_fastest_as_written():
@@ -55,12 +61,17 @@ def test_there_and_back_never_jumps(sweep):
     """Neighbours differ in one axis, by one place of its list."""
     lit = [step.conditions for step in replace(sweep, order="boustrophedon", dark_every=0).steps()]
     for before, after in itertools.pairwise(lit):
-        moved = [axis for axis in ("mcp_v", "gate_ns", "exposure_s", "illuminance_lux")
-                 if getattr(before, axis) != getattr(after, axis)]  # fmt: skip
+        moved = [
+            axis
+            for axis in ("mcp_v", "gate_ns", "exposure_s", "illuminance_lux")
+            if getattr(before, axis) != getattr(after, axis)
+        ]
         assert len(moved) <= 1
         for axis in moved:
             places = getattr(sweep, axis)
-            assert abs(places.index(getattr(before, axis)) - places.index(getattr(after, axis))) == 1
+            assert (
+                abs(places.index(getattr(before, axis)) - places.index(getattr(after, axis))) == 1
+            )
 
 
 @unhurried
@@ -78,11 +89,15 @@ def test_darks_stand_first_last_and_no_further_apart_than_asked(sweep):
 
 def test_a_dark_is_taken_at_the_settings_of_its_neighbour():
     first, lit, *_ = replace(GRID, dark_every=9).steps()
-    assert replace(first.conditions, illuminance_lux=lit.conditions.illuminance_lux) == lit.conditions
+    assert (
+        replace(first.conditions, illuminance_lux=lit.conditions.illuminance_lux) == lit.conditions
+    )
 
 
 def test_another_seed_shuffles_otherwise_and_each_repeat_by_itself():
-    one, other = (settings_of(replace(GRID, order="randomised", seed=seed, repeats=2)) for seed in (1, 2))
+    one, other = (
+        settings_of(replace(GRID, order="randomised", seed=seed, repeats=2)) for seed in (1, 2)
+    )
     assert one != other
     assert one[:9] != one[9:]
     assert sorted(one[:9]) == sorted(one[9:])
@@ -91,7 +106,9 @@ def test_another_seed_shuffles_otherwise_and_each_repeat_by_itself():
 def test_labels_name_what_varies():
     labels = [step.label for step in replace(GRID, mcp_v=800.0, repeats=2, label="lin").steps()]
     assert labels[:2] == ["lin-1e-05lux-r1", "lin-0.0001lux-r1"]
-    targets = replace(GRID, mcp_v=800.0, illuminance_lux=1e-4, target=(Target(), Target(angle_deg=5.0)))
+    targets = replace(
+        GRID, mcp_v=800.0, illuminance_lux=1e-4, target=(Target(), Target(angle_deg=5.0))
+    )
     assert [step.label for step in targets.steps()] == ["flat-target1", "flat-target2"]
 
 
@@ -100,12 +117,16 @@ def test_a_plan_holds_single_steps_and_then_its_sweeps_and_is_kept_as_steps():
         {
             "name": "p",
             "step": [{"label": "first", "kind": "dark", "frames": 2}],
-            "sweep": [{"kind": "flat", "frames": 3, "mcp_v": [600.0, 700.0], "illuminance_lux": 1e-4}],
+            "sweep": [
+                {"kind": "flat", "frames": 3, "mcp_v": [600.0, 700.0], "illuminance_lux": 1e-4}
+            ],
             "settle": {"after_gain_s": 2.0},
         },
     )
     assert [step.label for step in plan.steps] == ["first", "flat-600V", "flat-700V"]
-    assert [plan.settle.wait_s(a.conditions, b.conditions) for a, b in itertools.pairwise(plan.steps)] == [2.0, 2.0]
+    assert [
+        plan.settle.wait_s(a.conditions, b.conditions) for a, b in itertools.pairwise(plan.steps)
+    ] == [2.0, 2.0]
     assert plan.settle.wait_s(plan.steps[1].conditions, plan.steps[1].conditions) == 0.0
     assert "step = [" in plan_toml(plan) and "sweep" not in plan_toml(plan)
 
@@ -119,10 +140,16 @@ def test_a_plan_holds_single_steps_and_then_its_sweeps_and_is_kept_as_steps():
         ({"dark_every": -1}, "dark_every must be 0, or positive"),
         ({"frames": 0}, "at least one frame, got 0"),
         ({"mcp_v": [700.0, 700.0]}, "every step's label must be its own"),
-        ({"order": "sideways"}, "order must be one of 'as-written', 'boustrophedon' or 'randomised'"),
+        (
+            {"order": "sideways"},
+            "order must be one of 'as-written', 'boustrophedon' or 'randomised'",
+        ),
         ({"mcp_v": ["high"]}, "must be a number"),
         ({"seed": -1}, "a seed must not be negative, got -1"),
-        ({"mcp_v": [1.0] * 500, "illuminance_lux": [1e-4] * 500}, "at most 20000 steps, got 250000"),
+        (
+            {"mcp_v": [1.0] * 500, "illuminance_lux": [1e-4] * 500},
+            "at most 20000 steps, got 250000",
+        ),
         ({"label": "a", "volts": 1.0}, "unknown key 'volts'"),
     ],
 )

@@ -1,4 +1,6 @@
-"""The halo of simulated specimens is found again, as wide at any light; blooms are as wide as light makes them."""
+"""The halo of simulated specimens is found again, as wide at any light; blooms are as wide as light
+makes them.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -35,10 +37,19 @@ def series(sensor, lights_lux, seed, *, frames, depletes=False, darks=False):
     for index, lux in enumerate([*lights_lux, 0.0] if darks else lights_lux):
         conditions = replace(SETTINGS, illuminance_lux=lux)
         kind = "point" if lux else "dark"
-        held = bench.expose(kind, Target(pinhole_px=1.0), conditions, frames=frames, seed=100 * seed + index)
+        held = bench.expose(
+            kind, Target(pinhole_px=1.0), conditions, frames=frames, seed=100 * seed + index
+        )
         label = f"{kind}-{index}"
         stacks.append(
-            InMemoryStack(label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=held)
+            InMemoryStack(
+                label=label,
+                kind=kind,
+                frames="",
+                conditions=conditions,
+                folder=Path("."),
+                held=held,
+            )
         )
     return Session(folder=Path("."), name="simulated", stacks=tuple(stacks), interlaced=True)
 
@@ -67,7 +78,9 @@ def test_the_halo_is_four_gaps_wide_over_two_decades_of_light(seed):
     assert abs(share.value - 0.1) < 4.5 * 0.5 * (share.interval68[1] - share.interval68[0])
     levels = result.evidence["halo-constancy"]
     assert {"point-1", "point-3"} <= set(levels["label"])
-    for own, (below, above) in zip(levels["halo_diameter_px"], levels["interval95_px"], strict=True):
+    for own, (below, above) in zip(
+        levels["halo_diameter_px"], levels["interval95_px"], strict=True
+    ):
         assert abs(own - known) < 4.5 * (above - below) / 3.92
 
 
@@ -82,12 +95,16 @@ def density_at_half_gain_dn(sensor):
     """Light per pixel at which the plate's gain has halved, DN."""
     camera = IntensifiedCamera(sensor)
     plate = camera.stage(Slot.MCP, SETTINGS)
-    at_half_gain_pe = plate.saturation_e_per_s_cm2 * plate.field_s * camera.field_pixel_area_cm2 / plate.gain
+    at_half_gain_pe = (
+        plate.saturation_e_per_s_cm2 * plate.field_s * camera.field_pixel_area_cm2 / plate.gain
+    )
     return at_half_gain_pe * true_quantities.true_quantities(sensor, SETTINGS)["photoelectron_gain"]
 
 
 def test_a_plate_that_tires_in_its_bright_cores_tells_its_saturation_and_the_gap(tiring):
-    """The strip current limits a place: density, share of the halo and gap from one series of over three decades."""
+    """The strip current limits a place: density, share of the halo and gap from one series of over
+    three decades.
+    """
     sensor, session = tiring
     sheet = load_sensor("pulnix-ag5745ef3")
     context = Context(seed=1, quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
@@ -98,27 +115,37 @@ def test_a_plate_that_tires_in_its_bright_cores_tells_its_saturation_and_the_gap
     assert abs(found.value - density_dn) < 4.5 * 0.5 * (found.interval68[1] - found.interval68[0])
     (halo,) = result.find("halo_diameter")
     gap_mm = halo.value / 4e3 * float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
-    assert abs(gap_mm - float(sensor.photocathode.gap_mm)) < 0.03 * float(sensor.photocathode.gap_mm)
+    assert abs(gap_mm - float(sensor.photocathode.gap_mm)) < 0.03 * float(
+        sensor.photocathode.gap_mm
+    )
     (share,) = result.find("halo_fraction")
     assert abs(share.value - 0.1) < 4.5 * 0.5 * (share.interval68[1] - share.interval68[0])
 
 
 def test_without_the_camera_described_a_plate_that_tires_is_told_widely_or_not_at_all(tiring):
-    """Cores of other forms ask for other densities: what is told holds the truth within twice its interval."""
+    """Cores of other forms ask for other densities: what is told holds the truth within twice its
+    interval.
+    """
     sensor, session = tiring
     context = Context(seed=1, quick=True, interlaced=True, full_scale_dn=255.0)
-    (found,) = bloom.measure(session, method="series-forward", context=context).find("mcp_saturation_density")
+    (found,) = bloom.measure(session, method="series-forward", context=context).find(
+        "mcp_saturation_density"
+    )
     density_dn = density_at_half_gain_dn(sensor)
     if found.value is None:
         assert found.reason
         return
     low, high = found.interval95
-    assert found.value - 2 * (found.value - low) < density_dn < found.value + 2 * (high - found.value)
+    assert (
+        found.value - 2 * (found.value - low) < density_dn < found.value + 2 * (high - found.value)
+    )
 
 
 @pytest.mark.parametrize("lux", [1e-2, 0.3, 20.0])
 def test_a_bloom_is_as_wide_as_the_light_makes_it_and_steps_up_to_the_halo(lux, seed):
-    """Where half of full scale lies in the camera's picture without noise, or round the halo once that lies above."""
+    """Where half of full scale lies in the camera's picture without noise, or round the halo once
+    that lies above.
+    """
     sheet = load_sensor("pulnix-ag5745ef3")
     sensor = specimen(sheet, seed)
     session = series(sensor, (lux,), seed, frames=6, darks=True)
@@ -129,7 +156,9 @@ def test_a_bloom_is_as_wide_as_the_light_makes_it_and_steps_up_to_the_halo(lux, 
         assert 0.8 * halo_px < found.value < 1.3 * halo_px
         return
     bench = LabBench(sensor)
-    noiseless_dn = bench.mean("point", Target(pinhole_px=1.0), replace(SETTINGS, illuminance_lux=lux)).astype(float)
+    noiseless_dn = bench.mean(
+        "point", Target(pinhole_px=1.0), replace(SETTINGS, illuminance_lux=lux)
+    ).astype(float)
     dark_dn = float(bench.mean("dark", Target(), replace(SETTINGS, illuminance_lux=0.0)).mean())
     regions, _ = ndimage.label(noiseless_dn >= dark_dn + 0.5 * (255.0 - dark_dn))
     here = regions[np.unravel_index(noiseless_dn.argmax(), noiseless_dn.shape)]

@@ -1,4 +1,6 @@
-"""Single photoelectrons of the simulated camera in the dark; the simulator and the analysis share no formula."""
+"""Single photoelectrons of the simulated camera in the dark; the simulator and the analysis share
+no formula.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +22,16 @@ def darks(sensor, seed: int, frames: int = 64):
     """Darks of a part of the chip."""
     sensor = replace(sensor, ccd=replace(sensor.ccd, rows=246, columns=252))
     held = LabBench(sensor).expose("dark", Target(), SETTINGS, frames=frames, seed=seed)
-    entry = InMemoryStack(label="dark", kind="dark", frames="", conditions=SETTINGS, folder=Path("."), held=held)
-    context = Context(seed=1, quick=True, sensor=SHEET, interlaced=True, full_scale_dn=2.0**sensor.video.bit_depth - 1)
+    entry = InMemoryStack(
+        label="dark", kind="dark", frames="", conditions=SETTINGS, folder=Path("."), held=held
+    )
+    context = Context(
+        seed=1,
+        quick=True,
+        sensor=SHEET,
+        interlaced=True,
+        full_scale_dn=2.0**sensor.video.bit_depth - 1,
+    )
     return measure_events(entry, context=context)
 
 
@@ -30,10 +40,14 @@ def finer(bits: int):
     step, coarse = 2.0 ** (bits - SHEET.video.bit_depth), SHEET.video
     names = ("conversion_gain_dn_per_e", "black_level_dn")
     stated = {name: getattr(coarse, name) for name in names}
-    changed = SHEET.with_parameters({
-        f"video.{name}": Parameter(value=step * float(old), standing=old.standing, source=old.source)
-        for name, old in stated.items()
-    })  # fmt: skip
+    changed = SHEET.with_parameters(
+        {
+            f"video.{name}": Parameter(
+                value=step * float(old), standing=old.standing, source=old.source
+            )
+            for name, old in stated.items()
+        }
+    )
     return replace(changed, video=replace(changed.video, bit_depth=bits))
 
 
@@ -45,7 +59,8 @@ def test_pulses_of_the_simulated_camera_are_found_within_a_tenth_at_twelve_bits(
         found = next(m for m in result.find(name) if m.unit == units)
         assert found.value is not None and found.interval95 is not None, found.reason
         low, high = found.interval95
-        # Over 30 seeds heights are 2.5 % low and rates 3 % high, by p 2 % more: see docs/dark-events.md.
+        # Over 30 seeds heights are 2.5 % low and rates 3 % high, by p 2 % more: see
+        # docs/dark-events.md.
         assert abs(found.value - truth[name]) < 0.04 * truth[name] + 0.65 * (high - low), found
 
 

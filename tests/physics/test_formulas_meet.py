@@ -1,4 +1,6 @@
-"""The fit's formulas and the simulator's were written apart: here they meet, at specimens that nobody chose."""
+"""The fit's formulas and the simulator's were written apart: here they meet, at specimens that
+nobody chose.
+"""
 
 import numpy as np
 import pytest
@@ -23,15 +25,22 @@ def specimen(request: pytest.FixtureRequest, seed: int) -> Sensor:
 
 @pytest.fixture(scope="module")
 def values(specimen: Sensor) -> Values:
-    known = {path: np.array([float(parameter)]) for path, parameter in specimen.parameters().items()}
+    known = {
+        path: np.array([float(parameter)]) for path, parameter in specimen.parameters().items()
+    }
     return {**known, "video.filter_order": np.array([float(specimen.video.filter_order)])}
 
 
 def test_the_mtf_is_the_same_in_both_directions(specimen: Sensor, values: Values) -> None:
     pitch_ratio = float(specimen.ccd.pitch_y_um) / float(specimen.ccd.pitch_x_um)
-    for direction, at in (("horizontal", (FREQUENCY,)), ("vertical", (0.0 * FREQUENCY, FREQUENCY * pitch_ratio))):
+    for direction, at in (
+        ("horizontal", (FREQUENCY,)),
+        ("vertical", (0.0 * FREQUENCY, FREQUENCY * pitch_ratio)),
+    ):
         expected = true_quantities.true_mtf(specimen, FREQUENCY, direction)
-        assert predicted_quantities.mtf(values, *at)[0] == pytest.approx(expected, rel=1e-3, abs=1e-6)
+        assert predicted_quantities.mtf(values, *at)[0] == pytest.approx(
+            expected, rel=1e-3, abs=1e-6
+        )
 
 
 def test_every_quantity_of_the_camera_is_the_same(specimen: Sensor, values: Values) -> None:
@@ -52,10 +61,13 @@ def test_every_quantity_of_the_camera_is_the_same(specimen: Sensor, values: Valu
 
 
 def test_blur_table_of_the_physics_reference() -> None:
-    """Row pairs of a tube with fc 26.25 lp/mm and n 1.184, its video filter aside: 0.331 at a share of 0.8 (5.2)."""
+    """Row pairs of a tube with fc 26.25 lp/mm and n 1.184, its video filter aside: 0.331 at a share
+    of 0.8 (5.2).
+    """
     sensor = load_sensor("pulnix-ag5745ef3")
     known = {path: np.array([float(parameter)]) for path, parameter in sensor.parameters().items()}
-    # The table's taper is a Gaussian of 80 lp/mm at the cathode without fibres, and its pixel clock is not filtered.
+    # The table's taper is a Gaussian of 80 lp/mm at the cathode without fibres, and its pixel clock
+    # is not filtered.
     known |= {
         "video.filter_order": np.array([3.0]),
         "video.bandwidth_mhz": np.array([1e3]),
@@ -64,4 +76,6 @@ def test_blur_table_of_the_physics_reference() -> None:
     }
     for share, expected in ((1.0, 0.282), (0.8, 0.331), (0.5, 0.434), (0.25, 0.562)):
         known["tube.post_gain_share"] = np.array([share])
-        assert predicted_quantities.blur_factor(known, np.array([10.0]))[0] == pytest.approx(expected, rel=0.03)
+        assert predicted_quantities.blur_factor(known, np.array([10.0]))[0] == pytest.approx(
+            expected, rel=0.03
+        )

@@ -1,4 +1,6 @@
-"""The simulated infrared imagers, measured by the toolkit: NETD, SiTF and MRTD of their descriptions come back."""
+"""The simulated infrared imagers, measured by the toolkit: NETD, SiTF and MRTD of their
+descriptions come back.
+"""
 
 from dataclasses import replace
 
@@ -28,29 +30,51 @@ def imager(name):
     about = load_camera(name)
     if about.scanner is not None:
         high = replace(about.scanner.vertical_field_deg, value=5.0, low=None, high=None)
-        return replace(about, scanner=replace(about.scanner, lines_per_field=80, vertical_field_deg=high))
+        return replace(
+            about, scanner=replace(about.scanner, lines_per_field=80, vertical_field_deg=high)
+        )
     kind = "bolometer" if about.bolometer is not None else "cooled_array"
     return replace(about, **{kind: replace(getattr(about, kind), rows=SIDE, columns=SIDE)})
 
 
 def stack(camera, frames):
     times = camera.frame_s * np.arange(len(frames))
-    return FrameStack(data=frames, time_s=times, full_scale_dn=2.0**camera.description.video.bit_depth - 1)
+    return FrameStack(
+        data=frames, time_s=times, full_scale_dn=2.0**camera.description.video.bit_depth - 1
+    )
 
 
 def session(about, *, edge=False, seed=0):
     camera = InfraredCamera(about)
     stacks = [
-        entry(f"bb-{i}", "flat", stack(camera, camera.view_target(level, seed=100 * seed + i, count=FRAMES)),
-              blackbody_c=level, background_c=22.0)
+        entry(
+            f"bb-{i}",
+            "flat",
+            stack(camera, camera.view_target(level, seed=100 * seed + i, count=FRAMES)),
+            blackbody_c=level,
+            background_c=22.0,
+        )
         for i, level in enumerate(LEVELS)
-    ]  # fmt: skip
+    ]
     if edge:
         share = half_moon(camera, tilt_deg=5.0, oversample=4)
         frames = camera.view_target(30.0, 22.0, share, seed=100 * seed + 50, count=FRAMES)
-        stacks.append(entry("edge", "edge", stack(camera, frames), target=Target(angle_deg=5.0), background_c=22.0))
-    return Session(folder=stacks[0].folder, name="imager", stacks=tuple(stacks), camera=about,
-                   bit_depth=about.video.bit_depth)  # fmt: skip
+        stacks.append(
+            entry(
+                "edge",
+                "edge",
+                stack(camera, frames),
+                target=Target(angle_deg=5.0),
+                background_c=22.0,
+            )
+        )
+    return Session(
+        folder=stacks[0].folder,
+        name="imager",
+        stacks=tuple(stacks),
+        camera=about,
+        bit_depth=about.video.bit_depth,
+    )
 
 
 def dn_per_k(camera):
@@ -61,7 +85,9 @@ def dn_per_k(camera):
 
 @pytest.mark.parametrize("name", ["vox-lwir-640", "insb-mwir-640", "scanning-lwir"])
 def test_netd_and_sitf_of_the_description_are_measured(name, seed):
-    """SiTF within 1 %, NETD within 3 %, rounding counted; found are 0.2 % and, with a scanner's 1/f noise, 1.3 %."""
+    """SiTF within 1 %, NETD within 3 %, rounding counted; found are 0.2 % and, with a scanner's 1/f
+    noise, 1.3 %.
+    """
     about = imager(name)
     camera, given = InfraredCamera(about), session(about, seed=seed % 1000)
     result = measure_noise(given, context=method_context(given, quick=True, seed=1))
@@ -73,7 +99,9 @@ def test_netd_and_sitf_of_the_description_are_measured(name, seed):
 
 
 def test_the_components_of_a_bolometer_array_come_back_in_kelvin(seed):
-    """Rows, columns and frames of the description, over its 40 mK, within four standard errors of 5 % and more."""
+    """Rows, columns and frames of the description, over its 40 mK, within four standard errors of 5
+    % and more.
+    """
     given = session(imager("vox-lwir-640"), seed=seed % 1000)
     result = measure_noise(given, context=method_context(given, quick=True, seed=1))
     for name, share in {"h": 0.25, "v": 0.1, "tv": 0.1, "th": 0.1, "t": 0.1, "vh": 0.3}.items():
@@ -83,11 +111,19 @@ def test_the_components_of_a_bolometer_array_come_back_in_kelvin(seed):
 
 
 def transfer(about, f):
-    """MTF of lens, footprint and electronics at the middle of the frame, at frequencies in cy/mrad along rows."""
-    lens = np.exp(-2.0 * (np.pi * float(about.optics.blur_mrad) * f) ** 2) * np.sinc(f * about.footprint_mrad)
+    """MTF of lens, footprint and electronics at the middle of the frame, at frequencies in cy/mrad
+    along rows.
+    """
+    lens = np.exp(-2.0 * (np.pi * float(about.optics.blur_mrad) * f) ** 2) * np.sinc(
+        f * about.footprint_mrad
+    )
     if about.scanner is not None:
         share = float(about.scanner.active_fraction)
-        amplitude = 0.5 * np.radians(float(about.scanner.horizontal_field_deg)) / np.sin(0.5 * np.pi * share)
+        amplitude = (
+            0.5
+            * np.radians(float(about.scanner.horizontal_field_deg))
+            / np.sin(0.5 * np.pi * share)
+        )
         mrad_per_s = 1e3 * amplitude * 2.0 * np.pi * float(about.scanner.mirror_hz)
         return lens / np.hypot(1.0, f * mrad_per_s / (1e6 * float(about.scanner.bandwidth_mhz)))
     aperture = float(about.optics.focal_length_mm) / float(about.optics.f_number)
@@ -97,8 +133,9 @@ def transfer(about, f):
 
 @pytest.mark.parametrize("name", ["vox-lwir-640", "scanning-lwir"])
 def test_mrtd_of_the_description_is_measured(name, seed):
-    """From black bodies and a half-moon edge, within 4 % of the formula with the description's transfer and noise; of
-    the scanner for lines of both directions, each by itself."""
+    """From black bodies and a half-moon edge, within 4 % of the formula with the description's
+    transfer and noise; of the scanner for lines of both directions, each by itself.
+    """
     about = imager(name)
     camera, given = InfraredCamera(about), session(about, edge=True, seed=seed % 1000)
     result = measure(given, quick=True, seed=1)
@@ -116,18 +153,32 @@ def test_mrtd_of_the_description_is_measured(name, seed):
 
 
 def test_frequencies_are_shown_in_cycles_per_milliradian_of_the_description(seed, tmp_path):
-    """A pixel of 17 um behind 25 mm is 0.68 mrad: quarters of Nyquist are 0.184, 0.368, 0.551 and 0.735 cy/mrad."""
+    """A pixel of 17 um behind 25 mm is 0.68 mrad: quarters of Nyquist are 0.184, 0.368, 0.551 and
+    0.735 cy/mrad.
+    """
     given = session(imager("vox-lwir-640"), edge=True, seed=seed)
     lines = ['name = "imager"', 'sensor = "imager.toml"', "bit_depth = 14"]
     save_sensor(given.imager, tmp_path / "imager.toml")
     for one in given.stacks:
         np.save(tmp_path / f"{one.label}.npy", one.read().data)
-        lines += ["[[stack]]", f'label = "{one.label}"', f'kind = "{one.kind}"', f'frames = "{one.label}.npy"']
+        lines += [
+            "[[stack]]",
+            f'label = "{one.label}"',
+            f'kind = "{one.kind}"',
+            f'frames = "{one.label}.npy"',
+        ]
         lines += ["background_c = 22.0"]
-        lines += [] if one.conditions.blackbody_c is None else [f"blackbody_c = {one.conditions.blackbody_c}"]
+        lines += (
+            []
+            if one.conditions.blackbody_c is None
+            else [f"blackbody_c = {one.conditions.blackbody_c}"]
+        )
     (tmp_path / "session.toml").write_text("\n".join(lines))
     shown = done_well("measure", tmp_path, "--quick", "--all", "--units", "cy/mrad").stdout
-    assert all(f"mrtd at {frequency} cy/mrad" in shown for frequency in ("0.184", "0.368", "0.551", "0.735"))
+    assert all(
+        f"mrtd at {frequency} cy/mrad" in shown
+        for frequency in ("0.184", "0.368", "0.551", "0.735")
+    )
     (mtf50,) = (m for m in result_io.load(tmp_path).find("mtf50") if m.stack == "edge")
     (line,) = (line for line in shown.splitlines() if line.startswith("mtf50 ") and "edge" in line)
     assert f"{mtf50.value / 0.68:.4g} cy/mrad" in line
@@ -138,7 +189,8 @@ def test_cycles_per_milliradian_of_a_scanner_are_of_its_samples_and_of_the_lines
     unit = FrequencyUnit.of(load_camera("scanning-lwir"), unit="cy/mrad")
     of = {"method": "edge-forward", "stack": "edge, lines to the right"}
     upright, level = (
-        make_measurement("mtf50", "cy/px", 0.25, None, None, orientation_deg=deg, **of) for deg in (5, 95)
+        make_measurement("mtf50", "cy/px", 0.25, None, None, orientation_deg=deg, **of)
+        for deg in (5, 95)
     )
     assert unit(0.25, upright)[0] == pytest.approx(0.25 / (np.radians(20.0) * 1e3 / 256.0))
     assert unit(0.25, level)[0] == pytest.approx(0.25 / (np.radians(15.0) * 1e3 / 240.0))

@@ -1,4 +1,6 @@
-"""Where simulator and analysis meet: the MTF measured on frames of the simulated camera is the chain's closed form."""
+"""Where simulator and analysis meet: the MTF measured on frames of the simulated camera is the
+chain's closed form.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -22,11 +24,15 @@ def edge(seed):
     """A specimen nobody chose, and frames of an edge before it."""
     specimen = small(draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed))
     conditions = Conditions(mcp_v=760.0, gate_ns=1.6e7, illuminance_lux=3e-4)
-    return specimen, LabBench(specimen).expose("edge", Target(angle_deg=5.0), conditions, frames=8, seed=seed)
+    return specimen, LabBench(specimen).expose(
+        "edge", Target(angle_deg=5.0), conditions, frames=8, seed=seed
+    )
 
 
 def test_an_edge_recovers_the_mtf_of_the_specimen_from_the_sheet_alone(edge):
-    """The sheet gives pitches, video filter and the range of the halo; not one number of the specimen is told."""
+    """The sheet gives pitches, video filter and the range of the halo; not one number of the
+    specimen is told.
+    """
     specimen, stack = edge
     sheet = Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True)
     result = mtf.measure("edge", stack, method="edge-forward", context=sheet)
@@ -34,24 +40,37 @@ def test_an_edge_recovers_the_mtf_of_the_specimen_from_the_sheet_alone(edge):
     for found in result.find("mtf"):
         expected = float(true_quantities.true_mtf(specimen, found.frequency_cy_per_px))
         half = (found.interval68[1] - found.interval68[0]) / 2
-        # The edge's normal stands 5 degrees off the rows, where the tall pixel costs up to half a percent.
+        # The edge's normal stands 5 degrees off the rows, where the tall pixel costs up to half a
+        # percent.
         assert abs(found.value - expected) < 4.5 * half + 0.005 * expected
     mtf50 = result.find("mtf50")[0]
     half = (mtf50.interval68[1] - mtf50.interval68[0]) / 2
-    assert abs(float(true_quantities.true_mtf(specimen, mtf50.value)) - 0.5) < 4.5 * half / mtf50.value * 0.5 + 0.003
+    assert (
+        abs(float(true_quantities.true_mtf(specimen, mtf50.value)) - 0.5)
+        < 4.5 * half / mtf50.value * 0.5 + 0.003
+    )
     assert half < 0.03 * mtf50.value
 
 
 def test_the_edge_of_a_camera_nobody_described_is_still_not_trusted_wrongly(edge):
     specimen, stack = edge
-    found = mtf.measure("edge", stack, method="edge-forward", context=Context(quick=True)).find("mtf50")[0]
+    found = mtf.measure("edge", stack, method="edge-forward", context=Context(quick=True)).find(
+        "mtf50"
+    )[0]
     if found.status == "ok":
         half = (found.interval68[1] - found.interval68[0]) / 2
-        assert abs(float(true_quantities.true_mtf(specimen, found.value)) - 0.5) < 4.5 * half / found.value * 0.6
+        assert (
+            abs(float(true_quantities.true_mtf(specimen, found.value)) - 0.5)
+            < 4.5 * half / found.value * 0.6
+        )
 
 
-def test_flats_recover_the_transfer_after_the_gain_of_a_video_that_the_sheet_gives_a_range_for(seed):
-    """The noise passes the video, too: taken for exactly that of the sheet, it is 15 and more standard errors off."""
+def test_flats_recover_the_transfer_after_the_gain_of_a_video_that_the_sheet_gives_a_range_for(
+    seed,
+):
+    """The noise passes the video, too: taken for exactly that of the sheet, it is 15 and more
+    standard errors off.
+    """
     sheet = small(load_sensor("pulnix-ag5745ef3"))
     specimen = sheet.with_values({"video.bandwidth_mhz": 6.9})
     flats = flats_before(specimen, seed)
@@ -69,7 +88,8 @@ def test_flats_recover_the_transfer_after_the_gain_of_a_video_that_the_sheet_giv
 
 
 def test_flats_of_a_coarse_digitiser_recover_the_transfer_after_the_gain(seed):
-    """Darks whose read noise 8 bits hide: what these round away is white in the flats, and passes no video filter.
+    """Darks whose read noise 8 bits hide: what these round away is white in the flats, and passes
+    no video filter.
 
     Left out, numbers are up to 14 standard errors off, and the model does not fit.
     """
@@ -81,17 +101,25 @@ def test_flats_of_a_coarse_digitiser_recover_the_transfer_after_the_gain(seed):
     for at in found:
         vertical = at.orientation_deg == 90.0
         frequency = at.frequency_cy_per_px / (pitch_ratio if vertical else 1.0)
-        due = float(true_quantities.post_gain_mtf(specimen, frequency, "vertical" if vertical else "horizontal"))
+        due = float(
+            true_quantities.post_gain_mtf(
+                specimen, frequency, "vertical" if vertical else "horizontal"
+            )
+        )
         assert at.status == "ok"
         assert abs(at.value - due) < 4.5 * (at.interval68[1] - at.interval68[0]) / 2
 
 
 def test_methods_that_take_the_video_of_the_sheet_for_exact_say_where_that_matters(seed):
-    """MTF10 by forms alone is 1 to 2 % off; it is flagged, unless the sheet has no range. MTF50 hardly hangs on it."""
+    """MTF10 by forms alone is 1 to 2 % off; it is flagged, unless the sheet has no range. MTF50
+    hardly hangs on it.
+    """
     sheet = small(load_sensor("pulnix-ag5745ef3"))
     conditions = Conditions(mcp_v=800.0, gate_ns=1.6e7, illuminance_lux=2.5e-4)
     specimen = sheet.with_values({"video.bandwidth_mhz": 6.1})
-    stack = LabBench(specimen).expose("edge", Target(angle_deg=5.0), conditions, frames=16, seed=seed)
+    stack = LabBench(specimen).expose(
+        "edge", Target(angle_deg=5.0), conditions, frames=16, seed=seed
+    )
 
     def found(told, method):
         context = Context(quick=True, sensor=told, interlaced=True, full_scale_dn=255.0)
@@ -120,7 +148,14 @@ def flats_before(specimen, seed):
         kind = "flat" if number else "dark"
         conditions = Conditions(mcp_v=800.0, gate_ns=1.6e7, illuminance_lux=lux)
         held = LabBench(specimen).expose(kind, Target(), conditions, frames=12, seed=seed + number)
-        stacks.append(InMemoryStack(
-            label=f"{kind}-{number}", kind=kind, frames="", folder=Path(), conditions=conditions, held=held,
-        ))  # fmt: skip
+        stacks.append(
+            InMemoryStack(
+                label=f"{kind}-{number}",
+                kind=kind,
+                frames="",
+                folder=Path(),
+                conditions=conditions,
+                held=held,
+            )
+        )
     return Session(folder=Path(), name="flats", stacks=tuple(stacks), camera=specimen, bit_depth=8)

@@ -1,4 +1,6 @@
-"""Gain and blur of simulated specimens are found again; the simulator and the analysis share no formula."""
+"""Gain and blur of simulated specimens are found again; the simulator and the analysis share no
+formula.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +38,12 @@ def flats(sensor, seed: int) -> Session:
         held = bench.expose(kind, Target(), conditions, frames=12, seed=seed + index)
         stacks.append(
             InMemoryStack(
-                label=f"{kind}-{index}", kind=kind, frames="", conditions=conditions, folder=Path("."), held=held
+                label=f"{kind}-{index}",
+                kind=kind,
+                frames="",
+                conditions=conditions,
+                folder=Path("."),
+                held=held,
             )
         )
     return Session(folder=Path("."), name="simulated", stacks=tuple(stacks), interlaced=True)
@@ -44,16 +51,26 @@ def flats(sensor, seed: int) -> Session:
 
 def test_covariance_gain_and_blur_factor_of_a_specimen_are_found_again(seed):
     sensor = specimen(seed)
-    context = Context(seed=1, quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True, full_scale_dn=255.0)
+    context = Context(
+        seed=1,
+        quick=True,
+        sensor=load_sensor("pulnix-ag5745ef3"),
+        interlaced=True,
+        full_scale_dn=255.0,
+    )
     result = noise.measure(flats(sensor, 10 * seed), method="covariance-sum", context=context)
     known = true_quantities.true_quantities(sensor, SETTINGS)
     for quantity in ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor"):
         (found,) = result.find(quantity)
         low, high = found.interval68
         assert found.status == "ok", found
-        assert abs(found.value - known[quantity]) < 4.5 * 0.5 * (high - low), (found, known[quantity])
+        assert abs(found.value - known[quantity]) < 4.5 * 0.5 * (high - low), (
+            found,
+            known[quantity],
+        )
     (gain,) = result.find("covariance_gain")
     assert (gain.interval68[1] - gain.interval68[0]) / 2 < 0.05 * gain.value
-    # The screen glows on: section 8, truth 20, has a correlation of .36 from field to field at the sheet's decay.
+    # The screen glows on: section 8, truth 20, has a correlation of .36 from field to field at the
+    # sheet's decay.
     lags = result.evidence["autocorrelation"]["lag_correlation"]
     assert 0.2 < lags[0] < 0.55 and np.all(np.diff(lags[:4]) < 0)

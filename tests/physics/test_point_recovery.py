@@ -1,4 +1,6 @@
-"""The MTF of the simulated intensified camera comes back from its picture of a pinhole, with honest intervals."""
+"""The MTF of the simulated intensified camera comes back from its picture of a pinhole, with honest
+intervals.
+"""
 
 from dataclasses import replace
 
@@ -34,7 +36,9 @@ def measured(bench, seed, illuminance_lux, method=point_forward):
     conditions = Conditions(mcp_v=800.0, gate_ns=OPEN_GATE_NS, illuminance_lux=illuminance_lux)
     frames = bench.expose("point", Target(pinhole_px=1.0), conditions, frames=8, seed=seed)
     # The description of the type, not of the specimen: only the sheet is known.
-    context = Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True, full_scale_dn=255.0)
+    context = Context(
+        quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True, full_scale_dn=255.0
+    )
     return method(frames, region=(20, 20, 160, 160), pinhole_px=1.0, context=context)
 
 
@@ -65,5 +69,9 @@ def test_curves_of_a_pinhole_hold_the_true_mtf(faint, specimen):
 @pytest.mark.parametrize("method", [point_forward, point_parametric])
 @pytest.mark.parametrize("illuminance_lux", [0.015, 0.03])
 def test_a_source_far_too_bright_is_never_ok(bench, seed, illuminance_lux, method):
-    """The wells are full before the digitiser is, and the video filter moves what they cut off: 26 to 43 % low."""
-    assert all(m.status != "ok" for m in measured(bench, seed, illuminance_lux, method).measurements)
+    """The wells are full before the digitiser is, and the video filter moves what they cut off: 26
+    to 43 % low.
+    """
+    assert all(
+        m.status != "ok" for m in measured(bench, seed, illuminance_lux, method).measurements
+    )

@@ -1,4 +1,6 @@
-"""Lag, blur and darks as the fit predicts them are those of the simulated camera; neither knows the other's formula."""
+"""Lag, blur and darks as the fit predicts them are those of the simulated camera; neither knows the
+other's formula.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,11 +25,21 @@ from simulate.lab import LabBench
 
 NAMES = ("pulnix-ag5745ef3", "gen3-digital-iccd")
 DRAWN = (
-    "photocathode.ebi_lm_per_cm2", "tube.luminous_gain", "tube.post_gain_share", "tube.mtf_frequency_lp_per_mm",
-    "tube.mtf_exponent", "phosphor.fast_fraction", "phosphor.fast_decay_ms", "phosphor.slow_decay_ms",
-    "ccd.read_noise_e", "ccd.dsnu_e", "video.line_noise_dn", "video.black_level_dn",
-    "microchannel_plate.ion_event_rate_per_s_cm2", "microchannel_plate.ion_event_size_pe",
-)  # fmt: skip
+    "photocathode.ebi_lm_per_cm2",
+    "tube.luminous_gain",
+    "tube.post_gain_share",
+    "tube.mtf_frequency_lp_per_mm",
+    "tube.mtf_exponent",
+    "phosphor.fast_fraction",
+    "phosphor.fast_decay_ms",
+    "phosphor.slow_decay_ms",
+    "ccd.read_noise_e",
+    "ccd.dsnu_e",
+    "video.line_noise_dn",
+    "video.black_level_dn",
+    "microchannel_plate.ion_event_rate_per_s_cm2",
+    "microchannel_plate.ion_event_size_pe",
+)
 GATE_S = 0.0158
 
 
@@ -47,13 +59,19 @@ def test_the_light_of_later_fields_is_the_same(seed: int, number: int) -> None:
     values, phosphor = values_of_description(specimen), specimen.phosphor
     field_s = 1.0 / float(specimen.video.field_rate_hz)
     fast = float(phosphor.fast_fraction)
-    components = ((fast, float(phosphor.fast_decay_ms) * 1e-3), (1.0 - fast, float(phosphor.slow_decay_ms) * 1e-3))
+    components = (
+        (fast, float(phosphor.fast_decay_ms) * 1e-3),
+        (1.0 - fast, float(phosphor.slow_decay_ms) * 1e-3),
+    )
     decay = PhosphorDecay(components=components, gate_s=GATE_S, field_s=field_s)
     shares = decay.pulse_shares
     light = tube_time_observations.field_light(values, GATE_S, 6)[0]
     assert light == pytest.approx(decay.weights[:6], abs=2e-3)
     products = tube_time_observations.field_products(values, GATE_S, 6)[0]
-    expected = [np.mean(np.sum(shares[:, : shares.shape[1] - lag] * shares[:, lag:], axis=1)) for lag in range(6)]
+    expected = [
+        np.mean(np.sum(shares[:, : shares.shape[1] - lag] * shares[:, lag:], axis=1))
+        for lag in range(6)
+    ]
     assert products == pytest.approx(expected, abs=2e-3)
 
 
@@ -64,7 +82,8 @@ def test_pulses_cover_their_neighbours_alike(seed: int, name: str) -> None:
         values_of_description(specimen), ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
     )[0]
     told = true_quantities(specimen, Conditions(mcp_v=800.0, gate_ns=GATE_S * 1e9))
-    # The blur factor told is that of pulses and of the electrons they are counted by, one in a thousand of the noise.
+    # The blur factor told is that of pulses and of the electrons they are counted by, one in a
+    # thousand of the noise.
     assert found[0] == pytest.approx(told["blur_factor"], rel=0.01)
     assert found[1] / found[0] == pytest.approx(told["correlation_horizontal"], abs=5e-3)
     assert found[2] / found[0] == pytest.approx(told["correlation_vertical"], abs=5e-3)
@@ -74,14 +93,18 @@ def test_filtered_noise_has_the_covariances_of_the_impulse_response() -> None:
     specimen = load_camera("pulnix-ag5745ef3")
     assert isinstance(specimen, Sensor)
     bandwidth, clock, order = specimen.video.low_pass or (0.0, 0.0, 0)
-    response = VideoFilter(bandwidth_mhz=bandwidth, pixel_clock_mhz=clock, order=order).impulse_response()
+    response = VideoFilter(
+        bandwidth_mhz=bandwidth, pixel_clock_mhz=clock, order=order
+    ).impulse_response()
     expected = [np.sum(response[: response.size - lag] * response[lag:]) for lag in range(3)]
     found = tube_time_observations.filter_covariance(values_of_description(specimen), 3)[0]
     assert found == pytest.approx(expected, abs=1e-5)
 
 
 def observed_of(name: str, seed: int) -> tuple[list, Values]:
-    """Return what the fit observes in a dark and a flat of a specimen by its sheet, and the specimen's values."""
+    """Return what the fit observes in a dark and a flat of a specimen by its sheet, and the
+    specimen's values.
+    """
     specimen = specimen_of(name, seed)
     bench, values = LabBench(specimen), values_of_description(specimen)
     shared = Conditions(mcp_v=800.0, gate_ns=GATE_S * 1e9)
@@ -90,19 +113,36 @@ def observed_of(name: str, seed: int) -> tuple[list, Values]:
         lux *= 1.5
         mean = bench.mean("flat", Target(), replace(shared, illuminance_lux=lux)).mean(dtype=float)
         signal = mean - float(specimen.video.black_level_dn)
-    shown: tuple[tuple[Kind, Conditions], ...] = (("dark", shared), ("flat", replace(shared, illuminance_lux=lux)))
+    shown: tuple[tuple[Kind, Conditions], ...] = (
+        ("dark", shared),
+        ("flat", replace(shared, illuminance_lux=lux)),
+    )
     stacks = tuple(
-        LoadedStackEntry(label=kind, kind=kind, frames="-", conditions=conditions, folder=Path(),
-                         kept=bench.expose(kind, Target(), conditions, frames=16, seed=seed))
+        LoadedStackEntry(
+            label=kind,
+            kind=kind,
+            frames="-",
+            conditions=conditions,
+            folder=Path(),
+            kept=bench.expose(kind, Target(), conditions, frames=16, seed=seed),
+        )
         for kind, conditions in shown
-    )  # fmt: skip
-    session = Session(folder=Path(), name="s", stacks=stacks, camera=specimen, bit_depth=specimen.video.bit_depth)
+    )
+    session = Session(
+        folder=Path(), name="s", stacks=stacks, camera=specimen, bit_depth=specimen.video.bit_depth
+    )
     gain = true_quantities(specimen, shared)["covariance_gain"]
-    told = Result(measurements=(measurement_from_sd("covariance_gain", "DN", gain, 0.01 * gain, method="told"),))
+    told = Result(
+        measurements=(
+            measurement_from_sd("covariance_gain", "DN", gain, 0.01 * gain, method="told"),
+        )
+    )
     levels, sheet = levels_of(session), load_camera(name)
     assert isinstance(sheet, Sensor)
     found = tube_time_observations.time_observations(sheet, levels)
-    return found + tube_dark_observations.dark_observations(tube_ions.ions_of(sheet, told, levels)), values
+    return found + tube_dark_observations.dark_observations(
+        tube_ions.ions_of(sheet, told, levels)
+    ), values
 
 
 @pytest.mark.parametrize("name", NAMES)

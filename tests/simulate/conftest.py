@@ -1,4 +1,6 @@
-"""A camera without fixed patterns and with a fine digitiser, so that its noise can be held against formulas."""
+"""A camera without fixed patterns and with a fine digitiser, so that its noise can be held against
+formulas.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -39,8 +41,12 @@ def plain(sheet: Sensor) -> Callable[..., Sensor]:
 
     def make(rows: int, columns: int, **changes: float) -> Sensor:
         small = replace(
-            sheet, ccd=replace(sheet.ccd, rows=rows, columns=columns), video=replace(sheet.video, bit_depth=16)
+            sheet,
+            ccd=replace(sheet.ccd, rows=rows, columns=columns),
+            video=replace(sheet.video, bit_depth=16),
         )
-        return small.with_values(PLAIN | {path.replace("__", "."): value for path, value in changes.items()})
+        return small.with_values(
+            PLAIN | {path.replace("__", "."): value for path, value in changes.items()}
+        )
 
     return make

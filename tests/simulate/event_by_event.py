@@ -1,10 +1,12 @@
-"""An intensified camera photoelectron by photoelectron, slow and on its own: the simulator's draws are held against it.
+"""An intensified camera photoelectron by photoelectron, slow and on its own: the simulator's draws
+are held against it.
 
-Nothing here knows the simulator. Photoelectrons fall as a Poisson process at continuous places and times; each is
-detected or lost, gets a pulse of its own height, spreads its light over the pixels by the continuous point spread,
-releases it through a decay of two exponentials, and the charge is counted and read. Beside the draws stands the theory
-of the same process: by Campbell's theorem its cumulants are lambda E[g^n] int h^n, and its characteristic function
-gives quantiles. Physics reference, sections 1.4 to 1.12 and 10; Kingman, Poisson Processes, 3.2.
+Nothing here knows the simulator. Photoelectrons fall as a Poisson process at continuous places and
+times; each is detected or lost, gets a pulse of its own height, spreads its light over the pixels
+by the continuous point spread, releases it through a decay of two exponentials, and the charge is
+counted and read. Beside the draws stands the theory of the same process: by Campbell's theorem its
+cumulants are lambda E[g^n] int h^n, and its characteristic function gives quantiles. Physics
+reference, sections 1.4 to 1.12 and 10; Kingman, Poisson Processes, 3.2.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -19,11 +21,11 @@ from numpy.typing import NDArray
 
 ELECTRON_C = 1.602176634e-19
 LAGS = 4
-# Places within a pixel, along each axis: at eight cycles per pixel no camera has transfer left, so that the sum over
-# them is the integral.
+# Places within a pixel, along each axis: at eight cycles per pixel no camera has transfer left, so
+# that the sum over them is the integral.
 PHASES = 8
-# Rows and columns of pixels around an event to which its light goes from its very place; farther ones see it at the
-# centre of its pixel: they hold less than 1e-3 of the noise.
+# Rows and columns of pixels around an event to which its light goes from its very place; farther
+# ones see it at the centre of its pixel: they hold less than 1e-3 of the noise.
 NEAR_ROWS, NEAR_COLUMNS = 9, 8
 # Fields before the first frame; the light that they found is the mean of those before them.
 WARM_UP_FIELDS = 10
@@ -34,7 +36,9 @@ Transfer = Callable[[NDArray[np.floating]], NDArray[np.floating]]
 
 @dataclass(frozen=True)
 class Johnson:
-    """Post-gain share of the tube's transfer times fibres and interface; frequencies at the photocathode, lp/mm."""
+    """Post-gain share of the tube's transfer times fibres and interface; frequencies at the
+    photocathode, lp/mm.
+    """
 
     share: float
     frequency_lp_per_mm: float
@@ -49,7 +53,11 @@ class Johnson:
         at_detector = self.demagnification * frequency
         u = np.maximum(np.pi * self.fibre_pitch_um * 1e-3 * at_detector, 1e-9)
         tube = np.exp(-self.share * (frequency / self.frequency_lp_per_mm) ** self.exponent)
-        return tube * np.abs(2.0 * jv(1, u) / u) * np.exp(-((at_detector / self.interface_lp_per_mm) ** 2))
+        return (
+            tube
+            * np.abs(2.0 * jv(1, u) / u)
+            * np.exp(-((at_detector / self.interface_lp_per_mm) ** 2))
+        )
 
 
 @dataclass(frozen=True)
@@ -71,21 +79,25 @@ class EventCamera:
     pitch_x_mm, pitch_y_mm
         Sides of a chip pixel at the photocathode, mm.
     spread
-        Transfer of all blur after the gain but the pixel's, of the frequency at the photocathode, lp/mm.
+        Transfer of all blur after the gain but the pixel's, of the frequency at the photocathode,
+        lp/mm.
     detection_probability, pulse_height_shape
         Share of photoelectrons that start a pulse; shape of the gamma law of pulse heights.
     charge_e
         CCD electrons per photoelectron, the undetected counted.
     fast_fraction, fast_decay_s, slow_decay_s
-        Share of the fast component in the light at the start of the decay; time constants, s (0: none).
+        Share of the fast component in the light at the start of the decay; time constants, s (0:
+        none).
     field_s, gate_s
         Time from field to field and open time at its start, s.
     interlaced
-        Fields alternate and every pixel sums two rows of the chip; else each exposure is a frame of single rows.
+        Fields alternate and every pixel sums two rows of the chip; else each exposure is a frame of
+        single rows.
     video_taps
         Impulse response along the line, per pixel; one tap of 1 for none.
     read_noise_e, dark_e
-        Standard deviation of reading, and mean dark charge whose noise stays after the clamp, e- per pixel as read.
+        Standard deviation of reading, and mean dark charge whose noise stays after the clamp, e-
+        per pixel as read.
     """
 
     pitch_x_mm: float
@@ -132,9 +144,17 @@ def of_sensor(sensor: Any, *, spread: Transfer | None = None, lag: bool = True) 
     lag
         False leaves the screen's decay out.
     """
-    tube, taper, ccd, video, phosphor = sensor.tube, sensor.taper, sensor.ccd, sensor.video, sensor.phosphor
+    tube, taper, ccd, video, phosphor = (
+        sensor.tube,
+        sensor.taper,
+        sensor.ccd,
+        sensor.video,
+        sensor.phosphor,
+    )
     demagnification = float(taper.demagnification)
-    lumen_s = float(phosphor.luminous_efficacy_lm_per_w) * float(phosphor.photon_energy_ev) * ELECTRON_C
+    lumen_s = (
+        float(phosphor.luminous_efficacy_lm_per_w) * float(phosphor.photon_energy_ev) * ELECTRON_C
+    )
     per_lumen_s = float(sensor.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6 / ELECTRON_C
     photons = float(tube.luminous_gain) / lumen_s / per_lumen_s
     field_s = 1.0 / float(video.field_rate_hz)
@@ -160,14 +180,18 @@ def of_sensor(sensor: Any, *, spread: Transfer | None = None, lag: bool = True) 
         field_s=field_s,
         gate_s=field_s,
         interlaced=video.interlaced,
-        video_taps=butterworth(float(video.bandwidth_mhz) / float(video.pixel_clock_mhz), video.filter_order),
+        video_taps=butterworth(
+            float(video.bandwidth_mhz) / float(video.pixel_clock_mhz), video.filter_order
+        ),
         read_noise_e=float(ccd.read_noise_e),
         dark_e=float(ccd.dark_current_e_per_s) * field_s * rows,
     )
 
 
 def butterworth(bandwidth_cy_per_px: float, order: int, length: int = 32) -> tuple[float, ...]:
-    """Return what a Butterworth low pass makes of one held pixel, sampled at the ends of the following pixels."""
+    """Return what a Butterworth low pass makes of one held pixel, sampled at the ends of the
+    following pixels.
+    """
     from scipy import signal
 
     system: Any = signal.butter(order, 2.0 * np.pi * bandwidth_cy_per_px, analog=True)
@@ -178,8 +202,11 @@ def butterworth(bandwidth_cy_per_px: float, order: int, length: int = 32) -> tup
 
 
 @lru_cache(maxsize=8)
-def point_spread(spread: Transfer, reach_mm: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Return distances (r,), mm, and the point spread there, per mm2: the Hankel transform of the transfer.
+def point_spread(
+    spread: Transfer, reach_mm: float
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Return distances (r,), mm, and the point spread there, per mm2: the Hankel transform of the
+    transfer.
 
     Notes
     -----
@@ -190,26 +217,34 @@ def point_spread(spread: Transfer, reach_mm: float) -> tuple[NDArray[np.floating
     top = 20.0
     while spread(np.array([top]))[0] > 1e-9:
         top *= 1.2
-    # Panels short enough for the fastest ripple, at the last radius; radii dense enough for the core.
+    # Panels short enough for the fastest ripple, at the last radius; radii dense enough for the
+    # core.
     panels = int(max(1000, 4.0 * top * reach_mm))
     node, node_weight = np.polynomial.legendre.leggauss(4)
     edge = np.linspace(0.0, top, panels + 1)
     frequency = (edge[:-1, None] + (node + 1.0) / 2.0 * edge[1]).ravel()
-    radius = np.concatenate([np.arange(0.0, 16.0, 0.04), np.geomspace(16.0, 16.0 + reach_mm * top, 300)]) / top
-    weight = 2.0 * np.pi * spread(frequency) * frequency * np.tile(node_weight, panels) * edge[1] / 2.0
+    radius = (
+        np.concatenate([np.arange(0.0, 16.0, 0.04), np.geomspace(16.0, 16.0 + reach_mm * top, 300)])
+        / top
+    )
+    weight = (
+        2.0 * np.pi * spread(frequency) * frequency * np.tile(node_weight, panels) * edge[1] / 2.0
+    )
     profile = np.array([np.sum(weight * j0(2.0 * np.pi * frequency * r)) for r in radius])
     return radius, profile
 
 
 @lru_cache(maxsize=8)
-def pixel_response(camera: EventCamera, rows: int, columns: int, phases: int) -> NDArray[np.floating]:
+def pixel_response(
+    camera: EventCamera, rows: int, columns: int, phases: int
+) -> NDArray[np.floating]:
     """Return the share of an event's light that one chip pixel gets, by the event's place.
 
     Returns
     -------
     NDArray
-        Shape (rows * phases, columns * phases): places from half of `rows`, `columns` pixels before the pixel's centre
-        to as far after it, in steps of one phase.
+        Shape (rows * phases, columns * phases): places from half of `rows`, `columns` pixels before
+        the pixel's centre to as far after it, in steps of one phase.
     """
     from scipy.interpolate import CubicSpline
 
@@ -224,7 +259,9 @@ def pixel_response(camera: EventCamera, rows: int, columns: int, phases: int) ->
     quadrant = np.zeros((len(below), len(right)))
     for dy, wy in zip(nodes / 2.0, weights / 2.0, strict=True):
         for dx, wx in zip(nodes / 2.0, weights / 2.0, strict=True):
-            distance = np.hypot((below + dy)[:, None] * camera.pitch_y_mm, (right + dx)[None, :] * camera.pitch_x_mm)
+            distance = np.hypot(
+                (below + dy)[:, None] * camera.pitch_y_mm, (right + dx)[None, :] * camera.pitch_x_mm
+            )
             quadrant += wy * wx * spline(distance)
     total[: len(below), : len(right)] = quadrant
     total[: len(below), len(right) :] = quadrant[:, ::-1]
@@ -244,9 +281,11 @@ def components(camera: EventCamera) -> tuple[NDArray[np.floating], NDArray[np.fl
 
 @njit(fastmath=True)
 def _deposit(start, place, weight, table, canvas, width):
-    """Add the events' light to the canvas (component, pixel) by the table (place, row, col) of pixel shares.
+    """Add the events' light to the canvas (component, pixel) by the table (place, row, col) of
+    pixel shares.
 
-    An event's first pixel is `start`; loops of known length over flat memory are what a compiler makes fast.
+    An event's first pixel is `start`; loops of known length over flat memory are what a compiler
+    makes fast.
     """
     for i in range(start.size):
         share = table[place[i]]
@@ -262,7 +301,9 @@ def _deposit(start, place, weight, table, canvas, width):
 
 @lru_cache(maxsize=8)
 def _tables(camera: EventCamera, rows: int, columns: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Pixel shares near an event by its place within its pixel, and the transform of the shares farther off."""
+    """Pixel shares near an event by its place within its pixel, and the transform of the shares
+    farther off.
+    """
     wide = pixel_response(camera, 2 * FAR_PX, 2 * FAR_PX, PHASES)
     near = np.zeros((PHASES, PHASES, NEAR_ROWS, NEAR_COLUMNS))
     for r in range(NEAR_ROWS):
@@ -271,7 +312,9 @@ def _tables(camera: EventCamera, rows: int, columns: int) -> tuple[NDArray[Any],
     far = np.zeros((rows, columns))
     for dr in range(-FAR_PX + 1, FAR_PX):
         for dc in range(-FAR_PX + 1, FAR_PX):
-            inside = abs(dr) <= NEAR_ROWS // 2 and -(NEAR_COLUMNS // 2 - 1) <= dc <= NEAR_COLUMNS // 2
+            inside = (
+                abs(dr) <= NEAR_ROWS // 2 and -(NEAR_COLUMNS // 2 - 1) <= dc <= NEAR_COLUMNS // 2
+            )
             if not inside:
                 far[dr % rows, dc % columns] += _at_offset(wide, dr, dc).mean()
     # What goes beyond the lattice comes back evenly: on a torus no light is lost.
@@ -281,16 +324,22 @@ def _tables(camera: EventCamera, rows: int, columns: int) -> tuple[NDArray[Any],
 
 def _at_offset(wide: NDArray[np.floating], rows: int, columns: int) -> NDArray[np.floating]:
     """Shares (phase, phase) of the pixel so many rows and columns after the event's own."""
-    # The event lies so much before the pixel's centre; its own pixel's centre is half a pixel from its edge.
+    # The event lies so much before the pixel's centre; its own pixel's centre is half a pixel from
+    # its edge.
     row = int((FAR_PX - rows - 0.5) * PHASES)
     col = int((FAR_PX - columns - 0.5) * PHASES)
     return wide[row : row + PHASES, col : col + PHASES]
 
 
 def _field(
-    camera: EventCamera, expected: float | NDArray[np.floating], shape: tuple[int, int], rng: np.random.Generator
+    camera: EventCamera,
+    expected: float | NDArray[np.floating],
+    shape: tuple[int, int],
+    rng: np.random.Generator,
 ) -> NDArray[np.floating]:
-    """Light of one field's events on chip pixels: shown in the field itself, left in the fast and slow component."""
+    """Light of one field's events on chip pixels: shown in the field itself, left in the fast and
+    slow component.
+    """
     rows, columns = shape
     table, far = _tables(camera, rows, columns)
     p, k = camera.detection_probability, camera.pulse_height_shape
@@ -298,10 +347,15 @@ def _field(
     count = len(pixel)
     width = columns + NEAR_COLUMNS - 1
     start = pixel // columns * width + pixel % columns
-    height = rng.standard_gamma(k, size=count, dtype=np.float32) * np.float32(camera.charge_e / p / k)
+    height = rng.standard_gamma(k, size=count, dtype=np.float32) * np.float32(
+        camera.charge_e / p / k
+    )
     tau, share = components(camera)
     before_end = camera.field_s - camera.gate_s * rng.random(count, dtype=np.float32)
-    left = [height * np.float32(s) * np.exp(-before_end / np.float32(t)) for s, t in zip(share, tau, strict=True)]
+    left = [
+        height * np.float32(s) * np.exp(-before_end / np.float32(t))
+        for s, t in zip(share, tau, strict=True)
+    ]
     lagging = max(camera.fast_decay_s, camera.slow_decay_s) > 0.0
     weight = np.stack([height - left[0] - left[1], *left]) if lagging else height[None]
     canvas = np.zeros((len(weight), (rows + NEAR_ROWS - 1) * width), np.float32)
@@ -314,9 +368,14 @@ def _field(
 
 
 def _places(
-    expected: float | NDArray[np.floating], probability: float, shape: tuple[int, int], rng: np.random.Generator
+    expected: float | NDArray[np.floating],
+    probability: float,
+    shape: tuple[int, int],
+    rng: np.random.Generator,
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The pixels on which detected photoelectrons fall, and their places within them, counted row by row."""
+    """The pixels on which detected photoelectrons fall, and their places within them, counted row
+    by row.
+    """
     pixels = shape[0] * shape[1]
     if np.ndim(expected) == 0:
         count = rng.binomial(rng.poisson(float(expected) * pixels), probability)
@@ -326,7 +385,9 @@ def _places(
         )
     counts = rng.binomial(rng.poisson(np.asarray(expected) / PHASES), probability).ravel()
     strip = np.repeat(np.arange(pixels * PHASES, dtype=np.int32), counts)
-    return strip // PHASES, rng.integers(PHASES, size=len(strip), dtype=np.int32) * PHASES + strip % PHASES
+    return strip // PHASES, rng.integers(
+        PHASES, size=len(strip), dtype=np.int32
+    ) * PHASES + strip % PHASES
 
 
 def _folded(canvas: NDArray[np.floating], rows: int, columns: int) -> NDArray[np.floating]:
@@ -353,10 +414,11 @@ def frames(
     camera
         The camera.
     photoelectrons
-        Expected per chip pixel and exposure: one number, or the level of every eighth of a pixel along the row,
-        shape (row, 8 col).
+        Expected per chip pixel and exposure: one number, or the level of every eighth of a pixel
+        along the row, shape (row, 8 col).
     shape
-        Rows (even) and columns of a torus of pixels: what leaves on one side comes back on the other.
+        Rows (even) and columns of a torus of pixels: what leaves on one side comes back on the
+        other.
     seed
         Seed.
     """
@@ -380,7 +442,9 @@ def frames(
 
 
 def _steady_left(camera: EventCamera) -> NDArray[np.floating]:
-    """Light of both components left at the end of a field under steady light, e- per photoelectron, shape (2,)."""
+    """Light of both components left at the end of a field under steady light, e- per photoelectron,
+    shape (2,).
+    """
     node, weight = np.polynomial.legendre.leggauss(48)
     before_end = camera.field_s - camera.gate_s * (node + 1.0) / 2.0
     tau, share = components(camera)
@@ -388,13 +452,19 @@ def _steady_left(camera: EventCamera) -> NDArray[np.floating]:
     return camera.charge_e * left / (1.0 - np.exp(-camera.field_s / tau))
 
 
-def _read(camera: EventCamera, light: NDArray[np.floating], rng: np.random.Generator) -> NDArray[np.floating]:
+def _read(
+    camera: EventCamera, light: NDArray[np.floating], rng: np.random.Generator
+) -> NDArray[np.floating]:
     """Charge counted, read and filtered along lines, from every row on; shape (row, col), e-."""
     collected = light if camera.rows_summed == 1 else light + np.roll(light, -1, axis=0)
     charge = rng.poisson(np.maximum(collected, 0.0) + camera.dark_e) - camera.dark_e
     charge = charge + camera.read_noise_e * rng.standard_normal(light.shape)
     return sum(
-        (tap * np.roll(charge, n, axis=1) for n, tap in enumerate(camera.video_taps) if abs(tap) > 1e-9),
+        (
+            tap * np.roll(charge, n, axis=1)
+            for n, tap in enumerate(camera.video_taps)
+            if abs(tap) > 1e-9
+        ),
         start=np.zeros(light.shape),
     )
 
@@ -413,7 +483,8 @@ class Moments:
     quantile
         The value that one pixel in a thousand exceeds.
     horizontal, vertical
-        Covariances with pixels 1 .. 4 farther along the row and along the column of a frame, shape (4,).
+        Covariances with pixels 1 .. 4 farther along the row and along the column of a frame, shape
+        (4,).
     """
 
     mean: float
@@ -430,7 +501,8 @@ def measured(blocks: Iterable[NDArray[np.floating]], reference: float) -> tuple[
     Parameters
     ----------
     blocks
-        Frames (frame, row, col), block by block of equal size; blocks are long against the screen's memory.
+        Frames (frame, row, col), block by block of equal size; blocks are long against the screen's
+        memory.
     reference
         A value near the mean, about which powers are summed.
     """
@@ -438,7 +510,12 @@ def measured(blocks: Iterable[NDArray[np.floating]], reference: float) -> tuple[
     whole = _from_raw(table.mean(axis=0), reference)
     # Leaving out one block at a time gives errors of ratios as well as of means (jackknife).
     count = len(table)
-    left_out = np.array([_packed(_from_raw(np.delete(table, n, axis=0).mean(axis=0), reference)) for n in range(count)])
+    left_out = np.array(
+        [
+            _packed(_from_raw(np.delete(table, n, axis=0).mean(axis=0), reference))
+            for n in range(count)
+        ]
+    )
     error = np.sqrt((count - 1) * np.mean((left_out - left_out.mean(axis=0)) ** 2, axis=0))
     return whole, _unpacked(error)
 
@@ -485,7 +562,9 @@ def _unpacked(row: NDArray[np.floating]) -> Moments:
 
 
 def field_shares(camera: EventCamera) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Return shares of the light of pulses (pulse, field) and the pulses' weights (pulse,), arrivals even in time."""
+    """Return shares of the light of pulses (pulse, field) and the pulses' weights (pulse,),
+    arrivals even in time.
+    """
     node, weight = np.polynomial.legendre.leggauss(48)
     arrival = camera.gate_s * (node + 1.0) / 2.0
     tau, share = components(camera)
@@ -508,9 +587,10 @@ def campbell(camera: EventCamera, photoelectrons: float, *, step_e: float = 0.0)
 
     Notes
     -----
-    A pulse g at x gives the pixel a = sum_c f_c h_c(x) of mean charge, f the video taps, h_c the pixels' shares. Charge
-    is counted, so its cumulant function is log E exp(t X) = lambda int E exp(g sum_c h_c (exp(t f_c) - 1)) - 1: to the
-    pulses' lambda E[g^n] int a^n come the counting terms of sum_c h_c f_c^2 and f_c^3.
+    A pulse g at x gives the pixel a = sum_c f_c h_c(x) of mean charge, f the video taps, h_c the
+    pixels' shares. Charge is counted, so its cumulant function is log E exp(t X) = lambda int E
+    exp(g sum_c h_c (exp(t f_c) - 1)) - 1: to the pulses' lambda E[g^n] int a^n come the counting
+    terms of sum_c h_c f_c^2 and f_c^3.
     """
     a1, a2, a3 = (_line_response(camera, power) for power in (1, 2, 3))
     shares, weight = field_shares(camera)
@@ -526,16 +606,30 @@ def campbell(camera: EventCamera, photoelectrons: float, *, step_e: float = 0.0)
         return float(np.sum(shifted * a1[rows * PHASES :, columns * PHASES :])) * cell
 
     counted = photoelectrons * camera.rows_summed * g1
-    variance = photoelectrons * g2 * decay[1] * between(0, 0) + (counted + noise) * np.sum(taps**2) + step_e**2 / 12.0
-    third = photoelectrons * (g3 * decay[2] * np.sum(a1**3) + 3.0 * g2 * decay[1] * np.sum(a1 * a2)) * cell
+    variance = (
+        photoelectrons * g2 * decay[1] * between(0, 0)
+        + (counted + noise) * np.sum(taps**2)
+        + step_e**2 / 12.0
+    )
+    third = (
+        photoelectrons
+        * (g3 * decay[2] * np.sum(a1**3) + 3.0 * g2 * decay[1] * np.sum(a1 * a2))
+        * cell
+    )
     third += photoelectrons * g1 * np.sum(a3) * cell + camera.dark_e * np.sum(taps**3)
-    white = [float(np.sum(taps[n:] * taps[:-n])) if n < len(taps) else 0.0 for n in range(1, LAGS + 1)]
+    white = [
+        float(np.sum(taps[n:] * taps[:-n])) if n < len(taps) else 0.0 for n in range(1, LAGS + 1)
+    ]
     horizontal = [
-        photoelectrons * g2 * decay[1] * between(0, n) + (counted + noise) * white[n - 1] for n in range(1, LAGS + 1)
+        photoelectrons * g2 * decay[1] * between(0, n) + (counted + noise) * white[n - 1]
+        for n in range(1, LAGS + 1)
     ]
     # Lines an odd number apart come from fields that follow each other.
     vertical = [
-        photoelectrons * g2 * (next_field if camera.interlaced and n % 2 else decay[1]) * between(n, 0)
+        photoelectrons
+        * g2
+        * (next_field if camera.interlaced and n % 2 else decay[1])
+        * between(n, 0)
         for n in range(1, LAGS + 1)
     ]
     return Moments(
@@ -550,7 +644,9 @@ def campbell(camera: EventCamera, photoelectrons: float, *, step_e: float = 0.0)
 
 @lru_cache(maxsize=8)
 def _line_response(camera: EventCamera, power: int) -> NDArray[np.floating]:
-    """sum_c f_c^power h_c by the event's place, on the lattice of phases; h of the rows that a pixel sums."""
+    """sum_c f_c^power h_c by the event's place, on the lattice of phases; h of the rows that a
+    pixel sums.
+    """
     share = pixel_response(camera, 2 * FAR_PX, 2 * FAR_PX, PHASES)
     if camera.rows_summed == 2:
         share = share + np.roll(share, PHASES, axis=0)
@@ -562,7 +658,8 @@ def _line_response(camera: EventCamera, power: int) -> NDArray[np.floating]:
 
 
 def _quantile(camera: EventCamera, photoelectrons: float, variance: float, step_e: float) -> float:
-    """The charge that one pixel in a thousand exceeds, from the characteristic function of the compound process.
+    """The charge that one pixel in a thousand exceeds, from the characteristic function of the
+    compound process.
 
     The counting noise of a pulse's charge is taken in proportion to what the pulse gives the pixel.
     """
@@ -572,9 +669,13 @@ def _quantile(camera: EventCamera, photoelectrons: float, variance: float, step_
     taps = camera.taps
     noise = (camera.dark_e + camera.read_noise_e**2) * np.sum(taps**2) + step_e**2 / 12.0
     spread = np.sqrt(variance)
-    # The law of few photoelectrons reaches far: forty pulses beyond the mean lie beyond any pixel in 1e12.
+    # The law of few photoelectrons reaches far: forty pulses beyond the mean lie beyond any pixel
+    # in 1e12.
     mean = photoelectrons * camera.rows_summed * camera.height_moment(1)
-    low, high = mean - 14.0 * spread, mean + 18.0 * spread + 30.0 * camera.charge_e / camera.detection_probability
+    low, high = (
+        mean - 14.0 * spread,
+        mean + 18.0 * spread + 30.0 * camera.charge_e / camera.detection_probability,
+    )
     count = 1 << 14
     step = (high - low) / count
     omega = 2.0 * np.pi * np.fft.rfftfreq(count, step)
@@ -597,7 +698,9 @@ def _quantile(camera: EventCamera, photoelectrons: float, variance: float, step_
 
 @lru_cache(maxsize=8)
 def _levels(camera: EventCamera) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Shares of a pulse that a pixel sees, gathered into levels, and pixels of plane times fields that see each."""
+    """Shares of a pulse that a pixel sees, gathered into levels, and pixels of plane times fields
+    that see each.
+    """
     space = _line_response(camera, 1).ravel()
     place, area = _gathered(space, np.full(space.size, 1.0 / PHASES**2), 400)
     shares, weight = field_shares(camera)
@@ -608,9 +711,13 @@ def _levels(camera: EventCamera) -> tuple[NDArray[np.floating], NDArray[np.float
 def _gathered(
     value: NDArray[np.floating], weight: NDArray[np.floating], count: int
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Values of like size put together, each level at its mean, so that the sum of value times weight is kept."""
+    """Values of like size put together, each level at its mean, so that the sum of value times
+    weight is kept.
+    """
     size = np.abs(value)
-    level = np.rint(np.log(np.maximum(size, 1e-9 * size.max()) / size.max()) * count / np.log(1e9)).astype(int)
+    level = np.rint(
+        np.log(np.maximum(size, 1e-9 * size.max()) / size.max()) * count / np.log(1e9)
+    ).astype(int)
     key = np.where(value < 0.0, -1, 1) * (count + 1 + level)
     _, inverse = np.unique(key, return_inverse=True)
     total = np.bincount(inverse, weights=weight)

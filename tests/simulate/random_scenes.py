@@ -1,8 +1,10 @@
-"""Random pictures before random cameras: what the economy of the simulator is tried on, each from a number of its own.
+"""Random pictures before random cameras: what the economy of the simulator is tried on, each from a
+number of its own.
 
-A scene is a picture in photoelectrons with a camera, its conditions and a tolerance. Pictures are flats, darks,
-gradients, smooth fields, edges, bars, and any of these with lamps in them. Cameras are the case study with its own and
-with other screens, and the digital one, their uncertain numbers drawn from their ranges.
+A scene is a picture in photoelectrons with a camera, its conditions and a tolerance. Pictures are
+flats, darks, gradients, smooth fields, edges, bars, and any of these with lamps in them. Cameras
+are the case study with its own and with other screens, and the digital one, their uncertain numbers
+drawn from their ranges.
 """
 
 from collections.abc import Callable
@@ -20,7 +22,8 @@ from simulate.iiccd.camera import IntensifiedCamera
 
 Image = NDArray[np.floating]
 REFERENCE_V = 800.0
-# Light with saturation, blooming and halo at one end, less than the dark emission at the other; photoelectrons.
+# Light with saturation, blooming and halo at one end, less than the dark emission at the other;
+# photoelectrons.
 LEVELS_PE = 1e-3, 1e3
 LAMPS_PE = 1.0, 1e5
 GAINS = 300.0, 60000.0
@@ -72,7 +75,9 @@ def random_scene(number: int, shape: tuple[int, int] | None = None) -> Scene:
     sensor = random_sensor(rng)
     if shape is not None:
         sensor = replace(sensor, ccd=replace(sensor.ccd, rows=shape[0], columns=shape[1]))
-    camera = IntensifiedCamera(sensor, geometry=bool(rng.integers(2)), local_depletion=bool(rng.integers(2)))
+    camera = IntensifiedCamera(
+        sensor, geometry=bool(rng.integers(2)), local_depletion=bool(rng.integers(2))
+    )
     kind, image = random_picture(rng, camera.shape)
     gain = _between(rng, *GAINS) / float(sensor.tube.luminous_gain)
     field_ns = 1e9 * camera.field_s
@@ -92,8 +97,12 @@ def random_scene(number: int, shape: tuple[int, int] | None = None) -> Scene:
 
 
 def random_sensor(rng: np.random.Generator) -> Sensor:
-    """Return the case study, the case study with another screen, or the digital camera, half of them as described."""
-    sensor = load_sensor(str(rng.choice(["pulnix-ag5745ef3", "pulnix-ag5745ef3", "gen3-digital-iccd"])))
+    """Return the case study, the case study with another screen, or the digital camera, half of
+    them as described.
+    """
+    sensor = load_sensor(
+        str(rng.choice(["pulnix-ag5745ef3", "pulnix-ag5745ef3", "gen3-digital-iccd"]))
+    )
     if rng.random() < 0.5:
         sensor = replace(sensor, phosphor=load_phosphor(str(rng.choice(phosphor_names()))))
     return sensor.with_values(_drawn(sensor, rng)) if rng.random() < 0.5 else sensor
@@ -102,7 +111,15 @@ def random_sensor(rng: np.random.Generator) -> Sensor:
 def _drawn(sensor: Sensor, rng: np.random.Generator) -> dict[str, float]:
     """A value inside its range for every number that effects follow from."""
     values: dict[str, float] = {}
-    for section in ("photocathode", "microchannel_plate", "tube", "phosphor", "taper", "ccd", "video"):
+    for section in (
+        "photocathode",
+        "microchannel_plate",
+        "tube",
+        "phosphor",
+        "taper",
+        "ccd",
+        "video",
+    ):
         part = getattr(sensor, section)
         for item in fields(part):
             value = getattr(part, item.name)
@@ -152,7 +169,9 @@ def _along(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
     """Distance from a random place in a random direction, pixels."""
     row, col = np.mgrid[: shape[0], : shape[1]]
     angle = rng.uniform(0.0, 2.0 * np.pi)
-    return (row - rng.uniform(0, shape[0])) * np.sin(angle) + (col - rng.uniform(0, shape[1])) * np.cos(angle)
+    return (row - rng.uniform(0, shape[0])) * np.sin(angle) + (
+        col - rng.uniform(0, shape[1])
+    ) * np.cos(angle)
 
 
 def _gradient(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
@@ -173,4 +192,6 @@ def _edge(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
 
 def _bars(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
     period = _between(rng, 2.0, 60.0)
-    return np.where(np.sin(2.0 * np.pi * _along(rng, shape) / period) > 0.0, _level(rng), _level(rng))
+    return np.where(
+        np.sin(2.0 * np.pi * _along(rng, shape) / period) > 0.0, _level(rng), _level(rng)
+    )

@@ -16,7 +16,13 @@ SAMPLERS: tuple[Sampler, ...] = ("chain", "fast", "normal")
 
 
 def drawn_by(
-    sampler: Sampler, camera: IntensifiedCamera, light: StageImage, conditions: Conditions, *, seed: int, **more: Any
+    sampler: Sampler,
+    camera: IntensifiedCamera,
+    light: StageImage,
+    conditions: Conditions,
+    *,
+    seed: int,
+    **more: Any,
 ) -> Iterator[NDArray[np.unsignedinteger]]:
     """Yield frames stage by stage, by the fast sampler, or by it with a normal law of sums."""
     if sampler == "chain":

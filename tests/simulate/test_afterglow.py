@@ -1,4 +1,6 @@
-"""The screen's decay: residuals of P20 by field, shares of pulses at random times, and steady scenes left alone."""
+"""The screen's decay: residuals of P20 by field, shares of pulses at random times, and steady
+scenes left alone.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ FIELD_S = 0.01668
 
 
 def _p20(gate_s: float = FIELD_S) -> PhosphorDecay:
-    return PhosphorDecay(components=((0.95, 1.45e-3), (0.05, 35e-3)), gate_s=gate_s, field_s=FIELD_S)
+    return PhosphorDecay(
+        components=((0.95, 1.45e-3), (0.05, 35e-3)), gate_s=gate_s, field_s=FIELD_S
+    )
 
 
 def test_all_light_comes_out():

@@ -1,4 +1,6 @@
-"""Automatic controls settle to their set level in their time and range, and bend the noise law at their own places."""
+"""Automatic controls settle to their set level in their time and range, and bend the noise law at
+their own places.
+"""
 
 from dataclasses import replace
 from itertools import islice
@@ -36,7 +38,9 @@ def test_automatic_gain_settles_on_its_set_level_within_its_range(level):
     assert _settled(GAIN, level, 400)[-1] * level == pytest.approx(100.0, rel=1e-4)
 
 
-@pytest.mark.parametrize(("level", "gain"), [(1.0, 10 ** (16 / 20)), (0.0, 10 ** (16 / 20)), (500.0, 1.0)])
+@pytest.mark.parametrize(
+    ("level", "gain"), [(1.0, 10 ** (16 / 20)), (0.0, 10 ** (16 / 20)), (500.0, 1.0)]
+)
 def test_beyond_its_range_automatic_gain_stays_at_its_end(level, gain):
     assert _settled(GAIN, level, 400)[-1] == pytest.approx(gain, rel=1e-6)
 
@@ -60,7 +64,9 @@ def test_below_its_limit_brightness_control_gives_all_gain_back():
     assert CONTROL.next(0.2, 0.0) == 1.0
 
 
-@pytest.mark.parametrize("change", [{"set_level_dn": 0.0}, {"time_constant_s": 0.0}, {"range_db": -1.0}])
+@pytest.mark.parametrize(
+    "change", [{"set_level_dn": 0.0}, {"time_constant_s": 0.0}, {"range_db": -1.0}]
+)
 def test_impossible_automatic_gain_is_refused(change):
     with pytest.raises(BadInput):
         replace(GAIN, **change)
@@ -73,7 +79,13 @@ def camera(plain) -> IntensifiedCamera:
 
 def _lit(camera: IntensifiedCamera, lux: float):
     per_pixel = 2.0 * camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * 1e-2
-    level = lux * 1e-4 * tube_photometry.photoelectrons_per_lumen_s(camera.sensor) * per_pixel * camera.field_s
+    level = (
+        lux
+        * 1e-4
+        * tube_photometry.photoelectrons_per_lumen_s(camera.sensor)
+        * per_pixel
+        * camera.field_s
+    )
     return mcp_input_from_photoelectrons(camera, np.full(camera.shape, level), Conditions())
 
 
@@ -91,7 +103,9 @@ def test_with_brightness_control_the_charge_stays_constant_above_the_threshold(c
     assert levels[2] / levels[1] == pytest.approx(2.0, rel=2e-3)
 
 
-def _noise_over_signal(camera: IntensifiedCamera, conditions: Conditions, light, seed: int) -> tuple[float, float]:
+def _noise_over_signal(
+    camera: IntensifiedCamera, conditions: Conditions, light, seed: int
+) -> tuple[float, float]:
     """Settled mean above black, and temporal variance over mean."""
     stream = camera.frames(light, conditions, seed=seed)
     settled = np.stack(list(islice(stream, 32))[16:]).astype(float)
@@ -100,11 +114,17 @@ def _noise_over_signal(camera: IntensifiedCamera, conditions: Conditions, light,
 
 
 def test_the_two_controls_bend_the_noise_law_at_their_own_places(plain, seed):
-    """At one level of video: brightness control leaves the photoelectrons' noise, automatic gain multiplies it."""
-    camera = IntensifiedCamera(plain(40, 56, tube__brightness_control_s=0.05, video__automatic_gain_s=0.05))
+    """At one level of video: brightness control leaves the photoelectrons' noise, automatic gain
+    multiplies it.
+    """
+    camera = IntensifiedCamera(
+        plain(40, 56, tube__brightness_control_s=0.05, video__automatic_gain_s=0.05)
+    )
     threshold = float(camera.sensor.tube.brightness_control_lux)
     steady = _noise_over_signal(camera, Conditions(), _lit(camera, threshold), seed)
-    lowered = _noise_over_signal(camera, Conditions(brightness_control=True), _lit(camera, 8.0 * threshold), seed)
+    lowered = _noise_over_signal(
+        camera, Conditions(brightness_control=True), _lit(camera, 8.0 * threshold), seed
+    )
     assert lowered[0] == pytest.approx(steady[0], rel=0.02)
     # The same video of eight times the photoelectrons: an eighth of the noise power.
     assert lowered[1] / steady[1] == pytest.approx(1.0 / 8.0, rel=0.15)
@@ -120,7 +140,10 @@ def test_controls_that_are_off_or_unknown_change_no_byte(camera):
     light = _lit(camera, 1e-4)
     for conditions in (Conditions(automatic_gain=False, brightness_control=False), Conditions()):
         frame = next(camera.frames(light, conditions, seed=4, first_frame=2))
-        assert frame.tobytes() == next(camera.frames(light, Conditions(), seed=4, first_frame=2)).tobytes()
+        assert (
+            frame.tobytes()
+            == next(camera.frames(light, Conditions(), seed=4, first_frame=2)).tobytes()
+        )
     assert camera.automatic_state_of(light, Conditions())(3) == AutomaticState()
 
 

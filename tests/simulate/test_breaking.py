@@ -1,4 +1,6 @@
-"""Past its breaking points the camera goes to the right limit or refuses in one sentence; no NaN, no wrapped code."""
+"""Past its breaking points the camera goes to the right limit or refuses in one sentence; no NaN,
+no wrapped code.
+"""
 
 import math
 import os
@@ -35,11 +37,19 @@ NM = np.arange(400.0, 1000.0, 20.0)
 NAMES = ["pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512"]
 
 
-def codes_of(camera: Any, picture_pe: float | NDArray[Any], conditions: Conditions, seed: int, frames: int = FRAMES):
+def codes_of(
+    camera: Any,
+    picture_pe: float | NDArray[Any],
+    conditions: Conditions,
+    seed: int,
+    frames: int = FRAMES,
+):
     """Frames of a picture in photoelectrons, none of them outside the digitiser's range."""
     picture = np.broadcast_to(np.asarray(picture_pe, float), camera.shape)
     light = mcp_input_from_photoelectrons(camera, picture, conditions)
-    return checked(np.stack(list(islice(camera.frames(light, conditions, seed=seed), frames))), camera)
+    return checked(
+        np.stack(list(islice(camera.frames(light, conditions, seed=seed), frames))), camera
+    )
 
 
 def checked(codes: NDArray[Any], camera: Any) -> NDArray[np.floating]:
@@ -59,7 +69,9 @@ def sentence(refusal: BaseException) -> str:
 
 
 def with_error(codes: NDArray[np.floating]) -> tuple[float, float]:
-    """Mean and its standard error from the scatter of frames, widened for what fields share through the glow."""
+    """Mean and its standard error from the scatter of frames, widened for what fields share through
+    the glow.
+    """
     per_frame = codes.mean(axis=(1, 2))
     return float(per_frame.mean()), 2.0 * float(per_frame.std(ddof=1)) / np.sqrt(len(per_frame))
 
@@ -69,8 +81,16 @@ def with_error(codes: NDArray[np.floating]) -> tuple[float, float]:
 
 @pytest.mark.parametrize("bit_depth", [8, 16])
 def test_gain_from_one_to_a_million_is_proportional_until_full_scale(bit_depth, plain, seed):
-    """Mean above black is gain times photoelectrons times DN per electron, or full scale; it never falls again."""
-    sensor = plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0, video__black_level_dn=12.0, ccd__full_well_e=1e12)
+    """Mean above black is gain times photoelectrons times DN per electron, or full scale; it never
+    falls again.
+    """
+    sensor = plain(
+        ROWS,
+        COLUMNS,
+        photocathode__ebi_lm_per_cm2=0.0,
+        video__black_level_dn=12.0,
+        ccd__full_well_e=1e12,
+    )
     sensor = replace(sensor, video=replace(sensor.video, bit_depth=bit_depth))
     top = 2**bit_depth - 1
     means = []
@@ -79,7 +99,9 @@ def test_gain_from_one_to_a_million_is_proportional_until_full_scale(bit_depth, 
         codes = codes_of(camera, 2.0, Conditions(), seed)
         mean, error = with_error(codes)
         photons = gain / 15000.0 * 10229.0
-        expected = 12.0 + 2.0 * photons * 0.225 * 0.32 * float(sensor.video.conversion_gain_dn_per_e)
+        expected = 12.0 + 2.0 * photons * 0.225 * 0.32 * float(
+            sensor.video.conversion_gain_dn_per_e
+        )
         # Clipping bends the mean once the brightest pixels reach the top.
         if codes.max() < top and codes.min() > 0:
             assert abs(mean - expected) < 4.5 * error + 2e-3 * (expected - 12.0)
@@ -91,15 +113,21 @@ def test_gain_from_one_to_a_million_is_proportional_until_full_scale(bit_depth, 
 
 @pytest.mark.parametrize("change", [{"mcp_v": 0.0}, {"mcp_v": 1.0}, {"gain_control": 0.0}])
 def test_a_tube_without_gain_shows_darks(change, plain, seed):
-    camera = IntensifiedCamera(plain(ROWS, COLUMNS, microchannel_plate__gain_control_reference=5000.0))
+    camera = IntensifiedCamera(
+        plain(ROWS, COLUMNS, microchannel_plate__gain_control_reference=5000.0)
+    )
     lit = codes_of(camera, 50.0, Conditions(**change), seed)
     dark = codes_of(camera, 0.0, Conditions(**change), seed)
     assert abs(lit.mean() - dark.mean()) < 0.02
 
 
-@pytest.mark.parametrize("change", [{"mcp_v": 1e6}, {"gain_control": 2000.0}, {"gain_control": 1e5}])
+@pytest.mark.parametrize(
+    "change", [{"mcp_v": 1e6}, {"gain_control": 2000.0}, {"gain_control": 1e5}]
+)
 def test_gain_beyond_sense_fills_the_scale_or_is_refused(change, plain, seed):
-    camera = IntensifiedCamera(plain(ROWS, COLUMNS, microchannel_plate__strip_current_ua_per_cm2=0.6))
+    camera = IntensifiedCamera(
+        plain(ROWS, COLUMNS, microchannel_plate__strip_current_ua_per_cm2=0.6)
+    )
     try:
         codes = codes_of(camera, 50.0, Conditions(**change), seed)
     except BadInput as refusal:
@@ -116,19 +144,25 @@ def bench(sheet) -> LabBench:
     return LabBench(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
 
 
-def test_light_from_a_nanolux_to_ten_thousand_lux_goes_from_dark_to_full_scale_or_what_the_plate_can_give(bench, seed):
-    """The mean never falls with light; a nanolux is darkness, and the strip current limits what bright light gives."""
+def test_light_from_a_nanolux_to_ten_thousand_lux_goes_from_dark_to_full_scale(bench, seed):
+    """The mean never falls with light; a nanolux is darkness, and the strip current limits what
+    bright light gives.
+    """
     top = 2**bench.camera.sensor.video.bit_depth - 1
     means, errors = [], []
     for lux in 10.0 ** np.arange(-9.0, 4.1):
-        stack = bench.expose("flat", Target(), Conditions(illuminance_lux=lux), frames=FRAMES, seed=seed).data
+        stack = bench.expose(
+            "flat", Target(), Conditions(illuminance_lux=lux), frames=FRAMES, seed=seed
+        ).data
         codes = checked(stack, bench.camera)
         mean, error = with_error(codes)
         means.append(mean)
         errors.append(error)
         noiseless = bench.mean("flat", Target(), Conditions(illuminance_lux=lux))
         assert np.isfinite(noiseless).all()
-    dark = checked(bench.expose("dark", Target(), Conditions(), frames=FRAMES, seed=seed).data, bench.camera)
+    dark = checked(
+        bench.expose("dark", Target(), Conditions(), frames=FRAMES, seed=seed).data, bench.camera
+    )
     assert abs(means[0] - dark.mean()) < 4.5 * errors[0] + 0.01
     for n in range(1, len(means)):
         assert means[n] > means[n - 1] - 4.5 * np.hypot(errors[n], errors[n - 1]) - 0.02
@@ -153,7 +187,9 @@ def test_a_plate_at_its_strip_current_gives_that_and_no_more(plain, seed):
     limit_e = plate.saturation_e_per_s_cm2 * camera.field_s * area * 205.0 * 0.225 * 0.32
     levels = []
     for photoelectrons in (1e2, 1e4, 1e6, 1e8):
-        light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, photoelectrons), Conditions())
+        light = mcp_input_from_photoelectrons(
+            camera, np.full(camera.shape, photoelectrons), Conditions()
+        )
         levels.append(float(camera.mean_frame(light, Conditions()).mean(dtype=float)) - 400.0)
     assert levels[-1] == pytest.approx(limit_e, rel=1e-3)
     assert np.all(np.diff(levels) > 0.0) or levels[-1] == pytest.approx(levels[-2], rel=1e-4)
@@ -161,7 +197,9 @@ def test_a_plate_at_its_strip_current_gives_that_and_no_more(plain, seed):
 
 def test_zero_light_gives_the_very_darks(bench, seed):
     dark = bench.expose("dark", Target(), Conditions(), frames=3, seed=seed).data
-    unlit = bench.expose("flat", Target(), Conditions(illuminance_lux=0.0), frames=3, seed=seed).data
+    unlit = bench.expose(
+        "flat", Target(), Conditions(illuminance_lux=0.0), frames=3, seed=seed
+    ).data
     assert dark.tobytes() == unlit.tobytes()
 
 
@@ -172,7 +210,9 @@ def test_zero_light_and_no_dark_emission_leave_black_and_read_noise(plain, seed)
     assert abs(mean - 400.0) < 4.5 * error
     ccd = camera.sensor.ccd
     dark_e = float(ccd.dark_current_e_per_s) * 2.0 / 59.94
-    white = float(np.sum(IntensifiedCamera(camera.sensor).stage(Slot.VIDEO).low_pass.impulse_response() ** 2))
+    white = float(
+        np.sum(IntensifiedCamera(camera.sensor).stage(Slot.VIDEO).low_pass.impulse_response() ** 2)
+    )
     expected = (float(ccd.read_noise_e) ** 2 + dark_e) * 0.2**2 * white + 1.0 / 12.0
     assert codes[:, :, 8:].var() == pytest.approx(expected, rel=4.5 * np.sqrt(4.0 / codes.size))
 
@@ -182,9 +222,18 @@ def test_zero_light_and_no_dark_emission_leave_black_and_read_noise(plain, seed)
 
 @pytest.mark.parametrize(
     ("shape", "interlaced"),
-    [((1, 1), True), ((1, 1), False), ((1, 40), True), ((40, 1), True), ((40, 1), False), ((3, 2), True)],
+    [
+        ((1, 1), True),
+        ((1, 1), False),
+        ((1, 40), True),
+        ((40, 1), True),
+        ((40, 1), False),
+        ((3, 2), True),
+    ],
 )
-def test_frames_of_one_pixel_one_row_or_one_column_have_the_mean_of_any_other(shape, interlaced, plain, seed):
+def test_frames_of_one_pixel_one_row_or_one_column_have_the_mean_of_any_other(
+    shape, interlaced, plain, seed
+):
     sensor = plain(*shape, photocathode__ebi_lm_per_cm2=0.0)
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=interlaced)))
     light = mcp_input_from_photoelectrons(camera, np.full(shape, 20.0), Conditions())
@@ -199,18 +248,22 @@ def test_frames_of_one_pixel_one_row_or_one_column_have_the_mean_of_any_other(sh
 @pytest.mark.parametrize("name", NAMES)
 def test_every_shipped_camera_of_one_pixel_sees(name, seed):
     description = load_camera(name)
-    camera = camera_from_description(replace(description, ccd=replace(description.ccd, rows=1, columns=1)))
+    camera = camera_from_description(
+        replace(description, ccd=replace(description.ccd, rows=1, columns=1))
+    )
     dark, lit = (codes_of(camera, level, Conditions(), seed, frames=4) for level in (0.0, 1e5))
     assert lit.mean() > dark.mean()
 
 
 def test_the_smallest_frames_are_made_in_memory_of_their_own():
-    # Compiled loops read and write what lies beside an array without a word, unless every index is checked. Loops with
-    # checks are kept where `make test-all` keeps them.
+    # Compiled loops read and write what lies beside an array without a word, unless every index is
+    # checked. Loops with checks are kept where `make test-all` keeps them.
     kept = Path(__file__).resolve().parents[2] / "build" / "bounds"
     watched = {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(kept)}
     tests = ["-q", "-n", "0", "-p", "no:cacheprovider", "-k", "one_pixel_one_row", __file__]
-    made = subprocess.run([sys.executable, "-m", "pytest", *tests], env=watched, capture_output=True, text=True)
+    made = subprocess.run(
+        [sys.executable, "-m", "pytest", *tests], env=watched, capture_output=True, text=True
+    )
     assert made.returncode == 0, made.stdout
 
 
@@ -234,13 +287,17 @@ def _cube(value: float) -> RadianceCube:
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1e-9])
 def test_radiance_that_is_none_is_refused(name, value):
     description = load_camera(name)
-    camera = camera_from_description(replace(description, ccd=replace(description.ccd, rows=ROWS, columns=COLUMNS)))
+    camera = camera_from_description(
+        replace(description, ccd=replace(description.ccd, rows=ROWS, columns=COLUMNS))
+    )
     with pytest.raises(BadInput) as refused:
         mcp_input_from_radiance(camera, _cube(value), Conditions())
     sentence(refused.value)
 
 
-@pytest.mark.parametrize("wavelength", [[500.0, math.nan], [600.0, 500.0], [500.0, 500.0], [-5.0, 500.0], [0.0, 500.0]])
+@pytest.mark.parametrize(
+    "wavelength", [[500.0, math.nan], [600.0, 500.0], [500.0, 500.0], [-5.0, 500.0], [0.0, 500.0]]
+)
 def test_wavelengths_that_are_none_are_refused(wavelength, sheet):
     with pytest.raises(BadInput) as refused:
         cube = RadianceCube(wavelength_nm=np.array(wavelength), radiance=np.ones((2, 4, 4)))
@@ -251,11 +308,15 @@ def test_wavelengths_that_are_none_are_refused(wavelength, sheet):
 
 @pytest.mark.parametrize("level", [0.0, 1e-12, 1.0, 1e12])
 def test_radiance_of_any_size_gives_codes(level, sheet, seed):
-    camera = camera_from_description(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
+    camera = camera_from_description(
+        replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS))
+    )
     cube = RadianceCube(wavelength_nm=NM, radiance=np.full((len(NM), 4, 4), level))
     light = mcp_input_from_radiance(camera, cube, Conditions())
     assert np.isfinite(light.values).all() and (level == 0.0 or light.values.mean() > 0.0)
-    codes = checked(np.stack(list(islice(camera.frames(light, Conditions(), seed=seed), 3))), camera)
+    codes = checked(
+        np.stack(list(islice(camera.frames(light, Conditions(), seed=seed), 3))), camera
+    )
     dark = codes_of(camera, 0.0, Conditions(), seed, frames=3)
     if level < 1e-11:
         assert codes.tobytes() == dark.tobytes() or abs(codes.mean() - dark.mean()) < 0.5
@@ -264,8 +325,12 @@ def test_radiance_of_any_size_gives_codes(level, sheet, seed):
 
 
 @pytest.mark.parametrize("photoelectrons", [1e-12, 1e3, 1e6, 1e15])
-def test_one_pixel_of_any_brightness_neither_wraps_nor_darkens_the_picture(photoelectrons, sheet, seed):
-    camera = camera_from_description(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
+def test_one_pixel_of_any_brightness_neither_wraps_nor_darkens_the_picture(
+    photoelectrons, sheet, seed
+):
+    camera = camera_from_description(
+        replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS))
+    )
     picture = np.zeros(camera.shape)
     picture[12, 16] = photoelectrons
     codes = codes_of(camera, picture, Conditions(), seed, frames=4)
@@ -280,14 +345,21 @@ def test_one_pixel_of_any_brightness_neither_wraps_nor_darkens_the_picture(photo
 
 @pytest.mark.parametrize("gate_ns", [1e-3, 1e3, 1e6, 1e7])
 def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plain):
-    """What lingers comes in later fields: a steady scene shows all its light, however short the gate."""
-    camera = IntensifiedCamera(plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0, ccd__full_well_e=1e12))
+    """What lingers comes in later fields: a steady scene shows all its light, however short the
+    gate.
+    """
+    camera = IntensifiedCamera(
+        plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0, ccd__full_well_e=1e12)
+    )
     conditions = Conditions(gate_ns=gate_ns)
     cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
     share = gate_ns * 1e-9
     per_s = 20.0 / share
     light = camera.mcp_input(
-        StageImage(values=np.full(camera.scene_cells.shape, per_s, np.float32), grid=camera.scene_cells), conditions
+        StageImage(
+            values=np.full(camera.scene_cells.shape, per_s, np.float32), grid=camera.scene_cells
+        ),
+        conditions,
     )
     closed = (camera.field_s - share) / float(camera.sensor.photocathode.gate_on_off_ratio)
     expected = per_s * cathode.quantum_efficiency * (share + closed) * 4.0
@@ -306,7 +378,9 @@ def test_gates_that_are_none_are_refused(gate_ns, plain):
     sentence(refused.value)
 
 
-@pytest.mark.parametrize("name", ["illuminance_lux", "mcp_v", "gate_ns", "temperature_c", "gain_control"])
+@pytest.mark.parametrize(
+    "name", ["illuminance_lux", "mcp_v", "gate_ns", "temperature_c", "gain_control"]
+)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_conditions_that_are_none_are_refused(name, value, bench, seed):
     given: dict[str, Any] = {"illuminance_lux": 1e-4} | {name: value}
@@ -319,12 +393,17 @@ def test_conditions_that_are_none_are_refused(name, value, bench, seed):
 def test_temperatures_from_absolute_zero_to_glowing_give_codes(temperature_c, bench, seed):
     try:
         conditions = Conditions(temperature_c=temperature_c)
-        codes = checked(bench.expose("dark", Target(), conditions, frames=3, seed=seed).data, bench.camera)
+        codes = checked(
+            bench.expose("dark", Target(), conditions, frames=3, seed=seed).data, bench.camera
+        )
     except BadInput as refusal:
         sentence(refusal)
     else:
         cold = checked(
-            bench.expose("dark", Target(), Conditions(temperature_c=-60.0), frames=3, seed=seed).data, bench.camera
+            bench.expose(
+                "dark", Target(), Conditions(temperature_c=-60.0), frames=3, seed=seed
+            ).data,
+            bench.camera,
         )
         assert codes.mean() >= cold.mean() - 0.5
 
@@ -351,17 +430,27 @@ def test_a_description_with_a_number_that_is_none_is_refused(name, value):
     assert not accepted
 
 
-# Both cameras with a tube have the same stages but for the analog video: that numbers may be too small is tried on one.
+# Both cameras with a tube have the same stages but for the analog video: that numbers may be too
+# small is tried on one.
 @pytest.mark.parametrize(
     ("name", "factor"),
-    [*((name, factor) for name in (NAMES[0], NAMES[2]) for factor in (-1.0, 0.0, 100.0)), (NAMES[1], 0.1)],
+    [
+        *((name, factor) for name in (NAMES[0], NAMES[2]) for factor in (-1.0, 0.0, 100.0)),
+        (NAMES[1], 0.1),
+    ],
 )
-def test_any_number_of_a_description_may_be_absurd_and_is_refused_or_gives_codes(name, factor, seed):
-    """With the sign turned, at zero, and far from the shipped value either way: no number of either kind of camera."""
+def test_any_number_of_a_description_may_be_absurd_and_is_refused_or_gives_codes(
+    name, factor, seed
+):
+    """With the sign turned, at zero, and far from the shipped value either way: no number of either
+    kind of camera.
+    """
     description, broken = _of_few_pixels(name), []
     for path, parameter in sorted(description.parameters().items()):
         try:
-            camera = camera_from_description(description.with_values({path: factor * float(parameter)}))
+            camera = camera_from_description(
+                description.with_values({path: factor * float(parameter)})
+            )
             light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions())
             assert np.isfinite(camera.mean_frame(light, Conditions())).all()
             next(iter(camera.frames(light, Conditions(), seed=seed)))
@@ -391,6 +480,8 @@ def test_descriptions_that_contradict_themselves_are_refused(changes, sheet):
     with pytest.raises(BadInput) as refused:
         description: Sensor = sheet
         for stage, fields in changes.items():
-            description = replace(description, **{stage: replace(getattr(description, stage), **fields)})
+            description = replace(
+                description, **{stage: replace(getattr(description, stage), **fields)}
+            )
         IntensifiedCamera(description).chain(Conditions())
     sentence(refused.value)

@@ -1,9 +1,11 @@
-"""Economy: what the simulator leaves out changes less than it was allowed to, in everything that a lab measures.
+"""Economy: what the simulator leaves out changes less than it was allowed to, in everything that a
+lab measures.
 
-The tolerance is a share of the temporal noise of each pixel. That noise is computed here from pulses and blurs, apart
-from the bounds that are on trial, and agrees with drawn frames. Means and variances of both cameras, the one with all
-effects and the one without those left out, are compared pixel by pixel without drawing; what must be drawn is drawn
-with the same random numbers for both, and its standard errors come from leaving out blocks of frames.
+The tolerance is a share of the temporal noise of each pixel. That noise is computed here from
+pulses and blurs, apart from the bounds that are on trial, and agrees with drawn frames. Means and
+variances of both cameras, the one with all effects and the one without those left out, are compared
+pixel by pixel without drawing; what must be drawn is drawn with the same random numbers for both,
+and its standard errors come from leaving out blocks of frames.
 """
 
 from collections.abc import Callable, Iterator
@@ -43,17 +45,24 @@ ONE_IN_A_THOUSAND, NORMAL_LEVEL = 0.999, 3.09
 
 def effects(*influences: float) -> list[OptionalEffect]:
     """Effects called a, b, c, ... of these influences."""
-    return [OptionalEffect(name=chr(ord("a") + i), influence=influence) for i, influence in enumerate(influences)]
+    return [
+        OptionalEffect(name=chr(ord("a") + i), influence=influence)
+        for i, influence in enumerate(influences)
+    ]
 
 
-def test_the_least_influences_are_left_out_first_and_only_as_far_as_together_they_are_allowed() -> None:
+def test_the_least_influences_are_left_out_first_and_only_as_far_as_together_they_are_allowed() -> (
+    None
+):
     plan = select_effects(effects(0.06, 0.01, 0.05, 0.2), 0.1)
     assert [effect.name for effect in plan.left_out] == ["b", "c"]
     assert [effect.name for effect in plan.kept] == ["a", "d"]
     assert plan.influence == pytest.approx(0.06) and plan.names == {"b", "c"}
 
 
-def test_of_equal_influences_the_first_by_name_is_left_out_whatever_the_order_they_come_in() -> None:
+def test_of_equal_influences_the_first_by_name_is_left_out_whatever_the_order_they_come_in() -> (
+    None
+):
     for order in (effects(0.07, 0.07), effects(0.07, 0.07)[::-1]):
         assert select_effects(order, 0.1).names == {"a"}
 
@@ -72,12 +81,15 @@ def test_negative_influences_and_tolerances_are_refused(wrong: float) -> None:
 
 
 @pytest.mark.parametrize("number", range(20))
-def test_influences_left_out_never_add_up_beyond_the_tolerance_and_no_more_would_fit(number: int) -> None:
+def test_influences_left_out_never_add_up_beyond_the_tolerance_and_no_more_would_fit(
+    number: int,
+) -> None:
     rng = np.random.default_rng([number, 7])
     influences = np.exp(rng.uniform(-12.0, 2.0, rng.integers(0, 30)))
     tolerance = float(np.exp(rng.uniform(-6.0, 1.0)))
     plan = select_effects(
-        [OptionalEffect(name=str(i), influence=float(x)) for i, x in enumerate(influences)], tolerance
+        [OptionalEffect(name=str(i), influence=float(x)) for i, x in enumerate(influences)],
+        tolerance,
     )
     assert plan.influence <= tolerance
     assert len(plan.kept) + len(plan.left_out) == len(influences)
@@ -92,11 +104,20 @@ def test_the_plan_says_what_is_kept_what_is_left_out_and_what_it_costs() -> None
     head, smear, left, together = plan.text().splitlines()
     assert "of the noise" in head
     assert smear.startswith("smear") and "beyond all bounds" in smear and "kept" in smear
-    assert left.startswith("halo") and "0.4 %" in left and "left out" in left and "250" in left and "1.50" in left
+    assert (
+        left.startswith("halo")
+        and "0.4 %" in left
+        and "left out" in left
+        and "250" in left
+        and "1.50" in left
+    )
     assert "0.4 %" in together and "of 5 % allowed" in together
     document = plan.document()
     assert document["tolerance"] == 0.05 and document["left_out_together"] == 0.004
-    assert {row["name"]: row["kept"] for row in document["effects"]} == {"halo": False, "smear": True}
+    assert {row["name"]: row["kept"] for row in document["effects"]} == {
+        "halo": False,
+        "smear": True,
+    }
 
 
 @dataclass(frozen=True)
@@ -111,7 +132,11 @@ class Pair:
 
     @classmethod
     def of(
-        cls, camera: IntensifiedCamera, image: NDArray[np.floating], conditions: Conditions, tolerance: float
+        cls,
+        camera: IntensifiedCamera,
+        image: NDArray[np.floating],
+        conditions: Conditions,
+        tolerance: float,
     ) -> "Pair":
         """Plan a picture in photoelectrons."""
         freed = photoelectrons_from_image(camera, image)
@@ -123,13 +148,17 @@ class Pair:
     def means(self) -> tuple[Map, Map]:
         """Mean frames of both, DN, as the digitiser ends them."""
         top = 2**self.whole.sensor.video.bit_depth - 1
-        whole, thin = (c.mean_frame(light, self.conditions).astype(float) for c, light in self._both)
+        whole, thin = (
+            c.mean_frame(light, self.conditions).astype(float) for c, light in self._both
+        )
         return np.clip(whole, 0.0, top), np.clip(thin, 0.0, top)
 
     @cached_property
     def variances(self) -> tuple[Map, Map]:
         """Temporal variance of both, DN^2."""
-        whole, thin = (temporal_variance(camera, light, self.conditions) for camera, light in self._both)
+        whole, thin = (
+            temporal_variance(camera, light, self.conditions) for camera, light in self._both
+        )
         return whole, thin
 
     @property
@@ -138,11 +167,15 @@ class Pair:
         return np.sqrt(self.variances[0])
 
     @property
-    def _both(self) -> tuple[tuple[IntensifiedCamera, StageImage], tuple[IntensifiedCamera, StageImage]]:
+    def _both(
+        self,
+    ) -> tuple[tuple[IntensifiedCamera, StageImage], tuple[IntensifiedCamera, StageImage]]:
         return (self.whole, self.at_mcp[0]), (self.thin, self.at_mcp[1])
 
     def frames(self, count: int, seed: int) -> Iterator[Map]:
-        """Frames of both, the whole one by the exact law of pulses, from the same random numbers, (frame, row, col)."""
+        """Frames of both, the whole one by the exact law of pulses, from the same random numbers,
+        (frame, row, col).
+        """
         for (camera, light), tier in zip(self._both, ("fast", "fast"), strict=True):
             drawn = drawn_by(tier, camera, light, self.conditions, seed=seed)
             yield np.stack([frame.astype(float) for frame in islice(drawn, count)])
@@ -156,12 +189,13 @@ class Pair:
 
 
 def temporal_variance(camera: IntensifiedCamera, at_mcp: StageImage, conditions: Conditions) -> Map:
-    """Temporal variance of every pixel, DN^2, rounding included, wells and digitiser without end, shape (row, col).
+    """Temporal variance of every pixel, DN^2, rounding included, wells and digitiser without end,
+    shape (row, col).
 
     Notes
     -----
-    Pulses: sum over cells of m <q^2> h^2, m their expected number, q their charge, h what of a pulse in that cell the
-    pixel reads, times the mean over pulses of the squared shares of fields.
+    Pulses: sum over cells of m <q^2> h^2, m their expected number, q their charge, h what of a
+    pulse in that cell the pixel reads, times the mean over pulses of the squared shares of fields.
     """
     chain, grid, height = camera.chain(conditions), at_mcp.grid, camera.fields_per_frame
     assert grid is not None
@@ -171,27 +205,35 @@ def temporal_variance(camera: IntensifiedCamera, at_mcp: StageImage, conditions:
     size, p = plate.ion_event_size_pe, plate.detection_probability
     number = np.maximum(at_mcp.values.astype(float), 0.0) * p * wider
     number += plate.ions_per_cell(at_mcp) * (size**2 + size * wider)
-    left = np.broadcast_to(plate.gain_under_load(at_mcp) / plate.gain, at_mcp.values.shape).astype(np.float32)
+    left = np.broadcast_to(plate.gain_under_load(at_mcp) / plate.gain, at_mcp.values.shape).astype(
+        np.float32
+    )
     evenly = at_mcp.with_values(np.ones_like(at_mcp.values))
     screen = behind.mean(replace(plate, gain_map=left, ion_events_per_s_cm2=0.0).mean(evenly))
     charge = screen.values.astype(float) * ccd.quantum_efficiency / p
     decay = float(np.mean(np.sum(chain[Slot.DECAY].pulse_shares ** 2, axis=1)))
     taps = np.asarray(video.low_pass.impulse_response(), float)
     kernel = _read_of_a_pulse(screen.pending_blurs, grid, height, tuple(taps))
-    pulses = np.fft.irfft2(np.fft.rfft2(number * charge**2 * decay) * np.fft.rfft2(kernel**2), grid.shape)
+    pulses = np.fft.irfft2(
+        np.fft.rfft2(number * charge**2 * decay) * np.fft.rfft2(kernel**2), grid.shape
+    )
     rows = slice(2 * grid.margin_rows, 2 * (grid.margin_rows + camera.shape[0]), 2)
     cols = slice(2 * grid.margin_columns, 2 * (grid.margin_columns + camera.shape[1]), 2)
     response = pattern.prnu_map(camera.shape, ccd.prnu, ccd.pattern_seed) if ccd.prnu > 0.0 else 1.0
     light = ccd.mean_charge(chain[Slot.PIXELS].mean(behind.mean(plate.mean(at_mcp))).values)
     own = filter_lines(light + ccd.dark(camera.shape) + ccd.read_noise_e**2, taps**2)
-    variance = (pulses[rows, cols] * response**2 + own) * video.conversion_gain_dn_per_e**2 + 1.0 / 12.0
+    variance = (
+        pulses[rows, cols] * response**2 + own
+    ) * video.conversion_gain_dn_per_e**2 + 1.0 / 12.0
     slope = np.gradient(filter_lines(light, taps), axis=1) * video.conversion_gain_dn_per_e
     return variance + (video.sync_jitter_px * slope) ** 2 + video.line_noise_dn**2
 
 
 @lru_cache(maxsize=8)
 def _read_of_a_pulse(owed: Any, grid: Any, height: int, taps: tuple[float, ...]) -> Map:
-    """Share of a pulse in a cell that a pixel reads, by the cell's place before it, shape of the grid."""
+    """Share of a pulse in a cell that a pixel reads, by the cell's place before it, shape of the
+    grid.
+    """
     fx, fy = np.broadcast_arrays(*grid.frequencies())
     aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
     x, y = fx * grid.pitch_x_mm, fy * grid.pitch_y_mm
@@ -221,7 +263,9 @@ def by_blocks(statistic: Callable[[Map, Map], Map], one: Map, other: Map) -> tup
 
 
 def measured(noise: Map, groups: list[NDArray[np.bool_]]) -> Map:
-    """What a lab measures of noise, (frame, row, col), over its unit: sd by group, 99.9 % level, correlations."""
+    """What a lab measures of noise, (frame, row, col), over its unit: sd by group, 99.9 % level,
+    correlations.
+    """
     spread = [float(np.sqrt(np.mean(noise[:, group] ** 2))) for group in groups]
     power = np.mean(noise**2)
     beside = np.mean(noise[:, :, 1:] * noise[:, :, :-1]) / power
@@ -242,9 +286,13 @@ def test_the_noise_that_tolerances_are_shares_of_is_that_of_drawn_frames() -> No
         assert abs(squared.mean() - 1.0) < 0.03 + 4.0 * blocks.std() / np.sqrt(BLOCKS - 1.0)
 
 
-def test_a_dim_scene_is_simulated_without_halo_overflow_and_smear_and_nothing_measured_shows_it(sheet: Sensor) -> None:
+def test_a_dim_scene_is_simulated_without_halo_overflow_and_smear_and_nothing_measured_shows_it(
+    sheet: Sensor,
+) -> None:
     tolerance = 0.1
-    pair = Pair.of(IntensifiedCamera(small(sheet)), dim_picture(), Conditions(mcp_v=800.0), tolerance)
+    pair = Pair.of(
+        IntensifiedCamera(small(sheet)), dim_picture(), Conditions(mcp_v=800.0), tolerance
+    )
     assert {"halo", "column blooming", "smear"} <= pair.plan.names
     said = {line.split("  ")[0]: line for line in pair.plan.text().splitlines()}
     assert all("left out" in said[name] for name in ("halo", "column blooming", "smear"))
@@ -297,9 +345,13 @@ def test_the_tolerance_of_random_scenes_is_never_broken() -> None:
         assert pair.plan.influence <= scene.tolerance
         (whole, thin), (variance, thinned) = pair.means, pair.variances
         moved = float(np.max(np.abs(thin - whole) / np.sqrt(variance)))
-        spread = float(np.max(np.abs(np.sqrt(thinned / variance) - 1.0)[pair.in_scale()], initial=0.0))
+        spread = float(
+            np.max(np.abs(np.sqrt(thinned / variance) - 1.0)[pair.in_scale()], initial=0.0)
+        )
         if max(moved, spread) > BROKEN * scene.tolerance:
-            broken.append(f"{number} {scene.kind}: mean {moved:.3g}, sd {spread:.3g} of {scene.tolerance:.3g}")
+            broken.append(
+                f"{number} {scene.kind}: mean {moved:.3g}, sd {spread:.3g} of {scene.tolerance:.3g}"
+            )
     assert not broken
 
 
@@ -312,15 +364,22 @@ def test_each_effect_alone_changes_no_more_than_its_influence(number: int) -> No
     light = camera.to_mcp_input(freed, conditions)
     tried = 0
     for effect in (*plan.kept, *plan.left_out):
-        # Below a thousandth of the noise, single precision tells as much as the effect; beyond the tolerance, shares
-        # of the variance are not meant to hold.
-        if effect.name == "pulse-height distribution" or not 1e-3 < effect.influence < scene.tolerance:
+        # Below a thousandth of the noise, single precision tells as much as the effect; beyond the
+        # tolerance, shares of the variance are not meant to hold.
+        if (
+            effect.name == "pulse-height distribution"
+            or not 1e-3 < effect.influence < scene.tolerance
+        ):
             continue
         without = replace(camera, left_out=frozenset({effect.name}))
-        pair = Pair(camera, without, plan, conditions, (light, without.to_mcp_input(freed, conditions)))
+        pair = Pair(
+            camera, without, plan, conditions, (light, without.to_mcp_input(freed, conditions))
+        )
         (whole, thin), (variance, thinned) = pair.means, pair.variances
         moved = float(np.max(np.abs(thin - whole) / np.sqrt(variance)))
-        spread = float(np.max(np.abs(np.sqrt(thinned / variance) - 1.0)[pair.in_scale()], initial=0.0))
+        spread = float(
+            np.max(np.abs(np.sqrt(thinned / variance) - 1.0)[pair.in_scale()], initial=0.0)
+        )
         # Extremes of random patterns lie beyond what bounds take with a chance of a tenth.
         assert max(moved, spread) < 1.2 * effect.influence + 1e-3, effect.name
         tried += 1
@@ -328,7 +387,10 @@ def test_each_effect_alone_changes_no_more_than_its_influence(number: int) -> No
 
 
 def test_in_sparse_light_the_noise_tells_more_of_the_halo_than_the_mean(sheet: Sensor) -> None:
-    camera, conditions = IntensifiedCamera(small(sheet)), Conditions(mcp_v=950.0, temperature_c=-20.0)
+    camera, conditions = (
+        IntensifiedCamera(small(sheet)),
+        Conditions(mcp_v=950.0, temperature_c=-20.0),
+    )
     edge = np.where(np.arange(SHAPE[1]) < SHAPE[1] // 2, 0.02, 0.001) * np.ones((SHAPE[0], 1))
     freed = photoelectrons_from_image(camera, edge)
     without = replace(camera, left_out=frozenset({"halo"}))
@@ -343,7 +405,9 @@ def test_in_sparse_light_the_noise_tells_more_of_the_halo_than_the_mean(sheet: S
 
 
 @pytest.mark.parametrize("number", DRAWN)
-def test_drawn_frames_of_random_scenes_keep_their_spread_and_their_rarest_level(number: int) -> None:
+def test_drawn_frames_of_random_scenes_keep_their_spread_and_their_rarest_level(
+    number: int,
+) -> None:
     scene = random_scene(number, SHAPE)
     pair = Pair.of(scene.camera, scene.image_pe, scene.conditions, scene.tolerance)
     inside = pair.in_scale()
@@ -351,7 +415,10 @@ def test_drawn_frames_of_random_scenes_keep_their_spread_and_their_rarest_level(
     first, second = pair.frames(48, seed=4)
 
     def change(one: Map, other: Map) -> Map:
-        first, second = (((f - mean) / pair.noise)[:, inside] for f, mean in zip((one, other), pair.means, strict=True))
+        first, second = (
+            ((f - mean) / pair.noise)[:, inside]
+            for f, mean in zip((one, other), pair.means, strict=True)
+        )
         level = np.quantile(first, ONE_IN_A_THOUSAND)
         risen = (np.quantile(second, ONE_IN_A_THOUSAND) - level) / max(level, NORMAL_LEVEL)
         return np.array([second.std() - first.std(), risen])

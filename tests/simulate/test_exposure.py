@@ -1,4 +1,6 @@
-"""Pictures and radiance reach the plate with all their light: flats stay flat, spots keep their sum, lux meets lux."""
+"""Pictures and radiance reach the plate with all their light: flats stay flat, spots keep their
+sum, lux meets lux.
+"""
 
 from dataclasses import replace
 
@@ -36,7 +38,9 @@ def _progressive(sensor):
 @pytest.fixture
 def silicon() -> SiliconCamera:
     description = load_camera("emccd-512")
-    small = camera_from_description(replace(description, ccd=replace(description.ccd, rows=40, columns=56)))
+    small = camera_from_description(
+        replace(description, ccd=replace(description.ccd, rows=40, columns=56))
+    )
     assert isinstance(small, SiliconCamera)
     return small
 
@@ -59,7 +63,9 @@ def _per_pixel(camera, light) -> np.ndarray:
 
 
 def test_a_flat_picture_of_x_gives_x_photoelectrons_per_pixel_as_read(camera):
-    pixels = _per_pixel(camera, mcp_input_from_photoelectrons(camera, np.full(camera.shape, 3.0), Conditions()))
+    pixels = _per_pixel(
+        camera, mcp_input_from_photoelectrons(camera, np.full(camera.shape, 3.0), Conditions())
+    )
     assert pixels.shape == camera.shape
     assert pixels == pytest.approx(3.0, rel=1e-4)
 
@@ -82,7 +88,9 @@ def test_a_row_of_the_picture_is_read_by_its_own_row(plain):
     camera = IntensifiedCamera(plain(40, 56, **sharp))
     image = np.zeros(camera.shape)
     image[17] = 8.0
-    rows = _per_pixel(camera, mcp_input_from_photoelectrons(camera, image, Conditions())).mean(axis=1)
+    rows = _per_pixel(camera, mcp_input_from_photoelectrons(camera, image, Conditions())).mean(
+        axis=1
+    )
     assert rows[16:19] == pytest.approx([2.0, 4.0, 2.0], abs=0.15)
     assert rows.sum() == pytest.approx(8.0, rel=1e-3)
     assert (rows * np.arange(40)).sum() / rows.sum() == pytest.approx(17.0, abs=0.01)
@@ -90,7 +98,9 @@ def test_a_row_of_the_picture_is_read_by_its_own_row(plain):
 
 def test_dark_emission_is_added(plain):
     camera = IntensifiedCamera(plain(40, 56))
-    nothing = mcp_input_from_photoelectrons(camera, np.zeros(camera.shape), Conditions(temperature_c=31.0))
+    nothing = mcp_input_from_photoelectrons(
+        camera, np.zeros(camera.shape), Conditions(temperature_c=31.0)
+    )
     cathode = camera.stage(Slot.PHOTOCATHODE, Conditions())
     expected = 2.0 * cathode.ebi_per_s_cm2 * cathode.open_s * camera.cells.cell_area_cm2
     assert nothing.values == pytest.approx(expected, rel=1e-4)
@@ -98,7 +108,11 @@ def test_dark_emission_is_added(plain):
 
 def _scene(lux: float, gathering_sr: float) -> RadianceCube:
     fine = np.arange(360.0, 1100.0, 1.0)
-    per_unit = LUMENS_PER_WATT * np.sum(luminous_efficiency(fine) * planck(fine, tube_photometry.LAMP_K)) * gathering_sr
+    per_unit = (
+        LUMENS_PER_WATT
+        * np.sum(luminous_efficiency(fine) * planck(fine, tube_photometry.LAMP_K))
+        * gathering_sr
+    )
     spectrum = lux / per_unit * planck(NM, tube_photometry.LAMP_K)
     return RadianceCube(wavelength_nm=NM, radiance=np.tile(spectrum[:, None, None], (1, 20, 28)))
 
@@ -112,33 +126,43 @@ def test_a_scene_of_known_radiance_meets_the_bench_of_known_illuminance(plain):
 
 
 def test_a_near_scene_is_dimmer_by_the_square_of_one_plus_magnification(plain):
-    camera = IntensifiedCamera(plain(40, 56, optics__focal_length_mm=25.0, photocathode__ebi_lm_per_cm2=0.0))
+    camera = IntensifiedCamera(
+        plain(40, 56, optics__focal_length_mm=25.0, photocathode__ebi_lm_per_cm2=0.0)
+    )
     scene = _scene(1e-4, camera.lens().gathering_sr)
     far, near = (
-        mcp_input_from_radiance(camera, scene, Conditions(), distance_m=distance).values for distance in (None, 0.125)
+        mcp_input_from_radiance(camera, scene, Conditions(), distance_m=distance).values
+        for distance in (None, 0.125)
     )
     centre = tuple(n // 2 for n in far.shape)
     assert near[centre] / far[centre] == pytest.approx(1.0 / 1.25**2, rel=2e-3)
 
 
 def test_light_leaks_through_the_shut_gate(plain):
-    camera = IntensifiedCamera(plain(40, 56, photocathode__gate_on_off_ratio=1e3, photocathode__ebi_lm_per_cm2=0.0))
+    camera = IntensifiedCamera(
+        plain(40, 56, photocathode__gate_on_off_ratio=1e3, photocathode__ebi_lm_per_cm2=0.0)
+    )
     scene = _scene(1e-4, camera.lens().gathering_sr)
     whole, short = (
         mcp_input_from_radiance(camera, scene, Conditions(gate_ns=gate)).values.mean(dtype=float)
         for gate in (None, 1e3)
     )
-    assert short / whole == pytest.approx((1e-6 + (camera.field_s - 1e-6) / 1e3) / camera.field_s, rel=1e-3)
+    assert short / whole == pytest.approx(
+        (1e-6 + (camera.field_s - 1e-6) / 1e3) / camera.field_s, rel=1e-3
+    )
 
 
 def test_a_bright_scene_is_blurred_by_the_protected_gap(plain):
     camera = IntensifiedCamera(plain(40, 56, photocathode__halo_fraction=0.0))
     image = np.zeros(camera.shape)
     image[:, 28:] = 1.0
-    per_lux = tube_photometry.photoelectrons_per_lumen_s(camera.sensor) * 1e-4 * camera.field_s * 2.0
+    per_lux = (
+        tube_photometry.photoelectrons_per_lumen_s(camera.sensor) * 1e-4 * camera.field_s * 2.0
+    )
     per_lux *= camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * 1e-2
     dim, bright = (
-        mcp_input_from_photoelectrons(camera, lux * per_lux * image, Conditions()).values[60] / np.float32(lux)
+        mcp_input_from_photoelectrons(camera, lux * per_lux * image, Conditions()).values[60]
+        / np.float32(lux)
         for lux in (1e-3, 4.0)
     )
     assert np.diff(bright).max() < 0.99 * np.diff(dim).max()
@@ -170,7 +194,9 @@ def test_descriptions_become_cameras_with_or_without_a_tube(sheet, silicon):
 @pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512"])
 def test_every_shipped_camera_takes_frames_that_average_to_its_mean(name, seed):
     description = load_camera(name)
-    camera = camera_from_description(replace(description, ccd=replace(description.ccd, rows=36, columns=48)))
+    camera = camera_from_description(
+        replace(description, ccd=replace(description.ccd, rows=36, columns=48))
+    )
     conditions = Conditions(temperature_c=-70.0 if name == "emccd-512" else 25.0)
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 4.0), conditions)
     stream = camera.frames(light, conditions, seed=seed)
@@ -192,7 +218,9 @@ def test_frames_of_a_depleted_core_average_to_its_mean(plain, tier, seed):
     image[14:22, 20:28] = 3000.0
     light = mcp_input_from_photoelectrons(camera, image, Conditions())
     mean = camera.mean_frame(light, Conditions()).astype(float) - 400.0
-    free = IntensifiedCamera(sensor.with_values({"microchannel_plate.strip_current_ua_per_cm2": 1e9}))
+    free = IntensifiedCamera(
+        sensor.with_values({"microchannel_plate.strip_current_ua_per_cm2": 1e9})
+    )
     undiminished = free.mean_frame(light, Conditions()).astype(float) - 400.0
     core, around = np.s_[15:21, 21:27], np.s_[2:8, 2:12]
     assert mean[core].mean() < 0.6 * undiminished[core].mean()

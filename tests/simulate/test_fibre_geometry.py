@@ -1,4 +1,6 @@
-"""The taper brings light where its fibres lead: distortion conserves light, shear is fixed and moves hexagons whole."""
+"""The taper brings light where its fibres lead: distortion conserves light, shear is fixed and
+moves hexagons whole.
+"""
 
 from dataclasses import replace
 
@@ -24,7 +26,9 @@ def _spot(x_mm: float, y_mm: float) -> StageImage:
 def _centre(light: StageImage) -> np.ndarray:
     x, y = image_placement.cell_centres(GRID)
     total = light.values.sum(dtype=float)
-    return np.array([(light.values * x).sum(dtype=float), (light.values * y).sum(dtype=float)]) / total
+    return (
+        np.array([(light.values * x).sum(dtype=float), (light.values * y).sum(dtype=float)]) / total
+    )
 
 
 @pytest.mark.parametrize("fraction", [0.02, -0.03])
@@ -64,7 +68,8 @@ def test_borders_of_shears_are_the_dark_lines_of_the_pattern():
         border = np.diff(offsets, axis=axis) != 0.0
         beside = np.minimum(np.delete(lines, 0, axis), np.delete(lines, -1, axis))
         assert 0.02 < border.mean() < 0.1
-        # A border runs between two cells: one of them is half a cell from a line 6 um wide at the most.
+        # A border runs between two cells: one of them is half a cell from a line 6 um wide at the
+        # most.
         assert beside[border].max() < 0.9
         assert beside.mean() > 0.9
 
@@ -75,7 +80,9 @@ def test_shear_leaves_a_flat_flat_and_follows_its_specimen():
     assert sheared.mean(flat).values == pytest.approx(2.0, rel=1e-5)
     spot = _spot(0.3, 0.2)
     assert np.array_equal(sheared.mean(spot).values, sheared.mean(spot).values)
-    assert not np.array_equal(sheared.mean(spot).values, replace(sheared, pattern_seed=4).mean(spot).values)
+    assert not np.array_equal(
+        sheared.mean(spot).values, replace(sheared, pattern_seed=4).mean(spot).values
+    )
     moved = _centre(sheared.mean(spot)) - _centre(spot)
     assert 0.0 < np.hypot(*moved) < 5 * 0.025 * 1.6
 
@@ -87,12 +94,18 @@ def test_geometry_without_numbers_is_no_geometry():
 
 def test_bench_camera_has_no_geometry_and_a_whole_one_has(sheet):
     bench, whole = IntensifiedCamera(sheet), IntensifiedCamera(sheet, geometry=True)
-    assert "taper distortion and fibre shear" not in [stage.name for stage in bench.chain(Conditions()).stages]
-    assert "taper distortion and fibre shear" in [stage.name for stage in whole.chain(Conditions()).stages]
+    assert "taper distortion and fibre shear" not in [
+        stage.name for stage in bench.chain(Conditions()).stages
+    ]
+    assert "taper distortion and fibre shear" in [
+        stage.name for stage in whole.chain(Conditions()).stages
+    ]
 
 
 def test_transmission_of_a_fibre_optic_is_na_over_m_squared_times_core_and_bulk(sheet):
-    """T = (NA/M)^2 core bulk (physics reference, 1.8): the numbers of the shipped taper agree with each other."""
+    """T = (NA/M)^2 core bulk (physics reference, 1.8): the numbers of the shipped taper agree with
+    each other.
+    """
     taper = sheet.taper
     product = (float(taper.numerical_aperture) / float(taper.demagnification)) ** 2
     product *= float(taper.core_fraction) * float(taper.bulk_transmission)

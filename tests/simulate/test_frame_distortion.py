@@ -1,4 +1,6 @@
-"""A point of the scene lands in the frame where the truth's pixel and the distortions of lens and taper say."""
+"""A point of the scene lands in the frame where the truth's pixel and the distortions of lens and
+taper say.
+"""
 
 from dataclasses import replace
 
@@ -8,7 +10,10 @@ import pytest
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from simulate.api import conditions_of
-from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
+from simulate.iiccd.scene_to_photoelectrons import (
+    camera_from_description,
+    photoelectrons_from_radiance,
+)
 from simulate.radiance.cube import RadianceCube
 from simulate.shot import Shot
 
@@ -33,10 +38,13 @@ def test_light_is_displaced_by_each_distortion_in_turn(name):
     shot = Shot(camera=camera, light=light, kind="scene", conditions=conditions)
     assert len(shot.frame_distortion) == 1 + camera.has_tube and all(shot.frame_distortion)
 
-    # From the truth's pixel to the frame's, in columns and rows from the middle; pixels need not be square.
+    # From the truth's pixel to the frame's, in columns and rows from the middle; pixels need not be
+    # square.
     lens, cells = camera.lens(), camera.cells
     focal_px = lens.focal_length_mm / cells.pitch_x_mm, lens.focal_length_mm / cells.pitch_y_mm
-    place = np.array([(col + 0.5 - 0.5 * columns) / focal_px[0], (row + 0.5 - 0.5 * rows) / focal_px[1]])
+    place = np.array(
+        [(col + 0.5 - 0.5 * columns) / focal_px[0], (row + 0.5 - 0.5 * rows) / focal_px[1]]
+    )
     corner = np.hypot(0.5 * columns / focal_px[0], 0.5 * rows / focal_px[1])
     landed = place
     for fraction in shot.frame_distortion:
@@ -45,12 +53,16 @@ def test_light_is_displaced_by_each_distortion_in_turn(name):
 
     grid = light.grid
     values = light.values[(..., *grid.inside)].astype(float)
-    values = values.reshape(values.shape[0] // grid.per_row, grid.per_row, -1, grid.per_column).sum(axis=(1, 3))
+    values = values.reshape(values.shape[0] // grid.per_row, grid.per_row, -1, grid.per_column).sum(
+        axis=(1, 3)
+    )
     centre = round(expected[1] + 0.5 * values.shape[0]), round(expected[0] + 0.5 * values.shape[1])
     first = [max(0, at - HALF_PX) for at in centre]
     window = values[first[0] : centre[0] + HALF_PX + 1, first[1] : centre[1] + HALF_PX + 1]
     bright = np.maximum(window - 0.1 * window.max(), 0.0)
-    at_row, at_col = ((bright * (axis + 0.5)).sum() / bright.sum() for axis in np.indices(window.shape))
+    at_row, at_col = (
+        (bright * (axis + 0.5)).sum() / bright.sum() for axis in np.indices(window.shape)
+    )
     found = at_col + first[1] - 0.5 * values.shape[1], at_row + first[0] - 0.5 * values.shape[0]
     assert found == pytest.approx(expected, abs=0.1)
     assert np.hypot(*(expected - before)) > 0.5

@@ -1,4 +1,6 @@
-"""The halo: as wide as four gaps whatever the light, and flat with a bright rim for elastic electrons."""
+"""The halo: as wide as four gaps whatever the light, and flat with a bright rim for elastic
+electrons.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from simulate.iiccd.transfer import HaloBlur
 from simulate.lab import LabBench
 
 GAP_MM = 0.21
-# Section 1.5: density times d^2 at r/d = 0.1, 0.3, ... 1.9, elastic and for energies uniform in 0..1.
+# Section 1.5: density times d^2 at r/d = 0.1, 0.3, ... 1.9, elastic and for energies uniform in
+# 0..1.
 ELASTIC = [0.040, 0.040, 0.041, 0.042, 0.045, 0.048, 0.053, 0.061, 0.077, 0.182]
 UNIFORM = [1.21, 0.38, 0.21, 0.14, 0.10, 0.07, 0.05, 0.04, 0.03, 0.01]
 
@@ -66,7 +69,9 @@ def test_halo_of_the_camera_ends_at_four_gaps_at_every_light_level(plain):
         background = np.median(light[distance > radius_px + 12.0])
         rim = light[np.abs(distance - radius_px + 1.0) < 1.0].mean() - background
         plateau = light[(distance > 6.0) & (distance < 12.0)].mean() - background
-        beyond = light[(distance > radius_px + 4.0) & (distance < radius_px + 10.0)].mean() - background
+        beyond = (
+            light[(distance > radius_px + 4.0) & (distance < radius_px + 10.0)].mean() - background
+        )
         assert rim > 1.5 * plateau > 0.0
         assert abs(beyond) < 0.06 * plateau
 
@@ -86,6 +91,8 @@ def test_halo_holds_its_fraction_of_the_light(plain):
     # The density of the mixed halo falls off as tabulated; what lies within 4 px is the rest.
     inside = 0.3 * (1.0 - np.sqrt(1.0 - (4.0 / 23.33) ** 2))
     reach = 4.0 / 23.33
-    spread = 0.7 * (1.0 - np.mean(np.sqrt(np.maximum(0.0, 1.0 - (reach / np.linspace(5e-4, 1.0, 2000)) ** 2))))
+    spread = 0.7 * (
+        1.0 - np.mean(np.sqrt(np.maximum(0.0, 1.0 - (reach / np.linspace(5e-4, 1.0, 2000)) ** 2)))
+    )
     expected = 0.2 * (1.0 - inside - spread) * sharp.sum()
     assert (plate - sharp)[far].sum() == pytest.approx(expected, rel=0.05)

@@ -1,4 +1,6 @@
-"""The interlaced default camera: what lines share, scintillations in the dark, its glow, its halo and its overflow."""
+"""The interlaced default camera: what lines share, scintillations in the dark, its glow, its halo
+and its overflow.
+"""
 
 from dataclasses import replace
 from itertools import islice
@@ -27,11 +29,15 @@ LEVEL_PE, FRAMES = 6.0, 240
 
 
 def _deviations(sensor: Sensor, seed: int) -> NDArray[np.floating]:
-    """A flat's frames less their own mean in time, so that fixed patterns are gone, DN, shape (frame, row, col)."""
+    """A flat's frames less their own mean in time, so that fixed patterns are gone, DN, shape
+    (frame, row, col).
+    """
     camera = IntensifiedCamera(replace(sensor, ccd=replace(sensor.ccd, rows=180, columns=260)))
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, LEVEL_PE), Conditions())
     stream = camera.frames(light, Conditions(), seed=seed)
-    codes = np.stack([frame.astype(float) for frame in islice(stream, FRAMES)])[:, :, LINE_START_PX:]
+    codes = np.stack([frame.astype(float) for frame in islice(stream, FRAMES)])[
+        :, :, LINE_START_PX:
+    ]
     assert codes.mean() > 20.0 and codes.max() < 255.0
     return codes - codes.mean(axis=0)
 
@@ -46,8 +52,12 @@ def lagless(sheet, seed) -> NDArray[np.floating]:
     return _deviations(sheet.with_values(NO_DECAY), seed)
 
 
-def _correlation(x: NDArray[np.floating], rows: int, columns: int, blocks: int = FRAMES) -> tuple[float, float]:
-    """Correlation with the pixel so many rows and columns on, and its standard error by blocks of frames."""
+def _correlation(
+    x: NDArray[np.floating], rows: int, columns: int, blocks: int = FRAMES
+) -> tuple[float, float]:
+    """Correlation with the pixel so many rows and columns on, and its standard error by blocks of
+    frames.
+    """
     height, width = x.shape[1] - rows, x.shape[2] - columns
     product = (x[:, rows:, columns:] * x[:, :height, :width]).mean(axis=(1, 2)) / np.mean(x**2)
     means = product.reshape(blocks, -1).mean(axis=1)
@@ -55,7 +65,9 @@ def _correlation(x: NDArray[np.floating], rows: int, columns: int, blocks: int =
 
 
 def test_without_decay_lines_of_different_fields_are_uncorrelated(lagless):
-    """Truth 20: zero within three standard errors, at one line, and at three; two lines on is the same field."""
+    """Truth 20: zero within three standard errors, at one line, and at three; two lines on is the
+    same field.
+    """
     for lines in (1, 3):
         found, error = _correlation(lagless, lines, 0)
         assert abs(found) < 3.0 * error
@@ -65,13 +77,17 @@ def test_without_decay_lines_of_different_fields_are_uncorrelated(lagless):
 
 
 def test_p20_correlates_pixels_of_a_line_so_many_times_as_lines(glowing, sheet):
-    """What field residuals and the overlap of row pairs predict, by the independent theory, within a tenth."""
+    """What field residuals and the overlap of row pairs predict, by the independent theory, within
+    a tenth.
+    """
     camera = slow.of_sensor(sheet)
     shares, weight = slow.field_shares(camera)
     decay = float(weight @ np.sum(shares**2, axis=1))
     following = float(weight @ np.sum(shares[:, 1:] * shares[:, :-1], axis=1))
     assert following / decay == pytest.approx(0.36, abs=0.005)
-    theory = slow.campbell(camera, LEVEL_PE / 2.0, step_e=1.0 / float(sheet.video.conversion_gain_dn_per_e))
+    theory = slow.campbell(
+        camera, LEVEL_PE / 2.0, step_e=1.0 / float(sheet.video.conversion_gain_dn_per_e)
+    )
     along, along_error = _correlation(glowing, 0, 1, blocks=20)
     across, across_error = _correlation(glowing, 1, 0, blocks=20)
     predicted = theory.horizontal[0] / theory.vertical[0]
@@ -103,8 +119,12 @@ def _events(field: NDArray[np.floating], candidate: float) -> NDArray[np.floatin
 
 
 @pytest.mark.parametrize("shape", [1.0, 2.0])
-def test_dark_frames_show_scintillations_at_the_ebi_rate_with_the_pulse_height_law(shape, plain, seed):
-    """Gate so short that events stand alone. Above a threshold, rate and heights are those of the gamma law."""
+def test_dark_frames_show_scintillations_at_the_ebi_rate_with_the_pulse_height_law(
+    shape, plain, seed
+):
+    """Gate so short that events stand alone. Above a threshold, rate and heights are those of the
+    gamma law.
+    """
     from scipy import stats
 
     rows, columns, frames = 240, 320, 240
@@ -124,10 +144,14 @@ def test_dark_frames_show_scintillations_at_the_ebi_rate_with_the_pulse_height_l
     height_e = camera.charge_e / camera.detection_probability
     seen = height_e * _window_share(camera)
     threshold = 0.8 * seen
-    found = np.concatenate([_events(f[parity::2], 0.08 * height_e) for f in charge for parity in (0, 1)])
+    found = np.concatenate(
+        [_events(f[parity::2], 0.08 * height_e) for f in charge for parity in (0, 1)]
+    )
     found = found[found > threshold]
     # 1.129 photoelectrons per s and chip pixel; a field's pixels have two rows each.
-    searched = (rows / 2 - 2 * WINDOW_ROWS) * (columns - 2 * WINDOW_COLUMNS - LINE_START_PX) * 2 * frames
+    searched = (
+        (rows / 2 - 2 * WINDOW_ROWS) * (columns - 2 * WINDOW_COLUMNS - LINE_START_PX) * 2 * frames
+    )
     expected = 2.0 * 1.129 * GATE_SHARE / 59.94 * camera.detection_probability * searched
     law = stats.gamma(shape, scale=seen / shape)
     expected_above = expected * float(law.sf(threshold))
@@ -135,7 +159,9 @@ def test_dark_frames_show_scintillations_at_the_ebi_rate_with_the_pulse_height_l
     # Two in a window count as one, which a share of a few per cent of them does.
     crowding = expected / searched * WINDOW_ROWS * WINDOW_COLUMNS
     assert crowding < 0.03
-    assert abs(len(found) - expected_above) < 3.0 * np.sqrt(expected_above) + crowding * expected_above
+    assert (
+        abs(len(found) - expected_above) < 3.0 * np.sqrt(expected_above) + crowding * expected_above
+    )
     above = (law.cdf(found) - law.cdf(threshold)) / law.sf(threshold)
     assert stats.kstest(above, "uniform").pvalue > 1e-3
     # The wrong law is told: an exponential's events are no Polya's.
@@ -149,10 +175,14 @@ def _window_share(camera: slow.EventCamera) -> float:
     rows, columns = 2 * WINDOW_ROWS, WINDOW_COLUMNS
     table = slow.pixel_response(camera, 4 * rows, 4 * columns, slow.PHASES)
     pair = table + np.roll(table, slow.PHASES, axis=0)
-    pair = sum((tap * np.roll(pair, -n * slow.PHASES, axis=1) for n, tap in enumerate(camera.video_taps)), start=0.0)
+    pair = sum(
+        (tap * np.roll(pair, -n * slow.PHASES, axis=1) for n, tap in enumerate(camera.video_taps)),
+        start=0.0,
+    )
     total = np.asarray(pair).shape
     row, col = total[0] // 2 - slow.PHASES, total[1] // 2
-    # Places of an event that pixels of the window see: the peak's pixel is where most of the light is.
+    # Places of an event that pixels of the window see: the peak's pixel is where most of the light
+    # is.
     reach_rows, reach_columns = rows * slow.PHASES // 2, columns * slow.PHASES // 2
     inside = np.asarray(pair)[row - reach_rows : row + reach_rows, :]
     centre = int(np.argmax(np.asarray(pair).sum(axis=0)))
@@ -168,7 +198,9 @@ def _window_share(camera: slow.EventCamera) -> float:
 
 
 def _point(plain, halo_fraction: float) -> tuple[NDArray[np.floating], NDArray[np.floating], float]:
-    """A point's light on the frame per unit of it, distances from it in double gaps, the halo's disc in pixels."""
+    """A point's light on the frame per unit of it, distances from it in double gaps, the halo's
+    disc in pixels.
+    """
     sensor = plain(
         120,
         120,
@@ -202,10 +234,11 @@ def _bloom_px(point: NDArray[np.floating], overload: float) -> int:
 
 
 def test_bloom_steps_where_halo_fraction_and_overload_say_and_stays(plain):
-    """An elastic halo has 1/(2 sqrt(1 - x^2)) of its mean density at x = r/2d: of its disc, s^2 is above full scale.
+    """An elastic halo has 1/(2 sqrt(1 - x^2)) of its mean density at x = r/2d: of its disc, s^2 is
+    above full scale.
 
-    s = q overload/(2 disc area). The rim is left out, which blur softens; of the disc within x = 0.9 that is
-    s^2 - 0.19, and the core has its own few pixels.
+    s = q overload/(2 disc area). The rim is left out, which blur softens; of the disc within x =
+    0.9 that is s^2 - 0.19, and the core has its own few pixels.
     """
     q = 0.1
     point, distance, disc = _point(plain, q)
@@ -214,7 +247,10 @@ def test_bloom_steps_where_halo_fraction_and_overload_say_and_stays(plain):
     inside = distance < 0.9
     for above in (0.35, 0.5, 0.7):
         overloads = np.geomspace(0.3, 3.0, 800) * disc / q
-        areas = [_bloom_px(point * inside, o) - _bloom_px((1.0 - q) * core * inside, o) for o in overloads]
+        areas = [
+            _bloom_px(point * inside, o) - _bloom_px((1.0 - q) * core * inside, o)
+            for o in overloads
+        ]
         crossing = overloads[np.argmax(np.array(areas) > (above - 0.19) * disc)]
         assert q * crossing / disc == pytest.approx(2.0 * np.sqrt(above), rel=0.05)
 
@@ -223,7 +259,9 @@ def test_bloom_stays_at_the_halo_over_more_than_a_decade(plain):
     q = 0.1
     point, _, disc = _point(plain, q)
     whole_px = 2.0 * np.sqrt(disc / np.pi)
-    before, *after = (2.0 * np.sqrt(_bloom_px(point, s * disc / q) / np.pi) for s in (0.35, 2.1, 6.0, 20.0, 60.0))
+    before, *after = (
+        2.0 * np.sqrt(_bloom_px(point, s * disc / q) / np.pi) for s in (0.35, 2.1, 6.0, 20.0, 60.0)
+    )
     assert before < 0.25 * whole_px
     assert after == pytest.approx([whole_px] * 4, rel=0.07)
 
@@ -233,13 +271,17 @@ def test_bloom_stays_at_the_halo_over_more_than_a_decade(plain):
 
 @pytest.mark.parametrize("ratio", [1.0, 3.0, 300.0])
 def test_held_and_drained_charge_are_each_what_wells_and_drains_take(ratio, seed):
-    """The drains' part is counted by itself: what pixels take beyond their wells, and nothing else."""
+    """The drains' part is counted by itself: what pixels take beyond their wells, and nothing
+    else.
+    """
     rng = np.random.default_rng(seed)
     full_well = 5e4
     field = full_well * 0.2 * rng.random((300, 12))
     field[140:160] += full_well * ratio * rng.exponential(1.5, (20, 12))
     held, drained = apply_column_blooming(field, full_well, ratio)
-    settled_e = np.stack([spread_excess_charge(column, full_well * ratio) for column in field.T], axis=1)
+    settled_e = np.stack(
+        [spread_excess_charge(column, full_well * ratio) for column in field.T], axis=1
+    )
     taken = np.maximum(settled_e - full_well, 0.0)
     assert drained == pytest.approx(taken.sum(), rel=1e-9, abs=1e-9 * field.sum())
     assert held == pytest.approx(settled_e - taken, rel=1e-9)

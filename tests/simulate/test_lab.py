@@ -1,4 +1,6 @@
-"""The bench gives the same frames for the same seed, in any order, and refuses what it cannot do."""
+"""The bench gives the same frames for the same seed, in any order, and refuses what it cannot
+do.
+"""
 
 from dataclasses import replace
 
@@ -53,7 +55,9 @@ def test_frames_average_to_the_mean_image(bench, kind, target, seed):
 
 def test_target_stands_where_its_region_says(bench):
     target = Target(pinhole_px=2.0, region=(10, 30, 8, 12))
-    image = bench.mean("point", target, Conditions(illuminance_lux=1e-3)) - bench.mean("dark", target, LUX)
+    image = bench.mean("point", target, Conditions(illuminance_lux=1e-3)) - bench.mean(
+        "dark", target, LUX
+    )
     row, col = np.indices(image.shape)
     near = image * ((np.abs(row - 13.5) < 5) & (np.abs(col - 35.5) < 6))
     assert (near * (row + 0.5)).sum() / near.sum() == pytest.approx(14.0, abs=0.03)
@@ -94,7 +98,9 @@ def test_contrast_is_that_of_the_target(plain):
 )
 def test_impossible_exposures_are_refused(bench, call):
     with pytest.raises(BadInput):
-        bench.expose(call["kind"], Target(), call["conditions"], frames=call.get("frames", 1), seed=1)
+        bench.expose(
+            call["kind"], Target(), call["conditions"], frames=call.get("frames", 1), seed=1
+        )
 
 
 def test_frames_of_the_sheets_camera_are_bytes_with_a_black_border_of_nothing(sheet):
@@ -114,7 +120,9 @@ def test_progressive_camera_has_one_exposure_a_frame(plain):
     stack = LabBench(progressive).expose("flat", Target(), LUX, frames=3, seed=1)
     interlaced = LabBench(sensor).mean("flat", Target(), LUX).mean() - 400.0
     assert stack.time_s[1] == pytest.approx(1 / 59.94)
-    assert LabBench(progressive).mean("flat", Target(), LUX).mean() - 400.0 == pytest.approx(interlaced / 2, rel=1e-4)
+    assert LabBench(progressive).mean("flat", Target(), LUX).mean() - 400.0 == pytest.approx(
+        interlaced / 2, rel=1e-4
+    )
 
 
 def test_specimens_lie_within_the_sheets_ranges_and_follow_their_seed(sheet, seed):
@@ -131,7 +139,9 @@ def test_specimens_lie_within_the_sheets_ranges_and_follow_their_seed(sheet, see
 
 
 def test_photons_on_the_chip_of_a_camera_without_a_tube_become_their_signal():
-    """Level = QE g K photons and its variance F^2 g K level + read noise, by the description's numbers alone."""
+    """Level = QE g K photons and its variance F^2 g K level + read noise, by the description's
+    numbers alone.
+    """
     camera = load_camera("emccd-512")
     camera = replace(camera, ccd=replace(camera.ccd, rows=96, columns=96)).with_values(
         {"ccd.prnu": 0.0, "ccd.smear_fraction": 0.0, "optics.veiling_glare_fraction": 0.0}
@@ -145,7 +155,10 @@ def test_photons_on_the_chip_of_a_camera_without_a_tube_become_their_signal():
     )
     electrons, per_e = photons * 0.92, 0.0817
     signal, expected = flat.mean() - dark.mean(), electrons * gain * per_e
-    assert abs(signal - expected) < 4.0 * np.sqrt(2.0 * expected * gain * per_e / flat.size) + 1e-3 * expected
+    assert (
+        abs(signal - expected)
+        < 4.0 * np.sqrt(2.0 * expected * gain * per_e / flat.size) + 1e-3 * expected
+    )
     power = (flat.var(axis=0, ddof=1) - dark.var(axis=0, ddof=1)).mean() / signal
     excess = 2.0 * (gain - 1.0) * gain ** -(537.0 / 536.0) + 1.0 / gain
     assert abs(power / (excess * gain * per_e) - 1.0) < 4.0 * np.sqrt(2.0 / (11 * 96**2)) + 0.005

@@ -1,4 +1,6 @@
-"""The lens obeys radiometry: light per lux, cos^4, T-number, conservation, and each wavelength its own blur."""
+"""The lens obeys radiometry: light per lux, cos^4, T-number, conservation, and each wavelength its
+own blur.
+"""
 
 from dataclasses import replace
 
@@ -17,7 +19,9 @@ BANDS_NM = np.arange(360.0, 1100.0, 5.0)
 
 
 def _grid(rows: int = 24, columns: int = 40) -> Grid:
-    return grid_with_margin(rows, columns, per_pixel=4, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
+    return grid_with_margin(
+        rows, columns, per_pixel=4, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213
+    )
 
 
 @pytest.fixture
@@ -35,7 +39,9 @@ def lens(sheet) -> RadiometricLens:
 
 def _lamp(level: float, rows: int = 24, columns: int = 40) -> RadianceCube:
     spectrum = level * planck(BANDS_NM, tube_photometry.LAMP_K)
-    return RadianceCube(wavelength_nm=BANDS_NM, radiance=np.tile(spectrum[:, None, None], (1, rows, columns)))
+    return RadianceCube(
+        wavelength_nm=BANDS_NM, radiance=np.tile(spectrum[:, None, None], (1, rows, columns))
+    )
 
 
 def _picture(cells: int, first: int, count: int) -> np.ndarray:
@@ -50,17 +56,23 @@ def _total(lens: RadiometricLens, cube: RadianceCube) -> float:
 def test_lamp_of_known_illuminance_gives_s_over_e_photoelectrons_per_lumen(lens, sheet):
     cube = _lamp(1e-9)
     fine = np.arange(360.0, 1100.0, 1.0)
-    luminance = LUMENS_PER_WATT * np.sum(luminous_efficiency(fine) * 1e-9 * planck(fine, tube_photometry.LAMP_K))
+    luminance = LUMENS_PER_WATT * np.sum(
+        luminous_efficiency(fine) * 1e-9 * planck(fine, tube_photometry.LAMP_K)
+    )
     lux = lens.gathering_sr * luminance
     peak = tube_photometry.quantum_efficiency(sheet, sheet.photocathode.wavelength_nm).max()
     cells = lens.mean(cube).values * peak / lens.grid.cell_area_cm2
     middle = cells[cells.shape[0] // 2, cells.shape[1] // 2]
-    assert middle == pytest.approx(tube_photometry.photoelectrons_per_lumen_s(sheet) * lux * 1e-4, rel=5e-4)
+    assert middle == pytest.approx(
+        tube_photometry.photoelectrons_per_lumen_s(sheet) * lux * 1e-4, rel=5e-4
+    )
 
 
 def test_weights_integrate_what_the_efficiency_does_between_two_bands():
     """Even photon flux between 400 and 900 nm, an efficiency of 1 in the middle 100 nm alone."""
-    weight = tube_photometry.detection_weights([400.0, 900.0], [599.5, 600.5, 699.5, 700.5], [0.0, 1.0, 1.0, 0.0])
+    weight = tube_photometry.detection_weights(
+        [400.0, 900.0], [599.5, 600.5, 699.5, 700.5], [0.0, 1.0, 1.0, 0.0]
+    )
     expected = 100.0 * 650e-9 / tube_photometry.JOULE_METRE
     assert weight.sum() == pytest.approx(expected, rel=1e-3)
     # The middle of the efficiency lies half way.
@@ -84,7 +96,9 @@ def test_light_falls_off_with_the_fourth_power_of_the_cosine(lens):
     flat = short.mean(_lamp(1e-9)).values
     x, y = image_placement.cell_centres(lens.grid)
     cosine = 1.0 / np.sqrt(1.0 + x**2 + y**2)
-    inside = np.ix_(*(_picture(n, 4 * 10, 4 * size) for n, size in zip(flat.shape, (24, 40), strict=True)))
+    inside = np.ix_(
+        *(_picture(n, 4 * 10, 4 * size) for n, size in zip(flat.shape, (24, 40), strict=True))
+    )
     expected = (cosine**4)[inside]
     assert expected.min() < 0.8
     assert flat[inside] / flat.max() == pytest.approx(expected / (cosine**4).max(), rel=2e-3)
@@ -111,7 +125,9 @@ def test_distortion_moves_light_without_losing_it_and_dims_what_it_stretches(len
     cube = RadianceCube(wavelength_nm=np.array([600.0, 700.0]), radiance=np.tile(spot, (2, 1, 1)))
     plain, bent = far.mean(cube).values, replace(far, distortion_fraction=0.03).mean(cube).values
     assert bent.sum(dtype=float) == pytest.approx(plain.sum(dtype=float), rel=1e-3)
-    centre = [np.array([(image * x).sum(), (image * y).sum()]) / image.sum() for image in (plain, bent)]
+    centre = [
+        np.array([(image * x).sum(), (image * y).sum()]) / image.sum() for image in (plain, bent)
+    ]
     radius = np.hypot(*centre[0]) / image_placement.corner_mm(grid)
     assert centre[1] / centre[0] == pytest.approx(1.0 + 0.03 * radius**2, rel=1e-3)
     flat = replace(far, distortion_fraction=0.03).mean(_lamp(1e-9, 96, 128)).values
@@ -137,17 +153,23 @@ def test_defocus_is_the_transform_of_an_even_disc():
     profile = inside.sum(axis=0) / inside.sum()
     for frequency in (10.0, 40.0, 70.0):
         exact = np.sum(profile * np.cos(2.0 * np.pi * frequency * x))
-        assert blur.transfer(np.array([frequency]), np.zeros(1))[0] == pytest.approx(exact, abs=2e-3)
+        assert blur.transfer(np.array([frequency]), np.zeros(1))[0] == pytest.approx(
+            exact, abs=2e-3
+        )
 
 
 def test_each_wavelength_is_blurred_by_its_own_focus(lens):
     """A lamp's point in one band only: its transform is that band's transfer."""
-    lens = replace(lens, focal_length_mm=1e6, aberration_blur_um=4.0, focal_shift_um=50.0, grid=_grid(32, 32))
+    lens = replace(
+        lens, focal_length_mm=1e6, aberration_blur_um=4.0, focal_shift_um=50.0, grid=_grid(32, 32)
+    )
     point = np.zeros((3, 32, 32))
     point[:, 16, 16] = 1.0
     for band, nm in enumerate((500.0, 700.0, 900.0)):
         one = point * (np.arange(3) == band)[:, None, None]
-        image = lens.mean(RadianceCube(wavelength_nm=np.array([500.0, 700.0, 900.0]), radiance=one)).values
+        image = lens.mean(
+            RadianceCube(wavelength_nm=np.array([500.0, 700.0, 900.0]), radiance=one)
+        ).values
         sharp = image_placement.place_on_cells(one.sum(axis=0), lens.grid, row_pairs=False)
         frequency = lens.grid.frequencies()[0][0]
         near = frequency < 25.0
@@ -161,7 +183,9 @@ def test_focus_shifts_by_its_length_from_500_to_925_nm(lens):
     frequency = np.linspace(0.0, 60.0, 30)
     for nm, off_um in ((500.0, 0.0), (925.0, 60.0), (712.5, 30.0)):
         extra = Defocus(shift_um=off_um, f_number=1.4).transfer(frequency, np.zeros_like(frequency))
-        assert shifted.transfer(nm, frequency) == pytest.approx(lens.transfer(nm, frequency) * extra, abs=1e-9)
+        assert shifted.transfer(nm, frequency) == pytest.approx(
+            lens.transfer(nm, frequency) * extra, abs=1e-9
+        )
 
 
 def test_few_shapes_stand_for_all_bands(lens):
@@ -178,9 +202,9 @@ def test_few_shapes_stand_for_all_bands(lens):
 @pytest.mark.parametrize("shape", [(24, 40), (48, 80), (12, 10), (31, 53)])
 def test_a_picture_of_any_size_covers_the_frame(row_pairs, shape):
     grid = _grid(25 if row_pairs else 24, 40)
-    assert image_placement.place_on_cells(np.full(shape, 3.0), grid, row_pairs=row_pairs) == pytest.approx(
-        3.0, rel=1e-6
-    )
+    assert image_placement.place_on_cells(
+        np.full(shape, 3.0), grid, row_pairs=row_pairs
+    ) == pytest.approx(3.0, rel=1e-6)
     image = np.zeros(shape)
     image[shape[0] // 2, shape[1] // 2] = 1.0
     area = image_placement.place_on_cells(image, grid, row_pairs=row_pairs).sum(dtype=float)
@@ -198,7 +222,9 @@ def test_a_row_of_the_picture_is_centred_on_the_row_that_reads_it():
     assert centre == pytest.approx((grid.margin_rows + 8.0) * 4)
 
 
-@pytest.mark.parametrize(("value", "words"), [(np.nan, "finite"), (np.inf, "finite"), (-1e-9, "negative")])
+@pytest.mark.parametrize(
+    ("value", "words"), [(np.nan, "finite"), (np.inf, "finite"), (-1e-9, "negative")]
+)
 def test_impossible_radiance_is_refused(lens, value, words):
     cube = _lamp(1e-9)
     radiance = cube.radiance.copy()
@@ -213,7 +239,13 @@ def test_one_band_is_no_spectrum(lens):
 
 
 @pytest.mark.parametrize(
-    "change", [{"f_number": 0.0}, {"transmission": -1.0}, {"vignetting_fraction": 1.0}, {"magnification": -0.1}]
+    "change",
+    [
+        {"f_number": 0.0},
+        {"transmission": -1.0},
+        {"vignetting_fraction": 1.0},
+        {"magnification": -0.1},
+    ],
 )
 def test_impossible_lenses_are_refused(lens, change):
     with pytest.raises(BadInput):

@@ -1,8 +1,10 @@
-"""Moments of simulated flats are those of theory and of photoelectrons followed one by one, at every light level.
+"""Moments of simulated flats are those of theory and of photoelectrons followed one by one, at
+every light level.
 
-Tolerances are the physical ones asked of the simulator: mean 0.1 %, variance 0.5 %, skewness 2 %, the value that one
-pixel in a thousand exceeds 0.5 %, covariances to four pixels 1 % of the variance; beside them stand four standard
-errors of the samples drawn. CHARACT_TEST_SAMPLES multiplies the samples.
+Tolerances are the physical ones asked of the simulator: mean 0.1 %, variance 0.5 %, skewness 2 %,
+the value that one pixel in a thousand exceeds 0.5 %, covariances to four pixels 1 % of the
+variance; beside them stand four standard errors of the samples drawn. CHARACT_TEST_SAMPLES
+multiplies the samples.
 """
 
 import os
@@ -30,12 +32,14 @@ LINE_START_PX = 16
 ERRORS = 4.0
 BLOCKS = 20
 SAMPLES = float(os.environ.get("CHARACT_TEST_SAMPLES", "1"))
-# Rows and columns of the torus and frames of a block, by level: photoelectrons cost most at high light.
+# Rows and columns of the torus and frames of a block, by level: photoelectrons cost most at high
+# light.
 EVENTS = {0.05: (192, 3), 0.5: (192, 3), 5.0: (128, 2), 50.0: (64, 2), 500.0: (48, 1)}
 TOLERANCE = {"mean": 1e-3, "variance": 5e-3, "skewness": 2e-2, "quantile": 5e-3}
 
 
-# Frames of 240 x 320 pixels in one block of flats that a tier can afford, by level; and what is tried of each tier.
+# Frames of 240 x 320 pixels in one block of flats that a tier can afford, by level; and what is
+# tried of each tier.
 AFFORDED: dict[Sampler, dict[float, int]] = {
     "fast": dict.fromkeys(LEVELS, 10),
     "chain": {0.5: 2, 50.0: 1},
@@ -49,8 +53,12 @@ CASES = [
 ]
 
 
-def drawn(sensor: Sensor, at_mcp: StageImage, frames: int, seed: int, tier: Sampler) -> Iterator[NDArray[Any]]:
-    """Yield blocks of so many frames of a steady scene by one of the simulator's tiers, DN, shape (frame, row, col)."""
+def drawn(
+    sensor: Sensor, at_mcp: StageImage, frames: int, seed: int, tier: Sampler
+) -> Iterator[NDArray[Any]]:
+    """Yield blocks of so many frames of a steady scene by one of the simulator's tiers, DN, shape
+    (frame, row, col).
+    """
     stream = drawn_by(tier, IntensifiedCamera(sensor), at_mcp, Conditions(), seed=seed)
     while True:
         codes = np.stack([frame.copy() for frame in islice(stream, frames)])
@@ -61,7 +69,9 @@ def drawn(sensor: Sensor, at_mcp: StageImage, frames: int, seed: int, tier: Samp
 def flat_frames(
     sensor: Sensor, photoelectrons_per_pixel: float, frames: int, seed: int, tier: Sampler
 ) -> Iterator[NDArray[Any]]:
-    """Yield blocks of so many frames of a flat by one of the simulator's tiers, DN, shape (frame, row, col)."""
+    """Yield blocks of so many frames of a flat by one of the simulator's tiers, DN, shape (frame,
+    row, col).
+    """
     camera = IntensifiedCamera(sensor)
     cells = camera.cells.per_column * camera.cells.per_row * (2 if camera.is_interlaced else 1)
     flat = np.full(camera.cells.shape, photoelectrons_per_pixel / cells, np.float32)
@@ -85,7 +95,9 @@ def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
 def measured_flat(
     sensor: Sensor, level: float, frames: int, seed: int, tier: Sampler
 ) -> tuple[slow.Moments, slow.Moments, float]:
-    """Moments of a flat in `BLOCKS` of so many frames, their errors, e- above black, and the digitiser's step, e-."""
+    """Moments of a flat in `BLOCKS` of so many frames, their errors, e- above black, and the
+    digitiser's step, e-.
+    """
     fine = in_fine_steps(sensor, level)
     step_e = 1.0 / float(fine.video.conversion_gain_dn_per_e)
     blocks = islice(flat_frames(fine, level, frames, seed, tier), BLOCKS)
@@ -128,7 +140,10 @@ def departures(found: slow.Moments, expected: slow.Moments, *errors: slow.Moment
         error = np.sqrt(sum(getattr(e, name) ** 2 for e in errors))
         allowed = share * abs(getattr(expected, name)) + ERRORS * error
         if abs(getattr(found, name) - getattr(expected, name)) > allowed:
-            wrong.append(f"{name}: {getattr(found, name):.6g}, not {getattr(expected, name):.6g} +- {allowed:.2g}")
+            wrong.append(
+                f"{name}: {getattr(found, name):.6g}, not {getattr(expected, name):.6g} +- "
+                f"{allowed:.2g}"
+            )
     for name in ("horizontal", "vertical"):
         error = np.sqrt(sum(getattr(e, name) ** 2 for e in errors))
         off = np.abs(getattr(found, name) - getattr(expected, name))
@@ -146,7 +161,9 @@ def test_flats_have_the_moments_of_campbells_theorem(tier, level, shape, flats):
     assert not departures(found, expected, error)
 
 
-@pytest.mark.parametrize(("level", "shape"), [(0.05, 1.0), (0.5, 2.0), (5.0, 1.0), (50.0, 2.0), (500.0, 1.0)])
+@pytest.mark.parametrize(
+    ("level", "shape"), [(0.05, 1.0), (0.5, 2.0), (5.0, 1.0), (50.0, 2.0), (500.0, 1.0)]
+)
 def test_single_events_have_the_moments_of_campbells_theorem(level, shape, plain, event_moments):
     """The two ways of the reference agree, so that neither is believed alone."""
     camera = slow.of_sensor(plain(240, 320, microchannel_plate__pulse_height_shape=shape))
@@ -154,8 +171,9 @@ def test_single_events_have_the_moments_of_campbells_theorem(level, shape, plain
     assert not departures(found, slow.campbell(camera, level / camera.rows_summed), error)
 
 
-# Variance from column to column under stripes eight pixels wide, a tenth of the light in their dark half: where the
-# streamed tier, which lays its noise a little wider than pulses do, is set right but for the finest detail.
+# Variance from column to column under stripes eight pixels wide, a tenth of the light in their dark
+# half: where the streamed tier, which lays its noise a little wider than pulses do, is set right
+# but for the finest detail.
 STRIPES: dict[Sampler, float] = {"fast": 0.015, "chain": 5e-3}
 
 
@@ -170,27 +188,35 @@ def stripes(x_px: NDArray[Any]) -> NDArray[Any]:
 def striped_events(plain, seed) -> NDArray[Any]:
     """Frames of stripes, photoelectron by photoelectron."""
     side, sensor = 96, in_fine_steps(plain(240, 320), 2.0 * STRIPES_PE)
-    expected = np.repeat(stripes((np.arange(side * slow.PHASES) + 0.5) / slow.PHASES)[None] / 2.0, side, axis=0)
+    expected = np.repeat(
+        stripes((np.arange(side * slow.PHASES) + 0.5) / slow.PHASES)[None] / 2.0, side, axis=0
+    )
     stream = slow.frames(slow.of_sensor(sensor), expected, shape=(side, side), seed=seed)
     return np.stack(list(islice(stream, 120)))
 
 
 @pytest.mark.parametrize("tier", AFFORDED)
 def test_stripes_have_the_mean_and_variance_of_single_events(tier, plain, striped_events, seed):
-    """Light that changes from column to column: blur of means and blur of pulses act on it each in its own way."""
+    """Light that changes from column to column: blur of means and blur of pulses act on it each in
+    its own way.
+    """
     sensor = in_fine_steps(plain(240, 320), 2.0 * STRIPES_PE)
     cells = IntensifiedCamera(sensor).cells
     x_px = (np.arange(cells.shape[1]) + 0.5) / cells.per_column - cells.margin_columns
     per_cell = stripes(x_px) / (2 * cells.per_row * cells.per_column)
     light = np.repeat(per_cell[None].astype(np.float32), cells.shape[0], axis=0)
-    codes = next(drawn(sensor, StageImage(values=light, grid=cells), 60, seed, tier))[:, :, LINE_START_PX:]
+    codes = next(drawn(sensor, StageImage(values=light, grid=cells), 60, seed, tier))[
+        :, :, LINE_START_PX:
+    ]
     charge = (codes - BLACK_DN) / float(sensor.video.conversion_gain_dn_per_e)
     for power, tolerance in ((1, 1e-3), (2, STRIPES[tier])):
         ours, our_error = _by_phase(charge, PERIOD_PX, power)
         theirs, their_error = _by_phase(striped_events, PERIOD_PX, power)
         off = (ours - theirs) / theirs
         error = np.hypot(our_error, their_error) / theirs
-        assert np.all(np.abs(off) < tolerance + ERRORS * error), f"off by {off.round(4)}, errors {error.round(4)}"
+        assert np.all(np.abs(off) < tolerance + ERRORS * error), (
+            f"off by {off.round(4)}, errors {error.round(4)}"
+        )
         assert np.all(error < 0.015)
 
 
@@ -203,13 +229,15 @@ def _by_phase(frames: NDArray[Any], period: int, power: int) -> tuple[NDArray[An
     return blocks.mean(axis=0), blocks.std(axis=0, ddof=1) / np.sqrt(12.0)
 
 
-# Physics reference, section 10: share of the variance that is left when pulses are drawn on the pixels and spread by a
-# kernel averaged over them, for Gaussian blurs of so many pixels.
+# Physics reference, section 10: share of the variance that is left when pulses are drawn on the
+# pixels and spread by a kernel averaged over them, for Gaussian blurs of so many pixels.
 NAIVE = {0.5: 0.836, 0.7: 0.876, 1.0: 0.928, 1.5: 0.965}
 
 
 def _one_axis(sigma_px: float) -> tuple[float, float]:
-    """Sum of squared shares along one axis: of pulses anywhere, and of pulses at pixels' centres with a mean kernel."""
+    """Sum of squared shares along one axis: of pulses anywhere, and of pulses at pixels' centres
+    with a mean kernel.
+    """
     from scipy.special import ndtr
 
     x = (np.arange(-2000, 2000) + 0.5) / 100.0

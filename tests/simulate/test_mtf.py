@@ -1,4 +1,6 @@
-"""The MTF of rendered targets seen by the noiseless camera is the product of the stages' transfers."""
+"""The MTF of rendered targets seen by the noiseless camera is the product of the stages'
+transfers.
+"""
 
 import numpy as np
 import pytest
@@ -29,7 +31,9 @@ def full(bench) -> tuple[float, float]:
 
 
 def _transfer(bench: LabBench, fx_cy_per_px: np.ndarray, fy_cy_per_px: np.ndarray) -> np.ndarray:
-    """Transfer of the whole camera at a frequency in the plane, both components per column pitch."""
+    """Transfer of the whole camera at a frequency in the plane, both components per column
+    pitch.
+    """
     camera = bench.camera
     pitch = camera.cells.pitch_x_mm
     blurs = (*true_quantities._before_gain(camera), *true_quantities._after_gain(camera))
@@ -38,7 +42,9 @@ def _transfer(bench: LabBench, fx_cy_per_px: np.ndarray, fy_cy_per_px: np.ndarra
 
 
 def _places() -> tuple[np.ndarray, np.ndarray]:
-    """Places of the pixels about the picture's centre, column pitches, x (1, col) and y (row, 1)."""
+    """Places of the pixels about the picture's centre, column pitches, x (1, col) and y (row,
+    1).
+    """
     x = np.arange(COLUMNS) + 0.5 - COLUMNS / 2
     y = (np.arange(ROWS) + 0.5 - ROWS / 2) * RATIO
     return x[None, :], y[:, None]
@@ -75,7 +81,9 @@ def test_bars_over_their_exact_spectrum_give_the_mtf(bench, full, frequency, ang
 
 @pytest.mark.parametrize("angle", [5.0, 95.0])
 def test_slanted_edge_gives_the_mtf(bench, full, angle):
-    """Transform of the edge spread, oversampled over all rows, against the transfer along the edge's normal."""
+    """Transform of the edge spread, oversampled over all rows, against the transfer along the
+    edge's normal.
+    """
     dark, signal = full
     image = (bench.mean("edge", Target(angle_deg=angle), LUX) - dark) / signal
     x, y = _places()
@@ -97,7 +105,8 @@ def test_slanted_edge_gives_the_mtf(bench, full, angle):
     # Undo the bins and the difference of neighbours.
     found = found / np.sinc(frequency / fine) ** 2
     expected = _transfer(bench, frequency * np.cos(turn), frequency * np.sin(turn))
-    # The window cuts off the tube's far wings, which move all frequencies alike by a fraction of a per cent.
+    # The window cuts off the tube's far wings, which move all frequencies alike by a fraction of a
+    # per cent.
     assert found == pytest.approx(expected, abs=0.005)
 
 
@@ -105,8 +114,12 @@ def test_edge_turned_by_a_small_angle_leans_to_lower_columns_further_down(bench,
     dark, signal = full
     image = (bench.mean("edge", Target(angle_deg=5.0), LUX) - dark) / signal
     assert image[:, -1].mean() > 0.9 and image[:, 0].mean() < 0.1
-    crossing = [float(np.interp(0.5, image[row, 60:140], np.arange(60, 140) + 0.5)) for row in (20, 140)]
-    assert crossing[1] - crossing[0] == pytest.approx(-120 * RATIO * np.tan(np.deg2rad(5.0)), abs=0.05)
+    crossing = [
+        float(np.interp(0.5, image[row, 60:140], np.arange(60, 140) + 0.5)) for row in (20, 140)
+    ]
+    assert crossing[1] - crossing[0] == pytest.approx(
+        -120 * RATIO * np.tan(np.deg2rad(5.0)), abs=0.05
+    )
 
 
 def test_blur_keeps_the_light(plain, full, bench):
@@ -126,16 +139,22 @@ def test_paid_blur_keeps_the_sum_and_makes_no_light(bench):
     values = np.zeros(grid.shape, np.float32)
     values[40:60, 50:70] = 100.0
     blurred = (
-        StageImage(values=values, grid=grid).with_blurs(*true_quantities._after_gain(bench.camera)).with_blurs_applied()
+        StageImage(values=values, grid=grid)
+        .with_blurs(*true_quantities._after_gain(bench.camera))
+        .with_blurs_applied()
     )
     assert blurred.values.sum(dtype=float) == pytest.approx(values.sum(), rel=1e-5)
 
 
 def test_mtf_matches_the_published_cascade(sheet):
-    """Table 1.12 at f_pc 5, 10, 15, 20 lp/mm, its pixel, lens, fibres and filter being ours, the halo left out."""
+    """Table 1.12 at f_pc 5, 10, 15, 20 lp/mm, its pixel, lens, fibres and filter being ours, the
+    halo left out.
+    """
     no_halo = sheet.with_values({"photocathode.halo_fraction": 0.0})
     frequency = np.array([5.0, 10.0, 15.0, 20.0]) * 0.018
-    assert true_quantities.true_mtf(no_halo, frequency, "vertical") == pytest.approx([0.79, 0.49, 0.23, 0.06], abs=0.03)
+    assert true_quantities.true_mtf(no_halo, frequency, "vertical") == pytest.approx(
+        [0.79, 0.49, 0.23, 0.06], abs=0.03
+    )
     # The pixel clock's staircase lowers ours beside the analog filter of the table.
     staircase = np.sinc(frequency)
     assert true_quantities.true_mtf(no_halo, frequency) == pytest.approx(

@@ -1,4 +1,6 @@
-"""Mean, variance and covariance of simulated flats agree with cascade theory (physics reference, 5.2, 6.4 and 10)."""
+"""Mean, variance and covariance of simulated flats agree with cascade theory (physics reference,
+5.2, 6.4 and 10).
+"""
 
 from dataclasses import dataclass
 
@@ -30,7 +32,8 @@ class GaussianFibres:
         return np.exp(-(fx_per_mm**2 + fy_per_mm**2) / 80.0**2)
 
 
-# Post-gain share; blur factor and correlation in the row for single rows (21.3 um), then for row pairs (42.5 um).
+# Post-gain share; blur factor and correlation in the row for single rows (21.3 um), then for row
+# pairs (42.5 um).
 TABLE = [
     (1.0, 0.204, 0.45, 0.38, 0.282, 0.47, 0.18),
     (0.8, 0.250, 0.39, 0.33, 0.331, 0.41, 0.15),
@@ -48,7 +51,11 @@ def _johnson(share: float) -> TubeShare:
 def test_blur_factor_and_correlations_are_those_of_table_5_2(row):
     share, *published = row
     for height_mm, expected in ((0.0213, published[:3]), (0.0425, published[3:])):
-        blurs = (_johnson(share), GaussianFibres(), PixelAperture(width_mm=0.018, height_mm=height_mm))
+        blurs = (
+            _johnson(share),
+            GaussianFibres(),
+            PixelAperture(width_mm=0.018, height_mm=height_mm),
+        )
         found = true_quantities.pulse_correlation(blurs, None, 0.018, height_mm)
         assert found[0] == pytest.approx(expected[0], abs=1.5e-3)
         assert found[1:] == pytest.approx(expected[1:], abs=6e-3)
@@ -57,7 +64,9 @@ def test_blur_factor_and_correlations_are_those_of_table_5_2(row):
 @pytest.mark.parametrize(("row_pairs", "column"), [(False, 1), (True, 4)])
 def test_drawn_pulses_have_the_blur_factor_of_table_5_2(row_pairs, column, seed):
     share, expected, level = 0.8, TABLE[1][column], 4.0
-    grid = grid_with_margin(120, 160, per_pixel=2, margin=8, pitch_x_mm=0.018, pitch_y_mm=0.0213).whole_rows()
+    grid = grid_with_margin(
+        120, 160, per_pixel=2, margin=8, pitch_x_mm=0.018, pitch_y_mm=0.0213
+    ).whole_rows()
     chain = Chain(
         (
             MicrochannelPlate(
@@ -111,7 +120,9 @@ def _flat(sensor, seed: int) -> Flat:
     conditions = Conditions(illuminance_lux=LUX)
     frames = bench.expose("flat", Target(), conditions, frames=FRAMES, seed=seed).data.astype(float)
     mean = bench.mean("flat", Target(), conditions).astype(float)
-    return Flat(frames - mean, float(frames.mean()) - 400.0, true_quantities.true_quantities(sensor))
+    return Flat(
+        frames - mean, float(frames.mean()) - 400.0, true_quantities.true_quantities(sensor)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -125,13 +136,17 @@ def lagless(plain, seed) -> Flat:
 
 
 def _with_error(per_frame: np.ndarray) -> tuple[float, float]:
-    """Mean over frames and its standard error; blocks of four frames hold most of the glow's memory."""
+    """Mean over frames and its standard error; blocks of four frames hold most of the glow's
+    memory.
+    """
     blocks = per_frame[: len(per_frame) // 4 * 4].reshape(-1, 4).mean(axis=1)
     return float(per_frame.mean()), float(blocks.std(ddof=1) / np.sqrt(len(blocks)))
 
 
 def _block_variance(fields: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Variance of sums over blocks per pixel, for each frame: the covariance sum, short of what blocks cut off."""
+    """Variance of sums over blocks per pixel, for each frame: the covariance sum, short of what
+    blocks cut off.
+    """
     frames, height, width = fields.shape
     cut = fields[:, : height // rows * rows, : width // columns * columns]
     sums = cut.reshape(frames, height // rows, rows, width // columns, columns).sum(axis=(2, 4))
@@ -139,7 +154,9 @@ def _block_variance(fields: np.ndarray, rows: int, columns: int) -> np.ndarray:
 
 
 def _captured(sensor, rows: int, columns: int) -> float:
-    """Share of the covariance sum that sums over blocks hold, by the same theory in the plane of frequencies."""
+    """Share of the covariance sum that sums over blocks hold, by the same theory in the plane of
+    frequencies.
+    """
     from simulate.iiccd.camera import IntensifiedCamera
     from simulate.iiccd.transfer import product
 
@@ -153,7 +170,9 @@ def _captured(sensor, rows: int, columns: int) -> float:
             fx, fy = np.broadcast_arrays((x[None, :] + m) / pitch_x, (y[:, None] + n) / pitch_y)
             power += product(true_quantities._after_gain(camera), fx, fy) ** 2
     power *= np.abs(camera.stage(Slot.VIDEO).low_pass.transfer(x)) ** 2
-    kernel = [(np.sin(np.pi * n * f) / np.sin(np.pi * f)) ** 2 / n for n, f in ((columns, x), (rows, y))]
+    kernel = [
+        (np.sin(np.pi * n * f) / np.sin(np.pi * f)) ** 2 / n for n, f in ((columns, x), (rows, y))
+    ]
     return float(np.mean(power * kernel[0][None, :] * kernel[1][:, None]))
 
 
@@ -168,7 +187,9 @@ def test_variance_is_blur_factor_times_covariance_gain_times_signal(which, reque
     flat: Flat = request.getfixturevalue(which)
     q = flat.quantities
     expected = q["blur_factor"] * q["field_covariance_gain"] * flat.signal
-    mean, error = _with_error((flat.deviations**2).mean(axis=(1, 2)) - q["read_noise"] ** 2 - 1.0 / 12.0)
+    mean, error = _with_error(
+        (flat.deviations**2).mean(axis=(1, 2)) - q["read_noise"] ** 2 - 1.0 / 12.0
+    )
     assert abs(mean - expected) < 4.5 * error + 0.003 * expected
 
 
@@ -185,7 +206,9 @@ def test_covariance_sum_of_a_field_is_its_truth(which, request, plain):
 
 def test_without_decay_field_and_pulse_have_one_covariance_gain(lagless):
     q = lagless.quantities
-    assert q["covariance_gain"] == pytest.approx(q["system_gain"] + q["photoelectron_gain"] * q["excess_noise_factor"])
+    assert q["covariance_gain"] == pytest.approx(
+        q["system_gain"] + q["photoelectron_gain"] * q["excess_noise_factor"]
+    )
     assert q["field_covariance_gain"] == pytest.approx(q["covariance_gain"], rel=1e-3)
 
 
@@ -201,7 +224,9 @@ def test_lines_of_one_field_correlate_as_their_blur_says(lagless):
 
 
 def test_charge_alone_has_the_system_gain_as_its_noise(plain, seed):
-    """Without a tube's pulses, K mu is all: a plate of a very large pulse-height shape and no losses, many pulses."""
+    """Without a tube's pulses, K mu is all: a plate of a very large pulse-height shape and no
+    losses, many pulses.
+    """
     from simulate.iiccd.ccd import Ccd
 
     ccd = Ccd(quantum_efficiency=0.3, full_well_e=1e6)

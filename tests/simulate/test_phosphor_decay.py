@@ -1,4 +1,6 @@
-"""Screens other than P20, and gates shorter than a decay: shares of later fields and what they do to the noise."""
+"""Screens other than P20, and gates shorter than a decay: shares of later fields and what they do
+to the noise.
+"""
 
 from dataclasses import replace
 
@@ -16,10 +18,13 @@ def _glow(name: str, field_s: float, gate_s: float | None = None) -> PhosphorDec
 
 
 @pytest.mark.parametrize(
-    ("name", "high_ms", "low_ms"), [("P20", 4.0, 55.0), ("P43", 1.0, 1.6), ("P46", 3e-4, 0.09), ("P47", 1e-4, 2.9e-3)]
+    ("name", "high_ms", "low_ms"),
+    [("P20", 4.0, 55.0), ("P43", 1.0, 1.6), ("P46", 3e-4, 0.09), ("P47", 1e-4, 2.9e-3)],
 )
 def test_screens_decay_in_their_catalogue_times(name, high_ms, low_ms):
-    """90 to 10 per cent, and 10 to 1 per cent, of the light of a screen switched off after a long pulse of current."""
+    """90 to 10 per cent, and 10 to 1 per cent, of the light of a screen switched off after a long
+    pulse of current.
+    """
     phosphor = load_phosphor(name)
     share = float(phosphor.fast_fraction)
     fast, slow = float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms)
@@ -42,10 +47,17 @@ def test_every_screen_gives_all_its_light_at_any_rate(name, field_s):
 
 
 def _late(glow: PhosphorDecay, fields: int) -> float:
-    """Share of light later than so many fields, of pulses spread over the gate, by the closed integral."""
+    """Share of light later than so many fields, of pulses spread over the gate, by the closed
+    integral.
+    """
     weight, tau = np.array(glow.components).T
     share = weight * tau
-    left = np.exp(-(fields * glow.field_s - glow.gate_s) / tau) * -np.expm1(-glow.gate_s / tau) * tau / glow.gate_s
+    left = (
+        np.exp(-(fields * glow.field_s - glow.gate_s) / tau)
+        * -np.expm1(-glow.gate_s / tau)
+        * tau
+        / glow.gate_s
+    )
     return float(left @ (share / share.sum()))
 
 
@@ -54,11 +66,15 @@ def _late(glow: PhosphorDecay, fields: int) -> float:
 def test_gates_shorter_than_a_decay_leave_what_the_closed_integral_says(name, gate_s):
     glow = _glow(name, 0.01668, gate_s)
     for fields in range(1, min(glow.n_lag_fields, 5) + 1):
-        assert glow.residuals(5)[fields - 1] == pytest.approx(_late(glow, fields), abs=1e-4 + ACCURACY.max_lag_fraction)
+        assert glow.residuals(5)[fields - 1] == pytest.approx(
+            _late(glow, fields), abs=1e-4 + ACCURACY.max_lag_fraction
+        )
 
 
 def test_p43_leaves_video_fields_almost_free_and_p20_not():
-    residual = {name: _glow(name, 1 / 59.94).residuals(1)[0] for name in ("P20", "P43", "P46", "P47")}
+    residual = {
+        name: _glow(name, 1 / 59.94).residuals(1)[0] for name in ("P20", "P43", "P46", "P47")
+    }
     assert residual["P20"] == pytest.approx(0.48, abs=0.02)
     assert 0.02 < residual["P43"] < 0.06
     assert residual["P46"] < 5e-3 and residual["P47"] < 1e-3

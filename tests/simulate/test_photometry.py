@@ -1,4 +1,6 @@
-"""The tube's numbers follow from its data sheet as the reference calculations say (physics reference, section 8)."""
+"""The tube's numbers follow from its data sheet as the reference calculations say (physics
+reference, section 8).
+"""
 
 import numpy as np
 import pytest
@@ -15,14 +17,20 @@ from simulate.iiccd.tube_photometry import ELEMENTARY_CHARGE_C, JOULE_METRE
 def test_gallium_arsenide_of_table_1_2_has_1996_microamperes_per_lumen(sheet):
     cathode = sheet.photocathode
     table = np.asarray(cathode.relative_quantum_efficiency)
-    assert tube_photometry.luminous_sensitivity(cathode.wavelength_nm, table) == pytest.approx(1996, rel=0.01)
-    at_830 = np.interp(830.0, cathode.wavelength_nm, table) * ELEMENTARY_CHARGE_C * 830e-9 / JOULE_METRE
+    assert tube_photometry.luminous_sensitivity(cathode.wavelength_nm, table) == pytest.approx(
+        1996, rel=0.01
+    )
+    at_830 = (
+        np.interp(830.0, cathode.wavelength_nm, table) * ELEMENTARY_CHARGE_C * 830e-9 / JOULE_METRE
+    )
     assert at_830 * 1e3 == pytest.approx(228, rel=0.005)
 
 
 def test_scaled_quantum_efficiency_gives_the_sheets_sensitivity(sheet):
     fine = np.arange(400.0, 1000.0, 1.0)
-    found = tube_photometry.luminous_sensitivity(fine, tube_photometry.quantum_efficiency(sheet, fine))
+    found = tube_photometry.luminous_sensitivity(
+        fine, tube_photometry.quantum_efficiency(sheet, fine)
+    )
     assert found == pytest.approx(1350, rel=1e-3)
 
 
@@ -31,7 +39,9 @@ def test_ebi_is_1_13_photoelectrons_per_second_and_pixel_of_one_row(sheet):
 
 
 def test_ebi_doubles_with_six_kelvin(sheet):
-    assert tube_photometry.ebi_per_s_cm2(sheet, 31.0) == pytest.approx(2.0 * tube_photometry.ebi_per_s_cm2(sheet, 25.0))
+    assert tube_photometry.ebi_per_s_cm2(sheet, 31.0) == pytest.approx(
+        2.0 * tube_photometry.ebi_per_s_cm2(sheet, 25.0)
+    )
 
 
 def test_luminous_gain_15000_is_10229_photons_per_photoelectron(sheet):
@@ -54,7 +64,9 @@ def test_gain_doubles_within_45_to_70_volt_of_800(sheet):
 
 
 # Section 1.4: relative variance of pulse heights 0.5 (shape 2) and 1 (exponential).
-def drawn_pulses(plate: MicrochannelPlate, level: float, count: int, rng: np.random.Generator) -> np.ndarray:
+def drawn_pulses(
+    plate: MicrochannelPlate, level: float, count: int, rng: np.random.Generator
+) -> np.ndarray:
     """Sums of the pulses in so many cells that expect a level of photoelectrons."""
     grid = grid_with_margin(1, 1, per_pixel=2, margin=0, pitch_x_mm=0.018, pitch_y_mm=0.018)
     light = StageImage(values=np.full((1, count), level, np.float32), grid=grid)
@@ -63,7 +75,14 @@ def drawn_pulses(plate: MicrochannelPlate, level: float, count: int, rng: np.ran
 
 @pytest.mark.parametrize(
     ("probability", "shape", "factor"),
-    [(1.0, 2.0, 1.50), (1.0, 1.0, 2.00), (0.75, 2.0, 2.00), (0.63, 2.0, 2.38), (0.63, 1.0, 3.17), (0.5, 1.0, 4.00)],
+    [
+        (1.0, 2.0, 1.50),
+        (1.0, 1.0, 2.00),
+        (0.75, 2.0, 2.00),
+        (0.63, 2.0, 2.38),
+        (0.63, 1.0, 3.17),
+        (0.5, 1.0, 4.00),
+    ],
 )
 @pytest.mark.parametrize("level", [0.05, 30.0])
 def test_excess_noise_factor_of_drawn_pulses(probability, shape, factor, level, seed):
@@ -80,7 +99,9 @@ def test_excess_noise_factor_of_drawn_pulses(probability, shape, factor, level, 
     pulses = drawn_pulses(plate, level, count, rng)
     assert abs(pulses.mean() - level) < 4.5 * np.sqrt(level * plate.excess_noise_factor / count)
     squares = (pulses - level) ** 2
-    assert abs(squares.mean() - level * plate.excess_noise_factor) < 4.5 * squares.std() / np.sqrt(count)
+    assert abs(squares.mean() - level * plate.excess_noise_factor) < 4.5 * squares.std() / np.sqrt(
+        count
+    )
 
 
 @pytest.mark.parametrize("level", [0.3, 6.0, 11.9, 12.1, 150.0, 5000.0])
@@ -101,7 +122,9 @@ def test_charge_is_poisson(level, seed):
 
 def test_large_charge_has_the_skewness_of_a_poisson_law(seed):
     level, count = 2000.0, 1_000_000
-    away = poisson_numbers(key_of(seed, 1, 7), np.full(count, level, np.float32)).astype(float) - level
+    away = (
+        poisson_numbers(key_of(seed, 1, 7), np.full(count, level, np.float32)).astype(float) - level
+    )
     assert away.var() / level == pytest.approx(1.0, abs=4.5 * np.sqrt(2.0 / count))
     skewness = np.mean(away**3) / level**1.5
     assert skewness == pytest.approx(level**-0.5, abs=4.5 * np.sqrt(15.0 / count))
@@ -114,7 +137,11 @@ def test_exponential_pulse_sums_follow_the_compound_law(level, seed):
 
     count = 100_000
     plate = MicrochannelPlate(
-        detection_probability=1.0, pulse_height_shape=1.0, gain=1.0, saturation_e_per_s_cm2=np.inf, field_s=1.0
+        detection_probability=1.0,
+        pulse_height_shape=1.0,
+        gain=1.0,
+        saturation_e_per_s_cm2=np.inf,
+        field_s=1.0,
     )
     sums = drawn_pulses(plate, level, count, np.random.default_rng([seed, int(level * 8)]))
     n = np.arange(0, int(level + 12 * np.sqrt(level) + 20))

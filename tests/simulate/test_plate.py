@@ -1,4 +1,6 @@
-"""The plate's gain: by control word, of stacks, under local load and after it, and over its multi-fibres."""
+"""The plate's gain: by control word, of stacks, under local load and after it, and over its
+multi-fibres.
+"""
 
 from dataclasses import replace
 
@@ -15,12 +17,18 @@ from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.stage_image import StageImage
 
 GRID = grid_with_margin(60, 80, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
-# Luminous gain of a published intensified camera at six control words (physics reference, 1.4; truth 18).
+# Luminous gain of a published intensified camera at six control words (physics reference, 1.4;
+# truth 18).
 CONTROL = {0: 2512, 51: 5012, 102: 9772, 153: 19055, 204: 36728, 255: 70795}
 
 
 def _plate(**changes) -> MicrochannelPlate:
-    given = {"detection_probability": 0.62, "pulse_height_shape": 1.0, "gain": 50.0, "saturation_e_per_s_cm2": 1e12}
+    given = {
+        "detection_probability": 0.62,
+        "pulse_height_shape": 1.0,
+        "gain": 50.0,
+        "saturation_e_per_s_cm2": 1e12,
+    }
     return MicrochannelPlate(**given | {"field_s": 0.0167} | changes)
 
 
@@ -38,7 +46,9 @@ def test_control_word_follows_the_published_table(sheet, word, luminous_gain):
 def test_control_word_sets_the_gain_of_the_plate(sheet):
     camera = IntensifiedCamera(sheet)
     nominal = camera.stage(Slot.MCP, Conditions()).gain
-    assert camera.stage(Slot.MCP, Conditions(gain_control=187.5)).gain == pytest.approx(1.95 * nominal, rel=1e-3)
+    assert camera.stage(Slot.MCP, Conditions(gain_control=187.5)).gain == pytest.approx(
+        1.95 * nominal, rel=1e-3
+    )
     with pytest.raises(BadInput, match="same gain"):
         camera.chain(Conditions(gain_control=100.0, mcp_v=800.0))
     with pytest.raises(BadInput, match="em_gain"):
@@ -64,7 +74,11 @@ def _point(level: float) -> StageImage:
 def test_bright_core_compresses_while_its_halo_keeps_growing():
     plate = _plate(depletion_blur_um=45.0)
     cores, halos = zip(
-        *((out[82, 102], out[20, 20]) for out in (plate.mean(_point(n)).values for n in (10.0, 1e3, 1e5))), strict=True
+        *(
+            (out[82, 102], out[20, 20])
+            for out in (plate.mean(_point(n)).values for n in (10.0, 1e3, 1e5))
+        ),
+        strict=True,
     )
     assert np.diff(np.log10(halos)) == pytest.approx([2.0, 2.0], abs=0.02)
     # A hundred times the light gives the core less than three times the electrons.
@@ -110,7 +124,9 @@ def test_steady_light_through_depleted_plate_is_its_steady_map():
     plate, light = _plate(depletion_blur_um=45.0), _point(300.0)
     load = plate.load(light.values, GRID)
     during, _ = plate.states_under(load, load)
-    assert plate.with_depletion(during).mean(light).values == pytest.approx(plate.mean(light).values, rel=1e-5)
+    assert plate.with_depletion(during).mean(light).values == pytest.approx(
+        plate.mean(light).values, rel=1e-5
+    )
 
 
 def test_draws_under_a_local_load_average_to_its_mean(seed):
@@ -119,7 +135,9 @@ def test_draws_under_a_local_load_average_to_its_mean(seed):
     half = light.with_values(0.5 * light.values)
     assert 2.0 * loaded.mean(half).values == pytest.approx(plate.mean(light).values, rel=1e-5)
     rng = np.random.default_rng(seed)
-    sums = np.array([loaded.draw(half, rng).values[80:85, 100:105].sum(dtype=float) for _ in range(200)])
+    sums = np.array(
+        [loaded.draw(half, rng).values[80:85, 100:105].sum(dtype=float) for _ in range(200)]
+    )
     expected = plate.mean(light).values[80:85, 100:105].sum(dtype=float) / 2.0
     assert abs(sums.mean() - expected) < 4.5 * sums.std(ddof=1) / np.sqrt(200)
 
@@ -168,7 +186,9 @@ def test_lines_narrower_than_a_cell_take_as_much_light_wherever_they_fall():
     """Lines of 6 um on cells of 10 and of 5 um: hexagons of pitch p have 2/p of border per area."""
     lost = []
     for per_pixel in (2, 4):
-        grid = grid_with_margin(200, 300, per_pixel=per_pixel, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
+        grid = grid_with_margin(
+            200, 300, per_pixel=per_pixel, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213
+        )
         lines = pattern.multifibre_gain(grid, 0.5, 0.7, 0.006)
         lost.append(1.0 - 1.0 / lines.max())
     # Across a line the loss is a Gaussian of 3 um standard deviation.

@@ -1,6 +1,8 @@
-"""The regression truths of the physics reference, section 8, that concern the chain, each under its number.
+"""The regression truths of the physics reference, section 8, that concern the chain, each under its
+number.
 
-Reference numbers are the reference's own, not this code's. Other tests hold some of them in more depth.
+Reference numbers are the reference's own, not this code's. Other tests hold some of them in more
+depth.
 """
 
 from dataclasses import dataclass
@@ -17,17 +19,24 @@ from simulate.iiccd.transfer import HaloBlur, PixelAperture, TubeShare, product
 from tests.simulate.test_photometry import drawn_pulses
 
 FIELD_S = 1.0 / 59.94
-# Table 5.2 at a post-gain share of 1, single rows: tube, fibres of 80 lp/mm, pixel of 18.0 x 21.3 um at the cathode.
+# Table 5.2 at a post-gain share of 1, single rows: tube, fibres of 80 lp/mm, pixel of 18.0 x 21.3
+# um at the cathode.
 PIXEL_MM = (0.018, 0.0213)
 
 
-def test_truth_01_gallium_arsenide_table_has_1996_microamperes_per_lumen_and_228_milliamperes_per_watt(sheet):
+def test_truth_01_gallium_arsenide_has_1996_ua_per_lumen_and_228_ma_per_watt(
+    sheet,
+):
     cathode = sheet.photocathode
     table_nm, table = cathode.wavelength_nm, np.asarray(cathode.relative_quantum_efficiency)
     assert tube_photometry.luminous_sensitivity(table_nm, table) == pytest.approx(1996, rel=0.01)
     peak = tube_photometry.quantum_efficiency(sheet, [700.0, 750.0]).max()
     assert peak == pytest.approx(0.27, rel=0.01)
-    responsivity = tube_photometry.quantum_efficiency(sheet, [830.0])[0] * tube_photometry.ELEMENTARY_CHARGE_C * 830e-9
+    responsivity = (
+        tube_photometry.quantum_efficiency(sheet, [830.0])[0]
+        * tube_photometry.ELEMENTARY_CHARGE_C
+        * 830e-9
+    )
     assert 1e3 * responsivity / tube_photometry.JOULE_METRE == pytest.approx(154, rel=0.01)
     scale = table.max() / peak
     assert 1e3 * scale * responsivity / tube_photometry.JOULE_METRE == pytest.approx(228, rel=0.01)
@@ -54,8 +63,8 @@ def _plate(probability: float, shape: float) -> MicrochannelPlate:
     )
 
 
-# Section 1.4: excess noise of fixed gain, Polya of shape 2, exponential pulse heights. A gamma law of shape 1e5 is
-# fixed to 1e-5.
+# Section 1.4: excess noise of fixed gain, Polya of shape 2, exponential pulse heights. A gamma law
+# of shape 1e5 is fixed to 1e-5.
 NOISE = {
     1.0: (1.00, 1.50, 2.00),
     0.75: (1.33, 2.00, 2.67),
@@ -68,11 +77,15 @@ NOISE = {
 @pytest.mark.parametrize("probability", NOISE)
 @pytest.mark.parametrize(("column", "shape"), [(0, 1e5), (1, 2.0), (2, 1.0)])
 def test_truth_04_excess_noise_is_that_of_the_table(probability, column, shape):
-    assert _plate(probability, shape).excess_noise_factor == pytest.approx(NOISE[probability][column], abs=5e-3)
+    assert _plate(probability, shape).excess_noise_factor == pytest.approx(
+        NOISE[probability][column], abs=5e-3
+    )
 
 
 def test_truth_05_signal_to_noise_of_the_tube_specification_is_21(sheet, seed):
-    """108 microlux on a spot of 0.2 mm, 10 Hz: the photoelectrons of 50 ms, with a noise factor of 1.8."""
+    """108 microlux on a spot of 0.2 mm, 10 Hz: the photoelectrons of 50 ms, with a noise factor of
+    1.8.
+    """
     area_m2 = np.pi * (0.1e-3) ** 2
     counted = tube_photometry.photoelectrons_per_lumen_s(sheet) * 108e-6 * area_m2 / (2.0 * 10.0)
     assert np.sqrt(counted) == pytest.approx(37.8, abs=0.05)
@@ -89,12 +102,19 @@ def test_truth_06_johnson_fit_of_the_least_mtf_is_26_25_and_1_184(sheet):
     frequency, least = np.array([2.5, 7.5, 15.0, 25.0]), np.array([0.92, 0.80, 0.61, 0.38])
 
     def tube(f, cut_off, exponent):
-        return TubeShare(share=1.0, frequency_lp_per_mm=cut_off, exponent=exponent).transfer(f, np.zeros_like(f))
+        return TubeShare(share=1.0, frequency_lp_per_mm=cut_off, exponent=exponent).transfer(
+            f, np.zeros_like(f)
+        )
 
     fitted, _ = curve_fit(tube, frequency, least, p0=(30.0, 1.0))
     assert fitted == pytest.approx([26.25, 1.184], rel=1e-3)
-    assert [float(sheet.tube.mtf_frequency_lp_per_mm), float(sheet.tube.mtf_exponent)] == [26.25, 1.184]
-    assert 100.0 * (tube(frequency, 26.25, 1.184) - least) == pytest.approx([2.0, -0.3, -1.3, 0.9], abs=0.06)
+    assert [float(sheet.tube.mtf_frequency_lp_per_mm), float(sheet.tube.mtf_exponent)] == [
+        26.25,
+        1.184,
+    ]
+    assert 100.0 * (tube(frequency, 26.25, 1.184) - least) == pytest.approx(
+        [2.0, -0.3, -1.3, 0.9], abs=0.06
+    )
     assert tube(np.array([64.0]), 26.25, 1.184)[0] == pytest.approx(0.057, abs=5e-4)
 
 
@@ -144,27 +164,42 @@ def test_truth_09_blur_factor_at_share_one_is_204_thousandths():
 
 def test_truth_09_covariances_summed_so_far_hold_their_share():
     """Sum over lags to `reach` pixels both ways, over the whole sum: section 5.2."""
-    # Tails of the point spread beyond some forty pixels are folded, as on any lattice of so many frequencies.
+    # Tails of the point spread beyond some forty pixels are folded, as on any lattice of so many
+    # frequencies.
     x, y = ((np.arange(n) + 0.5) / n - 0.5 for n in (480, 480))
     power = np.zeros((len(y), len(x)))
     for m in (-2, -1, 0, 1, 2):
         for n in (-2, -1, 0, 1, 2):
-            fx, fy = np.broadcast_arrays((x[None, :] + m) / PIXEL_MM[0], (y[:, None] + n) / PIXEL_MM[1])
+            fx, fy = np.broadcast_arrays(
+                (x[None, :] + m) / PIXEL_MM[0], (y[:, None] + n) / PIXEL_MM[1]
+            )
             power += product(_share_of_one(), fx, fy) ** 2
     for reach, share in ((1, 0.70), (2, 0.84), (4, 0.93), (6, 0.95), (8, 0.95)):
         lags = [np.sin(np.pi * (2 * reach + 1) * f) / np.sin(np.pi * f) for f in (x, y)]
-        assert float(np.mean(power * lags[0][None, :] * lags[1][:, None])) == pytest.approx(share, abs=0.02), reach
+        assert float(np.mean(power * lags[0][None, :] * lags[1][:, None])) == pytest.approx(
+            share, abs=0.02
+        ), reach
 
 
 # Section 5.2: variance left by a lag r, and that of differences of consecutive fields.
-LAGGING = {0.05: (0.90, 0.86), 0.1: (0.82, 0.74), 0.2: (0.67, 0.53), 0.3: (0.54, 0.38), 0.45: (0.38, 0.21)}
+LAGGING = {
+    0.05: (0.90, 0.86),
+    0.1: (0.82, 0.74),
+    0.2: (0.67, 0.53),
+    0.3: (0.54, 0.38),
+    0.45: (0.38, 0.21),
+}
 
 
 @pytest.mark.parametrize("lag", LAGGING)
 def test_truth_10_a_lag_takes_its_share_of_the_variance(lag, seed):
-    """One exponential and pulses at the start of the field alone make fields a first-order recursion."""
+    """One exponential and pulses at the start of the field alone make fields a first-order
+    recursion.
+    """
     decay_ms = -1e3 * FIELD_S / np.log(lag)
-    glow = PhosphorDecay(components=((1.0, decay_ms * 1e-3),), gate_s=1e-9 * FIELD_S, field_s=FIELD_S)
+    glow = PhosphorDecay(
+        components=((1.0, decay_ms * 1e-3),), gate_s=1e-9 * FIELD_S, field_s=FIELD_S
+    )
     fields = np.random.default_rng(seed).standard_normal((240, 80, 80)).astype(np.float32)
     shown = apply_phosphor_decay(fields, glow.weights).astype(float)
     variance = shown.var()
@@ -173,7 +208,8 @@ def test_truth_10_a_lag_takes_its_share_of_the_variance(lag, seed):
     assert difference == pytest.approx(LAGGING[lag][1], abs=0.006)
 
 
-# Section 10: one exponential of so many ms, fields of so many Hz; variance in time and of adjacent differences.
+# Section 10: one exponential of so many ms, fields of so many Hz; variance in time and of adjacent
+# differences.
 @pytest.mark.parametrize(
     ("decay_ms", "rate_hz", "variance", "adjacent"),
     [(1.0, 30.0, 0.968, 0.952), (1.0, 60.0, 0.936, 0.907), (5.0, 30.0, 0.848, 0.775)],
@@ -211,7 +247,9 @@ def test_truth_11_halo_ends_at_two_gaps_with_the_tabulated_density(elastic_share
     distance = np.hypot(along[None, :], along[:, None]) / gap_cells
     # The softened rim belongs to the last ring.
     ring = np.digitize(distance, np.append(np.linspace(0.0, 1.8, 10), 2.06)) - 1
-    density = np.array([picture[ring == n].sum() / np.pi / ((n + 1) ** 2 - n**2) / 0.04 for n in range(10)])
+    density = np.array(
+        [picture[ring == n].sum() / np.pi / ((n + 1) ** 2 - n**2) / 0.04 for n in range(10)]
+    )
     assert density == pytest.approx(HALO[elastic_share], rel=0.05, abs=0.007)
     assert abs(picture[distance > 2.06].sum()) < 2e-3
     if elastic_share > 0.0:
@@ -225,20 +263,28 @@ def test_truth_11_halo_of_the_camera_is_four_gaps_wide(sheet):
     assert true_quantities.true_quantities(sheet)["halo_diameter"] == pytest.approx(47.0, abs=0.5)
 
 
-# Section 2.1: bloom diameter, pixels of 18 um at the cathode, at overloads 10 ... 1e6; core alone and with its halo.
+# Section 2.1: bloom diameter, pixels of 18 um at the cathode, at overloads 10 ... 1e6; core alone
+# and with its halo.
 CORE = (5.1, 7.3, 8.9, 10.3, 11.5, 12.6)
 WITH_HALO = (5.1, 7.3, 9.0, 40.9, 51.8, 57.3)
 
 
 def _diameters(fraction: float) -> np.ndarray:
-    """Diameters above clip of a Gaussian core of 1.2 px with so many times clip at its peak, and a halo of 23.6 px."""
+    """Diameters above clip of a Gaussian core of 1.2 px with so many times clip at its peak, and a
+    halo of 23.6 px.
+    """
     size, per_px, sigma_px = 720, 6, 1.2
-    fx, fy = np.broadcast_arrays(np.fft.rfftfreq(size, 1 / per_px)[None, :], np.fft.fftfreq(size, 1 / per_px)[:, None])
+    fx, fy = np.broadcast_arrays(
+        np.fft.rfftfreq(size, 1 / per_px)[None, :], np.fft.fftfreq(size, 1 / per_px)[:, None]
+    )
     halo = HaloBlur(fraction=fraction, gap_mm=23.6 / 2.0, elastic_share=1.0).transfer(fx, fy)
     core = np.exp(-2.0 * (np.pi * sigma_px) ** 2 * (fx**2 + fy**2))
     picture = np.fft.irfft2(halo * core, s=(size, size)) * (2.0 * np.pi * sigma_px**2) * per_px**2
     return np.array(
-        [2.0 * np.sqrt((overload * picture > 1.0).sum() / per_px**2 / np.pi) for overload in 10.0 ** np.arange(1, 7)]
+        [
+            2.0 * np.sqrt((overload * picture > 1.0).sum() / per_px**2 / np.pi)
+            for overload in 10.0 ** np.arange(1, 7)
+        ]
     )
 
 
@@ -246,7 +292,8 @@ def test_truth_12_bloom_steps_to_the_halo_and_stays_while_a_core_grows_on():
     core, with_halo = _diameters(0.0), _diameters(0.02)
     assert core == pytest.approx(CORE, abs=0.06)
     assert with_halo[:3] == pytest.approx(WITH_HALO[:3], abs=0.2)
-    # The table's wing is its own, and at 1e4 only the rim is above clip: the step and the plateau are what it says.
+    # The table's wing is its own, and at 1e4 only the rim is above clip: the step and the plateau
+    # are what it says.
     assert with_halo[3] > 2.5 * core[3]
     assert with_halo[4:] == pytest.approx(WITH_HALO[4:], rel=0.16)
     assert with_halo[5] / with_halo[4] < 1.1
@@ -271,7 +318,11 @@ def test_truth_18_control_word_reaches_the_plate(sheet):
     camera = IntensifiedCamera(sheet)
 
     def gain(word: float) -> float:
-        (plate,) = (s for s in camera.chain(Conditions(gain_control=word)).stages if s.name == "microchannel plate")
+        (plate,) = (
+            s
+            for s in camera.chain(Conditions(gain_control=word)).stages
+            if s.name == "microchannel plate"
+        )
         assert isinstance(plate, MicrochannelPlate)
         return plate.gain
 
@@ -287,7 +338,9 @@ def test_truth_19_p20_leaves_48_28_17_11_7_hundredths_to_the_fields_after(sheet)
 
 @dataclass(frozen=True)
 class _AnalogVideo:
-    """The reference's video filter: a Butterworth low pass of third order, its frequencies not folded by sampling."""
+    """The reference's video filter: a Butterworth low pass of third order, its frequencies not
+    folded by sampling.
+    """
 
     bandwidth_cy_per_px: float
 
@@ -296,12 +349,17 @@ class _AnalogVideo:
 
 
 def _row_pairs(sheet, video) -> tuple[float, float]:
-    """Correlation of row pairs with the next in the line, and with those that share one of their two rows."""
+    """Correlation of row pairs with the next in the line, and with those that share one of their
+    two rows.
+    """
     camera = IntensifiedCamera(sheet)
     x, y = ((np.arange(n) + 0.5) / n * 4.0 for n in (400, 300))
     pitch_x, pitch_y = camera.cells.pitch_x_mm, 2.0 * camera.cells.pitch_y_mm
     power = (
-        product(true_quantities._after_gain(camera), *np.broadcast_arrays(x[None, :] / pitch_x, y[:, None] / pitch_y))
+        product(
+            true_quantities._after_gain(camera),
+            *np.broadcast_arrays(x[None, :] / pitch_x, y[:, None] / pitch_y),
+        )
         ** 2
     )
     power = power * np.abs(video.transfer(x)) ** 2
@@ -310,7 +368,9 @@ def _row_pairs(sheet, video) -> tuple[float, float]:
 
 
 def test_truth_20_p20_correlates_lines_by_23_hundredths_and_pixels_2_1_times_as_much(sheet):
-    """Field correlation 0.36 times row-pair overlap 0.64; the pixels' own correlation under the reference's filter."""
+    """Field correlation 0.36 times row-pair overlap 0.64; the pixels' own correlation under the
+    reference's filter.
+    """
     field = true_quantities.true_quantities(sheet)["field_correlation"]
     assert field == pytest.approx(0.36, abs=5e-3)
     video = sheet.video
@@ -322,14 +382,20 @@ def test_truth_20_p20_correlates_lines_by_23_hundredths_and_pixels_2_1_times_as_
 
 
 def test_truth_20_the_staircase_of_the_pixel_clock_adds_to_the_correlation_along_lines(sheet):
-    """Pixels are held for a clock before the filter: along lines the chain's noise is smoother than the reference's."""
+    """Pixels are held for a clock before the filter: along lines the chain's noise is smoother than
+    the reference's.
+    """
     camera = IntensifiedCamera(sheet)
     beside, overlap = _row_pairs(sheet, camera.stage(Slot.VIDEO).low_pass)
-    assert beside == pytest.approx(true_quantities.true_quantities(sheet)["correlation_horizontal"], abs=2e-3)
+    assert beside == pytest.approx(
+        true_quantities.true_quantities(sheet)["correlation_horizontal"], abs=2e-3
+    )
     ratio = beside / (true_quantities.true_quantities(sheet)["field_correlation"] * overlap)
     assert 2.1 * 1.05 < ratio < 3.0
 
 
 def test_truth_20_without_decay_fields_share_nothing(sheet):
     lagless = sheet.with_values({"phosphor.fast_decay_ms": 1e-6, "phosphor.slow_decay_ms": 1e-6})
-    assert true_quantities.true_quantities(lagless)["field_correlation"] == pytest.approx(0.0, abs=1e-6)
+    assert true_quantities.true_quantities(lagless)["field_correlation"] == pytest.approx(
+        0.0, abs=1e-6
+    )

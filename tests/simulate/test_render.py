@@ -14,11 +14,17 @@ from simulate.radiance.spectrum import luminous_efficiency, planck
 
 NM = np.array([500.0, 600.0, 800.0])
 VIEW = TargetView(
-    shape=(96, 160), cell_px=(0.25, 0.25 * 13 / 11), corner_px=(-20.3, -14.1), metre_per_px=7e-4, distance_m=1.0
+    shape=(96, 160),
+    cell_px=(0.25, 0.25 * 13 / 11),
+    corner_px=(-20.3, -14.1),
+    metre_per_px=7e-4,
+    distance_m=1.0,
 )
 
 
-def _clipped_area(polygon: np.ndarray, low: tuple[float, float], size: tuple[float, float]) -> float:
+def _clipped_area(
+    polygon: np.ndarray, low: tuple[float, float], size: tuple[float, float]
+) -> float:
     """Area of a convex polygon inside a rectangle (Sutherland and Hodgman)."""
     points = [tuple(p) for p in polygon]
     for axis in (0, 1):
@@ -43,7 +49,9 @@ def _coverage(kind, target, scene) -> np.ndarray:
     return image / (0.92 * planck(600.0, 2856.0))
 
 
-def _rectangle(left: float, right: float, top: float, bottom: float, angle_deg: float) -> np.ndarray:
+def _rectangle(
+    left: float, right: float, top: float, bottom: float, angle_deg: float
+) -> np.ndarray:
     turn = np.deg2rad(angle_deg)
     corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
     return corners @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
@@ -58,14 +66,18 @@ def test_bars_cover_their_cells_to_1_256_of_a_cell(scene):
     frequency, angle = 0.13, 4.0
     width = 0.5 / frequency
     bars = [
-        _rectangle(width * (2 * n - 3.5), width * (2 * n - 2.5), -3.5 * width, 3.5 * width, angle) for n in range(4)
+        _rectangle(width * (2 * n - 3.5), width * (2 * n - 2.5), -3.5 * width, 3.5 * width, angle)
+        for n in range(4)
     ]
     target = Target(bars=4, frequency_cy_per_px=frequency, angle_deg=angle)
     found = _coverage("bars", target, scene)
     checked = np.argwhere(outline_cells(target_outlines("bars", target, scene.holder), VIEW))[::7]
     exact = np.array(
         [
-            sum(_clipped_area(bar, tuple(VIEW.places_px(np.array([[row, col]]))[0]), VIEW.cell_px) for bar in bars)
+            sum(
+                _clipped_area(bar, tuple(VIEW.places_px(np.array([[row, col]]))[0]), VIEW.cell_px)
+                for bar in bars
+            )
             / (VIEW.cell_px[0] * VIEW.cell_px[1])
             for row, col in checked
         ]
@@ -86,7 +98,9 @@ def test_light_of_bars_edge_and_pinhole_is_that_of_their_areas(scene):
     edge = _coverage("edge", Target(angle_deg=5.0), scene)
     half = VIEW.shape[1] * VIEW.cell_px[0] - 20.3
     assert edge.mean() == pytest.approx(
-        (half + np.tan(np.deg2rad(5.0)) * (VIEW.corner_px[1] + VIEW.shape[0] * VIEW.cell_px[1] / 2)) / 40.0, rel=2e-3
+        (half + np.tan(np.deg2rad(5.0)) * (VIEW.corner_px[1] + VIEW.shape[0] * VIEW.cell_px[1] / 2))
+        / 40.0,
+        rel=2e-3,
     )
 
 
@@ -101,7 +115,11 @@ def test_tiles_are_the_whole_picture(scene):
 
 def test_ring_of_a_pinhole_reflects_the_room_faintly(scene):
     view = TargetView(
-        shape=(400, 400), cell_px=(0.6, 0.6), corner_px=(-120.0, -120.0), metre_per_px=7e-4, distance_m=1.0
+        shape=(400, 400),
+        cell_px=(0.6, 0.6),
+        corner_px=(-120.0, -120.0),
+        metre_per_px=7e-4,
+        distance_m=1.0,
     )
     image = render_bench(scene, "point", Target(pinhole_px=8.0), view, NM).radiance[1]
     row, col = np.indices(image.shape)
@@ -110,7 +128,8 @@ def test_ring_of_a_pinhole_reflects_the_room_faintly(scene):
     assert 1e-6 < ring < 1e-4
     plate = image[np.abs(distance - 50.0) < 20.0].mean() / image.max()
     assert plate < 0.5 * ring
-    # What stands above the plate shades it on the side away from the lamp, and nothing is lit from behind.
+    # What stands above the plate shades it on the side away from the lamp, and nothing is lit from
+    # behind.
     assert image.min() >= 0.0
 
 
@@ -125,7 +144,9 @@ def test_lamp_of_2856_kelvin_has_its_published_photometry():
 
 
 @pytest.mark.parametrize(
-    ("kind", "target"), [("bars", Target()), ("point", Target()), ("scene", Target())], ids=["bars", "point", "scene"]
+    ("kind", "target"),
+    [("bars", Target()), ("point", Target()), ("scene", Target())],
+    ids=["bars", "point", "scene"],
 )
 def test_target_without_what_its_kind_needs_is_refused(scene, kind, target):
     with pytest.raises(BadInput):

@@ -1,4 +1,6 @@
-"""Every stage of every kind of camera: draws average to its mean, follow the seed, keep the shape; misfits refused."""
+"""Every stage of every kind of camera: draws average to its mean, follow the seed, keep the shape;
+misfits refused.
+"""
 
 import zlib
 from dataclasses import FrozenInstanceError, replace
@@ -18,7 +20,8 @@ from simulate.iiccd.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
 
 DRAWS = 60
-# Every stage there is: of a tube with video, of a tube with a digital back end, and of silicon alone.
+# Every stage there is: of a tube with video, of a tube with a digital back end, and of silicon
+# alone.
 TUBE = (
     "optics",
     "photocathode",
@@ -48,10 +51,18 @@ def _light_for(camera: Camera, stage: Stage) -> StageImage | RadianceCube:
     """An uneven image of the kind that reaches a stage, far from any limit."""
     rng = np.random.default_rng(5)
     if stage.takes == "radiance":
-        return RadianceCube(wavelength_nm=np.array([500.0, 700.0, 900.0]), radiance=1e-9 * rng.random((3, 24, 40)))
+        return RadianceCube(
+            wavelength_nm=np.array([500.0, 700.0, 900.0]), radiance=1e-9 * rng.random((3, 24, 40))
+        )
     if stage.name in ("optics", "photocathode", "gap", "silicon"):
         shape, grid, level = camera.scene_cells.shape, camera.scene_cells, 50.0
-    elif stage.name in ("taper distortion and fibre shear", "microchannel plate", "phosphor", "taper", "pixels"):
+    elif stage.name in (
+        "taper distortion and fibre shear",
+        "microchannel plate",
+        "phosphor",
+        "taper",
+        "pixels",
+    ):
         shape, grid, level = camera.cells.shape, camera.cells, 3.0
     elif stage.name in ("phosphor decay", "scan"):
         shape, grid, level = (4, *camera.shape), None, 2000.0
@@ -70,7 +81,9 @@ def camera(plain) -> IntensifiedCamera:
 
 @pytest.fixture(scope="module")
 def cameras(plain, camera) -> dict[str, Camera]:
-    """Small cameras of every kind, with the fixed patterns and line noises that the plain one lacks."""
+    """Small cameras of every kind, with the fixed patterns and line noises that the plain one
+    lacks.
+    """
     patterned = plain(
         24,
         40,
@@ -115,13 +128,17 @@ def test_draws_average_to_the_stated_mean(found, seed):
     rng = np.random.default_rng([seed, zlib.crc32(stage.name.encode())])
     draws = np.stack([stage.draw(light, rng).values for _ in range(DRAWS)]).astype(float)
     mean = stage.mean(light).values.astype(float)
-    # A stage without noise may differ by rounding alone; one that rounds to whole numbers by part of its step.
+    # A stage without noise may differ by rounding alone; one that rounds to whole numbers by part
+    # of its step.
     floor = 2e-5 * np.abs(mean).max() + (0.02 if stage.emits == "DN" else 0.0)
     for axes in (-1, -2, (-2, -1)):
         profiles = (draws - mean).mean(axis=axes)
         error = profiles.std(axis=0, ddof=1) / np.sqrt(DRAWS)
         # Six by Student's law of so few draws are as rare as five by the normal law.
-        assert np.all(np.abs(profiles.mean(axis=0)) < 6.0 * error + floor * (25.0 if stage.emits == "DN" else 1.0))
+        assert np.all(
+            np.abs(profiles.mean(axis=0))
+            < 6.0 * error + floor * (25.0 if stage.emits == "DN" else 1.0)
+        )
 
 
 def test_same_seed_gives_same_bytes_and_another_seed_others(found):
@@ -162,7 +179,8 @@ def _values(light: StageImage | RadianceCube) -> np.ndarray:
 def test_a_chain_refuses_neighbours_that_do_not_fit(camera):
     stages = camera.chain(Conditions()).stages
     with pytest.raises(
-        BadInput, match="microchannel plate takes photoelectrons at the plate, but optics emits photons"
+        BadInput,
+        match="microchannel plate takes photoelectrons at the plate, but optics emits photons",
     ):
         Chain((stages[0], stages[3]))
     with pytest.raises(BadInput, match="phosphor"):

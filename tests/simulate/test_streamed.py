@@ -1,4 +1,6 @@
-"""The video-rate tier: its tables are the law they stand for, its kernel the blur, a frame follows from its number."""
+"""The video-rate tier: its tables are the law they stand for, its kernel the blur, a frame follows
+from its number.
+"""
 
 from dataclasses import replace
 from itertools import islice
@@ -32,18 +34,27 @@ def _moments_of(quantiles: np.ndarray) -> list[float]:
         inside = half[:-1, None] + np.diff(half)[:, None] * (points + 1.0) / 2.0
         for power in range(1, 5):
             moments[power - 1] += probability[0] * half[0] ** power
-            moments[power - 1] += np.sum(np.diff(probability)[:, None] * weights / 2.0 * inside**power)
+            moments[power - 1] += np.sum(
+                np.diff(probability)[:, None] * weights / 2.0 * inside**power
+            )
     return list(moments)
 
 
 @pytest.mark.parametrize("shape", [0.8, 1.0, 2.0, 50.0])
 @pytest.mark.parametrize("mean", [1e-3, 0.05, 0.7, 4.0, 30.0, 34.0, 500.0])
 def test_a_row_has_the_skewness_and_kurtosis_of_the_compound_law(shape, mean):
-    """Cumulants of a Poisson sum are N E[g^n]; given that it is not zero, moments about zero are over 1 - exp(-N)."""
+    """Cumulants of a Poisson sum are N E[g^n]; given that it is not zero, moments about zero are
+    over 1 - exp(-N).
+    """
     heights = [1.0, *(np.prod([1.0 + j / shape for j in range(1, n)]) for n in (2, 3, 4))]
     k1, k2, k3, k4 = (mean * height for height in heights)
     raw = np.array(
-        [k1, k2 + k1**2, k3 + 3 * k2 * k1 + k1**3, k4 + 4 * k3 * k1 + 3 * k2**2 + 6 * k2 * k1**2 + k1**4]
+        [
+            k1,
+            k2 + k1**2,
+            k3 + 3 * k2 * k1 + k1**3,
+            k4 + 4 * k3 * k1 + 3 * k2**2 + 6 * k2 * k1**2 + k1**4,
+        ]
     ) / -np.expm1(-mean)
     m1, m2, m3, m4 = raw
     variance = m2 - m1**2
@@ -73,10 +84,14 @@ def _kernels(sensor, divisions):
 
 
 def _seen_of_cell(made, plane, row, col, shape):
-    """What pixels see of one cell's charge, by the compact part and by the far wing, shape (row, col)."""
+    """What pixels see of one cell's charge, by the compact part and by the far wing, shape (row,
+    col).
+    """
     image = _far_of_cell(made, row, col, shape)
     for down, along in zip(made.down[plane], made.along[plane], strict=True):
-        image[row - len(down) + 1 : row + 1, col - len(along) + 1 : col + 1] += np.outer(down[::-1], along[::-1])
+        image[row - len(down) + 1 : row + 1, col - len(along) + 1 : col + 1] += np.outer(
+            down[::-1], along[::-1]
+        )
     return image
 
 
@@ -92,9 +107,13 @@ def _far_of_cell(made, row, col, shape):
 
 @pytest.mark.parametrize("divisions", [(1, 1), (1, 2), (2, 2)])
 def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sheet, divisions):
-    """The spectrum of what pixels see of cells at every place, beside the samples of the continuous noise."""
+    """The spectrum of what pixels see of cells at every place, beside the samples of the continuous
+    noise.
+    """
     camera, blurs, made = _kernels(sheet, divisions)
-    near = sum(np.einsum("ri,rj->", down, along) for down, along in zip(made.down, made.along, strict=True))
+    near = sum(
+        np.einsum("ri,rj->", down, along) for down, along in zip(made.down, made.along, strict=True)
+    )
     far = made.wing.sum() * kernel.COARSE**2 * len(made.down)
     assert near + far == pytest.approx(made.height * len(made.down), rel=1e-5)
     shape, middle, found = (128, 128), 64, np.zeros((128, 128))
@@ -105,7 +124,9 @@ def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sh
         found += np.abs(np.fft.fft2(seen)) ** 2 / made.height**2 / kernel.COARSE**2
     # Pixels one pitch apart sample it: frequencies a whole number apart add up.
     f = np.fft.fftfreq(128)
-    aperture = PixelAperture(width_mm=camera.cells.pitch_x_mm, height_mm=2 * camera.cells.pitch_y_mm)
+    aperture = PixelAperture(
+        width_mm=camera.cells.pitch_x_mm, height_mm=2 * camera.cells.pitch_y_mm
+    )
     fx, fy = f[None, :] / camera.cells.pitch_x_mm, f[:, None] / camera.cells.pitch_y_mm
     turns = [(m, n) for m in range(-3, 4) for n in range(-3, 4)]
     beside = 1.0 / camera.cells.pitch_x_mm, 1.0 / camera.cells.pitch_y_mm
@@ -118,7 +139,9 @@ def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sh
 
 @pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])
 def test_single_pulses_light_pixels_as_the_continuous_blur_does(name):
-    """Sums of powers of what a pixel sees of pulses anywhere, and of all it sees: integrals over the plane."""
+    """Sums of powers of what a pixel sees of pulses anywhere, and of all it sees: integrals over
+    the plane.
+    """
     camera = IntensifiedCamera(load_sensor(name))
     blurs = PulseMoments(camera.chain(Conditions())).blurs
     made = kernel.pulse_kernel(blurs, camera.cells, camera.fields_per_frame)
@@ -129,7 +152,9 @@ def test_single_pulses_light_pixels_as_the_continuous_blur_does(name):
     # The picture of a pixel, a seventh of a pixel from point to point.
     side, step = 48 * 7, 1.0 / 7.0
     f = np.fft.fftfreq(side, step)
-    fx, fy = np.broadcast_arrays(f[None, :] / camera.cells.pitch_x_mm, f[:, None] / camera.cells.pitch_y_mm)
+    fx, fy = np.broadcast_arrays(
+        f[None, :] / camera.cells.pitch_x_mm, f[:, None] / camera.cells.pitch_y_mm
+    )
     width_mm, height_mm = camera.cells.pitch_x_mm, camera.fields_per_frame * camera.cells.pitch_y_mm
     transfer = product((*blurs, PixelAperture(width_mm=width_mm, height_mm=height_mm)), fx, fy)
     seen = np.fft.ifft2(transfer).real / step**2 * camera.fields_per_frame
@@ -146,7 +171,9 @@ def test_single_pulses_light_pixels_as_the_continuous_blur_does(name):
 @pytest.fixture(scope="module")
 def sparse(plain):
     """A small camera before a dim edge, patterns, ions and all, in which single pulses are seen."""
-    sensor = plain(48, 64, photocathode__ebi_lm_per_cm2=0.0, microchannel_plate__ion_event_rate_per_s_cm2=300.0)
+    sensor = plain(
+        48, 64, photocathode__ebi_lm_per_cm2=0.0, microchannel_plate__ion_event_rate_per_s_cm2=300.0
+    )
     camera = IntensifiedCamera(sensor, geometry=True)
     image = np.where(np.arange(64) < 32, 0.02, 0.4) * np.ones((48, 1))
     return camera, mcp_input_from_photoelectrons(camera, image, Conditions())
@@ -163,7 +190,9 @@ def test_sparse_frames_follow_from_seed_and_number_whoever_draws_them(sparse, mo
 def test_sparse_frames_average_to_the_mean_frame(sparse, seed):
     camera, light = sparse
     stream = camera.frames(light, Conditions(), seed=seed)
-    frames = np.stack(list(islice(stream, 1000))).astype(float) - camera.mean_frame(light, Conditions())
+    frames = np.stack(list(islice(stream, 1000))).astype(float) - camera.mean_frame(
+        light, Conditions()
+    )
     assert isinstance(_made(camera, light).light, SparseLight)
     blocks = frames.mean(axis=1).reshape(40, 25, -1).mean(axis=1)
     error = blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
@@ -180,10 +209,14 @@ def _screen(camera, light, seed) -> SparseScreen:
 
 
 def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
-    """The share of its light that a pulse gives to its brightest pixel is as often as low as by all places alike."""
+    """The share of its light that a pulse gives to its brightest pixel is as often as low as by all
+    places alike.
+    """
     sensor = plain(32, 32, phosphor__fast_decay_ms=1e-6, phosphor__slow_decay_ms=1e-6)
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)))
-    light = _made(camera, StageImage(values=np.full(camera.cells.shape, 1e-3, np.float32), grid=camera.cells)).light
+    light = _made(
+        camera, StageImage(values=np.full(camera.cells.shape, 1e-3, np.float32), grid=camera.cells)
+    ).light
     assert isinstance(light, SparseLight)
     expected = np.zeros_like(light.expected)
     # The cells of one pixel amid the frame, in which there is hardly ever more than one pulse.
@@ -207,7 +240,9 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
 def test_single_pulses_arrive_evenly_while_the_gate_is_open(plain, seed):
     """Their light in their own field has the mean and the mean square of the screen's decay."""
     camera = IntensifiedCamera(plain(64, 64, photocathode__ebi_lm_per_cm2=0.0))
-    light = _made(camera, StageImage(values=np.full(camera.cells.shape, 0.05, np.float32), grid=camera.cells)).light
+    light = _made(
+        camera, StageImage(values=np.full(camera.cells.shape, 0.05, np.float32), grid=camera.cells)
+    ).light
     assert isinstance(light, SparseLight)
     pulses = _screen(camera, light, seed)._draw_pulses(light, 0, np.float32(1.0))
     own = 1.0 - pulses.later.sum(axis=0) / pulses.charge
@@ -226,12 +261,18 @@ def test_sharpened_light_keeps_its_sum_and_even_light_stays(sheet):
 
 @pytest.mark.parametrize("gate_s", [1e-6, 4e-3, 16.6e-3])
 def test_what_a_pulse_leaves_is_what_the_screen_shows_later(gate_s):
-    """Shares over the fields agree with the pulse shares of the decay itself, in mean and in mean square."""
-    glow = PhosphorDecay(components=((0.95, 1.45e-3), (0.05, 35e-3)), gate_s=gate_s, field_s=1 / 59.94)
+    """Shares over the fields agree with the pulse shares of the decay itself, in mean and in mean
+    square.
+    """
+    glow = PhosphorDecay(
+        components=((0.95, 1.45e-3), (0.05, 35e-3)), gate_s=gate_s, field_s=1 / 59.94
+    )
     (later, spread, kept), memory = glow.recursion.astype(float), glow.n_lag_fields
     truth = glow.pulse_shares
     assert 1.0 - later.sum() == pytest.approx(truth[:, 0].mean(), abs=2e-4)
-    assert (1.0 - later.sum()) ** 2 + spread.sum() ** 2 == pytest.approx(np.mean(truth[:, 0] ** 2), abs=3e-4)
+    assert (1.0 - later.sum()) ** 2 + spread.sum() ** 2 == pytest.approx(
+        np.mean(truth[:, 0] ** 2), abs=3e-4
+    )
     first = np.sum(later * (1.0 - kept))
     assert first == pytest.approx(truth[:, 1].mean(), abs=1e-3)
     both = (1.0 - later.sum()) * first - spread.sum() * np.sum(spread * (1.0 - kept))
@@ -251,16 +292,23 @@ def scene(sheet):
 
 def _frames(scene, count, tier="fast", seed=9, **more):
     camera, light = scene
-    return np.stack(list(islice(drawn_by(tier, camera, light, Conditions(), seed=seed, **more), count)))
+    return np.stack(
+        list(islice(drawn_by(tier, camera, light, Conditions(), seed=seed, **more), count))
+    )
 
 
 @pytest.mark.parametrize("tier", ["fast", "normal"])
-def test_frames_follow_from_seed_and_number_whoever_draws_them_and_in_whatever_order(scene, tier, monkeypatch):
+def test_frames_follow_from_seed_and_number_whoever_draws_them_and_in_whatever_order(
+    scene, tier, monkeypatch
+):
     monkeypatch.setattr(frame_generator, "SEGMENT_FRAMES", 4)
     run = _frames(scene, 11, tier=tier)
     assert run.tobytes() == _frames(scene, 11, tier=tier, threads=2).tobytes()
     for first in (1, 4, 6, 8):
-        assert run[first : first + 2].tobytes() == _frames(scene, 2, tier=tier, first_frame=first).tobytes()
+        assert (
+            run[first : first + 2].tobytes()
+            == _frames(scene, 2, tier=tier, first_frame=first).tobytes()
+        )
     assert run.tobytes() != _frames(scene, 11, tier=tier, seed=10).tobytes()
 
 
@@ -272,7 +320,9 @@ def test_every_tier_averages_to_the_mean_frame(scene, seed):
     for tier in SAMPLERS:
         stream = drawn_by(tier, camera, light, conditions, seed=seed)
         frames = np.stack(list(islice(stream, 160))).astype(float)
-        profiles = np.where(dark_side, frames - mean, 0.0).sum(axis=1) / np.maximum(dark_side.sum(axis=0), 1)
+        profiles = np.where(dark_side, frames - mean, 0.0).sum(axis=1) / np.maximum(
+            dark_side.sum(axis=0), 1
+        )
         blocks = profiles.reshape(20, 8, -1).mean(axis=1)
         error = blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
         assert np.all(np.abs(profiles.mean(axis=0)) < 5.5 * error + 0.02), tier
@@ -317,7 +367,9 @@ def test_light_that_is_no_number_is_refused(scene):
 
 @pytest.mark.parametrize("tier", SAMPLERS)
 def test_six_decibels_of_camera_gain_double_signal_and_noise(sheet, tier, seed):
-    small = replace(sheet, ccd=replace(sheet.ccd, rows=60, columns=84), video=replace(sheet.video, bit_depth=16))
+    small = replace(
+        sheet, ccd=replace(sheet.ccd, rows=60, columns=84), video=replace(sheet.video, bit_depth=16)
+    )
     camera = IntensifiedCamera(small)
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions())
     black, found = float(sheet.video.black_level_dn), []
@@ -352,10 +404,14 @@ def test_a_screen_far_faster_than_the_gate_s_end_leaves_nothing():
 
 
 def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
-    """What spreads beyond the compact kernel adds up, too: a covariance gain is read from such sums."""
+    """What spreads beyond the compact kernel adds up, too: a covariance gain is read from such
+    sums.
+    """
     sensor = plain(120, 320)
     camera, level, blocks = IntensifiedCamera(sensor), 10.0, ((2, 4), (5, 10), (10, 20))
-    light = StageImage(values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells)
+    light = StageImage(
+        values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells
+    )
     mean = camera.mean_frame(light, Conditions())[0::2, 20:]
     found = []
     for frame in islice(camera.frames(light, Conditions(), seed=seed), 800):
@@ -365,6 +421,8 @@ def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
     error = batches.std(axis=0, ddof=1) / np.sqrt(len(batches))
     q = true_quantities.true_quantities(sensor)
     shot = q["field_covariance_gain"] * level * q["photoelectron_gain"]
-    expected = np.array([_captured(sensor, *block) * shot + q["read_noise"] ** 2 for block in blocks])
+    expected = np.array(
+        [_captured(sensor, *block) * shot + q["read_noise"] ** 2 for block in blocks]
+    )
     assert np.all(error < 0.014 * expected)
     assert np.all(np.abs(batches.mean(axis=0) - expected) < 0.004 * expected + 4.0 * error)

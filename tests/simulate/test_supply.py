@@ -1,4 +1,6 @@
-"""The cathode and its supply: the gate leaks by its ratio, bright light lowers the gap voltage and widens its blur."""
+"""The cathode and its supply: the gate leaks by its ratio, bright light lowers the gap voltage and
+widens its blur.
+"""
 
 import numpy as np
 import pytest
@@ -14,7 +16,11 @@ from simulate.iiccd.stage_image import StageImage
 @pytest.fixture
 def supply() -> BrightSourceProtection:
     return BrightSourceProtection(
-        gap_v=800.0, bright_source_v=400.0, bright_source_lux=1.0, gap_mm=0.21, lateral_energy_ev=0.1
+        gap_v=800.0,
+        bright_source_v=400.0,
+        bright_source_lux=1.0,
+        gap_mm=0.21,
+        lateral_energy_ev=0.1,
     )
 
 
@@ -22,7 +28,9 @@ def _transfer(blur, frequency: float) -> float:
     return float(blur.transfer(np.array([frequency]), np.zeros(1))[0])
 
 
-@pytest.mark.parametrize(("voltage_v", "radius_um", "at_64"), [(800.0, 4.7, 0.41), (400.0, 6.6, 0.17)])
+@pytest.mark.parametrize(
+    ("voltage_v", "radius_um", "at_64"), [(800.0, 4.7, 0.41), (400.0, 6.6, 0.17)]
+)
 def test_flight_across_the_gap_is_that_of_table_1_5(supply, voltage_v, radius_um, at_64):
     from simulate.iiccd.transfer import GapSpread
 
@@ -32,7 +40,9 @@ def test_flight_across_the_gap_is_that_of_table_1_5(supply, voltage_v, radius_um
 
 
 def test_voltage_falls_linearly_with_light_to_its_floor(supply):
-    assert [supply.voltage_v(lux) for lux in (0.0, 0.25, 1.0, 50.0)] == pytest.approx([800.0, 700.0, 400.0, 400.0])
+    assert [supply.voltage_v(lux) for lux in (0.0, 0.25, 1.0, 50.0)] == pytest.approx(
+        [800.0, 700.0, 400.0, 400.0]
+    )
 
 
 def test_only_what_the_full_voltage_does_not_explain_is_a_further_blur(supply):
@@ -44,7 +54,9 @@ def test_only_what_the_full_voltage_does_not_explain_is_a_further_blur(supply):
 def test_gap_keeps_all_electrons_under_protection(plain):
     camera = IntensifiedCamera(plain(24, 40))
     rng = np.random.default_rng(1)
-    light = StageImage(values=rng.random(camera.scene_cells.shape, np.float32), grid=camera.scene_cells)
+    light = StageImage(
+        values=rng.random(camera.scene_cells.shape, np.float32), grid=camera.scene_cells
+    )
     free, bright = (camera.to_plate(Conditions(), lux).mean(light) for lux in (0.0, 1.0))
     assert bright.values.sum(dtype=float) == pytest.approx(free.values.sum(dtype=float), rel=1e-3)
     assert bright.values.std() < 0.99 * free.values.std()
@@ -52,9 +64,13 @@ def test_gap_keeps_all_electrons_under_protection(plain):
 
 @pytest.mark.parametrize("ratio", [1e9, 1e4, 1.0])
 def test_shut_gate_passes_light_and_dark_by_its_ratio(ratio):
-    gate = Photocathode(quantum_efficiency=0.2, gate_s=1e-6, ebi_per_s_cm2=3e5, on_off_ratio=ratio, field_s=0.016)
+    gate = Photocathode(
+        quantum_efficiency=0.2, gate_s=1e-6, ebi_per_s_cm2=3e5, on_off_ratio=ratio, field_s=0.016
+    )
     assert gate.open_s == pytest.approx(1e-6 + (0.016 - 1e-6) / ratio, rel=1e-12)
-    assert gate.mean(StageImage(values=np.array([[5.0]]))).values.item() == pytest.approx(gate.open_s, rel=1e-9)
+    assert gate.mean(StageImage(values=np.array([[5.0]]))).values.item() == pytest.approx(
+        gate.open_s, rel=1e-9
+    )
 
 
 def test_gate_open_all_the_field_has_nothing_to_leak(sheet):
@@ -68,7 +84,9 @@ def test_gates_that_do_not_open_or_outlast_a_field_are_refused(sheet, gate_ns):
         IntensifiedCamera(sheet).chain(Conditions(gate_ns=gate_ns))
 
 
-@pytest.mark.parametrize("change", [{"bright_source_v": 900.0}, {"bright_source_v": 0.0}, {"bright_source_lux": 0.0}])
+@pytest.mark.parametrize(
+    "change", [{"bright_source_v": 900.0}, {"bright_source_v": 0.0}, {"bright_source_lux": 0.0}]
+)
 def test_impossible_supplies_are_refused(change):
     given = {
         "gap_v": 800.0,

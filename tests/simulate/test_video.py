@@ -1,21 +1,40 @@
-"""Video and back end: aperture correction boosts at 4.5 MHz, lines jitter and jump, digital pixels stay apart."""
+"""Video and back end: aperture correction boosts at 4.5 MHz, lines jitter and jump, digital pixels
+stay apart.
+"""
 
 import numpy as np
 import pytest
 
 from labdata.errors import BadInput
 from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.video import CORRECTED_MHZ, NoFilter, Video, VideoFilter, filter_lines, shift_lines
+from simulate.iiccd.video import (
+    CORRECTED_MHZ,
+    NoFilter,
+    Video,
+    VideoFilter,
+    filter_lines,
+    shift_lines,
+)
 
 CLOCK_MHZ = 14.318
 
 
 def _filter(boost_db: float = 0.0, bandwidth_mhz: float = 6.5) -> VideoFilter:
-    return VideoFilter(bandwidth_mhz=bandwidth_mhz, pixel_clock_mhz=CLOCK_MHZ, order=3, aperture_correction_db=boost_db)
+    return VideoFilter(
+        bandwidth_mhz=bandwidth_mhz,
+        pixel_clock_mhz=CLOCK_MHZ,
+        order=3,
+        aperture_correction_db=boost_db,
+    )
 
 
 def _video(**changes) -> Video:
-    given = {"low_pass": _filter(), "conversion_gain_dn_per_e": 1.0, "black_level_dn": 1000.0, "gamma": 1.0}
+    given = {
+        "low_pass": _filter(),
+        "conversion_gain_dn_per_e": 1.0,
+        "black_level_dn": 1000.0,
+        "gamma": 1.0,
+    }
     return Video(**given | {"bit_depth": 16} | changes)
 
 
@@ -30,7 +49,9 @@ def test_corrected_mtf_may_exceed_one_and_the_line_keeps_its_level():
     corrected = _filter(6.0, bandwidth_mhz=10.0)
     assert np.abs(corrected.transfer(np.linspace(0.0, 0.5, 100))).max() > 1.3
     assert corrected.impulse_response().sum() == pytest.approx(1.0)
-    assert filter_lines(np.full((2, 60), 7.0), corrected.impulse_response()) == pytest.approx(7.0, rel=1e-6)
+    assert filter_lines(np.full((2, 60), 7.0), corrected.impulse_response()) == pytest.approx(
+        7.0, rel=1e-6
+    )
 
 
 def test_a_shifted_line_is_late_by_its_part_of_a_pixel():
@@ -44,7 +65,11 @@ def test_a_shifted_line_is_late_by_its_part_of_a_pixel():
 
 def test_jitter_moves_whole_lines_by_its_standard_deviation(seed):
     ramp = np.tile(100.0 * np.arange(300, dtype=np.float32), (2000, 1))
-    frame = _video(sync_jitter_px=0.05, bit_depth=16).draw(StageImage(values=ramp), np.random.default_rng(seed)).values
+    frame = (
+        _video(sync_jitter_px=0.05, bit_depth=16)
+        .draw(StageImage(values=ramp), np.random.default_rng(seed))
+        .values
+    )
     steady = _video().mean(StageImage(values=ramp)).values
     late = -(frame - steady)[:, 50:250].mean(axis=1) / 100.0
     assert late.std(ddof=1) == pytest.approx(0.05, rel=4.5 / np.sqrt(2 * 2000))
@@ -94,7 +119,9 @@ def test_gamma_bends_the_signal_above_black_alone():
     assert level[0] == pytest.approx([55.0, 155.0, 255.0])
 
 
-@pytest.mark.parametrize("change", [{"sync_jitter_px": 0.6}, {"sync_jitter_px": -0.1}, {"line_noise_dn": -1.0}])
+@pytest.mark.parametrize(
+    "change", [{"sync_jitter_px": 0.6}, {"sync_jitter_px": -0.1}, {"line_noise_dn": -1.0}]
+)
 def test_impossible_video_is_refused(change):
     with pytest.raises(BadInput):
         _video(**change)

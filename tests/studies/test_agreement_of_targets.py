@@ -1,4 +1,6 @@
-"""The study of agreement: its cameras have the MTF they say, and a target out of focus is found and named."""
+"""The study of agreement: its cameras have the MTF they say, and a target out of focus is found and
+named.
+"""
 
 from dataclasses import replace
 
@@ -14,7 +16,9 @@ def test_two_gaussian_blurs_add_in_squares_and_defocus_widens_both() -> None:
     chain, f = TrueCameraChain(TrueBlur(sigma_px=0.6), 0.8), np.linspace(0.0, 0.5, 11)
     whole = TrueBlur(sigma_px=1.0)
     assert np.allclose(chain.mtf(f, 20.0), whole.mtf(f, 20.0), rtol=1e-12)
-    assert np.allclose(chain.with_defocus(0.1).mtf(f, 0.0), TrueBlur(sigma_px=1.1).mtf(f, 0.0), rtol=1e-12)
+    assert np.allclose(
+        chain.with_defocus(0.1).mtf(f, 0.0), TrueBlur(sigma_px=1.1).mtf(f, 0.0), rtol=1e-12
+    )
 
 
 def test_a_camera_drawn_anew_is_another_and_the_same_seed_gives_it_back() -> None:
@@ -53,5 +57,7 @@ def test_a_number_far_off_its_truth_is_silent_only_without_a_flag(whole) -> None
         CrossingComparison(name="edge mtf10 along rows", ok=ok, off=off)
         for ok, off in [(True, -2.5), (False, 9.0), (True, 1.5)]
     )
-    (summed,) = row([replace(whole, beside=away)], made="closed form", defocus=0.0, of="edge")["beside_truth"]
+    (summed,) = row([replace(whole, beside=away)], made="closed form", defocus=0.0, of="edge")[
+        "beside_truth"
+    ]
     assert (summed["numbers"], summed["ok"], summed["missed"], summed["silent"]) == (3, 2, 2, 1)

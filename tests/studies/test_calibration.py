@@ -1,4 +1,6 @@
-"""Ranks of truths are uniform where posteriors are right, and told where they are too sure, too shy or off."""
+"""Ranks of truths are uniform where posteriors are right, and told where they are too sure, too shy
+or off.
+"""
 
 import numpy as np
 
@@ -9,7 +11,9 @@ DATA = 5
 
 
 def calibration(*, spread=1.0, shift=0.0, trials=400, seed=1) -> Calibration:
-    """Mean of five normal data under a normal prior: the posterior is normal with precision 1 + 5."""
+    """Mean of five normal data under a normal prior: the posterior is normal with precision 1 +
+    5.
+    """
 
     def posterior(data, seed):
         rng = np.random.default_rng(seed)
@@ -31,7 +35,10 @@ def test_the_conjugate_posterior_of_a_normal_mean_is_calibrated(seed):
     assert right.probability > 1e-4
     assert right.flagged == 0
     for level in (0.68, 0.95):
-        assert np.all(np.abs(right.coverage(level) - level) < 4.5 * np.sqrt(level * (1 - level) / 400) + 1 / 120)
+        assert np.all(
+            np.abs(right.coverage(level) - level)
+            < 4.5 * np.sqrt(level * (1 - level) / 400) + 1 / 120
+        )
 
 
 def test_draws_too_narrow_put_truths_at_the_ends_and_too_wide_ones_in_the_middle(seed):

@@ -1,4 +1,6 @@
-"""The committed map of edges: its cells are what the method still does, and it keeps what is promised of it."""
+"""The committed map of edges: its cells are what the method still does, and it keeps what is
+promised of it.
+"""
 
 import json
 
@@ -40,10 +42,12 @@ def test_five_cells_are_what_the_method_still_does(table, seed):
 
 
 def test_what_the_map_shows(table):
-    """No crash; in scope 95 % ok, as narrow as 1.3 times the bound; between 2 and 5 % of the intervals miss.
+    """No crash; in scope 95 % ok, as narrow as 1.3 times the bound; between 2 and 5 % of the
+    intervals miss.
 
-    Silent failures: an honest Gaussian interval is off by more than twice itself once in 11,000. In scope there are no
-    more; over all that breaks edges besides, no more than such intervals have by chance.
+    Silent failures: an honest Gaussian interval is off by more than twice itself once in 11,000. In
+    scope there are no more; over all that breaks edges besides, no more than such intervals have by
+    chance.
     """
     summary = table["quick"]["summary"]
     inside, honest = summary["by_axis"]["none"], summary["silent_of_honest_gaussian"]
@@ -59,7 +63,9 @@ def test_what_the_map_shows(table):
 
 
 def test_chains_keep_the_same_limits(table):
-    """One drawing of two cells in five: none silent, as honest Gaussian intervals would be in 8 of 9 such maps."""
+    """One drawing of two cells in five: none silent, as honest Gaussian intervals would be in 8 of
+    9 such maps.
+    """
     summary = table["chains"]["summary"]
     assert len(table["chains"]["rows"]) >= 2000
     assert summary["crashed"] == summary["silent"] == 0
@@ -78,9 +84,17 @@ def test_the_summary_counts_what_the_cells_say():
 
 
 def test_the_bound_halves_with_half_the_noise_and_falls_with_the_root_of_the_rows():
-    scene = next(cell_of(n).scene for n in range(100) if cell_of(n).in_scope and cell_of(n).scene.noise_blur_px == 0)
+    scene = next(
+        cell_of(n).scene
+        for n in range(100)
+        if cell_of(n).in_scope and cell_of(n).scene.noise_blur_px == 0
+    )
     from dataclasses import replace
 
     wide = replace(scene, shot_share=0.0, gradient=0.0, snr=20.0, rows=80, cols=120, angle_deg=6.0)
-    assert least_relative_sd(replace(wide, snr=40.0)) == pytest.approx(least_relative_sd(wide) / 2, rel=1e-3)
-    assert least_relative_sd(replace(wide, rows=160)) == pytest.approx(least_relative_sd(wide) / np.sqrt(2), rel=0.03)
+    assert least_relative_sd(replace(wide, snr=40.0)) == pytest.approx(
+        least_relative_sd(wide) / 2, rel=1e-3
+    )
+    assert least_relative_sd(replace(wide, rows=160)) == pytest.approx(
+        least_relative_sd(wide) / np.sqrt(2), rel=0.03
+    )

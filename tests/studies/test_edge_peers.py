@@ -1,4 +1,6 @@
-"""The chart of edges beside other programs: its table is what the methods do, its bound the closed form's."""
+"""The chart of edges beside other programs: its table is what the methods do, its bound the closed
+form's.
+"""
 
 import json
 
@@ -20,19 +22,27 @@ def test_every_edge_method_stands_in_the_table_with_enough_frames():
 
 def test_the_table_is_what_the_method_still_does():
     (kept,) = [
-        one for one in json.loads(TABLE.read_text())["ours"] if one["method"] == "edge-gradient" and one["snr"] == 10.0
+        one
+        for one in json.loads(TABLE.read_text())["ours"]
+        if one["method"] == "edge-gradient" and one["snr"] == 10.0
     ]
     count = 120
-    again = row([one for seed in range(count) for one in answers(seed, 10.0, {"edge-gradient": count})], 10.0)
+    again = row(
+        [one for seed in range(count) for one in answers(seed, 10.0, {"edge-gradient": count})],
+        10.0,
+    )
     assert again["numbers"] == count and kept["numbers"] == kept["frames"]
-    # An RMS of n errors scatters by 1/sqrt(2 n) of it; the first frames are among those of the table.
+    # An RMS of n errors scatters by 1/sqrt(2 n) of it; the first frames are among those of the
+    # table.
     within = 4.0 * np.sqrt(0.5 / count - 0.5 / kept["frames"])
     assert again["rms_percent"] == pytest.approx(kept["rms_percent"], rel=within)
     assert again["rms_mtf"] == pytest.approx(kept["rms_mtf"], rel=within)
 
 
 def test_the_bound_of_the_curve_is_that_of_the_width():
-    """M = exp(-2 pi^2 s^2 f^2) P(f): dM/ds = -4 pi^2 s f^2 M, and MTF50 moves by -dM/ds over dM/df there."""
+    """M = exp(-2 pi^2 s^2 f^2) P(f): dM/ds = -4 pi^2 s f^2 M, and MTF50 moves by -dM/ds over dM/df
+    there.
+    """
     scene, _ = scene_of(10.0, 0)
     sigma, half = scene.blur.sigma_px, scene.truth_mtf50
     mtf = lambda f: scene.blur.mtf(np.atleast_1d(f), scene.angle_deg)  # noqa: E731
@@ -40,8 +50,12 @@ def test_the_bound_of_the_curve_is_that_of_the_width():
     steepness = (mtf(half + 1e-5) - mtf(half - 1e-5)) / 2e-5
     width_sd = least_relative_sd(scene) * half / (change(half) / -steepness)[0]
     frequency = np.linspace(0.0, 0.5, 101)
-    assert bound(10.0)["rms_mtf"] == pytest.approx(abs(width_sd) * np.sqrt(np.mean(change(frequency) ** 2)), rel=1e-3)
+    assert bound(10.0)["rms_mtf"] == pytest.approx(
+        abs(width_sd) * np.sqrt(np.mean(change(frequency) ** 2)), rel=1e-3
+    )
 
 
 def test_without_noise_the_plain_methods_are_within_half_a_percent():
-    assert all(error < 0.5 for error in without_noise(("edge-slanted", "edge-gradient"), phases=2).values())
+    assert all(
+        error < 0.5 for error in without_noise(("edge-slanted", "edge-gradient"), phases=2).values()
+    )

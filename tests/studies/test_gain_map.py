@@ -1,4 +1,6 @@
-"""The committed map of gains: its cells are what the method still does, and it keeps what is promised of it."""
+"""The committed map of gains: its cells are what the method still does, and it keeps what is
+promised of it.
+"""
 
 import json
 
@@ -36,7 +38,9 @@ def test_three_cells_are_what_the_method_still_does(table, seed):
 
 
 def test_what_the_map_shows(table):
-    """No crash; in scope 95 % ok; misses at most 5 % and three standard errors; silent no more than honest ones."""
+    """No crash; in scope 95 % ok; misses at most 5 % and three standard errors; silent no more than
+    honest ones.
+    """
     summary = table["quick"]["summary"]
     inside = summary["by_axis"]["none"]
     assert summary["crashed"] == 0
@@ -47,7 +51,9 @@ def test_what_the_map_shows(table):
     assert summary["silent"] <= honest + 3.0 * np.sqrt(honest)
     for axis in ("decay_ms", "interlaced_decay_ms"):
         glowing = summary["by_axis"][axis]
-        assert glowing["missed"] <= 0.05 * glowing["ok"] + 3.0 * np.sqrt(0.05 * 0.95 * glowing["ok"])
+        assert glowing["missed"] <= 0.05 * glowing["ok"] + 3.0 * np.sqrt(
+            0.05 * 0.95 * glowing["ok"]
+        )
 
 
 def test_a_cell_is_a_camera_without_lag_unless_lag_is_what_breaks_it():
@@ -57,5 +63,7 @@ def test_a_cell_is_a_camera_without_lag_unless_lag_is_what_breaks_it():
     assert plain.truth["decay_factor"] == pytest.approx(1.0, abs=1e-3)
     assert slow.truth["decay_factor"] < 0.9
     assert plain.truth["covariance_gain"] == pytest.approx(
-        plain.truth["system_gain"] + plain.truth["photoelectron_gain"] * plain.truth["excess_noise_factor"], rel=1e-6
+        plain.truth["system_gain"]
+        + plain.truth["photoelectron_gain"] * plain.truth["excess_noise_factor"],
+        rel=1e-6,
     )

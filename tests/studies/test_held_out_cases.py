@@ -1,4 +1,6 @@
-"""`auto` keeps its word on cases that no chart was drawn from: right, or told that it may not be."""
+"""`auto` keeps its word on cases that no chart was drawn from: right, or told that it may not
+be.
+"""
 
 import json
 from dataclasses import replace
@@ -22,14 +24,18 @@ def least(cases: int) -> float:
 
 def test_edges_measured_by_auto_are_within_two_percent(seed):
     """Right in 95 of 100, within 3 standard errors."""
-    (found,) = check_held_out_choices("mtf50", cases=8, seed=seed + 5000, tolerances=(2.0,), kinds=("edge",))
+    (found,) = check_held_out_choices(
+        "mtf50", cases=8, seed=seed + 5000, tolerances=(2.0,), kinds=("edge",)
+    )
     assert found.cases == 8
     assert found.right / found.cases >= least(8)
 
 
 def test_points_measured_by_auto_are_within_the_tolerance_or_say_that_they_may_not_be(seed):
     """At 1 % the light of one case in four is too little, and that it may be must be told."""
-    (found,) = check_held_out_choices("mtf50", cases=4, seed=seed + 5000, tolerances=(1.0,), kinds=("point",))
+    (found,) = check_held_out_choices(
+        "mtf50", cases=4, seed=seed + 5000, tolerances=(1.0,), kinds=("point",)
+    )
     assert (found.right + found.told) / 4 >= least(4)
 
 
@@ -44,12 +50,15 @@ def test_points_measured_by_auto_are_within_the_tolerance_or_say_that_they_may_n
     ],
     ids=["narrow", "low end", "high end", "flagged", "right"],
 )
-def test_what_is_off_is_told_by_a_flag_or_by_an_interval_beyond_the_tolerance(value, interval95, flags, told,
-                                                                              monkeypatch):  # fmt: skip
+def test_what_is_off_is_told_by_a_flag_or_by_an_interval_beyond_the_tolerance(
+    value, interval95, flags, told, monkeypatch
+):
     """Truth 0.2; asked for 2 %."""
 
     def function(stack, *, context, **arguments):
-        found = make_measurement("mtf50", "cy/px", value, interval95, interval95, method="fake", flags=flags)
+        found = make_measurement(
+            "mtf50", "cy/px", value, interval95, interval95, method="fake", flags=flags
+        )
         return Result(measurements=(found,))
 
     fake = Method(kind="point", name="fake", quantities=("mtf50",), scope="none", function=function)
@@ -77,7 +86,9 @@ def test_what_is_off_is_told_by_a_flag_or_by_an_interval_beyond_the_tolerance(va
 def test_the_committed_study_keeps_it_too(quantity, kind, within):
     table = json.loads(TABLE.read_text())
     assert table["seed"] == SEED
-    (row,) = [one for one in table[quantity] if one["kind"] == kind and one["within_percent"] == within]
+    (row,) = [
+        one for one in table[quantity] if one["kind"] == kind and one["within_percent"] == within
+    ]
     assert row["right"] / row["cases"] >= least(row["cases"])
 
 
@@ -90,8 +101,12 @@ def test_every_number_of_the_committed_study_is_right_or_told():
 
 
 def test_auto_takes_the_covariance_sum_for_a_gain_at_any_tolerance():
-    """It is the only estimator of a covariance gain; asked for more than it gives, it is taken all the same."""
+    """It is the only estimator of a covariance gain; asked for more than it gives, it is taken all
+    the same.
+    """
     rows = {row["method"]: row for row in chart_table("covariance_gain")}
     assert set(rows) == {"covariance-sum"}
-    assert {choose("flats", within_percent=within).name for within in (1.0, 5.0, 20.0)} == {"covariance-sum"}
+    assert {choose("flats", within_percent=within).name for within in (1.0, 5.0, 20.0)} == {
+        "covariance-sum"
+    }
     assert sum(row["silent"] for row in rows.values()) == 0

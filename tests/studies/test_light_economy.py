@@ -1,4 +1,6 @@
-"""The table of light's economy is what its program finds: plans, and how far their frames are from exact ones."""
+"""The table of light's economy is what its program finds: plans, and how far their frames are from
+exact ones.
+"""
 
 from dataclasses import replace
 from itertools import count
@@ -30,7 +32,8 @@ def test_a_case_measured_again_comes_out_as_in_the_table(before):
     for name in ("light", "sensor", "bands", "bounces"):
         assert getattr(again, name) == getattr(before, name)
     assert again.left_out == before.left_out
-    # Other rays where the program has changed: the root mean square over some tens of pixels scatters.
+    # Other rays where the program has changed: the root mean square over some tens of pixels
+    # scatters.
     assert again.difference == pytest.approx(before.difference, rel=0.5, abs=0.03)
 
 

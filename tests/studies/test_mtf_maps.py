@@ -42,17 +42,23 @@ def test_what_the_map_shows():
     # An honest Gaussian interval has one in one such map of twenty, two in one of a thousand.
     assert summary["silent_in_scope"] <= 1
     assert inside["missed"] <= 0.05 * inside["ok"] + 3.0 * np.sqrt(0.05 * 0.95 * inside["ok"])
-    ok, missed = (sum(one[name] for one in summary["by_axis"].values()) for name in ("ok", "missed"))
+    ok, missed = (
+        sum(one[name] for one in summary["by_axis"].values()) for name in ("ok", "missed")
+    )
     assert missed <= 0.05 * ok + 3.0 * np.sqrt(0.05 * 0.95 * ok)
 
 
 def test_a_halo_drawn_spreads_as_much_light_as_is_said(seed):
-    """Of photoelectrons with a halo of a third, 40 px wide, the share beyond 5 px is a third of (1 - (10/40)^2)."""
+    """Of photoelectrons with a halo of a third, 40 px wide, the share beyond 5 px is a third of (1
+    - (10/40)^2).
+    """
     from charact.study.edge.scene import TrueBlur
     from charact.study.point.scene import landing_places
 
     count = 200_000
-    places = landing_places(TrueBlur(sigma_px=0.5, halo_share=1 / 3, halo_px=40.0), count, np.random.default_rng(seed))
+    places = landing_places(
+        TrueBlur(sigma_px=0.5, halo_share=1 / 3, halo_px=40.0), count, np.random.default_rng(seed)
+    )
     expected = (1.0 - (10.0 / 40.0) ** 2) / 3.0
     found = float(np.mean(np.hypot(*places.T) > 5.0))
     assert abs(found - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / count) + 0.002

@@ -1,4 +1,6 @@
-"""Ranks of true blurs among posterior draws of edges: even where the posterior is right, and told where it is not."""
+"""Ranks of true blurs among posterior draws of edges: even where the posterior is right, and told
+where it is not.
+"""
 
 import json
 
@@ -27,7 +29,9 @@ def test_truths_come_from_the_prior_that_the_posterior_is_told(seed):
     low, high = np.log(HALF_FREQUENCY)
     assert np.all((half > low) & (half < high))
     # Even: mean in the middle, within 4.5 standard errors of a uniform density.
-    assert half.mean() == pytest.approx((low + high) / 2, abs=4.5 * (high - low) / np.sqrt(12 * 300))
+    assert half.mean() == pytest.approx(
+        (low + high) / 2, abs=4.5 * (high - low) / np.sqrt(12 * 300)
+    )
     assert np.all((exponent > EXPONENT[0]) & (exponent < EXPONENT[1]))
     assert np.all(mtf50 < np.exp(half))
 
@@ -35,7 +39,9 @@ def test_truths_come_from_the_prior_that_the_posterior_is_told(seed):
 def test_a_blur_falls_to_one_half_at_its_half_frequency():
     for half, exponent in ((np.log(0.2), 1.2), (np.log(0.1), 2.0)):
         blur = blur_of(half, exponent)
-        assert np.exp(-((np.exp(half) / blur.frequency_cy_per_px) ** blur.exponent)) == pytest.approx(0.5)
+        assert np.exp(
+            -((np.exp(half) / blur.frequency_cy_per_px) ** blur.exponent)
+        ) == pytest.approx(0.5)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +49,9 @@ def right(seed):
     return edge_ranks.ranks("importance", TRIALS, seed)
 
 
-def test_ranks_of_edges_are_even_and_those_of_a_posterior_too_narrow_are_not(right, seed, monkeypatch):
+def test_ranks_of_edges_are_even_and_those_of_a_posterior_too_narrow_are_not(
+    right, seed, monkeypatch
+):
     assert right.probability > 1e-4
     cover = right.coverage(0.68)
     assert np.all(np.abs(cover - 0.68) < 4.5 * np.sqrt(0.68 * 0.32 / TRIALS))
@@ -58,7 +66,9 @@ def test_ranks_of_edges_are_even_and_those_of_a_posterior_too_narrow_are_not(rig
 
 
 def test_the_committed_ranks_are_even_for_both_samplers():
-    """600 truths each: unevenness as large has a chance over one in a thousand, and intervals hold as they say."""
+    """600 truths each: unevenness as large has a chance over one in a thousand, and intervals hold
+    as they say.
+    """
     table = json.loads(TABLE.read_text())
     assert [row["sampler"] for row in table["samplers"]] == list(SAMPLERS)
     for row in table["samplers"]:

@@ -1,7 +1,8 @@
-"""A guest whose kernel has a camera: Debian's kernel in QEMU, the vivid driver, and the tests run on /dev/video0.
+"""A guest whose kernel has a camera: Debian's kernel in QEMU, the vivid driver, and the tests run
+on /dev/video0.
 
-Run as `python tests/vivid/guest.py [pytest arguments]`. Nothing is installed: the kernel's package is unpacked into
-`build/vivid`. The guest stands on the host's files, which it cannot change.
+Run as `python tests/vivid/guest.py [pytest arguments]`. Nothing is installed: the kernel's package
+is unpacked into `build/vivid`. The guest stands on the host's files, which it cannot change.
 """
 
 import os
@@ -29,7 +30,9 @@ class Skip(Exception):
 
 
 def main(tests: list[str]) -> int:
-    """Boot the guest, run the tests in it and return their exit status; 0 with a sentence where there can be none."""
+    """Boot the guest, run the tests in it and return their exit status; 0 with a sentence where
+    there can be none.
+    """
     began_s = time.monotonic()
     try:
         require_programs()
@@ -41,8 +44,8 @@ def main(tests: list[str]) -> int:
     image = initramfs(modules, command(tests, tree()))
     status = booted(kernel, image)
     print(
-        f"vivid: packages {ready_s - began_s:.1f} s, guest with its tests {time.monotonic() - ready_s:.1f} s, "
-        f"exit status {status}"
+        f"vivid: packages {ready_s - began_s:.1f} s, guest with its tests "
+        f"{time.monotonic() - ready_s:.1f} s, exit status {status}"
     )
     return status
 
@@ -53,7 +56,10 @@ def require_programs() -> None:
     if not missing:
         return
     if os.geteuid() != 0 or shutil.which("apt-get") is None:
-        raise Skip(f"the guest needs the Debian packages {' '.join(missing)}, which this user may not install")
+        raise Skip(
+            f"the guest needs the Debian packages {' '.join(missing)}, which this user may not "
+            f"install"
+        )
     print(f"vivid: installing {' '.join(missing)} from Debian's packages", flush=True)
     outside("apt-get", "update", "-qq")
     outside("apt-get", "install", "-y", "-qq", "--no-install-recommends", *missing)
@@ -91,9 +97,13 @@ def outside(*arguments: str) -> str:
     """Run a program of the system's and return what it said; failing, there is no guest."""
     try:
         done = subprocess.run(
-            arguments, cwd=BUILD if BUILD.exists() else ROOT, capture_output=True, text=True, timeout=FETCH_S,
+            arguments,
+            cwd=BUILD if BUILD.exists() else ROOT,
+            capture_output=True,
+            text=True,
+            timeout=FETCH_S,
             env={**os.environ, "DEBIAN_FRONTEND": "noninteractive"},
-        )  # fmt: skip
+        )
     except subprocess.TimeoutExpired:
         raise Skip(f"{shlex.join(arguments)} must end within {FETCH_S} s") from None
     if done.returncode:
@@ -108,7 +118,9 @@ def tree() -> Path:
     shutil.rmtree(copy, ignore_errors=True)
     for name in TREE:
         if (ROOT / name).is_dir():
-            shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__", "data"))
+            shutil.copytree(
+                ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__", "data")
+            )
         else:
             shutil.copy(ROOT / name, copy / name)
     return copy
@@ -116,16 +128,34 @@ def tree() -> Path:
 
 def command(tests: list[str], folder: Path) -> str:
     """Return the shell script that the guest runs."""
-    pytest = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist", "-s", "-v", "--color=no"]
+    pytest = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        "-s",
+        "-v",
+        "--color=no",
+    ]
     pytest += ["--durations=5", *(tests or TESTS)]
-    exports = {"HOME": "/tmp", "PATH": "/usr/bin:/bin", "PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1"}
+    exports = {
+        "HOME": "/tmp",
+        "PATH": "/usr/bin:/bin",
+        "PYTHONPATH": str(folder),
+        "OPENBLAS_NUM_THREADS": "1",
+    }
     exports |= {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONUNBUFFERED": "1"}
     lines = [f"export {name}={shlex.quote(value)}" for name, value in exports.items()]
     return "\n".join([*lines, f"cd {shlex.quote(str(folder))}", shlex.join(pytest), ""])
 
 
 def initramfs(modules: Path, script: str) -> Path:
-    """Return the guest's first file system: busybox, the modules it needs, and what it shall run."""
+    """Return the guest's first file system: busybox, the modules it needs, and what it shall
+    run.
+    """
     tree = BUILD / "initramfs"
     shutil.rmtree(tree, ignore_errors=True)
     for folder in ("bin", "dev", "proc", "sys"):
@@ -143,14 +173,20 @@ def initramfs(modules: Path, script: str) -> Path:
     with image.open("wb") as file:
         subprocess.run(
             ["cpio", "--quiet", "-o", "-H", "newc", "-R", "0:0"],
-            cwd=tree, input=names.encode(), stdout=file, check=True, timeout=FETCH_S,
-        )  # fmt: skip
+            cwd=tree,
+            input=names.encode(),
+            stdout=file,
+            check=True,
+            timeout=FETCH_S,
+        )
     return image
 
 
 def needed(modules: Path) -> list[str]:
     """Return the files of the guest's modules and of those that they depend on."""
-    depends = dict(line.split(":", 1) for line in (modules / "modules.dep").read_text().splitlines())
+    depends = dict(
+        line.split(":", 1) for line in (modules / "modules.dep").read_text().splitlines()
+    )
     named = {Path(path).name.split(".")[0].replace("-", "_"): path for path in depends}
     found: dict[str, None] = {}
     waiting = [named[name.replace("-", "_")] for name in MODULES]
@@ -163,21 +199,47 @@ def needed(modules: Path) -> list[str]:
 
 def booted(kernel: Path, image: Path) -> int:
     """Boot the guest, print what it prints, and return the exit status of its tests."""
-    qemu = ["qemu-system-x86_64", "-machine", "pc,accel=tcg", "-cpu", "max", "-smp", "2", "-m", str(MEMORY_MB)]
+    qemu = [
+        "qemu-system-x86_64",
+        "-machine",
+        "pc,accel=tcg",
+        "-cpu",
+        "max",
+        "-smp",
+        "2",
+        "-m",
+        str(MEMORY_MB),
+    ]
     qemu += ["-nographic", "-no-reboot", "-nodefaults", "-serial", "stdio", "-net", "none"]
-    qemu += ["-kernel", str(kernel), "-initrd", str(image), "-append", "console=ttyS0 quiet panic=-1"]
-    qemu += ["-virtfs", "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap"]
+    qemu += [
+        "-kernel",
+        str(kernel),
+        "-initrd",
+        str(image),
+        "-append",
+        "console=ttyS0 quiet panic=-1",
+    ]
+    qemu += [
+        "-virtfs",
+        "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap",
+    ]
     status = None
     with subprocess.Popen(
         ["timeout", "--kill-after=5", str(BOOT_AND_TEST_S), *qemu],
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, errors="replace",
-    ) as guest:  # fmt: skip
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+        errors="replace",
+    ) as guest:
         for line in guest.stdout or ():
             print(line, end="", flush=True)
             if said := re.search(r"guest: exit status (\d+)", line):
                 status = int(said[1])
     if status is None:
-        print(f"vivid: the guest must tell the exit status of its tests within {BOOT_AND_TEST_S} s, it did not")
+        print(
+            f"vivid: the guest must tell the exit status of its tests within {BOOT_AND_TEST_S} s, "
+            "it did not"
+        )
         return 1
     return status
 

@@ -15,10 +15,14 @@ def _no_root(monkeypatch) -> None:
 
 
 def _no_network(monkeypatch) -> None:
-    monkeypatch.setattr(shutil, "which", lambda program: "/usr/bin/apt-get" if program == "apt-get" else None)
+    monkeypatch.setattr(
+        shutil, "which", lambda program: "/usr/bin/apt-get" if program == "apt-get" else None
+    )
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     told = "E: Some index files failed to download.\nE: Unable to locate package qemu-system-x86\n"
-    monkeypatch.setattr(subprocess, "run", lambda *a, **k: subprocess.CompletedProcess(a, 100, "", told))
+    monkeypatch.setattr(
+        subprocess, "run", lambda *a, **k: subprocess.CompletedProcess(a, 100, "", told)
+    )
 
 
 def _slow_network(monkeypatch) -> None:

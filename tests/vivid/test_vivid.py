@@ -1,4 +1,5 @@
-"""The V4L2 driver against a kernel: the vivid virtual camera, whose errors and pictures are set by its controls.
+"""The V4L2 driver against a kernel: the vivid virtual camera, whose errors and pictures are set by
+its controls.
 
 Runs where the kernel has that camera, such as in the guest of `python tests/vivid/guest.py`.
 """
@@ -23,21 +24,32 @@ CHECKERS, BLACK, WHITE = 10, 5, 6
 DROPPED, SPOIL = "Percentage of Dropped Buffers", "Inject V4L2_BUF_FLAG_ERROR"
 
 pytestmark = pytest.mark.skipif(
-    not (NAMES.exists() and NAMES.read_text().startswith("vivid")), reason="the kernel has no virtual camera (vivid)"
+    not (NAMES.exists() and NAMES.read_text().startswith("vivid")),
+    reason="the kernel has no virtual camera (vivid)",
 )
 
 
 @contextmanager
 def vivid(
-    input_number: int = WEBCAM, *, pattern: int = CHECKERS, video_lines: int | None = None, **controls: int
+    input_number: int = WEBCAM,
+    *,
+    pattern: int = CHECKERS,
+    video_lines: int | None = None,
+    **controls: int,
 ) -> Iterator[V4l2Camera]:
-    """The virtual camera with a still picture, nothing automatic, and no fault but those asked for."""
+    """The virtual camera with a still picture, nothing automatic, and no fault but those asked
+    for.
+    """
     with V4l2Camera(PATH, input_number=input_number, video_lines=video_lines) as camera:
         calm = {"OSD Text Mode": 2, "Test Pattern": pattern, DROPPED: 0, "Wrap Sequence Number": 0}
-        for name, value in (calm | {name.replace("_", " "): value for name, value in controls.items()}).items():
+        for name, value in (
+            calm | {name.replace("_", " "): value for name, value in controls.items()}
+        ).items():
             camera.set_control(name, value)
         if input_number == WEBCAM:
-            camera.configure(CameraSettings(rows=180, columns=320, pixel_format="Mono8", frame_rate_hz=30.0))
+            camera.configure(
+                CameraSettings(rows=180, columns=320, pixel_format="Mono8", frame_rate_hz=30.0)
+            )
         camera.configure(CameraSettings(pixel_format="Mono8", gain_db=100.0))
         yield camera
 
@@ -56,7 +68,9 @@ def is_checkered(frame: Frame) -> bool:
     white = squares.sum(axis=0) % 2 == frame.pixels[0, 0] // 128 % 2
     lit, dark = frame.pixels[~white], frame.pixels[white]
     levels = sorted((float(lit.mean()), float(dark.mean())))
-    return len(set(lit.tolist())) == len(set(dark.tolist())) == 1 and levels[1] > 10 * max(levels[0], 1.0)
+    return len(set(lit.tolist())) == len(set(dark.tolist())) == 1 and levels[1] > 10 * max(
+        levels[0], 1.0
+    )
 
 
 @pytest.mark.parametrize("lost_percent", [0, 1, 5])
@@ -95,7 +109,11 @@ class TestComposite(CameraLaws):
     @pytest.fixture
     def laws(self) -> Bench:
         return Bench(
-            open=lambda: vivid(COMPOSITE, video_lines=525), quiet=slow, is_whole=is_checkered, frames=10, loses=True
+            open=lambda: vivid(COMPOSITE, video_lines=525),
+            quiet=slow,
+            is_whole=is_checkered,
+            frames=10,
+            loses=True,
         )
 
 
@@ -116,7 +134,9 @@ def test_every_control_set_is_read_back() -> None:
         camera.set_control("Brightness", 128)
 
 
-@pytest.mark.parametrize(("lines", "order", "rows"), [(525, "bottom first", 480), (625, "top first", 576)])
+@pytest.mark.parametrize(
+    ("lines", "order", "rows"), [(525, "bottom first", 480), (625, "top first", 576)]
+)
 def test_the_older_field_follows_the_video_standard(lines: int, order: str, rows: int) -> None:
     with vivid(COMPOSITE, video_lines=lines) as camera:
         settings = camera.configure(CameraSettings())
@@ -144,7 +164,8 @@ def test_frames_that_the_driver_drops_are_counted() -> None:
     with vivid(**{DROPPED.replace(" ", "_"): 20}) as camera:
         frames, capture = taken(camera, 60)
     numbered = frames[-1].number - frames[0].number + 1
-    # 20 % of the frames between the first and the last: 15 of 75, give or take four standard errors of 3.9.
+    # 20 % of the frames between the first and the last: 15 of 75, give or take four standard errors
+    # of 3.9.
     assert 2 <= capture.lost_frames <= 34
     assert capture.lost_frames == numbered - 60
     assert {loss.reason for loss in capture.losses} == {"never arrived"}
@@ -158,7 +179,9 @@ def test_a_frame_that_the_driver_marks_as_spoiled_is_counted_and_not_handed_out(
             if len(numbers) == 5:
                 camera.set_control(SPOIL, 1)
     # An emulated machine that is held up may drop others of its own.
-    (spoiled,) = [loss for loss in capture.losses if loss.reason == "marked as spoiled by its driver"]
+    (spoiled,) = [
+        loss for loss in capture.losses if loss.reason == "marked as spoiled by its driver"
+    ]
     assert len(spoiled) == 1
     assert spoiled.first not in numbers
 
@@ -178,12 +201,15 @@ def test_time_stamps_are_those_of_the_kernels_clock() -> None:
         frames, _ = taken(camera, 10)
     # This driver stamps the end of the frame that it has drawn, which may be still to come.
     assert before_s < frames[0].time_s < frames[-1].time_s < time.monotonic() + 1 / 30
-    seconds, numbered = (np.ptp([getattr(frame, name) for frame in frames]) for name in ("time_s", "number"))
+    seconds, numbered = (
+        np.ptp([getattr(frame, name) for frame in frames]) for name in ("time_s", "number")
+    )
     assert seconds / numbered == pytest.approx(1 / 30, rel=0.2)
 
 
 @pytest.mark.parametrize(
-    "control", ["Inject VIDIOC_REQBUFS Error", "Inject VIDIOC_QBUF Error", "Inject VIDIOC_STREAMON Error"]
+    "control",
+    ["Inject VIDIOC_REQBUFS Error", "Inject VIDIOC_QBUF Error", "Inject VIDIOC_STREAMON Error"],
 )
 def test_a_refusal_to_start_is_a_sentence_and_the_next_start_works(control: str) -> None:
     with vivid() as camera:
@@ -198,6 +224,8 @@ def test_a_camera_that_fails_or_is_unplugged_in_mid_run_is_noticed_at_once(contr
     """The last test: a disconnected camera comes back only when its driver is loaded again."""
     ended_s = []
     with pytest.raises(CameraError, match="has gone or failed"), vivid() as camera:
-        threading.Timer(0.5, lambda: (ended_s.append(time.monotonic()), camera.set_control(control, 1))).start()
+        threading.Timer(
+            0.5, lambda: (ended_s.append(time.monotonic()), camera.set_control(control, 1))
+        ).start()
         taken(camera, 10_000)
     assert time.monotonic() - ended_s[0] < 2.0

@@ -1,1 +1,3 @@
-"""Forward model of a point series: ring means, blur models, their selection and their measurements."""
+"""Forward model of a point series: ring means, blur models, their selection and their
+measurements.
+"""

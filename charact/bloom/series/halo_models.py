@@ -22,7 +22,9 @@ Halo = Literal["none", "disc", "gaussian"]
 
 @dataclass(frozen=True, kw_only=True)
 class ModelParameter:
-    """Parameter with its prior: flat between bounds, or normal where a standard deviation is given."""
+    """Parameter with its prior: flat between bounds, or normal where a standard deviation is
+    given.
+    """
 
     name: str
     unit: str
@@ -53,11 +55,13 @@ WINGS = {
     ),
 }
 LEAST_DIAMETER_PX = 12.0
-# Fractions of a disc's light by density, with weak priors. Bounds slightly beyond 0..1, since a bound at 0 would bias
-# the diameter.
+# Fractions of a disc's light by density, with weak priors. Bounds slightly beyond 0..1, since a
+# bound at 0 would bias the diameter.
 PROFILE = tuple(
     ModelParameter(name=name, unit="1", low=low, high=1.2, mean=mean, sd=0.4)
-    for name, low, mean in zip(transfer.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True)
+    for name, low, mean in zip(
+        transfer.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True
+    )
 )
 HALO_FRACTION = ModelParameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
 
@@ -66,9 +70,9 @@ HALO_FRACTION = ModelParameter(name="halo_fraction", unit="1", low=1e-4, high=0.
 class HaloModel:
     """Blur model of a point source.
 
-    `core`, `halo`: families of core and halo; `reach_px`: radius of the outermost ring, which limits the halo diameter;
-    `pitch_ratio`: row pitch over column pitch, for the pixel's aperture; `sensor`: sensor description, whose tube gives
-    the core's priors; None if unknown.
+    `core`, `halo`: families of core and halo; `reach_px`: radius of the outermost ring, which
+    limits the halo diameter; `pitch_ratio`: row pitch over column pitch, for the pixel's aperture;
+    `sensor`: sensor description, whose tube gives the core's priors; None if unknown.
     """
 
     core: Core
@@ -91,9 +95,16 @@ class HaloModel:
         if self.halo == "none":
             return ()
         if self.halo == "gaussian":
-            return ModelParameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0), HALO_FRACTION
-        widest = ModelParameter(name="halo_diameter", unit="px", low=LEAST_DIAMETER_PX, high=1.7 * self.reach_px,
-                           start=0.8 * self.reach_px)  # fmt: skip
+            return ModelParameter(
+                name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0
+            ), HALO_FRACTION
+        widest = ModelParameter(
+            name="halo_diameter",
+            unit="px",
+            low=LEAST_DIAMETER_PX,
+            high=1.7 * self.reach_px,
+            start=0.8 * self.reach_px,
+        )
         return widest, *PROFILE, HALO_FRACTION
 
     @property
@@ -119,7 +130,9 @@ class HaloModel:
     def log_prior(self, points: Array) -> Array:
         """Return the log-prior up to a constant, -inf outside the bounds, shape (point,)."""
         inside = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
-        mean, sd = (np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd"))
+        mean, sd = (
+            np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd")
+        )
         return np.where(inside, -0.5 * (((points - mean) / sd) ** 2).sum(axis=1), -np.inf)
 
     def at(self, points: Array) -> dict[str, Array]:
@@ -165,7 +178,11 @@ class HaloModel:
         of = self.at(points)
         if self.halo == "disc":
             return transfer.disc(frequencies(), of["halo_diameter"], profile_of(of))
-        return transfer.gaussian(frequencies(), of["halo_sd"] ** 2) if self.halo == "gaussian" else None
+        return (
+            transfer.gaussian(frequencies(), of["halo_sd"] ** 2)
+            if self.halo == "gaussian"
+            else None
+        )
 
 
 def profile_of(of: Mapping[str, Array]) -> Array:
@@ -181,7 +198,9 @@ def pixel_of(pitch_ratio: float) -> Array:
 
 def tube_priors(sensor: Sensor | None) -> tuple[ModelParameter, ...]:
     """Parameters of an image tube's core: as described, or of image tubes in general."""
-    frequency = ModelParameter(name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3)
+    frequency = ModelParameter(
+        name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3
+    )
     exponent = ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
     if sensor is None:
         return frequency, exponent

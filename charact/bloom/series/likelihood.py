@@ -7,7 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.series.halo_models import HaloModel
-from charact.bloom.series.ring_loops import best_step, lost_at_top, residuals_and_slopes, ring_means, whiten_rings
+from charact.bloom.series.ring_loops import (
+    best_step,
+    lost_at_top,
+    residuals_and_slopes,
+    ring_means,
+    whiten_rings,
+)
 from charact.bloom.series.rings import HARDLY_CUT, LevelRings, RingNoise
 from charact.bloom.transfer import onto_nodes
 
@@ -19,10 +25,11 @@ SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
 
 @dataclass(frozen=True, kw_only=True)
 class Misfit:
-    """Relative model error of the rings, the same in every model, since cameras are not rotationally symmetric.
+    """Relative model error of the rings, the same in every model, since cameras are not
+    rotationally symmetric.
 
-    `share`: relative error of rings beyond the core, dimensionless; `core`: relative error of rings near the core, at
-    least that of the others, dimensionless.
+    `share`: relative error of rings beyond the core, dimensionless; `core`: relative error of rings
+    near the core, at least that of the others, dimensionless.
     """
 
     share: float
@@ -49,7 +56,9 @@ class Modes:
     modes: Array
 
     def log_likelihoods(self, residual: Array) -> Array:
-        """Log-likelihood of relative residuals, (level, ring), for each trial model error, shape (share,)."""
+        """Log-likelihood of relative residuals, (level, ring), for each trial model error, shape
+        (share,).
+        """
         squares = (self.modes.transpose(0, 2, 1) @ residual[..., None])[..., 0] ** 2
         total = self.variance + SHARES[:, None, None] ** 2
         return -0.5 * (squares / total + np.log(total)).sum(axis=(1, 2))
@@ -62,14 +71,17 @@ def modes_of(covariance: Array) -> Modes:
 
 
 def most_likely_misfit(of_core: Array, beyond: Array) -> tuple[Misfit, float]:
-    """Return the most likely relative errors near the core and beyond, and the log-likelihood of both.
+    """Return the most likely relative errors near the core and beyond, and the log-likelihood of
+    both.
 
     `of_core`, `beyond`: log-likelihoods for each trial error, shape (share,).
     """
     share = int(np.argmax(beyond))
     # Few rings near the core, to which the core was fitted, would underestimate the error.
     core = share + int(np.argmax(of_core[share:]))
-    return Misfit(share=float(SHARES[share]), core=float(SHARES[core])), float(beyond[share] + of_core[core])
+    return Misfit(share=float(SHARES[share]), core=float(SHARES[core])), float(
+        beyond[share] + of_core[core]
+    )
 
 
 # Distance from full scale, in standard deviations of a pixel, within which noise is clipped.
@@ -82,12 +94,13 @@ LEAST_LIGHT_DN = 1e-6
 class RingSeries:
     """Ring means of all stacks of one source.
 
-    `labels`: labels of the stacks; `data`: ring means, shape (level, ring), DN; `cut`: rings with samples at full
-    scale, shape (level, ring); `own_covariance`: covariance of the ring means due to noise alone, shape (level, ring,
-    ring), DN^2; `node_sd`: standard deviation of a pixel at every node, shape (level, node), DN; `sector_sd`: root mean
-    square deviation of sectors from their ring, shape (level, ring), DN; `averages`: matrix from signal at the nodes to
-    ring means, shape (level, ring, node); `node_px`, `radius_px`: radii of the nodes and of the rings, column pitches;
-    `full_dn`: full scale, DN.
+    `labels`: labels of the stacks; `data`: ring means, shape (level, ring), DN; `cut`: rings with
+    samples at full scale, shape (level, ring); `own_covariance`: covariance of the ring means due
+    to noise alone, shape (level, ring, ring), DN^2; `node_sd`: standard deviation of a pixel at
+    every node, shape (level, node), DN; `sector_sd`: root mean square deviation of sectors from
+    their ring, shape (level, ring), DN; `averages`: matrix from signal at the nodes to ring means,
+    shape (level, ring, node); `node_px`, `radius_px`: radii of the nodes and of the rings, column
+    pitches; `full_dn`: full scale, DN.
     """
 
     labels: tuple[str, ...]
@@ -107,10 +120,14 @@ class RingSeries:
         return np.abs(self.data - np.median(self.data[:, -6:], axis=1, keepdims=True))
 
     def covariance(self, misfit: Misfit) -> Array:
-        """Covariance of the ring means with a relative model error, shape (level, ring, ring), DN^2."""
+        """Covariance of the ring means with a relative model error, shape (level, ring, ring),
+        DN^2.
+        """
         out = self.own_covariance.copy()
         ring = np.arange(out.shape[1])
-        out[:, ring, ring] += (misfit.of_rings(self.radius_px) * np.maximum(self.light, LEAST_LIGHT_DN)) ** 2
+        out[:, ring, ring] += (
+            misfit.of_rings(self.radius_px) * np.maximum(self.light, LEAST_LIGHT_DN)
+        ) ** 2
         return out
 
     @cached_property
@@ -123,7 +140,9 @@ class RingSeries:
 
     @cached_property
     def parts_of_rings(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """First node with a weight in each ring, and the one after the last, shape (level, ring)."""
+        """First node with a weight in each ring, and the one after the last, shape (level,
+        ring).
+        """
         has = self.averages != 0
         return has.argmax(axis=2), has.shape[2] - has[..., ::-1].argmax(axis=2)
 
@@ -143,10 +162,14 @@ PER_LEVEL = ("data", "cut", "own_covariance", "node_sd", "sector_sd", "averages"
 def select_levels(series: RingSeries, which: NDArray[np.bool_]) -> RingSeries:
     """Return some stacks of a series."""
     labels = tuple(label for label, one in zip(series.labels, which, strict=True) if one)
-    return replace(series, labels=labels, **{name: getattr(series, name)[which] for name in PER_LEVEL})
+    return replace(
+        series, labels=labels, **{name: getattr(series, name)[which] for name in PER_LEVEL}
+    )
 
 
-def series_of(levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: float, rings: int) -> RingSeries:
+def series_of(
+    levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: float, rings: int
+) -> RingSeries:
     """Combine the innermost rings of all stacks into a series."""
     within = {id(level.geometry): level.geometry.within(rings) for level in levels}
     geometries = [within[id(level.geometry)] for level in levels]
@@ -158,22 +181,27 @@ def series_of(levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: floa
     ]
     nodes = np.array([np.interp(first.node_px, first.radius_px, one) for one in data])
     return RingSeries(
-        labels=tuple(level.label for level in levels), data=data,
+        labels=tuple(level.label for level in levels),
+        data=data,
         cut=np.array([level.cut_share[:rings] > HARDLY_CUT for level in levels]),
         own_covariance=np.array(covariances),
-        node_sd=noise.pixel_sd(nodes), sector_sd=np.array([level.sector_sd[:rings] for level in levels]),
-        averages=np.array([one.averages for one in geometries]), node_px=first.node_px, radius_px=first.radius_px,
+        node_sd=noise.pixel_sd(nodes),
+        sector_sd=np.array([level.sector_sd[:rings] for level in levels]),
+        averages=np.array([one.averages for one in geometries]),
+        node_px=first.node_px,
+        radius_px=first.radius_px,
         full_dn=full_dn,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class AmplitudeSolution:
     """Optimum amplitudes and residuals of every stack at some points.
 
-    `amplitudes`: source signal, DN px^2, and background, DN, of each stack, shape (level, amplitude, point);
-    `residual`: whitened residuals at the optimum amplitudes, shape (level, ring, point); `slopes`: derivatives of the
-    whitened rings by the amplitudes, shape (amplitude, level, ring, point).
+    `amplitudes`: source signal, DN px^2, and background, DN, of each stack, shape (level,
+    amplitude, point); `residual`: whitened residuals at the optimum amplitudes, shape (level, ring,
+    point); `slopes`: derivatives of the whitened rings by the amplitudes, shape (amplitude, level,
+    ring, point).
     """
 
     amplitudes: Array
@@ -190,8 +218,9 @@ class AmplitudeSolution:
 class ModelParts:
     """Model of unit signal at some points, before the amplitudes.
 
-    `straight`: signal at the nodes of a source of one DN px^2, shape (node, point); `white`, `uncut`: its ring means,
-    whitened and weighted by the unclipped rings' precision, shape (level, ring, point).
+    `straight`: signal at the nodes of a source of one DN px^2, shape (node, point); `white`,
+    `uncut`: its ring means, whitened and weighted by the unclipped rings' precision, shape (level,
+    ring, point).
     """
 
     straight: Array
@@ -203,8 +232,8 @@ class ModelParts:
 class SeriesLikelihood:
     """Likelihood of a series under a model.
 
-    `series`, `form`: series and halo model; `misfit`: relative model error of the rings; `steps`: maximum number of
-    steps to the optimum amplitudes.
+    `series`, `form`: series and halo model; `misfit`: relative model error of the rings; `steps`:
+    maximum number of steps to the optimum amplitudes.
     """
 
     series: RingSeries
@@ -215,7 +244,9 @@ class SeriesLikelihood:
     @cached_property
     def whitener(self) -> Array:
         """Whitening matrix of the residuals, shape (level, ring, ring)."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.series.covariance(self.misfit))), np.float64)
+        return np.asarray(
+            np.linalg.inv(np.linalg.cholesky(self.series.covariance(self.misfit))), np.float64
+        )
 
     @cached_property
     def white_data(self) -> Array:
@@ -234,12 +265,16 @@ class SeriesLikelihood:
 
     @cached_property
     def uncut_even(self) -> Array:
-        """Ring means of a uniform 1 DN weighted by the unclipped rings' precision, shape (level, ring)."""
+        """Ring means of a uniform 1 DN weighted by the unclipped rings' precision, shape (level,
+        ring).
+        """
         return self.uncut_weight * self.series.averages.sum(axis=-1)
 
     @cached_property
     def uncut_weight(self) -> Array:
-        """Reciprocal standard error of each unclipped ring, 0 of the others, shape (level, ring), 1/DN."""
+        """Reciprocal standard error of each unclipped ring, 0 of the others, shape (level, ring),
+        1/DN.
+        """
         own = np.diagonal(self.series.covariance(self.misfit), axis1=1, axis2=2)
         return ~self.series.cut / np.sqrt(own)
 
@@ -249,16 +284,22 @@ class SeriesLikelihood:
         inside = np.isfinite(prior)
         out = np.full(len(points), -np.inf)
         if inside.any():
-            out[inside] = prior[inside] - 0.5 * self.solve_amplitudes(points[inside]).chi2.sum(axis=0)
+            out[inside] = prior[inside] - 0.5 * self.solve_amplitudes(points[inside]).chi2.sum(
+                axis=0
+            )
         return out
 
     def parts(self, points: Array) -> ModelParts:
         """Return the model of unit signal at points."""
-        return ModelParts(**self.straight_parts((self.form.transform(points) @ self.series.onto_nodes).T))
+        return ModelParts(
+            **self.straight_parts((self.form.transform(points) @ self.series.onto_nodes).T)
+        )
 
     def straight_parts(self, straight: Array) -> dict[str, Array]:
         """Average signal at the nodes, shape (node, point), over rings."""
-        rings = self.series.ring_means(np.broadcast_to(straight, (len(self.series.labels), *straight.shape)))
+        rings = self.series.ring_means(
+            np.broadcast_to(straight, (len(self.series.labels), *straight.shape))
+        )
         white, uncut = whiten_rings(rings, self.whitener), self.uncut_weight[..., None] * rings
         return {"straight": straight, "white": white, "uncut": uncut}
 
@@ -280,23 +321,32 @@ class SeriesLikelihood:
 
     def _of_uncut_rings(self, uncut: Array) -> Array:
         """Initial amplitudes from the unclipped rings, correlations neglected."""
-        even, data = (np.broadcast_to(one[..., None], uncut.shape) for one in (self.uncut_even, self.uncut_data))
+        even, data = (
+            np.broadcast_to(one[..., None], uncut.shape)
+            for one in (self.uncut_even, self.uncut_data)
+        )
         return best_step(uncut, even, data)[0]
 
     def whiten(self, parts: ModelParts, amplitudes: Array) -> tuple[Array, Array]:
-        """Whitened residuals, shape (level, ring, point), and their slopes, (amplitude, level, ring, point)."""
+        """Whitened residuals, shape (level, ring, point), and their slopes, (amplitude, level,
+        ring, point).
+        """
         lost = self.lost(parts, amplitudes)
         levels, nodes, parts_lost, points = lost.shape
         of_rings = self.series.ring_means(lost.reshape(levels, nodes, parts_lost * points))
         lost = of_rings.reshape(levels, of_rings.shape[1], parts_lost, points)
-        return residuals_and_slopes(parts.white, self.white_even, self.white_data, amplitudes, lost, self.whitener)
+        return residuals_and_slopes(
+            parts.white, self.white_even, self.white_data, amplitudes, lost, self.whitener
+        )
 
     def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Clipped signal and its derivatives, shape (level, node, 1 + amplitude, point).
 
         The nodes end beyond the last clipped one.
         """
-        return lost_at_top(parts.straight, amplitudes, self.series.node_sd, self.series.full_dn, NEAR_TOP)
+        return lost_at_top(
+            parts.straight, amplitudes, self.series.node_sd, self.series.full_dn, NEAR_TOP
+        )
 
     def light(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Signal at the nodes, shape (level, node, point), DN."""

@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 # Reciprocal signal density at half gain, px/DN: from no saturation to saturation at a few DN.
 PLATE_LOAD = ModelParameter(name="plate_load", unit="px/DN", low=0.0, high=0.05, start=0.0)
 # Fraction of the core's blur after the gain, without a sensor description.
-POST_GAIN_SHARE = ModelParameter(name="post_gain_share", unit="1", low=0.0, high=1.0, mean=0.5, sd=0.3)
+POST_GAIN_SHARE = ModelParameter(
+    name="post_gain_share", unit="1", low=0.0, high=1.0, mean=0.5, sd=0.3
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,9 +41,13 @@ class SaturatingHaloModel(HaloModel):
         return self.blur_transform(points) ** share * pixel_of(self.pitch_ratio)
 
     def before(self, points: Array) -> Array:
-        """Transfer function of the light at the MCP, halo and wing included, shape (draw, frequency)."""
+        """Transfer function of the light at the MCP, halo and wing included, shape (draw,
+        frequency).
+        """
         share = self.at(points)["post_gain_share"][:, None]
-        return self.add_wing(self.blur_transform(points) ** (1.0 - share), points) * self.halo_factor(points)
+        return self.add_wing(
+            self.blur_transform(points) ** (1.0 - share), points
+        ) * self.halo_factor(points)
 
     @property
     def neighbourhood_px(self) -> float:
@@ -77,12 +83,18 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
     def parts(self, points: Array) -> "SaturatingModelParts":
         """Return the model of unit signal at points."""
         behind, before = self.form.behind(points), self.form.before(points)
-        load = before * transfer.gaussian(frequencies(), np.full(len(points), self.form.neighbourhood_px**2))
-        recorded, arriving, loading = ((one @ self.series.onto_nodes).T for one in (before * behind, before, load))
+        load = before * transfer.gaussian(
+            frequencies(), np.full(len(points), self.form.neighbourhood_px**2)
+        )
+        recorded, arriving, loading = (
+            (one @ self.series.onto_nodes).T for one in (before * behind, before, load)
+        )
         return SaturatingModelParts(
-            **self.straight_parts(recorded), arriving=arriving, loading=loading * self.form.at(points)["plate_load"],
+            **self.straight_parts(recorded),
+            arriving=arriving,
+            loading=loading * self.form.at(points)["plate_load"],
             behind=behind.T,
-        )  # fmt: skip
+        )
 
     def light(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Signal at the nodes, shape (level, node, point), DN."""
@@ -90,17 +102,30 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
 
     def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Clipped signal and its derivatives, shape (level, node, 1 + amplitude, point)."""
-        straight, (loss, follows) = super().light(parts, amplitudes), self._light_loss(parts, amplitudes)
+        straight, (loss, follows) = (
+            super().light(parts, amplitudes),
+            self._light_loss(parts, amplitudes),
+        )
         read, slope = self.read(straight - loss, self.series.node_sd)
-        return np.stack([straight - read, parts.straight - slope * (parts.straight - follows), 1.0 - slope], axis=2)
+        return np.stack(
+            [straight - read, parts.straight - slope * (parts.straight - follows), 1.0 - slope],
+            axis=2,
+        )
 
     def _light_loss(self, parts: ModelParts, amplitudes: Array) -> tuple[Array, Array]:
-        """Signal lost by saturation at the nodes, and its derivative by the source signal, (level, node, point)."""
+        """Signal lost by saturation at the nodes, and its derivative by the source signal, (level,
+        node, point).
+        """
         assert isinstance(parts, SaturatingModelParts)
         source = amplitudes[:, :1]
         load = np.maximum(source * parts.loading, 0.0)
-        lost, follows = source * parts.arriving * load / (1.0 + load), parts.arriving * (1.0 - 1.0 / (1.0 + load) ** 2)
-        return self._blur_behind_gain(lost, parts.behind), self._blur_behind_gain(follows, parts.behind)
+        lost, follows = (
+            source * parts.arriving * load / (1.0 + load),
+            parts.arriving * (1.0 - 1.0 / (1.0 + load) ** 2),
+        )
+        return self._blur_behind_gain(lost, parts.behind), self._blur_behind_gain(
+            follows, parts.behind
+        )
 
     def _blur_behind_gain(self, at_plate: Array, behind: Array) -> Array:
         """Apply the blur after the gain to signal at the nodes, shape (level, node, point)."""
@@ -119,8 +144,9 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
 class SaturatingModelParts(ModelParts):
     """Model parts with a saturating MCP.
 
-    `arriving`, `loading`: signal at the MCP of a source of one DN px^2, and its load relative to that at half gain,
-    shape (node, point); `behind`: transfer function of the blur after the gain, shape (frequency, point).
+    `arriving`, `loading`: signal at the MCP of a source of one DN px^2, and its load relative to
+    that at half gain, shape (node, point); `behind`: transfer function of the blur after the gain,
+    shape (frequency, point).
     """
 
     arriving: Array
@@ -131,14 +157,21 @@ class SaturatingModelParts(ModelParts):
 def fit_mcp_saturation(
     problem: SeriesLikelihood, peak: SeriesOptimum
 ) -> tuple[SaturatingSeriesLikelihood, SeriesOptimum] | None:
-    """Fit a saturating MCP from the optimum without saturation; None if the first step gains too little."""
+    """Fit a saturating MCP from the optimum without saturation; None if the first step gains too
+    little.
+    """
     form = problem.form
     tiring = SaturatingSeriesLikelihood(
         series=problem.series,
-        form=SaturatingHaloModel(core=form.core, halo=form.halo, reach_px=form.reach_px, pitch_ratio=form.pitch_ratio,
-                        sensor=form.sensor),
+        form=SaturatingHaloModel(
+            core=form.core,
+            halo=form.halo,
+            reach_px=form.reach_px,
+            pitch_ratio=form.pitch_ratio,
+            sensor=form.sensor,
+        ),
         misfit=problem.misfit,
-    )  # fmt: skip
+    )
     share = tiring.form.parameters[-1].mean
     starts = np.array([[*peak.point, load, share] for load in (0.0, *(1e-5, 1e-4, 1e-3))])
     values = tiring.log_probability(starts)
@@ -146,7 +179,8 @@ def fit_mcp_saturation(
     first = optimise(tiring, best, iterations=5)
     if first.log_probability - float(values[0]) < 5.0:
         return None
-    # Without load the model differs only in the position of the blur: it must improve on that as well.
+    # Without load the model differs only in the position of the blur: it must improve on that as
+    # well.
     rest = max(float(values[0]), peak.log_probability)
     near = optimise(tiring, first.point, iterations=12)
     if near.log_probability < rest:

@@ -5,7 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.series.halo_models import CORES, CORES_OF_TUBES, LEAST_DIAMETER_PX, WINGS, Core, Halo, HaloModel
+from charact.bloom.series.halo_models import (
+    CORES,
+    CORES_OF_TUBES,
+    LEAST_DIAMETER_PX,
+    WINGS,
+    Core,
+    Halo,
+    HaloModel,
+)
 from charact.bloom.series.likelihood import RingSeries, SeriesLikelihood, select_levels
 from charact.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
 from charact.bloom.series.optimum import SeriesOptimum, optimise
@@ -26,8 +34,9 @@ WORTHWHILE = 400.0
 class FittedHaloModel:
     """Halo model at its optimum.
 
-    `problem`: likelihood of the series under the model, with its relative model error; `peak`: optimum;
-    `log_likelihood`: log-likelihood of the rings at the optimum, in DN; `bic`: -2 log L + k ln N.
+    `problem`: likelihood of the series under the model, with its relative model error; `peak`:
+    optimum; `log_likelihood`: log-likelihood of the rings at the optimum, in DN; `bic`: -2 log L +
+    k ln N.
     """
 
     problem: SeriesLikelihood
@@ -50,37 +59,55 @@ class FittedHaloModel:
 
 
 def candidates(
-    series: RingSeries, *, pitch_ratio: float, sensor: Sensor | None, has_tube: bool, first_diameter_px: float
+    series: RingSeries,
+    *,
+    pitch_ratio: float,
+    sensor: Sensor | None,
+    has_tube: bool,
+    first_diameter_px: float,
 ) -> list[FittedHaloModel]:
     """Fit all models and return them in order of the information criterion.
 
-    `series`: ring means of all levels; `pitch_ratio`, `sensor`: row pitch over column pitch; sensor description, None
-    if unknown; `has_tube`: whether the camera has a tube, whose MCP may saturate; `first_diameter_px`: diameter of the
-    clearest step of the rings; NaN where there is none.
+    `series`: ring means of all levels; `pitch_ratio`, `sensor`: row pitch over column pitch; sensor
+    description, None if unknown; `has_tube`: whether the camera has a tube, whose MCP may saturate;
+    `first_diameter_px`: diameter of the clearest step of the rings; NaN where there is none.
     """
     reach = float(series.radius_px[-1])
 
     def form(core: Core, halo: Halo) -> HaloModel:
-        return HaloModel(core=core, halo=halo, reach_px=reach, pitch_ratio=pitch_ratio, sensor=sensor)
+        return HaloModel(
+            core=core, halo=halo, reach_px=reach, pitch_ratio=pitch_ratio, sensor=sensor
+        )
 
     out: list[FittedHaloModel] = []
     for core in CORES_OF_TUBES if has_tube else CORES:
         bare = fit_model(series, form(core, "none"), [])
         found = [one for one in out if one.form.halo == "disc"]
-        out += [bare, fit_model(series, form(core, "disc"), _discs(form(core, "disc"), first_diameter_px, bare, found))]
+        out += [
+            bare,
+            fit_model(
+                series,
+                form(core, "disc"),
+                _discs(form(core, "disc"), first_diameter_px, bare, found),
+            ),
+        ]
     likeliest = min(out, key=lambda one: one.bic)
     out.append(fit_model(series, form(likeliest.form.core, "gaussian"), []))
     least = min(one.bic for one in out)
     out = [
-        refit_from_other_profiles(one) if one.form.halo == "disc" and one.bic < least + WORTHWHILE else one
+        refit_from_other_profiles(one)
+        if one.form.halo == "disc" and one.bic < least + WORTHWHILE
+        else one
         for one in out
     ]
     out = sorted(
-        (refit_with_misfit(one) if one.bic < least + WORTHWHILE else one for one in out), key=lambda one: one.bic
+        (refit_with_misfit(one) if one.bic < least + WORTHWHILE else one for one in out),
+        key=lambda one: one.bic,
     )
     if not has_tube:
         return out
-    # Saturation changes which core fits best, so that each core is tried with it; a described tube's core is known.
+    # Saturation changes which core fits best, so that each core is tried with it; a described
+    # tube's core is known.
     near = [one for one in reversed(out) if one.bic < least + WORTHWHILE]
     cores = {one.form.core: one for one in near if sensor is None or one.form.core == "tube"}
     tiring = [found for one in cores.values() for found in _saturating_candidates(one, out[0].bic)]
@@ -90,8 +117,8 @@ def candidates(
 def _saturating_candidates(best: FittedHaloModel, least: float) -> list[FittedHaloModel]:
     """Fit a core's best model with a saturating MCP, where several stacks can constrain it.
 
-    It must be clearly better than any model without saturation. If the core is clipped in every stack, only its wings
-    are visible, and saturation would compensate errors of their model.
+    It must be clearly better than any model without saturation. If the core is clipped in every
+    stack, only its wings are visible, and saturation would compensate errors of their model.
     """
     series = best.problem.series
     if best.form.halo != "disc" or len(series.labels) < 3 or series.cut[:, 0].all():
@@ -107,7 +134,8 @@ def _discs(
 ) -> list[Array]:
     """Start points of a disc: those of other cores, the observed step, and a range of diameters.
 
-    A wing fitted without a halo takes the halo's place, so that wings also start with a Gaussian core and its disc.
+    A wing fitted without a halo takes the halo's place, so that wings also start with a Gaussian
+    core and its disc.
     """
     low, high = form.bounds[form.names.index("halo_diameter")]
     diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, 24)
@@ -144,9 +172,16 @@ def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
             start = np.concatenate([first, point[core:]])
             start[at] = share
             starts.append(start)
-    as_it_is, *peaks = [optimise(candidate.problem, start, iterations=FIRST_STEPS, tolerance=0.2) for start in starts]
+    as_it_is, *peaks = [
+        optimise(candidate.problem, start, iterations=FIRST_STEPS, tolerance=0.2)
+        for start in starts
+    ]
     best = max(peaks, key=lambda one: one.log_probability)
-    return _candidate(candidate.problem, best) if best.log_probability > as_it_is.log_probability + 1.0 else candidate
+    return (
+        _candidate(candidate.problem, best)
+        if best.log_probability > as_it_is.log_probability + 1.0
+        else candidate
+    )
 
 
 def refit_with_misfit(candidate: FittedHaloModel) -> FittedHaloModel:
@@ -154,7 +189,9 @@ def refit_with_misfit(candidate: FittedHaloModel) -> FittedHaloModel:
     for _ in range(2):
         peak = optimise(candidate.problem, candidate.peak.point)
         candidate = _candidate(candidate.problem, peak)
-    return replace(candidate, peak=optimise(candidate.problem, candidate.peak.point, tolerance=1e-4))
+    return replace(
+        candidate, peak=optimise(candidate.problem, candidate.peak.point, tolerance=1e-4)
+    )
 
 
 def _candidate(problem: SeriesLikelihood, peak: SeriesOptimum) -> FittedHaloModel:
@@ -178,8 +215,15 @@ def halo_refusal_reason(found: list[FittedHaloModel]) -> str | None:
         return f"the data favour a {best.name}: no halo with an edge is visible"
     rival = min((one for one in found if one.form.halo != "disc"), key=lambda one: one.bic)
     if rival.bic - best.bic < 15.0:
-        return f"the data fit a {rival.name} nearly as well as a halo with an edge: no halo is reported"
-    return None if edge_is_tied(best) else "no halo edge: discs of clearly different diameters fit equally well"
+        return (
+            f"the data fit a {rival.name} nearly as well as a halo with an edge: no halo is "
+            f"reported"
+        )
+    return (
+        None
+        if edge_is_tied(best)
+        else "no halo edge: discs of clearly different diameters fit equally well"
+    )
 
 
 def edge_is_tied(best: FittedHaloModel) -> bool:
@@ -196,12 +240,15 @@ def edge_is_tied(best: FittedHaloModel) -> bool:
 
 
 def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
-    """Diameter and standard error from each stack alone, with common core and profile, and their significance.
+    """Diameter and standard error from each stack alone, with common core and profile, and their
+    significance.
 
     Returns shape (level,) each; NaN for a stack without visible halo.
     """
     names = best.form.names
-    held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction"))
+    held = tuple(
+        i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction")
+    )
     at, share = names.index("halo_diameter"), names.index("halo_fraction")
     number = np.arange(len(best.problem.series.data))
     out = np.full((3, len(number)), np.nan)
@@ -213,7 +260,10 @@ def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
             peak = optimise(alone, best.peak.point, held=held, iterations=6)
             free = [i for i in range(len(names)) if i not in held]
             covariance = np.linalg.pinv(peak.normal[np.ix_(free, free)])
-            out[0, one], out[1, one] = peak.point[at], np.sqrt(max(covariance[free.index(at), free.index(at)], 0.0))
+            out[0, one], out[1, one] = (
+                peak.point[at],
+                np.sqrt(max(covariance[free.index(at), free.index(at)], 0.0)),
+            )
     return out[0], out[1], out[2]
 
 

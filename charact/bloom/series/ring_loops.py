@@ -1,4 +1,6 @@
-"""From light at the nodes to whitened rings and back to a better light of each level: the inner loops, compiled."""
+"""From light at the nodes to whitened rings and back to a better light of each level: the inner
+loops, compiled.
+"""
 
 import math
 
@@ -14,9 +16,10 @@ Places = NDArray[np.intp]
 def ring_means(light: Array, averages: Array, begin: Places, end: Places) -> Array:
     """Average light at the nodes over rings.
 
-    `light`: shape (level, node, column); nodes may end early, where light is none; `averages`: weight of each node in
-    each ring, shape (level, ring, node); `begin`, `end`: first node that has a part in each ring, and the one behind
-    the last, shape (level, ring). Returns shape (level, ring, column); rings end where the nodes have no part in them.
+    `light`: shape (level, node, column); nodes may end early, where light is none; `averages`:
+    weight of each node in each ring, shape (level, ring, node); `begin`, `end`: first node that has
+    a part in each ring, and the one behind the last, shape (level, ring). Returns shape (level,
+    ring, column); rings end where the nodes have no part in them.
     """
     levels, nodes, columns = light.shape
     rings = averages.shape[1]
@@ -34,7 +37,9 @@ def ring_means(light: Array, averages: Array, begin: Places, end: Places) -> Arr
 
 @njit(cache=True)
 def whiten_rings(rings: Array, whitener: Array) -> Array:
-    """Multiply rings, shape (level, ring, column), by lower triangles, shape (level, ring, ring)."""
+    """Multiply rings, shape (level, ring, column), by lower triangles, shape (level, ring,
+    ring).
+    """
     levels, count, columns = rings.shape
     out = np.zeros((levels, count, columns))
     for level in range(levels):
@@ -47,15 +52,19 @@ def whiten_rings(rings: Array, whitener: Array) -> Array:
 
 
 @njit(cache=True)
-def residuals_and_slopes(white: Array, even: Array, data: Array, amplitudes: Array, lost: Array, whitener: Array
-              ) -> tuple[Array, Array]:  # fmt: skip
-    """Return what light leaves of the measured rings, and how that falls with source and background.
+def residuals_and_slopes(
+    white: Array, even: Array, data: Array, amplitudes: Array, lost: Array, whitener: Array
+) -> tuple[Array, Array]:
+    """Return what light leaves of the measured rings, and how that falls with source and
+    background.
 
-    `white`: whitened ring means of one DN px^2 of source, shape (level, ring, point); `even`, `data`: those of an even
-    light of 1 DN, and those measured, shape (level, ring); `amplitudes`: source and background of each level, shape
-    (level, 2, point); `lost`: ring means of the light that is not read and of what it follows the amplitudes by, shape
-    (level, ring, 3, point); rings end where nothing is lost any more; `whitener`: makes residuals independent and of
-    unit variance, shape (level, ring, ring). Returns shape (level, ring, point). Shape (amplitude, level, ring, point).
+    `white`: whitened ring means of one DN px^2 of source, shape (level, ring, point); `even`,
+    `data`: those of an even light of 1 DN, and those measured, shape (level, ring); `amplitudes`:
+    source and background of each level, shape (level, 2, point); `lost`: ring means of the light
+    that is not read and of what it follows the amplitudes by, shape (level, ring, 3, point); rings
+    end where nothing is lost any more; `whitener`: makes residuals independent and of unit
+    variance, shape (level, ring, ring). Returns shape (level, ring, point). Shape (amplitude,
+    level, ring, point).
     """
     levels, rings, points = white.shape
     residual, slopes = np.empty((levels, rings, points)), np.empty((2, levels, rings, points))
@@ -64,7 +73,9 @@ def residuals_and_slopes(white: Array, even: Array, data: Array, amplitudes: Arr
             flat = even[level, ring]
             for point in range(points):
                 source, given = white[level, ring, point], amplitudes[level, :, point]
-                residual[level, ring, point] = data[level, ring] - source * given[0] - flat * given[1]
+                residual[level, ring, point] = (
+                    data[level, ring] - source * given[0] - flat * given[1]
+                )
                 slopes[0, level, ring, point], slopes[1, level, ring, point] = source, flat
             for other in range(min(ring + 1, lost.shape[1])):
                 weight = whitener[level, ring, other]
@@ -79,10 +90,11 @@ def residuals_and_slopes(white: Array, even: Array, data: Array, amplitudes: Arr
 def lost_at_top(straight: Array, amplitudes: Array, sd: Array, full: float, near: float) -> Array:
     """Light that codes cut at the top do not show, and how it follows source and background.
 
-    `straight`: light at the nodes of one DN px^2 of source, shape (node, point); `amplitudes`: source and background of
-    each level, shape (level, 2, point); `sd`: standard deviation of a pixel, shape (level, node), DN; `full`: highest
-    code, DN; `near`: standard deviations below the highest code within which codes are cut. Returns shape (level, node,
-    3, point); nodes end where nothing is lost any more.
+    `straight`: light at the nodes of one DN px^2 of source, shape (node, point); `amplitudes`:
+    source and background of each level, shape (level, 2, point); `sd`: standard deviation of a
+    pixel, shape (level, node), DN; `full`: highest code, DN; `near`: standard deviations below the
+    highest code within which codes are cut. Returns shape (level, node, 3, point); nodes end where
+    nothing is lost any more.
     """
     levels, _, points = amplitudes.shape
     out = np.zeros((levels, _last_cut(straight, amplitudes, sd, full, near), 3, points))
@@ -97,7 +109,9 @@ def lost_at_top(straight: Array, amplitudes: Array, sd: Array, full: float, near
                 lost, share = light - full, 1.0
                 if z > -near:
                     below = 0.5 * math.erfc(-z / math.sqrt(2.0))
-                    lost += sd[level, node] * (z * below + math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))
+                    lost += sd[level, node] * (
+                        z * below + math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
+                    )
                     share = 1.0 - below
                 out[level, node, 0, point] = lost
                 out[level, node, 1, point] = share * source
@@ -112,7 +126,10 @@ def _last_cut(straight: Array, amplitudes: Array, sd: Array, full: float, near: 
     for node in range(len(straight) - 1, -1, -1):
         for level in range(levels):
             for point in range(points):
-                light = straight[node, point] * amplitudes[level, 0, point] + amplitudes[level, 1, point]
+                light = (
+                    straight[node, point] * amplitudes[level, 0, point]
+                    + amplitudes[level, 1, point]
+                )
                 if light > full - near * sd[level, node]:
                     return node + 1
     return 0
@@ -122,8 +139,8 @@ def _last_cut(straight: Array, amplitudes: Array, sd: Array, full: float, near: 
 def best_step(source: Array, even: Array, residual: Array) -> tuple[Array, float]:
     """Step of source and background that whitened rings ask for by least squares.
 
-    `source`, `even`, `residual`: slopes of the rings and what is left of them, shape (level, ring, point). Returns
-    shape (level, 2, point). Most that it promises of any level's chi squared.
+    `source`, `even`, `residual`: slopes of the rings and what is left of them, shape (level, ring,
+    point). Returns shape (level, 2, point). Most that it promises of any level's chi squared.
     """
     levels, rings, points = residual.shape
     step, promise = np.empty((levels, 2, points)), -np.inf
@@ -131,14 +148,21 @@ def best_step(source: Array, even: Array, residual: Array) -> tuple[Array, float
         for point in range(points):
             a = b = d = right = level_right = 0.0
             for ring in range(rings):
-                one, other, left = source[level, ring, point], even[level, ring, point], residual[level, ring, point]
+                one, other, left = (
+                    source[level, ring, point],
+                    even[level, ring, point],
+                    residual[level, ring, point],
+                )
                 a += one * one
                 b += one * other
                 d += other * other
                 right += one * left
                 level_right += other * left
             determinant = max(a * d - b * b, 1e-12 * a * d + 1e-300)
-            first, second = (d * right - b * level_right) / determinant, (a * level_right - b * right) / determinant
+            first, second = (
+                (d * right - b * level_right) / determinant,
+                (a * level_right - b * right) / determinant,
+            )
             step[level, 0, point], step[level, 1, point] = first, second
             promise = max(promise, first * right + second * level_right)
     return step, promise

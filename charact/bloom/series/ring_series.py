@@ -24,14 +24,21 @@ FARTHEST_PX = 3.0
 
 
 def refine_centre(
-    images: Sequence[Array], row: float, col: float, *, pitch_ratio: float, full_dn: float, spoiled: Sequence[Mask],
-) -> tuple[float, float]:  # fmt: skip
+    images: Sequence[Array],
+    row: float,
+    col: float,
+    *,
+    pitch_ratio: float,
+    full_dn: float,
+    spoiled: Sequence[Mask],
+) -> tuple[float, float]:
     """Refine a source position so that the residuals of all images are symmetric.
 
-    `images`: mean frame of every stack, shape (row, col) each, DN; `row`, `col`: approximate position of the source,
-    px; `pitch_ratio`: row pitch over column pitch; `full_dn`: full scale, DN; clipped rings are excluded; `spoiled`:
-    pixels of each image to exclude. A position error d leaves the residual -L'(r) (d . e_r) of the signal L; the
-    steepest rings, next to the clipped core, determine d best. Gauss-Newton, with pixel weights for photon noise.
+    `images`: mean frame of every stack, shape (row, col) each, DN; `row`, `col`: approximate
+    position of the source, px; `pitch_ratio`: row pitch over column pitch; `full_dn`: full scale,
+    DN; clipped rings are excluded; `spoiled`: pixels of each image to exclude. A position error d
+    leaves the residual -L'(r) (d . e_r) of the signal L; the steepest rings, next to the clipped
+    core, determine d best. Gauss-Newton, with pixel weights for photon noise.
     """
     first = row, col
     for _ in range(3):
@@ -43,19 +50,28 @@ def refine_centre(
 
 
 def _step(
-    images: Sequence[Array], row: float, col: float, pitch_ratio: float, full_dn: float, spoiled: Sequence[Mask],
-) -> tuple[float, float]:  # fmt: skip
+    images: Sequence[Array],
+    row: float,
+    col: float,
+    pitch_ratio: float,
+    full_dn: float,
+    spoiled: Sequence[Mask],
+) -> tuple[float, float]:
     """Offset of the position, column pitches."""
     normal, right = np.zeros((2, 2)), np.zeros(2)
     for image, mask in zip(images, spoiled, strict=True):
-        geometry = geometry_of(image.shape, row, col, pitch_ratio=pitch_ratio, spoiled=mask, reach_px=40)
+        geometry = geometry_of(
+            image.shape, row, col, pitch_ratio=pitch_ratio, spoiled=mask, reach_px=40
+        )
         if len(geometry.radius_px) < 6:
             return 0.0, 0.0
         direction = np.stack([np.cos(geometry.pixel_angle), np.sin(geometry.pixel_angle)])
         value = geometry.pixels(image[None])[0]
         floor = float(np.median(value))
         mean = geometry.means(value)
-        slope = np.interp(geometry.pixel_radius_px, geometry.radius_px, np.gradient(mean, geometry.radius_px))
+        slope = np.interp(
+            geometry.pixel_radius_px, geometry.radius_px, np.gradient(mean, geometry.radius_px)
+        )
         light = np.interp(geometry.pixel_radius_px, geometry.radius_px, mean)
         whole = geometry.largest(value) < 0.9 * full_dn
         use = np.repeat(whole, geometry.count.astype(int))
@@ -77,33 +93,50 @@ LEAST_RINGS = 14
 
 
 def one_place(spots: tuple[PointStack, ...]) -> tuple[PointStack, ...]:
-    """Return the stacks with the most common source position; the clearest one's where several are equally common."""
+    """Return the stacks with the most common source position; the clearest one's where several are
+    equally common.
+    """
 
     def near(spot: PointStack) -> tuple[PointStack, ...]:
         return tuple(one for one in spots if np.hypot(one.row - spot.row, one.col - spot.col) < 2.0)
 
-    return max((near(spot) for spot in spots), key=lambda group: (len(group), max(one.significance for one in group)))
+    return max(
+        (near(spot) for spot in spots),
+        key=lambda group: (len(group), max(one.significance for one in group)),
+    )
 
 
 def build_ring_series(
     session: Session, spots: tuple[PointStack, ...], *, context: Context
 ) -> tuple[RingSeries, tuple[PointStack, ...]]:
-    """Return the ring series of the stacks of one source position, and these at it; else Unmeasurable."""
+    """Return the ring series of the stacks of one source position, and these at it; else
+    Unmeasurable.
+    """
     group = one_place(spots)
     clearest = max(group, key=lambda one: one.significance)
     shapes = {one.image.shape for one in group}
     if len(shapes) > 1:
-        raise Unmeasurable(f"stacks of one source must have frames of one size, got {sorted(shapes)}")
+        raise Unmeasurable(
+            f"stacks of one source must have frames of one size, got {sorted(shapes)}"
+        )
     full = min(one.full_scale_dn for one in group)
     aside = nearer_to_others(group, clearest, context.pitch_ratio)
     masks = [column_artefact_mask(one, context) | aside for one in group]
     bad = [bad_pixels(session.stack(one.label), one.image.shape) for one in group]
-    row, col = refine_centre([one.image for one in group], clearest.row, clearest.col, pitch_ratio=context.pitch_ratio,
-                       full_dn=full, spoiled=[one | other for one, other in zip(masks, bad, strict=True)])  # fmt: skip
+    row, col = refine_centre(
+        [one.image for one in group],
+        clearest.row,
+        clearest.col,
+        pitch_ratio=context.pitch_ratio,
+        full_dn=full,
+        spoiled=[one | other for one, other in zip(masks, bad, strict=True)],
+    )
     levels = _levels(session, group, masks, bad, (row, col), full, context)
     whole = min(len(level.mean_dn) for level in levels)
     if whole < LEAST_RINGS:
-        raise Unmeasurable(f"the source must lie {LEAST_RINGS} px or more inside the frame, got {whole}")
+        raise Unmeasurable(
+            f"the source must lie {LEAST_RINGS} px or more inside the frame, got {whole}"
+        )
     noise = noise_of(levels, dark_dn=min(one.dark_dn for one in group))
     series = series_of(levels, noise, full_dn=full, rings=min(64, whole))
     return series, tuple(replace(one, row=row, col=col) for one in group)
@@ -123,9 +156,14 @@ def nearer_to_others(group: tuple[PointStack, ...], own: PointStack, pitch_ratio
 
 
 def _levels(
-    session: Session, group: tuple[PointStack, ...], masks: list[Mask], bad: list[Mask], place: tuple[float, float],
-    full_dn: float, context: Context,
-) -> tuple[LevelRings, ...]:  # fmt: skip
+    session: Session,
+    group: tuple[PointStack, ...],
+    masks: list[Mask],
+    bad: list[Mask],
+    place: tuple[float, float],
+    full_dn: float,
+    context: Context,
+) -> tuple[LevelRings, ...]:
     """Rings of every stack without contaminated pixels."""
     entries = {entry.label: entry for entry in session.of_kind("point")}
     of_place = partial(geometry_of, group[0].image.shape, *place, pitch_ratio=context.pitch_ratio)
@@ -140,8 +178,12 @@ def _levels(
     return tuple(out)
 
 
-def _upright_px(image: Array, place: tuple[float, float], full_dn: float, pitch_ratio: float) -> float:
-    """Radius of a core that overflow has made higher than wide, column pitches; 0 where it is round."""
+def _upright_px(
+    image: Array, place: tuple[float, float], full_dn: float, pitch_ratio: float
+) -> float:
+    """Radius of a core that overflow has made higher than wide, column pitches; 0 where it is
+    round.
+    """
     row, col = round(place[0]), round(place[1])
     cut = image >= 0.98 * full_dn
     high, wide = _run(cut[:, col], row) * pitch_ratio, float(_run(cut[row], col))

@@ -21,11 +21,12 @@ SECTORS = 16
 class Geometry:
     """Pixels of the rings around a position, and the radial nodes averaged over them.
 
-    `rows`, `cols`: slices of the frame that contain all rings; `order`: pixels of that window, ring by ring, flat
-    indices; `first`: first index of each ring in `order`, shape (ring,); `radius_px`: mean radius of each ring, column
-    pitches, shape (ring,); `count`: pixels of each ring, shape (ring,); `lost`: rings with mostly excluded pixels: they
-    retain them and are not used, shape (ring,); `node_px`: radii of the nodes, column pitches, shape (node,);
-    `pixel_radius_px`, `pixel_angle`: radius, column pitches, and angle, radians, of each pixel of `order`.
+    `rows`, `cols`: slices of the frame that contain all rings; `order`: pixels of that window, ring
+    by ring, flat indices; `first`: first index of each ring in `order`, shape (ring,); `radius_px`:
+    mean radius of each ring, column pitches, shape (ring,); `count`: pixels of each ring, shape
+    (ring,); `lost`: rings with mostly excluded pixels: they retain them and are not used, shape
+    (ring,); `node_px`: radii of the nodes, column pitches, shape (node,); `pixel_radius_px`,
+    `pixel_angle`: radius, column pitches, and angle, radians, of each pixel of `order`.
     """
 
     rows: slice
@@ -50,10 +51,16 @@ class Geometry:
         size = int(self.count[:rings].sum())
         nodes = self.node_px < self.radius_px[:rings][-1] + 4 * COARSE_PX
         return replace(
-            self, order=self.order[:size], first=self.first[:rings], radius_px=self.radius_px[:rings],
-            count=self.count[:rings], lost=self.lost[:rings], node_px=self.node_px[nodes],
-            pixel_radius_px=self.pixel_radius_px[:size], pixel_angle=self.pixel_angle[:size],
-        )  # fmt: skip
+            self,
+            order=self.order[:size],
+            first=self.first[:rings],
+            radius_px=self.radius_px[:rings],
+            count=self.count[:rings],
+            lost=self.lost[:rings],
+            node_px=self.node_px[nodes],
+            pixel_radius_px=self.pixel_radius_px[:size],
+            pixel_angle=self.pixel_angle[:size],
+        )
 
     def pixels(self, frames: NDArray) -> Array:
         """Return the pixels of the rings in order, shape (frame, row, col) -> (frame, pixel)."""
@@ -69,7 +76,9 @@ class Geometry:
         return np.maximum.reduceat(pixels, self.first)
 
     def sector_means(self, pixels: Array) -> Array:
-        """Average ordered pixels over ring sectors, shape (pixel,) -> (sector, ring); NaN where empty."""
+        """Average ordered pixels over ring sectors, shape (pixel,) -> (sector, ring); NaN where
+        empty.
+        """
         ring = np.repeat(np.arange(len(self.count)), self.count.astype(int))
         sector = ((self.pixel_angle / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
         cell, size = ring * SECTORS + sector, len(self.count) * SECTORS
@@ -79,14 +88,19 @@ class Geometry:
 
 
 def geometry_of(
-    shape: tuple[int, int], row: float, col: float, *, pitch_ratio: float, spoiled: Mask | None,
+    shape: tuple[int, int],
+    row: float,
+    col: float,
+    *,
+    pitch_ratio: float,
+    spoiled: Mask | None,
     reach_px: int = REACH_PX,
-) -> Geometry:  # fmt: skip
+) -> Geometry:
     """Return rings of one column pitch around a position.
 
-    `shape`: of the frame; `row`, `col`: centre, px; `pitch_ratio`: row pitch over column pitch; `spoiled`: pixels to
-    exclude, shape of the frame; `reach_px`: requested outermost ring; rings end where less than 34 % of one lies inside
-    the frame.
+    `shape`: of the frame; `row`, `col`: centre, px; `pitch_ratio`: row pitch over column pitch;
+    `spoiled`: pixels to exclude, shape of the frame; `reach_px`: requested outermost ring; rings
+    end where less than 34 % of one lies inside the frame.
     """
     up = int(np.ceil(reach_px / pitch_ratio))
     rows = slice(max(0, int(row) - up), min(shape[0], int(row) + up + 2))
@@ -113,10 +127,17 @@ def geometry_of(
     _, first, count = np.unique(ring[order], return_index=True, return_counts=True)
     down, across = (np.broadcast_to(way, (dy.size, dx.size)).ravel()[order] for way in (dy, dx))
     return Geometry(
-        rows=rows, cols=cols, order=order, first=first, radius_px=np.add.reduceat(radius[order], first) / count,
-        count=count.astype(float), lost=lost, node_px=_nodes(reach + 1.0), pixel_radius_px=radius[order],
+        rows=rows,
+        cols=cols,
+        order=order,
+        first=first,
+        radius_px=np.add.reduceat(radius[order], first) / count,
+        count=count.astype(float),
+        lost=lost,
+        node_px=_nodes(reach + 1.0),
+        pixel_radius_px=radius[order],
         pixel_angle=np.arctan2(down, across),
-    )  # fmt: skip
+    )
 
 
 def _nodes(reach_px: float) -> Array:
@@ -152,11 +173,12 @@ ADJACENT_RINGS = 2
 class LevelRings:
     """Ring means of one stack.
 
-    `label`: label of the stack; `geometry`: its rings; `mean_dn`: ring means over all frames, clipped values included,
-    shape (ring,), DN; `cut_share`: fraction of each ring's samples at full scale, shape (ring,); `pixel_variance`:
-    temporal variance of single pixels, averaged over the ring, shape (ring,), DN^2; `scatter`: ring means of single
-    frames less their mean; for a single frame those of sectors, scaled to complete rings; `frames`: number of frames;
-    `sector_sd`: root mean square deviation of sectors from their ring, shape (ring,), DN.
+    `label`: label of the stack; `geometry`: its rings; `mean_dn`: ring means over all frames,
+    clipped values included, shape (ring,), DN; `cut_share`: fraction of each ring's samples at full
+    scale, shape (ring,); `pixel_variance`: temporal variance of single pixels, averaged over the
+    ring, shape (ring,), DN^2; `scatter`: ring means of single frames less their mean; for a single
+    frame those of sectors, scaled to complete rings; `frames`: number of frames; `sector_sd`: root
+    mean square deviation of sectors from their ring, shape (ring,), DN.
     """
 
     label: str
@@ -169,7 +191,9 @@ class LevelRings:
     sector_sd: Array
 
     def without_core(self, reach_px: float) -> "LevelRings":
-        """Return the stack without its clipped rings, those next to them, and all within a radius."""
+        """Return the stack without its clipped rings, those next to them, and all within a
+        radius.
+        """
         cut = np.flatnonzero(self.cut_share > HARDLY_CUT)
         lost = self.geometry.lost | (self.geometry.radius_px < reach_px)
         lost[: int(cut[-1]) + 1 + ADJACENT_RINGS if len(cut) else 0] = True
@@ -190,9 +214,15 @@ def level_of(label: str, frames: NDArray, geometry: Geometry, *, full_dn: float)
         scatter = np.nan_to_num(off) / np.sqrt(SECTORS * (SECTORS - 1))
         variance = geometry.means((image - _along(geometry, mean)) ** 2)
     return LevelRings(
-        label=label, geometry=geometry, mean_dn=mean, cut_share=geometry.means((pixels >= full_dn).mean(axis=0)),
-        pixel_variance=variance, scatter=scatter, frames=len(frames), sector_sd=np.sqrt(np.nanmean(off**2, axis=0)),
-    )  # fmt: skip
+        label=label,
+        geometry=geometry,
+        mean_dn=mean,
+        cut_share=geometry.means((pixels >= full_dn).mean(axis=0)),
+        pixel_variance=variance,
+        scatter=scatter,
+        frames=len(frames),
+        sector_sd=np.sqrt(np.nanmean(off**2, axis=0)),
+    )
 
 
 def _along(geometry: Geometry, mean: Array) -> Array:
@@ -204,9 +234,10 @@ def _along(geometry: Geometry, mean: Array) -> Array:
 class RingNoise:
     """Noise of a series, estimated from its frames.
 
-    `floor_dn2`, `slope_dn`: variance of a pixel, floor + slope x (signal - dark); `dark_dn`: black level, DN;
-    `sharing`: variance of a ring's mean over that of independent pixels, shape (ring,); `correlation`: correlation of
-    ring means by distance 0, 1, 2, .., shape (lag,); `fewer`: frames per independent frame.
+    `floor_dn2`, `slope_dn`: variance of a pixel, floor + slope x (signal - dark); `dark_dn`: black
+    level, DN; `sharing`: variance of a ring's mean over that of independent pixels, shape (ring,);
+    `correlation`: correlation of ring means by distance 0, 1, 2, .., shape (lag,); `fewer`: frames
+    per independent frame.
     """
 
     floor_dn2: float
@@ -221,8 +252,12 @@ class RingNoise:
         return np.sqrt(np.maximum(self.floor_dn2 + self.slope_dn * (level_dn - self.dark_dn), 1e-4))
 
     def covariance(self, level_dn: Array, count: Array, frames: int) -> Array:
-        """Return the covariance of a stack's ring means at given signals, shape (ring, ring), DN^2."""
-        sd = self.pixel_sd(level_dn) * np.sqrt(self.sharing[: len(count)] / count * min(self.fewer / frames, 1.0))
+        """Return the covariance of a stack's ring means at given signals, shape (ring, ring),
+        DN^2.
+        """
+        sd = self.pixel_sd(level_dn) * np.sqrt(
+            self.sharing[: len(count)] / count * min(self.fewer / frames, 1.0)
+        )
         rounding = np.diag(self.rounding_sd(level_dn) ** 2 + 0.01**2)
         return self._matrix[: len(count), : len(count)] * np.outer(sd, sd) + rounding
 
@@ -249,10 +284,19 @@ def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
     free = np.array([(level.cut_share < HARDLY_CUT) & ~level.geometry.lost for level in levels])
     floor, slope = _variance_law(levels, free, dark_dn)
     bare = RingNoise(
-        floor_dn2=floor, slope_dn=slope, dark_dn=dark_dn, sharing=np.ones(1), correlation=np.ones(1), fewer=1.0
+        floor_dn2=floor,
+        slope_dn=slope,
+        dark_dn=dark_dn,
+        sharing=np.ones(1),
+        correlation=np.ones(1),
+        fewer=1.0,
     )
     scaled = [
-        np.where(usable, level.scatter / (bare.pixel_sd(level.mean_dn) / np.sqrt(level.geometry.count)), np.nan)
+        np.where(
+            usable,
+            level.scatter / (bare.pixel_sd(level.mean_dn) / np.sqrt(level.geometry.count)),
+            np.nan,
+        )
         for level, usable in zip(levels, free, strict=True)
     ]
     freedom = np.array([max(level.frames - 1, 1) for level in levels])
@@ -260,16 +304,29 @@ def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
     sharing = _smooth_over_rings(square, freedom @ free)
     alike = [one / np.sqrt(sharing) for one in scaled]
     return RingNoise(
-        floor_dn2=floor, slope_dn=slope, dark_dn=dark_dn, sharing=sharing, correlation=_correlation(alike),
+        floor_dn2=floor,
+        slope_dn=slope,
+        dark_dn=dark_dn,
+        sharing=sharing,
+        correlation=_correlation(alike),
         fewer=_frames_per_independent_frame(alike, levels),
-    )  # fmt: skip
+    )
 
 
-def _variance_law(levels: tuple[LevelRings, ...], free: NDArray[np.bool_], dark_dn: float) -> tuple[float, float]:
+def _variance_law(
+    levels: tuple[LevelRings, ...], free: NDArray[np.bool_], dark_dn: float
+) -> tuple[float, float]:
     """Floor and slope of the pixel variance against signal, by weighted least squares."""
-    mean = np.concatenate([level.mean_dn[use] for level, use in zip(levels, free, strict=True)]) - dark_dn
-    variance = np.concatenate([level.pixel_variance[use] for level, use in zip(levels, free, strict=True)])
-    pixels = np.concatenate([level.geometry.count[use] for level, use in zip(levels, free, strict=True)])
+    mean = (
+        np.concatenate([level.mean_dn[use] for level, use in zip(levels, free, strict=True)])
+        - dark_dn
+    )
+    variance = np.concatenate(
+        [level.pixel_variance[use] for level, use in zip(levels, free, strict=True)]
+    )
+    pixels = np.concatenate(
+        [level.geometry.count[use] for level, use in zip(levels, free, strict=True)]
+    )
     if len(mean) < 3:
         return 1.0, 0.0
     design = np.stack([np.ones_like(mean), np.maximum(mean, 0.0)], axis=1)
@@ -284,7 +341,9 @@ def _variance_law(levels: tuple[LevelRings, ...], free: NDArray[np.bool_], dark_
 def _smooth_over_rings(square: Array, seen: Array) -> Array:
     """Mean squares over neighbouring rings; the mean of all where none is usable."""
     kernel = np.ones(SMOOTHED)
-    total, number = (np.convolve(np.pad(one, SMOOTHED // 2), kernel, mode="valid") for one in (square, seen))
+    total, number = (
+        np.convolve(np.pad(one, SMOOTHED // 2), kernel, mode="valid") for one in (square, seen)
+    )
     whole = square.sum() / max(seen.sum(), 1)
     return np.maximum(np.where(number > 20, total / np.maximum(number, 1), max(whole, 0.3)), 0.1)
 
@@ -293,7 +352,10 @@ def _correlation(alike: list[Array]) -> Array:
     """Correlation of ring means by ring separation, beyond the innermost."""
     out = [1.0]
     for lag in range(1, 6 + 1):
-        pairs = [(one[:, FIRST_CORRELATED_RING:-lag], one[:, FIRST_CORRELATED_RING + lag :]) for one in alike]
+        pairs = [
+            (one[:, FIRST_CORRELATED_RING:-lag], one[:, FIRST_CORRELATED_RING + lag :])
+            for one in alike
+        ]
         products = np.concatenate([(near * far).ravel() for near, far in pairs])
         squares = np.concatenate([(0.5 * (near**2 + far**2)).ravel() for near, far in pairs])
         known = np.isfinite(products)
@@ -303,7 +365,9 @@ def _correlation(alike: list[Array]) -> Array:
 
 
 def _frames_per_independent_frame(alike: list[Array], levels: tuple[LevelRings, ...]) -> float:
-    """Number of frames per independent frame: 1 + 2 x the bias-corrected correlation of successive frames."""
+    """Number of frames per independent frame: 1 + 2 x the bias-corrected correlation of successive
+    frames.
+    """
     top = bottom = 0.0
     frames = []
     for one, level in zip(alike, levels, strict=True):

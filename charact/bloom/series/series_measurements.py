@@ -24,13 +24,19 @@ REMEDY = "a target that is opaque around its pinhole, or a series with the pinho
 
 
 def find_leak(
-    group: tuple[PointStack, ...], light: Array, reach_px: float, area_px2: float, near: tuple[float, float]
+    group: tuple[PointStack, ...],
+    light: Array,
+    reach_px: float,
+    area_px2: float,
+    near: tuple[float, float],
 ) -> list[Finding]:
-    """Return a finding where the background near the source rises faster with its signal than far from it.
+    """Return a finding where the background near the source rises faster with its signal than far
+    from it.
 
-    `group`: stacks of one source; `light`: source signal of each stack, DN px^2, shape (level,); `reach_px`: radius of
-    the fitted background around the source, column pitches; `area_px2`: area of the frame, column pitches squared;
-    `near`: uniformly spread light over the source signal from that background, and its standard error.
+    `group`: stacks of one source; `light`: source signal of each stack, DN px^2, shape (level,);
+    `reach_px`: radius of the fitted background around the source, column pitches; `area_px2`: area
+    of the frame, column pitches squared; `near`: uniformly spread light over the source signal from
+    that background, and its standard error.
     """
     seen = [_far(one, reach_px) for one in group]
     if any(one is None for one in seen):
@@ -41,16 +47,20 @@ def find_leak(
         return []
     if abs(near[0] - far[0]) < 0.3 * max(near[0], far[0]):
         return []
-    near_percent, far_percent = (100.0 * ratio / (1.0 + max(ratio, 0.0)) for ratio in (near[0], far[0]))
+    near_percent, far_percent = (
+        100.0 * ratio / (1.0 + max(ratio, 0.0)) for ratio in (near[0], far[0])
+    )
     effect = (
-        f"veiling_glare is {near_percent:.2g} % by the background within {reach_px:.0f} px of the source, "
-        f"{far_percent:.2g} % by that beyond"
+        f"veiling_glare is {near_percent:.2g} % by the background within {reach_px:.0f} px of the "
+        f"source, {far_percent:.2g} % by that beyond"
     )
     return [Finding(flag="model-misfit", effect=effect, remedy=REMEDY)]
 
 
 def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
-    """Return the median of the pixels far from all sources and its standard error, DN; None with too few pixels."""
+    """Return the median of the pixels far from all sources and its standard error, DN; None with
+    too few pixels.
+    """
     rows, cols = np.ogrid[: spot.image.shape[0], : spot.image.shape[1]]
     far = np.hypot((rows - spot.row) * spot.row_pitch, cols - spot.col) > reach_px
     for other in spot.others:
@@ -60,7 +70,8 @@ def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
         return None
     median = float(np.median(values))
     spread = robust.robust_sd(values)
-    # Pulse noise is correlated: a quarter of the pixels counts. A median has 1.25 times the error of a mean.
+    # Pulse noise is correlated: a quarter of the pixels counts. A median has 1.25 times the error
+    # of a mean.
     return median, max(1.2533 * 2.0 * spread / float(np.sqrt(values.size)), 1e-6)
 
 
@@ -71,8 +82,8 @@ STEP_PX = 0.1
 def halo_of(form: HaloModel, points: Array) -> tuple[Array, Array]:
     """Return plateau and rim of a disc at draws of its parameters, shape (draw,) each.
 
-    Plateau: mean light between 0.3 and 0.7 of the radius over the source's total light, 1/px^2; rim: maximum light of
-    the rim, blurred by the core without its wing, over the plateau.
+    Plateau: mean light between 0.3 and 0.7 of the radius over the source's total light, 1/px^2;
+    rim: maximum light of the rim, blurred by the core without its wing, over the plateau.
     """
     of = form.at(points)
     radius, profile = of["halo_diameter"] / 2.0, profile_of(of)
@@ -90,13 +101,19 @@ def halo_of(form: HaloModel, points: Array) -> tuple[Array, Array]:
 
 
 def _within(x: float) -> Array:
-    """Fractions of the light within x of the disc's radius for each density of `transfer.PROFILE` and a flat one."""
+    """Fractions of the light within x of the disc's radius for each density of `transfer.PROFILE`
+    and a flat one.
+    """
     root = float(np.sqrt(1.0 - x**2))
     return np.array([1.0 - root, x * np.arccos(x) - root + 1.0, x**4, x**14, x**2])
 
 
-def energy_radii(form: HaloModel, points: Array, shares: tuple[float, ...], reach_px: float) -> Array:
-    """Return radii that contain fractions of a point's light, shape (draw, share), px; NaN beyond the reach."""
+def energy_radii(
+    form: HaloModel, points: Array, shares: tuple[float, ...], reach_px: float
+) -> Array:
+    """Return radii that contain fractions of a point's light, shape (draw, share), px; NaN beyond
+    the reach.
+    """
     at = np.arange(STEP_PX / 2, reach_px, STEP_PX)
     light = form.transform(points) @ onto_nodes(at)
     within = np.cumsum(light * 2.0 * np.pi * at * STEP_PX, axis=1)
@@ -107,12 +124,15 @@ def energy_radii(form: HaloModel, points: Array, shares: tuple[float, ...], reac
     return np.array(out)
 
 
-def glare(light: Array, background_dn: Array, sd_dn: Array, area_px2: float) -> tuple[float, float] | None:
+def glare(
+    light: Array, background_dn: Array, sd_dn: Array, area_px2: float
+) -> tuple[float, float] | None:
     """Ratio of uniformly spread light to the source's signal, and its standard error.
 
-    `light`: source signal of each stack, DN px^2, shape (level,); `background_dn`, `sd_dn`: background of each stack
-    and its standard error, shape (level,); `area_px2`: area of the frame, column pitches squared. Returns ratio and
-    standard error, widened by excess scatter of the stacks; None with fewer than three stacks.
+    `light`: source signal of each stack, DN px^2, shape (level,); `background_dn`, `sd_dn`:
+    background of each stack and its standard error, shape (level,); `area_px2`: area of the frame,
+    column pitches squared. Returns ratio and standard error, widened by excess scatter of the
+    stacks; None with fewer than three stacks.
     """
     if len(light) < 3:
         return None
@@ -125,10 +145,15 @@ def glare(light: Array, background_dn: Array, sd_dn: Array, area_px2: float) -> 
     return per_light, sd
 
 
-OF_THE_HALO = (("halo_diameter", "px"), ("halo_fraction", "1"), ("halo_plateau", "1/px2"), ("halo_rim", "1"))
-# Relative model error of a quantity: a constant, and multiples of the relative model errors beyond the core and near
-# it. The constant is calibrated on closed-form series with wings, the others on simulated cameras: near the core all
-# stacks have the same error, which does not average out.
+OF_THE_HALO = (
+    ("halo_diameter", "px"),
+    ("halo_fraction", "1"),
+    ("halo_plateau", "1/px2"),
+    ("halo_rim", "1"),
+)
+# Relative model error of a quantity: a constant, and multiples of the relative model errors beyond
+# the core and near it. The constant is calibrated on closed-form series with wings, the others on
+# simulated cameras: near the core all stacks have the same error, which does not average out.
 LEFT_OUT = {
     "halo_fraction": (0.012, 3.0, 0.7),
     "halo_plateau": (0.012, 3.0, 0.7),
@@ -144,9 +169,14 @@ DERIVED = 400
 
 
 def nearest_px(group: tuple[PointStack, ...]) -> float:
-    """Distance of the nearest other source in any stack, column pitches; inf where there is none."""
+    """Distance of the nearest other source in any stack, column pitches; inf where there is
+    none.
+    """
     pairs = ((one, other) for one in group for other in one.others)
-    away = (float(np.hypot((two.row - one.row) * one.row_pitch, two.col - one.col)) for one, two in pairs)
+    away = (
+        float(np.hypot((two.row - one.row) * one.row_pitch, two.col - one.col))
+        for one, two in pairs
+    )
     return min(away, default=np.inf)
 
 
@@ -158,7 +188,8 @@ def several_flag(group: tuple[PointStack, ...]) -> tuple[str, ...]:
 def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
     """Chi squared of the stacks' own diameters about their mean, and its degrees of freedom.
 
-    All stacks have the core and profile of the optimum, so that the median of a skewed posterior is not their mean.
+    All stacks have the core and profile of the optimum, so that the median of a skewed posterior is
+    not their mean.
     """
     seen = np.isfinite(own[0])
     sd = np.maximum(own[1][seen], 0.1)
@@ -170,9 +201,9 @@ def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
 class FittedSeries:
     """Series with its models in order of likelihood, and what all its measurements have in common.
 
-    `reason`: why no halo is reported, or None; `posterior`: draws of the best model's parameters; `own`: each stack's
-    own diameter, its error and significance, None without a halo; `group`: the stacks; `flags`, `notes`, `fields`: of
-    its measurements.
+    `reason`: why no halo is reported, or None; `posterior`: draws of the best model's parameters;
+    `own`: each stack's own diameter, its error and significance, None without a halo; `group`: the
+    stacks; `flags`, `notes`, `fields`: of its measurements.
     """
 
     forms: list[FittedHaloModel]
@@ -196,7 +227,8 @@ class FittedSeries:
 
 
 def halo_measurements(fit: FittedSeries) -> list[Measurement]:
-    """Return the halo's diameter, fraction, plateau and rim; scatter of the stacks widens the diameter's interval.
+    """Return the halo's diameter, fraction, plateau and rim; scatter of the stacks widens the
+    diameter's interval.
 
     Light of another source contaminates the rings, but not the position of the edge.
     """
@@ -213,8 +245,15 @@ def halo_measurements(fit: FittedSeries) -> list[Measurement]:
         draws["halo_diameter"] += 0.005 * middle * rng.standard_normal(len(posterior.draws))
     draws["halo_diameter"] += _form_unknown(posterior, middle)
     plateau, rim = halo_of(best.form, posterior.draws[:DERIVED])
-    of_light = {"halo_fraction": posterior["halo_fraction"], "halo_plateau": plateau, "halo_rim": rim}
-    draws |= {name: one * _model_error_factors(best, name, len(one), posterior) for name, one in of_light.items()}
+    of_light = {
+        "halo_fraction": posterior["halo_fraction"],
+        "halo_plateau": plateau,
+        "halo_rim": rim,
+    }
+    draws |= {
+        name: one * _model_error_factors(best, name, len(one), posterior)
+        for name, one in of_light.items()
+    }
     blind = () if shows_core(best, posterior) else ("prior-bound",)
     flags_of = {
         "halo_diameter": flags,
@@ -246,12 +285,16 @@ def _form_unknown(posterior: Posterior, diameter_px: float) -> Array:
 
 
 def _noise_unknown(group: tuple[PointStack, ...], draws: int, seed: int | None) -> Array:
-    """Factors for the uncertainty of a noise estimate from few frames (Student's), shape (draw,)."""
+    """Factors for the uncertainty of a noise estimate from few frames (Student's), shape
+    (draw,).
+    """
     freedom = max(min(one.frames for one in group) - 1, 3)
     return np.sqrt(freedom / np.random.default_rng(seed).chisquare(freedom, draws))
 
 
-def _model_error_factors(best: FittedHaloModel, quantity: str, draws: int, posterior: Posterior) -> Array:
+def _model_error_factors(
+    best: FittedHaloModel, quantity: str, draws: int, posterior: Posterior
+) -> Array:
     """Factors for the model error of a quantity, general and by rotational asymmetry."""
     of_any, beyond, of_core = LEFT_OUT[quantity]
     misfit = best.problem.misfit
@@ -276,33 +319,55 @@ def energy_radius_measurements(fit: FittedSeries) -> list[Measurement]:
     radii = energy_radii(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach)
     flags = flags if shows_core(best, posterior) else (*flags, "prior-bound")
     out = []
-    for quantity, draws in zip(("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True):
+    for quantity, draws in zip(
+        ("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True
+    ):
         if np.isnan(draws).any():
             reason = f"part of this light lies beyond the {reach:.0f} px analysed around the source"
             out.append(make_refusal(quantity, "px", reason, **fit.fields))
         else:
             draws = draws * _model_error_factors(best, quantity, len(draws), posterior)
-            out.append(measurement_from_draws(quantity, "px", draws, flags=flags, notes=fit.notes, **fit.fields))
+            out.append(
+                measurement_from_draws(
+                    quantity, "px", draws, flags=flags, notes=fit.notes, **fit.fields
+                )
+            )
     return out
 
 
 def glare_measurements(fit: FittedSeries) -> list[Measurement]:
     """Return the veiling glare, from the backgrounds of all stacks."""
     best, posterior, group = fit.best, fit.posterior, fit.group
-    settings = {(one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control) for one in group}
+    settings = {
+        (one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control)
+        for one in group
+    }
     if len(settings) > 1:
-        return [make_refusal("veiling_glare", "%", "the stacks were taken at different gains", **fit.fields)]
+        return [
+            make_refusal(
+                "veiling_glare", "%", "the stacks were taken at different gains", **fit.fields
+            )
+        ]
     solved = best.problem.solve_amplitudes(posterior.draws[:200])
     rows, cols = group[0].image.shape
     area = rows * cols * best.form.pitch_ratio
     sd = _background_sd(solved)
     found = [
         glare(light, background, error, area)
-        for light, background, error in zip(solved.amplitudes[:, 0].T, solved.amplitudes[:, 1].T, sd.T, strict=True)
+        for light, background, error in zip(
+            solved.amplitudes[:, 0].T, solved.amplitudes[:, 1].T, sd.T, strict=True
+        )
     ]
     known = np.array([one for one in found if one is not None])
     if not len(known):
-        return [make_refusal("veiling_glare", "%", "the backgrounds of at least three stacks are needed", **fit.fields)]
+        return [
+            make_refusal(
+                "veiling_glare",
+                "%",
+                "the backgrounds of at least three stacks are needed",
+                **fit.fields,
+            )
+        ]
     rng = np.random.default_rng([posterior.seed, 1])
     ratio = known[:, 0] + known[:, 1] * rng.standard_normal(len(known))
     ratio = ratio * _model_error_factors(best, "veiling_glare", len(ratio), posterior)
@@ -319,18 +384,28 @@ def glare_measurements(fit: FittedSeries) -> list[Measurement]:
 def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
     """Return the signal density at half MCP gain, and each stack's core compression.
 
-    The densities of different core models differ by factors; their distance is a systematic uncertainty.
+    The densities of different core models differ by factors; their distance is a systematic
+    uncertainty.
     """
     best, posterior, flags = fit.best, fit.posterior, fit.light_flags
     if not isinstance(best.problem, SaturatingSeriesLikelihood):
         reason = "the cores are linear in all stacks: no MCP saturation is visible"
-        return [make_refusal("mcp_saturation_density", "DN", reason, refusal="not-applicable", **fit.fields)]
+        return [
+            make_refusal(
+                "mcp_saturation_density", "DN", reason, refusal="not-applicable", **fit.fields
+            )
+        ]
     # Distance, in ln, of the densities of other cores' models from the best one's.
     saturating = [one for one in fit.forms if isinstance(one.problem, SaturatingSeriesLikelihood)]
-    ln = np.log([max(float(one.peak.point[one.form.names.index("plate_load")]), 1e-9) for one in saturating])
+    ln = np.log(
+        [max(float(one.peak.point[one.form.names.index("plate_load")]), 1e-9) for one in saturating]
+    )
     unlike = float(np.abs(ln - ln[0]).max())
     if unlike > float(np.log(4.0)):
-        reason = f"core models give densities that differ by a factor of {np.exp(unlike):.2g}: describe the camera"
+        reason = (
+            f"core models give densities that differ by a factor of {np.exp(unlike):.2g}: "
+            f"describe the camera"
+        )
         return [make_refusal("mcp_saturation_density", "DN", reason, **fit.fields)]
     load = best.form.names.index("plate_load")
     if crowds_at_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
@@ -341,16 +416,28 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
     points = posterior.draws.copy()
     points[:, load] = np.clip(points[:, load] / factors, *best.form.bounds[load])
     density = 1.0 / np.maximum(points[:, load], 1e-9)
-    density = density * _model_error_factors(best, "mcp_saturation_density", len(density), posterior)
-    out = [measurement_from_draws("mcp_saturation_density", "DN", density, flags=flags, notes=fit.notes, **fit.fields)]
+    density = density * _model_error_factors(
+        best, "mcp_saturation_density", len(density), posterior
+    )
+    out = [
+        measurement_from_draws(
+            "mcp_saturation_density", "DN", density, flags=flags, notes=fit.notes, **fit.fields
+        )
+    ]
     left = best.problem.compression(points[:DERIVED])
     for label, draws in zip(best.problem.series.labels, left, strict=True):
-        out.append(measurement_from_draws("core_compression", "1", draws, flags=flags, stack=label, **fit.fields))
+        out.append(
+            measurement_from_draws(
+                "core_compression", "1", draws, flags=flags, stack=label, **fit.fields
+            )
+        )
     return out
 
 
 def _background_sd(solved: AmplitudeSolution) -> Array:
     """Standard error of each stack's background, shape (level, point)."""
     source, even = solved.slopes
-    aa, ab, bb = ((one * other).sum(axis=1) for one, other in ((source, source), (source, even), (even, even)))
+    aa, ab, bb = (
+        (one * other).sum(axis=1) for one, other in ((source, source), (source, even), (even, even))
+    )
     return np.sqrt(np.maximum(aa / np.maximum(aa * bb - ab**2, 1e-300), 1e-12))

@@ -15,9 +15,20 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NAMES = (
-    "log_attenuation", "form_one", "form_two", "departure", "log_frequency", "log_length", "across_px",
-    "along_px", "angle_rad", "level_dn", "pedestal_dn", "slope_across", "slope_along",
-)  # fmt: skip
+    "log_attenuation",
+    "form_one",
+    "form_two",
+    "departure",
+    "log_frequency",
+    "log_length",
+    "across_px",
+    "along_px",
+    "angle_rad",
+    "level_dn",
+    "pedestal_dn",
+    "slope_across",
+    "slope_along",
+)
 ALONG = ("log_length", "along_px")
 # Prior standard deviations: frequency (STANAG 4349: 5 %) and length, relative.
 FREQUENCY_SD, LENGTH_SD = 0.02, 0.35
@@ -40,12 +51,16 @@ class BarShape:
     frequency: float  # Cycles per pixel across the bars, f = 1/P
     length_px: float  # Length of the bars; infinite: they cross the complete region
     reference: float  # Frequency at which the MTF is reported, cycles per pixel
-    log_attenuation: float  # ln(-ln c), c the core's transfer at the reference frequency, before the pixel
+    log_attenuation: (
+        float  # ln(-ln c), c the core's transfer at the reference frequency, before the pixel
+    )
     # form, form_one, form_two: blur model, and its two parameters
     form: BarBlurModel
     form_one: float
     form_two: float
-    departure: float  # Relative departure of the transfer from the blur model around the bar frequency
+    departure: (
+        float  # Relative departure of the transfer from the blur model around the bar frequency
+    )
     angle_rad: float  # Direction across the bars, for the pixel's aperture
 
     @property
@@ -64,13 +79,16 @@ class Table:
     """One quadrant of an image, which is even in both coordinates of the bars, tabulated."""
 
     step_across_px: float  # Step across the bars, px
-    along_px: Array  # Distance along the bars of each row, px; one row: the image does not vary along them
-    # Image, 1 on a wide bar, and its derivatives by log attenuation, both model parameters, departure,
-    # ln(frequency) and ln(length), shape (7, along, across)
+    # Distance along the bars of each row, px; one row: the image does not vary along them
+    along_px: Array
+    # Image, 1 on a wide bar, and its derivatives by log attenuation, both model parameters,
+    # departure, ln(frequency) and ln(length), shape (7, along, across)
     values: Array
 
     def at(self, across: Array, along: Array) -> Array:
-        """Return image, the six derivatives, and the slopes across and along, at points, shape (9, point)."""
+        """Return image, the six derivatives, and the slopes across and along, at points, shape (9,
+        point).
+        """
         _, rows, cols = self.values.shape
         x = np.minimum(np.abs(across) / self.step_across_px, cols - 1.001)
         i = x.astype(np.intp)
@@ -102,9 +120,10 @@ def table_of(shape: BarShape, half_across_px: float, half_along_px: float) -> Ta
 
     Notes
     -----
-    Across the bars, u, the spectrum of N bars is w sinc(u w) sin(pi N u P) / sin(pi u P), along them L sinc(L v). The
-    transfer is that of a blur model at r = |(u, v)|, c at f, times the pixel's two sincs in its own directions. Around
-    f, over the width f/N in which the bars have light, it may depart from the model by a fraction.
+    Across the bars, u, the spectrum of N bars is w sinc(u w) sin(pi N u P) / sin(pi u P), along
+    them L sinc(L v). The transfer is that of a blur model at r = |(u, v)|, c at f, times the
+    pixel's two sincs in its own directions. Around f, over the width f/N in which the bars have
+    light, it may depart from the model by a fraction.
     """
     from scipy.fft import irfft, next_fast_len
 
@@ -126,22 +145,40 @@ def table_of(shape: BarShape, half_across_px: float, half_along_px: float) -> Ta
     family = rows[0] * comb
     rows = rows * (1.0 + shape.departure * near)
     spectrum = np.stack([*(rows * comb), family * near, rows[0] * comb_slope, longer])
-    values = np.asarray(irfft(spectrum, int(period / step), axis=-1))[..., : int(half_across_px / step) + 2] / step
+    values = (
+        np.asarray(irfft(spectrum, int(period / step), axis=-1))[
+            ..., : int(half_across_px / step) + 2
+        ]
+        / step
+    )
     return Table(step_across_px=step, along_px=nodes, values=np.ascontiguousarray(values))
 
 
 def _rows(length_px: float, half_px: float) -> Array:
-    """Return the rows of the table: dense at the bars' ends, 0 and the largest distance included."""
+    """Return the rows of the table: dense at the bars' ends, 0 and the largest distance
+    included.
+    """
     nodes = [length_px / 2.0]
     while nodes[-1] < half_px + 1.0:
-        nodes.append(nodes[-1] + ACCURACY.row_step_px + ACCURACY.row_step_growth * (nodes[-1] - length_px / 2.0))
+        nodes.append(
+            nodes[-1]
+            + ACCURACY.row_step_px
+            + ACCURACY.row_step_growth * (nodes[-1] - length_px / 2.0)
+        )
     while nodes[0] > 0.0:
-        nodes.insert(0, nodes[0] - ACCURACY.row_step_px - ACCURACY.row_step_growth * (length_px / 2.0 - nodes[0]))
+        nodes.insert(
+            0,
+            nodes[0]
+            - ACCURACY.row_step_px
+            - ACCURACY.row_step_growth * (length_px / 2.0 - nodes[0]),
+        )
     return np.array([0.0, *[node for node in nodes if node > 0.25 * ACCURACY.row_step_px]])
 
 
 def _along(length_px: float, nodes: Array) -> tuple[Array, Array, Array]:
-    """Return frequencies along the bars, and their weights in every row and in its derivative by ln(length)."""
+    """Return frequencies along the bars, and their weights in every row and in its derivative by
+    ln(length).
+    """
     tall = float(int(2.2 * nodes[-1]) + 16)
     v = np.arange(int(1.0 * tall)) / tall
     wave = np.cos(2.0 * np.pi * v[:, None] * nodes) * (2.0 - (v == 0))[:, None] * length_px / tall
@@ -154,13 +191,19 @@ def _comb(shape: BarShape, u: Array) -> tuple[Array, Array]:
     positions = (np.arange(shape.bars) - (shape.bars - 1) / 2.0)[:, None] / shape.frequency
     turn = 2.0 * np.pi * positions * u
     bar, repeats = width * np.sinc(width * u), np.cos(turn).sum(axis=0)
-    return bar * repeats, bar * (turn * np.sin(turn)).sum(axis=0) - width * np.cos(np.pi * width * u) * repeats
+    return bar * repeats, bar * (turn * np.sin(turn)).sum(axis=0) - width * np.cos(
+        np.pi * width * u
+    ) * repeats
 
 
 def _transfers(shape: BarShape, u: Array, v: Array) -> Array:
-    """Return the transfer and its derivatives by log attenuation and both model parameters, shape (4, u, v)."""
+    """Return the transfer and its derivatives by log attenuation and both model parameters, shape
+    (4, u, v).
+    """
     ln_ratio = np.log(np.maximum(np.hypot(u[:, None], v) / shape.reference, 1e-9))
-    core = shape.form.slopes(ln_ratio, float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
+    core = shape.form.slopes(
+        ln_ratio, float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two
+    )
     core[0] = np.exp(core[0]) * _pixel(shape.angle_rad, u.size, float(u[1]), v.size, float(v[-1]))
     core[1:] *= core[0]
     return core
@@ -168,14 +211,17 @@ def _transfers(shape: BarShape, u: Array, v: Array) -> Array:
 
 @lru_cache(maxsize=4)
 def _pixel(angle_rad: float, across: int, step: float, along: int, highest: float) -> Array:
-    """Return the pixel's transfer at frequencies across and along the bars, cached for an unchanged grid.
+    """Return the pixel's transfer at frequencies across and along the bars, cached for an unchanged
+    grid.
 
-    A rotated pixel is not symmetric along the bars: the mean over both senses applies to sums over them.
+    A rotated pixel is not symmetric along the bars: the mean over both senses applies to sums over
+    them.
     """
     u, v = step * np.arange(across)[:, None], np.linspace(0.0, highest, along)
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     one, other = (
-        np.sinc(u * cosine - sense * v * sine) * np.sinc(u * sine + sense * v * cosine) for sense in (1.0, -1.0)
+        np.sinc(u * cosine - sense * v * sine) * np.sinc(u * sine + sense * v * cosine)
+        for sense in (1.0, -1.0)
     )
     return 0.5 * (one + other)
 
@@ -193,10 +239,19 @@ class BarLikelihood:
     form: BarBlurModel = TUBE
 
     @classmethod
-    def of(cls, image: Array, window: Mask, target: BarTarget, asked: float, *, strip: bool = False) -> "BarLikelihood":
+    def of(
+        cls, image: Array, window: Mask, target: BarTarget, asked: float, *, strip: bool = False
+    ) -> "BarLikelihood":
         """Return the likelihood of a target in a mean frame before its noise is known."""
         variance = np.full(np.count_nonzero(window), float(image[window].var()) or 1.0)
-        return cls(image=image, window=window, variance=variance, asked=asked, length_px=target.length_px, strip=strip)
+        return cls(
+            image=image,
+            window=window,
+            variance=variance,
+            asked=asked,
+            length_px=target.length_px,
+            strip=strip,
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -254,9 +309,14 @@ class BarImageModel:
         self.reach = (float(np.abs(across).max()) + 3.0, float(np.abs(along).max()) + 3.0)
 
     def places(self, angle_rad: float, across_px: float, along_px: float) -> tuple[Array, Array]:
-        """Return distances of the window's pixels across and along displaced bars, shape (pixel,), px."""
+        """Return distances of the window's pixels across and along displaced bars, shape (pixel,),
+        px.
+        """
         cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
-        return self.x * cosine + self.y * sine - across_px, self.y * cosine - self.x * sine - along_px
+        return (
+            self.x * cosine + self.y * sine - across_px,
+            self.y * cosine - self.x * sine - along_px,
+        )
 
     def shape(self, theta: dict[str, float]) -> BarShape:
         """Return the image's shape for parameter values."""
@@ -276,7 +336,9 @@ class BarImageModel:
 
     def __call__(self, theta: dict[str, float]) -> tuple[Array, Array]:
         """Return the image, shape (pixel,), and its derivatives, shape (parameter, pixel)."""
-        across, along = self.places(theta["angle_rad"], theta.get("across_px", 0.0), theta.get("along_px", 0.0))
+        across, along = self.places(
+            theta["angle_rad"], theta.get("across_px", 0.0), theta.get("along_px", 0.0)
+        )
         found = table_of(self.shape(theta), *self.reach).at(across, along)
         level = theta["level_dn"]
         slopes = level * found[7], level * found[8]

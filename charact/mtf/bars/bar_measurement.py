@@ -7,7 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.bars.amplitudes import amplitudes_of, frame_correlation, second_harmonic, target_background
+from charact.mtf.bars.amplitudes import (
+    amplitudes_of,
+    frame_correlation,
+    second_harmonic,
+    target_background,
+)
 from charact.mtf.bars.bar_image_model import BarLikelihood
 from charact.mtf.bars.blur_models import TUBE
 from charact.mtf.bars.checks import (
@@ -77,20 +82,30 @@ class StatedBars:
     @property
     def remedy(self) -> str:
         """Options that would help."""
-        options = [name for name, value in (("--bars", self.bars), ("--frequency", self.frequency)) if value is None]
+        options = [
+            name
+            for name, value in (("--bars", self.bars), ("--frequency", self.frequency))
+            if value is None
+        ]
         return " and ".join([*options, "--roi"]) + " narrow the search"
 
 
-def measure_bars_in(used: FrameStack, asked: StatedBars, context: Context) -> BarMeasurement | BarRefusal:
+def measure_bars_in(
+    used: FrameStack, asked: StatedBars, context: Context
+) -> BarMeasurement | BarRefusal:
     """Detect and measure the target of a region."""
     mean = used.data.mean(axis=0, dtype=np.float64)
     if asked.frequency and max(mean.shape) < (asked.bars or 2) / asked.frequency:
         size = f"{mean.shape[0]} x {mean.shape[1]} px"
         return BarRefusal(f"no target: {asked} require a larger region, got {size}")
-    seen = target_in(mean, bars=asked.bars, frequency=asked.frequency, pitch_ratio=context.pitch_ratio)
+    seen = target_in(
+        mean, bars=asked.bars, frequency=asked.frequency, pitch_ratio=context.pitch_ratio
+    )
     if seen is None:
         return BarRefusal(f"no target: no group of {asked} found; {asked.remedy}")
-    return (_measure_strip if seen.through else _measure_complete_target)(used, mean, seen.target, asked, context)
+    return (_measure_strip if seen.through else _measure_complete_target)(
+        used, mean, seen.target, asked, context
+    )
 
 
 def _measure_strip(
@@ -98,13 +113,17 @@ def _measure_strip(
 ) -> BarMeasurement | BarRefusal:
     """Measure bars that cross the region."""
     turned = abs(np.sin(target.angle_rad)) > np.sqrt(0.5)
-    target = replace(target, length_px=mean.shape[1] if turned else mean.shape[0] * target.pitch_ratio)
+    target = replace(
+        target, length_px=mean.shape[1] if turned else mean.shape[0] * target.pitch_ratio
+    )
     why = not_identifiable(target, target.length_px)
     if why is not None:
         return BarRefusal(why, "aliased")
     window = np.ones(mean.shape, bool)
     problem = BarLikelihood.of(mean, window, target, target.frequency, strip=True)
-    fit, problem = fit_frames(used.data, problem, target, inflation=frame_correlation(used.data, window))
+    fit, problem = fit_frames(
+        used.data, problem, target, inflation=frame_correlation(used.data, window)
+    )
     if not light_in_standard_errors(fit) > LIMITS.min_light_sd:
         required = f"at least {LIMITS.min_light_sd:g} standard uncertainties"
         return BarRefusal(f"no target: the light of the bars must be {required}")
@@ -124,8 +143,12 @@ def _refuse_faint(standard_errors: float) -> BarRefusal:
 
 
 def _refuse_other_object(target: BarTarget, asked: StatedBars) -> BarRefusal:
-    wanted = StatedBars(bars=target.bars, frequency=asked.frequency or float(f"{target.frequency:.4g}"))
-    return BarRefusal(f"no target: the spectrum of the object does not match {wanted}; {asked.remedy}")
+    wanted = StatedBars(
+        bars=target.bars, frequency=asked.frequency or float(f"{target.frequency:.4g}")
+    )
+    return BarRefusal(
+        f"no target: the spectrum of the object does not match {wanted}; {asked.remedy}"
+    )
 
 
 def _is_in_region(fit: BarFit) -> bool:
@@ -155,22 +178,32 @@ def _sample_measurement(
     own, notes = fit.target.frequency, []
     if asked.frequency is None:
         problem = replace(problem, asked=own)
-    elif abs(np.log(own / problem.asked)) > max(LIMITS.frequency_tolerance, 3.0 * fit.sd("log_frequency")):
-        notes.append(f"Measured bar frequency {own:.4g} cy/px; the MTF is reported at {problem.asked:.4g} cy/px.")
+    elif abs(np.log(own / problem.asked)) > max(
+        LIMITS.frequency_tolerance, 3.0 * fit.sd("log_frequency")
+    ):
+        notes.append(
+            f"Measured bar frequency {own:.4g} cy/px; the MTF is reported at {problem.asked:.4g} "
+            "cy/px."
+        )
     if asked.bars is None:
         kind = "bright bars on a darker" if fit.target.sign > 0 else "dark bars on a brighter"
         notes.append(f"Found {fit.target.bars} {kind} background.")
     forms = fit_all_models(fit, problem)
     _, fit, problem = forms[0]
-    # Blur models that fit alike have about the same bias; the full posterior is that of the preferred one.
+    # Blur models that fit alike have about the same bias; the full posterior is that of the
+    # preferred one.
     bias = mtf_bias(fit, problem)
     posterior = sample_fit(fit, problem, context, bias)
     response = response_of(used, fit)
     mtf = linearise_mtf_draws(
-        _average_models(forms, mtf_of(posterior, fit, context), context, bias), response, context.seed
+        _average_models(forms, mtf_of(posterior, fit, context), context, bias),
+        response,
+        context.seed,
     )
     notes.append(f"Normalised to the light within {margin:.0f} px of the bars.")
-    notes.append("Bar width assumed to be half a period; a width error of 1 % biases the MTF by −1 %.")
+    notes.append(
+        "Bar width assumed to be half a period; a width error of 1 % biases the MTF by −1 %."
+    )
     if context.sensor is None:
         notes.append("Pixels taken as square.")
     near = np.zeros(problem.window.shape, bool)
@@ -196,17 +229,24 @@ def _average_models(
 ) -> Array:
     """Return draws over all blur models, given those of the first.
 
-    If the tube model is first, the scatter of the other models is a systematic uncertainty; otherwise the draws are
-    mixed in proportion to the weights.
+    If the tube model is first, the scatter of the other models is a systematic uncertainty;
+    otherwise the draws are mixed in proportion to the weights.
     """
     (fraction, fit, _), others = forms[0], forms[1:]
     if fit.shape.form is TUBE:
-        doubt = float(np.sqrt(sum(part * (one.shape.mtf - fit.shape.mtf) ** 2 for part, one, _ in others)))
+        doubt = float(
+            np.sqrt(sum(part * (one.shape.mtf - fit.shape.mtf) ** 2 for part, one, _ in others))
+        )
         return drawn + doubt * np.random.default_rng([context.seed, 43]).standard_normal(drawn.size)
     quick = replace(context, quick=True)
     parts = [(fraction, drawn)]
-    parts += [(part, mtf_of(sample_fit(one, its, quick, bias), one, quick)) for part, one, its in others]
-    taken = [np.linspace(0, own.size - 1, round(part * drawn.size)).astype(np.intp) for part, own in parts]
+    parts += [
+        (part, mtf_of(sample_fit(one, its, quick, bias), one, quick)) for part, one, its in others
+    ]
+    taken = [
+        np.linspace(0, own.size - 1, round(part * drawn.size)).astype(np.intp)
+        for part, own in parts
+    ]
     return np.concatenate([own[which] for (_, own), which in zip(parts, taken, strict=True)])
 
 
@@ -219,8 +259,8 @@ def _measure_complete_target(
     window = target.box(mean.shape, margin)
     if np.count_nonzero(~window) < 50:
         return BarRefusal(
-            reason="no target: the region must include background beyond the bars (pedestal not measurable); "
-            "enlarge --roi"
+            reason="no target: the region must include background beyond the bars (pedestal not "
+            "measurable); enlarge --roi"
         )
     beyond, crowded = target_background(mean, target, margin)
     image_lag = None if context.sensor is None else image_lag_model(context, len(used.data))
@@ -228,8 +268,12 @@ def _measure_complete_target(
     reported = target.frequency
     if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
         target = replace(target, frequency=measure_frequency(mean, target, margin))
-        # The measured frequency is uncertain too: if it equals the stated one, the MTF is reported at that.
-        near = asked.frequency is not None and abs(target.frequency / reported - 1.0) < LIMITS.frequency_tolerance
+        # The measured frequency is uncertain too: if it equals the stated one, the MTF is reported
+        # at that.
+        near = (
+            asked.frequency is not None
+            and abs(target.frequency / reported - 1.0) < LIMITS.frequency_tolerance
+        )
         reported = reported if near else target.frequency
         amplitudes = amplitudes_of(used.data, target, window, beyond, image_lag)
     if context.sensor is not None:
@@ -258,12 +302,17 @@ def _measure_complete_target(
             posterior=posterior,
             mtf=posterior["mtf"],
             findings=(*given, *clipping_findings(used, (box,), context)),
-            notes=(*sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None), *notes),
+            notes=(
+                *sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None),
+                *notes,
+            ),
             margin_px=margin,
         )
     wide = max(20.0, 1.5 / target.frequency)
     # Only the pixels that have no other light.
-    problem = BarLikelihood.of(mean, target.box(mean.shape, wide) & (beyond | window), target, reported)
+    problem = BarLikelihood.of(
+        mean, target.box(mean.shape, wide) & (beyond | window), target, reported
+    )
     fit, problem = fit_frames(used.data, problem, target, inflation=amplitudes.frame_correlation)
     standing = fundamental_in_standard_errors(fit)
     if standing < LIMITS.min_signal_sd:

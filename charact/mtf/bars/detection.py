@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 from charact.mtf.bars.bar_image_model import BarShape, table_of
 from charact.mtf.bars.blur_models import TUBE
-from charact.mtf.bars.target import BarTarget, blank_target, detect_bars, ground_level, refine_target
+from charact.mtf.bars.target import (
+    BarTarget,
+    blank_target,
+    detect_bars,
+    ground_level,
+    refine_target,
+)
 from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
@@ -16,7 +22,13 @@ Mask = NDArray[np.bool_]
 
 # Trial directions around the grid's axes.
 TILTS_DEG = np.arange(-12.0, 12.1, 1.0)
-TYPICAL = {"log_attenuation": -0.4, "form": TUBE, "form_one": TUBE.start[0], "form_two": 0.0, "departure": 0.0}
+TYPICAL = {
+    "log_attenuation": -0.4,
+    "form": TUBE,
+    "form_one": TUBE.start[0],
+    "form_two": 0.0,
+    "departure": 0.0,
+}
 
 
 # Trial frequencies over that of the spectral peak.
@@ -24,14 +36,18 @@ FREQUENCIES = np.linspace(0.92, 1.08, 9)
 
 
 def spans_region(image: Array, *, bars: int, frequency: float) -> bool:
-    """Return whether a patch of light as wide as the bars meets two opposite borders of a region."""
+    """Return whether a patch of light as wide as the bars meets two opposite borders of a
+    region.
+    """
     from scipy.ndimage import uniform_filter1d
 
     for picture in (image, image.T):
         depth = max(picture.shape[0] // 8, 2)
         width = int(min(bars / frequency, 0.6 * picture.shape[1])) or 1
         centre = (picture.shape[0] - depth) // 2
-        bands = [picture[top : top + depth].mean(axis=0) for top in (0, centre, picture.shape[0] - depth)]
+        bands = [
+            picture[top : top + depth].mean(axis=0) for top in (0, centre, picture.shape[0] - depth)
+        ]
         height = [float(np.ptp(uniform_filter1d(band, width))) for band in bands]
         if min(height[0], height[2]) > LIMITS.min_end_light * height[1]:
             return True
@@ -45,7 +61,8 @@ def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -
 
     Notes
     -----
-    The mean profile along each trial direction is correlated with that of the bars under a typical blur.
+    The mean profile along each trial direction is correlated with that of the bars under a typical
+    blur.
     """
     centre = ((image.shape[0] - 1) / 2.0, (image.shape[1] - 1) / 2.0)
     blank = replace(blank_target(bars, frequency, pitch_ratio), row=centre[0], col=centre[1])
@@ -61,7 +78,9 @@ def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -
 
 
 def _best(image: Array, target: BarTarget, template: Array) -> tuple[float, BarTarget]:
-    """Return the match of the profile along one direction in standard uncertainties, and the target there."""
+    """Return the match of the profile along one direction in standard uncertainties, and the target
+    there.
+    """
     across, _ = target.coordinates(image.shape)
     first = float(np.floor(across.min()))
     position = ((across - first) / ACCURACY.profile_bin_px).astype(np.intp).ravel()
@@ -99,9 +118,13 @@ def _template(target: BarTarget) -> Array:
     """Return the profile of the bars under a typical blur, at bin centres."""
     half = target.width_px / 2.0 + 0.75 / target.frequency
     shape = BarShape(
-        bars=target.bars, frequency=target.frequency, length_px=np.inf, reference=target.frequency, angle_rad=0.0,
+        bars=target.bars,
+        frequency=target.frequency,
+        length_px=np.inf,
+        reference=target.frequency,
+        angle_rad=0.0,
         **TYPICAL,
-    )  # fmt: skip
+    )
     positions = (np.arange(int(2 * half / ACCURACY.profile_bin_px)) + 0.5) * ACCURACY.profile_bin_px
     positions = positions - positions.mean()
     return table_of(shape, half, 1.0).at(positions, positions)[0]
@@ -115,27 +138,39 @@ class LocatedBars:
     through: bool
 
 
-def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> LocatedBars | None:
+def bars_in(
+    image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float
+) -> LocatedBars | None:
     """Return the bars in a region; None where there are none.
 
-    `image`: mean frame, shape (row, col); `bars`, `frequency`: their number and cycles per column pitch, where stated.
+    `image`: mean frame, shape (row, col); `bars`, `frequency`: their number and cycles per column
+    pitch, where stated.
 
     Notes
     -----
-    The strongest spectral peaks are tried in turn. The bars lie where the image, demodulated at the peak, keeps half of
-    its amplitude. Their profile is fitted with N blurred bars on a constant background, with free N, frequency, blur,
-    centre and sign. Of the waves that explain about as much of it the strongest is chosen: the others are side lobes.
+    The strongest spectral peaks are tried in turn. The bars lie where the image, demodulated at the
+    peak, keeps half of its amplitude. Their profile is fitted with N blurred bars on a constant
+    background, with free N, frequency, blur, centre and sign. Of the waves that explain about as
+    much of it the strongest is chosen: the others are side lobes.
     """
     looked: list[tuple[float, LocatedBars]] = []
     for wave, angle_rad in _waves(image, frequency, pitch_ratio):
         blank = BarTarget(
-            bars=bars or 0, frequency=wave, angle_rad=angle_rad, row=0.0, col=0.0, pitch_ratio=pitch_ratio,
-            length_px=0.0, sign=1,
-        )  # fmt: skip
+            bars=bars or 0,
+            frequency=wave,
+            angle_rad=angle_rad,
+            row=0.0,
+            col=0.0,
+            pitch_ratio=pitch_ratio,
+            length_px=0.0,
+            sign=1,
+        )
         patch = _patch(image, blank)
         found = _count_bars(image, patch, blank, bars)
         if found is not None:
-            looked.append((found[0], LocatedBars(target=found[1], through=_runs_through(patch, angle_rad))))
+            looked.append(
+                (found[0], LocatedBars(target=found[1], through=_runs_through(patch, angle_rad)))
+            )
     most = max((explained for explained, _ in looked), default=0.0)
     return next(
         (
@@ -147,8 +182,11 @@ def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ra
     )
 
 
-def _waves(image: Array, frequency: float | None, pitch_ratio: float) -> Iterator[tuple[float, float]]:
-    """Yield frequency and direction of the highest peaks of an image's spectrum, weighted by frequency.
+def _waves(
+    image: Array, frequency: float | None, pitch_ratio: float
+) -> Iterator[tuple[float, float]]:
+    """Yield frequency and direction of the highest peaks of an image's spectrum, weighted by
+    frequency.
 
     The weight suppresses the light of the complete patch.
     """
@@ -174,14 +212,18 @@ def _waves(image: Array, frequency: float | None, pitch_ratio: float) -> Iterato
 
 
 def _vertex(values: Array, peak: int) -> float:
-    """Return the vertex of the parabola through a peak and its cyclic neighbours, relative to the peak."""
+    """Return the vertex of the parabola through a peak and its cyclic neighbours, relative to the
+    peak.
+    """
     before, at, after = (float(values[(peak + step) % values.size]) for step in (-1, 0, 1))
     bend = before - 2.0 * at + after
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0
 
 
 def _patch(image: Array, wave: BarTarget) -> Mask:
-    """Return the pixels around the maximum of a wave that keep half of its amplitude, shape (row, col)."""
+    """Return the pixels around the maximum of a wave that keep half of its amplitude, shape (row,
+    col).
+    """
     from scipy.ndimage import gaussian_filter, label
 
     across, _ = wave.coordinates(image.shape)
@@ -192,7 +234,9 @@ def _patch(image: Array, wave: BarTarget) -> Mask:
     def smooth(part: Array) -> Array:
         return np.asarray(gaussian_filter(part, sigma, mode="constant"))
 
-    amplitude = np.hypot(smooth(np.real(turned)), smooth(np.imag(turned))) / smooth(np.ones(image.shape))
+    amplitude = np.hypot(smooth(np.real(turned)), smooth(np.imag(turned))) / smooth(
+        np.ones(image.shape)
+    )
     parts = np.zeros(image.shape, np.int32)
     label(amplitude > LIMITS.patch_level * amplitude.max(), output=parts)
     return parts == parts.flat[int(np.argmax(amplitude))]
@@ -204,10 +248,15 @@ def _runs_through(patch: Mask, angle_rad: float) -> bool:
     return bool(ends[0].any() and ends[-1].any())
 
 
-def _count_bars(image: Array, patch: Mask, wave: BarTarget, bars: int | None) -> tuple[float, BarTarget] | None:
+def _count_bars(
+    image: Array, patch: Mask, wave: BarTarget, bars: int | None
+) -> tuple[float, BarTarget] | None:
     """Return the fraction of a patch's profile explained by N blurred bars, and the best target."""
     across, along = wave.coordinates(image.shape)
-    centre = 0.5 * (across[patch].min() + across[patch].max()), 0.5 * (along[patch].min() + along[patch].max())
+    centre = (
+        0.5 * (across[patch].min() + across[patch].max()),
+        0.5 * (along[patch].min() + along[patch].max()),
+    )
     width, length = np.ptp(across[patch]), np.ptp(along[patch])
     near = (np.abs(across - centre[0]) < 0.5 * width + 1.2 / wave.frequency) & (
         np.abs(along - centre[1]) < max(0.4 * length, 1.0)
@@ -216,18 +265,31 @@ def _count_bars(image: Array, patch: Mask, wave: BarTarget, bars: int | None) ->
     index = np.floor((across[near] - across[near].min()) / step).astype(np.intp)
     count = np.bincount(index)
     filled = count > 0
-    position = (np.bincount(index, across[near])[filled] / count[filled] - centre[0]) * wave.frequency
+    position = (
+        np.bincount(index, across[near])[filled] / count[filled] - centre[0]
+    ) * wave.frequency
     value = np.bincount(index, image[near])[filled] / count[filled]
     guess = round(width * wave.frequency)
     numbers = (
-        [bars] if bars else [n for n in range(guess - ACCURACY.count_range, guess + ACCURACY.count_range + 1) if n > 1]
+        [bars]
+        if bars
+        else [
+            n
+            for n in range(guess - ACCURACY.count_range, guess + ACCURACY.count_range + 1)
+            if n > 1
+        ]
     )
     if position.size < 8 or not numbers or numbers[0] > LIMITS.max_bars:
         return None
     inside = np.abs(position) < 0.5 * width * wave.frequency
-    phase = float(np.angle(np.sum((value - value[inside].mean())[inside] * np.exp(2j * np.pi * position[inside]))))
+    phase = float(
+        np.angle(
+            np.sum((value - value[inside].mean())[inside] * np.exp(2j * np.pi * position[inside]))
+        )
+    )
     explained, number, ratio, shift, sign = max(
-        (_match_profile(position, value, number, phase / (2.0 * np.pi)) for number in numbers), key=lambda one: one[0]
+        (_match_profile(position, value, number, phase / (2.0 * np.pi)) for number in numbers),
+        key=lambda one: one[0],
     )
     seen = 0.5 * number / ratio + LIMITS.min_background_periods
     if position[0] > shift - seen or position[-1] < shift + seen:
@@ -246,11 +308,14 @@ def _count_bars(image: Array, patch: Mask, wave: BarTarget, bars: int | None) ->
     return explained, target
 
 
-def _match_profile(place: Array, value: Array, bars: int, peak: float) -> tuple[float, int, float, float, int]:
-    """Return the explained fraction of a profile, and number, frequency, centre and sign of the bars.
+def _match_profile(
+    place: Array, value: Array, bars: int, peak: float
+) -> tuple[float, int, float, float, int]:
+    """Return the explained fraction of a profile, and number, frequency, centre and sign of the
+    bars.
 
-    `place`: positions across the bars in periods of the wave, shape (point,); `peak`: position of a maximum of the
-    wave, periods: centre of a bar or a gap.
+    `place`: positions across the bars in periods of the wave, shape (point,); `peak`: position of a
+    maximum of the wave, periods: centre of a bar or a gap.
     """
     from scipy.special import ndtr
 
@@ -258,13 +323,16 @@ def _match_profile(place: Array, value: Array, bars: int, peak: float) -> tuple[
     left = value - background @ (background.T @ value)
     middles = peak + 0.5 * np.arange(-3, 4)
     ratio, centre, blur = (
-        one.ravel() for one in np.meshgrid(FREQUENCIES, middles, ACCURACY.trial_blurs, indexing="ij")
+        one.ravel()
+        for one in np.meshgrid(FREQUENCIES, middles, ACCURACY.trial_blurs, indexing="ij")
     )
     bars_at = np.arange(bars) - 0.5 * (bars - 1)
     phase = (place - centre[:, None]) * ratio[:, None]
     shape = np.zeros(phase.shape)
     for at in bars_at:
-        shape += ndtr((phase - at + 0.25) / blur[:, None]) - ndtr((phase - at - 0.25) / blur[:, None])
+        shape += ndtr((phase - at + 0.25) / blur[:, None]) - ndtr(
+            (phase - at - 0.25) / blur[:, None]
+        )
     shape -= (shape @ background) @ background.T
     inner, power = shape @ left, np.maximum(np.sum(shape**2, axis=1), 1e-9)
     gain = inner**2 / power
@@ -277,10 +345,13 @@ def _match_profile(place: Array, value: Array, bars: int, peak: float) -> tuple[
     return float(gain[best]) / total, bars, own, float(centre[best]), 1 if inner[best] > 0 else -1
 
 
-def target_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> LocatedBars | None:
+def target_in(
+    image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float
+) -> LocatedBars | None:
     """Return the target of a region, unstated properties measured; None where there is none.
 
-    `image`: mean frame, shape (row, col); `bars`, `frequency`: their number and cycles per column pitch, or None.
+    `image`: mean frame, shape (row, col); `bars`, `frequency`: their number and cycles per column
+    pitch, or None.
     """
     if bars is None or frequency is None:
         seen = bars_in(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)

@@ -5,14 +5,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.bar_image_model import BarImageModel, BarLikelihood, BarShape, initial_parameters, priors
+from charact.mtf.bars.bar_image_model import (
+    BarImageModel,
+    BarLikelihood,
+    BarShape,
+    initial_parameters,
+    priors,
+)
 from charact.mtf.bars.blur_models import BLUR_MODELS
 from charact.mtf.bars.noise import BarWindowNoise, noise_of, noise_of_one
 from charact.mtf.bars.target import BarTarget
 from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.quantisation_checks import rounding_shifts
 from charact.posterior.laplace import covariance_root
-from charact.posterior.least_squares import Linearisation, least_squares, linearise_residual, weigh_by_evidence
+from charact.posterior.least_squares import (
+    Linearisation,
+    least_squares,
+    linearise_residual,
+    weigh_by_evidence,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -80,8 +91,8 @@ def fit_bars(
 
     Notes
     -----
-    Near its optimum weighted least squares is a linear estimator, E = (J' W J + P)^-1 J' W. For any correlation between
-    pixels its covariance is E S E' plus the priors' part.
+    Near its optimum weighted least squares is a linear estimator, E = (J' W J + P)^-1 J' W. For any
+    correlation between pixels its covariance is E S E' plus the priors' part.
     """
     image = BarImageModel(problem, target)
     # The transfer of the aperture, which the priors need, hardly changes during the fit.
@@ -91,16 +102,31 @@ def fit_bars(
     def linearise(theta: Array) -> Linearisation:
         model, slope = image(dict(zip(problem.names, theta, strict=True)))
         mean, precision = priors(problem, float(pixel * np.exp(-np.exp(theta[0]))))
-        return linearise_residual((data - model) * weight, slope * weight, mean - theta, precision,
-                                  (model, slope, mean, precision))  # fmt: skip
+        return linearise_residual(
+            (data - model) * weight,
+            slope * weight,
+            mean - theta,
+            precision,
+            (model, slope, mean, precision),
+        )
 
     bounds = [problem.bounds.get(name, (-np.inf, np.inf)) for name in problem.names]
     begin = [start[name] for name in problem.names]
-    found = least_squares(linearise, begin, bounds, iterations=24, tolerance=tolerance,
-                          damping=1e-6, grow=1e3, hopeless=hopeless)  # fmt: skip
+    found = least_squares(
+        linearise,
+        begin,
+        bounds,
+        iterations=24,
+        tolerance=tolerance,
+        damping=1e-6,
+        grow=1e3,
+        hopeless=hopeless,
+    )
     model, slope, mean, precision = found.at.model
     weighted = slope / problem.variance
-    inverse = np.asarray(np.linalg.pinv(found.at.normal, rcond=1e-14, hermitian=True), dtype=np.float64)
+    inverse = np.asarray(
+        np.linalg.pinv(found.at.normal, rcond=1e-14, hermitian=True), dtype=np.float64
+    )
     estimator = inverse @ weighted
     noise = noise or BarWindowNoise(variance=problem.variance, correlation=np.ones((1, 1)))
     spread = noise.spread(estimator, problem.window)
@@ -140,10 +166,12 @@ def fit_frames(
 ) -> tuple[BarFit, BarLikelihood]:
     """Fit the mean of frames with its noise; return the likelihood with each pixel's variance too.
 
-    `frames`: shape (frame, row, col); for one frame the noise is estimated from the residuals of a first fit;
-    `inflation`: variance factor of the mean by image lag.
+    `frames`: shape (frame, row, col); for one frame the noise is estimated from the residuals of a
+    first fit; `inflation`: variance factor of the mean by image lag.
     """
-    first = fit_bars(problem, target, initial_parameters(problem, target), tolerance=ACCURACY.rough_tolerance)
+    first = fit_bars(
+        problem, target, initial_parameters(problem, target), tolerance=ACCURACY.rough_tolerance
+    )
     window, background = problem.window, first["pedestal_dn"]
     if len(frames) > 1:
         noise = noise_of(frames, first.model_dn, window, ground_dn=background, inflation=inflation)
@@ -152,30 +180,40 @@ def fit_frames(
         spread = first.noise_covariance * np.mean(first.residual_dn**2) / np.mean(problem.variance)
         for _ in range(2):
             absorbed = covariance_root(spread).T @ first.slope
-            noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window, ground_dn=background)
+            noise = noise_of_one(
+                first.residual_dn, first.model_dn, absorbed, window, ground_dn=background
+            )
             spread = noise.spread(first.estimator, window)
         # A common quantisation shift is absorbed by the image: the residuals do not contain it.
         if frames.dtype.kind in "ui":
             noise = replace(noise, rounding=rounding_shifts(first.model_dn, noise.variance))
-    # No pixel weighs more than the average one: unequal weights carry the noise of the first fit into the second.
+    # No pixel weighs more than the average one: unequal weights carry the noise of the first fit
+    # into the second.
     least = max(float(noise.variance.mean()), ACCURACY.min_variance * first["level_dn"] ** 2)
     likelihood = replace(problem, variance=np.maximum(noise.variance, least))
     return fit_bars(likelihood, target, first.values, noise), likelihood
 
 
-def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, BarFit, BarLikelihood]]:
-    """Fit all blur models; return weight, fit and likelihood of those that count, the preferred one first.
+def fit_all_models(
+    fit: BarFit, problem: BarLikelihood
+) -> list[tuple[float, BarFit, BarLikelihood]]:
+    """Fit all blur models; return weight, fit and likelihood of those that count, the preferred one
+    first.
 
-    `fit`: fit of one blur model; `problem`: its likelihood; the reported frequency may differ from that of the fit.
+    `fit`: fit of one blur model; `problem`: its likelihood; the reported frequency may differ from
+    that of the fit.
 
     Notes
     -----
-    Weights are evidences by Laplace's approximation: exp(-chi^2 / 2), chi^2 divided by the correlation sum, times the
-    posterior-to-prior widths of the model's two parameters. The tube model, which approximates almost any blur to first
-    order, stays first unless the data clearly prefer another.
+    Weights are evidences by Laplace's approximation: exp(-chi^2 / 2), chi^2 divided by the
+    correlation sum, times the posterior-to-prior widths of the model's two parameters. The tube
+    model, which approximates almost any blur to first order, stays first unless the data clearly
+    prefer another.
     """
     shape, ratio = fit.shape, problem.asked / fit.shape.reference
-    positions = np.log(np.geomspace(ACCURACY.matched_range[0], ACCURACY.matched_range[1], 40) * ratio)
+    positions = np.log(
+        np.geomspace(ACCURACY.matched_range[0], ACCURACY.matched_range[1], 40) * ratio
+    )
     now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
     core = np.exp(shape.form.ln(positions, *now))
     attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
@@ -185,9 +223,20 @@ def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, Bar
         if form is shape.form and ratio == 1.0:
             fits.append((fit, own))
             continue
-        scale, (log_attenuation, one, two) = form.nearest(positions - np.log(ratio), core, attenuation)
-        start = {**fit.values, "across_px": 0.0, "along_px": 0.0, "level_dn": scale * fit["level_dn"]}
-        start |= {"log_attenuation": float(log_attenuation), "form_one": float(one), "form_two": float(two)}
+        scale, (log_attenuation, one, two) = form.nearest(
+            positions - np.log(ratio), core, attenuation
+        )
+        start = {
+            **fit.values,
+            "across_px": 0.0,
+            "along_px": 0.0,
+            "level_dn": scale * fit["level_dn"],
+        }
+        start |= {
+            "log_attenuation": float(log_attenuation),
+            "form_one": float(one),
+            "form_two": float(two),
+        }
         hopeless = least - 2.0 * fit.noise.correlation_sum * np.log(ACCURACY.min_model_weight)
         fits.append((fit_bars(own, fit.target, start, fit.noise, hopeless=hopeless), own))
         least = min(least, fits[-1][0].cost)
@@ -205,7 +254,9 @@ def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
         min(fit.sd(name) / prior[1], 1.0)
         for name, prior in (("form_one", problem.form.one), ("form_two", problem.form.two))
     ]
-    return -0.5 * fit.cost / fit.noise.correlation_sum + float(np.sum(np.log(np.maximum(left, 1e-6))))
+    return -0.5 * fit.cost / fit.noise.correlation_sum + float(
+        np.sum(np.log(np.maximum(left, 1e-6)))
+    )
 
 
 def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:
@@ -213,14 +264,16 @@ def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:
 
     Notes
     -----
-    A phase, direction or frequency that follows the noise raises the bars' amplitude. With slopes J, second derivatives
-    H, weights W, estimator E = (J' W J + P)^-1 J' W and noise covariance S the bias of the estimate is (Box 1971, doi
-    10.1111/j.2517-6161.1971.tb00871.x, for weights that may differ from the noise's)
+    A phase, direction or frequency that follows the noise raises the bars' amplitude. With slopes
+    J, second derivatives H, weights W, estimator E = (J' W J + P)^-1 J' W and noise covariance S
+    the bias of the estimate is (Box 1971, doi 10.1111/j.2517-6161.1971.tb00871.x, for weights that
+    may differ from the noise's)
 
-        b = (J' W J + P)^-1 [sum_k H_k' W q_k - J' W tr(H C) / 2],   C = E S E',   q = (1 - J E) S E',
+        b = (J' W J + P)^-1 [sum_k H_k' W q_k - J' W tr(H C) / 2],
+        C = E S E',   q = (1 - J E) S E',
 
-    and that of the MTF M is M' b + tr(M'' C) / 2, to second order in the noise. It is neglected for an MTF of less than
-    1.5 % uncertainty.
+    and that of the MTF M is M' b + tr(M'' C) / 2, to second order in the noise. It is neglected for
+    an MTF of less than 1.5 % uncertainty.
     """
     own = [fit.names.index("log_attenuation"), fit.names.index("departure")]
     first, second = _mtf_slopes(fit)
@@ -282,7 +335,9 @@ def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
 
 
 def _steps(fit: BarFit, picture: BarImageModel) -> dict[str, float]:
-    """Return the finite-difference step of each nonlinear parameter, for positions part of a period."""
+    """Return the finite-difference step of each nonlinear parameter, for positions part of a
+    period.
+    """
     reach = picture.reach
     move = min(0.06 / fit.target.frequency, 0.25)
     steps = {

@@ -40,12 +40,18 @@ def bar_profile(used: FrameStack, target: BarTarget, mtf: float) -> dict:
     """
     across, along = target.coordinates(used.shape[1:])
     mean = used.data.mean(axis=0, dtype=np.float64)
-    near = (np.abs(along) < 0.3 * target.length_px) & (np.abs(across) < target.width_px / 2 + 1.5 / target.frequency)
-    edges = np.arange(across[near].min(), across[near].max() + 0.25, max(0.25, 0.04 / target.frequency))
+    near = (np.abs(along) < 0.3 * target.length_px) & (
+        np.abs(across) < target.width_px / 2 + 1.5 / target.frequency
+    )
+    edges = np.arange(
+        across[near].min(), across[near].max() + 0.25, max(0.25, 0.04 / target.frequency)
+    )
     position = np.digitize(across[near], edges)
     count = np.bincount(position, minlength=len(edges) + 1)[1:-1]
     filled = count > 0
-    value = np.bincount(position, mean[near], minlength=len(edges) + 1)[1:-1][filled] / count[filled]
+    value = (
+        np.bincount(position, mean[near], minlength=len(edges) + 1)[1:-1][filled] / count[filled]
+    )
     distance = (0.5 * (edges[1:] + edges[:-1]))[filled]
     shape = _model_profile(distance, target, mtf)
     scale, level = np.polyfit(shape, value, 1) if shape.std() > 0 else (0.0, float(value.mean()))
@@ -67,10 +73,17 @@ def _model_profile(distance: Array, target: BarTarget, mtf: float) -> Array:
     pixel = float(forms.aperture(np.array([frequency]), target.angle_rad)[0])
     core = float(np.clip(mtf / pixel, 1e-3, 0.999))
     shape = BarShape(
-        bars=target.bars, frequency=frequency, length_px=np.inf, reference=frequency, form=TUBE,
-        log_attenuation=float(np.log(-np.log(core))), form_one=float(np.log(1.2)), form_two=0.0,
-        departure=0.0, angle_rad=target.angle_rad,
-    )  # fmt: skip
+        bars=target.bars,
+        frequency=frequency,
+        length_px=np.inf,
+        reference=frequency,
+        form=TUBE,
+        log_attenuation=float(np.log(-np.log(core))),
+        form_one=float(np.log(1.2)),
+        form_two=0.0,
+        departure=0.0,
+        angle_rad=target.angle_rad,
+    )
     return table_of(shape, float(np.abs(distance).max()), 1.0).at(distance, distance)[0]
 
 
@@ -90,12 +103,13 @@ def bars_forward(
     stack
         Frames of one target.
     region
-        ROW, COL, HEIGHT, WIDTH that contains the complete target and its blur, or a strip across all bars; None: the
-        whole frame.
+        ROW, COL, HEIGHT, WIDTH that contains the complete target and its blur, or a strip across
+        all bars; None: the whole frame.
     bars
         Number of bars; None: counted in the image.
     frequency_cy_per_px
-        Bar frequency, cycles per column pitch across the bars, at which the MTF is reported; None: measured.
+        Bar frequency, cycles per column pitch across the bars, at which the MTF is reported; None:
+        measured.
     context
         Seed, speed and camera.
 
@@ -106,11 +120,12 @@ def bars_forward(
 
     Notes
     -----
-    The spectrum of N bars of width w = 1/(2 f) and pitch P is O(v) = w sinc(v w) sin(pi N v P) / sin(pi v P). At the
-    bar frequency it is (2/pi) O(0), so that MTF(f) = (pi/2) |I(f)| / I(0), I the spectrum of the image above its
-    pedestal. O times a blur model, with a free departure at f, and the pixel aperture is fitted to the pixels. For a
-    camera with a description, whose halo is wide and known, complete targets are summed instead; the light beyond the
-    window is a parameter with a prior from the description.
+    The spectrum of N bars of width w = 1/(2 f) and pitch P is O(v) = w sinc(v w) sin(pi N v P) /
+    sin(pi v P). At the bar frequency it is (2/pi) O(0), so that MTF(f) = (pi/2) |I(f)| / I(0), I
+    the spectrum of the image above its pedestal. O times a blur model, with a free departure at f,
+    and the pixel aperture is fitted to the pixels. For a camera with a description, whose halo is
+    wide and known, complete targets are summed instead; the light beyond the window is a parameter
+    with a prior from the description.
     """
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
@@ -118,10 +133,15 @@ def bars_forward(
     found = measure_bars_in(used, stated, context)
     if isinstance(found, BarRefusal):
         one = make_refusal(
-            "mtf", "1", found.reason, method=METHOD, flags=(found.flag,), region=where,
+            "mtf",
+            "1",
+            found.reason,
+            method=METHOD,
+            flags=(found.flag,),
+            region=where,
             frequency_cy_per_px=stated.frequency,
             provenance=Provenance(version=charact.__version__, seed=context.seed),
-        )  # fmt: skip
+        )
         return Result(measurements=(one,))
     motion = measure_bar_motion(used, found.target)
     doubts = findings_of_draws(found.mtf, motion, found.target.frequency, found.posterior.flags)
@@ -138,9 +158,14 @@ def bars_forward(
         provenance=Provenance(
             version=charact.__version__,
             seed=context.seed,
-            settings={"quick": context.quick, "bars": found.target.bars, "margin_px": found.margin_px},
+            settings={
+                "quick": context.quick,
+                "bars": found.target.bars,
+                "margin_px": found.margin_px,
+            },
         ),
     ).with_(findings=dict.fromkeys([*found.findings, *doubts]))
     return Result(
-        measurements=(measurement,), evidence={"bars": bar_profile(used, found.target, measurement.value or 0.0)}
+        measurements=(measurement,),
+        evidence={"bars": bar_profile(used, found.target, measurement.value or 0.0)},
     )

@@ -17,9 +17,11 @@ class BarWindowNoise:
     """Noise of the pixels of a window."""
 
     variance: Array  # Of each pixel, shape (pixel,)
-    correlation: Array  # Correlation of two pixels by their separation, shape (2 k + 1, 2 k + 1), 1 in the centre
+    # Correlation of two pixels by their separation, shape (2 k + 1, 2 k + 1), 1 in the centre
+    correlation: Array
     inflation: float = 1.0  # Factor on all variances by image lag
-    # Possible shifts of the pixels by quantisation, shape (offset, pixel), DN; the offsets are equally likely
+    # Possible shifts of the pixels by quantisation, shape (offset, pixel), DN; the offsets are
+    # equally likely
     rounding: Array | None = None
     row_variance: float = 0.0  # Variance of an offset common to the pixels of a row, DN^2
 
@@ -31,18 +33,23 @@ class BarWindowNoise:
     def spread(self, estimator: Array, window: Mask) -> Array:
         """Return the covariance of linear estimates by the noise, shape (estimate, estimate).
 
-        `estimator`: weight of each pixel in each estimate, shape (estimate, pixel); `window`: pixels, shape (row, col).
+        `estimator`: weight of each pixel in each estimate, shape (estimate, pixel); `window`:
+        pixels, shape (row, col).
         """
         return estimator @ self.covariance_with(estimator, window).T
 
     def covariance_with(self, estimator: Array, window: Mask) -> Array:
-        """Return the covariance of each pixel's noise with linear estimates, shape (estimate, pixel)."""
+        """Return the covariance of each pixel's noise with linear estimates, shape (estimate,
+        pixel).
+        """
         from scipy.fft import irfft2, next_fast_len, rfft2
 
         reach = self.correlation.shape[0] // 2
         rows, cols = np.nonzero(window)
         rows, cols = rows - rows.min(), cols - cols.min()
-        size = tuple(int(next_fast_len(int(side.max()) + 1 + reach, True) or 0) for side in (rows, cols))
+        size = tuple(
+            int(next_fast_len(int(side.max()) + 1 + reach, True) or 0) for side in (rows, cols)
+        )
         scale = np.sqrt(self.variance)
         fields = np.zeros((len(estimator), *size))
         fields[:, rows, cols] = estimator * scale
@@ -61,11 +68,14 @@ class BarWindowNoise:
         return shared + (estimator @ self.rounding.T) @ self.rounding / len(self.rounding)
 
 
-def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inflation: float) -> BarWindowNoise:
+def noise_of(
+    frames: Array, model: Array, window: Mask, *, ground_dn: float, inflation: float
+) -> BarWindowNoise:
     """Return the noise of the mean of frames, from their scatter.
 
-    `frames`: at least two, shape (frame, row, col); integers are taken as quantised; `model`: image of the window's
-    pixels, shape (pixel,); `ground_dn`: background level; `inflation`: variance factor of the mean by image lag.
+    `frames`: at least two, shape (frame, row, col); integers are taken as quantised; `model`: image
+    of the window's pixels, shape (pixel,); `ground_dn`: background level; `inflation`: variance
+    factor of the mean by image lag.
     """
     left = frames - frames.mean(axis=0)
     fraction = len(frames) / (len(frames) - 1.0)
@@ -77,15 +87,19 @@ def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inf
         correlation=correlation_of(field, window),
         inflation=inflation,
         rounding=rounding_shifts(model, variance) if frames.dtype.kind in "ui" else None,
-        row_variance=fraction * row_offset_variance(left, np.abs(model - ground_dn), window) / len(frames),
+        row_variance=fraction
+        * row_offset_variance(left, np.abs(model - ground_dn), window)
+        / len(frames),
     )
 
 
-def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask, *, ground_dn: float) -> BarWindowNoise:
+def noise_of_one(
+    residual: Array, model: Array, absorbed: Array, window: Mask, *, ground_dn: float
+) -> BarWindowNoise:
     """Return the noise of one frame from the residuals of a fit.
 
-    `residual`, `model`: pixels less the image, and the image, shape (pixel,); `absorbed`: uncertainty of the fit as
-    independent fields, shape (field, pixel): noise that the fit absorbed.
+    `residual`, `model`: pixels less the image, and the image, shape (pixel,); `absorbed`:
+    uncertainty of the fit as independent fields, shape (field, pixel): noise that the fit absorbed.
     """
     variance = variance_of(model, residual**2 + np.sum(absorbed**2, axis=0))
     scale = 1.0 / np.sqrt(variance)
@@ -95,18 +109,22 @@ def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask, *
     left = np.zeros((1, *window.shape))
     left[0, window] = residual
     shared = row_offset_variance(left, np.abs(model - ground_dn), window)
-    return BarWindowNoise(variance=variance, correlation=correlation_of(fields, window), row_variance=shared)
+    return BarWindowNoise(
+        variance=variance, correlation=correlation_of(fields, window), row_variance=shared
+    )
 
 
 def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
-    """Return the variance of an offset common to the pixels of a row, DN^2; 0 where it is not significant.
+    """Return the variance of an offset common to the pixels of a row, DN^2; 0 where it is not
+    significant.
 
-    `left`: residuals of frames, shape (frame, row, col), DN; `height`: image above the background, shape (pixel,), DN;
-    only background pixels are used; `window`: pixels, shape (row, col).
+    `left`: residuals of frames, shape (frame, row, col), DN; `height`: image above the background,
+    shape (pixel,), DN; only background pixels are used; `window`: pixels, shape (row, col).
 
     Notes
     -----
-    Distant pixels of a row have only the row offset in common. The mean of each frame's background is subtracted.
+    Distant pixels of a row have only the row offset in common. The mean of each frame's background
+    is subtracted.
     """
     background = np.zeros(window.shape, bool)
     background[window] = height <= LIMITS.max_background_height * height.max()
@@ -122,11 +140,17 @@ def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
     if covariances.size < ACCURACY.min_background_pixels:
         return 0.0
     mean = float(covariances.mean())
-    return mean if mean > LIMITS.min_row_noise_sd * float(covariances.std()) / np.sqrt(covariances.size) else 0.0
+    return (
+        mean
+        if mean > LIMITS.min_row_noise_sd * float(covariances.std()) / np.sqrt(covariances.size)
+        else 0.0
+    )
 
 
 def variance_of(level: Array, square: Array) -> Array:
-    """Return the variance of each pixel: a non-decreasing line in its level, at least a tenth of the mean."""
+    """Return the variance of each pixel: a non-decreasing line in its level, at least a tenth of
+    the mean.
+    """
     mean = float(square.mean())
     spread = float(level.std())
     if not spread > 0 or not mean > 0:
@@ -155,6 +179,9 @@ def _correlation(fields: Array, window: Mask, reach: int) -> Array:
             there = (slice(down, rows), slice(max(0, right), cols + min(0, right)))
             pairs = np.count_nonzero(window[here] & window[there])
             if pairs:
-                shared = float(np.sum(masked[(slice(None), *here)] * masked[(slice(None), *there)])) / pairs
+                shared = (
+                    float(np.sum(masked[(slice(None), *here)] * masked[(slice(None), *there)]))
+                    / pairs
+                )
                 found[reach + down, reach + right] = found[reach - down, reach - right] = shared
     return found / max(found[reach, reach], 1e-30)

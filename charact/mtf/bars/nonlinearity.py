@@ -18,7 +18,9 @@ Mask = NDArray[np.bool_]
 
 
 class Power(NamedTuple):
-    """Exponent with which noise grows with the light, and its standard uncertainty, dimensionless."""
+    """Exponent with which noise grows with the light, and its standard uncertainty,
+    dimensionless.
+    """
 
     exponent: float
     sd: float
@@ -30,13 +32,15 @@ class BarNonlinearity(NamedTuple):
     Parameters
     ----------
     curvature, sd
-        c of a response y = u + c u (1 - u), u the light over that of a wide bar, and its standard uncertainty.
+        c of a response y = u + c u (1 - u), u the light over that of a wide bar, and its standard
+        uncertainty.
     contrast
         Of the bars and their background.
     lifts
         Change of ln MTF by a curvature of one.
     shared, own
-        Powers of the light with which the covariance of neighbours and the variance of pixels grow; None: unknown.
+        Powers of the light with which the covariance of neighbours and the variance of pixels grow;
+        None: unknown.
     """
 
     curvature: float
@@ -62,9 +66,10 @@ def response_findings(response: BarNonlinearity) -> list[Finding]:
 
     Notes
     -----
-    Light pulses correlate neighbours, read-out and quantisation do not. Under a response of exponent g the covariance
-    of neighbours grows as the level above black to the power 2 - 1/g, which is 1 for a linear response. The variance of
-    pixels, which includes read-out noise, then grows at most in proportion, and does not fall.
+    Light pulses correlate neighbours, read-out and quantisation do not. Under a response of
+    exponent g the covariance of neighbours grows as the level above black to the power 2 - 1/g,
+    which is 1 for a linear response. The variance of pixels, which includes read-out noise, then
+    grows at most in proportion, and does not fall.
     """
     shared, own = response.shared, response.own
     moved = 100.0 * abs(response.lifts) * np.hypot(response.curvature, response.sd)
@@ -72,20 +77,24 @@ def response_findings(response: BarNonlinearity) -> list[Finding]:
     found = []
     if abs(response.curvature) > LIMITS.max_curvature_sd * response.sd:
         found.append(
-            f"the image indicates a response of curvature {response.curvature:.2g} +- {response.sd:.1g} (linear: 0); "
-            "unequal bars and gaps have the same effect"
+            f"the image indicates a response of curvature {response.curvature:.2g} +- "
+            f"{response.sd:.1g} (linear: 0); unequal bars and gaps have the same effect"
         )
     if shared and abs(shared.exponent - 1.0) > LIMITS.neighbour_power[0] * float(
         np.hypot(shared.sd, LIMITS.neighbour_power[1])
     ):
         found.append(
-            f"correlated noise grows as signal^({shared.exponent:.2f} +- {shared.sd:.2f}); a linear response gives "
-            "exponent 1. Target motion also adds noise"
+            f"correlated noise grows as signal^({shared.exponent:.2f} +- {shared.sd:.2f}); a "
+            "linear response gives exponent 1. Target motion also adds noise"
         )
-    if own and max(own.exponent - 1.0, -own.exponent) > LIMITS.pixel_power[0] * own.sd + LIMITS.pixel_power[1]:
+    if (
+        own
+        and max(own.exponent - 1.0, -own.exponent)
+        > LIMITS.pixel_power[0] * own.sd + LIMITS.pixel_power[1]
+    ):
         found.append(
-            f"pixel noise grows as signal^({own.exponent:.2f} +- {own.sd:.2f}); photon and read-out noise give an "
-            "exponent between 0 and 1"
+            f"pixel noise grows as signal^({own.exponent:.2f} +- {own.sd:.2f}); photon and "
+            "read-out noise give an exponent between 0 and 1"
         )
     remedy = "frames with a linear response (raw, gamma 1), or the correct --black-dn"
     return [Finding(flag="gamma", effect=effect + one, remedy=remedy) for one in found]
@@ -106,7 +115,8 @@ def linearise_mtf_draws(mtf: Array, response: BarNonlinearity, seed: int) -> Arr
 
 
 def _noise_ln_odds(shared: Power | None) -> float:
-    """Return the ln Bayes factor of a nonlinear response from the power of the neighbours' covariance.
+    """Return the ln Bayes factor of a nonlinear response from the power of the neighbours'
+    covariance.
 
     A response of exponent g makes it 2 - 1/g, of mean one with the prior's spread.
     """
@@ -123,8 +133,8 @@ def _curvature(fit: BarFit) -> tuple[float, float, float]:
 
     Notes
     -----
-    To first order the image of bars u becomes u + c u (1 - u) times their height; the parameters with their priors
-    absorb part of the change.
+    To first order the image of bars u becomes u + c u (1 - u) times their height; the parameters
+    with their priors absorb part of the change.
     """
     fraction = np.clip((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"], 0.0, 1.0)
     bent = abs(fit["level_dn"]) * fraction * (1.0 - fraction)
@@ -137,13 +147,19 @@ def _curvature(fit: BarFit) -> tuple[float, float, float]:
     noise = float(np.sqrt(max(float(fit.noise.spread(apart[None], fit.window)[0, 0]), 0.0))) / size
     # The blur of several stages mimics a curvature of 0.01.
     sd = float(np.hypot(noise, 0.01))
-    return float(apart @ fit.residual_dn) / size, sd, float(fit.ln_mtf_slope @ (fit.estimator @ bent))
+    return (
+        float(apart @ fit.residual_dn) / size,
+        sd,
+        float(fit.ln_mtf_slope @ (fit.estimator @ bent)),
+    )
 
 
 def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | None, Power | None]:
-    """Return the powers of the light with which the covariance of row neighbours and the pixel variance grow.
+    """Return the powers of the light with which the covariance of row neighbours and the pixel
+    variance grow.
 
-    `data`: shape (frame, row, col), DN; `fit`: the image fitted to their mean; `black_dn`: black level, DN.
+    `data`: shape (frame, row, col), DN; `fit`: the image fitted to their mean; `black_dn`: black
+    level, DN.
 
     Returns
     -------
@@ -156,11 +172,17 @@ def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | N
     if not brightest > 0:
         return None, None
     noise = _noise(data.astype(np.float64), light)
-    background, height = fit["pedestal_dn"] - black_dn, float(np.abs(fit.model_dn - fit["pedestal_dn"]).max())
+    background, height = (
+        fit["pedestal_dn"] - black_dn,
+        float(np.abs(fit.model_dn - fit["pedestal_dn"]).max()),
+    )
     level, product = _products(noise, light, ACCURACY.neighbour_lag_px)
     far = [_products(noise, light, lag) for lag in (8, 9, 10)]
     common = np.concatenate(
-        [apart[np.abs(between - background) < LIMITS.max_flat_height * height] for between, apart in far]
+        [
+            apart[np.abs(between - background) < LIMITS.max_flat_height * height]
+            for between, apart in far
+        ]
     )
     product -= common.mean() if common.size else 0.0
     correlation = fit.noise.correlation
@@ -175,13 +197,17 @@ def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | N
     level, square = _products(noise, light, 0)
     if not _shows_noise(data, level, square):
         return shared, None
-    return shared, _power(level / brightest, square, _between(spread, 0), max(float(np.sum(correlation**2)), 1.0))
+    return shared, _power(
+        level / brightest, square, _between(spread, 0), max(float(np.sum(correlation**2)), 1.0)
+    )
 
 
 def _shows_noise(data: NDArray, level: Array, square: Array) -> bool:
     """Return whether the scatter of single pixels is noise, not fixed pattern or quantisation."""
     lit = level > 0.5 * level.max()
-    quiet = len(data) == 1 and level[lit].mean() > LIMITS.max_single_frame_snr * np.sqrt(square[lit].mean())
+    quiet = len(data) == 1 and level[lit].mean() > LIMITS.max_single_frame_snr * np.sqrt(
+        square[lit].mean()
+    )
     dark = level <= np.quantile(level, 0.25)
     rounded = data.dtype.kind in "ui" and square[dark].mean() < LIMITS.min_noise_dn**2
     return not quiet and not rounded
@@ -191,7 +217,11 @@ def _noise(frames: Array, light: Array) -> Array:
     """Return the residuals of frames, with each frame's offset and flicker subtracted."""
     seen = np.isfinite(light)
     fraction = len(frames) / max(len(frames) - 1.0, 1.0)
-    expected = frames.mean(axis=0) if len(frames) > 1 else light - float(np.mean((light - frames[0])[seen]))
+    expected = (
+        frames.mean(axis=0)
+        if len(frames) > 1
+        else light - float(np.mean((light - frames[0])[seen]))
+    )
     left = np.sqrt(fraction) * np.where(seen, frames - expected, 0.0)
     shapes = np.stack([np.ones(np.count_nonzero(seen)), light[seen]])
     left[:, seen] -= left[:, seen] @ np.linalg.pinv(shapes) @ shapes
@@ -199,7 +229,9 @@ def _noise(frames: Array, light: Array) -> Array:
 
 
 def _products(noise: Array, light: Array, lag: int) -> tuple[Array, Array]:
-    """Return the light between pixels a lag apart in a row, DN, and the mean product of their noise, DN^2."""
+    """Return the light between pixels a lag apart in a row, DN, and the mean product of their
+    noise, DN^2.
+    """
     last = light.shape[1] - lag
     product = np.mean(noise[:, :, :last] * noise[:, :, lag:], axis=0)
     pairs = np.isfinite(light[:, :last] + light[:, lag:])
@@ -215,8 +247,9 @@ def _between(field: Array, lag: int) -> Array:
 def _power(share: Array, product: Array, variance: Array, tied: float) -> Power | None:
     """Return the power of the light in proportion to which noise grows; None: there is too little.
 
-    `share`: light over the brightest, shape (pixel,); `product`: products of noise, DN^2; `variance`: approximate scale
-    of their uncertainties, DN^2; `tied`: variance factor of averages relative to independent products.
+    `share`: light over the brightest, shape (pixel,); `product`: products of noise, DN^2;
+    `variance`: approximate scale of their uncertainties, DN^2; `tied`: variance factor of averages
+    relative to independent products.
 
     Notes
     -----
@@ -235,8 +268,15 @@ def _power(share: Array, product: Array, variance: Array, tied: float) -> Power 
         return linearise_residual(found - expected, slopes, model=(slopes, found - expected))
 
     bounds = start[:, None] + ACCURACY.power_range * np.array([-1.0, 1.0])
-    at = least_squares(linearise, start, bounds, iterations=60, tolerance=0.0,
-                       relative_tolerance=1e-12, max_step=0.5 / ACCURACY.power_range)  # fmt: skip
+    at = least_squares(
+        linearise,
+        start,
+        bounds,
+        iterations=60,
+        tolerance=0.0,
+        relative_tolerance=1e-12,
+        max_step=0.5 / ACCURACY.power_range,
+    )
     (slopes, left), inverse = at.at.model, np.linalg.pinv(at.at.normal)
     covariance = inverse @ ((slopes * left**2) @ slopes.T) @ inverse * tied
     # The scale at the level where it is most precise.
@@ -249,6 +289,10 @@ def _start(found: Array, weight: Array, ln_light: Array) -> Array:
     """Return ln scale, NaN without noise, and the best of a few exponents."""
     shapes = [weight * np.exp(exponent * ln_light) for exponent in ACCURACY.power_starts]
     sizes = [float(found @ shape) / float(shape @ shape) for shape in shapes]
-    gains = [size * float(np.sqrt(shape @ shape)) for size, shape in zip(sizes, shapes, strict=True)]
+    gains = [
+        size * float(np.sqrt(shape @ shape)) for size, shape in zip(sizes, shapes, strict=True)
+    ]
     best = int(np.argmax(gains))
-    return np.array([np.log(sizes[best]) if sizes[best] > 0 else np.nan, ACCURACY.power_starts[best]])
+    return np.array(
+        [np.log(sizes[best]) if sizes[best] > 0 else np.nan, ACCURACY.power_starts[best]]
+    )

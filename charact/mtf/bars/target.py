@@ -37,7 +37,9 @@ class BarTarget:
         return self.bars / self.frequency
 
     def coordinates(self, shape: tuple[int, ...]) -> tuple[Array, Array]:
-        """Return the distance of every pixel from the centre, across and along the bars, column pitches."""
+        """Return the distance of every pixel from the centre, across and along the bars, column
+        pitches.
+        """
         return self.coordinates_of(np.arange(shape[0])[:, None], np.arange(shape[1])[None, :])
 
     def coordinates_of(self, row: NDArray, col: NDArray) -> tuple[Array, Array]:
@@ -49,21 +51,32 @@ class BarTarget:
     def box(self, shape: tuple[int, ...], margin_px: float) -> NDArray[np.bool_]:
         """Return the pixels on the target or within a margin of it."""
         across, along = self.coordinates(shape)
-        return (np.abs(across) < self.width_px / 2 + margin_px) & (np.abs(along) < self.length_px / 2 + margin_px)
+        return (np.abs(across) < self.width_px / 2 + margin_px) & (
+            np.abs(along) < self.length_px / 2 + margin_px
+        )
 
 
 def blank_target(bars: int, frequency: float, pitch_ratio: float) -> BarTarget:
     """Return bars of the standard length at the first pixel, upright."""
     return BarTarget(
-        bars=bars, frequency=frequency, angle_rad=0.0, row=0.0, col=0.0, pitch_ratio=pitch_ratio,
+        bars=bars,
+        frequency=frequency,
+        angle_rad=0.0,
+        row=0.0,
+        col=0.0,
+        pitch_ratio=pitch_ratio,
         length_px=LIMITS.length_over_width / (2.0 * frequency),
-    )  # fmt: skip
+    )
 
 
 def ground_level(image: Array) -> float:
     """Return the median level of a region's border, which a complete target does not reach."""
     return float(
-        np.median(np.concatenate([image[:2].ravel(), image[-2:].ravel(), image[:, :2].ravel(), image[:, -2:].ravel()]))
+        np.median(
+            np.concatenate(
+                [image[:2].ravel(), image[-2:].ravel(), image[:, :2].ravel(), image[:, -2:].ravel()]
+            )
+        )
     )
 
 
@@ -72,13 +85,17 @@ def core_margin_px(frequency: float) -> float:
     return 0.5 / frequency + 2.0
 
 
-def amplitude(image: Array, target: BarTarget, frequency: float, window: NDArray[np.bool_]) -> complex:
+def amplitude(
+    image: Array, target: BarTarget, frequency: float, window: NDArray[np.bool_]
+) -> complex:
     """Return the Fourier sum of the window's pixels at a frequency across the bars."""
     across, _ = target.coordinates_of(*np.nonzero(window))
     return complex(np.sum(image[window] * np.exp(-2j * np.pi * frequency * across)))
 
 
-def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> BarTarget | None:
+def detect_bars(
+    image: Array, *, bars: int, frequency: float, pitch_ratio: float
+) -> BarTarget | None:
     """Return the target with the largest response to a matched filter, or None below the noise.
 
     `image`: mean frame, shape (row, col).
@@ -97,17 +114,25 @@ def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float
         response = _response(spectrum, size, turned, reach, image.shape)
         row, col = np.unravel_index(int(np.argmax(response)), response.shape)
         height = float(response[row, col])
-        # Where a large target gives no response there is only noise: a low quantile of a Rayleigh distribution.
+        # Where a large target gives no response there is only noise: a low quantile of a Rayleigh
+        # distribution.
         quiet = min(quiet, float(np.quantile(response, 0.1)) / RAYLEIGH_TENTH)
         if best is None or height > best[0]:
             best = (height, replace(turned, row=float(row), col=float(col)))
-    if best is None or not best[0] > LIMITS.min_filter_response * quiet + 1e-9 * np.abs(image).max():
+    if (
+        best is None
+        or not best[0] > LIMITS.min_filter_response * quiet + 1e-9 * np.abs(image).max()
+    ):
         return None
     return refine_target(image, best[1])
 
 
-def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach: int, shape: tuple) -> Array:
-    """Return the modulus of the filter's response at each pixel; complete cycles give none to constant light."""
+def _response(
+    spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach: int, shape: tuple
+) -> Array:
+    """Return the modulus of the filter's response at each pixel; complete cycles give none to
+    constant light.
+    """
     from scipy.fft import irfft2, rfft2
 
     centred = replace(target, row=float(reach), col=float(reach))
@@ -115,7 +140,10 @@ def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach
     box = (np.abs(across) < target.width_px / 2) & (np.abs(along) < target.length_px / 2)
     wave = np.where(box, np.exp(2j * np.pi * target.frequency * across), 0.0)
     wave[box] -= wave[box].mean()
-    parts = (np.asarray(irfft2(spectrum * rfft2(part, s=size), s=size)) for part in (np.real(wave), np.imag(wave)))
+    parts = (
+        np.asarray(irfft2(spectrum * rfft2(part, s=size), s=size))
+        for part in (np.real(wave), np.imag(wave))
+    )
     real, imaginary = (part[reach : reach + shape[0], reach : reach + shape[1]] for part in parts)
     return np.sqrt(real**2 + imaginary**2)
 
@@ -150,24 +178,33 @@ def _centre_on_light(image: Array, target: BarTarget) -> BarTarget:
 
 
 def _fit_length(image: Array, target: BarTarget) -> BarTarget:
-    """Return the target with the length of the stretch along the bars that matches its fundamental best.
+    """Return the target with the length of the stretch along the bars that matches its fundamental
+    best.
 
-    In white noise the squared sum over a stretch divided by its length is its likelihood; the standard length is kept
-    unless another is clearly likelier.
+    In white noise the squared sum over a stretch divided by its length is its likelihood; the
+    standard length is kept unless another is clearly likelier.
     """
     across, along = target.coordinates(image.shape)
     inside = np.abs(across) < 0.5 * target.width_px
-    wave = (image - ground_level(image))[inside] * np.exp(-2j * np.pi * target.frequency * across[inside])
+    wave = (image - ground_level(image))[inside] * np.exp(
+        -2j * np.pi * target.frequency * across[inside]
+    )
     position = np.floor(along[inside]).astype(np.intp)
     first = int(position.min())
     sums = np.bincount(position - first, wave.real) + 1j * np.bincount(position - first, wave.imag)
     whole = np.concatenate([[0.0], np.cumsum(sums)])
-    lengths = np.unique(np.round(np.geomspace(max(1.0 / target.frequency, 3.0), sums.size, 60)).astype(np.intp))
+    lengths = np.unique(
+        np.round(np.geomspace(max(1.0 / target.frequency, 3.0), sums.size, 60)).astype(np.intp)
+    )
     matches = [np.abs(whole[length:] - whole[:-length]) ** 2 / length for length in lengths]
     gain = np.array([float(one.max()) for one in matches])
     usual = int(np.argmin(np.abs(lengths - LIMITS.length_over_width / (2.0 * target.frequency))))
     best = usual if gain[usual] > LIMITS.min_length_match * gain.max() else int(np.argmax(gain))
-    length = LIMITS.length_over_width / (2.0 * target.frequency) if best == usual else float(lengths[best])
+    length = (
+        LIMITS.length_over_width / (2.0 * target.frequency)
+        if best == usual
+        else float(lengths[best])
+    )
     centre = first + int(np.argmax(matches[best])) + 0.5 * lengths[best]
     return replace(
         target,
@@ -191,16 +228,20 @@ def measure_frequency(image: Array, target: BarTarget, margin_px: float) -> floa
 
     Notes
     -----
-    The spectrum of N bars of pitch P is zero at k/(N P), k no multiple of N. The zeros adjacent to the fundamental give
-    P more precisely than its broad peak, which the falling transfer shifts.
+    The spectrum of N bars of pitch P is zero at k/(N P), k no multiple of N. The zeros adjacent to
+    the fundamental give P more precisely than its broad peak, which the falling transfer shifts.
     """
     window = target.box(image.shape, margin_px)
     level = float(np.median(image[~window])) if (~window).any() else float(image.min())
-    tried = target.frequency * (1.0 + np.linspace(-LIMITS.max_frequency_error, LIMITS.max_frequency_error, 25))
+    tried = target.frequency * (
+        1.0 + np.linspace(-LIMITS.max_frequency_error, LIMITS.max_frequency_error, 25)
+    )
     power = np.zeros(tried.size)
     for order in (target.bars - 1, target.bars + 1):
         fraction = order / target.bars
-        power += [abs(amplitude(image - level, target, fraction * one, window)) ** 2 for one in tried]
+        power += [
+            abs(amplitude(image - level, target, fraction * one, window)) ** 2 for one in tried
+        ]
     return _vertex(tried, -power)
 
 
@@ -213,7 +254,9 @@ def margin_px(context: Context, frequency: float) -> float:
 
 
 def fitting_margin(target: BarTarget, shape: tuple[int, ...], wanted: float) -> tuple[float, bool]:
-    """Return the widest margin up to `wanted` at which the window fits, and whether it is smaller."""
+    """Return the widest margin up to `wanted` at which the window fits, and whether it is
+    smaller.
+    """
     for margin in np.linspace(wanted, 2.0, 24):
         inside = target.box(shape, float(margin))
         across, along = target.coordinates(shape)
@@ -228,13 +271,14 @@ def fitting_margin(target: BarTarget, shape: tuple[int, ...], wanted: float) -> 
 def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
     """Return the fraction of the light beyond the window, and its standard uncertainty.
 
-    `context`: its sensor description; without one the fraction is taken as 0; `margin`: margin of the window around the
-    bars, column pitches.
+    `context`: its sensor description; without one the fraction is taken as 0; `margin`: margin of
+    the window around the bars, column pitches.
 
     Notes
     -----
-    For a transfer M the light further off than X is 1 - (2/pi) int M(f) sin(2 pi f X)/f df; a window loses it on both
-    pairs of sides. Averaged over the described ranges of the tube and its halo.
+    For a transfer M the light further off than X is 1 - (2/pi) int M(f) sin(2 pi f X)/f df; a
+    window loses it on both pairs of sides. Averaged over the described ranges of the tube and its
+    halo.
     """
     if context.sensor is None:
         return 0.0, 0.0
@@ -258,4 +302,6 @@ def _draw_parameter(parameter: Parameter, rng: np.random.Generator) -> Array:
     if parameter.low is None or parameter.high is None:
         return np.full(ACCURACY.description_draws, parameter.value)
     sd = (parameter.high - parameter.low) / (2.0 * 1.959964)
-    return np.clip(rng.normal(parameter.value, sd, ACCURACY.description_draws), parameter.low, parameter.high)
+    return np.clip(
+        rng.normal(parameter.value, sd, ACCURACY.description_draws), parameter.low, parameter.high
+    )

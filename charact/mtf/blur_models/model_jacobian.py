@@ -1,4 +1,5 @@
-"""Forms of the point spread with their slopes, compiled: one transfer and its change with every parameter at once.
+"""Forms of the point spread with their slopes, compiled: one transfer and its change with every
+parameter at once.
 
 `families` has the same forms for many points at a time; a fit asks for one point, a hundred times.
 """
@@ -34,7 +35,9 @@ NO_PUPIL = np.zeros((0, 0)), np.zeros(0)
 
 
 def kind_of(family: BlurModel) -> tuple[int, int, float]:
-    """Return the numbers of a form's core and of its light beyond it, -1 for none, and the widest of its sizes, px."""
+    """Return the numbers of a form's core and of its light beyond it, -1 for none, and the widest
+    of its sizes, px.
+    """
     if family.wide is None:
         return CORES[family.core], -1, 1.0
     return CORES[family.core], EXTENDED[family.wide.name], float(family.wide.size_px[1])
@@ -42,7 +45,9 @@ def kind_of(family: BlurModel) -> tuple[int, int, float]:
 
 @lru_cache(maxsize=2)
 def tables(*, pupils: bool = False) -> Tables:
-    """Return what the forms are looked up in: Moffat's transfer, Si, a disc's transfer and slope, and pupils'."""
+    """Return what the forms are looked up in: Moffat's transfer, Si, a disc's transfer and slope,
+    and pupils'.
+    """
     return moffat_table(), sine_table(), disc_table(), pupil_table() if pupils else NO_TABLE
 
 
@@ -67,7 +72,9 @@ def model_and_jacobian(kind: tuple, theta: Array, frequency: Array, tables: Tabl
     curves, halves = pupil_curves(theta[1], theta[2], tables[3]) if core == 4 else NO_PUPIL
     for j in range(frequency.size):
         if core == 4:
-            value, rise, by_shape, by_other_shape = pupil_and_slopes(frequency[j] * np.exp(-theta[0]), curves, halves)
+            value, rise, by_shape, by_other_shape = pupil_and_slopes(
+                frequency[j] * np.exp(-theta[0]), curves, halves
+            )
             by_half = -rise
         else:
             value, by_half, by_shape = _core(core, theta, frequency[j], tables)
@@ -99,7 +106,9 @@ def model_and_jacobian(kind: tuple, theta: Array, frequency: Array, tables: Tabl
 
 @njit(cache=True)
 def _core(core: int, theta: Array, frequency: float, tables: Tables) -> tuple[float, float, float]:
-    """Return a core's transfer and its slopes with ln of the half frequency and with its exponent."""
+    """Return a core's transfer and its slopes with ln of the half frequency and with its
+    exponent.
+    """
     ratio = np.log(frequency) - theta[0]
     if core == 3:
         v = AIRY_HALF * np.exp(ratio)
@@ -122,8 +131,12 @@ def _core(core: int, theta: Array, frequency: float, tables: Tables) -> tuple[fl
 
 
 @njit(cache=True)
-def _component(wide: int, size: float, other: float, frequency: float, tables: Tables) -> tuple[float, float, float]:
-    """Return the transfer of light beyond the core and its slopes with its size and its other parameter."""
+def _component(
+    wide: int, size: float, other: float, frequency: float, tables: Tables
+) -> tuple[float, float, float]:
+    """Return the transfer of light beyond the core and its slopes with its size and its other
+    parameter.
+    """
     if wide == 2:
         turn = (2.0 * np.pi * frequency) ** 2
         value = 1.0 / (1.0 + turn * size**2)

@@ -1,7 +1,8 @@
-"""Forms of the point spread that lenses and tubes have, as transfers along one direction: a core, and light beyond it.
+"""Forms of the point spread that lenses and tubes have, as transfers along one direction: a core,
+and light beyond it.
 
-Every core is scaled by the frequency at which it falls to one half, so that forms can be compared parameter by
-parameter.
+Every core is scaled by the frequency at which it falls to one half, so that forms can be compared
+parameter by parameter.
 """
 
 from dataclasses import dataclass
@@ -18,10 +19,12 @@ from charact.mtf.blur_models.transfer import MOFFAT_EXPONENT, moffat
 Array = NDArray[np.float64]
 
 HALF_FREQUENCY = (0.008, 6.0)
-# Half frequency before the data, cycles per pixel, and the standard deviation of its ln: a core below the pixel is
-# possible, and not as likely for every factor by which it would be smaller still.
+# Half frequency before the data, cycles per pixel, and the standard deviation of its ln: a core
+# below the pixel is possible, and not as likely for every factor by which it would be smaller
+# still.
 HALF_FREQUENCY_PRIOR = (0.35, 1.4)
-# Exponent of exp(-ln 2 (f/f2)^n): tubes about 1.1 to 1.7, a Gaussian 2, and what aberrations may make of it.
+# Exponent of exp(-ln 2 (f/f2)^n): tubes about 1.1 to 1.7, a Gaussian 2, and what aberrations may
+# make of it.
 EXPONENT = (0.6, 4.0)
 EXPONENT_PRIOR = (1.6, 0.6)
 # Transfers below this count as this: numbers smaller still slow every product down a hundredfold.
@@ -80,16 +83,22 @@ class ExtendedComponent:
         }
 
     def transfer(self, frequency: Array, shape: Array) -> Array:
-        """Return its own transfer for parameters after the share, shape (f,) and (n, parameter - 1) -> (n, f)."""
+        """Return its own transfer for parameters after the share, shape (f,) and (n, parameter - 1)
+        -> (n, f).
+        """
         raise NotImplementedError
 
     def share_unit(self, shape: Array) -> Array:
-        """Return the share of all light for a first parameter of one, shape (n, parameter - 1) -> (n, 1)."""
+        """Return the share of all light for a first parameter of one, shape (n, parameter - 1) ->
+        (n, 1).
+        """
         return np.ones((len(shape), 1))
 
 
 class HaloComponent(ExtendedComponent):
-    """An intensifier's halo: its diameter, and besides the share of electrons that keep their energy."""
+    """An intensifier's halo: its diameter, and besides the share of electrons that keep their
+    energy.
+    """
 
     name, size_name, after_size = "halo", "diameter_px", 2
 
@@ -126,9 +135,9 @@ class ScatterComponent(ExtendedComponent):
 class UnresolvedGlareComponent(ExtendedComponent):
     """Light spread wider than the window: its standard deviation.
 
-    Inside the window only its slope is seen, which uneven light has too: how much light it is hardly shows. The share
-    is therefore counted as if it were spread as widely as the bounds allow, which the slope tells; the share itself
-    is that times sigma over the widest sigma.
+    Inside the window only its slope is seen, which uneven light has too: how much light it is
+    hardly shows. The share is therefore counted as if it were spread as widely as the bounds allow,
+    which the slope tells; the share itself is that times sigma over the widest sigma.
     """
 
     name, share_name, size_name = "veil", "fraction_if_widest", "sigma_px"
@@ -138,7 +147,9 @@ class UnresolvedGlareComponent(ExtendedComponent):
         return np.exp(-2.0 * (np.pi * frequency * shape[:, :1]) ** 2)
 
     def share_unit(self, shape: Array) -> Array:
-        """Return the share of all light for one that would be all of it at the widest, shape (n, 1) -> (n, 1)."""
+        """Return the share of all light for one that would be all of it at the widest, shape (n, 1)
+        -> (n, 1).
+        """
         return shape[:, :1] / self.size_px[1]
 
 
@@ -149,11 +160,12 @@ class BlurModel:
     Parameters
     ----------
     core
-        "gaussian": exp(-ln 2 (f/f2)^2). "exponential": exp(-ln 2 (f/f2)^n), the form of tubes. "moffat": that of
-        the spread (1 + r^2/a^2)^-b, with wings of a power law. "airy": that of a clear pupil in focus; "pupil": of one
-        with a hole in its middle and out of focus.
+        "gaussian": exp(-ln 2 (f/f2)^2). "exponential": exp(-ln 2 (f/f2)^n), the form of tubes.
+        "moffat": that of the spread (1 + r^2/a^2)^-b, with wings of a power law. "airy": that of a
+        clear pupil in focus; "pupil": of one with a hole in its middle and out of focus.
     wide
-        Light beyond the core: a share q of all light, transfer (1 - q) core + q core wide; None: none.
+        Light beyond the core: a share q of all light, transfer (1 - q) core + q core wide; None:
+        none.
     """
 
     core: Core
@@ -184,11 +196,17 @@ class BlurModel:
 
     def start(self, half_frequency_cy_per_px: float) -> Array:
         """Return a starting point of the optimisation."""
-        wide = [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()] if self.wide else []
+        wide = (
+            [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()]
+            if self.wide
+            else []
+        )
         return np.array([np.log(half_frequency_cy_per_px), *STARTS[self.core], *wide])
 
     def modulus(self, theta: Array, frequency: Array) -> Array:
-        """Return the transfer, shape (n, parameter) and (f,) -> (n, f); negative where defocus turns it round."""
+        """Return the transfer, shape (n, parameter) and (f,) -> (n, f); negative where defocus
+        turns it round.
+        """
         core = self._core_at(theta, frequency)
         if self.wide is None:
             return core
@@ -202,21 +220,33 @@ class BlurModel:
             v = np.minimum(AIRY_HALF * frequency / half[:, None], 1.0)
             return (np.arccos(v) - v * np.sqrt(1.0 - v**2)) * 2.0 / np.pi
         if self.core == "pupil":
-            at, area, squared = np.ascontiguousarray(frequency, float), theta[:, 1].copy(), theta[:, 2].copy()
+            at, area, squared = (
+                np.ascontiguousarray(frequency, float),
+                theta[:, 1].copy(),
+                theta[:, 2].copy(),
+            )
             return pupils_from_table(at, half, area, squared, pupil_table())
         if self.core == "moffat":
             ln = moffat(frequency, half, theta[:, 1])
         else:
-            ln = forms.exponential(frequency, half, np.full_like(half, 2.0) if self.core == "gaussian" else theta[:, 1])
+            ln = forms.exponential(
+                frequency, half, np.full_like(half, 2.0) if self.core == "gaussian" else theta[:, 1]
+            )
         return np.exp(np.maximum(ln, MIN_LN))
 
     def log_prior(self, theta: Array) -> Array:
-        """Return ln of the prior density, -inf outside the bounds: flat but for half frequency and exponent."""
+        """Return ln of the prior density, -inf outside the bounds: flat but for half frequency and
+        exponent.
+        """
         bounds, (mean, precision) = self.bounds, self.prior_precision
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         normal = precision > 0
-        flat = 0.5 * np.sum(np.log(precision[normal] / (2.0 * np.pi))) - np.sum(np.log(np.ptp(bounds[~normal], axis=1)))
-        return np.where(inside, flat - 0.5 * np.sum(precision * (theta - mean) ** 2, axis=1), -np.inf)
+        flat = 0.5 * np.sum(np.log(precision[normal] / (2.0 * np.pi))) - np.sum(
+            np.log(np.ptp(bounds[~normal], axis=1))
+        )
+        return np.where(
+            inside, flat - 0.5 * np.sum(precision * (theta - mean) ** 2, axis=1), -np.inf
+        )
 
     @cached_property
     def prior_precision(self) -> tuple[Array, Array]:

@@ -1,7 +1,8 @@
-"""The transfer of a pupil with a hole and out of focus by table, compiled: with its slopes, scaled by a half frequency.
+"""The transfer of a pupil with a hole and out of focus by table, compiled: with its slopes, scaled
+by a half frequency.
 
-It is an entire function of defocus squared, kept at Chebyshev's places, and linear between close obscurations and
-frequencies.
+It is an entire function of defocus squared, kept at Chebyshev's places, and linear between close
+obscurations and frequencies.
 """
 
 from functools import lru_cache
@@ -19,8 +20,11 @@ NODES = 16
 _AT, _WEIGHT = np.polynomial.legendre.leggauss(NODES)
 
 
-def pupil(frequency: Array, cut_off: ArrayLike, obscuration: ArrayLike = 0.0, defocus: ArrayLike = 0.0) -> Array:
-    """Return the transfer of a pupil in incoherent light of one wavelength, shape (f,), (n,), (n,), (n,) -> (n, f).
+def pupil(
+    frequency: Array, cut_off: ArrayLike, obscuration: ArrayLike = 0.0, defocus: ArrayLike = 0.0
+) -> Array:
+    """Return the transfer of a pupil in incoherent light of one wavelength, shape (f,), (n,), (n,),
+    (n,) -> (n, f).
 
     Parameters
     ----------
@@ -29,22 +33,28 @@ def pupil(frequency: Array, cut_off: ArrayLike, obscuration: ArrayLike = 0.0, de
     obscuration
         Diameter of the obscuration over that of the pupil, 0: none.
     defocus
-        Optical path by which the pupil's border is off, W020, waves; negative transfers exchange bright and dark.
+        Optical path by which the pupil's border is off, W020, waves; negative transfers exchange
+        bright and dark.
 
     Notes
     -----
-    The transfer is the pupil's autocorrelation (Hopkins, Proc. R. Soc. A 231, 91, 1955): with v = f / cut-off,
+    The transfer is the pupil's autocorrelation (Hopkins, Proc. R. Soc. A 231, 91, 1955): with v = f
+    / cut-off,
 
-        T(v) = integral of cos(8 pi W v x) over the overlap of two pupils with centres at x = -v and v / pupil's area.
+        T(v) = integral of cos(8 pi W v x) over the overlap of two pupils with centres at x = -v and
+        v / pupil's area.
 
-    A pupil with a hole is a disc less a disc, so the overlap is that of two outer discs, less twice that of an outer
-    with an inner one, plus that of two inner ones; each is made of segments of circles. In focus a clear pupil has
-    2/pi (acos v - v sqrt(1 - v^2)); with a hole the sum is that of O'Neill (J. Opt. Soc. Am. 46, 285, 1956).
+    A pupil with a hole is a disc less a disc, so the overlap is that of two outer discs, less twice
+    that of an outer with an inner one, plus that of two inner ones; each is made of segments of
+    circles. In focus a clear pupil has 2/pi (acos v - v sqrt(1 - v^2)); with a hole the sum is that
+    of O'Neill (J. Opt. Soc. Am. 46, 285, 1956).
     """
     parameters = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(one, float)) for one in (cut_off, obscuration, defocus))
     )
-    return _all_pupils(np.asarray(frequency, float), *(np.ascontiguousarray(one) for one in parameters))
+    return _all_pupils(
+        np.asarray(frequency, float), *(np.ascontiguousarray(one) for one in parameters)
+    )
 
 
 @njit(cache=True)
@@ -58,25 +68,32 @@ def _all_pupils(frequency: Array, cut_off: Array, obscuration: Array, defocus: A
 
 @njit(cache=True)
 def pupil_at(ratio: float, obscuration: float, defocus: float) -> float:
-    """Return the transfer at a frequency over the cut-off, of a hole and a defocus as `pupil` has them."""
+    """Return the transfer at a frequency over the cut-off, of a hole and a defocus as `pupil` has
+    them.
+    """
     v = abs(ratio)
     if v >= 1.0:
         return 0.0
     wave = 8.0 * np.pi * defocus * v
     overlap = _common(v, 1.0, 1.0, wave)
     if obscuration > 0.0:
-        overlap += _common(v, obscuration, obscuration, wave) - 2.0 * _common(v, 1.0, obscuration, wave)
+        overlap += _common(v, obscuration, obscuration, wave) - 2.0 * _common(
+            v, 1.0, obscuration, wave
+        )
     return overlap / (np.pi * (1.0 - obscuration**2))
 
 
 @njit(cache=True)
 def _common(v: float, left: float, right: float, wave: float) -> float:
-    """Return the integral of cos(wave x) over what a disc about -v and a disc about v, not larger, share."""
+    """Return the integral of cos(wave x) over what a disc about -v and a disc about v, not larger,
+    share.
+    """
     if 2.0 * v >= left + right:
         return 0.0
     if 2.0 * v <= left - right:
         return _segment(v, right, 0.0, np.pi, wave)
-    # Where the circles cross: to the left of it the right one is the border, and to the right of it the left one.
+    # Where the circles cross: to the left of it the right one is the border, and to the right of it
+    # the left one.
     x = (left**2 - right**2) / (4.0 * v)
     to_left = _segment(v, right, np.arccos(min(max((x - v) / right, -1.0), 1.0)), np.pi, wave)
     return to_left + _segment(-v, left, 0.0, np.arccos(min(max((x + v) / left, -1.0), 1.0)), wave)
@@ -84,7 +101,9 @@ def _common(v: float, left: float, right: float, wave: float) -> float:
 
 @njit(cache=True)
 def _segment(middle: float, radius: float, low: float, high: float, wave: float) -> float:
-    """Return the integral of cos(wave x) over a disc between two angles, x = middle + radius cos(angle)."""
+    """Return the integral of cos(wave x) over a disc between two angles, x = middle + radius
+    cos(angle).
+    """
     if wave == 0.0:
         return radius**2 * ((high - low) - 0.5 * (np.sin(2.0 * high) - np.sin(2.0 * low)))
     half, total = 0.5 * (high - low), 0.0
@@ -94,8 +113,8 @@ def _segment(middle: float, radius: float, low: float, high: float, wave: float)
     return 2.0 * radius**2 * half * total
 
 
-# Obscured areas, shape (area,); defocus squared, waves^2, shape (place,); transfer, shape (area, place, frequency);
-# half frequency over the cut-off, shape (area, place).
+# Obscured areas, shape (area,); defocus squared, waves^2, shape (place,); transfer, shape (area,
+# place, frequency); half frequency over the cut-off, shape (area, place).
 PupilTable = tuple[Array, Array, Array, Array]
 
 # Bounds of the share of the pupil's area that is obscured, and of defocus squared, waves^2.
@@ -120,10 +139,14 @@ def pupil_table() -> PupilTable:
 
 
 @njit(cache=True)
-def pupils_from_table(frequency: Array, half: Array, area: Array, squared: Array, table: PupilTable) -> Array:
-    """Return the transfer of pupils of a half frequency, shape (f,), (n,), (n,), (n,) -> (n, f), cycles per pixel.
+def pupils_from_table(
+    frequency: Array, half: Array, area: Array, squared: Array, table: PupilTable
+) -> Array:
+    """Return the transfer of pupils of a half frequency, shape (f,), (n,), (n,), (n,) -> (n, f),
+    cycles per pixel.
 
-    `area`: share of the pupil's area that is obscured, the obscuration squared; `squared`: defocus squared, waves^2.
+    `area`: share of the pupil's area that is obscured, the obscuration squared; `squared`: defocus
+    squared, waves^2.
     """
     out = np.empty((half.size, frequency.size))
     for i in range(half.size):
@@ -135,7 +158,8 @@ def pupils_from_table(frequency: Array, half: Array, area: Array, squared: Array
 
 @njit(cache=True)
 def pupil_curves(area: float, squared: float, table: PupilTable) -> tuple[Array, Array]:
-    """Return transfer and half frequency of one pupil and their slopes with area and defocus squared.
+    """Return transfer and half frequency of one pupil and their slopes with area and defocus
+    squared.
 
     Shapes (3, frequency), at even frequencies from 0 to the cut-off, and (3,).
     """
@@ -152,8 +176,11 @@ def pupil_curves(area: float, squared: float, table: PupilTable) -> tuple[Array,
                 apart = squares[k] - squares[m]
                 rise = rise * (squared - squares[m]) / apart + weight / apart
                 weight *= (squared - squares[m]) / apart
-        for row, near, far in ((0, weight * (1.0 - rest), weight * rest), (1, -weight / step, weight / step),
-                               (2, rise * (1.0 - rest), rise * rest)):  # fmt: skip
+        for row, near, far in (
+            (0, weight * (1.0 - rest), weight * rest),
+            (1, -weight / step, weight / step),
+            (2, rise * (1.0 - rest), rise * rest),
+        ):
             halves[row] += near * half[low, k] + far * half[low + 1, k]
             for j in range(FREQUENCIES):
                 curves[row, j] += near * transfer[low, k, j] + far * transfer[low + 1, k, j]
@@ -161,7 +188,9 @@ def pupil_curves(area: float, squared: float, table: PupilTable) -> tuple[Array,
 
 
 @njit(cache=True)
-def pupil_and_slopes(ratio: float, curves: Array, halves: Array) -> tuple[float, float, float, float]:
+def pupil_and_slopes(
+    ratio: float, curves: Array, halves: Array
+) -> tuple[float, float, float, float]:
     """Return the transfer at f/f2, and its slopes with ln(f/f2), area and defocus squared."""
     place = ratio * halves[0] * (FREQUENCIES - 1)
     left = int(place)
@@ -170,6 +199,14 @@ def pupil_and_slopes(ratio: float, curves: Array, halves: Array) -> tuple[float,
     part = place - left
     rise = (curves[0, left + 1] - curves[0, left]) * place
     value = curves[0, left] + part * (curves[0, left + 1] - curves[0, left])
-    by_area = curves[1, left] + part * (curves[1, left + 1] - curves[1, left]) + rise * halves[1] / halves[0]
-    by_squared = curves[2, left] + part * (curves[2, left + 1] - curves[2, left]) + rise * halves[2] / halves[0]
+    by_area = (
+        curves[1, left]
+        + part * (curves[1, left + 1] - curves[1, left])
+        + rise * halves[1] / halves[0]
+    )
+    by_squared = (
+        curves[2, left]
+        + part * (curves[2, left + 1] - curves[2, left])
+        + rise * halves[2] / halves[0]
+    )
     return value, rise, by_area, by_squared

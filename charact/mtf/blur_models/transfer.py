@@ -1,7 +1,9 @@
-"""Transfer functions along one direction, as the likelihoods know them: aperture, tube, halo, video filter.
+"""Transfer functions along one direction, as the likelihoods know them: aperture, tube, halo, video
+filter.
 
-Frequencies are cycles per pixel along the direction measured, the pixel being the pitch of the grid axis nearest to
-it. Parameters may carry leading axes; the frequency is the last axis of what comes out.
+Frequencies are cycles per pixel along the direction measured, the pixel being the pitch of the grid
+axis nearest to it. Parameters may carry leading axes; the frequency is the last axis of what comes
+out.
 """
 
 from functools import lru_cache
@@ -29,7 +31,9 @@ def exponential(frequency: Array, half_frequency: ArrayLike, exponent: ArrayLike
     return -np.log(2.0) * np.exp(np.asarray(exponent, float)[..., None] * ratio)
 
 
-def aperture(frequency: Array, angle_rad: float, along_px: float = 1.0, across_px: float = 1.0) -> Array:
+def aperture(
+    frequency: Array, angle_rad: float, along_px: float = 1.0, across_px: float = 1.0
+) -> Array:
     """Return the transfer of a rectangular pixel along a direction at an angle to the grid.
 
     Parameters
@@ -59,12 +63,15 @@ def halo(frequency: Array, diameter_px: ArrayLike, elastic_share: ArrayLike) -> 
 
     Notes
     -----
-    Cosine emission with energy share e lands at r = e R sin(2 t): that is the shadow of a spherical shell, whose line
-    spread is a box of half width e R (Archimedes), transfer sinc(2 e R f). Uniform e: Si(2 pi R f) / (2 pi R f).
+    Cosine emission with energy share e lands at r = e R sin(2 t): that is the shadow of a spherical
+    shell, whose line spread is a box of half width e R (Archimedes), transfer sinc(2 e R f).
+    Uniform e: Si(2 pi R f) / (2 pi R f).
     """
     x = np.pi * np.asarray(diameter_px, float)[..., None] * frequency
     share = np.broadcast_to(np.asarray(elastic_share, float), x.shape[:-1])
-    flat = _halos_from_table(x.reshape(-1, x.shape[-1]), np.ascontiguousarray(share.ravel()), sine_table())
+    flat = _halos_from_table(
+        x.reshape(-1, x.shape[-1]), np.ascontiguousarray(share.ravel()), sine_table()
+    )
     return flat.reshape(x.shape)
 
 
@@ -75,13 +82,16 @@ def disc(frequency: Array, diameter_px: ArrayLike) -> Array:
 
 
 def glare(frequency: Array, length_px: ArrayLike) -> Array:
-    """Return the transfer 1/(1 + (2 pi f l)^2) of light scattered with the line spread exp(-|d|/l) / (2 l)."""
+    """Return the transfer 1/(1 + (2 pi f l)^2) of light scattered with the line spread exp(-|d|/l)
+    / (2 l).
+    """
     return 1.0 / (1.0 + (2.0 * np.pi * np.asarray(length_px, float)[..., None] * frequency) ** 2)
 
 
 MoffatTable = tuple[Array, Array, Array]
 
-# Exponent b of a Moffat spread (1 + r^2/a^2)^-b: 3/2 is a Lorentzian whose transfer is exp(-f), infinity a Gaussian.
+# Exponent b of a Moffat spread (1 + r^2/a^2)^-b: 3/2 is a Lorentzian whose transfer is exp(-f),
+# infinity a Gaussian.
 MOFFAT_EXPONENT = (1.2, 8.0)
 
 
@@ -90,7 +100,8 @@ def moffat(frequency: Array, half_frequency: Array, exponent: Array) -> Array:
 
     Notes
     -----
-    The two-dimensional transform of (1 + r^2/a^2)^-b is 2^(2-b)/Gamma(b-1) x^(b-1) K_(b-1)(x), x = 2 pi a f.
+    The two-dimensional transform of (1 + r^2/a^2)^-b is 2^(2-b)/Gamma(b-1) x^(b-1) K_(b-1)(x), x =
+    2 pi a f.
     """
     ratio = np.log(np.maximum(frequency, 1e-12)) - np.log(half_frequency)[:, None]
     return _moffats_from_table(ratio, np.ascontiguousarray(exponent, float), moffat_table())
@@ -129,7 +140,9 @@ def moffat_at(ratio: float, exponent: float, table: MoffatTable) -> tuple[float,
     Far below f2 it is too small for the table's first column to matter.
     """
     places, inverse, ln = table
-    row = min(max((1.0 / exponent - inverse[0]) / (inverse[1] - inverse[0]), 0.0), inverse.size - 1.0)
+    row = min(
+        max((1.0 / exponent - inverse[0]) / (inverse[1] - inverse[0]), 0.0), inverse.size - 1.0
+    )
     low = min(int(row), inverse.size - 2)
     step = places[1] - places[0]
     column = min(max((ratio - places[0]) / step, 0.0), places.size - 1.001)
@@ -137,14 +150,17 @@ def moffat_at(ratio: float, exponent: float, table: MoffatTable) -> tuple[float,
     share, rest = row - low, column - left
     one = ln[low, left] * (1.0 - rest) + ln[low, left + 1] * rest
     other = ln[low + 1, left] * (1.0 - rest) + ln[low + 1, left + 1] * rest
-    rise = (ln[low, left + 1] - ln[low, left]) * (1.0 - share) + (ln[low + 1, left + 1] - ln[low + 1, left]) * share
+    rise = (ln[low, left + 1] - ln[low, left]) * (1.0 - share) + (
+        ln[low + 1, left + 1] - ln[low + 1, left]
+    ) * share
     by_exponent = (one - other) / (exponent**2 * (inverse[1] - inverse[0]))
     return one * (1.0 - share) + other * share, rise / step, by_exponent
 
 
 # Places of the table of Si in a unit, and where it ends.
 SINE_PER_UNIT, SINE_END = 100, 400.0
-# Step and end of the table of a disc's transfer; beyond it Hankel's expansion is off by less than 1e-6.
+# Step and end of the table of a disc's transfer; beyond it Hankel's expansion is off by less than
+# 1e-6.
 DISC_STEP, DISC_END = 0.02, 400.0
 
 
@@ -160,7 +176,9 @@ def sine_table() -> Array:
 
 @lru_cache(maxsize=1)
 def disc_table() -> Array:
-    """Return 2 J1(x)/x and its slope -2 J2(x)/x at places from 0 on, `DISC_STEP` apart, shape (place, 2)."""
+    """Return 2 J1(x)/x and its slope -2 J2(x)/x at places from 0 on, `DISC_STEP` apart, shape
+    (place, 2).
+    """
     from scipy.special import j1, jn
 
     x = np.maximum(np.arange(0.0, DISC_END + 2.0 * DISC_STEP, DISC_STEP), 1e-9)
@@ -173,7 +191,9 @@ def _halos_from_table(x: Array, share: Array, table: Array) -> Array:
     for i in range(x.shape[0]):
         for j in range(x.shape[1]):
             here = x[i, j]
-            out[i, j] = (share[i] * np.sin(here) + (1.0 - share[i]) * sine_integral_at(here, table)) / here
+            out[i, j] = (
+                share[i] * np.sin(here) + (1.0 - share[i]) * sine_integral_at(here, table)
+            ) / here
     return out
 
 

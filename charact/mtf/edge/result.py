@@ -1,4 +1,6 @@
-"""Result of an edge: measurements, curve and evidence; of a fitted one from the draws of its MTF."""
+"""Result of an edge: measurements, curve and evidence; of a fitted one from the draws of its
+MTF.
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -24,7 +26,15 @@ from charact.mtf.mean_frame import Region
 from charact.mtf.thresholds import LIMITS
 from charact.posterior import has_several_peaks
 from labdata.frames import FrameStack
-from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_sd
+from labdata.measurement import (
+    Curve,
+    Measurement,
+    Posterior,
+    Provenance,
+    Result,
+    make_refusal,
+    measurement_from_sd,
+)
 
 Array = NDArray[np.float64]
 
@@ -54,13 +64,22 @@ def measure_by_fit(
     return fit(edge, known_transfer(edge.picture, edge.profile.angle_rad, context), context)
 
 
-def refuse_edge(method: str, refusal: EdgeRefusal, seed: int | None, settings: dict | None = None) -> Result:
+def refuse_edge(
+    method: str, refusal: EdgeRefusal, seed: int | None, settings: dict | None = None
+) -> Result:
     """Return the refusal of all quantities of an edge; methods without draws have no seed."""
     provenance = Provenance(version=charact.__version__, seed=seed, settings=settings or {})
-    common = {"method": method, "flags": (refusal.flag,), "region": refusal.where, "provenance": provenance}
+    common = {
+        "method": method,
+        "flags": (refusal.flag,),
+        "region": refusal.where,
+        "provenance": provenance,
+    }
     units = {"mtf50": "cy/px", "mtf10": "cy/px", "edge_angle": "deg"}
     return Result(
-        measurements=tuple(make_refusal(name, unit, refusal.reason, **common) for name, unit in units.items())
+        measurements=tuple(
+            make_refusal(name, unit, refusal.reason, **common) for name, unit in units.items()
+        )
     )
 
 
@@ -95,8 +114,8 @@ def edge_result_of_fit(
     notes, flags
         The method's own.
     doubt
-        Relative standard uncertainty of the MTF by what the method takes as exactly known, shape (f,) -> (f,);
-        None: nothing.
+        Relative standard uncertainty of the MTF by what the method takes as exactly known, shape
+        (f,) -> (f,); None: nothing.
     """
     profile, half = edge.profile, np.nan
 
@@ -113,26 +132,45 @@ def edge_result_of_fit(
             *fit_flags(edge.picture, profile, fitted, half if half > 0 else 0.01),
             *(() if context.linear else response_flags(response, profile.contrast, relative_sd)),
             # Modes count where a quantity has them; a described camera's priors are meant to bound.
-            *(set(posterior.flags) - {"several-modes", *(() if context.sensor is None else ("prior-bound",))}),
+            *(
+                set(posterior.flags)
+                - {"several-modes", *(() if context.sensor is None else ("prior-bound",))}
+            ),
             *flags,
         ]
-        said = (*_notes(edge, context), *nonlinearity_notes(edge, response, relative_sd, context), *notes)
+        said = (
+            *_notes(edge, context),
+            *nonlinearity_notes(edge, response, relative_sd, context),
+            *notes,
+        )
         provenance = Provenance(version=charact.__version__, seed=context.seed, settings=own)
         return shared_fields(method, edge, found, said, provenance)
 
-    numbers, curve, _, shared = mtf_measurements(mtf, common, posterior=posterior, doubt=doubt, finish=_finish)
-    assert curve.interval68 is not None and curve.interval95 is not None, "curves of draws have intervals"
+    numbers, curve, _, shared = mtf_measurements(
+        mtf, common, posterior=posterior, doubt=doubt, finish=_finish
+    )
+    assert curve.interval68 is not None and curve.interval95 is not None, (
+        "curves of draws have intervals"
+    )
     wide = _with_margin(curve.value, curve.interval68, curve.interval95, ACCURACY.modulus_margin)
     curve = replace(curve, interval95=wide)
     return edge_result(edge, numbers, curve, shared, half, fitted=fitted, response=response)
 
 
 def shared_fields(
-    method: str, edge: PreparedEdge, flags: Iterable[str], notes: Iterable[str], provenance: Provenance
+    method: str,
+    edge: PreparedEdge,
+    flags: Iterable[str],
+    notes: Iterable[str],
+    provenance: Provenance,
 ) -> dict:
     """Return what all measurements of an edge share."""
     rough = edge.roughness
-    course = [f"Edge roughness {rough.rms_px:.2g} px rms along the edge, beyond the noise."] if rough.moves else []
+    course = (
+        [f"Edge roughness {rough.rms_px:.2g} px rms along the edge, beyond the noise."]
+        if rough.moves
+        else []
+    )
     return {
         "method": method,
         "flags": tuple(dict.fromkeys(flags)),
@@ -153,14 +191,22 @@ def edge_result(
     fitted: FittedProfile | None = None,
     response: CurvatureEstimate = NO_CURVATURE_ESTIMATE,
 ) -> Result:
-    """Return measurements with the effects of their flags, the edge's tilt among them, the curve and the profile."""
+    """Return measurements with the effects of their flags, the edge's tilt among them, the curve
+    and the profile.
+    """
     profile, misfit = edge.profile, 0.0
     rows, spread = np.flatnonzero(np.isfinite(edge.rows.offset)), edge.rows.offset_sd
     if fitted is not None:
         spread *= np.sqrt(max(profile.grain.covariance_over_variance, 1.0))
-    error = spread / np.sqrt(max(float(np.sum((rows - rows.mean()) ** 2)), 1.0)) if rows.size > 2 else 45.0
+    error = (
+        spread / np.sqrt(max(float(np.sum((rows - rows.mean()) ** 2)), 1.0))
+        if rows.size > 2
+        else 45.0
+    )
     error = float(np.rad2deg(error / edge.picture.pitch_ratio))
-    angle = measurement_from_sd("edge_angle", "deg", abs(float(np.rad2deg(profile.angle_rad))), error, **shared)
+    angle = measurement_from_sd(
+        "edge_angle", "deg", abs(float(np.rad2deg(profile.angle_rad))), error, **shared
+    )
     shown = {
         "figure": "edge-spread",
         "distance_px": profile.distance.tolist(),
@@ -181,7 +227,8 @@ def edge_result(
         }
     return Result(
         measurements=tuple(
-            one.with_(findings=findings_of(one.flags, edge, half, response, misfit)) for one in (*numbers, angle)
+            one.with_(findings=findings_of(one.flags, edge, half, response, misfit))
+            for one in (*numbers, angle)
         ),
         curves={"mtf": curve},
         evidence={"edge-spread": shown},
@@ -189,10 +236,11 @@ def edge_result(
 
 
 def _finish(found: Measurement, draws: Array) -> Measurement:
-    """Return a measurement with the margin of its 95 % interval, and flags of several modes or unreliable tails.
+    """Return a measurement with the margin of its 95 % interval, and flags of several modes or
+    unreliable tails.
 
-    A frequency is the most probable one under draws that are normal in ln f, the median times exp(-s^2), within the
-    68 % interval: errors of a frequency reach further up than down.
+    A frequency is the most probable one under draws that are normal in ln f, the median times
+    exp(-s^2), within the 68 % interval: errors of a frequency reach further up than down.
     """
     several = has_several_peaks(draws[:, None])
     flags = (*found.flags, "several-modes") if several else found.flags
@@ -211,9 +259,13 @@ def _finish(found: Measurement, draws: Array) -> Measurement:
     return replace(found, value=value, interval95=(float(low95), float(high95))).with_(flags=flags)
 
 
-def _with_margin(value: Array, interval68: Array, interval95: Array, more: tuple[float, float]) -> Array:
+def _with_margin(
+    value: Array, interval68: Array, interval95: Array, more: tuple[float, float]
+) -> Array:
     """Return a wider 95 % interval about a value that cannot be negative, shape (2, ...)."""
-    unsure = np.minimum(0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), THRESHOLDS.max_relative_sd)
+    unsure = np.minimum(
+        0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), THRESHOLDS.max_relative_sd
+    )
     margin = np.stack([ACCURACY.interval_margin + one * unsure for one in more])
     return np.maximum(value + margin * (interval95 - value), 0.0)
 
@@ -224,7 +276,10 @@ def _notes(edge: PreparedEdge, context: Context) -> Iterator[str]:
     yield from edge.used.notes
     grain = profile.grain.covariance_over_variance
     if grain > 1.3 or grain < 0.8:
-        yield f"Noise is correlated between pixels (sum of correlations {grain:.1f}) and treated as such."
+        yield (
+            f"Noise is correlated between pixels (sum of correlations {grain:.1f}) and treated "
+            f"as such."
+        )
     if context.sensor is None and context.pitch_ratio == 1.0:
         yield "Pixels taken as square."
     if profile.shading_sd > 0:
@@ -234,4 +289,6 @@ def _notes(edge: PreparedEdge, context: Context) -> Iterator[str]:
 def window_normalisation_note(profile: EdgeProfile) -> str:
     """Return the note on a frame too small to show a halo."""
     half = profile.gathered.half_width_px
-    return f"Normalised to the light within {half:.0f} px of the edge; a wider halo would not be seen."
+    return (
+        f"Normalised to the light within {half:.0f} px of the edge; a wider halo would not be seen."
+    )

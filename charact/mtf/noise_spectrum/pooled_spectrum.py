@@ -1,7 +1,7 @@
 """Noise spectrum of flats over the whole band: power, dark part and number of independent modes.
 
-Only temporal noise counts: each pixel's mean over the exposures of its rows and each exposure's mean are subtracted,
-separately for the fields of interlaced frames.
+Only temporal noise counts: each pixel's mean over the exposures of its rows and each exposure's
+mean are subtracted, separately for the fields of interlaced frames.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
-from charact.noise.gain.series import CLIPPED_SHARE, dark_shares, longest_series, read_levels, series_of
+from charact.noise.gain.series import (
+    CLIPPED_SHARE,
+    dark_shares,
+    longest_series,
+    read_levels,
+    series_of,
+)
 from charact.noise.rounding import QUANTISATION_DN2, variance_range_before_rounding
 from charact.noise.stack.spectrum import Bins, bins_of
 from charact.noise.stack.stack_statistics import StackStatistics
@@ -24,14 +30,18 @@ Array = NDArray[np.float64]
 
 
 def frequency_cells(rows: int, cols: int, row_pitch: float) -> Bins:
-    """Return the cells of frequency of an image with a row pitch of `row_pitch` column pitches, without the axes.
+    """Return the cells of frequency of an image with a row pitch of `row_pitch` column pitches,
+    without the axes.
 
     Raises BadInput if fewer than 24 cells contain enough modes.
     """
     plain = bins_of(rows, cols, row_pitch)
     along = np.arange(cols // 2 + 1)[None, :]
     down = np.abs(np.round(np.fft.fftfreq(rows) * rows))[:, None]
-    across, up = (int(np.clip(n // (2 * ACCURACY.modes_per_cell), 1, ACCURACY.max_cells)) for n in (cols, rows))
+    across, up = (
+        int(np.clip(n // (2 * ACCURACY.modes_per_cell), 1, ACCURACY.max_cells))
+        for n in (cols, rows)
+    )
     cell = np.minimum(2 * along * across // cols, across - 1).astype(np.int64) * up
     cell = cell + np.minimum(2 * down * up // rows, up - 1).astype(np.int64)
     cell[(along <= ACCURACY.axis_modes) | (down <= ACCURACY.axis_modes) | (2 * along == cols)] = -1
@@ -39,14 +49,22 @@ def frequency_cells(rows: int, cols: int, row_pitch: float) -> Bins:
     position = position.reshape(cell.shape)
     full = (kept >= 0) & (modes >= ACCURACY.min_modes)
     if full.sum() < 24:
-        raise BadInput(f"images must have some 48 x 48 pixels an exposure for a noise spectrum, got {rows} x {cols}")
-    column, row = (np.broadcast_to(f, cell.shape).ravel() for f in (along / cols, down / rows / row_pitch))
+        raise BadInput(
+            f"images must have some 48 x 48 pixels an exposure for a noise spectrum, got {rows} x "
+            f"{cols}"
+        )
+    column, row = (
+        np.broadcast_to(f, cell.shape).ravel() for f in (along / cols, down / rows / row_pitch)
+    )
     mean = [np.bincount(position.ravel(), f) / modes for f in (column, row)]
     select = np.where(full, np.cumsum(full) - 1, -1)[position]
     return replace(
-        plain, column_cy_per_px=mean[0][full], row_cy_per_px=mean[1][full], modes=modes[full].astype(float),
+        plain,
+        column_cy_per_px=mean[0][full],
+        row_cy_per_px=mean[1][full],
+        modes=modes[full].astype(float),
         select=select,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,14 +80,22 @@ class SelectedFlats:
 
 
 def select_flats(session: Session, context: Context) -> SelectedFlats:
-    """Read the flats, and choose those of one gain inside the linear range, each with the dark of its conditions."""
+    """Read the flats, and choose those of one gain inside the linear range, each with the dark of
+    its conditions.
+    """
     darks, flats, single = read_levels(session, context=context, spectra=frequency_cells)
     if darks:
         series = series_of(flats, darks, single)
-        every = zip(series.flats, series.darks, series.signal_dn.tolist(), series.fitted, strict=True)
+        every = zip(
+            series.flats, series.darks, series.signal_dn.tolist(), series.fitted, strict=True
+        )
         pairs = tuple((flat, dark, signal) for flat, dark, signal, fitted in every if fitted)
     else:
-        pairs = tuple((flat, None, None) for flat in longest_series(flats) if flat.high_fraction <= CLIPPED_SHARE)
+        pairs = tuple(
+            (flat, None, None)
+            for flat in longest_series(flats)
+            if flat.high_fraction <= CLIPPED_SHARE
+        )
     used = [flat for flat, _, _ in pairs]
     here = {flat.label for flat in used}
     stacks = here | {dark.label for _, dark, _ in pairs if dark is not None}
@@ -77,8 +103,14 @@ def select_flats(session: Session, context: Context) -> SelectedFlats:
         pairs=pairs,
         left_out=(*(flat.label for flat in flats if flat.label not in here), *single),
         clipped=any(flat.low_fraction > CLIPPED_SHARE for flat in used),
-        flicker=max((float(np.std(flat.frame_mean_dn) / max(flat.mean_dn, 1e-9)) for flat in used), default=0.0),
-        whole=all(np.issubdtype(open_lazy_stack(session.stack(label)).dtype, np.integer) for label in stacks),
+        flicker=max(
+            (float(np.std(flat.frame_mean_dn) / max(flat.mean_dn, 1e-9)) for flat in used),
+            default=0.0,
+        ),
+        whole=all(
+            np.issubdtype(open_lazy_stack(session.stack(label)).dtype, np.integer)
+            for label in stacks
+        ),
     )
 
 
@@ -106,8 +138,8 @@ class PooledSpectrum:
     lag: Array  # correlation of exposures 1, 2, ... apart; empty if none is detected
     lag_open: bool  # whether it extends beyond the last lag
     levels: tuple[FlatSpectrum, ...]
-    # Smallest and largest white power of the flats above their darks without light: by quantisation, and by noise that
-    # quantisation hides in the dark; pooled.
+    # Smallest and largest white power of the flats above their darks without light: by
+    # quantisation, and by noise that quantisation hides in the dark; pooled.
     quantisation_noise_dn2: tuple[float, float]
     frames: int  # fewest frames of a flat
 
@@ -129,11 +161,19 @@ class PooledSpectrum:
 
     @property
     def modes(self) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Frequencies along rows and columns, and cell, of all modes inside a cell, shape (mode,)."""
+        """Frequencies along rows and columns, and cell, of all modes inside a cell, shape
+        (mode,).
+        """
         (rows, cols), select = self.bins.window.shape, self.bins.select
         column = np.broadcast_to(np.fft.rfftfreq(cols)[None, :], select.shape)
-        row = np.broadcast_to(np.abs(np.fft.fftfreq(rows))[:, None] / self.bins.row_pitch, select.shape)
-        return column[select >= 0].astype(float), row[select >= 0].astype(float), select[select >= 0]
+        row = np.broadcast_to(
+            np.abs(np.fft.fftfreq(rows))[:, None] / self.bins.row_pitch, select.shape
+        )
+        return (
+            column[select >= 0].astype(float),
+            row[select >= 0].astype(float),
+            select[select >= 0],
+        )
 
 
 def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
@@ -142,13 +182,20 @@ def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
     lag, still_open = _lag(flats)
     # A flat's signal over the square of its power, times its exposures.
     mean = [max(float(flat.few.power_dn2[:, 0].mean()), ACCURACY.min_power_dn2) for flat in flats]
-    gain = np.array([m if signal is None else signal for m, (_, _, signal) in zip(mean, chosen.pairs, strict=True)])
+    gain = np.array(
+        [
+            m if signal is None else signal
+            for m, (_, _, signal) in zip(mean, chosen.pairs, strict=True)
+        ]
+    )
     weight = np.array([flat.runs * len(flat.time) for flat in flats]) * gain / np.array(mean) ** 2
     weight /= weight @ gain
     darks = dark_shares((dark for _, dark, _ in chosen.pairs), weight)
     parts = [(float(own), flat) for own, flat in zip(weight, flats, strict=True)]
     power = np.sum([own * _power(flat, lag) for own, flat in parts], axis=0)
-    dark_power = np.sum([np.zeros_like(power), *(share * _power(dark, lag) for dark, share in darks)], axis=0)
+    dark_power = np.sum(
+        [np.zeros_like(power), *(share * _power(dark, lag) for dark, share in darks)], axis=0
+    )
     bins = flats[0].bins
 
     def looks(correlation: Array) -> Array:
@@ -160,12 +207,18 @@ def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
     ranges = [_quantisation_noise_dn2(dark, share) for dark, share in darks]
     low, high = np.sum(ranges, axis=0) if ranges else 2 * (float(weight.sum()) * QUANTISATION_DN2,)
     return PooledSpectrum(
-        bins=bins, power_dn2=power, dark_dn2=dark_power, looks=looks(lag[:0]), looks_lagged=looks(lag),
-        pitch_ratio=context.pitch_ratio, lag=lag, lag_open=still_open,
+        bins=bins,
+        power_dn2=power,
+        dark_dn2=dark_power,
+        looks=looks(lag[:0]),
+        looks_lagged=looks(lag),
+        pitch_ratio=context.pitch_ratio,
+        lag=lag,
+        lag_open=still_open,
         levels=tuple(_flat_spectrum(*pair, lag, whole=chosen.whole) for pair in chosen.pairs),
         quantisation_noise_dn2=(float(low), float(high)) if chosen.whole else (0.0, 0.0),
         frames=min(flat.frames for flat in flats),
-    )  # fmt: skip
+    )
 
 
 def _power(stack: StackStatistics, lag: Array) -> Array:
@@ -182,8 +235,8 @@ def _independent(stack: StackStatistics, lag: Array) -> float:
 def _quantisation_noise_dn2(dark: StackStatistics, share: float) -> tuple[float, float]:
     """Return the range of noise that rounding hides in a dark, times its share.
 
-    A few pulses in the dark have most of the variance, but not of the pixels; the remaining noise is that at the
-    frequencies beyond their blur.
+    A few pulses in the dark have most of the variance, but not of the pixels; the remaining noise
+    is that at the frequencies beyond their blur.
     """
     power = dark.few.power_dn2[:, 0]
     whole = float(np.average(power, weights=dark.bins.modes))
@@ -196,7 +249,9 @@ def _quantisation_noise_dn2(dark: StackStatistics, share: float) -> tuple[float,
 
 
 def _lag(flats: list[StackStatistics]) -> tuple[Array, bool]:
-    """Return the correlation in time, empty if not detected, and whether it extends beyond the last lag."""
+    """Return the correlation in time, empty if not detected, and whether it extends beyond the last
+    lag.
+    """
     count = min(len(flat.many.lags) for flat in flats)
     if count < 2:
         return np.empty(0), False
@@ -228,7 +283,12 @@ def _low_frequency_weights(bins: Bins) -> Array:
 
 
 def _flat_spectrum(
-    flat: StackStatistics, dark: StackStatistics | None, signal: float | None, lag: Array, *, whole: bool
+    flat: StackStatistics,
+    dark: StackStatistics | None,
+    signal: float | None,
+    lag: Array,
+    *,
+    whole: bool,
 ) -> FlatSpectrum:
     """Return the spectrum of one flat above its dark."""
     modes = flat.bins.modes * flat.bins.efficiency
@@ -239,5 +299,9 @@ def _flat_spectrum(
         power, square = power - below, square + below**2 / (modes * _independent(dark, lag[:0]))
     hidden = _quantisation_noise_dn2(dark, 1.0) if dark is not None and whole else (0.0, 0.0)
     return FlatSpectrum(
-        label=flat.label, power_dn2=power, power_sd_dn2=np.sqrt(square), signal_dn=signal, quantisation_noise_dn2=hidden
+        label=flat.label,
+        power_dn2=power,
+        power_sd_dn2=np.sqrt(square),
+        signal_dn=signal,
+        quantisation_noise_dn2=hidden,
     )

@@ -1,4 +1,6 @@
-"""From draws of a noise spectrum's forms to the transfer after the gain: quantities, curves and what a report draws."""
+"""From draws of a noise spectrum's forms to the transfer after the gain: quantities, curves and
+what a report draws.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,7 +20,14 @@ from charact.mtf.noise_spectrum.model import (
 )
 from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
 from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
-from labdata.measurement import Curve, Measurement, Posterior, Result, make_refusal, measurement_from_draws
+from labdata.measurement import (
+    Curve,
+    Measurement,
+    Posterior,
+    Result,
+    make_refusal,
+    measurement_from_draws,
+)
 
 Array = NDArray[np.float64]
 DRAWS = 1000
@@ -37,18 +46,25 @@ class SpectrumDraws:
         """Return draws of a function of (peak, draws), each form giving its share of them."""
         counts = np.maximum(np.round(self.shares * DRAWS).astype(int), 1)
         each = zip(self.peaks, self.posteriors, counts, strict=True)
-        return np.concatenate([of(peak, posterior.draws[:count]) for peak, posterior, count in each])
+        return np.concatenate(
+            [of(peak, posterior.draws[:count]) for peak, posterior, count in each]
+        )
 
     def transfer(self, spectrum: PooledSpectrum, frequency: Array, *, vertical: bool) -> Array:
         """Return draws of |H| after the gain, shape (draw, frequency)."""
         ratio = spectrum.pitch_ratio
         return self.mixture_of(
-            lambda peak, draws: transfer_of(peak, draws, frequency, vertical=vertical, pitch_ratio=ratio)
+            lambda peak, draws: transfer_of(
+                peak, draws, frequency, vertical=vertical, pitch_ratio=ratio
+            )
         )
 
 
-def transfer_of(peak: SpectrumOptimum, draws: Array, frequency: Array, *, vertical: bool, pitch_ratio: float) -> Array:
-    """Return |H| after the gain along rows or columns, pixel and video included, shape (draw, frequency).
+def transfer_of(
+    peak: SpectrumOptimum, draws: Array, frequency: Array, *, vertical: bool, pitch_ratio: float
+) -> Array:
+    """Return |H| after the gain along rows or columns, pixel and video included, shape (draw,
+    frequency).
 
     `frequency`: cycles per column pitch along rows, per row pitch along columns.
     """
@@ -72,7 +88,9 @@ def quantities(spectrum: PooledSpectrum, found: SpectrumDraws, own: dict[str, An
         known, flags = half[np.isfinite(half)], set(own["flags"])
         if len(known) < 0.975 * len(half):
             reason = "the transfer after the gain may not fall to one half at any frequency seen"
-            fields = {key: value for key, value in along.items() if key not in ("flags", "posterior")}
+            fields = {
+                key: value for key, value in along.items() if key not in ("flags", "posterior")
+            }
             measurements.append(make_refusal("post_gain_mtf50", "cy/px", reason, **fields))
         else:
             low, middle, high = np.quantile(known, [0.16, 0.5, 0.84])
@@ -84,12 +102,16 @@ def quantities(spectrum: PooledSpectrum, found: SpectrumDraws, own: dict[str, An
             measurements.append(measurement_from_draws("post_gain_mtf50", "cy/px", known, **fields))
         pinned = found.transfer(spectrum, np.array(PINNED), vertical=vertical)
         measurements += [
-            measurement_from_draws("post_gain_mtf", "1", values, frequency_cy_per_px=frequency, **along)
+            measurement_from_draws(
+                "post_gain_mtf", "1", values, frequency_cy_per_px=frequency, **along
+            )
             for frequency, values in zip(PINNED, pinned.T, strict=True)
         ]
     # White floor over all noise at frequency 0, without the dark's part.
     mean = float(np.mean(spectrum.power_dn2 - spectrum.dark_dn2))
-    white = found.mixture_of(lambda peak, draws: draws[:, 1] * mean / (draws[:, 1] * mean + np.exp(draws[:, 0])))
+    white = found.mixture_of(
+        lambda peak, draws: draws[:, 1] * mean / (draws[:, 1] * mean + np.exp(draws[:, 0]))
+    )
     measurements.append(measurement_from_draws("white_noise_fraction", "1", white, **own))
     return Result(measurements=tuple(measurements), curves=curves(spectrum, found))
 
@@ -117,11 +139,14 @@ def figure_data(spectrum: PooledSpectrum, found: SpectrumDraws) -> dict[str, Any
         "pulses_dn2": pulses[0].tolist(),
         "looks": peak.problem.looks.tolist(),
         "lag_correlation": spectrum.lag.tolist(),
-        "forms": {p.problem.shape.name: float(s) for p, s in zip(found.peaks, found.shares, strict=True)},
+        "forms": {
+            p.problem.shape.name: float(s) for p, s in zip(found.peaks, found.shares, strict=True)
+        },
     }
 
 
-# Gain in ln likelihood at which scattered light is certainly detected: the threshold is 5 and the gain scatters by 5.
+# Gain in ln likelihood at which scattered light is certainly detected: the threshold is 5 and the
+# gain scatters by 5.
 SURE = 12.0
 
 
@@ -157,18 +182,20 @@ def note(peak: SpectrumOptimum) -> str:
     """Return the sentence that says what would go unseen."""
     near, far = scatter_limits(peak)
     return (
-        f"normalised to light that is not scattered far: {100 * near.share:.2g} % of it scattered after the gain over "
-        f"{near.length_px:.2g} px, or {100 * far.share:.2g} % over {far.length_px:.2g} px, would not show for sure; "
-        f"counted, MTF50 would be {near.lower_percent:.2g} % or {far.lower_percent:.2g} % lower"
+        f"normalised to light that is not scattered far: {100 * near.share:.2g} % of it scattered "
+        f"after the gain over {near.length_px:.2g} px, or {100 * far.share:.2g} % over "
+        f"{far.length_px:.2g} px, would not show for sure; counted, MTF50 would be "
+        f"{near.lower_percent:.2g} % or {far.lower_percent:.2g} % lower"
     )
 
 
 def scatter_limits(peak: SpectrumOptimum) -> tuple[UndetectedScatter, UndetectedScatter]:
     """Return the undetected scattered light of the smallest and the largest length considered.
 
-    A share q of scattered light changes ln of the power by q d, part of which the parameters of the form absorb. The
-    remaining part has the information I about q, so that q = sqrt(2 S / I) gains S in ln likelihood. MTF50 is wrong by
-    the slope of the true one with q less that of the fitted one.
+    A share q of scattered light changes ln of the power by q d, part of which the parameters of the
+    form absorb. The remaining part has the information I about q, so that q = sqrt(2 S / I) gains S
+    in ln likelihood. MTF50 is wrong by the slope of the true one with q less that of the fitted
+    one.
     """
     problem, at = peak.problem, peak.point[None]
     looks, step, (low, high) = problem.looks, ACCURACY.fraction_step, problem.bounds.T
@@ -177,7 +204,8 @@ def scatter_limits(peak: SpectrumOptimum) -> tuple[UndetectedScatter, Undetected
     down = np.maximum(peak.point - np.diag(ACCURACY.derivative_step_sd * sd), low)
     change = np.diag(up - down)
     power, half = problem.model(at)[0], _mtf50(peak, at)
-    # Slopes of ln of the power and of MTF50 with the parameters, which lie within their bounds whatever the data.
+    # Slopes of ln of the power and of MTF50 with the parameters, which lie within their bounds
+    # whatever the data.
     of_power = (np.log(problem.model(up)) - np.log(problem.model(down))) / change[:, None]
     of_half = (_mtf50(peak, up) - _mtf50(peak, down)) / change
     normal = (of_power * looks) @ of_power.T + np.diag(12.0 / (high - low) ** 2)
@@ -191,7 +219,9 @@ def scatter_limits(peak: SpectrumOptimum) -> tuple[UndetectedScatter, Undetected
         information = max(float(looks @ away**2 - pull @ absorbed), 1e-9)
         share = min(float(np.sqrt(2.0 * SURE / information)), SCATTER_FRACTION[1])
         lower = float((((half - _mtf50(there, at)) / step + of_half @ absorbed) / half)[0])
-        return UndetectedScatter(length_px=length_px, share=share, lower_percent=max(100.0 * share * lower, 0.0))
+        return UndetectedScatter(
+            length_px=length_px, share=share, lower_percent=max(100.0 * share * lower, 0.0)
+        )
 
     longest = max(SCATTER_SHARE * problem.spectrum.shorter_px, 2.0 * SCATTER_PX)
     return limit_at(SCATTER_PX), limit_at(longest)
@@ -200,4 +230,6 @@ def scatter_limits(peak: SpectrumOptimum) -> tuple[UndetectedScatter, Undetected
 def _mtf50(peak: SpectrumOptimum, points: Array) -> Array:
     """Return MTF50 along rows at points (n, parameter), cy/px, shape (n,)."""
     ratio = peak.problem.spectrum.pitch_ratio
-    return crossing_frequency(FINE, transfer_of(peak, points, FINE, vertical=False, pitch_ratio=ratio), 0.5)
+    return crossing_frequency(
+        FINE, transfer_of(peak, points, FINE, vertical=False, pitch_ratio=ratio), 0.5
+    )

@@ -1,4 +1,6 @@
-"""Checks of point sources: motion, undersampling, misfit and departures, nonlinear response; their findings."""
+"""Checks of point sources: motion, undersampling, misfit and departures, nonlinear response; their
+findings.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -24,7 +26,9 @@ REMEDIES = {
     "clipped": "an offset that keeps the noise of dark pixels above 0 DN",
     "saturated": "less light or a shorter exposure, so that no pixel approaches full scale",
     "low-signal": "more light, a longer exposure or more frames",
-    "model-misfit": "--roi around one source on a uniform background, focus, and no gamma or sharpening",
+    "model-misfit": (
+        "--roi around one source on a uniform background, focus, and no gamma or sharpening"
+    ),
     "several-targets": "--roi around one source, or sources further apart",
     "window-too-small": "a larger --roi around the source",
     "prior-bound": "another focus or magnification, so that the spot is 1 to 10 px wide",
@@ -45,8 +49,13 @@ def motion_findings(names: tuple[str, ...]) -> list[Finding]:
     """Return the findings of motion flags."""
     lowered = f"MTF50 is lowered by {100.0 * LIMITS.max_motion_loss:g} % or more"
     effects = {
-        "interlace-motion": f"the fields are displaced by at least {LIMITS.max_field_offset_px:g} px; {lowered}",
-        "drift": f"the source moves by {LIMITS.max_drift_px:g} px over the frames, or moves between frames; {lowered}",
+        "interlace-motion": (
+            f"the fields are displaced by at least {LIMITS.max_field_offset_px:g} px; {lowered}"
+        ),
+        "drift": (
+            f"the source moves by {LIMITS.max_drift_px:g} px over the frames, or moves "
+            f"between frames; {lowered}"
+        ),
     }
     return [finding(name, effects[name]) for name in names]
 
@@ -56,8 +65,8 @@ def flag_undersampled(found: Iterable[Measurement], window: Window) -> tuple[Mea
 
     Notes
     -----
-    The position of the spot is fitted to first order. A spot of 0.15 px illuminates one pixel wherever it lies in it:
-    MTF50 is 10 to 15 % low, and 30 % at the corner of four pixels.
+    The position of the spot is fitted to first order. A spot of 0.15 px illuminates one pixel
+    wherever it lies in it: MTF50 is 10 to 15 % low, and 30 % at the corner of four pixels.
     """
     numbers = tuple(found)
     step_px = {0.0: float(window.x[1] - window.x[0]), 90.0: float(window.y[1] - window.y[0])}
@@ -69,15 +78,20 @@ def flag_undersampled(found: Iterable[Measurement], window: Window) -> tuple[Mea
     )
     if not sharp:
         return numbers
-    effect = f"MTF50 may lie above {LIMITS.max_mtf50:g} cycles per sample, where it is measured 10 to 30 % low"
+    effect = (
+        f"MTF50 may lie above {LIMITS.max_mtf50:g} cycles per sample, where it is measured "
+        f"10 to 30 % low"
+    )
     return tuple(one.with_(findings=[finding("aliased", effect)]) for one in numbers)
 
 
 def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Return `interlace-motion` for a displacement between fields, `drift` for one through the stack.
+    """Return `interlace-motion` for a displacement between fields, `drift` for one through the
+    stack.
 
-    `frames`: light around the source above its background, shape (frame, row, col), DN; `x`, `y`: positions of columns
-    and rows from the source, column pitches; `parity`: field of every row, shape (row,).
+    `frames`: light around the source above its background, shape (frame, row, col), DN; `x`, `y`:
+    positions of columns and rows from the source, column pitches; `parity`: field of every row,
+    shape (row,).
     """
     if len(frames) < 4:
         return ()
@@ -99,7 +113,8 @@ def _has_field_offset(frames: Array, x: Array, y: Array, parity: NDArray[np.bool
         off = moment - centre[-1] * light
         error.append(off.std(ddof=1) / np.sqrt(len(off)) / light.mean())
     return bool(
-        abs(centre[0] - centre[1]) > max(LIMITS.motion_sd * float(np.hypot(*error)), LIMITS.max_field_offset_px)
+        abs(centre[0] - centre[1])
+        > max(LIMITS.motion_sd * float(np.hypot(*error)), LIMITS.max_field_offset_px)
     )
 
 
@@ -120,9 +135,10 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
 
     Notes
     -----
-    Photons of a spot S scatter its position by at most a sum(w^2 S) / sum(w^2)^2, w its slope and a the variance of the
-    total light over that light. Pulses wider than a pixel scatter it less (Jensen); lamp flicker raises the bound. The
-    mean frame is blurred by the mean square displacement, which reduces MTF50 by half its ratio to that of the blur.
+    Photons of a spot S scatter its position by at most a sum(w^2 S) / sum(w^2)^2, w its slope and a
+    the variance of the total light over that light. Pulses wider than a pixel scatter it less
+    (Jensen); lamp flicker raises the bound. The mean frame is blurred by the mean square
+    displacement, which reduces MTF50 by half its ratio to that of the blur.
     """
     from scipy.special import fdtrc
 
@@ -133,8 +149,14 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
         return False
     per_light = light.var(ddof=1) / light.mean()
     # The median of chi squared of one degree of freedom is 0.455.
-    dark = 0.5 * float(np.median(np.diff(frames[:, ~near], axis=0) ** 2)) / 0.455 if not near.all() else 0.0
-    area = light.mean() / max(float(mean.max()), 1e-300) * float(np.diff(x[:2])[0] * np.diff(y[:2])[0])
+    dark = (
+        0.5 * float(np.median(np.diff(frames[:, ~near], axis=0) ** 2)) / 0.455
+        if not near.all()
+        else 0.0
+    )
+    area = (
+        light.mean() / max(float(mean.max()), 1e-300) * float(np.diff(x[:2])[0] * np.diff(y[:2])[0])
+    )
     for position, rise in _places(frames, x, y):
         power = float(np.sum(rise**2))
         if not power > 0:
@@ -154,11 +176,15 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
 def _places(frames: Array, x: Array, y: Array) -> list[tuple[Array, Array]]:
     """Return displacements of each frame along rows and columns, and the slopes used."""
     mean = frames.mean(axis=0)
-    used = (np.hypot(x[None, :], y[:, None]) < ACCURACY.motion_radius_px) & (mean > 0.1 * mean.max())
+    used = (np.hypot(x[None, :], y[:, None]) < ACCURACY.motion_radius_px) & (
+        mean > 0.1 * mean.max()
+    )
     found = []
     for slope in (np.gradient(mean, x, axis=1), np.gradient(mean, y, axis=0)):
         rise = np.where(used, slope, 0.0)
-        position = -np.sum((frames - mean) * rise, axis=(1, 2)) / max(float(np.sum(rise**2)), 1e-300)
+        position = -np.sum((frames - mean) * rise, axis=(1, 2)) / max(
+            float(np.sum(rise**2)), 1e-300
+        )
         found.append((position, rise))
     return found
 
@@ -169,42 +195,65 @@ def source_findings(
     """Return the findings of fitted sources."""
     fit, out = found[0].fit, []
     if any(site.window.clipped for site in sites):
-        out.append(finding("clipped", "noise is clipped at black; MTF50 is half a standard uncertainty high"))
+        out.append(
+            finding(
+                "clipped", "noise is clipped at black; MTF50 is half a standard uncertainty high"
+            )
+        )
     stands = float((fit.light / light_sd(fitter, fit)).min())
     if stands < LIMITS.low_light_sd:
-        effect = f"light {stands:.1f} standard uncertainties; intervals are validated from {LIMITS.low_light_sd:g}"
+        effect = (
+            f"light {stands:.1f} standard uncertainties; intervals are validated from "
+            f"{LIMITS.low_light_sd:g}"
+        )
         out.append(finding("low-signal", effect))
-    if fit.chi2 / fit.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(2.0 / fit.free) or has_departures(
-        sites, fitter, fit
-    ):
+    if fit.chi2 / fit.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(
+        2.0 / fit.free
+    ) or has_departures(sites, fitter, fit):
         out.append(finding("model-misfit", _misfit_effect(fitter, fit)))
     along, down = _half_frequencies(fit)
     if max(along / down, down / along) > LIMITS.max_elongation:
         effect = (
-            f"MTF50 along rows is {along / down:.2f} times that along columns; light next to the source has this effect"
+            f"MTF50 along rows is {along / down:.2f} times that along columns; light next to "
+            f"the source has this effect"
         )
         out.append(finding("several-targets", effect))
     if any(site.window.cut or (site.screen and not site.window.holds_halo) for site in sites):
         effect = "light beyond the region is not included; MTF50 may be high by its fraction"
         out.append(finding("window-too-small", effect))
     at = np.min(np.abs(fit.point - fit.form.bounds.T), axis=0)
-    bound = [name for name, distance in zip(fit.form.parameters, at, strict=True) if distance < 1e-6]
+    bound = [
+        name for name, distance in zip(fit.form.parameters, at, strict=True) if distance < 1e-6
+    ]
     if {"ln_half_frequency", "stretch"} & set(bound):
-        out.append(finding("prior-bound", f"{', '.join(bound)} at its bound; MTF50 may lie anywhere beyond"))
+        out.append(
+            finding(
+                "prior-bound", f"{', '.join(bound)} at its bound; MTF50 may lie anywhere beyond"
+            )
+        )
     for name, mean, sd in fit.form.known:
         if name == "ln_half_frequency" and abs(fit.point[0] - mean) > LIMITS.max_prior_sd * sd:
-            effect = f"the core is more than {LIMITS.max_prior_sd:g} standard deviations from the description"
+            effect = (
+                f"the core is more than {LIMITS.max_prior_sd:g} standard deviations from the "
+                f"description"
+            )
             out.append(finding("prior-bound", effect))
     for window in (site.window for site in sites if site.window.sound):
-        frames = window.deviations.reshape(-1, *window.core.shape) + (window.core - float(np.median(window.core)))
+        frames = window.deviations.reshape(-1, *window.core.shape) + (
+            window.core - float(np.median(window.core))
+        )
         x, y = window.centre
-        out += motion_findings(motion_flags(frames, window.x - x, window.y - y, window.parity[:: window.x.size]))
+        out += motion_findings(
+            motion_flags(frames, window.x - x, window.y - y, window.parity[:: window.x.size])
+        )
     return out
 
 
 def _half_frequencies(fit: BlurModelFit2D) -> tuple[float, float]:
     """Return MTF50 along rows and along columns, cycles per column pitch, without aperture."""
-    along, down = crossing_frequency(FINE, fit.form.camera(fit.point[None], FINE, np.array([1.0, -1.0]))[0], 0.5)
+    along, down = crossing_frequency(
+        FINE, fit.form.camera(fit.point[None], FINE, np.array([1.0, -1.0]))[0], 0.5
+    )
     return float(along), float(down)
 
 
@@ -212,22 +261,30 @@ def _misfit_effect(fitter: PointFitter, fit: BlurModelFit2D) -> str:
     """Return the effect of a misfit: the change of MTF50 by fitted model departures."""
     form = replace(fit.form, departures=max(DEPARTURES))
     free = fitter.fit(form, start_from(fit, form))
-    moves = [abs(b / a - 1.0) for a, b in zip(_half_frequencies(fit), _half_frequencies(free), strict=True)]
+    moves = [
+        abs(b / a - 1.0)
+        for a, b in zip(_half_frequencies(fit), _half_frequencies(free), strict=True)
+    ]
     left = np.sqrt(fit.chi2 / fit.free)
-    return f"residuals are {left:.2g} times the noise; model departures change MTF50 by {100 * max(moves):.2g} %"
+    return (
+        f"residuals are {left:.2g} times the noise; model departures change MTF50 by "
+        f"{100 * max(moves):.2g} %"
+    )
 
 
 def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> Array:
     """Return the standard uncertainty of each light for a fixed model, DN px^2."""
     nodes = fit.form.nodes(fit.point[None])
-    return np.array([np.sum((one.matrix[:, : nodes.size] @ nodes[0]) ** 2) ** -0.5 for one in fitter.pixels])
+    return np.array(
+        [np.sum((one.matrix[:, : nodes.size] @ nodes[0]) ** 2) ** -0.5 for one in fitter.pixels]
+    )
 
 
 def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurModelFit2D) -> bool:
     """Return whether model departures reduce chi squared beyond noise.
 
-    Departures are bumps of the transfer along frequency, a rotation of the ellipse, and asymmetry in both directions,
-    each to first order with all parameters free.
+    Departures are bumps of the transfer along frequency, a rotation of the ellipse, and asymmetry
+    in both directions, each to first order with all parameters free.
     """
     bounds = fit.form.bounds
     moves = np.where(fit.point > bounds.mean(axis=1), -1e-5, 1e-5) * (bounds[:, 1] - bounds[:, 0])
@@ -240,17 +297,27 @@ def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurMode
     for site, one, light in zip(sites, fitter.pixels, fit.light, strict=True):
         matrix = one.matrix[:, : nodes.shape[1]]
         unit, departed = matrix @ nodes[0], matrix[:, : described.size] @ bumped.T
-        own.append(np.concatenate([unit[:, None], light * (matrix @ (nodes[1:] - nodes[0]).T) / moves], axis=1))
-        more.append(light * np.concatenate([departed, _asymmetry_columns(site, one, described)], axis=1))
+        own.append(
+            np.concatenate(
+                [unit[:, None], light * (matrix @ (nodes[1:] - nodes[0]).T) / moves], axis=1
+            )
+        )
+        more.append(
+            light * np.concatenate([departed, _asymmetry_columns(site, one, described)], axis=1)
+        )
         residual.append(one.data - light * unit)
-    gain = _chi2_explained(np.concatenate([_blocks(own), np.concatenate(more)], axis=1), np.concatenate(residual))
+    gain = _chi2_explained(
+        np.concatenate([_blocks(own), np.concatenate(more)], axis=1), np.concatenate(residual)
+    )
     gain -= _chi2_explained(_blocks(own), np.concatenate(residual))
     count = more[0].shape[1]
     return bool(gain > count + LIMITS.max_departure_sd * np.sqrt(2.0 * count))
 
 
 def _asymmetry_columns(site: SourcePixels, one: WhitenedPixels, nodes: Array) -> Array:
-    """Return the effect of rotation and asymmetry on the whitened pixels at unit light, shape (value, 3)."""
+    """Return the effect of rotation and asymmetry on the whitened pixels at unit light, shape
+    (value, 3).
+    """
     transfer = nodes.reshape(COSINES.size, -1)
     half = float(np.interp(-0.5, -transfer[0], FREQUENCIES))
     sharp = pictures(site.aperture, transfer * (FREQUENCIES / half) ** 2, *site.axes)
@@ -272,7 +339,9 @@ def _blocks(own: list[Array]) -> Array:
 
 def _chi2_explained(columns: Array, residual: Array) -> float:
     """Return the chi squared of a residual that columns explain."""
-    basis, values, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
+    basis, values, _ = np.linalg.svd(
+        columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False
+    )
     basis = basis[:, values > 1e-6 * values[0]]
     return float(np.sum((basis.T @ residual) ** 2))
 
@@ -285,10 +354,17 @@ def camera_nonlinearity(sites: list[SourcePixels], fit: BlurModelFit2D) -> SpotN
         if site.window.frames < 2 or site.pulses is None or not site.window.sound:
             continue
         mean = light * pictures(site.aperture, transfer, *site.axes)[0]
-        pulses, dark = site.pulses.covariance * site.memory.between_rows(site.window.parity), dark_noise(site)
+        pulses, dark = (
+            site.pulses.covariance * site.memory.between_rows(site.window.parity),
+            dark_noise(site),
+        )
         # Larger noise than that makes quantisation add its own only.
         plain = (np.diag(pulses + dark) > LIMITS.min_variance_dn2) | np.isinf(site.window.quiet_sd)
         near = site.near[plain[site.near]]
         both = np.ix_(near, near)
-        found.append(power_log_likelihoods(site.window.contrasts[:, near], mean[near], pulses[both], dark[both]))
+        found.append(
+            power_log_likelihoods(
+                site.window.contrasts[:, near], mean[near], pulses[both], dark[both]
+            )
+        )
     return fit_nonlinearity(found)

@@ -1,4 +1,6 @@
-"""Forward method for points: the blur model of a described intensifier, or that of a tube, fitted to the pixels."""
+"""Forward method for points: the blur model of a described intensifier, or that of a tube, fitted
+to the pixels.
+"""
 
 from dataclasses import replace
 
@@ -29,7 +31,8 @@ def point_forward(
     pinhole_px: float | tuple[float, float] | None = None,
     context: Context,
 ) -> Result:
-    """Measure the horizontal and vertical MTF from the image of a point by the blur model of a tube.
+    """Measure the horizontal and vertical MTF from the image of a point by the blur model of a
+    tube.
 
     Parameters
     ----------
@@ -39,12 +42,13 @@ def point_forward(
     Returns
     -------
     Result
-        `mtf50` and `mtf10` in both directions, and the curves "mtf" and "mtf_vertical", in cycles per column pitch.
+        `mtf50` and `mtf10` in both directions, and the curves "mtf" and "mtf_vertical", in cycles
+        per column pitch.
 
     Notes
     -----
-    With a description the transfer is video x exp(-(f/fc)^n - 2 (pi f s)^2) x [(1 - q) + q H_halo]; the described
-    ranges of all its parameters, the video bandwidth included, are their priors.
+    With a description the transfer is video x exp(-(f/fc)^n - 2 (pi f s)^2) x [(1 - q) + q H_halo];
+    the described ranges of all its parameters, the video bandwidth included, are their priors.
     """
 
     def forms(pinhole: float | tuple[float, float], holds_halo: bool, _reach_px: float):
@@ -57,8 +61,12 @@ def point_forward(
     return measure_points(method, stack, region, regions, pinhole_px, context)
 
 
-def tube_of_description(context: Context, pinhole: float | tuple[float, float], *, halo: bool) -> BlurModel2D:
-    """Return the blur model of the described intensifier: exponential tube, Gaussian lens and fibres, halo, video."""
+def tube_of_description(
+    context: Context, pinhole: float | tuple[float, float], *, halo: bool
+) -> BlurModel2D:
+    """Return the blur model of the described intensifier: exponential tube, Gaussian lens and
+    fibres, halo, video.
+    """
     sensor = context.sensor
     assert sensor is not None
     pitch_um, demagnification = float(sensor.ccd.pitch_x_um), float(sensor.taper.demagnification)
@@ -69,7 +77,11 @@ def tube_of_description(context: Context, pinhole: float | tuple[float, float], 
     faces = 1e3 / (np.pi * np.sqrt(2.0) * float(sensor.taper.interface_mtf_lp_per_mm) * pitch_um)
     blur = float(np.sqrt(lens**2 + fibres**2 + faces**2))
     known = [
-        ("ln_half_frequency", float(np.log(cut_off) + np.log(np.log(2.0)) / exponent), PRIORS.cut_off_sd),
+        (
+            "ln_half_frequency",
+            float(np.log(cut_off) + np.log(np.log(2.0)) / exponent),
+            PRIORS.cut_off_sd,
+        ),
         ("exponent", exponent, PRIORS.exponent_sd),
         ("blur_px", blur, PRIORS.blur_sd * blur),
         ("stretch", 0.0, PRIORS.described_stretch_sd),
@@ -85,4 +97,6 @@ def tube_of_description(context: Context, pinhole: float | tuple[float, float], 
     if video is not None and video.ln_bandwidth_sd > 0.0:
         known.append((BANDWIDTH, 0.0, video.ln_bandwidth_sd))
     wide = HaloComponent(size_px=halo_diameters_px(context, transposed=False)) if halo else None
-    return BlurModel2D(core="exponential", lens=True, wide=wide, pinhole_px=pinhole, known=tuple(known))
+    return BlurModel2D(
+        core="exponential", lens=True, wide=wide, pinhole_px=pinhole, known=tuple(known)
+    )

@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 class Censored:
     """Pixels that are clipped in at least one frame."""
 
-    # From a transfer at the nodes to their height at unit light, background and position at their optimum for
-    # the other pixels, shape (pixel, node)
+    # From a transfer at the nodes to their height at unit light, background and position at their
+    # optimum for the other pixels, shape (pixel, node)
     matrix: Array
     limit: Array  # Full scale above the background, shape (pixel,), DN
     sd: Array  # Standard deviation of one frame, shape (pixel,), DN
@@ -28,16 +28,18 @@ class Censored:
     mean: Array  # Mean of the latter above the background, shape (pixel,), DN
 
     def terms(self, height: Array) -> tuple[Array, Array, Array]:
-        """Return slope and minus curvature of ln likelihood, each pixel's, and its sum, for heights (n, pixel).
+        """Return slope and minus curvature of ln likelihood, each pixel's, and its sum, for heights
+        (n, pixel).
 
         Notes
         -----
-        ln L = k ln Phi((h - c)/s) - (n - k) (v - h)^2 / (2 s^2): k of n frames are clipped at c, the mean of the others
-        is v.
+        ln L = k ln Phi((h - c)/s) - (n - k) (v - h)^2 / (2 s^2): k of n frames are clipped at c,
+        the mean of the others is v.
         """
         z = (height - self.limit) / self.sd
         log_tail = log_ndtr(z)
-        # Inverse Mills ratio phi/Phi, about -z far below the limit, where its curvature is 1 to rounding.
+        # Inverse Mills ratio phi/Phi, about -z far below the limit, where its curvature is 1 to
+        # rounding.
         mills = np.sqrt(2.0 / np.pi) / erfcx(-z / np.sqrt(2.0))
         bend = np.where(z < -1e4, 1.0, mills * (mills + z))
         off = (self.mean - height) / self.sd
@@ -45,18 +47,22 @@ class Censored:
         curvature = (self.cut * bend + self.left) / self.sd**2
         return slope, curvature, np.sum(self.cut * log_tail - 0.5 * self.left * off**2, axis=-1)
 
-    def lights(self, overlap: Array, curvature: Array, hidden: Array, start: Array) -> tuple[Array, Array]:
+    def lights(
+        self, overlap: Array, curvature: Array, hidden: Array, start: Array
+    ) -> tuple[Array, Array]:
         """Return the most probable lights by Newton's method, and the curvature there, shape (n,).
 
-        `overlap`, `curvature`: of the other pixels' images with their values and with themselves; `hidden`: image of
-        the clipped ones, shape (n, pixel).
+        `overlap`, `curvature`: of the other pixels' images with their values and with themselves;
+        `hidden`: image of the clipped ones, shape (n, pixel).
         """
         light = np.maximum(start, 1e-12)
         bend = curvature
         for _ in range(25):
             slope, weight, _ = self.terms(light[:, None] * hidden)
             bend = curvature + np.sum(weight * hidden**2, axis=1)
-            step = (overlap - light * curvature + np.sum(slope * hidden, axis=1)) / np.maximum(bend, 1e-300)
+            step = (overlap - light * curvature + np.sum(slope * hidden, axis=1)) / np.maximum(
+                bend, 1e-300
+            )
             # The logarithm is concave: long steps are only shortened.
             light = light + np.clip(step, -0.5 * light, light)
             if np.all(np.abs(step) < 1e-9 * light):
@@ -66,12 +72,15 @@ class Censored:
 
 @dataclass(frozen=True, kw_only=True)
 class WhitenedPixels:
-    """Whitened pixels of one source, position and other linear parameters but the light marginalised."""
+    """Whitened pixels of one source, position and other linear parameters but the light
+    marginalised.
+    """
 
     data: Array  # Whitened values, shape (value,)
     matrix: Array  # From a transfer at the nodes to them at unit light, shape (value, node)
     free: int  # Values less linear parameters
-    # root, basis: inverse root of the covariance, and marginalised whitened directions, shape (value, direction)
+    # root, basis: inverse root of the covariance, and marginalised whitened directions, shape
+    # (value, direction)
     root: Array
     basis: Array
     rounding: Array  # Part of the covariance by quantisation, shape (value, value), DN^2
@@ -88,12 +97,14 @@ class BlurModelFit2D:
     """A blur model fitted to points."""
 
     form: BlurModel2D  # The blur model
-    # point, covariance: optimum of the posterior and the inverse curvature there; light, position and background
-    # marginalised
+    # point, covariance: optimum of the posterior and the inverse curvature there; light, position
+    # and background marginalised
     point: Array
     covariance: Array
     light: Array  # Light of each source, DN px^2
-    log_evidence: float  # ln evidence by Laplace's approximation, up to a constant common to all models
+    log_evidence: (
+        float  # ln evidence by Laplace's approximation, up to a constant common to all models
+    )
     cost: float  # -2 ln of likelihood and Gaussian priors at the optimum
     # chi2, free: chi squared of the pixels below full scale, and its degrees of freedom
     chi2: float
@@ -125,11 +136,19 @@ class PointFitter:
         """Fit a model from starting values."""
         bounds = form.bounds
         point, here = least_squares(
-            lambda theta: self._linearise(form, theta), start, bounds, iterations=iterations, relative_tolerance=1e-8
+            lambda theta: self._linearise(form, theta),
+            start,
+            bounds,
+            iterations=iterations,
+            relative_tolerance=1e-8,
         )
         sources: list[_Source] = here.model
         covariance = covariance_at(here.normal, bounds)
-        height = -0.5 * here.cost + form.log_volume() - 0.5 * sum(float(np.log(one.curvature)) for one in sources)
+        height = (
+            -0.5 * here.cost
+            + form.log_volume()
+            - 0.5 * sum(float(np.log(one.curvature)) for one in sources)
+        )
         return BlurModelFit2D(
             form=form,
             point=point,
@@ -152,10 +171,14 @@ class PointFitter:
         off = point - mean
         gradient, normal = -off * precision, np.diag(precision)
         for one in sources:
-            design = one.light * (one.slopes - np.outer(one.unit, one.unit @ one.slopes) / one.curvature)
+            design = one.light * (
+                one.slopes - np.outer(one.unit, one.unit @ one.slopes) / one.curvature
+            )
             gradient = gradient + design.T @ one.residual
             normal = normal + design.T @ design
-        return Linearisation(float(off**2 @ precision) + sum(one.cost for one in sources), gradient, normal, sources)
+        return Linearisation(
+            float(off**2 @ precision) + sum(one.cost for one in sources), gradient, normal, sources
+        )
 
     def log_probability(self, form: BlurModel2D, theta: Array) -> Array:
         """Return ln posterior with lights, positions and backgrounds marginalised, shape (n,)."""
@@ -168,7 +191,9 @@ class PointFitter:
 
 
 def _log_likelihood(one: WhitenedPixels, nodes: Array) -> Array:
-    """Return ln likelihood of one source for transfers (n, node), its light marginalised, shape (n,)."""
+    """Return ln likelihood of one source for transfers (n, node), its light marginalised, shape
+    (n,).
+    """
     unit = nodes @ one.matrix[:, : nodes.shape[1]].T
     overlap, curvature = unit @ one.data, np.maximum(np.einsum("nv,nv->n", unit, unit), 1e-300)
     if one.censored is None:
@@ -181,7 +206,9 @@ def _log_likelihood(one: WhitenedPixels, nodes: Array) -> Array:
 
 
 def _source(pixels: WhitenedPixels, nodes: Array, moves: Array) -> _Source:
-    """Return a source from transfers at a point and displaced by each parameter, shape (1 + parameter, node)."""
+    """Return a source from transfers at a point and displaced by each parameter, shape (1 +
+    parameter, node).
+    """
     data, censored = pixels.data, pixels.censored
     unit, slopes = _unit_and_slopes(pixels.matrix, nodes, moves)
     light = float(data @ unit) / max(float(unit @ unit), 1e-300)

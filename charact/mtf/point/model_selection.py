@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 from charact.mtf.blur_models.one_dimensional import ExtendedComponent, HaloComponent
 from charact.mtf.point.blur_models_2d import BlurModel2D, Core
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
-from charact.mtf.point.source_pixels import SourcePixels, add_noise, noise_likelihood, position_source, whiten_source
+from charact.mtf.point.source_pixels import (
+    SourcePixels,
+    add_noise,
+    noise_likelihood,
+    position_source,
+    whiten_source,
+)
 from charact.mtf.point.thresholds import ACCURACY
 from charact.posterior.least_squares import weigh_by_evidence
 
@@ -21,9 +27,15 @@ WIDE_ODDS = 0.5
 SEPARABLE_ODDS = 0.2
 # Cores of any camera and of a tube, with prior odds; variants of one kind share them.
 CORES: dict[Core, float] = {
-    "gaussian": 1.0, "kolmogorov": 0.5, "exponential": 0.5, "moffat": 0.5, "airy": 0.5, "hole": 0.25, "defocus": 0.25,
+    "gaussian": 1.0,
+    "kolmogorov": 0.5,
+    "exponential": 0.5,
+    "moffat": 0.5,
+    "airy": 0.5,
+    "hole": 0.25,
+    "defocus": 0.25,
     "pupil": 0.25,
-}  # fmt: skip
+}
 TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
 # Model departures, fraction of the transfer, and their prior odds.
 DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
@@ -38,17 +50,22 @@ class EvidenceWeightedModels2D(NamedTuple):
 
 def candidate_cores(pinhole: float | tuple[float, float], *, described: bool) -> list[BlurModel2D]:
     """Return the cores of any camera, or of a described tube."""
-    return [BlurModel2D(core=core, round=not described, pinhole_px=pinhole) for core in (TUBES if described else CORES)]
+    return [
+        BlurModel2D(core=core, round=not described, pinhole_px=pinhole)
+        for core in (TUBES if described else CORES)
+    ]
 
 
 def fit_sources(
     sites: list[SourcePixels], cores: list[BlurModel2D], wide: tuple[ExtendedComponent, ...] | None
 ) -> tuple[list[SourcePixels], PointFitter, list[EvidenceWeightedModels2D]]:
-    """Fit sources of one camera: positions, noise and blur models in turn; the most probable model comes first.
+    """Fit sources of one camera: positions, noise and blur models in turn; the most probable model
+    comes first.
 
     There are no models where none has a finite evidence.
 
-    `wide` are the extended components to be tried with refined cores; None: the cores are the only models.
+    `wide` are the extended components to be tried with refined cores; None: the cores are the only
+    models.
     """
     begun = [position_source(site) for site in sites]
     sites = [site for site, _ in begun]
@@ -94,16 +111,23 @@ def _update_sources(
     sites: list[SourcePixels], fit: BlurModelFit2D, lower: float = 1.0
 ) -> tuple[list[SourcePixels], PointFitter]:
     """Return sources with the position and noise of a fitted model, and their fitter."""
-    sites = [add_noise(site, fit, float(light), lower=lower) for site, light in zip(sites, fit.light, strict=True)]
+    sites = [
+        add_noise(site, fit, float(light), lower=lower)
+        for site, light in zip(sites, fit.light, strict=True)
+    ]
     return sites, _fitter_for(sites, fit.form, fit.point, fit.light)
 
 
-def _fitter_for(sites: list[SourcePixels], form: BlurModel2D, point: Array, light: Array | None) -> PointFitter:
+def _fitter_for(
+    sites: list[SourcePixels], form: BlurModel2D, point: Array, light: Array | None
+) -> PointFitter:
     """Return a fitter whose weights and slopes are those of a model."""
     transfer = form.transfer(point[None])[0]
     if light is None:
         light = np.array([_light_of_core(site) for site in sites])
-    return PointFitter([whiten_source(site, transfer, float(one)) for site, one in zip(sites, light, strict=True)])
+    return PointFitter(
+        [whiten_source(site, transfer, float(one)) for site, one in zip(sites, light, strict=True)]
+    )
 
 
 def _light_of_core(site: SourcePixels) -> float:
@@ -118,11 +142,15 @@ def start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
     """Return starting values of another model from the parameters in common."""
     start = form.start(float(fit.point[0]))
     known = dict(zip(fit.form.parameters, fit.point, strict=True))
-    return np.array([known.get(name, own) for name, own in zip(form.parameters, start, strict=True)])
+    return np.array(
+        [known.get(name, own) for name, own in zip(form.parameters, start, strict=True)]
+    )
 
 
 def fit_models(
-    fitter: PointFitter, starts: dict[BlurModel2D, Array], wide: tuple[ExtendedComponent, ...] | None
+    fitter: PointFitter,
+    starts: dict[BlurModel2D, Array],
+    wide: tuple[ExtendedComponent, ...] | None,
 ) -> list[EvidenceWeightedModels2D]:
     """Fit candidate blur models and return them with their weights, the most probable first."""
     found = [fitter.fit(form, start) for form, start in starts.items()]
@@ -137,7 +165,9 @@ def fit_models(
     likeliest = max(tubes, key=lambda one: one.log_evidence)
     if likeliest in _cores_within(found, ACCURACY.candidate_ln_evidence):
         found.append(_fit_two_blurs(fitter, likeliest))
-        if not likeliest.form.round and abs(likeliest.point[1] - 2.0) > 2.0 * np.sqrt(likeliest.covariance[1, 1]):
+        if not likeliest.form.round and abs(likeliest.point[1] - 2.0) > 2.0 * np.sqrt(
+            likeliest.covariance[1, 1]
+        ):
             found.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
     near = _cores_within(found, 3.0)
     for light in wide:
@@ -150,7 +180,9 @@ def fit_models(
         found = [one for one in found if one.form.wide is not None] or found
     best = max(found, key=_weight)
     found += [
-        fitter.fit(form, start_from(best, form)) for size in DEPARTURES if (form := replace(best.form, departures=size))
+        fitter.fit(form, start_from(best, form))
+        for size in DEPARTURES
+        if (form := replace(best.form, departures=size))
     ]
     return _rank_by_evidence(found)
 
@@ -184,7 +216,9 @@ def _weight(fit: BlurModelFit2D) -> float:
 def _fit_extended(
     fitter: PointFitter, core: BlurModelFit2D, wide: ExtendedComponent, worth: float
 ) -> BlurModelFit2D | None:
-    """Fit a core with an extended component from several sizes; None if chi squared gains less than `worth`."""
+    """Fit a core with an extended component from several sizes; None if chi squared gains less than
+    `worth`.
+    """
     form = replace(core.form, wide=wide)
     first = form.blur_parameters
     bounds = form.bounds[first : first + len(wide.parameters)]

@@ -1,6 +1,7 @@
 """Nonlinear camera response from the noise of a spot, which grows with the light if linear.
 
-A response S = c L^g gives a variance of S proportional to S^(2 - 1/g): an extra power 1 - 1/g of the light.
+A response S = c L^g gives a variance of S proportional to S^(2 - 1/g): an extra power 1 - 1/g of
+the light.
 """
 
 from dataclasses import dataclass
@@ -22,34 +23,46 @@ FINE_POWERS = np.linspace(POWERS[0], POWERS[-1], 421)
 class SpotNonlinearity:
     """Nonlinearity of a response from the noise of a spot."""
 
-    significance: float  # Root of twice the gain in ln likelihood over a linear response, standard deviations
+    significance: (
+        float  # Root of twice the gain in ln likelihood over a linear response, standard deviations
+    )
     power: float  # Likeliest extra power of the light in the noise
-    exponents: tuple[float, float]  # Range of response exponents, within 0.4 to 2.5, that the noise does not exclude
+    exponents: tuple[
+        float, float
+    ]  # Range of response exponents, within 0.4 to 2.5, that the noise does not exclude
 
     @property
     def is_nonlinear(self) -> bool:
         """Whether the noise excludes a linear response."""
-        return self.significance > LIMITS.nonlinear_sd and abs(self.power) > LIMITS.min_nonlinear_power
+        return (
+            self.significance > LIMITS.nonlinear_sd and abs(self.power) > LIMITS.min_nonlinear_power
+        )
 
     @property
     def effect(self) -> str:
         """Effect of the likeliest response on MTF50."""
         exponent = 1.0 / (1.0 - self.power)
         moved = 100.0 * (np.sqrt(exponent) - 1.0)
-        return f"the noise indicates a response of exponent {exponent:.2g}, which changes MTF50 by about {moved:+.0f} %"
+        return (
+            f"the noise indicates a response of exponent {exponent:.2g}, which changes MTF50 "
+            f"by about {moved:+.0f} %"
+        )
 
     @property
     def note(self) -> str:
         """Range of responses that the noise does not exclude, and their effect on MTF50."""
         low, high = self.exponents
         return (
-            f"The camera response is assumed linear; the noise permits exponents from {low:.2g} to {high:.2g}. "
-            "An exponent g multiplies MTF50 by about sqrt(g), and by more with a halo or a tail."
+            f"The camera response is assumed linear; the noise permits exponents from {low:.2g} "
+            f"to {high:.2g}. An exponent g multiplies MTF50 by about sqrt(g), and by more with a "
+            "halo or a tail."
         )
 
 
 def fit_nonlinearity(profiles: list[Array]) -> SpotNonlinearity:
-    """Return the combined nonlinearity of sources of one camera; without sources no exponent is excluded."""
+    """Return the combined nonlinearity of sources of one camera; without sources no exponent is
+    excluded.
+    """
     fine = CubicSpline(POWERS, np.sum([np.zeros(POWERS.size), *profiles], axis=0))(FINE_POWERS)
     best = int(np.argmax(fine))
     gain = 2.0 * (fine[best] - np.interp(0.0, FINE_POWERS, fine))
@@ -64,14 +77,14 @@ def fit_nonlinearity(profiles: list[Array]) -> SpotNonlinearity:
 def power_log_likelihoods(samples: Array, mean: Array, pulses: Array, dark: Array) -> Array:
     """Return ln likelihood of each of `POWERS`, maximised over the size of the noise.
 
-    `samples`: independent deviations, each of the noise of one frame, shape (sample, pixel), DN; `mean`: light in every
-    pixel, DN; `pulses`, `dark`: covariance of a frame's light under a linear response and of its dark noise, shape
-    (pixel, pixel).
+    `samples`: independent deviations, each of the noise of one frame, shape (sample, pixel), DN;
+    `mean`: light in every pixel, DN; `pulses`, `dark`: covariance of a frame's light under a linear
+    response and of its dark noise, shape (pixel, pixel).
 
     Notes
     -----
-    A common factor of all pixels, flicker of the source, is excluded. Too few pixels give no information: all powers
-    are equally likely.
+    A common factor of all pixels, flicker of the source, is excluded. Too few pixels give no
+    information: all powers are equally likely.
     """
     lit = np.flatnonzero(mean > ACCURACY.min_light_fraction * np.max(mean, initial=0.0))
     if lit.size < 6:
@@ -80,7 +93,12 @@ def power_log_likelihoods(samples: Array, mean: Array, pulses: Array, dark: Arra
     aside = np.linalg.svd(light[None])[2][1:]
     root = np.linalg.inv(np.linalg.cholesky(aside @ dark[np.ix_(lit, lit)] @ aside.T)) @ aside
     white = samples[:, lit] @ root.T
-    return np.array([_likeliest(white, root * light ** (0.5 * power), pulses[np.ix_(lit, lit)]) for power in POWERS])
+    return np.array(
+        [
+            _likeliest(white, root * light ** (0.5 * power), pulses[np.ix_(lit, lit)])
+            for power in POWERS
+        ]
+    )
 
 
 def _likeliest(white: Array, root: Array, pulses: Array) -> float:
@@ -93,6 +111,8 @@ def _likeliest(white: Array, root: Array, pulses: Array) -> float:
         variance = 1.0 + size * values
         part = size * values / variance
         slope = 0.5 * np.sum((square / variance - count) * part)
-        size *= np.exp(np.clip(slope / max(0.5 * count * float(np.sum(part**2)), 1e-300), -1.0, 1.0))
+        size *= np.exp(
+            np.clip(slope / max(0.5 * count * float(np.sum(part**2)), 1e-300), -1.0, 1.0)
+        )
     variance = 1.0 + size * values
     return float(-0.5 * np.sum(square / variance + count * np.log(variance)))

@@ -15,8 +15,8 @@ WIDTHS_PX = np.array([0.01, *np.geomspace(0.3, 3.0, 24)])
 # Pulse widths over that of the complete blur.
 WIDTHS = np.geomspace(0.2, 1.0, 24)
 GAINS = np.exp(np.linspace(np.log(1e-4), np.log(1e5), 240))
-# Prior of a dark pixel's noise, ln of photoelectrons and its standard deviation: 0.3 to 30, from intensified to
-# ordinary cameras. It matters for the few illuminated pixels of a single frame.
+# Prior of a dark pixel's noise, ln of photoelectrons and its standard deviation: 0.3 to 30, from
+# intensified to ordinary cameras. It matters for the few illuminated pixels of a single frame.
 DARK_LN = (float(np.log(3.0)), 1.2)
 RADII_PX = np.linspace(0.0, 16.0, 80)
 
@@ -26,8 +26,8 @@ class SurroundingsNoise:
     """Noise of the surroundings of a source."""
 
     variance: float  # Of one pixel in one frame, DN^2
-    # common, width_px: correlated fraction of it, and the correlation widths along rows and columns, px: the
-    # correlation is common exp(-x^2 / 4 w^2) in either direction
+    # common, width_px: correlated fraction of it, and the correlation widths along rows and
+    # columns, px: the correlation is common exp(-x^2 / 4 w^2) in either direction
     common: float = 0.0
     width_px: tuple[float, float] = (0.01, 0.01)
 
@@ -38,9 +38,12 @@ class SurroundingsNoise:
         return float(1.0 - self.common + self.common * along * down)
 
     def covariance(self, x: Array, y: Array) -> Array:
-        """Return the covariance of pixels at columns x and rows y counted in pixels, shape (pixel, pixel), DN^2."""
+        """Return the covariance of pixels at columns x and rows y counted in pixels, shape (pixel,
+        pixel), DN^2.
+        """
         along, down = (
-            np.exp(-0.25 * ((at[:, None] - at) / w) ** 2) for at, w in zip((x, y), self.width_px, strict=True)
+            np.exp(-0.25 * ((at[:, None] - at) / w) ** 2)
+            for at, w in zip((x, y), self.width_px, strict=True)
         )
         shared = np.einsum("ab,cd->acbd", down, along).reshape(x.size * y.size, -1)
         return self.variance * ((1.0 - self.common) * np.eye(len(shared)) + self.common * shared)
@@ -49,7 +52,8 @@ class SurroundingsNoise:
 def measure_surroundings_noise(
     data: NDArray, row: int, col: int, neighbours: NDArray[np.bool_] | bool = False
 ) -> SurroundingsNoise:
-    """Return the noise far from a source, from frame differences, or in one frame from its own scatter.
+    """Return the noise far from a source, from frame differences, or in one frame from its own
+    scatter.
 
     `neighbours` marks pixels of other sources, shape (row, col).
     """
@@ -69,11 +73,15 @@ def measure_surroundings_noise(
         fitted = np.linalg.lstsq(plane, frames[0][far], rcond=None)[0]
         every = fitted[0] + fitted[1] * np.arange(rows)[:, None] + fitted[2] * np.arange(cols)
         off, freedom = frames - every, 1.0
-    rounding = 1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
+    rounding = (
+        1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
+    )
     if len(frames) == 1 and np.any(neighbours):
         # Light of neighbours would resemble correlated noise: use the lower quantiles.
         low, high = np.quantile(off[0, far], ACCURACY.background_quantiles)
-        return SurroundingsNoise(variance=max(float((high - low) / ACCURACY.background_quantile_sd) ** 2, rounding))
+        return SurroundingsNoise(
+            variance=max(float((high - low) / ACCURACY.background_quantile_sd) ** 2, rounding)
+        )
     # Exclude single bright events such as ion feedback.
     centre = np.clip(off, *np.quantile(off[:, far], (1e-4, 1.0 - 1e-4)))
     variance = float((centre[:, far] ** 2).mean()) / freedom
@@ -82,7 +90,9 @@ def measure_surroundings_noise(
     return _fit_correlation(np.where(far, centre, 0.0), far, variance * freedom, variance)
 
 
-def _fit_correlation(off: Array, far: NDArray[np.bool_], norm: float, variance: float) -> SurroundingsNoise:
+def _fit_correlation(
+    off: Array, far: NDArray[np.bool_], norm: float, variance: float
+) -> SurroundingsNoise:
     """Return the surroundings' noise with the correlation of neighbours, if significant."""
     found, count = [], []
     rows, cols = far.shape
@@ -90,18 +100,24 @@ def _fit_correlation(off: Array, far: NDArray[np.bool_], norm: float, variance: 
         a = (slice(None, rows - down), slice(max(0, -along), cols - max(0, along)))
         b = (slice(down, None), slice(max(0, along), cols + min(0, along)))
         pairs = max(int((far[a] & far[b]).sum()), 1)
-        found.append(float(np.einsum("frc,frc->", off[:, *a], off[:, *b])) / (pairs * len(off) * norm))
+        found.append(
+            float(np.einsum("frc,frc->", off[:, *a], off[:, *b])) / (pairs * len(off) * norm)
+        )
         count.append(pairs * max(len(off) - 1, 1))
     correlation, error = np.array(found), 1.0 / np.sqrt(np.array(count, float))
     if np.abs(correlation / error).max() < LIMITS.max_correlation_sd:
         return SurroundingsNoise(variance=variance)
-    down, along = (np.exp(-0.25 * (lag / WIDTHS_PX[:, None]) ** 2) for lag in np.array(LAGS, float).T)
+    down, along = (
+        np.exp(-0.25 * (lag / WIDTHS_PX[:, None]) ** 2) for lag in np.array(LAGS, float).T
+    )
     shapes = (down[:, None] * along[None]).reshape(-1, len(LAGS))
     common = np.clip(shapes @ correlation / np.maximum(np.sum(shapes**2, axis=1), 1e-12), 0.0, 1.0)
     best = int(np.argmin(np.sum((correlation - common[:, None] * shapes) ** 2, axis=1)))
     high, wide = np.unravel_index(best, (WIDTHS_PX.size, WIDTHS_PX.size))
     return SurroundingsNoise(
-        variance=variance, common=float(common[best]), width_px=(float(WIDTHS_PX[wide]), float(WIDTHS_PX[high]))
+        variance=variance,
+        common=float(common[best]),
+        width_px=(float(WIDTHS_PX[wide]), float(WIDTHS_PX[high])),
     )
 
 
@@ -119,27 +135,37 @@ class Pulses:
 
 
 def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Array) -> list[Array]:
-    """Return candidate covariances at unit gain of light with correlated pulses, shape (pixel, pixel) each, DN.
+    """Return candidate covariances at unit gain of light with correlated pulses, shape (pixel,
+    pixel) each, DN.
 
-    `radial`: frequencies, cycles per column pitch, and the blur's transfer there averaged over directions; `mean`:
-    light in every pixel, DN; `x`, `y`: positions of columns and rows from the source, column pitches.
+    `radial`: frequencies, cycles per column pitch, and the blur's transfer there averaged over
+    directions; `mean`: light in every pixel, DN; `x`, `y`: positions of columns and rows from the
+    source, column pitches.
 
     Notes
     -----
-    Pulses are Gaussians. Either they have a fraction of the blur's logarithm and the blur before the gain has the same
-    model, or they have a fixed width and the blur before the gain is the remainder, which keeps long tails.
+    Pulses are Gaussians. Either they have a fraction of the blur's logarithm and the blur before
+    the gain has the same model, or they have a fixed width and the blur before the gain is the
+    remainder, which keeps long tails.
     """
     frequency, transfer = radial
     log = np.log(np.clip(transfer, 1e-12, 1.0))
     whole = _width(frequency, log)
     laws = [
-        ((1.0 - fraction) * log, _width(frequency, fraction * log)) for fraction in (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
+        ((1.0 - fraction) * log, _width(frequency, fraction * log))
+        for fraction in (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
     ]
     laws += [
-        (np.minimum.accumulate(np.minimum(log + 2.0 * (np.pi * frequency * width) ** 2, 0.0)), width)
+        (
+            np.minimum.accumulate(np.minimum(log + 2.0 * (np.pi * frequency * width) ** 2, 0.0)),
+            width,
+        )
         for width in whole * WIDTHS
     ]
-    return [np.diag(np.maximum(mean, 0.0)), *(_covariance(frequency, *law, mean, x, y) for law in laws)]
+    return [
+        np.diag(np.maximum(mean, 0.0)),
+        *(_covariance(frequency, *law, mean, x, y) for law in laws),
+    ]
 
 
 def _width(frequency: Array, log: Array) -> float:
@@ -147,15 +173,17 @@ def _width(frequency: Array, log: Array) -> float:
     return float(np.sqrt(np.log(2.0) / 2.0) / np.pi / np.interp(np.log(2.0), -log, frequency))
 
 
-def _covariance(frequency: Array, log_before: Array, width_px: float, mean: Array, x: Array, y: Array) -> Array:
+def _covariance(
+    frequency: Array, log_before: Array, width_px: float, mean: Array, x: Array, y: Array
+) -> Array:
     """Return the covariance at unit gain of pulses of a width, shape (pixel, pixel), DN.
 
     `log_before`: ln transfer before the gain.
 
     Notes
     -----
-    Photoelectrons of density d(u) with pulses p have the covariance sum_u d(u) p(x - u) p(y - u), which is positive. It
-    is scaled to an overall variance over mean of 1.
+    Photoelectrons of density d(u) with pulses p have the covariance sum_u d(u) p(x - u) p(y - u),
+    which is positive. It is scaled to an overall variance over mean of 1.
     """
     from scipy.special import j0
 
@@ -167,7 +195,9 @@ def _covariance(frequency: Array, log_before: Array, width_px: float, mean: Arra
         * step
         * np.exp(log_before - 0.5 * (np.pi * frequency * ACCURACY.pulse_step_px) ** 2 / 3.0)
     )
-    positions = np.arange(-ACCURACY.pulse_extent_px, ACCURACY.pulse_extent_px + 1e-9, ACCURACY.pulse_step_px)
+    positions = np.arange(
+        -ACCURACY.pulse_extent_px, ACCURACY.pulse_extent_px + 1e-9, ACCURACY.pulse_step_px
+    )
     density = (
         np.interp(np.hypot(positions[:, None], positions), RADII_PX, np.maximum(landed, 0.0))
         * ACCURACY.pulse_step_px**2
@@ -190,20 +220,25 @@ def _pulse(at: Array, places: Array, sigma: float) -> Array:
 
 
 def fit_pulses(
-    samples: Array, dark: Array, units: Sequence[Array], factor: Array, near: NDArray[np.int64],
+    samples: Array,
+    dark: Array,
+    units: Sequence[Array],
+    factor: Array,
+    near: NDArray[np.int64],
     fitted: Array | None = None,
-) -> Pulses:  # fmt: skip
+) -> Pulses:
     """Return the pulses that make independent samples of the noise most probable.
 
-    `samples`: deviations, each of the noise of one frame, shape (sample, pixel), DN; `dark`: covariance of the dark
-    noise, shape (pixel, pixel); `units`: candidate covariances at unit gain; `factor`: image lag of each pair of
-    pixels, shape (pixel, pixel); `near`: pixels used; `fitted`: directions in which a fit absorbed noise, shape (pixel,
-    direction); None: none.
+    `samples`: deviations, each of the noise of one frame, shape (sample, pixel), DN; `dark`:
+    covariance of the dark noise, shape (pixel, pixel); `units`: candidate covariances at unit gain;
+    `factor`: image lag of each pair of pixels, shape (pixel, pixel); `near`: pixels used; `fitted`:
+    directions in which a fit absorbed noise, shape (pixel, direction); None: none.
 
     Notes
     -----
-    The first candidate has half of the prior probability. The gain is its posterior median; if n values constrain it (2
-    / n is the variance of its ln), the noise is Student's t, whose variance is n / (n - 2) times larger.
+    The first candidate has half of the prior probability. The gain is its posterior median; if n
+    values constrain it (2 / n is the variance of its ln), the noise is Student's t, whose variance
+    is n / (n - 2) times larger.
     """
     both, quiet_dn = np.ix_(near, near), float(np.sqrt(dark[near[0], near[0]]))
     root = np.linalg.inv(np.linalg.cholesky(dark[both]))
@@ -235,15 +270,16 @@ def fit_pulses(
 
 
 def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
-    """Return the standard deviation of a pixel without light, DN; a default where quantisation hides it.
+    """Return the standard deviation of a pixel without light, DN; a default where quantisation
+    hides it.
 
     `codes`: values around a source, any shape.
 
     Notes
     -----
-    For normal noise the fractions of values below two grey values lie z(fraction) standard deviations below the mean:
-    the difference of the grey values over that of z is one standard deviation. Light pulses raise values and hardly
-    change the lower tail.
+    For normal noise the fractions of values below two grey values lie z(fraction) standard
+    deviations below the mean: the difference of the grey values over that of z is one standard
+    deviation. Light pulses raise values and hardly change the lower tail.
     """
     from scipy.special import ndtri
 
@@ -263,10 +299,10 @@ def is_clipped_at_black(codes: NDArray) -> bool:
 
     Notes
     -----
-    The upper half of a normal distribution predicts the lower one: the fraction above a grey value gives z(fraction)
-    standard deviations. Three grey values, including the lowest, must agree on the standard deviation; the predicted
-    fraction below the lowest must not be missing. Quiet pixels, and pulses on quiet pixels, are not normal and do not
-    count.
+    The upper half of a normal distribution predicts the lower one: the fraction above a grey value
+    gives z(fraction) standard deviations. Three grey values, including the lowest, must agree on
+    the standard deviation; the predicted fraction below the lowest must not be missing. Quiet
+    pixels, and pulses on quiet pixels, are not normal and do not count.
     """
     from scipy.special import ndtr, ndtri
 
@@ -279,4 +315,7 @@ def is_clipped_at_black(codes: NDArray) -> bool:
     at, z = code[[0, near, far]].astype(float), ndtri(1.0 - above[[0, near, far]] / codes.size)
     lower, upper = np.diff(at) / np.diff(z)
     missing = float(ndtr(z[0] - float(np.diff(code).min()) / lower))
-    return bool(missing > LIMITS.max_clipped_noise and max(lower / upper, upper / lower) < LIMITS.max_sd_ratio)
+    return bool(
+        missing > LIMITS.max_clipped_noise
+        and max(lower / upper, upper / lower) < LIMITS.max_sd_ratio
+    )

@@ -8,9 +8,22 @@ from numpy.typing import NDArray
 from charact.mtf.image_lag import ImageLagModel
 from charact.mtf.point.blur_models_2d import BlurModel2D
 from charact.mtf.point.model_fit import BlurModelFit2D, Censored, WhitenedPixels
-from charact.mtf.point.parametric_noise import GAINS, Pulses, SurroundingsNoise, fit_pulses, pulse_covariances
+from charact.mtf.point.parametric_noise import (
+    GAINS,
+    Pulses,
+    SurroundingsNoise,
+    fit_pulses,
+    pulse_covariances,
+)
 from charact.mtf.point.source_window import Window
-from charact.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, Aperture, pictures, pixel_matrix, ring_matrix
+from charact.mtf.point.spot_image_matrix import (
+    COSINES,
+    FREQUENCIES,
+    Aperture,
+    pictures,
+    pixel_matrix,
+    ring_matrix,
+)
 from charact.mtf.point.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
@@ -68,7 +81,9 @@ class SourcePixels:
         return np.asarray(self.frames >= LIMITS.full_fraction * self.full_scale_dn)
 
     def ring_variance(self) -> Array:
-        """Return the variance of the rings' means: from the scatter of their sectors, at least the dark noise."""
+        """Return the variance of the rings' means: from the scatter of their sectors, at least the
+        dark noise.
+        """
         ring = self.window.ring_px
         if not len(ring):
             return np.empty(0)
@@ -78,10 +93,15 @@ class SourcePixels:
         return 11.0 / 9.0 * np.maximum(self.window.ring_variance, least)
 
     def matrix(self) -> Array:
-        """Return the matrix from a transfer to core pixels and rings of unit light, shape (value, node)."""
-        return np.concatenate([
-            pixel_matrix(self.aperture, *self.axes), ring_matrix(self.aperture, self.window.ring_px)
-        ])  # fmt: skip
+        """Return the matrix from a transfer to core pixels and rings of unit light, shape (value,
+        node).
+        """
+        return np.concatenate(
+            [
+                pixel_matrix(self.aperture, *self.axes),
+                ring_matrix(self.aperture, self.window.ring_px),
+            ]
+        )
 
     def background(self) -> Array:
         """Return level and slopes at core pixels and rings, shape (value, 3)."""
@@ -94,7 +114,11 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
     """Return a source at its position, and its approximate half frequency."""
     height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
     top = max(float(height.max()), 1e-12)
-    variance = site.dark.variance + ACCURACY.first_relative_sd * height * top + (ACCURACY.first_relative_sd * top) ** 2
+    variance = (
+        site.dark.variance
+        + ACCURACY.first_relative_sd * height * top
+        + (ACCURACY.first_relative_sd * top) ** 2
+    )
     sd = np.append(np.sqrt(variance / site.window.frames), np.sqrt(site.ring_variance()))
     used = site.value_mask
     site = replace(site, place=site.window.centre)
@@ -103,7 +127,11 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
     thetas = np.stack([np.log(GUESSES), np.full_like(GUESSES, 1.5), np.zeros_like(GUESSES)], axis=1)
     transfers = GUESSED.transfer(thetas)
     described = replace(site.aperture, orders=1)
-    shapes = transfers.reshape(len(thetas), -1) @ replace(site, aperture=described).matrix()[used].T / sd[used]
+    shapes = (
+        transfers.reshape(len(thetas), -1)
+        @ replace(site, aperture=described).matrix()[used].T
+        / sd[used]
+    )
     basis = np.linalg.qr(flat)[0]
     free, left = shapes - (shapes @ basis) @ basis.T, data - basis @ (basis.T @ data)
     best = int(np.argmax((free @ left) * np.abs(free @ left) / np.sum(free**2, axis=1)))
@@ -128,14 +156,20 @@ def _core_residual(site: SourcePixels, transfer: Array, sd: Array) -> _CoreResid
     core = site.window.keep.ravel()
     shown = pictures(site.aperture, transfer, *site.axes)[:3].T
     design = np.concatenate([shown, site.background()[: core.size]], axis=1)
-    found = np.linalg.lstsq(design[core] / sd[core, None], site.window.core.ravel()[core] / sd[core], rcond=None)[0]
+    found = np.linalg.lstsq(
+        design[core] / sd[core, None], site.window.core.ravel()[core] / sd[core], rcond=None
+    )[0]
     return _CoreResidual(
-        coefficients=np.asarray(found, np.float64), design=design, residual=site.window.core.ravel() - design @ found
+        coefficients=np.asarray(found, np.float64),
+        design=design,
+        residual=site.window.core.ravel() - design @ found,
     )
 
 
 def _reposition(site: SourcePixels, transfer: Array, sd: Array) -> tuple[SourcePixels, float]:
-    """Return a source at the position that fits a transfer best, to first order, and its shift, px."""
+    """Return a source at the position that fits a transfer best, to first order, and its shift,
+    px.
+    """
     found = _core_residual(site, transfer, sd).coefficients
     move = np.clip(-found[1:3] / max(float(found[0]), 1e-300), -1.0, 1.0)
     position = (site.place[0] + float(move[0]), site.place[1] + float(move[1]))
@@ -143,32 +177,42 @@ def _reposition(site: SourcePixels, transfer: Array, sd: Array) -> tuple[SourceP
 
 
 def _sd(site: SourcePixels) -> Array:
-    """Return standard deviations of the core's pixels with the noise known so far, shape (pixel,)."""
+    """Return standard deviations of the core's pixels with the noise known so far, shape
+    (pixel,).
+    """
     height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
     light = (
-        ACCURACY.first_relative_sd * height * height.max() if site.pulses is None else np.diag(site.pulses.covariance)
+        ACCURACY.first_relative_sd * height * height.max()
+        if site.pulses is None
+        else np.diag(site.pulses.covariance)
     )
     return np.sqrt(site.dark.variance + light + (ACCURACY.model_relative_sd * height.max()) ** 2)
 
 
 def noise_likelihood(site: SourcePixels, fit: BlurModelFit2D) -> float:
-    """Return ln likelihood of one frame's residuals under the likeliest noise of independent pixels.
+    """Return ln likelihood of one frame's residuals under the likeliest noise of independent
+    pixels.
 
-    It compares models before the noise is known: a model that does not fit takes its misfit for noise.
+    It compares models before the noise is known: a model that does not fit takes its misfit for
+    noise.
     """
     transfer = fit.form.transfer(fit.point[None])[0]
     left, near = _core_residual(site, transfer, _sd(site)), site.near
     light = np.maximum(left.coefficients[0] * left.design[near, 0], 0.0)
     still = site.dark.variance + _rounding_variance(site)
     variance = still + GAINS[:, None] * still / max(float(light.mean()), 1e-300) * light
-    return float(np.max(-0.5 * np.sum(np.log(variance) + left.residual[near] ** 2 / variance, axis=1)))
+    return float(
+        np.max(-0.5 * np.sum(np.log(variance) + left.residual[near] ** 2 / variance, axis=1))
+    )
 
 
-def add_noise(site: SourcePixels, fit: BlurModelFit2D, light: float, *, lower: float = 1.0) -> SourcePixels:
+def add_noise(
+    site: SourcePixels, fit: BlurModelFit2D, light: float, *, lower: float = 1.0
+) -> SourcePixels:
     """Return a source at the position of a fitted model, with the noise of its light.
 
-    The noise is estimated from frame differences, or in a single frame from the residuals, reduced by the factor
-    `lower`.
+    The noise is estimated from frame differences, or in a single frame from the residuals, reduced
+    by the factor `lower`.
     """
     transfer = fit.form.transfer(fit.point[None])[0]
     site, _ = _reposition(site, transfer, _sd(site))
@@ -181,7 +225,9 @@ def add_noise(site: SourcePixels, fit: BlurModelFit2D, light: float, *, lower: f
     units = pulse_covariances((FREQUENCIES, blur), mean, x, y)
     factor = site.memory.between_rows(site.window.parity)
     if site.window.frames > 1:
-        return replace(site, pulses=fit_pulses(site.window.contrasts, dark_noise(site), units, factor, near))
+        return replace(
+            site, pulses=fit_pulses(site.window.contrasts, dark_noise(site), units, factor, near)
+        )
     left = _core_residual(site, transfer, _sd(site))
     fitted = np.concatenate([left.design, _slopes(site, fit)], axis=1)
     still = dark_noise(site) + _rounding_variance(site) * np.eye(mean.size)
@@ -195,7 +241,9 @@ def _rounding_variance(site: SourcePixels) -> float:
 
 
 def _slopes(site: SourcePixels, fit: BlurModelFit2D) -> Array:
-    """Return the derivatives of the core's pixels at unit light by a model's parameters, shape (pixel, parameter)."""
+    """Return the derivatives of the core's pixels at unit light by a model's parameters, shape
+    (pixel, parameter).
+    """
     bounds = fit.form.bounds
     moves = np.where(fit.point > bounds.mean(axis=1), -1e-4, 1e-4) * (bounds[:, 1] - bounds[:, 0])
     nodes = fit.form.nodes(np.concatenate([fit.point[None], fit.point + np.diag(moves)]))
@@ -204,29 +252,43 @@ def _slopes(site: SourcePixels, fit: BlurModelFit2D) -> Array:
 
 def dark_noise(site: SourcePixels) -> Array:
     """Return the covariance of the core's pixels without light, shape (pixel, pixel), DN^2."""
-    return site.dark.covariance(*(np.arange(at.size, dtype=np.float64) for at in (site.window.x, site.window.y)))
+    return site.dark.covariance(
+        *(np.arange(at.size, dtype=np.float64) for at in (site.window.x, site.window.y))
+    )
 
 
 def covariance(site: SourcePixels, mean: Array, light: float) -> Array:
-    """Return the covariance of the mean frame's core pixels and rings, shape (value, value), DN^2."""
+    """Return the covariance of the mean frame's core pixels and rings, shape (value, value),
+    DN^2.
+    """
     window, count, size = site.window, site.window.frames, site.window.core.size
     out = np.zeros((mean.size, mean.size))
     if site.pulses is None:
-        core = np.diag(ACCURACY.first_relative_sd * np.maximum(mean[:size], 0.0) * max(float(mean[:size].max()), 0.0))
+        core = np.diag(
+            ACCURACY.first_relative_sd
+            * np.maximum(mean[:size], 0.0)
+            * max(float(mean[:size].max()), 0.0)
+        )
     else:
         same = window.parity[:, None] == window.parity[None, :]
-        core = site.pulses.covariance * np.where(same, site.memory.mean_same, site.memory.mean_other)
+        core = site.pulses.covariance * np.where(
+            same, site.memory.mean_same, site.memory.mean_other
+        )
     out[:size, :size] = (core + dark_noise(site)) / count
     if site.screen:
         pattern = np.exp(-0.5 * window.distances**2 / ACCURACY.phosphor_pattern_px**2)
-        out[:size, :size] += ACCURACY.phosphor_pattern**2 * np.outer(mean[:size], mean[:size]) * pattern
+        out[:size, :size] += (
+            ACCURACY.phosphor_pattern**2 * np.outer(mean[:size], mean[:size]) * pattern
+        )
     out[size:, size:] = window.ring_covariance(site.ring_variance())
     out += np.diag((ACCURACY.model_relative_sd * (mean + 0.1 * float(mean.max()))) ** 2)
     return out + rounding(site, mean)
 
 
 def rounding(site: SourcePixels, mean: Array) -> Array:
-    """Return the covariance of core pixels and rings by quantisation, shape (value, value), DN^2."""
+    """Return the covariance of core pixels and rings by quantisation, shape (value, value),
+    DN^2.
+    """
     window, size = site.window, site.window.core.size
     if window.quiet_sd >= LIMITS.max_rounded_sd:
         return np.zeros((mean.size, mean.size))
@@ -236,18 +298,24 @@ def rounding(site: SourcePixels, mean: Array) -> Array:
     gain = 0.0 if site.pulses is None else site.pulses.gain
     scatter = np.append(pulse, np.full(mean.size - size, np.inf))
     common = _rounding_covariance(
-        mean, scatter, window.quiet_sd, ACCURACY.pulse_height_square / gain if gain > 0 else ACCURACY.pulses_per_dn
+        mean,
+        scatter,
+        window.quiet_sd,
+        ACCURACY.pulse_height_square / gain if gain > 0 else ACCURACY.pulses_per_dn,
     )
-    # A height is known to a fraction of a step only where it is small: otherwise quantisation errors are independent.
+    # A height is known to a fraction of a step only where it is small: otherwise quantisation
+    # errors are independent.
     lit = np.append(np.clip(2.0 * np.abs(mean[:size]), 0.0, 1.0), np.zeros(mean.size - size))
-    return common + np.diag(lit * _rounding_variance(site) * np.exp(-4.0 * np.pi**2 * np.minimum(scatter, 9.0)))
+    return common + np.diag(
+        lit * _rounding_variance(site) * np.exp(-4.0 * np.pi**2 * np.minimum(scatter, 9.0))
+    )
 
 
 def whiten_source(site: SourcePixels, transfer: Array, light: float) -> WhitenedPixels:
     """Return the whitened pixels of a source, its position and background marginalised.
 
-    `transfer`: approximate transfer, shape (direction, frequency), for weights and the effect of a shift; `light`:
-    approximate light, DN px^2.
+    `transfer`: approximate transfer, shape (direction, frequency), for weights and the effect of a
+    shift; `light`: approximate light, DN px^2.
     """
     used, size = site.value_mask, site.window.core.size
     matrix, level = site.matrix(), site.background()
@@ -276,21 +344,32 @@ def whiten_source(site: SourcePixels, transfer: Array, light: float) -> Whitened
 
 
 def _neighbours(site: SourcePixels, transfer: Array) -> Array:
-    """Return images of neighbouring sources and their derivatives by position, shape (value, 3 each)."""
+    """Return images of neighbouring sources and their derivatives by position, shape (value, 3
+    each).
+    """
     window, columns = site.window, []
     for at, ring_px in zip(window.neighbours, window.neighbour_ring_px, strict=True):
         if np.hypot(*at) > LIMITS.max_neighbour_px:
             continue
         core = pictures(site.aperture, transfer, window.x - at[0], window.y - at[1])[:3]
         rings = ring_matrix(site.aperture, ring_px)[:, : transfer.size] @ transfer.ravel()
-        columns += [np.append(core[0], rings), *(np.append(one, np.zeros(rings.size)) for one in core[1:])]
+        columns += [
+            np.append(core[0], rings),
+            *(np.append(one, np.zeros(rings.size)) for one in core[1:]),
+        ]
     return np.stack(columns, axis=1) if columns else np.empty((site.value_mask.size, 0))
 
 
 def _pixels_at_full_scale(
-    site: SourcePixels, hidden: NDArray[np.bool_], matrix: Array, nuisance: Array, back: Array, raw: Array, data: Array,
+    site: SourcePixels,
+    hidden: NDArray[np.bool_],
+    matrix: Array,
+    nuisance: Array,
+    back: Array,
+    raw: Array,
+    data: Array,
     whole: Array,
-) -> Censored:  # fmt: skip
+) -> Censored:
     """Return the clipped pixels, with the background and position of the others."""
     size = hidden.size
     linear = nuisance[:size][hidden]
@@ -309,18 +388,22 @@ def _pixels_at_full_scale(
     )
 
 
-def _rounding_covariance(height: Array, pulse_variance: Array, quiet_sd: float, pulses_per_dn: float) -> Array:
+def _rounding_covariance(
+    height: Array, pulse_variance: Array, quiet_sd: float, pulses_per_dn: float
+) -> Array:
     """Return the covariance of mean values by quantisation, shape (value, value).
 
-    `height`: values above the pedestal, shape (value,), DN; `pulse_variance`: variance of one frame by pulses, shape
-    (value,), DN^2; `quiet_sd`: noise of a pixel without light, DN; `pulses_per_dn`: number of pulses per DN.
+    `height`: values above the pedestal, shape (value,), DN; `pulse_variance`: variance of one frame
+    by pulses, shape (value,), DN^2; `quiet_sd`: noise of a pixel without light, DN;
+    `pulses_per_dn`: number of pulses per DN.
 
     Notes
     -----
-    Quantisation of a value x with Gaussian noise sd adds -exp(-2 (pi sd)^2) sin(2 pi x) / pi to its mean (first term of
-    the sawtooth's series). The fractional part of the pedestal is unknown, so that x = pedestal + height has any phase
-    and the errors of two values covary as the cosine of their difference. With few pulses the factor is at least
-    exp(-their number): some frames have none.
+    Quantisation of a value x with Gaussian noise sd adds -exp(-2 (pi sd)^2) sin(2 pi x) / pi to its
+    mean (first term of the sawtooth's series). The fractional part of the pedestal is unknown, so
+    that x = pedestal + height has any phase and the errors of two values covary as the cosine of
+    their difference. With few pulses the factor is at least exp(-their number): some frames have
+    none.
     """
     damping = np.minimum(2.0 * np.pi**2 * pulse_variance, pulses_per_dn * np.maximum(height, 0.0))
     size = np.exp(-2.0 * np.pi**2 * quiet_sd**2 - damping) / np.pi

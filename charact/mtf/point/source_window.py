@@ -23,33 +23,40 @@ class Window:
 
     core: Array  # Mean frame of the core, shape (row, col), DN
     deviations: Array  # Frames of the core less their mean, shape (frame, row x col), DN
-    keep: NDArray[np.bool_]  # Valid core pixels: not affected by full scale or a neighbour, shape (row, col)
+    keep: NDArray[
+        np.bool_
+    ]  # Valid core pixels: not affected by full scale or a neighbour, shape (row, col)
     sound: bool  # Whether full scale affects no core pixel
     # x, y: positions of columns and rows from the centre of the core, column pitches
     x: Array
     y: Array
     parity: NDArray[np.bool_]  # Field of every core pixel, shape (row x col,)
     ring_px: Array  # Distances of sample pixels of each ring, shape (ring, pixel), column pitches
-    # ring_dn, ring_variance, ring_correlation: mean of each ring, its variance, shape (ring,), and the
-    # correlation between rings, shape (ring, ring)
+    # ring_dn, ring_variance, ring_correlation: mean of each ring, its variance, shape (ring,), and
+    # the correlation between rings, shape (ring, ring)
     ring_dn: Array
     ring_variance: Array
     ring_correlation: Array
-    # Noise of a pixel without light, DN, infinite without quantisation. Small noise lets quantisation hide faint
-    # light
+    # Noise of a pixel without light, DN, infinite without quantisation. Small noise lets
+    # quantisation hide faint light
     quiet_sd: float
     frames: int  # Number of frames
-    # holds_halo, cut: whether the region contains the complete halo, and whether it cuts into the core
+    # holds_halo, cut: whether the region contains the complete halo, and whether it cuts into the
+    # core
     holds_halo: bool
     cut: bool
     clipped: bool  # Whether the noise of pixels without light is clipped at black
-    # Columns and rows of other sources from the centre of the core, shape (neighbour, 2), column pitches
+    # Columns and rows of other sources from the centre of the core, shape (neighbour, 2), column
+    # pitches
     neighbours: Array
-    # Distances of sample pixels of each ring from each neighbour, shape (neighbour, ring, pixel), column pitches
+    # Distances of sample pixels of each ring from each neighbour, shape (neighbour, ring, pixel),
+    # column pitches
     neighbour_ring_px: Array
 
     def ring_covariance(self, variance: Array) -> Array:
-        """Return the covariance of the rings' means for given variances, shape (ring, ring), DN^2."""
+        """Return the covariance of the rings' means for given variances, shape (ring, ring),
+        DN^2.
+        """
         sd = np.sqrt(variance)
         return self.ring_correlation * np.outer(sd, sd)
 
@@ -61,7 +68,9 @@ class Window:
 
     @property
     def contrasts(self) -> Array:
-        """Contrasts of frames: independent samples of one frame's noise, shape (frame - 1, pixel), DN."""
+        """Contrasts of frames: independent samples of one frame's noise, shape (frame - 1, pixel),
+        DN.
+        """
         mixed = np.linalg.qr(np.eye(self.frames)[:, : self.frames - 1] - 1.0 / self.frames)[0]
         return np.asarray(mixed.T @ self.deviations, np.float64)
 
@@ -71,12 +80,20 @@ class Window:
         height = self.core - np.median(self.core)
         weight = np.maximum(height - 0.3 * height.max(), 0.0)
         total = max(float(weight.sum()), 1e-12)
-        return float((weight * self.x).sum() / total), float((weight * self.y[:, None]).sum() / total)
+        return float((weight * self.x).sum() / total), float(
+            (weight * self.y[:, None]).sum() / total
+        )
 
 
 def source_window(stack: FrameStack, source: DetectedSource, context: Context) -> Window:
     """Return the pixels around a detected source."""
-    data, row, col, neighbours, pitch_ratio = stack.data, source.row, source.col, source.neighbours, context.pitch_ratio
+    data, row, col, neighbours, pitch_ratio = (
+        stack.data,
+        source.row,
+        source.col,
+        source.neighbours,
+        context.pitch_ratio,
+    )
     described = context.sensor is not None
     halo_radius_px = halo_diameters_px(context, transposed=False)[1] / 2.0 if described else np.inf
     frames, rows, cols = data.shape
@@ -94,7 +111,9 @@ def source_window(stack: FrameStack, source: DetectedSource, context: Context) -
     outside &= own
     reach = min(row * pitch_ratio, (rows - 1 - row) * pitch_ratio, col, cols - 1 - col)
     rings = _rings(mean, radius, outside, row, col, reach, pitch_ratio)
-    positions = np.array([(c - col, (r - row) * pitch_ratio) for r, c in neighbours], float).reshape(-1, 2)
+    positions = np.array(
+        [(c - col, (r - row) * pitch_ratio) for r, c in neighbours], float
+    ).reshape(-1, 2)
     far = outside & (radius > (27.0 if reach > 31 else 0.7 * reach)) & (radius < 48.0)
     values = data[:, far] if far.any() else data.reshape(frames, -1)
     noise = float(np.sqrt(values.var(axis=0, ddof=1).mean() if frames > 1 else values.var()))
@@ -120,7 +139,10 @@ def source_window(stack: FrameStack, source: DetectedSource, context: Context) -
         clipped=is_clipped_at_black(values),
         neighbours=positions,
         neighbour_ring_px=np.array(
-            [[_ring_quantiles(np.hypot(*(ring - at[:, None]))) for ring in rings[4]] for at in positions]
+            [
+                [_ring_quantiles(np.hypot(*(ring - at[:, None]))) for ring in rings[4]]
+                for at in positions
+            ]
         ).reshape(len(positions), len(rings[4]), ACCURACY.pixels_per_ring),
     )
 
@@ -137,7 +159,9 @@ def neighbour_mask(
 
 
 def _valid_pixels(core: Array, full_scale_dn: float | None, *, filtered: bool) -> NDArray[np.bool_]:
-    """Return the core pixels that neither reach full scale nor follow such a pixel in a filtered row."""
+    """Return the core pixels that neither reach full scale nor follow such a pixel in a filtered
+    row.
+    """
     if full_scale_dn is None:
         return np.ones(core.shape[1:], bool)
     full = np.asarray(core.max(axis=0) >= LIMITS.full_fraction * full_scale_dn)
@@ -149,10 +173,23 @@ def _valid_pixels(core: Array, full_scale_dn: float | None, *, filtered: bool) -
     return ~spoilt
 
 
-def _rings(mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col: int, reach: float,
-           pitch_ratio: float) -> tuple[Array, Array, Array, Array, list[Array]]:  # fmt: skip
-    """Return distances, means, variances and correlations of rings, and columns and rows of their pixels."""
-    angle = np.arctan2(*np.broadcast_arrays((np.arange(mean.shape[0]) - row)[:, None], np.arange(mean.shape[1]) - col))
+def _rings(
+    mean: Array,
+    radius: Array,
+    outside: NDArray[np.bool_],
+    row: int,
+    col: int,
+    reach: float,
+    pitch_ratio: float,
+) -> tuple[Array, Array, Array, Array, list[Array]]:
+    """Return distances, means, variances and correlations of rings, and columns and rows of their
+    pixels.
+    """
+    angle = np.arctan2(
+        *np.broadcast_arrays(
+            (np.arange(mean.shape[0]) - row)[:, None], np.arange(mean.shape[1]) - col
+        )
+    )
     distances, values, sectors, pixels, lengths, positions = [], [], [], [], [], []
     for low, high in pairwise(ACCURACY.ring_borders_px):
         if high > reach:
@@ -162,20 +199,30 @@ def _rings(mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col
             continue
         distances.append(_ring_quantiles(radius[inside]))
         values.append(float(mean[inside].mean()))
-        sectors.append(_sectors(mean[inside], angle[inside], round(np.pi * (low + high) / ACCURACY.sector_px)))
+        sectors.append(
+            _sectors(mean[inside], angle[inside], round(np.pi * (low + high) / ACCURACY.sector_px))
+        )
         pixels.append(float(inside.sum()))
         lengths.append((low, high))
         y, x = np.nonzero(inside)
         positions.append(np.stack([x - col, (y - row) * pitch_ratio]))
     if not distances:
-        return np.empty((0, ACCURACY.pixels_per_ring)), np.empty(0), np.empty(0), np.empty((0, 0)), []
+        return (
+            np.empty((0, ACCURACY.pixels_per_ring)),
+            np.empty(0),
+            np.empty(0),
+            np.empty((0, 0)),
+            [],
+        )
     variance, correlation = _ring_noise(sectors, np.array(pixels), np.array(lengths))
     return np.array(distances), np.array(values), variance, correlation, positions
 
 
 def _ring_quantiles(distances: Array) -> Array:
     """Return equidistant quantiles of distances, shape (pixel,)."""
-    return np.quantile(distances, (np.arange(ACCURACY.pixels_per_ring) + 0.5) / ACCURACY.pixels_per_ring)
+    return np.quantile(
+        distances, (np.arange(ACCURACY.pixels_per_ring) + 0.5) / ACCURACY.pixels_per_ring
+    )
 
 
 def _sectors(values: Array, angle: Array, count: int) -> Array:
@@ -189,15 +236,16 @@ def _sectors(values: Array, angle: Array, count: int) -> Array:
 def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Array, Array]:
     """Return variances of rings' means, shape (ring,), and their correlations, shape (ring, ring).
 
-    `sectors`: sector means of every ring less their mean, DN; `pixels`, `borders`: pixels of every ring, shape (ring,),
-    and its inner and outer radius, px, shape (ring, 2).
+    `sectors`: sector means of every ring less their mean, DN; `pixels`, `borders`: pixels of every
+    ring, shape (ring,), and its inner and outer radius, px, shape (ring, 2).
 
     Notes
     -----
-    A pulse on a border contributes to both sides, so that adjacent sums covary by the border's length times a
-    correlation length l. Adjacent sectors of length s are correlated by l/s, which gives l. The variance of a ring is 1
-    + 2 l/s times that of its sectors, and rings of widths v and w are correlated by l/sqrt(v w). The variance per pixel
-    is averaged over adjacent rings: that of few sectors may be too small by chance.
+    A pulse on a border contributes to both sides, so that adjacent sums covary by the border's
+    length times a correlation length l. Adjacent sectors of length s are correlated by l/s, which
+    gives l. The variance of a ring is 1 + 2 l/s times that of its sectors, and rings of widths v
+    and w are correlated by l/sqrt(v w). The variance per pixel is averaged over adjacent rings:
+    that of few sectors may be too small by chance.
     """
     count = np.array([len(own) for own in sectors], float)
     square = np.array([own @ own for own in sectors]) + 1e-300

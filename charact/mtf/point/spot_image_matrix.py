@@ -1,7 +1,8 @@
 """Matrix from a transfer at a few directions to the pixels and rings of a point's image.
 
-pixel(x, y) = integral T(f) V(fx) exp(2 pi i f.x) over both frequencies, in polar coordinates by Gaussian quadrature, so
-that there are no periodic copies. The known aperture and video filter are part of the matrix.
+pixel(x, y) = integral T(f) V(fx) exp(2 pi i f.x) over both frequencies, in polar coordinates by
+Gaussian quadrature, so that there are no periodic copies. The known aperture and video filter are
+part of the matrix.
 """
 
 from dataclasses import dataclass
@@ -16,15 +17,27 @@ from charact.video_filter import VideoFilter
 Array = NDArray[np.float64]
 
 # Radial panels, cycles per column pitch: dense where the halo's transfer oscillates.
-BORDERS = np.array([
-    0.0, 0.004, 0.012, *np.arange(0.025, 0.3, 0.025), *np.arange(0.3, 0.6, 0.05), 0.6, 0.7, 0.8, 0.9,
-    *np.arange(1.0, 2.01, 0.25),
-])  # fmt: skip
+BORDERS = np.array(
+    [
+        0.0,
+        0.004,
+        0.012,
+        *np.arange(0.025, 0.3, 0.025),
+        *np.arange(0.3, 0.6, 0.05),
+        0.6,
+        0.7,
+        0.8,
+        0.9,
+        *np.arange(1.0, 2.01, 0.25),
+    ]
+)
 NODES, DIRECTIONS = 4, 5
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(NODES)
-# Radial nodes, cycles per column pitch, at which transfers are kept, and the cosines of twice the angle of their
-# directions: Chebyshev's, rows to columns.
-FREQUENCIES = (0.5 * (BORDERS[1:] + BORDERS[:-1])[:, None] + 0.5 * np.diff(BORDERS)[:, None] * GAUSS).ravel()
+# Radial nodes, cycles per column pitch, at which transfers are kept, and the cosines of twice the
+# angle of their directions: Chebyshev's, rows to columns.
+FREQUENCIES = (
+    0.5 * (BORDERS[1:] + BORDERS[:-1])[:, None] + 0.5 * np.diff(BORDERS)[:, None] * GAUSS
+).ravel()
 COSINES = np.cos(np.pi * np.arange(DIRECTIONS) / (DIRECTIONS - 1))
 # Nodes of a panel for the rings, and distances per ring.
 FINE, PER_RING = 12, 12
@@ -41,7 +54,9 @@ class Aperture:
     orders: int = 1  # Powers of ln bandwidth, from 0, for which matrices have columns
 
     def horizontal(self, frequency: Array, order: int = 0) -> NDArray[np.complex128]:
-        """Return aperture and video filter along rows, as the coefficient of a power of ln bandwidth, at most 2."""
+        """Return aperture and video filter along rows, as the coefficient of a power of ln
+        bandwidth, at most 2.
+        """
         plain = np.sinc(frequency).astype(complex)
         if self.video is None:
             return plain if order == 0 else np.zeros_like(plain)
@@ -85,14 +100,23 @@ def _panels(aperture: Aperture, order: int = 0) -> list[_Panel]:
         # Four quadrants of the plane.
         area = 4.0 * (0.5 * (high - low) * WEIGHTS * f)[:, None] * share
         known = aperture.horizontal(fx.ravel(), order).reshape(fx.shape) * aperture.vertical(fy)
-        panels.append(_Panel(fx.ravel(), fy.ravel(), (area * known).ravel(), _lagrange(COSINES, np.cos(2.0 * turn))))
+        panels.append(
+            _Panel(
+                fx.ravel(),
+                fy.ravel(),
+                (area * known).ravel(),
+                _lagrange(COSINES, np.cos(2.0 * turn)),
+            )
+        )
     return panels
 
 
 def pixel_matrix(aperture: Aperture, x: Array, y: Array) -> Array:
-    """Return the matrix from a transfer (order x direction x frequency) to pixels of unit light, (pixel, node), 1/px^2.
+    """Return the matrix from a transfer (order x direction x frequency) to pixels of unit light,
+    (pixel, node), 1/px^2.
 
-    `x`, `y`: positions of columns and rows from the source, column pitches, shape (col,) and (row,).
+    `x`, `y`: positions of columns and rows from the source, column pitches, shape (col,) and
+    (row,).
     """
     down = [np.cos(2.0 * np.pi * panel.fy[:, None] * y) for panel in _panels(aperture)]
     parts = []
@@ -110,7 +134,8 @@ def pixel_matrix(aperture: Aperture, x: Array, y: Array) -> Array:
 
 
 def pictures(aperture: Aperture, transfer: Array, x: Array, y: Array) -> Array:
-    """Return image, its slopes along x and y, and their product's, shape (4, row x col), 1/px^2 and so on.
+    """Return image, its slopes along x and y, and their product's, shape (4, row x col), 1/px^2 and
+    so on.
 
     `transfer`: shape (direction, frequency).
     """
@@ -128,7 +153,8 @@ def pictures(aperture: Aperture, transfer: Array, x: Array, y: Array) -> Array:
 
 
 def ring_matrix(aperture: Aperture, ring_px: Array) -> Array:
-    """Return the matrix from a transfer (direction x frequency) to the means of rings, shape (ring, node), 1/px^2.
+    """Return the matrix from a transfer (direction x frequency) to the means of rings, shape (ring,
+    node), 1/px^2.
 
     `ring_px`: distances of some pixels of every ring, shape (ring, pixel), column pitches.
     """
@@ -143,12 +169,17 @@ def ring_matrix(aperture: Aperture, ring_px: Array) -> Array:
     half = 0.5 * np.diff(BORDERS)
     f = 0.5 * (BORDERS[1:] + BORDERS[:-1])[:, None] + half[:, None] * at
     pixel = np.sinc(f / np.sqrt(2.0)) * np.sinc(f * aperture.height_px / np.sqrt(2.0))
-    kernel = j0(2.0 * np.pi * f[..., None, None] * some).mean(axis=-1) * (2.0 * np.pi * f * pixel)[..., None]
-    radially = np.einsum("pfr,pf,fn->rpn", kernel, half[:, None] * weight, between).reshape(len(ring_px), -1)
+    kernel = (
+        j0(2.0 * np.pi * f[..., None, None] * some).mean(axis=-1)
+        * (2.0 * np.pi * f * pixel)[..., None]
+    )
+    radially = np.einsum("pfr,pf,fn->rpn", kernel, half[:, None] * weight, between).reshape(
+        len(ring_px), -1
+    )
     turns = np.cos(np.pi * (np.arange(64) + 0.5) / 64)
     round_about = _lagrange(COSINES, turns).mean(axis=0)
     # The video filter moves hardly any light between rings.
-    out[:, : DIRECTIONS * FREQUENCIES.size] = (round_about[None, :, None] * radially[:, None, :]).reshape(
-        len(ring_px), -1
-    )
+    out[:, : DIRECTIONS * FREQUENCIES.size] = (
+        round_about[None, :, None] * radially[:, None, :]
+    ).reshape(len(ring_px), -1)
     return out

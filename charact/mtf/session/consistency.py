@@ -1,4 +1,6 @@
-"""Consistency of the targets' MTFs at the bars' frequencies, and of MTF50 over the field and settings."""
+"""Consistency of the targets' MTFs at the bars' frequencies, and of MTF50 over the field and
+settings.
+"""
 
 from collections.abc import Mapping
 from itertools import combinations
@@ -17,13 +19,19 @@ Array = NDArray[np.float64]
 
 
 def mtf_consistency(result: Result, kinds: Mapping[str, str]) -> Result:
-    """Return the evidence "agreement of targets": differences of the targets' MTFs at the frequencies of the bars.
+    """Return the evidence "agreement of targets": differences of the targets' MTFs at the
+    frequencies of the bars.
 
-    Bonferroni: the n differences lie in their joint 95 % region if none exceeds the normal quantile at 1 - 0.05 / (2
-    n), whatever their correlation. Empty without two targets to compare.
+    Bonferroni: the n differences lie in their joint 95 % region if none exceeds the normal quantile
+    at 1 - 0.05 / (2 n), whatever their correlation. Empty without two targets to compare.
     """
     rows = [
-        (f"{one[0]} - {other[0]}", m.frequency_cy_per_px, one[1] - other[1], np.hypot(one[2], other[2]))
+        (
+            f"{one[0]} - {other[0]}",
+            m.frequency_cy_per_px,
+            one[1] - other[1],
+            np.hypot(one[2], other[2]),
+        )
         for m in result.find("mtf")
         if kinds.get(m.stack or "") == "bars" and m.value is not None
         for one, other in combinations(_readings(m, result, kinds), 2)
@@ -47,8 +55,12 @@ def mtf_consistency(result: Result, kinds: Mapping[str, str]) -> Result:
     return Result(evidence={"agreement of targets": evidence})
 
 
-def _readings(bars: Measurement, result: Result, kinds: Mapping[str, str]) -> list[tuple[str, float, float]]:
-    """Return target, MTF and standard uncertainty of the bars and of all curves along the same direction."""
+def _readings(
+    bars: Measurement, result: Result, kinds: Mapping[str, str]
+) -> list[tuple[str, float, float]]:
+    """Return target, MTF and standard uncertainty of the bars and of all curves along the same
+    direction.
+    """
     low, high = bars.interval68 or (np.nan, np.nan)
     found = [("bars", bars.value or 0.0, (high - low) / (2 * HALF68_SD))]
     for name, curve in result.curves.items():
@@ -67,10 +79,16 @@ def _readings(bars: Measurement, result: Result, kinds: Mapping[str, str]) -> li
 
 
 def _direction_deg(name: str, stack: str, result: Result) -> float:
-    """Return the direction of a curve's frequencies: a point source has one curve along rows and one along columns."""
+    """Return the direction of a curve's frequencies: a point source has one curve along rows and
+    one along columns.
+    """
     if name.startswith("mtf_vertical"):
         return 90.0
-    directions = [m.orientation_deg for m in result.find("mtf50", stack=stack) if m.orientation_deg is not None]
+    directions = [
+        m.orientation_deg
+        for m in result.find("mtf50", stack=stack)
+        if m.orientation_deg is not None
+    ]
     return min(directions, default=0.0)
 
 
@@ -79,13 +97,19 @@ AGAINST = ("row_px", "col_px", "mcp_v", "ln_light")
 
 
 def mtf_uniformity(
-    result: Result, kinds: Mapping[str, str], conditions: Mapping[str, Conditions], *, context: Context
+    result: Result,
+    kinds: Mapping[str, str],
+    conditions: Mapping[str, Conditions],
+    *,
+    context: Context,
 ) -> Result:
-    """Compare the MTF50 of edges and points with field position, gain and light, and test whether it is constant.
+    """Compare the MTF50 of edges and points with field position, gain and light, and test whether
+    it is constant.
 
-    Evidence "MTF50 over the field and settings" (and "..., vertical"): the table, chi-squared about the weighted mean
-    with its p-value, and the slope against each setting that differs, with its standard error. Empty without two valid
-    targets along one direction whose place, gain or light differs.
+    Evidence "MTF50 over the field and settings" (and "..., vertical"): the table, chi-squared about
+    the weighted mean with its p-value, and the slope against each setting that differs, with its
+    standard error. Empty without two valid targets along one direction whose place, gain or light
+    differs.
     """
     rows = [_row(source, conditions, context) for source in sources(result, kinds)]
     evidence = {}
@@ -98,7 +122,9 @@ def mtf_uniformity(
 
 
 def _row(source: ConstraintSource, conditions: Mapping[str, Conditions], context: Context) -> dict:
-    """Return MTF50 of a target, cycles per column pitch, with place and settings; NaN where unknown."""
+    """Return MTF50 of a target, cycles per column pitch, with place and settings; NaN where
+    unknown.
+    """
     m = source.of
     angle = m.orientation_deg or 0.0
     low, high = m.interval68 or (np.nan, np.nan)
@@ -119,7 +145,9 @@ def _row(source: ConstraintSource, conditions: Mapping[str, Conditions], context
 
 
 def _slope(rows: list[dict], key: str) -> list[float] | None:
-    """Return the slope of MTF50 against a setting and its standard error; None where it does not differ."""
+    """Return the slope of MTF50 against a setting and its standard error; None where it does not
+    differ.
+    """
     known = [row for row in rows if np.isfinite(row[key]) and row["sd"] > 0]
     if len(known) < 2:
         return None

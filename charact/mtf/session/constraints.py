@@ -1,7 +1,8 @@
 """Constraints that the targets of a session place on one MTF.
 
-A curve drawn from a posterior of two or three parameters contains two or three independent numbers, whatever the
-number of frequencies. They are its principal components, with their standard uncertainties.
+A curve drawn from a posterior of two or three parameters contains two or three independent numbers,
+whatever the number of frequencies. They are its principal components, with their standard
+uncertainties.
 """
 
 from collections.abc import Iterator, Mapping
@@ -25,8 +26,8 @@ POST_GAIN = {"mtf_post_gain": 0.0, "mtf_post_gain_vertical": 90.0}
 class MtfConstraint:
     """Combinations of the MTF that one target measures, with standard uncertainties.
 
-    Frequencies (f,) are cycles per column pitch; `weights` has the shape (combination, f); `within`: normalised to a
-    window narrower than the halo.
+    Frequencies (f,) are cycles per column pitch; `weights` has the shape (combination, f);
+    `within`: normalised to a window narrower than the halo.
     """
 
     target: str
@@ -40,18 +41,34 @@ class MtfConstraint:
 
     @classmethod
     def of_value(
-        cls, target: str, kind: str, frequency: float, angle_deg: float, value: float, interval68: Interval,
-        *, within: bool = False,
-    ) -> "MtfConstraint":  # fmt: skip
+        cls,
+        target: str,
+        kind: str,
+        frequency: float,
+        angle_deg: float,
+        value: float,
+        interval68: Interval,
+        *,
+        within: bool = False,
+    ) -> "MtfConstraint":
         """Return the constraint of one value of the MTF."""
         return cls(
-            target=target, kind=kind, frequency=np.array([frequency]), angle_rad=np.array([np.deg2rad(angle_deg)]),
-            weights=np.ones((1, 1)), value=np.array([value]), within=within,
-            sd=np.array([np.hypot((interval68[1] - interval68[0]) / (2.0 * HALF68_SD), THRESHOLDS.model_sd)]),
-        )  # fmt: skip
+            target=target,
+            kind=kind,
+            frequency=np.array([frequency]),
+            angle_rad=np.array([np.deg2rad(angle_deg)]),
+            weights=np.ones((1, 1)),
+            value=np.array([value]),
+            within=within,
+            sd=np.array(
+                [np.hypot((interval68[1] - interval68[0]) / (2.0 * HALF68_SD), THRESHOLDS.model_sd)]
+            ),
+        )
 
     def residual(self, mtf: Array) -> Array:
-        """Return (value - model)/sd for MTFs at its frequencies, shape (n, f) -> (n, combination)."""
+        """Return (value - model)/sd for MTFs at its frequencies, shape (n, f) -> (n,
+        combination).
+        """
         return (self.value - mtf @ self.weights.T) / self.sd
 
 
@@ -68,19 +85,33 @@ class ConstraintSource:
 def constraints_from(
     result: Result, kinds: Mapping[str, str], context: Context
 ) -> tuple[list[MtfConstraint], list[MtfConstraint]]:
-    """Return the constraints of valid targets on the MTF, and the bounds by the post-gain MTF of flats."""
-    curves = [one for source in sources(result, kinds) if (one := _curve_constraint(source, context)) is not None]
+    """Return the constraints of valid targets on the MTF, and the bounds by the post-gain MTF of
+    flats.
+    """
+    curves = [
+        one
+        for source in sources(result, kinds)
+        if (one := _curve_constraint(source, context)) is not None
+    ]
     bars = [
         MtfConstraint.of_value(
-            m.stack or "bars", "bars", m.frequency_cy_per_px or 0.0, m.orientation_deg or 0.0, m.value or 0.0,
+            m.stack or "bars",
+            "bars",
+            m.frequency_cy_per_px or 0.0,
+            m.orientation_deg or 0.0,
+            m.value or 0.0,
             m.interval68 or (np.nan, np.nan),
         )
-        for m in result.find("mtf") if _is_valid(m) and kinds.get(m.stack or "") == "bars"
-    ]  # fmt: skip
+        for m in result.find("mtf")
+        if _is_valid(m) and kinds.get(m.stack or "") == "bars"
+    ]
     if any(m.status != "ok" for m in result.find("post_gain_mtf50")):
         return [*curves, *bars], []
-    bounds = [_post_gain_bound(result.curves[name], angle, context) for name, angle in POST_GAIN.items()
-              if name in result.curves]  # fmt: skip
+    bounds = [
+        _post_gain_bound(result.curves[name], angle, context)
+        for name, angle in POST_GAIN.items()
+        if name in result.curves
+    ]
     return [*curves, *bars], [one for one in bounds if one is not None]
 
 
@@ -94,7 +125,10 @@ def sources(result: Result, kinds: Mapping[str, str]) -> Iterator[ConstraintSour
         seen.add((m.stack, m.region))
         region = "" if m.region is None else ":{},{},{},{}".format(*m.region)
         places = (f":{m.stack}", f"{region}:{m.stack}", f":{m.stack}{region}")
-        directions = {"mtf": 0.0 if kind == "point" else (m.orientation_deg or 0.0), "mtf_vertical": 90.0}
+        directions = {
+            "mtf": 0.0 if kind == "point" else (m.orientation_deg or 0.0),
+            "mtf_vertical": 90.0,
+        }
         held = {
             name: curve
             for name in directions
@@ -128,10 +162,15 @@ def _curve_constraint(source: ConstraintSource, context: Context) -> MtfConstrai
     kept = variance > THRESHOLDS.min_component**2 * variance[-1]
     weights = axes[:, kept].T
     return MtfConstraint(
-        target=source.target, kind=source.kind, frequency=np.concatenate(frequencies), angle_rad=np.concatenate(angles),
-        weights=weights, value=weights @ draws.mean(axis=0), sd=np.sqrt(variance[kept] + THRESHOLDS.model_sd**2),
+        target=source.target,
+        kind=source.kind,
+        frequency=np.concatenate(frequencies),
+        angle_rad=np.concatenate(angles),
+        weights=weights,
+        value=weights @ draws.mean(axis=0),
+        sd=np.sqrt(variance[kept] + THRESHOLDS.model_sd**2),
         within=_excludes_halo(source, context),
-    )  # fmt: skip
+    )
 
 
 def interpolate_draws(wanted: Array, curve: Curve) -> Array:
@@ -144,22 +183,31 @@ def interpolate_draws(wanted: Array, curve: Curve) -> Array:
 
 
 def _single_value_constraint(source: ConstraintSource, context: Context) -> MtfConstraint | None:
-    """Return the value nearest to one half of a curve without draws, whose error correlation is unknown."""
+    """Return the value nearest to one half of a curve without draws, whose error correlation is
+    unknown.
+    """
     curve, angle_deg = source.curves[0]
     if curve.interval68 is None:
         return None
-    lines = np.array([
-        np.interp(FREQUENCIES, curve.frequency_cy_per_px, line) for line in (curve.value, *curve.interval68)
-    ])  # fmt: skip
+    lines = np.array(
+        [
+            np.interp(FREQUENCIES, curve.frequency_cy_per_px, line)
+            for line in (curve.value, *curve.interval68)
+        ]
+    )
     best = int(np.argmin(np.abs(lines[0] - 0.5)))
     value, low, high = lines[:, best].tolist()
     frequency = FREQUENCIES[best] / pitches(source.kind, angle_deg, context)
     within = _excludes_halo(source, context)
-    return MtfConstraint.of_value(source.target, source.kind, frequency, angle_deg, value, (low, high), within=within)
+    return MtfConstraint.of_value(
+        source.target, source.kind, frequency, angle_deg, value, (low, high), within=within
+    )
 
 
 def pitches(kind: str, angle_deg: float, context: Context) -> float:
-    """Return the column pitches in the pixel of a curve: an edge that lies along rows is counted in row pitches."""
+    """Return the column pitches in the pixel of a curve: an edge that lies along rows is counted in
+    row pitches.
+    """
     return context.pitch_ratio if kind == "edge" and is_vertical(angle_deg) else 1.0
 
 
@@ -169,7 +217,9 @@ def is_vertical(angle_deg: float) -> bool:
 
 
 def _excludes_halo(source: ConstraintSource, context: Context) -> bool:
-    """Whether an edge's window is narrower than the camera's halo, whose light is then not counted."""
+    """Whether an edge's window is narrower than the camera's halo, whose light is then not
+    counted.
+    """
     if context.sensor is None or source.kind != "edge" or source.of.region is None:
         return False
     from charact.mtf.known_transfer import halo_diameters_px
@@ -180,7 +230,9 @@ def _excludes_halo(source: ConstraintSource, context: Context) -> bool:
 
 
 def _post_gain_bound(curve: Curve, angle_deg: float, context: Context) -> MtfConstraint | None:
-    """Return the post-gain MTF where it is nearest to one half: the whole MTF cannot lie above it."""
+    """Return the post-gain MTF where it is nearest to one half: the whole MTF cannot lie above
+    it.
+    """
     if curve.interval68 is None:
         return None
     inside = curve.frequency_cy_per_px > 0
@@ -188,4 +240,6 @@ def _post_gain_bound(curve: Curve, angle_deg: float, context: Context) -> MtfCon
     low, high = np.asarray(curve.interval68)[:, best].tolist()
     frequency = curve.frequency_cy_per_px[best] / (context.pitch_ratio if angle_deg else 1.0)
     target = "flats, vertical" if angle_deg else "flats"
-    return MtfConstraint.of_value(target, "noise spectrum", frequency, angle_deg, curve.value[best], (low, high))
+    return MtfConstraint.of_value(
+        target, "noise spectrum", frequency, angle_deg, curve.value[best], (low, high)
+    )

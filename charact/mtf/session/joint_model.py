@@ -1,4 +1,6 @@
-"""One transfer of the camera in every direction: an elliptical core, a halo shared by all, aperture and video."""
+"""One transfer of the camera in every direction: an elliptical core, a halo shared by all, aperture
+and video.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +18,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class KnownCameraTransfer:
-    """Described part of the transfer: aperture in column pitches, and the video filter along rows or None."""
+    """Described part of the transfer: aperture in column pitches, and the video filter along rows
+    or None.
+    """
 
     height_px: float = 1.0
     video: VideoFilter | None = None
@@ -33,7 +37,9 @@ class KnownCameraTransfer:
         return self.video.parameters if self.video else {}
 
     def bend(self, fx: Array) -> Array | None:
-        """Return how ln of the modulus moves with the video's bandwidth, see `VideoFilter.bend`; None: it is exact."""
+        """Return how ln of the modulus moves with the video's bandwidth, see `VideoFilter.bend`;
+        None: it is exact.
+        """
         return self.video.bend(fx).real if self.video and self.video.parameters else None
 
     def __call__(self, fx: Array, fy: Array) -> Array:
@@ -46,10 +52,10 @@ class KnownCameraTransfer:
 class JointBlurModel:
     """A form of the camera's transfer in all directions.
 
-    M(fx, fy) = C(r/f2) exp(-2 (pi r)^2 b) [(1 - q) + q W(f)] A(fx, fy), with r^2 = fx^2 + (fy e^-s)^2 the elliptical
-    frequency, f2 the half frequency of the core C, b the variance of a further Gaussian blur (`blurred`), q the
-    fraction of the halo W (`wide`), s the stretch (`elliptical`), f^2 = fx^2 + fy^2, and A aperture and video
-    (`known`).
+    M(fx, fy) = C(r/f2) exp(-2 (pi r)^2 b) [(1 - q) + q W(f)] A(fx, fy), with r^2 = fx^2 + (fy
+    e^-s)^2 the elliptical frequency, f2 the half frequency of the core C, b the variance of a
+    further Gaussian blur (`blurred`), q the fraction of the halo W (`wide`), s the stretch
+    (`elliptical`), f^2 = fx^2 + fy^2, and A aperture and video (`known`).
     """
 
     core: Core
@@ -85,21 +91,36 @@ class JointBlurModel:
     @property
     def start(self) -> Array:
         """A starting point of the optimisation."""
-        wide = [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()] if self.wide else []
+        wide = (
+            [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()]
+            if self.wide
+            else []
+        )
         blur, stretch = [0.3] * self.blurred, [0.0] * self.elliptical
-        return np.array([*self.family.start(0.2), *blur, *stretch, *wide, *(0.0 for _ in self.known.parameters)])
+        return np.array(
+            [*self.family.start(0.2), *blur, *stretch, *wide, *(0.0 for _ in self.known.parameters)]
+        )
 
     def transfer(self, theta: Array, fx: Array, fy: Array) -> Array:
-        """Return the MTF at cycles per column pitch along rows and columns, (n, parameter) and (f,) -> (n, f)."""
+        """Return the MTF at cycles per column pitch along rows and columns, (n, parameter) and (f,)
+        -> (n, f).
+        """
         return self.known(fx, fy) * self.unknown(theta, fx, fy, bend=self.known.bend(fx))
 
     def unknown(
-        self, theta: Array, fx: Array, fy: Array, *, bend: Array | None, within: NDArray[np.bool_] | bool = False
+        self,
+        theta: Array,
+        fx: Array,
+        fy: Array,
+        *,
+        bend: Array | None,
+        within: NDArray[np.bool_] | bool = False,
     ) -> Array:
-        """Return the MTF over aperture and described video, shape (n, parameter) and (f,) -> (n, f).
+        """Return the MTF over aperture and described video, shape (n, parameter) and (f,) -> (n,
+        f).
 
-        Frequencies are cycles per column pitch; `bend` is `known.bend` of `fx`; `within`: where it is normalised to a
-        window narrower than the halo, whose light is then left out.
+        Frequencies are cycles per column pitch; `bend` is `known.bend` of `fx`; `within`: where it
+        is normalised to a window narrower than the halo, whose light is then left out.
         """
         size, place = self.family.core_parameters, self._stretch_index
         stretch = np.exp(theta[:, place : place + 1]) if self.elliptical else 1.0
@@ -128,11 +149,15 @@ class JointBlurModel:
             free[-1] = False
             density += self.known.video.log_prior(theta[:, -1])
         density -= np.sum(np.log(bounds[free, 1] - bounds[free, 0]))
-        return np.where(np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1), density, -np.inf)
+        return np.where(
+            np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1), density, -np.inf
+        )
 
     @cached_property
     def prior_precision(self) -> Array:
-        """Inverse variance of the prior of each parameter, flat ones as wide as their bounds, shape (parameter,)."""
+        """Inverse variance of the prior of each parameter, flat ones as wide as their bounds, shape
+        (parameter,).
+        """
         precision = 12.0 / np.ptp(self.bounds, axis=1) ** 2
         precision[: self.family.core_parameters] += self.family.prior_precision[1]
         if self.elliptical:

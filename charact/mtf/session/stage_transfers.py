@@ -40,13 +40,15 @@ BANDWIDTHS_MHZ = np.geomspace(2.0, 20.0, 120)
 
 @dataclass(frozen=True, kw_only=True)
 class StageModel:
-    """Geometry of a camera, and names, means and standard deviations of the priors of the fitted parameters.
+    """Geometry of a camera, and names, means and standard deviations of the priors of the fitted
+    parameters.
 
     Notes
     -----
-    At the cathode: lens exp(-2 (pi f s)^2) times diffraction, halo (1 - q) + q H(f), tube exp(-(f/fc)^n), of whose
-    exponent a share acts after the gain. At the detector: fibres 2 J1(pi p f)/(pi p f) and their interfaces
-    exp(-(f/f0)^2), pixel sinc, and video, a Butterworth low pass of the register's stairs, read once a clock.
+    At the cathode: lens exp(-2 (pi f s)^2) times diffraction, halo (1 - q) + q H(f), tube
+    exp(-(f/fc)^n), of whose exponent a share acts after the gain. At the detector: fibres 2 J1(pi p
+    f)/(pi p f) and their interfaces exp(-(f/f0)^2), pixel sinc, and video, a Butterworth low pass
+    of the register's stairs, read once a clock.
     """
 
     sensor: Sensor
@@ -57,7 +59,9 @@ class StageModel:
 
     @classmethod
     def of(cls, sensor: Sensor, *, interlaced: bool, halo: bool) -> "StageModel":
-        """Return the model of a description; `halo`: whether the curves are normalised to all light."""
+        """Return the model of a description; `halo`: whether the curves are normalised to all
+        light.
+        """
         known = sensor.parameters()
         names = tuple(name for name in PARAMETERS if name in known and (halo or name not in HALO))
         return cls(
@@ -78,13 +82,17 @@ class StageModel:
         """All stages; without the halo where there is none."""
         return tuple(stage for stage in STAGES if stage != "halo" or HALO[0] in self.names)
 
-    def mtf(self, theta: Array, frequency: Array, direction: Direction, *, after_gain: bool = False) -> Array:
+    def mtf(
+        self, theta: Array, frequency: Array, direction: Direction, *, after_gain: bool = False
+    ) -> Array:
         """Return the product of all stages, or of those after the gain, shape (n, frequency)."""
         logs = self.log_stages(theta, np.asarray(frequency, float), direction)
         return np.exp(np.sum(logs[STAGES.index(AFTER_GAIN[0]) :] if after_gain else logs, axis=0))
 
     def log_stages(self, theta: Array, frequency: Array, direction: Direction) -> Array:
-        """Return ln of the MTF of each stage, shape (stage, n, frequency), frequencies per pitch of the direction."""
+        """Return ln of the MTF of each stage, shape (stage, n, frequency), frequencies per pitch of
+        the direction.
+        """
         ccd, taper = self.sensor.ccd, self.sensor.taper
         get = {name: theta[:, i, None] for i, name in enumerate(self.names)}
         along = direction == "horizontal"
@@ -98,17 +106,21 @@ class StageModel:
         pixel = np.abs(np.sinc(frequency * (1.0 if along else self.rows_summed)))
         none = np.zeros((len(theta), len(frequency)))
         # Diffraction by a round pupil.
-        x = np.minimum(cathode * THRESHOLDS.wavelength_mm * float(self.sensor.optics.f_number), 0.999)
+        x = np.minimum(
+            cathode * THRESHOLDS.wavelength_mm * float(self.sensor.optics.f_number), 0.999
+        )
         diffraction = 2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
-        return np.stack([
-            np.log(diffraction) - 2.0 * (np.pi * cathode * blur_um * 1e-3) ** 2,
-            none + self._log_halo(get, cathode),
-            (1.0 - share) * tube,
-            share * tube,
-            np.log(np.maximum(np.abs(fibres), 1e-12)) - (detector / interface) ** 2,
-            none + np.log(np.maximum(pixel, 1e-12)),
-            none + (self._log_video(get, frequency) if along else 0.0),
-        ])  # fmt: skip
+        return np.stack(
+            [
+                np.log(diffraction) - 2.0 * (np.pi * cathode * blur_um * 1e-3) ** 2,
+                none + self._log_halo(get, cathode),
+                (1.0 - share) * tube,
+                share * tube,
+                np.log(np.maximum(np.abs(fibres), 1e-12)) - (detector / interface) ** 2,
+                none + np.log(np.maximum(pixel, 1e-12)),
+                none + (self._log_video(get, frequency) if along else 0.0),
+            ]
+        )
 
     def _log_halo(self, get: dict[str, Array], cathode: Array) -> Array | float:
         """Return ln of (1 - q) + q times the transfer of a halo four gaps wide."""
@@ -123,8 +135,12 @@ class StageModel:
             return 0.0
         video = self.sensor.video
         assert video.pixel_clock_mhz is not None and video.filter_order is not None
-        table = _video_table(tuple(frequency.tolist()), float(video.pixel_clock_mhz), video.filter_order)
-        place = np.interp(get["video.bandwidth_mhz"][:, 0], BANDWIDTHS_MHZ, np.arange(len(BANDWIDTHS_MHZ)))
+        table = _video_table(
+            tuple(frequency.tolist()), float(video.pixel_clock_mhz), video.filter_order
+        )
+        place = np.interp(
+            get["video.bandwidth_mhz"][:, 0], BANDWIDTHS_MHZ, np.arange(len(BANDWIDTHS_MHZ))
+        )
         below = np.minimum(place.astype(int), len(BANDWIDTHS_MHZ) - 2)
         share = (place - below)[:, None]
         return (1.0 - share) * table[below] + share * table[below + 1]
@@ -132,9 +148,18 @@ class StageModel:
 
 @lru_cache(maxsize=32)
 def _video_table(frequency: tuple[float, ...], clock_mhz: float, order: int) -> Array:
-    """Return ln of the video's transfer at every tabulated bandwidth, shape (bandwidth, frequency)."""
+    """Return ln of the video's transfer at every tabulated bandwidth, shape (bandwidth,
+    frequency).
+    """
     at = np.array(frequency)
-    return np.log(np.array([np.abs(video_filter.transfer(at, float(one), clock_mhz, order)) for one in BANDWIDTHS_MHZ]))
+    return np.log(
+        np.array(
+            [
+                np.abs(video_filter.transfer(at, float(one), clock_mhz, order))
+                for one in BANDWIDTHS_MHZ
+            ]
+        )
+    )
 
 
 def prior_sd_of(parameter: Parameter) -> float:

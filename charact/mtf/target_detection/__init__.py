@@ -4,4 +4,11 @@ from charact.mtf.target_detection.bar_groups import DetectedBarGroup, find_bar_g
 from charact.mtf.target_detection.edges import DetectedEdge, find_edges
 from charact.mtf.target_detection.pinholes import DetectedPoint, find_pinholes
 
-__all__ = ["DetectedBarGroup", "DetectedEdge", "DetectedPoint", "find_bar_groups", "find_edges", "find_pinholes"]
+__all__ = [
+    "DetectedBarGroup",
+    "DetectedEdge",
+    "DetectedPoint",
+    "find_bar_groups",
+    "find_edges",
+    "find_pinholes",
+]

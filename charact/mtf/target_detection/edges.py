@@ -1,4 +1,6 @@
-"""The straight edges of a frame that are good enough to measure, each with the region that shows it alone."""
+"""The straight edges of a frame that are good enough to measure, each with the region that shows it
+alone.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,7 +14,8 @@ from charact.mtf.target_detection.smoothed_mean_frame import Gradient, gradient,
 from charact.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
 from labdata.frames import FrameStack
 
-# Smoothing at which edges are searched, px: fine ones where the noise allows, coarse ones in strong noise.
+# Smoothing at which edges are searched, px: fine ones where the noise allows, coarse ones in strong
+# noise.
 SCALES_PX = (1.4, 2.8, 5.6)
 
 
@@ -26,7 +29,9 @@ class DetectedEdge:
 
 
 def clear_rectangle(segment: Segment, fields: list[Gradient]) -> DetectedEdge | None:
-    """Return the most useful clear rectangle around a segment; None if none holds an edge and its plateaus."""
+    """Return the most useful clear rectangle around a segment; None if none holds an edge and its
+    plateaus.
+    """
     upright = abs(np.cos(segment.normal_rad)) >= abs(np.sin(segment.normal_rad))
     box = _surroundings(segment, fields[0].modulus.shape)
     foreign = _foreign(segment, fields, box)
@@ -40,9 +45,10 @@ def clear_rectangle(segment: Segment, fields: list[Gradient]) -> DetectedEdge | 
     worth, (top, left, height, width) = found
     top, left, height, width = (top, left, height, width) if upright else (left, top, width, height)
     return DetectedEdge(
-        region=(box[0] + top, box[1] + left, height, width), worth=worth,
+        region=(box[0] + top, box[1] + left, height, width),
+        worth=worth,
         orientation_deg=float(np.rad2deg(segment.normal_rad)) % 180.0,
-    )  # fmt: skip
+    )
 
 
 def _surroundings(segment: Segment, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
@@ -50,10 +56,17 @@ def _surroundings(segment: Segment, shape: tuple[int, ...]) -> tuple[int, int, i
     ends = segment.ends()
     low = np.floor(ends.min(axis=0) - ACCURACY.max_plateau_px - 2.0).astype(int)
     high = np.ceil(ends.max(axis=0) + ACCURACY.max_plateau_px + 3.0).astype(int)
-    return max(int(low[0]), 0), max(int(low[1]), 0), min(int(high[0]), shape[0]), min(int(high[1]), shape[1])
+    return (
+        max(int(low[0]), 0),
+        max(int(low[1]), 0),
+        min(int(high[0]), shape[0]),
+        min(int(high[1]), shape[1]),
+    )
 
 
-def _foreign(segment: Segment, fields: list[Gradient], box: tuple[int, int, int, int]) -> NDArray[np.bool_]:
+def _foreign(
+    segment: Segment, fields: list[Gradient], box: tuple[int, int, int, int]
+) -> NDArray[np.bool_]:
     """Return which pixels show something else, widened by the blur it stands in."""
     import cv2
 
@@ -67,29 +80,46 @@ def _foreign(segment: Segment, fields: list[Gradient], box: tuple[int, int, int,
         alike = aligned > np.cos(np.deg2rad(THRESHOLDS.own_direction_deg)) * field.modulus[cut]
         width = float(np.hypot(segment.blur_px, field.scale_px))
         slope = segment.slope_dn * segment.width_px / width
-        own = alike & ((across < 3.0 * width + 1.0) | (field.modulus[cut] < THRESHOLDS.own_tail * slope))
+        own = alike & (
+            (across < 3.0 * width + 1.0) | (field.modulus[cut] < THRESHOLDS.own_tail * slope)
+        )
         foreign |= (field.significance[cut] > THRESHOLDS.foreign_sd) & ~own
     widened = 2 * round(1.0 + segment.blur_px) + 1
     return cv2.dilate(foreign.astype(np.uint8), np.ones((widened, widened), np.uint8)) > 0
 
 
 def _best_rectangle(
-    foreign: NDArray[np.bool_], row: float, col: float, slope: float, segment: Segment, upright: bool
+    foreign: NDArray[np.bool_],
+    row: float,
+    col: float,
+    slope: float,
+    segment: Segment,
+    upright: bool,
 ) -> tuple[float, Region] | None:
-    """Return worth and place of the most useful clear rectangle of an upright edge through (row, col)."""
+    """Return worth and place of the most useful clear rectangle of an upright edge through (row,
+    col).
+    """
     rows, cols = foreign.shape
     total = np.zeros((rows + 1, cols + 1), np.int32)
     total[1:, 1:] = foreign.cumsum(0).cumsum(1)
-    half = 0.5 * segment.length_px * abs(np.cos(segment.normal_rad) if upright else np.sin(segment.normal_rad))
+    half = (
+        0.5
+        * segment.length_px
+        * abs(np.cos(segment.normal_rad) if upright else np.sin(segment.normal_rad))
+    )
     spare = segment.blur_px + segment.scale_px
     first = 0 if row - half < 3.0 + spare else int(np.ceil(row - half + spare))
     last = rows if row + half > rows - 4.0 - spare else int(np.floor(row + half - spare))
     least = max(THRESHOLDS.min_plateau_px, THRESHOLDS.min_plateau_blurs * segment.blur_px)
     best: tuple[float, Region] | None = None
-    for top in np.unique(np.linspace(first, max(first, last - THRESHOLDS.min_edge_rows), ACCURACY.cuts).astype(int)):
+    for top in np.unique(
+        np.linspace(first, max(first, last - THRESHOLDS.min_edge_rows), ACCURACY.cuts).astype(int)
+    ):
         for bottom in np.unique(
             np.linspace(
-                top + THRESHOLDS.min_edge_rows, max(top + THRESHOLDS.min_edge_rows, last), ACCURACY.cuts
+                top + THRESHOLDS.min_edge_rows,
+                max(top + THRESHOLDS.min_edge_rows, last),
+                ACCURACY.cuts,
             ).astype(int)
         ):
             if bottom > last:
@@ -132,27 +162,32 @@ def find_edges(pictures: NDArray | FrameStack) -> tuple[DetectedEdge, ...]:
     Returns
     -------
     tuple of FoundEdge
-        Best first. Bars, bent edges and edges without room for their plateaus are not among them; an edge that others
-        meet is cut where they begin.
+        Best first. Bars, bent edges and edges without room for their plateaus are not among them;
+        an edge that others meet is cut where they begin.
 
     Notes
     -----
-    Pixels whose smoothed gradient stands 4 standard deviations out of the noise and points one way grow together; a
-    region of them is an edge if a straight line describes it over 24 px and more and both sides stay clear of any other
-    gradient for 4 standard deviations of its blur and 8 px at least. The growing follows Grompone von Gioi et al.,
-    doi:10.5201/ipol.2012.gjmr-lsd; the noise is read off the picture instead of taken as white.
+    Pixels whose smoothed gradient stands 4 standard deviations out of the noise and points one way
+    grow together; a region of them is an edge if a straight line describes it over 24 px and more
+    and both sides stay clear of any other gradient for 4 standard deviations of its blur and 8 px
+    at least. The growing follows Grompone von Gioi et al., doi:10.5201/ipol.2012.gjmr-lsd; the
+    noise is read off the picture instead of taken as white.
     """
     kept, _ = _sort_segments(pictures)
     return tuple(clear for _, clear in kept)
 
 
 def find_unusable_edges(pictures: NDArray | FrameStack) -> tuple[tuple[Region, str], ...]:
-    """Return the straight edges that `find_edges` leaves out: region of the edge itself, px, and why."""
+    """Return the straight edges that `find_edges` leaves out: region of the edge itself, px, and
+    why.
+    """
     kept, unusable = _sort_segments(pictures)
     rows, cols = mean_frame_of(pictures)[0].shape
     out = []
     for segment, why in unusable:
-        if segment.length_px >= THRESHOLDS.min_edge_rows and not any(_covers(segment, other) for other, _ in kept):
+        if segment.length_px >= THRESHOLDS.min_edge_rows and not any(
+            _covers(segment, other) for other, _ in kept
+        ):
             down, right = segment.cut(ACCURACY.outline_blurs * segment.blur_px)
             height, width = min(down.stop, rows) - down.start, min(right.stop, cols) - right.start
             out.append(((down.start, right.start, height, width), why))
@@ -162,7 +197,9 @@ def find_unusable_edges(pictures: NDArray | FrameStack) -> tuple[tuple[Region, s
 def _sort_segments(
     pictures: NDArray | FrameStack,
 ) -> tuple[list[tuple[Segment, DetectedEdge]], list[tuple[Segment, str]]]:
-    """Return the segments that can be measured, best first, with their regions, and those that cannot, with why."""
+    """Return the segments that can be measured, best first, with their regions, and those that
+    cannot, with why.
+    """
     picture, whole_codes = mean_frame_of(pictures)
     scales = [scale for scale in SCALES_PX if min(picture.shape) > 8 * scale]
     fields = [gradient(picture, scale, whole_codes=whole_codes) for scale in scales]
@@ -187,29 +224,40 @@ def _sort_segments(
 
 
 def _of_all_scales(fields: list[Gradient]) -> list[Segment]:
-    """Return segments of all scales, each from the finest that shows most of its length in one piece."""
+    """Return segments of all scales, each from the finest that shows most of its length in one
+    piece.
+    """
     kept: list[Segment] = []
     for number, field in enumerate(fields):
         for segment in segments_of(field):
             if any(
-                _shows(finer, segment) for finer in fields[:number] if finer.scale_px < segment.scale_px
+                _shows(finer, segment)
+                for finer in fields[:number]
+                if finer.scale_px < segment.scale_px
             ) and not any(_covers(segment, other) for other in kept):
                 continue
             finer = [other for other in kept if _covers(segment, other)]
-            if max((other.length_px for other in finer), default=0.0) < THRESHOLDS.one_piece * segment.length_px:
+            if (
+                max((other.length_px for other in finer), default=0.0)
+                < THRESHOLDS.one_piece * segment.length_px
+            ):
                 kept = [other for other in kept if not any(other is one for one in finer)]
                 kept.append(segment)
     return kept
 
 
 def _shows(finer: Gradient, segment: Segment) -> bool:
-    """Return whether a finer scale shows all of a segment, so that it must be straight there too."""
+    """Return whether a finer scale shows all of a segment, so that it must be straight there
+    too.
+    """
     cut = segment.cut(3.0 * segment.scale_px)
     significance = finer.significance[cut]
     rows, cols = significance.shape
     row, col = np.ogrid[cut[0].start : cut[0].start + rows, cut[1].start : cut[1].start + cols]
     along = segment.along(row, col)
-    near = (np.abs(segment.across(row, col)) < 2.0 * segment.scale_px) & (np.abs(along) < 0.5 * segment.length_px)
+    near = (np.abs(segment.across(row, col)) < 2.0 * segment.scale_px) & (
+        np.abs(along) < 0.5 * segment.length_px
+    )
     cell = ((along[near] + 0.5 * segment.length_px) / ACCURACY.finer_scale_cell_px).astype(int)
     shown = np.zeros(int(segment.length_px / ACCURACY.finer_scale_cell_px) + 1, bool)
     shown[cell[significance[near] > THRESHOLDS.finer_scale_sd]] = True
@@ -219,20 +267,33 @@ def _shows(finer: Gradient, segment: Segment) -> bool:
 def _covers(coarse: Segment, fine: Segment) -> bool:
     """Return whether a segment of a finer scale lies on a coarse one."""
     near = abs(float(coarse.across(np.array(fine.row), np.array(fine.col)))) < 2.0 * coarse.scale_px
-    alongside = abs(float(coarse.along(np.array(fine.row), np.array(fine.col)))) < 0.5 * coarse.length_px
-    return near and alongside and np.cos(coarse.normal_rad - fine.normal_rad) > np.cos(np.deg2rad(15.0))
+    alongside = (
+        abs(float(coarse.along(np.array(fine.row), np.array(fine.col)))) < 0.5 * coarse.length_px
+    )
+    return (
+        near
+        and alongside
+        and np.cos(coarse.normal_rad - fine.normal_rad) > np.cos(np.deg2rad(15.0))
+    )
 
 
 def _is_bar(segment: Segment, segments: Iterable[Segment]) -> bool:
-    """Return whether a segment is one of three or more evenly spaced edges of alternating sense, nearer than long."""
+    """Return whether a segment is one of three or more evenly spaced edges of alternating sense,
+    nearer than long.
+    """
     sides: dict[float, list[float]] = {1.0: [], -1.0: []}
     same: list[float] = []
     for other in segments:
-        if other is segment or abs(np.cos(segment.normal_rad - other.normal_rad)) < np.cos(np.deg2rad(8.0)):
+        if other is segment or abs(np.cos(segment.normal_rad - other.normal_rad)) < np.cos(
+            np.deg2rad(8.0)
+        ):
             continue
         along = abs(float(segment.along(np.array(other.row), np.array(other.col))))
         across = float(segment.across(np.array(other.row), np.array(other.col)))
-        if along > 0.4 * segment.length_px or not 1.0 < abs(across) < 2.2 * THRESHOLDS.bar_aspect * segment.length_px:
+        if (
+            along > 0.4 * segment.length_px
+            or not 1.0 < abs(across) < 2.2 * THRESHOLDS.bar_aspect * segment.length_px
+        ):
             continue
         if np.cos(segment.normal_rad - other.normal_rad) < 0:
             sides[float(np.sign(across))].append(abs(across))
@@ -243,7 +304,9 @@ def _is_bar(segment: Segment, segments: Iterable[Segment]) -> bool:
     if spacing > THRESHOLDS.bar_aspect * segment.length_px:
         return False
     return any(
-        abs(distance / spacing - 1.0) < THRESHOLDS.bar_evenness for distance in near if distance > spacing
+        abs(distance / spacing - 1.0) < THRESHOLDS.bar_evenness
+        for distance in near
+        if distance > spacing
     ) or any(abs(distance / (2.0 * spacing) - 1.0) < THRESHOLDS.bar_evenness for distance in same)
 
 

@@ -1,4 +1,6 @@
-"""Straight segments of edges: connected pixels whose gradients point the same way, and the line through them."""
+"""Straight segments of edges: connected pixels whose gradients point the same way, and the line
+through them.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -18,9 +20,13 @@ class Segment:
     # row, col: its middle, px
     row: float
     col: float
-    normal_rad: float  # Direction from dark to bright, from the columns' direction towards higher rows, rad
+    normal_rad: (
+        float  # Direction from dark to bright, from the columns' direction towards higher rows, rad
+    )
     length_px: float  # Extent along the edge, px
-    width_px: float  # Standard deviation of the gradient's profile across, the smoothing included, px
+    width_px: (
+        float  # Standard deviation of the gradient's profile across, the smoothing included, px
+    )
     scale_px: float  # Smoothing it was found at, px
     slope_dn: float  # Median gradient along its middle, DN per px
     weight: float  # Sum of the significance of its pixels
@@ -32,11 +38,15 @@ class Segment:
 
     def along(self, row: NDArray, col: NDArray) -> NDArray:
         """Return the distance of places from the middle along the edge, px."""
-        return (row - self.row) * np.cos(self.normal_rad) - (col - self.col) * np.sin(self.normal_rad)
+        return (row - self.row) * np.cos(self.normal_rad) - (col - self.col) * np.sin(
+            self.normal_rad
+        )
 
     def across(self, row: NDArray, col: NDArray) -> NDArray:
         """Return the distance of places from the line towards the bright side, px."""
-        return (col - self.col) * np.cos(self.normal_rad) + (row - self.row) * np.sin(self.normal_rad)
+        return (col - self.col) * np.cos(self.normal_rad) + (row - self.row) * np.sin(
+            self.normal_rad
+        )
 
     def ends(self) -> NDArray[np.float64]:
         """Return (row, col) of both ends, shape (2, 2), px."""
@@ -68,7 +78,9 @@ def segments_of(field: Gradient) -> list[Segment]:
 
 
 def _candidates(field: Gradient) -> list[tuple[NDArray, NDArray]]:
-    """Return rows and cols of connected pixels of one direction that hold a seed and are long enough."""
+    """Return rows and cols of connected pixels of one direction that hold a seed and are long
+    enough.
+    """
     import cv2
 
     member = field.significance > THRESHOLDS.member_sd
@@ -95,7 +107,9 @@ def _candidates(field: Gradient) -> list[tuple[NDArray, NDArray]]:
 
 
 def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
-    """Return the line through pixels weighted by their gradient; None if too short, too few or curved."""
+    """Return the line through pixels weighted by their gradient; None if too short, too few or
+    curved.
+    """
     if row.size < MIN_LENGTH_PX:
         return None
     modulus = field.modulus[row, col].astype(float)
@@ -105,9 +119,15 @@ def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
     axis = np.linalg.eigh((apart * weight) @ apart.T)[1][:, 1]
     normal = _bright_direction(axis, weight @ field.right[row, col], weight @ field.down[row, col])
     segment = Segment(
-        row=float(middle[0]), col=float(middle[1]), normal_rad=normal, length_px=0.0, width_px=0.0,
-        scale_px=field.scale_px, slope_dn=0.0, weight=float(field.significance[row, col].sum()),
-    )  # fmt: skip
+        row=float(middle[0]),
+        col=float(middle[1]),
+        normal_rad=normal,
+        length_px=0.0,
+        width_px=0.0,
+        scale_px=field.scale_px,
+        slope_dn=0.0,
+        weight=float(field.significance[row, col].sum()),
+    )
     along, across = segment.along(row, col), segment.across(row, col)
     low, high = np.quantile(along, (0.005, 0.995))
     length = float(high - low)
@@ -116,7 +136,11 @@ def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
     bow = _bow_px(along, across, modulus)
     if bow > max(THRESHOLDS.max_bow * length, THRESHOLDS.min_bow_px):
         return None
-    used = length if bow < THRESHOLDS.used_bow_px else length * float(np.sqrt(THRESHOLDS.used_bow_px / bow))
+    used = (
+        length
+        if bow < THRESHOLDS.used_bow_px
+        else length * float(np.sqrt(THRESHOLDS.used_bow_px / bow))
+    )
     shift = 0.5 * (low + high)
     placed = replace(
         segment,
@@ -129,11 +153,17 @@ def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
 
 
 def _profile(segment: Segment, field: Gradient) -> tuple[float, float]:
-    """Return the height and the standard deviation of the mean gradient across a segment, DN per px and px."""
+    """Return the height and the standard deviation of the mean gradient across a segment, DN per px
+    and px.
+    """
     reach = 3.0 * segment.scale_px + 3.0
     cut = segment.cut(reach)
-    rise = np.cos(segment.normal_rad) * field.right[cut] + np.sin(segment.normal_rad) * field.down[cut]
-    row, col = np.ogrid[cut[0].start : cut[0].start + rise.shape[0], cut[1].start : cut[1].start + rise.shape[1]]
+    rise = (
+        np.cos(segment.normal_rad) * field.right[cut] + np.sin(segment.normal_rad) * field.down[cut]
+    )
+    row, col = np.ogrid[
+        cut[0].start : cut[0].start + rise.shape[0], cut[1].start : cut[1].start + rise.shape[1]
+    ]
     across = segment.across(row, col)
     near = (np.abs(segment.along(row, col)) < 0.4 * segment.length_px) & (np.abs(across) < reach)
     total = float(rise[near].sum())
@@ -152,7 +182,9 @@ def _bright_direction(axis: NDArray, right: float, down: float) -> float:
 
 
 def _bow_px(along: NDArray, across: NDArray, weight: NDArray) -> float:
-    """Return the bow of a piece over its length: that of the parabola through the middle of its gradient."""
+    """Return the bow of a piece over its length: that of the parabola through the middle of its
+    gradient.
+    """
     cell = np.floor((along - along.min()) / 2.0).astype(int)
     total = np.bincount(cell, weight)
     place = np.bincount(cell, weight * across) / np.maximum(total, 1e-12)
@@ -186,7 +218,9 @@ def _same_line(one: Segment, other: Segment) -> bool:
     along = one.along(row, col)
     gap = max(abs(float(along.mean())) - 0.5 * (one.length_px + float(np.ptp(along))), 0.0)
     allowed = 1.5 + 0.02 * gap
-    return gap < ACCURACY.gap_px and bool(np.all(np.abs(one.across(row, col)) < allowed + 0.05 * other.length_px))
+    return gap < ACCURACY.gap_px and bool(
+        np.all(np.abs(one.across(row, col)) < allowed + 0.05 * other.length_px)
+    )
 
 
 def _union(one: Segment, other: Segment) -> Segment:

@@ -1,8 +1,8 @@
 """Distribution of a filtered dark pixel: compound Poisson process of pulses.
 
-Detected photoelectrons are uniformly distributed; each gives a pulse of random height, spread over pixels and
-exposures. The characteristic function is exact at any density and includes overlapping pulses and pulses below the
-noise, so no threshold is needed.
+Detected photoelectrons are uniformly distributed; each gives a pulse of random height, spread over
+pixels and exposures. The characteristic function is exact at any density and includes overlapping
+pulses and pulses below the noise, so no threshold is needed.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.events.frames import Filter, PulseSpread, common_reach, quantise_amplitudes, responses
+from charact.noise.events.frames import (
+    Filter,
+    PulseSpread,
+    common_reach,
+    quantise_amplitudes,
+    responses,
+)
 from charact.noise.thresholds import EVENT_ACCURACY
 
 Array = NDArray[np.float64]
@@ -25,7 +31,9 @@ class PulseDecay:
     # slow_exposures, fast_exposures: decay times of slow and fast light, exposures
     slow_exposures: float = 1.0
     fast_exposures: float = 0.0
-    open_share: float = 1.0  # fraction of the exposure period, from its start, in which pulses begin
+    open_share: float = (
+        1.0  # fraction of the exposure period, from its start, in which pulses begin
+    )
 
     @property
     def lasts(self) -> bool:
@@ -34,9 +42,11 @@ class PulseDecay:
 
     @lru_cache(maxsize=256)  # noqa: B019
     def by_exposure(self) -> tuple[Array, Array]:
-        """Return the fractions of light in a pulse's own and later exposures, and quadrature weights.
+        """Return the fractions of light in a pulse's own and later exposures, and quadrature
+        weights.
 
-        Returns `light`: shape (moment, exposure); `weight`: fraction of the pulses that begin then, shape (moment,).
+        Returns `light`: shape (moment, exposure); `weight`: fraction of the pulses that begin then,
+        shape (moment,).
         """
         if not self.lasts:
             return np.ones((1, 1)), np.ones(1)
@@ -52,7 +62,9 @@ class PulseDecay:
 
 @lru_cache(maxsize=1)
 def _moments() -> tuple[Array, Array]:
-    """Return Gauss-Legendre start times in an exposure of length 1 and their weights, densest at its end."""
+    """Return Gauss-Legendre start times in an exposure of length 1 and their weights, densest at
+    its end.
+    """
     node, weight = np.polynomial.legendre.leggauss(EVENT_ACCURACY.start_times)
     root = 0.5 * (node + 1.0)
     return 1.0 - root**2, root * weight
@@ -64,19 +76,23 @@ class PulsePopulation:
 
     density: float  # detected events per pixel and exposure
     height_dn: float  # mean pulse height, total light of a pulse, DN
-    # relative variance of the pulse heights: Polya (gamma) distribution of inverse shape; 1 is exponential
+    # relative variance of the pulse heights: Polya (gamma) distribution of inverse shape; 1 is
+    # exponential
     relative_variance: float
     noise_dn2: float  # variance of the noise beneath the pulses, DN^2
-    # line_1, line_2: fractions of a pixel's signal that the video filter moves to the next pixel of the row and the one
-    # after, for noise and light alike
+    # line_1, line_2: fractions of a pixel's signal that the video filter moves to the next pixel of
+    # the row and the one after, for noise and light alike
     line_1: float
     line_2: float
-    # column_px, row_px: standard deviation of the Gaussian part of the spot along a row and a column, px
+    # column_px, row_px: standard deviation of the Gaussian part of the spot along a row and a
+    # column, px
     column_px: float
     row_px: float
-    wings: float  # strength of the other part, exp(-wings (f/f0)^exponent) with f0 of 0.1 cycles per column pitch
+    # strength of the other part, exp(-wings (f/f0)^exponent) with f0 of 0.1 cycles per column pitch
+    wings: float
     exponent: float  # its exponent
-    # glow, glow_exposures, fast_exposures: as `share`, `slow_exposures` and `fast_exposures` of `PulseDecay`
+    # glow, glow_exposures, fast_exposures: as `share`, `slow_exposures` and `fast_exposures` of
+    # `PulseDecay`
     glow: float = 0.0
     glow_exposures: float = 1.0
     fast_exposures: float = 0.0
@@ -86,13 +102,19 @@ class PulsePopulation:
     def log_characteristic(self, one: Filter, frequency: Array) -> NDArray[np.complex128]:
         """Return ln E exp(i t y) of filtered pixels y at frequencies t, shape (t,), 1/DN.
 
-        rate * integral over positions of [E exp(i t h a(x)) - 1] - t^2 var / 2, with a(x) the filter output of a pulse
-        of unit light at x and E exp(i s h) = (1 - i s G v)^(-1/v) of a gamma distribution of mean G and relative
-        variance v (Campbell's theorem). The output includes the subtracted temporal mean.
+        rate * integral over positions of [E exp(i t h a(x)) - 1] - t^2 var / 2, with a(x) the
+        filter output of a pulse of unit light at x and E exp(i s h) = (1 - i s G v)^(-1/v) of a
+        gamma distribution of mean G and relative variance v (Campbell's theorem). The output
+        includes the subtracted temporal mean.
         """
         amplitude, area = pulse_outputs(one, self.spot, self.line, self.screen)
-        pulse = height_transform(np.multiply.outer(frequency * self.height_dn, amplitude), self.relative_variance)
-        return self.density * (pulse @ area) - 0.5 * frequency**2 * one.noise(self.line) * self.noise_dn2
+        pulse = height_transform(
+            np.multiply.outer(frequency * self.height_dn, amplitude), self.relative_variance
+        )
+        return (
+            self.density * (pulse @ area)
+            - 0.5 * frequency**2 * one.noise(self.line) * self.noise_dn2
+        )
 
     @property
     def line(self) -> tuple[float, float, float]:
@@ -102,14 +124,23 @@ class PulsePopulation:
     @property
     def spot(self) -> PulseSpread:
         """Spread of a pulse."""
-        return PulseSpread(column_px=self.column_px, row_px=self.row_px, wings=self.wings, exponent=self.exponent,
-                    row_pitch=self.row_pitch)  # fmt: skip
+        return PulseSpread(
+            column_px=self.column_px,
+            row_px=self.row_px,
+            wings=self.wings,
+            exponent=self.exponent,
+            row_pitch=self.row_pitch,
+        )
 
     @property
     def screen(self) -> PulseDecay:
         """Phosphor decay."""
-        return PulseDecay(share=self.glow, slow_exposures=self.glow_exposures, fast_exposures=self.fast_exposures,
-                    open_share=self.open_share)  # fmt: skip
+        return PulseDecay(
+            share=self.glow,
+            slow_exposures=self.glow_exposures,
+            fast_exposures=self.fast_exposures,
+            open_share=self.open_share,
+        )
 
 
 def height_transform(z: Array, relative_variance: float) -> NDArray[np.complex128]:
@@ -121,11 +152,18 @@ def height_transform(z: Array, relative_variance: float) -> NDArray[np.complex12
 
 
 @lru_cache(maxsize=512)
-def pulse_outputs(one: Filter, spot: PulseSpread, line: tuple[float, ...], screen: PulseDecay) -> tuple[Array, Array]:
-    """Return the outputs for pulses of unit light at all positions and ages: amplitudes, and px exposures of each."""
+def pulse_outputs(
+    one: Filter, spot: PulseSpread, line: tuple[float, ...], screen: PulseDecay
+) -> tuple[Array, Array]:
+    """Return the outputs for pulses of unit light at all positions and ages: amplitudes, and px
+    exposures of each.
+    """
     amplitude, area = responses(one, spot, line)
     share, number = age_amplitudes(one, screen)
-    value, weight = np.multiply.outer(share, amplitude).ravel(), np.multiply.outer(number, area).ravel()
+    value, weight = (
+        np.multiply.outer(share, amplitude).ravel(),
+        np.multiply.outer(number, area).ravel(),
+    )
     return quantise_amplitudes(value, weight) if screen.lasts else (value, weight)
 
 
@@ -138,14 +176,20 @@ def age_amplitudes(one: Filter, screen: PulseDecay) -> tuple[Array, Array]:
     light, chance = screen.by_exposure()
     amplitude = amplitudes_by_age(one, light)
     taken = sum_by_phase(one, light)
-    rest = np.maximum(one.exposures - np.bincount(np.arange(amplitude.shape[1]) % one.stride, minlength=one.stride), 0)
+    rest = np.maximum(
+        one.exposures
+        - np.bincount(np.arange(amplitude.shape[1]) % one.stride, minlength=one.stride),
+        0,
+    )
     number = np.broadcast_to(chance[:, None], amplitude.shape)
     value = np.concatenate([amplitude.ravel(), -taken.ravel()])
     return value, np.concatenate([number.ravel(), np.multiply.outer(chance, rest).ravel()])
 
 
 def amplitudes_by_age(one: Filter, light: Array) -> Array:
-    """Return the amplitude of pulses of every age, shape (moment, age), for their light, shape (moment, exposure)."""
+    """Return the amplitude of pulses of every age, shape (moment, age), for their light, shape
+    (moment, exposure).
+    """
     moments, count = light.shape
     width = (len(one.times) - 1) * one.stride
     out = np.zeros((moments, count + width))
@@ -155,8 +199,12 @@ def amplitudes_by_age(one: Filter, light: Array) -> Array:
 
 
 def sum_by_phase(one: Filter, light: Array) -> Array:
-    """Return the part of a pulse removed with the temporal mean, by the parity of its start, shape (moment, phase)."""
-    total = np.stack([light[:, phase :: one.stride].sum(axis=1) for phase in range(one.stride)], axis=1)
+    """Return the part of a pulse removed with the temporal mean, by the parity of its start, shape
+    (moment, phase).
+    """
+    total = np.stack(
+        [light[:, phase :: one.stride].sum(axis=1) for phase in range(one.stride)], axis=1
+    )
     return total * sum(one.times) / one.exposures
 
 
@@ -166,14 +214,18 @@ class CharacteristicFunctionData:
 
     filters: tuple[Filter, ...]  # filters
     frequency: Array  # frequencies of each, shape (filter, t), 1/DN
-    value: Array  # ln of the characteristic functions, real parts, then imaginary ones, shape (2 filter t,)
-    covariance: Array  # covariance of the values, from the scatter of blocks, shape (2 filter t, 2 filter t)
+    # ln of the characteristic functions, real parts, then imaginary ones, shape (2 filter t,)
+    value: Array
+    # covariance of the values, from the scatter of blocks, shape (2 filter t, 2 filter t)
+    covariance: Array
     pixels: float  # number of pixels over all exposures
 
     def model(self, pulses: PulsePopulation) -> Array:
         """Return the model of pulses, shape (2 filter t,)."""
         pairs = zip(self.filters, self.frequency, strict=True)
-        return real_and_imaginary(np.stack([pulses.log_characteristic(one, frequency) for one, frequency in pairs]))
+        return real_and_imaginary(
+            np.stack([pulses.log_characteristic(one, frequency) for one, frequency in pairs])
+        )
 
 
 def real_and_imaginary(values: NDArray[np.complex128]) -> Array:
@@ -187,38 +239,52 @@ Images = NDArray[np.float32]
 def observe(
     changes: tuple[Images, ...], usable: list[NDArray[np.bool_]], filters: tuple[Filter, ...]
 ) -> CharacteristicFunctionData:
-    """Return ln of the characteristic functions of filtered frames, and their covariance from blocks.
+    """Return ln of the characteristic functions of filtered frames, and their covariance from
+    blocks.
 
-    `changes`: fluctuations for each parity, shape (exposure, row, col), DN; `usable`: usable values, same shapes;
-    `filters`: filters.
+    `changes`: fluctuations for each parity, shape (exposure, row, col), DN; `usable`: usable
+    values, same shapes; `filters`: filters.
 
-    Filter weights sum to zero, and so does their output except for pulses at the border: its mean is subtracted, which
-    rotates the functions by t times it.
+    Filter weights sum to zero, and so does their output except for pulses at the border: its mean
+    is subtracted, which rotates the functions by t times it.
     """
     scales: list[Array] = []
-    parts = [_sums(change, good, filters, scales) for change, good in zip(changes, usable, strict=True)]
+    parts = [
+        _sums(change, good, filters, scales) for change, good in zip(changes, usable, strict=True)
+    ]
     sums, levels, count = (np.concatenate([part[i] for part in parts]) for i in range(3))
     frequency = np.stack(scales)
     mean, level = sums.sum(axis=0) / count.sum(), levels.sum(axis=0) / count.sum()
     off = (sums - count[:, None, None] * mean) / mean
     off = (off - 1j * (levels - count[:, None] * level)[..., None] * frequency) / count.sum()
-    scatter = np.concatenate([off.real.reshape(len(off), -1), off.imag.reshape(len(off), -1)], axis=1)
+    scatter = np.concatenate(
+        [off.real.reshape(len(off), -1), off.imag.reshape(len(off), -1)], axis=1
+    )
     return CharacteristicFunctionData(
-        filters=filters, frequency=frequency,
+        filters=filters,
+        frequency=frequency,
         value=real_and_imaginary(np.log(mean * np.exp(-1j * level[:, None] * frequency))),
-        covariance=scatter.T @ scatter, pixels=float(count.sum()),
-    )  # fmt: skip
+        covariance=scatter.T @ scatter,
+        pixels=float(count.sum()),
+    )
 
 
-def _sums(change: Images, usable: NDArray[np.bool_], filters: tuple[Filter, ...], scales: list[Array]):
-    """Return sums of exp(i t y) and of y over blocks, shapes (block, filter, t) and (block, filter), and their counts.
+def _sums(
+    change: Images, usable: NDArray[np.bool_], filters: tuple[Filter, ...], scales: list[Array]
+):
+    """Return sums of exp(i t y) and of y over blocks, shapes (block, filter, t) and (block,
+    filter), and their counts.
 
     The first parity also sets the frequencies of every filter.
     """
     reach = common_reach(filters)
     length = len(change) - max(len(one.times) for one in filters) + 1
-    good = usable[:length, reach[0] : change.shape[1] - reach[0], reach[1] : change.shape[2] - reach[1]]
-    blocks = _Blocks.of(good, EVENT_ACCURACY.block_exposures if any(len(one.times) > 1 for one in filters) else 1)
+    good = usable[
+        :length, reach[0] : change.shape[1] - reach[0], reach[1] : change.shape[2] - reach[1]
+    ]
+    blocks = _Blocks.of(
+        good, EVENT_ACCURACY.block_exposures if any(len(one.times) > 1 for one in filters) else 1
+    )
     still = {}
     out, known = [], len(scales) == len(filters)
     for index, one in enumerate(filters):
@@ -229,11 +295,17 @@ def _sums(change: Images, usable: NDArray[np.bool_], filters: tuple[Filter, ...]
         if not known:
             scales.append(frequencies(values))
         out.append(blocks.sums(values, scales[index]))
-    return np.stack([total for total, _ in out], axis=1), np.stack([y for _, y in out], axis=1), blocks.count
+    return (
+        np.stack([total for total, _ in out], axis=1),
+        np.stack([y for _, y in out], axis=1),
+        blocks.count,
+    )
 
 
 def frequencies(values: Images) -> Array:
-    """Return the frequencies of the characteristic function of a filter's output, shape (t,), 1/DN."""
+    """Return the frequencies of the characteristic function of a filter's output, shape (t,),
+    1/DN.
+    """
     sample = values.ravel()[:: max(1, values.size // EVENT_ACCURACY.sample)]
     places = (np.array([0.25, 0.5, 0.999]) * (len(sample) - 1)).astype(int)
     sample = np.partition(sample, places)
@@ -247,7 +319,9 @@ def frequencies(values: Images) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class _Blocks:
-    """Blocks of pixels and exposures: first bin of each exposure and pixel, usable values, values per block."""
+    """Blocks of pixels and exposures: first bin of each exposure and pixel, usable values, values
+    per block.
+    """
 
     first: NDArray[np.int64]
     good: NDArray[np.bool_] | None
@@ -256,7 +330,9 @@ class _Blocks:
     @classmethod
     def of(cls, good: NDArray[np.bool_], least_depth: int) -> "_Blocks":
         block = EVENT_ACCURACY.block_px
-        high, wide = (np.minimum(np.arange(n) // block, max(n // block, 1) - 1) for n in good.shape[1:])
+        high, wide = (
+            np.minimum(np.arange(n) // block, max(n // block, 1) - 1) for n in good.shape[1:]
+        )
         across = int(wide[-1]) + 1
         place = high[:, None] * across + wide
         images = int(place[-1, -1]) + 1
@@ -264,8 +340,10 @@ class _Blocks:
         time = np.arange(len(good)) // depth
         first = (time[:, None, None] * images + place) * EVENT_ACCURACY.bins
         chosen = None if good.all() else good
-        inside = np.bincount((first if chosen is None else first[good]).ravel() // EVENT_ACCURACY.bins,
-                             minlength=(int(time[-1]) + 1) * images)  # fmt: skip
+        inside = np.bincount(
+            (first if chosen is None else first[good]).ravel() // EVENT_ACCURACY.bins,
+            minlength=(int(time[-1]) + 1) * images,
+        )
         return cls(first=first, good=chosen, count=inside.astype(float))
 
     def sums(self, values: Images, frequency: Array) -> tuple[NDArray[np.complex128], Array]:
@@ -285,7 +363,9 @@ class _Blocks:
         count[:, [0, -1]] = 0
         centre = step * (np.arange(bins) - half)
         # Averaging over a bin lowers a wave by sin(x)/x of half its phase.
-        waves = np.exp(1j * np.multiply.outer(centre, frequency)) * np.sinc(0.5 * step * frequency / np.pi)
+        waves = np.exp(1j * np.multiply.outer(centre, frequency)) * np.sinc(
+            0.5 * step * frequency / np.pi
+        )
         number = count.astype(np.float64)
         total, level = np.asarray(number @ waves, np.complex128), number @ centre
         y, block = values[far].astype(np.float64), self.first[far] // bins
@@ -297,10 +377,11 @@ class _Blocks:
 def scatter(pulses: PulsePopulation, observed: CharacteristicFunctionData) -> Array:
     """Return the covariance of the data for given pulses, shape (2 filter t, 2 filter t).
 
-    The mean of exp(i t y) over N pixels, divided by its expectation, is 1 plus what each pulse of height h adds,
-    c(h) = integral over positions of [exp(i t h a(x)) - 1], plus the noise. Pulses are Poisson distributed: their
-    covariance is rate/N <c c'>. That of Gaussian noise of covariance C(D) is sum over D of exp(t t' C(D)) - 1. The sum
-    neglects noise beneath pulses, which is small for few pulses.
+    The mean of exp(i t y) over N pixels, divided by its expectation, is 1 plus what each pulse of
+    height h adds, c(h) = integral over positions of [exp(i t h a(x)) - 1], plus the noise. Pulses
+    are Poisson distributed: their covariance is rate/N <c c'>. That of Gaussian noise of covariance
+    C(D) is sum over D of exp(t t' C(D)) - 1. The sum neglects noise beneath pulses, which is small
+    for few pulses.
     """
     return (_by_pulses(pulses, observed) + _by_noise(pulses, observed)) / observed.pixels
 
@@ -308,7 +389,9 @@ def scatter(pulses: PulsePopulation, observed: CharacteristicFunctionData) -> Ar
 def _by_pulses(pulses: PulsePopulation, observed: CharacteristicFunctionData) -> Array:
     height, chance = _heights(pulses.relative_variance)
     added = np.empty((len(height), *observed.frequency.shape), np.complex128)
-    for index, (one, frequency) in enumerate(zip(observed.filters, observed.frequency, strict=True)):
+    for index, (one, frequency) in enumerate(
+        zip(observed.filters, observed.frequency, strict=True)
+    ):
         amplitude, area = pulse_outputs(one, pulses.spot, pulses.line, pulses.screen)
         z = np.multiply.outer(np.multiply.outer(height * pulses.height_dn, frequency), amplitude)
         added[:, index] = np.expm1(1j * z) @ area
@@ -348,7 +431,9 @@ def _by_noise(pulses: PulsePopulation, observed: CharacteristicFunctionData) -> 
 
 
 def _output_covariance(one: Filter, other: Filter, line: tuple[float, ...]) -> Array:
-    """Return the covariances of two filters' outputs at all separations, for noise of unit variance."""
+    """Return the covariances of two filters' outputs at all separations, for noise of unit
+    variance.
+    """
     across = np.correlate(np.convolve(one.columns, line), np.convolve(other.columns, line), "full")
     down = np.correlate(np.ones(one.high), np.ones(other.high), "full")
     time = np.correlate(one.times, other.times, "full")
@@ -356,9 +441,11 @@ def _output_covariance(one: Filter, other: Filter, line: tuple[float, ...]) -> A
 
 
 def blend_covariances(computed: Array, counted: Array) -> Array:
-    """Return the model covariance in directions dominated by pulses, and the block covariance in all others.
+    """Return the model covariance in directions dominated by pulses, and the block covariance in
+    all others.
 
-    Rare bright pulses lie in the few strongest directions, the neglected noise beneath pulses in the weak ones.
+    Rare bright pulses lie in the few strongest directions, the neglected noise beneath pulses in
+    the weak ones.
     """
     # Without pulses, weights of both signs may give negative values.
     unit = np.sqrt(np.maximum(np.diag(computed), 1e-6 * np.diag(counted)))

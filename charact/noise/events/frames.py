@@ -43,15 +43,19 @@ class Filter:
         return self.high // 2, len(self.columns) // 2
 
     def noise(self, line: tuple[float, ...]) -> float:
-        """Return the output variance over that of white noise before the video filter along a line."""
+        """Return the output variance over that of white noise before the video filter along a
+        line.
+        """
         across, time = np.convolve(self.columns, line), np.asarray(self.times)
-        return float((across @ across) * self.high * (time @ time - time.sum() ** 2 / self.exposures))
+        return float(
+            (across @ across) * self.high * (time @ time - time.sum() ** 2 / self.exposures)
+        )
 
     def within(self, change: Images, reach: tuple[int, int]) -> Images:
         """Return the filtered images at all pixels with a margin of `reach` rows and columns.
 
-        `change`: images, shape (exposure, row, col); `reach`: margin in rows and columns, at least that of the filter;
-        the output is smaller by twice as many.
+        `change`: images, shape (exposure, row, col); `reach`: margin in rows and columns, at least
+        that of the filter; the output is smaller by twice as many.
         """
         rows, cols = change.shape[1] - 2 * reach[0], change.shape[2] - 2 * reach[1]
         top, left = reach[0] - self.reach[0], reach[1] - self.reach[1]
@@ -87,8 +91,8 @@ def common_reach(filters: Sequence[Filter]) -> tuple[int, int]:
 def boxes(step: int, *, stride: int, exposures: int, lag: bool) -> tuple[Filter, ...]:
     """Return filters from one pixel to several times a spot of half width `step`.
 
-    `step`: half width of the matched filter, px; `stride`, `exposures`: as in `Filter`; `lag`: whether to include
-    filters across exposures.
+    `step`: half width of the matched filter, px; `stride`, `exposures`: as in `Filter`; `lag`:
+    whether to include filters across exposures.
     """
     near, wide = 2 * step + 1, 6 * step + 1
 
@@ -105,7 +109,9 @@ REFERENCE_CY_PER_PX = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class PulseSpread:
-    """Spread of a pulse after the gain; names as in `charact.noise.events.event_distribution.PulsePopulation`."""
+    """Spread of a pulse after the gain; names as in
+    `charact.noise.events.event_distribution.PulsePopulation`.
+    """
 
     column_px: float
     row_px: float
@@ -117,12 +123,16 @@ class PulseSpread:
         """Return the effective area of a spot, 1 over the integral of its square, px."""
         sides = _sides(Filter(high=1, broad=1))
         power = _transfer(self, sides) ** 2
-        return float(sides[0] * sides[1] / (2.0 * power.sum() - power[:, 0].sum() - power[:, -1].sum()))
+        return float(
+            sides[0] * sides[1] / (2.0 * power.sum() - power[:, 0].sum() - power[:, -1].sum())
+        )
 
 
 def _sides(one: Filter) -> tuple[int, int]:
     """Return rows and columns of the positions around a filter, px."""
-    rows, cols = (-(-(size + EVENT_ACCURACY.spot_px) // 8) * 8 for size in (one.high, len(one.columns)))
+    rows, cols = (
+        -(-(size + EVENT_ACCURACY.spot_px) // 8) * 8 for size in (one.high, len(one.columns))
+    )
     return rows, cols
 
 
@@ -138,10 +148,16 @@ def _transfer(spot: PulseSpread, sides: tuple[int, int]) -> Array:
 
 @lru_cache(maxsize=8)
 def _plane(row_pitch: float, sides: tuple[int, int]) -> tuple[tuple[Array, Array], Array, Array]:
-    """Return squared frequencies along both axes, radial frequency over the reference, and pixel transfer."""
+    """Return squared frequencies along both axes, radial frequency over the reference, and pixel
+    transfer.
+    """
     fy, fx = _frequencies(sides)
     distance = np.hypot(fx, fy / row_pitch) / REFERENCE_CY_PER_PX
-    return (fy**2, fx**2), np.asarray(distance, np.float64), np.asarray(np.sinc(fx) * np.sinc(fy), np.float64)
+    return (
+        (fy**2, fx**2),
+        np.asarray(distance, np.float64),
+        np.asarray(np.sinc(fx) * np.sinc(fy), np.float64),
+    )
 
 
 @lru_cache(maxsize=8)
@@ -155,7 +171,9 @@ def _frequencies(sides: tuple[int, int]) -> tuple[Array, Array]:
 def _comb(kernel: NDArray[np.float64], frequency: Array) -> NDArray[np.complex128]:
     """Return the transfer of weights on the pixel lattice, about the centre."""
     place = np.arange(len(kernel)) - len(kernel) // 2
-    return np.asarray(np.exp(-2j * np.pi * np.multiply.outer(frequency.ravel(), place)) @ kernel, np.complex128)
+    return np.asarray(
+        np.exp(-2j * np.pi * np.multiply.outer(frequency.ravel(), place)) @ kernel, np.complex128
+    )
 
 
 @lru_cache(maxsize=64)
@@ -165,8 +183,11 @@ def _weights(one: Filter, line: tuple[float, ...]) -> NDArray[np.complex128]:
     return _comb(np.ones(one.high), fy).real[:, None] * _comb(np.convolve(one.columns, line), fx)
 
 
-def responses(one: Filter, spot: PulseSpread, line: tuple[float, ...] = (1.0,)) -> tuple[Array, Array]:
-    """Return the filter outputs of unit pulses at all positions: amplitudes, and the area in px of each.
+def responses(
+    one: Filter, spot: PulseSpread, line: tuple[float, ...] = (1.0,)
+) -> tuple[Array, Array]:
+    """Return the filter outputs of unit pulses at all positions: amplitudes, and the area in px of
+    each.
 
     Thousands of positions are reduced to few amplitudes with equal area, mean and mean square.
     """
@@ -178,7 +199,9 @@ def _responses(one: Filter, spot: PulseSpread, line: tuple[float, ...]) -> tuple
     sides, fine = _sides(one), EVENT_ACCURACY.steps_per_px
     # Filters and spots are symmetric along columns: one half counts twice, its borders once.
     half = fine * sides[0] // 2 + 1
-    whole = np.fft.irfft2(_transfer(spot, sides) * _weights(one, line), s=(fine * sides[0], fine * sides[1]))[:half]
+    whole = np.fft.irfft2(
+        _transfer(spot, sides) * _weights(one, line), s=(fine * sides[0], fine * sides[1])
+    )[:half]
     once = np.full(half, 2.0)
     once[[0, -1]] = 1.0
     weight = np.broadcast_to(once[:, None], whole.shape) / fine**2
@@ -188,8 +211,8 @@ def _responses(one: Filter, spot: PulseSpread, line: tuple[float, ...]) -> tuple
 def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
     """Return few values with weights in place of many, with equal moments up to the second.
 
-    Each value is assigned to the three nearest nodes by quadratic interpolation (some weights are negative). Nodes are
-    proportional to squared integers; small values use the three around zero.
+    Each value is assigned to the three nearest nodes by quadratic interpolation (some weights are
+    negative). Nodes are proportional to squared integers; small values use the three around zero.
     """
     top, count = float(np.abs(value).max()), EVENT_ACCURACY.nodes
     place = np.sqrt(np.abs(value) / top) * count
@@ -200,7 +223,11 @@ def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
     zero, unit = count + 1, nodes[count + 2]
     out = np.zeros(len(nodes))
     first, second = float(small_weight @ small) / unit, float(small_weight @ small**2) / unit**2
-    out[zero - 1 : zero + 2] = 0.5 * (second - first), float(small_weight.sum()) - second, 0.5 * (second + first)
+    out[zero - 1 : zero + 2] = (
+        0.5 * (second - first),
+        float(small_weight.sum()) - second,
+        0.5 * (second + first),
+    )
     large, large_weight = value[far], weight[far]
     middle = np.rint(np.copysign(place[far], large)).astype(np.int64) + zero
     middle = np.clip(middle, 1, len(nodes) - 2)
@@ -217,7 +244,9 @@ def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
 class DarkFrames:
     """Dark exposures without fixed pattern."""
 
-    changes: tuple[Images, ...]  # fluctuations of the exposures of each parity, shape (exposure, row, col), DN
+    changes: tuple[
+        Images, ...
+    ]  # fluctuations of the exposures of each parity, shape (exposure, row, col), DN
     stride: int  # exposures between successive ones of one parity
     row_pitch: float  # row pitch of an exposure, column pitches
     defects: float  # fraction of blinking pixels, which are set to zero
@@ -233,11 +262,15 @@ class DarkFrames:
         changes = []
         for change, good in zip(self.changes, usable, strict=True):
             count = np.maximum(good.sum(axis=0), 1)
-            changes.append(change - (np.where(good, change, 0.0).sum(axis=0) / count).astype(np.float32))
+            changes.append(
+                change - (np.where(good, change, 0.0).sum(axis=0) / count).astype(np.float32)
+            )
         return replace(self, changes=tuple(changes))
 
 
-def dark_frames(stack: FrameStack, context: Context, most_values: int = EVENTS.max_values) -> DarkFrames:
+def dark_frames(
+    stack: FrameStack, context: Context, most_values: int = EVENTS.max_values
+) -> DarkFrames:
     """Split fields, subtract each pixel's mean, and set blinking pixels to zero."""
     frames = min(len(stack), EVENTS.max_frames)
     middle = _middle(stack, frames, most_values)
@@ -255,8 +288,14 @@ def dark_frames(stack: FrameStack, context: Context, most_values: int = EVENTS.m
     top = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
     # Fraction at full scale of the brightest thousandth of the values.
     full = 0.0 if top is None else float(np.mean(middle.data >= top)) / 1e-3
-    return DarkFrames(changes=tuple(changes), stride=len(changes), row_pitch=context.pitch_ratio * row_step,
-                      defects=bad / pixels, still=float(np.mean(still)), full=full)  # fmt: skip
+    return DarkFrames(
+        changes=tuple(changes),
+        stride=len(changes),
+        row_pitch=context.pitch_ratio * row_step,
+        defects=bad / pixels,
+        still=float(np.mean(still)),
+        full=full,
+    )
 
 
 def _middle(stack: FrameStack, frames: int, most_values: int) -> FrameStack:
@@ -265,12 +304,16 @@ def _middle(stack: FrameStack, frames: int, most_values: int) -> FrameStack:
     share = min(1.0, np.sqrt(most_values / (frames * rows * cols)))
     high, wide = max(1, int(share * rows)), max(1, int(share * cols))
     row, col = (rows - high) // 4 * 2, (cols - wide) // 2
-    return FrameStack(data=stack.data[:frames, row : row + high, col : col + wide],
-                      frame_number=stack.frame_number[:frames])  # fmt: skip
+    return FrameStack(
+        data=stack.data[:frames, row : row + high, col : col + wide],
+        frame_number=stack.frame_number[:frames],
+    )
 
 
 def spread(values: NDArray) -> float:
-    """Return the standard deviation of the noise beneath the pulses, from the lower half of the values."""
+    """Return the standard deviation of the noise beneath the pulses, from the lower half of the
+    values.
+    """
     sample = values.ravel()[:: max(1, values.size // EVENT_ACCURACY.sample)]
     low, middle = np.quantile(sample, [0.15866, 0.5])
     return max(float(middle - low), 1e-6)
@@ -283,9 +326,13 @@ def _flickering(change: Images) -> NDArray[np.bool_]:
     often = np.count_nonzero(change > EVENTS.bright_sd * spread(change), axis=0)
     expected = max(float(np.mean(often)), 1e-3)
     # Neighbouring pixels see the same pulses: robust against few pixels that dominate the mean.
-    expected = max(min(expected, float(np.quantile(often, 0.9)) + 1e-3, len(change) - 1.0), 1e-3 * len(change))
+    expected = max(
+        min(expected, float(np.quantile(often, 0.9)) + 1e-3, len(change) - 1.0), 1e-3 * len(change)
+    )
     suspect = (often > 1) & (often > 2.0 * expected)
-    suspect[suspect] = (1.0 - gammaincc(often[suspect], expected)) * often.size < EVENTS.blinking_false_alarm
+    suspect[suspect] = (
+        1.0 - gammaincc(often[suspect], expected)
+    ) * often.size < EVENTS.blinking_false_alarm
     return suspect
 
 
@@ -325,16 +372,23 @@ def image_lag_correlation(frames: DarkFrames) -> ImageLagCorrelation:
     """Return in which later exposures image lag is detected."""
     one, values = frames.filters(1, lag=False)[MIDDLE], filter_exposures(frames)
     if frames.stride == 1:
-        return ImageLagCorrelation(across=False, later=_is_correlated(values[0][:-2], values[0][2:], one))
+        return ImageLagCorrelation(
+            across=False, later=_is_correlated(values[0][:-2], values[0][2:], one)
+        )
     even, odd = values
-    across = any(_is_correlated(*pair, one, lowered=0.0) for pair in ((even, odd), (odd[:-1], even[1:])))
-    return ImageLagCorrelation(across=across, later=any(_is_correlated(value[:-1], value[1:], one) for value in values))
+    across = any(
+        _is_correlated(*pair, one, lowered=0.0) for pair in ((even, odd), (odd[:-1], even[1:]))
+    )
+    return ImageLagCorrelation(
+        across=across, later=any(_is_correlated(value[:-1], value[1:], one) for value in values)
+    )
 
 
 def _is_correlated(before: Array, after: Array, one: Filter, lowered: float | None = None) -> bool:
     """Return whether pixels are correlated between two sets of exposures.
 
-    `lowered` is the bias of the correlation by the subtracted mean; None: one over the number of exposures.
+    `lowered` is the bias of the correlation by the subtracted mean; None: one over the number of
+    exposures.
     """
     # Limit the weight of a single bright pulse.
     limit = 12.0 * spread(before)
@@ -345,17 +399,21 @@ def _is_correlated(before: Array, after: Array, one: Filter, lowered: float | No
     # Values within the filter box and its video neighbours are correlated.
     area = 2.0 * one.high * one.broad
     sd = float(np.sqrt(np.mean(product**2) / (product.size / area))) / power
-    correlation = float(np.mean(product)) / power + (1.0 / len(before) if lowered is None else lowered)
+    correlation = float(np.mean(product)) / power + (
+        1.0 / len(before) if lowered is None else lowered
+    )
     return correlation > EVENTS.lag_sd * sd
 
 
-def usable_values(change: Images, one: Filter, limit_dn: float, after: int) -> tuple[NDArray[np.bool_], Array]:
+def usable_values(
+    change: Images, one: Filter, limit_dn: float, after: int
+) -> tuple[NDArray[np.bool_], Array]:
     """Return which values are far from every pulse above a limit, and the heights of these pulses.
 
     Starting with the brightest value, each pulse claims its surroundings.
 
-    `one`: filter whose output is compared with the limit, DN; `after`: exposures after such a pulse that are excluded
-    too.
+    `one`: filter whose output is compared with the limit, DN; `after`: exposures after such a pulse
+    that are excluded too.
     """
     value = one.within(change, one.reach)
     usable, heights = np.ones(change.shape, bool), []
@@ -366,14 +424,21 @@ def usable_values(change: Images, one: Filter, limit_dn: float, after: int) -> t
         if not usable[frame, row, col]:
             continue
         heights.append(float(bright[index]))
-        area = (slice(max(frame - after, 0), frame + after + 1),
-                slice(max(row - 2 * one.high, 0), row + 2 * one.high + 1),
-                slice(max(col - len(one.columns), 0), col + len(one.columns) + 1))  # fmt: skip
+        area = (
+            slice(max(frame - after, 0), frame + after + 1),
+            slice(max(row - 2 * one.high, 0), row + 2 * one.high + 1),
+            slice(max(col - len(one.columns), 0), col + len(one.columns) + 1),
+        )
         usable[area] = False
     return usable, np.array(heights)
 
 
 def fits_filters(frames: DarkFrames, least: int) -> bool:
-    """Return whether images have enough rows and columns inside the margin of the widest filters."""
+    """Return whether images have enough rows and columns inside the margin of the widest
+    filters.
+    """
     reach = common_reach(boxes(3, stride=1, exposures=2, lag=False))
-    return all(size - 2 * far >= least for size, far in zip(frames.changes[0].shape[1:], reach, strict=True))
+    return all(
+        size - 2 * far >= least
+        for size, far in zip(frames.changes[0].shape[1:], reach, strict=True)
+    )

@@ -41,31 +41,45 @@ def series_findings(series: FlatSeries) -> list[Finding]:
     if series.left_out:
         found.append(Finding(None, f"excluded (different gain): {', '.join(series.left_out)}"))
         here = series.flats[0].conditions
-        known = [f"{name} {getattr(here, name):.4g}" for name in GAINS if getattr(here, name) is not None]
+        known = [
+            f"{name} {getattr(here, name):.4g}" for name in GAINS if getattr(here, name) is not None
+        ]
         words = "the gain with most flats, or the brightest of equally many"
         found += [Finding(None, f"measured at {', '.join(known)}: {words}")] if known else []
     if series.single:
         found.append(Finding(None, without_noise(series.single)))
-    found += _stationarity_findings(series) + _proportionality_findings(series) + _clipping_findings(series)
+    found += (
+        _stationarity_findings(series)
+        + _proportionality_findings(series)
+        + _clipping_findings(series)
+    )
     found += _condition_findings(series) + processing_findings(series) + dark_findings(series)
     left = int(series.fitted.sum())
     if left < CHECKS.min_levels:
         word = "level" if left == 1 else "levels"
-        found.append(Finding(None, f"only {left} {word} inside the linear range: linearity not testable; {ALLOWED}"))
+        found.append(
+            Finding(
+                None,
+                f"only {left} {word} inside the linear range: linearity not testable; {ALLOWED}",
+            )
+        )
     return found
 
 
 def dark_findings(series: FlatSeries) -> list[Finding]:
     """Return the finding of a dark brighter than flats by more than the noise of a pixel."""
     noise = [max(dark.variance_dn2, 0.0) ** 0.5 for dark in series.darks]
-    below = [i for i, sd in enumerate(noise) if series.reference == "dark" and series.signal_dn[i] < -sd]
+    below = [
+        i for i, sd in enumerate(noise) if series.reference == "dark" and series.signal_dn[i] < -sd
+    ]
     if not below:
         return []
     lowest = min(below, key=lambda i: series.signal_dn[i])
     flat, dark = series.flats[lowest], series.darks[lowest]
     high = noise[lowest] - max(flat.variance_dn2, 0.0) ** 0.5
     effect = (
-        f"{flat.label} lies {-series.signal_dn[lowest]:.4g} DN below {dark.label}, whose noise may be {high:.3g} DN"
+        f"{flat.label} lies {-series.signal_dn[lowest]:.4g} DN below {dark.label}, whose "
+        f"noise may be {high:.3g} DN"
     )
     remedy = "kind in session.toml: dark and flat may be exchanged"
     return [with_remedy("dark-mismatch", f"{effect} too high", remedy)]
@@ -83,8 +97,8 @@ def _condition_findings(series: FlatSeries) -> list[Finding]:
                 continue
             word = name.rsplit("_", 1)
             effect = (
-                f"{flat.label} and its dark {dark.label} differ in {word[0]}: {here:.4g} and {there:.4g} {word[1]}, so "
-                "that level and noise of the dark may be others"
+                f"{flat.label} and its dark {dark.label} differ in {word[0]}: {here:.4g} and "
+                f"{there:.4g} {word[1]}, so that level and noise of the dark may be others"
             )
             found.append(with_remedy("unlike-conditions", effect, f"darks of the flats' {name}"))
     return found
@@ -93,15 +107,18 @@ def _condition_findings(series: FlatSeries) -> list[Finding]:
 def light_findings(series: FlatSeries) -> list[Finding]:
     """Return findings against quantities that need the illumination: dark current, misstated light.
 
-    Dark current missing from a shorter dark is Poisson-distributed like light, so it leaves the slope unbiased.
+    Dark current missing from a shorter dark is Poisson-distributed like light, so it leaves the
+    slope unbiased.
     """
     return [*_dark_current_findings(series), *_light_statement_findings(series)]
 
 
 def _dark_current_findings(series: FlatSeries) -> list[Finding]:
     """Return the finding of flats exposed for longer than their darks."""
-    times = [(f.conditions.exposure_s, d.conditions.exposure_s)
-             for f, d in zip(series.flats, series.darks, strict=True)]  # fmt: skip
+    times = [
+        (f.conditions.exposure_s, d.conditions.exposure_s)
+        for f, d in zip(series.flats, series.darks, strict=True)
+    ]
     gaps = [(here - there, here) for here, there in times if here is not None and there is not None]
     apart = [gap for gap, here in gaps if here and gap > CHECKS.exposure_tolerance * here]
     if not apart or series.reference != "dark":
@@ -111,7 +128,9 @@ def _dark_current_findings(series: FlatSeries) -> list[Finding]:
 
 
 def _light_of_conditions(series: FlatSeries) -> tuple[Array, Array] | None:
-    """Return stated light and signal of the fitted flats; None if one is unknown, or there is one flat only."""
+    """Return stated light and signal of the fitted flats; None if one is unknown, or there is one
+    flat only.
+    """
     chosen = np.flatnonzero(series.fitted)
     light = [light_of(series.flats[i].conditions) for i in chosen]
     if len(chosen) < 2 or any(value is None or value <= 0 for value in light):
@@ -130,10 +149,14 @@ def _light_statement_findings(series: FlatSeries) -> list[Finding]:
     if light >= CHECKS.min_light_ratio or levels < CHECKS.min_light_ratio:
         return []
     effect = (
-        f"levels differ {levels:.3g}-fold under light stated to differ {light:.3g}-fold, so that numbers per photon or "
-        "lux may be off as much"
+        f"levels differ {levels:.3g}-fold under light stated to differ {light:.3g}-fold, so that "
+        "numbers per photon or lux may be off as much"
     )
-    return [with_remedy("agc", effect, "illuminance_lux, photons_per_px or exposure_s of each flat as it was")]
+    return [
+        with_remedy(
+            "agc", effect, "illuminance_lux, photons_per_px or exposure_s of each flat as it was"
+        )
+    ]
 
 
 def is_quantisation_limited(dark: StackStatistics, signal_dn: float) -> bool:
@@ -144,15 +167,22 @@ def is_quantisation_limited(dark: StackStatistics, signal_dn: float) -> bool:
 def quantisation_findings(series: FlatSeries) -> list[Finding]:
     """Return the finding of flats so dim that rounding distorts every pulse."""
     fitted = np.flatnonzero(series.fitted)
-    if not all(is_quantisation_limited(series.darks[i], float(series.signal_dn[i])) for i in fitted):
+    if not all(
+        is_quantisation_limited(series.darks[i], float(series.signal_dn[i])) for i in fitted
+    ):
         return []
     brightest = float(series.signal_dn[fitted].max())
-    sentence = f"at {brightest:.2g} DN of signal rounding removes the faint parts of pulses; take brighter flats"
+    sentence = (
+        f"at {brightest:.2g} DN of signal rounding removes the faint parts of pulses; take "
+        f"brighter flats"
+    )
     return [Finding("quantised", sentence)]
 
 
 class _Trend(NamedTuple):
-    """Straight line through variance over signal against signal, DN; `shared` is the common error of the data."""
+    """Straight line through variance over signal against signal, DN; `shared` is the common error
+    of the data.
+    """
 
     signal: Array
     gain: Array
@@ -173,19 +203,35 @@ def _trend(series: FlatSeries) -> _Trend | None:
     sd, common = errors_of(series)
     sd, shared, gain = sd[chosen] / signal, common / signal, series.variance_dn2[chosen] / signal
     one = np.ones_like(signal)
-    line, mean = (linear_fit(columns, gain, sd, shared=shared) for columns in ([one, signal / signal.max()], [one]))
-    return _Trend(signal=signal, gain=gain, sd=sd, shared=shared, first=line.best[0], rise=line.best[1],
-                  rise_sd=float(np.sqrt(line.covariance[1, 1])), middle=mean.best[0])  # fmt: skip
+    line, mean = (
+        linear_fit(columns, gain, sd, shared=shared)
+        for columns in ([one, signal / signal.max()], [one])
+    )
+    return _Trend(
+        signal=signal,
+        gain=gain,
+        sd=sd,
+        shared=shared,
+        first=line.best[0],
+        rise=line.best[1],
+        rise_sd=float(np.sqrt(line.covariance[1, 1])),
+        middle=mean.best[0],
+    )
 
 
 def bend_allowance(series: FlatSeries) -> float:
     """Return the relative standard deviation of the gain due to possible nonlinearity.
 
-    The slope lies below the small-signal gain by up to the change of variance over signal. Three or more levels show
-    this change; with one or two levels the accepted nonlinearity and none are equally likely.
+    The slope lies below the small-signal gain by up to the change of variance over signal. Three or
+    more levels show this change; with one or two levels the accepted nonlinearity and none are
+    equally likely.
     """
     trend = _trend(series)
-    share, sd = (0.0, np.inf) if trend is None else (trend.rise / trend.middle, trend.rise_sd / trend.middle)
+    share, sd = (
+        (0.0, np.inf)
+        if trend is None
+        else (trend.rise / trend.middle, trend.rise_sd / trend.middle)
+    )
     if series.fitted.sum() >= CHECKS.min_levels:
         return min(abs(share), CHECKS.curvature) if abs(share) > CHECKS.curvature_sd * sd else 0.0
     shrinkage = CHECKS.curvature**2 / (CHECKS.curvature**2 + sd**2)
@@ -201,11 +247,16 @@ def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
         return []
     middle, slope, error = trend.middle, trend.rise, trend.rise_sd
     # Behind a gamma curve variance over signal rises and falls again, which no straight line shows.
-    limit = 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * np.hypot(trend.sd, trend.shared)
+    limit = 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * np.hypot(
+        trend.sd, trend.shared
+    )
     deviates = bool(np.any(np.abs(trend.gain - middle) > limit))
     if abs(slope) <= CHECKS.curvature_sd * error and not deviates:
         return []
-    sentence = f"variance over signal changes from {trend.first:.4g} to {trend.first + slope:.4g} DN along the levels"
+    sentence = (
+        f"variance over signal changes from {trend.first:.4g} to {trend.first + slope:.4g} "
+        f"DN along the levels"
+    )
     if not deviates and abs(slope) <= CHECKS.curvature * middle + CHECKS.curvature_sd * error:
         more = "the gain is the slope over all levels, and its interval includes the change"
         return [Finding(None, f"{sentence}; {more}")]
@@ -224,15 +275,24 @@ def exposure_findings(exposures: UndetectedEffect) -> list[Finding]:
     return []
 
 
-def correlation_findings(neighbours: UndetectedEffect, exposures: UndetectedEffect) -> list[Finding]:
+def correlation_findings(
+    neighbours: UndetectedEffect, exposures: UndetectedEffect
+) -> list[Finding]:
     """Return findings of correlations that lower the variance."""
     found = exposure_findings(exposures)
     if neighbours.is_detected:
         low = 100.0 * (1.0 - 1.0 / (1.0 + max(neighbours.share, 0.0)))
-        effect = f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is {low:.2g} % low"
+        effect = (
+            f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is "
+            f"{low:.2g} % low"
+        )
         found.append(with_remedy("correlated-noise", effect, "--method covariance-sum"))
     elif neighbours.is_untestable:
-        found.append(Finding(None, f"too few pixels and frames to test the correlation of neighbours; {ALLOWED}"))
+        found.append(
+            Finding(
+                None, f"too few pixels and frames to test the correlation of neighbours; {ALLOWED}"
+            )
+        )
     return found
 
 
@@ -242,7 +302,9 @@ def _stationarity_findings(series: FlatSeries) -> list[Finding]:
     for flat, signal in zip(series.flats, np.abs(series.signal_dn), strict=True):
         drift, flicker = drift_and_flicker(flat)
         if abs(drift) > CHECKS.drift_fraction * signal:
-            found.append(Finding("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame"))
+            found.append(
+                Finding("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame")
+            )
         if flicker > CHECKS.flicker_fraction * signal:
             found.append(Finding("flicker", f"{flat.label} flickers by {flicker:.3g} DN rms"))
     return found
@@ -271,14 +333,23 @@ def drift_and_flicker(level: StackStatistics) -> tuple[float, float]:
     significant = rms > noise * (1 + CHECKS.significant_sd / np.sqrt(2 * len(means)))
     # A step in the middle, as of automatic gain, leaves a residual of its own about a line.
     scatter = min([rms, *_scatter_about_steps(means)])
-    drift = slope if abs(slope) > CHECKS.significant_sd * max(slope_sd, scatter / np.sqrt(time @ time)) else 0.0
+    drift = (
+        slope
+        if abs(slope) > CHECKS.significant_sd * max(slope_sd, scatter / np.sqrt(time @ time))
+        else 0.0
+    )
     return drift, rms if significant else 0.0
 
 
 def _scatter_about_steps(means: Array) -> list[float]:
-    """Return the rms of frame means about their means before and after a frame, of three frames or more each, DN."""
+    """Return the rms of frame means about their means before and after a frame, of three frames or
+    more each, DN.
+    """
     parts = [(means[:at], means[at:]) for at in range(3, len(means) - 2)]
-    return [float(np.sqrt(sum(len(part) * part.var() for part in both) / (len(means) - 3))) for both in parts]
+    return [
+        float(np.sqrt(sum(len(part) * part.var() for part in both) / (len(means) - 3)))
+        for both in parts
+    ]
 
 
 def light_of(conditions: Conditions) -> float | None:
@@ -294,7 +365,10 @@ def light_of(conditions: Conditions) -> float | None:
 def _proportionality_findings(series: FlatSeries) -> list[Finding]:
     """Return findings of a signal that is not proportional to the stated light."""
     # A gain change common to all levels does not show in flats; the session must state it.
-    if any(flat.conditions.automatic_gain or flat.conditions.brightness_control for flat in series.flats):
+    if any(
+        flat.conditions.automatic_gain or flat.conditions.brightness_control
+        for flat in series.flats
+    ):
         return [Finding("agc", "an automatic gain or brightness control was on")]
     stated = _light_of_conditions(series)
     if stated is None:
@@ -305,20 +379,32 @@ def _proportionality_findings(series: FlatSeries) -> list[Finding]:
         return []
     if gamma := gamma_of_light(exposure, signal):
         return gamma
-    slope = float(np.polyfit(np.log(exposure), np.log(np.maximum(signal, 1e-3 * signal.max())), 1)[0])
+    slope = float(
+        np.polyfit(np.log(exposure), np.log(np.maximum(signal, 1e-3 * signal.max())), 1)[0]
+    )
     if slope < CHECKS.min_light_exponent:
-        return [Finding("agc", f"the light changed {span:.3g}-fold and the mean as its power {slope:.2f} only")]
+        return [
+            Finding(
+                "agc",
+                f"the light changed {span:.3g}-fold and the mean as its power {slope:.2f} only",
+            )
+        ]
     ratio = signal / exposure
     reference = float(exposure @ signal / (exposure @ exposure))
     off = float(np.abs(ratio / reference - 1.0)[signal > 0.05 * signal.max()].max())
     if off > CHECKS.nonlinear_fraction:
-        return [Finding("nonlinear", f"signal over light deviates by {100 * off:.1f} % from its mean")]
+        return [
+            Finding("nonlinear", f"signal over light deviates by {100 * off:.1f} % from its mean")
+        ]
     return []
 
 
 def _clipping_findings(series: FlatSeries) -> list[Finding]:
     found = [
-        Finding("clipped", f"{100 * level.low_fraction:.1f} % of the pixels of {level.label} are at 0 DN")
+        Finding(
+            "clipped",
+            f"{100 * level.low_fraction:.1f} % of the pixels of {level.label} are at 0 DN",
+        )
         for level in (*series.all_darks, *series.flats)
         if level.low_fraction > 0.01
     ]

@@ -1,8 +1,8 @@
 """EMVA 1288 Release 4 (linear model) for white noise: system gain, responsivity, sensitivity.
 
-Mean and variance of the grey value are mu = mu_dark + K eta p and s^2 = s_dark^2 + K (mu - mu_dark) for p photons on
-a pixel; K is the slope of the photon transfer curve and R = K eta that of the responsivity, both fitted over 0-70 % of
-saturation, the level where the temporal variance peaks.
+Mean and variance of the grey value are mu = mu_dark + K eta p and s^2 = s_dark^2 + K (mu - mu_dark)
+for p photons on a pixel; K is the slope of the photon transfer curve and R = K eta that of the
+responsivity, both fitted over 0-70 % of saturation, the level where the temporal variance peaks.
 """
 
 from dataclasses import dataclass, replace
@@ -38,13 +38,18 @@ class Excess:
 
 
 def excess_of(conditions: Conditions, context: Context) -> Excess:
-    """Return the excess noise factor of the register, from the stated gain or else the described one."""
+    """Return the excess noise factor of the register, from the stated gain or else the described
+    one.
+    """
     gain, register = conditions.em_gain, context.register
     if context.sensor is not None or (gain is None and register is None):
         return Excess()
     source = f"em_gain {gain:g} of the session" if gain is not None else ""
     if gain is None and register is not None:
-        gain, source = float(register.em_gain), f"em_gain {float(register.em_gain):g} of the description"
+        gain, source = (
+            float(register.em_gain),
+            f"em_gain {float(register.em_gain):g} of the description",
+        )
     if gain is None or gain <= 1.0:
         return Excess()
     # Between many equal stages and exponential pulse heights, which differ by 1 or 2 %.
@@ -53,8 +58,8 @@ def excess_of(conditions: Conditions, context: Context) -> Excess:
     if gain < GAIN.exponential_gain:
         factor, half = excess_noise_factor(gain), excess_noise_factor(gain) - least
     note = (
-        f"per electron before the multiplying register: variance over signal is K F2, and F2 = {factor:.4g} "
-        f"({source}; Robbins & Hadwen 2003) is divided out"
+        "per electron before the multiplying register: variance over signal is K F2, and F2 = "
+        f"{factor:.4g} ({source}; Robbins & Hadwen 2003) is divided out"
     )
     return Excess(factor=factor, relative_sd=half / factor, note=note)
 
@@ -71,16 +76,25 @@ class GainLine:
     residual: Array  # residual of each stack, shape (stack,)
 
 
-def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[str, str], seed: int,
-         quick: bool, shared_sd: float = 0.0) -> GainLine:  # fmt: skip
+def line(
+    x: Array,
+    y: Array,
+    sd: Array,
+    *,
+    names: tuple[str, str],
+    units: tuple[str, str],
+    seed: int,
+    quick: bool,
+    shared_sd: float = 0.0,
+) -> GainLine:
     """Fit y = a x with an unknown model departure of equal standard deviation at all levels.
 
-    `x`, `y`, `sd`: levels and standard errors of y, shape (level,); `names`, `units`: names and units of slope and
-    departure; `shared_sd`: standard error of an offset common to all y.
+    `x`, `y`, `sd`: levels and standard errors of y, shape (level,); `names`, `units`: names and
+    units of slope and departure; `shared_sd`: standard error of an offset common to all y.
 
-    No camera is exactly linear. If the departure exceeds the noise, the result is the unweighted fit of the standard
-    with an interval from the residuals, else the weighted fit. The prior of the departure is uniform in its logarithm
-    from 1e-5 to 1 of the largest y.
+    No camera is exactly linear. If the departure exceeds the noise, the result is the unweighted
+    fit of the standard with an interval from the residuals, else the weighted fit. The prior of the
+    departure is uniform in its logarithm from 1e-5 to 1 of the largest y.
     """
     given = x, y
     x, y, sd = pool_equal_levels(x, y, sd)
@@ -88,7 +102,12 @@ def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[
     first = float((x @ y) / (x @ x))
     rest = y - first * x
     floor, ceiling = np.log(1e-5 * scale), np.log(scale)
-    start = np.array([first, np.clip(np.log(max(float(np.sqrt(np.mean(rest**2))), 1e-4 * scale)), floor, ceiling)])
+    start = np.array(
+        [
+            first,
+            np.clip(np.log(max(float(np.sqrt(np.mean(rest**2))), 1e-4 * scale)), floor, ceiling),
+        ]
+    )
     bounds = np.array([[-np.inf, np.inf], [floor, ceiling]])
 
     def log_probability(points: Array) -> Array:
@@ -100,37 +119,62 @@ def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[
             value += 0.5 * ((rest / variance).sum(axis=1) ** 2 / known - np.log(known))
         return value
 
-    posterior = draw_posterior(log_probability, start, bounds, names=(names[0], f"log_{names[1]}"), units=units,
-                               seed=seed, method=laplace if quick else sample_posterior)  # fmt: skip
+    posterior = draw_posterior(
+        log_probability,
+        start,
+        bounds,
+        names=(names[0], f"log_{names[1]}"),
+        units=units,
+        seed=seed,
+        method=laplace if quick else sample_posterior,
+    )
     slope = posterior[names[0]]
-    return GainLine(posterior=posterior, slope=slope, residual=given[1] - float(np.median(slope)) * given[0])
+    return GainLine(
+        posterior=posterior, slope=slope, residual=given[1] - float(np.median(slope)) * given[0]
+    )
 
 
 def pool_equal_levels(x: Array, y: Array, sd: Array) -> tuple[Array, Array, Array]:
-    """Return the weighted mean of the stacks at each level, which have their departure in common."""
+    """Return the weighted mean of the stacks at each level, which have their departure in
+    common.
+    """
     order = np.argsort(x)
     level = np.concatenate([[0], np.cumsum(np.diff(x[order]) > GAIN.same_level * x[order][1:])])
     weight = 1.0 / np.maximum(sd[order], 1e-12) ** 2
     total = np.bincount(level, weight)
-    return (np.bincount(level, weight * x[order]) / total, np.bincount(level, weight * y[order]) / total,
-            1.0 / np.sqrt(total))  # fmt: skip
+    return (
+        np.bincount(level, weight * x[order]) / total,
+        np.bincount(level, weight * y[order]) / total,
+        1.0 / np.sqrt(total),
+    )
 
 
 def gain_line(series: FlatSeries, *, context: Context, allowance: float = 0.0) -> GainLine:
-    """Return the slope of the photon transfer curve, DN per electron, divided by F^2 behind a register.
+    """Return the slope of the photon transfer curve, DN per electron, divided by F^2 behind a
+    register.
 
     `allowance` is the relative standard deviation due to undetected effects.
     """
     chosen = series.fitted
     sd, shared = errors_of(series)
-    found = line(series.signal_dn[chosen], series.variance_dn2[chosen], sd[chosen], names=("system_gain", "departure"),
-                 units=("DN/e-", "log DN2"), seed=context.seed, quick=context.quick, shared_sd=shared)  # fmt: skip
+    found = line(
+        series.signal_dn[chosen],
+        series.variance_dn2[chosen],
+        sd[chosen],
+        names=("system_gain", "departure"),
+        units=("DN/e-", "log DN2"),
+        seed=context.seed,
+        quick=context.quick,
+        shared_sd=shared,
+    )
     excess = excess_of(series.flats[0].conditions, context)
     if not allowance and excess.note is None:
         return found
     posterior = found.posterior
     if allowance:
-        posterior = with_relative_error(posterior, "system_gain", allowance, np.random.default_rng([context.seed, 5]))
+        posterior = with_relative_error(
+            posterior, "system_gain", allowance, np.random.default_rng([context.seed, 5])
+        )
     draws = posterior.draws.copy()
     draws[:, 0] = excess.divide(draws[:, 0], context.seed)
     posterior = replace(posterior, draws=draws)
@@ -138,20 +182,27 @@ def gain_line(series: FlatSeries, *, context: Context, allowance: float = 0.0) -
 
 
 def errors_of(series: FlatSeries) -> tuple[Array, float]:
-    """Return the standard errors of the variances above the dark, shape (flat,), and their common error, DN^2.
+    """Return the standard errors of the variances above the dark, shape (flat,), and their common
+    error, DN^2.
 
     Flats of one dark have its error in common, and the rounding of its variance; see
     `charact.noise.rounding`.
     """
     own = np.array([flat.variance_sd_dn2 for flat in series.flats])
-    dark = np.array([np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]) for dark in series.darks])
+    dark = np.array(
+        [np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]) for dark in series.darks]
+    )
     if len({level.label for level in series.darks}) == 1:
         return own, float(dark[0])
     return np.hypot(own, dark), 0.0
 
 
-def with_relative_error(posterior: Posterior, name: str, relative_sd: float, rng: np.random.Generator) -> Posterior:
-    """Return the posterior with one more independent relative error of a parameter; its median is unchanged."""
+def with_relative_error(
+    posterior: Posterior, name: str, relative_sd: float, rng: np.random.Generator
+) -> Posterior:
+    """Return the posterior with one more independent relative error of a parameter; its median is
+    unchanged.
+    """
     draws, column = posterior.draws.copy(), posterior.names.index(name)
     wider = draws[:, column] * np.exp(relative_sd * rng.standard_normal(len(draws)))
     middle = float(np.median(wider))
@@ -169,9 +220,15 @@ def responsivity_line(series: FlatSeries, photons: Array, *, context: Context) -
     """Return the responsivity: slope of signal against photons per pixel, DN per photon."""
     chosen = series.fitted
     error = [np.sqrt(flat.variance_dn2 / (flat.pixels * flat.frames)) for flat in series.flats]
-    return line(photons[chosen], series.signal_dn[chosen], np.array(error)[chosen],
-                names=("responsivity", "departure"), units=("DN", "log DN"), seed=context.seed + 1,
-                quick=context.quick)  # fmt: skip
+    return line(
+        photons[chosen],
+        series.signal_dn[chosen],
+        np.array(error)[chosen],
+        names=("responsivity", "departure"),
+        units=("DN", "log DN"),
+        seed=context.seed + 1,
+        quick=context.quick,
+    )
 
 
 def dark_noise_dn(series: FlatSeries) -> tuple[float, float]:
@@ -186,6 +243,12 @@ def noise_of(variance_dn2: float, sd_dn2: float) -> tuple[float, float]:
     return noise, sd_dn2 / (2.0 * noise) if noise > 0 else 0.0
 
 
-def sensitivity_photons(efficiency: Array, dark_e2: Array, gain: Array, excess: float = 1.0) -> Array:
-    """Return the photons at SNR 1 (EMVA 1288 R4, eq. 26): (sqrt(s_d^2 + s_q^2/K^2 + F^4/4) + F^2/2) / eta."""
-    return (np.sqrt(dark_e2 + QUANTISATION_DN2 / gain**2 + 0.25 * excess**2) + 0.5 * excess) / efficiency
+def sensitivity_photons(
+    efficiency: Array, dark_e2: Array, gain: Array, excess: float = 1.0
+) -> Array:
+    """Return the photons at SNR 1 (EMVA 1288 R4, eq. 26): (sqrt(s_d^2 + s_q^2/K^2 + F^4/4) + F^2/2)
+    / eta.
+    """
+    return (
+        np.sqrt(dark_e2 + QUANTISATION_DN2 / gain**2 + 0.25 * excess**2) + 0.5 * excess
+    ) / efficiency

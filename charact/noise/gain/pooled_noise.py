@@ -11,7 +11,12 @@ from charact.noise.gain.model import PixelReadoutModel
 from charact.noise.gain.series import FlatSeries, dark_shares
 from charact.noise.gain.white_floor import Beyond, beyond_of
 from charact.noise.stack.stack_statistics import StackStatistics
-from charact.noise.stack.temporal import error_correlation, n_effective_samples, same_row_lags, truncation_bias
+from charact.noise.stack.temporal import (
+    error_correlation,
+    n_effective_samples,
+    same_row_lags,
+    truncation_bias,
+)
 from charact.noise.thresholds import GAIN
 from labdata.sensor import Sensor
 
@@ -21,18 +26,24 @@ KEPT = np.linspace(0.02, 0.9, 45)
 
 
 def lag_sum_correction(
-    flats: Sequence[StackStatistics], share: Array, lags: NDArray[np.int64], correlation: Array, covariance: Array
+    flats: Sequence[StackStatistics],
+    share: Array,
+    lags: NDArray[np.int64],
+    correlation: Array,
+    covariance: Array,
 ) -> tuple[float, Array]:
-    """Return the missing part of the correlation sum over all lags, and its derivative by the correlations.
+    """Return the missing part of the correlation sum over all lags, and its derivative by the
+    correlations.
 
-    `flats`: the pooled levels; `share`: weight of each flat in the pooled covariances, sum 1, shape (flat,); `lags`:
-    common lags from 0, exposures, shape (lag + 1,); `correlation`, `covariance`: correlation at the lags from 1, shape
-    (lag,), and the covariance of its errors.
+    `flats`: the pooled levels; `share`: weight of each flat in the pooled covariances, sum 1, shape
+    (flat,); `lags`: common lags from 0, exposures, shape (lag + 1,); `correlation`, `covariance`:
+    correlation at the lags from 1, shape (lag,), and the covariance of its errors.
 
-    Beyond the first lag the correlation is b r^(lag - 2), r the fraction of the light left one exposure later; centring
-    lowers it at each lag, see `truncation_bias`. The result is the mean over uniform b and r, and over no decay with
-    equal total weight, weighted by the likelihood exp(-chi^2/2). Its derivative by the correlations is the posterior
-    covariance of the missing part with the model, times the inverse covariance of the errors.
+    Beyond the first lag the correlation is b r^(lag - 2), r the fraction of the light left one
+    exposure later; centring lowers it at each lag, see `truncation_bias`. The result is the mean
+    over uniform b and r, and over no decay with equal total weight, weighted by the likelihood
+    exp(-chi^2/2). Its derivative by the correlations is the posterior covariance of the missing
+    part with the model, times the inverse covariance of the errors.
     """
     none = np.zeros(len(correlation))
     use = lags[1:] >= GAIN.first_lag
@@ -58,18 +69,27 @@ def lag_sum_correction(
 
 
 def _heights(form: Array, correlation: Array, precision: Array) -> tuple[Array, Array]:
-    """Return the amplitudes for each decay, shape (height, kept), and their spacing, shape (kept,)."""
+    """Return the amplitudes for each decay, shape (height, kept), and their spacing, shape
+    (kept,).
+    """
     weighted = form @ precision
     information = np.einsum("rk,rk->r", weighted, form)
     height = weighted @ correlation / information
     width = GAIN.amplitude_sd / np.sqrt(information)
-    low, high = np.clip(height - width, 0.0, 1.0), np.clip(np.maximum(height, 0.0) + width, 0.0, 1.0)
+    low, high = (
+        np.clip(height - width, 0.0, 1.0),
+        np.clip(np.maximum(height, 0.0) + width, 0.0, 1.0),
+    )
     parts = (np.arange(GAIN.amplitudes) + 0.5) / GAIN.amplitudes
     return low + (high - low) * parts[:, None], (high - low) / GAIN.amplitudes
 
 
-def _truncation_biases(flats: Sequence[StackStatistics], share: Array, lags: NDArray[np.int64]) -> Array:
-    """Return the bias of each pooled covariance per covariance at the last lag, shape (kept, lag + 1); negative."""
+def _truncation_biases(
+    flats: Sequence[StackStatistics], share: Array, lags: NDArray[np.int64]
+) -> Array:
+    """Return the bias of each pooled covariance per covariance at the last lag, shape (kept, lag +
+    1); negative.
+    """
     out = np.zeros((len(KEPT), len(lags)))
     for weight, flat in zip(share, flats, strict=True):
         distance, added = truncation_bias(flat.time, flat.parity, flat.many.lags)
@@ -82,12 +102,13 @@ class ImageLag:
     """Image lag: correlation of exposures in time."""
 
     lag: NDArray[np.int64]  # lags, exposures, shape (lag,), from 1
-    # correlation, correlation_sd: correlation of the modes at the lags and standard errors, shape (lag,)
+    # correlation, correlation_sd: correlation of the modes at the lags and standard errors, shape
+    # (lag,)
     correlation: Array
     correlation_sd: Array
     is_detected: bool  # whether image lag is detected
-    # factor, factor_sd: sum of the correlation over all lags, positive and negative, and its standard error: 1 without
-    # lag
+    # factor, factor_sd: sum of the correlation over all lags, positive and negative, and its
+    # standard error: 1 without lag
     factor: float
     factor_sd: float
     freedom: float  # degrees of freedom of the standard error
@@ -96,15 +117,25 @@ class ImageLag:
 
 
 # Images too small for a spectrum, or too few frames for lags.
-NO_LAG = ImageLag(lag=np.empty(0, np.int64), correlation=np.empty(0), correlation_sd=np.empty(0), is_detected=False,
-                  factor=1.0, factor_sd=0.0, freedom=np.inf, tested=False, open=False)  # fmt: skip
+NO_LAG = ImageLag(
+    lag=np.empty(0, np.int64),
+    correlation=np.empty(0),
+    correlation_sd=np.empty(0),
+    is_detected=False,
+    factor=1.0,
+    factor_sd=0.0,
+    freedom=np.inf,
+    tested=False,
+    open=False,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PooledNoise:
     """Noise per DN of signal."""
 
-    # column_cy_per_px, row_cy_per_px: frequencies of the bins, cycles per column pitch, shape (bin,)
+    # column_cy_per_px, row_cy_per_px: frequencies of the bins, cycles per column pitch, shape
+    # (bin,)
     column_cy_per_px: Array
     row_cy_per_px: Array
     reading: PixelReadoutModel  # pixel readout
@@ -125,8 +156,9 @@ class PooledNoise:
 def pool_noise(series: FlatSeries, sensor: Sensor | None, *, floor: bool = False) -> PooledNoise:
     """Pool the fitted flats of a series, weighted by their information.
 
-    `series`: the flats of one setting with their darks; `sensor`: sensor description for the readout model; None if
-    unknown; `floor`: whether a white floor is possible; includes the integrals beyond the band.
+    `series`: the flats of one setting with their darks; `sensor`: sensor description for the
+    readout model; None if unknown; `floor`: whether a white floor is possible; includes the
+    integrals beyond the band.
     """
     chosen, weight = pooling(series)
     pairs = [(series.flats[i], series.darks[i]) for i in chosen]
@@ -137,18 +169,29 @@ def pool_noise(series: FlatSeries, sensor: Sensor | None, *, floor: bool = False
     lag = lag_of(*_power(pairs, weight, "many"), dark, [flat for flat, _ in pairs], share)
     name = "many" if lag.is_detected else "few"
     power, _ = _power(pairs, weight, name)
-    variance = np.array([getattr(f, name).variance_dn2 - getattr(d, name).variance_dn2 for f, d in pairs])
-    by_heights = np.array([_by_heights(flat, count) for (flat, _), count in zip(pairs, exposures, strict=True)])
+    variance = np.array(
+        [getattr(f, name).variance_dn2 - getattr(d, name).variance_dn2 for f, d in pairs]
+    )
+    by_heights = np.array(
+        [_by_heights(flat, count) for (flat, _), count in zip(pairs, exposures, strict=True)]
+    )
     known = np.array([_independent(flat, name, lag) for flat, _ in pairs])
     return PooledNoise(
-        column_cy_per_px=bins.column_cy_per_px, row_cy_per_px=bins.row_cy_per_px,
-        reading=PixelReadoutModel.of(bins.row_pitch, sensor), leak_cy2_per_px2=bins.leak_cy2_per_px2,
-        modes=bins.modes * bins.efficiency * known[:, 0].sum(), power_dn=power[:, 0],
-        power_sd_dn=_power_sd(pairs, weight, name, known[:, 0], lag), variance_dn=float(weight @ variance),
+        column_cy_per_px=bins.column_cy_per_px,
+        row_cy_per_px=bins.row_cy_per_px,
+        reading=PixelReadoutModel.of(bins.row_pitch, sensor),
+        leak_cy2_per_px2=bins.leak_cy2_per_px2,
+        modes=bins.modes * bins.efficiency * known[:, 0].sum(),
+        power_dn=power[:, 0],
+        power_sd_dn=_power_sd(pairs, weight, name, known[:, 0], lag),
+        variance_dn=float(weight @ variance),
         variance_sd_dn=_variance_sd(pairs, weight, exposures / known[:, 1]),
-        height_sd=float(np.sqrt(weight**2 @ by_heights) / max(weight @ variance, 1e-12)), lag=lag,
-        beyond=beyond_of(pairs, weight, series.signal_dn[chosen], known[:, 0], name) if floor else None,
-    )  # fmt: skip
+        height_sd=float(np.sqrt(weight**2 @ by_heights) / max(weight @ variance, 1e-12)),
+        lag=lag,
+        beyond=beyond_of(pairs, weight, series.signal_dn[chosen], known[:, 0], name)
+        if floor
+        else None,
+    )
 
 
 def pooling(series: FlatSeries) -> tuple[NDArray[np.int64], Array]:
@@ -168,13 +211,20 @@ def _exposures(level: StackStatistics) -> float:
 
 
 def _by_heights(flat: StackStatistics, exposures: float) -> float:
-    """Return the squared standard error of a variance beyond that of normal modes of the same spectrum, DN^4.
+    """Return the squared standard error of a variance beyond that of normal modes of the same
+    spectrum, DN^4.
 
-    A variance v of N pixels is the mean power of N modes, of relative variance 2 sum P^2 / (N v)^2 from one exposure.
-    The remaining power is distributed evenly over modes beyond the band.
+    A variance v of N pixels is the mean power of N modes, of relative variance 2 sum P^2 / (N v)^2
+    from one exposure. The remaining power is distributed evenly over modes beyond the band.
     """
-    pixels, power, modes = flat.pixels / len(np.unique(flat.parity)), flat.few.power_dn2[:, 0], 2.0 * flat.bins.modes
-    beyond = max(pixels * flat.variance_dn2 - float(modes @ power), 0.0) ** 2 / (pixels - modes.sum())
+    pixels, power, modes = (
+        flat.pixels / len(np.unique(flat.parity)),
+        flat.few.power_dn2[:, 0],
+        2.0 * flat.bins.modes,
+    )
+    beyond = max(pixels * flat.variance_dn2 - float(modes @ power), 0.0) ** 2 / (
+        pixels - modes.sum()
+    )
     normal = 2.0 * (float(modes @ power**2) + beyond) / pixels**2 / exposures
     return max(flat.variance_sd_dn2**2 - normal, 0.0)
 
@@ -182,7 +232,10 @@ def _by_heights(flat: StackStatistics, exposures: float) -> float:
 def _power(pairs, weight: Array, name: str) -> tuple[Array, NDArray[np.int64]]:
     """Return the pooled spectrum above the dark's, shape (bin, lag), and its lags."""
     lags = min((getattr(level, name).lags for pair in pairs for level in pair), key=len)
-    above = [getattr(f, name).power_dn2[:, : len(lags)] - getattr(d, name).power_dn2[:, : len(lags)] for f, d in pairs]
+    above = [
+        getattr(f, name).power_dn2[:, : len(lags)] - getattr(d, name).power_dn2[:, : len(lags)]
+        for f, d in pairs
+    ]
     return np.tensordot(weight, np.array(above), 1), lags
 
 
@@ -200,19 +253,26 @@ def _power_sd(pairs, weight: Array, name: str, known: Array, lag: ImageLag) -> A
     """Return the standard error of the pooled spectrum; a common dark is a common error."""
     bins = pairs[0][0].bins
     parts = [(flat, w, count) for w, (flat, _), count in zip(weight, pairs, known, strict=True)]
-    parts += [(dark, w, _independent(dark, name, lag)[0]) for dark, w in dark_shares([d for _, d in pairs], weight)]
+    parts += [
+        (dark, w, _independent(dark, name, lag)[0])
+        for dark, w in dark_shares([d for _, d in pairs], weight)
+    ]
     square = sum((w * getattr(one, name).power_dn2[:, 0]) ** 2 / count for one, w, count in parts)
     return np.sqrt(square / (bins.modes * bins.efficiency))
 
 
 def _variance_sd(pairs, weight: Array, inflation: Array) -> float:
-    """Return the standard error of the pooled variance over signal; `inflation` is the variance factor of the lags."""
+    """Return the standard error of the pooled variance over signal; `inflation` is the variance
+    factor of the lags.
+    """
     parts = [(flat, w, more) for w, (flat, _), more in zip(weight, pairs, inflation, strict=True)]
     parts += [(dark, w, 1.0) for dark, w in dark_shares([d for _, d in pairs], weight)]
     return float(np.sqrt(sum((w * one.variance_sd_dn2) ** 2 * more for one, w, more in parts)))
 
 
-def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[StackStatistics], share: Array) -> ImageLag:
+def lag_of(
+    power: Array, lags: NDArray[np.int64], dark: Array, flats: list[StackStatistics], share: Array
+) -> ImageLag:
     """Return the temporal correlation, pooled over bins by information; errors from their scatter.
 
     Covariances at different lags use the same frames, so their errors are correlated bin by bin.
@@ -225,7 +285,9 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Stack
     known = bins.modes * (smooth / (smooth + 2.0 * np.maximum(dark, 0.0))) ** 2
     weight = np.repeat(known[:, None], len(lags) - 1, axis=1)
     if len(np.unique(flats[0].parity)) > 1:
-        weight *= (bins.row_cy_per_px * bins.row_pitch < GAIN.odd_lag_cy_per_row)[:, None] | (lags[1:] % 2 == 0)
+        weight *= (bins.row_cy_per_px * bins.row_pitch < GAIN.odd_lag_cy_per_row)[:, None] | (
+            lags[1:] % 2 == 0
+        )
     weight /= weight.sum(axis=0)
     # Blur differs along rows and columns: each lag is compared with lag 0 in the same bins.
     relative = power / smooth[:, None]
@@ -233,7 +295,12 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Stack
     value = (weight * relative[:, 1:]).sum(axis=0) / height
     square = (weight**2).sum(axis=0)
     # Residuals about a weighted mean underestimate the errors, more so for few bins.
-    rest = weight * (relative[:, 1:] - value * relative[:, :1]) / height / np.sqrt(np.maximum(1.0 - square, 0.1))
+    rest = (
+        weight
+        * (relative[:, 1:] - value * relative[:, :1])
+        / height
+        / np.sqrt(np.maximum(1.0 - square, 0.1))
+    )
     sd = np.sqrt((rest**2).sum(axis=0))
     freedom = max(2.0, float(1.0 / square.max() - 1.0))
     seen = bool((value[:3] > -stdtrit(freedom, GAIN.lag_false_alarm) * sd[:3]).any())
@@ -241,14 +308,25 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Stack
     left = abs(float(value[max(0, reach - 3) : reach].mean())) if seen else 0.0
     errors = error_correlation(flats[0].time, flats[0].parity, lags)[1:, 1:] * np.outer(sd, sd)
     errors *= weight.T @ weight / np.sqrt(np.outer(square, square))
-    lacking, change = lag_sum_correction(flats, share, lags, value, errors) if seen else (0.0, np.zeros(len(value)))
+    lacking, change = (
+        lag_sum_correction(flats, share, lags, value, errors)
+        if seen
+        else (0.0, np.zeros(len(value)))
+    )
     summed = 2.0 * (np.arange(len(value)) < reach)
     own = float(np.sqrt(np.sum((rest @ (summed + change)) ** 2)))
     factor = float(1.0 + summed @ value + lacking)
-    return ImageLag(lag=lags[1:], correlation=value, correlation_sd=sd, is_detected=seen, factor=factor,
-               factor_sd=float(np.hypot(own, 2.0 * left)),
-               freedom=max(2.0, float(1.0 / square[:reach].max() - 1.0)),
-               tested=True, open=seen and left > GAIN.open_lag)  # fmt: skip
+    return ImageLag(
+        lag=lags[1:],
+        correlation=value,
+        correlation_sd=sd,
+        is_detected=seen,
+        factor=factor,
+        factor_sd=float(np.hypot(own, 2.0 * left)),
+        freedom=max(2.0, float(1.0 / square[:reach].max() - 1.0)),
+        tested=True,
+        open=seen and left > GAIN.open_lag,
+    )
 
 
 def smooth_power(power: Array, radius: Array, modes: Array) -> Array:

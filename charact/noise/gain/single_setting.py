@@ -44,8 +44,11 @@ class SingleSetting:
 
     series: FlatSeries
     summary: PooledNoise  # noise per DN of signal
-    fit: Fit  # fitted blur and covariance gain; its posterior includes image lag that few frames cannot exclude
-    # Covariance over signal of every flat with the common blur, and its standard error, shape (flat,), DN.
+    # fitted blur and covariance gain; its posterior includes image lag that few frames cannot
+    # exclude
+    fit: Fit
+    # Covariance over signal of every flat with the common blur, and its standard error, shape
+    # (flat,), DN.
     levels_dn: Array
     levels_sd_dn: Array
     neighbours: UndetectedEffect  # correlation between neighbouring pixels
@@ -67,14 +70,16 @@ class SingleSetting:
     def at_low_signal(self, context: Context) -> "SingleSetting":
         """Return a copy with the covariance gain extrapolated to small signals.
 
-        Strip-current saturation of the MCP lowers the gain; quantities refer to small signals. The relative loss per DN
-        is the slope of covariance over signal along the levels.
+        Strip-current saturation of the MCP lowers the gain; quantities refer to small signals. The
+        relative loss per DN is the slope of covariance over signal along the levels.
         """
         trend = self._trend()
         if trend is None:
             return self
         rng, draws = np.random.default_rng([context.seed, 4]), self.posterior.draws.copy()
-        factor = trend.first / trend.pooled + trend.first_sd / trend.pooled * rng.standard_normal(len(draws))
+        factor = trend.first / trend.pooled + trend.first_sd / trend.pooled * rng.standard_normal(
+            len(draws)
+        )
         draws[:, self.posterior.names.index("covariance_gain")] *= factor
         return self._with_posterior(replace(self.posterior, draws=draws))
 
@@ -82,26 +87,37 @@ class SingleSetting:
         """Return a copy with one more independent relative error of the covariance gain."""
         return self._with_posterior(
             emva1288.with_relative_error(self.posterior, "covariance_gain", relative_sd, rng)
-        )  # fmt: skip
+        )
 
     def level_share(self, index: int) -> float:
-        """Return covariance over signal of a flat, by the line along the levels, over the pooled one."""
+        """Return covariance over signal of a flat, by the line along the levels, over the pooled
+        one.
+        """
         trend, signal = self._trend(), self.series.signal_dn
         if trend is None:
             return 1.0
-        return float((trend.first + trend.rise * signal[index] / signal[self.series.fitted].max()) / trend.pooled)
+        return float(
+            (trend.first + trend.rise * signal[index] / signal[self.series.fitted].max())
+            / trend.pooled
+        )
 
     def _trend(self) -> _Trend | None:
         """Fit a straight line through the fitted levels; None for fewer than three."""
         chosen = self.series.fitted
         if chosen.sum() < 3:
             return None
-        signal, levels, sd = self.series.signal_dn[chosen], self.levels_dn[chosen], self.levels_sd_dn[chosen]
+        signal, levels, sd = (
+            self.series.signal_dn[chosen],
+            self.levels_dn[chosen],
+            self.levels_sd_dn[chosen],
+        )
         fit = linear_fit([np.ones_like(signal), signal / signal.max()], levels, sd)
         scatter, covariance, weight = fit.stretch(len(signal)), fit.covariance, 1.0 / sd**2
         first_sd = scatter * np.sqrt(max(covariance[0, 0] - 1.0 / weight.sum(), 0.0))
         pooled = float(weight @ levels / weight.sum())
-        return _Trend(fit.best[0], first_sd, pooled, fit.best[1], scatter * np.sqrt(covariance[1, 1]))
+        return _Trend(
+            fit.best[0], first_sd, pooled, fit.best[1], scatter * np.sqrt(covariance[1, 1])
+        )
 
     def findings(self) -> list[Finding]:
         """Return the findings of spectrum and image lag."""
@@ -112,19 +128,29 @@ class SingleSetting:
         blur = float(np.median(posterior["blur_factor"]))
         if blur < 0.9:
             found.append(
-                Finding(None, f"noise is correlated between pixels (blur factor {blur:.3g}); accounted for")
-            )  # fmt: skip
+                Finding(
+                    None,
+                    f"noise is correlated between pixels (blur factor {blur:.3g}); accounted for",
+                )
+            )
         if lag.is_detected:
-            found.append(Finding(None, f"image lag (lag factor {lag.factor:.3g}); all lags were summed"))
+            found.append(
+                Finding(None, f"image lag (lag factor {lag.factor:.3g}); all lags were summed")
+            )
         low, middle, high = np.quantile(posterior["covariance_gain"], [0.16, 0.5, 0.84])
         if 0.5 * (high - low) > GAIN.max_relative_sd * middle:
-            words = "the relative uncertainty of the power at frequency 0 exceeds a third; take more frames or pixels"
+            words = (
+                "the relative uncertainty of the power at frequency 0 exceeds a third; take "
+                "more frames or pixels"
+            )
             found.append(Finding("too-few-frames", words))
         found += [Finding(flag, "see the posterior") for flag in posterior.flags]
         if not lag.is_detected:
             return found + exposure_findings(self.exposures)
         if lag.open:
-            words = f"image lag has not decayed after {lag.lag[-1]} exposures, the end of the lag sum"
+            words = (
+                f"image lag has not decayed after {lag.lag[-1]} exposures, the end of the lag sum"
+            )
             found.append(Finding("lag", words))
         return found
 
@@ -136,16 +162,21 @@ class SingleSetting:
         levels, chosen = self.levels_dn, np.flatnonzero(self.series.fitted)
         middle = float(np.median(levels[chosen]))
         found = [
-            Finding("model-misfit", f"covariance over signal of {self.series.flats[i].label} is {levels[i]:.3g} DN, "
-                                    f"not {middle:.3g} DN")
+            Finding(
+                "model-misfit",
+                f"covariance over signal of {self.series.flats[i].label} is {levels[i]:.3g} DN, "
+                f"not {middle:.3g} DN",
+            )
             for i in chosen
-            if abs(levels[i] - middle) > max(GAIN.level_fraction * middle, GAIN.level_sd * self.levels_sd_dn[i])
-        ]  # fmt: skip
+            if abs(levels[i] - middle)
+            > max(GAIN.level_fraction * middle, GAIN.level_sd * self.levels_sd_dn[i])
+        ]
         trend = None if self.white else self._trend()
         if trend is not None and trend.rise > GAIN.rise_sd * trend.rise_sd:
             words = (
-                f"covariance gain rises by {100.0 * trend.rise / trend.pooled:.2g} % up to the brightest flat; MCP "
-                "saturation would make it fall: check for gamma or a wrong dark"
+                f"covariance gain rises by {100.0 * trend.rise / trend.pooled:.2g} % up to the "
+                "brightest flat; MCP saturation would make it fall: check for gamma or a wrong "
+                "dark"
             )
             found.append(Finding("nonlinear", words))
         return found
@@ -154,15 +185,28 @@ class SingleSetting:
 def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> SingleSetting:
     """Fit blur and covariance gain to the flats of one setting."""
     neighbours = spatially_correlated_fraction(series)
-    summary = pool_noise(series, context.sensor, floor=neighbours.is_detected and not has_analogue_chain(context))
-    forms = blur_models(blur_exponent(context), blurred=neighbours.is_detected, floor=summary.beyond is not None)
+    summary = pool_noise(
+        series, context.sensor, floor=neighbours.is_detected and not has_analogue_chain(context)
+    )
+    forms = blur_models(
+        blur_exponent(context), blurred=neighbours.is_detected, floor=summary.beyond is not None
+    )
     found = fit_spectrum(summary, seed=context.seed, quick=quick, forms=forms)
     if share := quantisation_fraction(series, summary):
-        found = replace(found, posterior=_with_steps(found.posterior, share * summary.variance_dn, context))
+        found = replace(
+            found, posterior=_with_steps(found.posterior, share * summary.variance_dn, context)
+        )
     levels, spread = _level_gains(series, summary, found)
     exposures = temporally_correlated_fraction(series)
-    pooled = SingleSetting(series=series, summary=summary, fit=found, levels_dn=levels, levels_sd_dn=spread,
-                           neighbours=neighbours, exposures=exposures)  # fmt: skip
+    pooled = SingleSetting(
+        series=series,
+        summary=summary,
+        fit=found,
+        levels_dn=levels,
+        levels_sd_dn=spread,
+        neighbours=neighbours,
+        exposures=exposures,
+    )
     # Image lag that too few frames cannot exclude.
     hidden = 0.0 if summary.lag.tested else exposures.allowance
     return pooled.allowing(hidden, np.random.default_rng([context.seed, 6])) if hidden else pooled
@@ -171,8 +215,8 @@ def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> 
 def quantisation_fraction(series: FlatSeries, summary: PooledNoise) -> float:
     """Return the possible fraction of quantisation noise in the pooled variance; 0 if negligible.
 
-    Rounding adds 1/12 DN^2 to noise of half a step or more, and another amount to a quieter dark, which biases the
-    difference; the relative bias is largest in the dimmest flats.
+    Rounding adds 1/12 DN^2 to noise of half a step or more, and another amount to a quieter dark,
+    which biases the difference; the relative bias is largest in the dimmest flats.
     """
     chosen, weight = pooling(series)
     levels = [level for i in chosen for level in (series.flats[i], series.darks[i])]
@@ -182,12 +226,16 @@ def quantisation_fraction(series: FlatSeries, summary: PooledNoise) -> float:
 
 
 def _with_steps(posterior: Posterior, power_dn: float, context: Context) -> Posterior:
-    """Return the posterior with white noise of standard deviation `power_dn` added to variance and spectrum.
+    """Return the posterior with white noise of standard deviation `power_dn` added to variance and
+    spectrum.
 
     Rounding errors of neighbours are independent, so they add to all frequencies.
     """
     draws, power = posterior.draws.copy(), posterior["power"]
-    steps = np.maximum(power_dn * np.random.default_rng([context.seed, 17]).standard_normal(len(draws)), -0.9 * power)
+    steps = np.maximum(
+        power_dn * np.random.default_rng([context.seed, 17]).standard_normal(len(draws)),
+        -0.9 * power,
+    )
     names = posterior.names.index
     draws[:, names("covariance_gain")] += steps
     draws[:, names("blur_factor")] = (posterior["blur_factor"] * power + steps) / (power + steps)
@@ -195,7 +243,9 @@ def _with_steps(posterior: Posterior, power_dn: float, context: Context) -> Post
 
 
 def blur_exponent(context: Context) -> tuple[float, float] | None:
-    """Return the exponent of the described tube's blur and its standard deviation; None without a description."""
+    """Return the exponent of the described tube's blur and its standard deviation; None without a
+    description.
+    """
     if context.sensor is None:
         return None
     known = context.sensor.tube.mtf_exponent
@@ -204,7 +254,9 @@ def blur_exponent(context: Context) -> tuple[float, float] | None:
 
 
 def _level_gains(series: FlatSeries, summary: PooledNoise, fit: Fit) -> tuple[Array, Array]:
-    """Return covariance over signal of every flat with the common blur, and its standard error, DN."""
+    """Return covariance over signal of every flat with the common blur, and its standard error,
+    DN.
+    """
     shape = fit.model_dn / float(np.median(fit.posterior["power"]))
     name, use = "many" if summary.lag.is_detected else "few", fit.used
     gains, errors = [], []
@@ -215,5 +267,7 @@ def _level_gains(series: FlatSeries, summary: PooledNoise, fit: Fit) -> tuple[Ar
         gain = float(weight @ scaled)
         own = np.sqrt(weight**2 @ (scaled - gain) ** 2)
         gains.append(gain)
-        errors.append(float(np.hypot(own, gain * flat.variance_sd_dn2 / max(flat.variance_dn2, 1e-12))))
+        errors.append(
+            float(np.hypot(own, gain * flat.variance_sd_dn2 / max(flat.variance_dn2, 1e-12)))
+        )
     return np.array(gains) * summary.lag.factor, np.array(errors) * summary.lag.factor

@@ -1,7 +1,8 @@
-"""Noise correlated between pixels or exposures, which lowers the variance, and filters in the camera.
+"""Noise correlated between pixels or exposures, which lowers the variance, and filters in the
+camera.
 
-A test sensitive to 2 % either detects the correlation or leaves the gain unchanged; a weaker test widens the interval
-of the gain by what it cannot exclude.
+A test sensitive to 2 % either detects the correlation or leaves the gain unchanged; a weaker test
+widens the interval of the gain by what it cannot exclude.
 """
 
 from dataclasses import dataclass
@@ -38,21 +39,36 @@ class UndetectedEffect:
 
     @property
     def allowance(self) -> float:
-        """Relative standard deviation that the effect adds to the gain; 0 if 2 % would have been detected."""
+        """Relative standard deviation that the effect adds to the gain; 0 if 2 % would have been
+        detected.
+        """
         if CORRELATION.min_effect + CORRELATION.significant_sd * self.sd <= CORRELATION.negligible:
             return 0.0
-        return float(np.hypot(min(abs(self.share), CORRELATION.untestable), min(self.sd, CORRELATION.untestable)))
+        return float(
+            np.hypot(
+                min(abs(self.share), CORRELATION.untestable), min(self.sd, CORRELATION.untestable)
+            )
+        )
 
     @property
     def posterior_rms(self) -> float:
-        """Root mean square of the effect under a prior with equal odds of zero and of a uniform distribution up to
-        `CORRELATION.max_fraction`."""
+        """Root mean square of the effect under a prior with equal odds of zero and of a uniform
+        distribution up to `CORRELATION.max_fraction`.
+        """
         if not self.sd > 0:
             return min(abs(self.share), CORRELATION.untestable)
-        none = np.exp(-0.5 * (self.share / self.sd) ** 2) * CORRELATION.max_fraction / (self.sd * np.sqrt(2.0 * np.pi))
+        none = (
+            np.exp(-0.5 * (self.share / self.sd) ** 2)
+            * CORRELATION.max_fraction
+            / (self.sd * np.sqrt(2.0 * np.pi))
+        )
         return float(
             np.sqrt(
-                np.hypot(min(abs(self.share), CORRELATION.untestable), min(self.sd, CORRELATION.untestable)) ** 2
+                np.hypot(
+                    min(abs(self.share), CORRELATION.untestable),
+                    min(self.sd, CORRELATION.untestable),
+                )
+                ** 2
                 / (1.0 + none)
             )
         )
@@ -70,18 +86,24 @@ def allowance_of(neighbours: UndetectedEffect, exposures: UndetectedEffect, *, t
 def spatially_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
     """Return the fraction of the covariance sum that lies between a pixel and its eight neighbours.
 
-    Row and column noise of the dark cancels. Blur is assumed separable: a diagonal correlation is the product of both.
+    Row and column noise of the dark cancels. Blur is assumed separable: a diagonal correlation is
+    the product of both.
     """
     chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
-    right, right_sd = weighted_mean([light_correlation(series, int(i), "neighbour") for i in chosen])
+    right, right_sd = weighted_mean(
+        [light_correlation(series, int(i), "neighbour") for i in chosen]
+    )
     below, below_sd = weighted_mean([light_correlation(series, int(i), "below") for i in chosen])
     return UndetectedEffect(
-        share=2.0 * (right + below + 2.0 * right * below), sd=2.0 * float(np.hypot(right_sd, below_sd))
+        share=2.0 * (right + below + 2.0 * right * below),
+        sd=2.0 * float(np.hypot(right_sd, below_sd)),
     )
 
 
 def light_correlation(series: FlatSeries, index: int, name: str) -> tuple[float, float]:
-    """Return the correlation of neighbours in the noise above the dark's, and its standard error."""
+    """Return the correlation of neighbours in the noise above the dark's, and its standard
+    error.
+    """
     flat, dark = series.flats[index], series.darks[index]
     variance = series.variance_dn2[index]
     covariance, sd = (
@@ -94,14 +116,15 @@ def light_correlation(series: FlatSeries, index: int, name: str) -> tuple[float,
 def temporally_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
     """Return the fraction of the variance that is correlated with earlier and later exposures.
 
-    Near pairs of frames are compared with far ones. With three frames or fewer, the covariance of different frames is
-    fitted against signal: PRNU is quadratic in the signal, image lag linear.
+    Near pairs of frames are compared with far ones. With three frames or fewer, the covariance of
+    different frames is fitted against signal: PRNU is quadratic in the signal, image lag linear.
     """
     levels = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
     known = [(level.successor_correlation, level.successor_sd) for level in levels]
     value, sd = weighted_mean(known)
     most = max(level.frames for level in levels)
-    # Image lag lowers the variance by two correlations, earlier and later; subtracting the mean of few frames by more.
+    # Image lag lowers the variance by two correlations, earlier and later; subtracting the mean of
+    # few frames by more.
     taken = 2.0 + 2.0 / most
     near = UndetectedEffect(share=taken * value, sd=taken * sd)
     if most > CORRELATION.few_frames:
@@ -111,19 +134,29 @@ def temporally_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
 
 
 def _common_variance_fraction(series: FlatSeries, taken: float) -> UndetectedEffect:
-    """Return the linear part of the covariance of different frames over that of the temporal variance."""
+    """Return the linear part of the covariance of different frames over that of the temporal
+    variance.
+    """
     chosen = np.flatnonzero(series.fitted)
     signal = series.signal_dn[chosen]
     if len(np.unique(np.round(np.log(signal) / 0.05))) < 3:
         return UndetectedEffect(share=0.0, sd=np.inf)
-    common = np.array([series.flats[i].spatial_variance_dn2 - series.darks[i].spatial_variance_dn2 for i in chosen])
-    sd = np.array([np.hypot(series.flats[i].spatial_sd_dn2, series.darks[i].spatial_sd_dn2) for i in chosen])
+    common = np.array(
+        [
+            series.flats[i].spatial_variance_dn2 - series.darks[i].spatial_variance_dn2
+            for i in chosen
+        ]
+    )
+    sd = np.array(
+        [np.hypot(series.flats[i].spatial_sd_dn2, series.darks[i].spatial_sd_dn2) for i in chosen]
+    )
     columns = [signal, signal**2 / signal.max()]
     if np.linalg.cond(np.stack(columns) / np.maximum(sd, 1e-12)) ** 2 > CORRELATION.max_condition:
         return UndetectedEffect(share=0.0, sd=np.inf)
     fit = linear_fit(columns, common, sd)
     slope = float(series.variance_dn2[chosen] @ signal / (signal @ signal))
-    # Dark and illuminated patterns may be correlated, which adds a linear part that is no image lag.
+    # Dark and illuminated patterns may be correlated, which adds a linear part that is no image
+    # lag.
     error = fit.stretch(len(chosen)) * float(np.sqrt(fit.covariance[0, 0]))
     return UndetectedEffect(share=taken * float(fit.best[0]) / slope, sd=taken * error / abs(slope))
 
@@ -139,7 +172,9 @@ def processing_findings(series: FlatSeries) -> list[Finding]:
 
 
 def _sharpening_findings(levels: list[StackStatistics]) -> list[Finding]:
-    """Return findings of noise that is stronger at high than at low frequency, which blur cannot cause."""
+    """Return findings of noise that is stronger at high than at low frequency, which blur cannot
+    cause.
+    """
     for place, correlations in (
         ("in a row", [(level.neighbour_correlation, level.neighbour_sd) for level in levels]),
         ("in a column", [(level.below_correlation, level.below_sd) for level in levels]),
@@ -147,7 +182,12 @@ def _sharpening_findings(levels: list[StackStatistics]) -> list[Finding]:
         value, sd = weighted_mean(correlations)
         if value < -CORRELATION.min_correlation - CORRELATION.processing_sd * sd:
             word = f"the noise of neighbours {place} is anticorrelated ({100 * value:.2g} %)"
-            return [Finding("processed", f"{word}: the camera sharpens its images, which raises the variance")]
+            return [
+                Finding(
+                    "processed",
+                    f"{word}: the camera sharpens its images, which raises the variance",
+                )
+            ]
     value, sd = weighted_mean([_rise(level) for level in levels])
     if value > CORRELATION.min_rise + CORRELATION.processing_sd * sd:
         word = f"the noise power is {100 * value:.2g} % larger at high than at low frequency"
@@ -164,7 +204,9 @@ def _rise(level: StackStatistics) -> tuple[float, float]:
         ring = (radius >= low) & (radius < high)
         if not ring.any():
             return 0.0, np.inf
-        power.append(float(np.average(level.few.power_dn2[ring, 0], weights=level.bins.modes[ring])))
+        power.append(
+            float(np.average(level.few.power_dn2[ring, 0], weights=level.bins.modes[ring]))
+        )
         modes.append(float(level.bins.modes[ring].sum()) * level.bins.efficiency * exposures)
     if min(power) <= 0:
         return 0.0, np.inf
@@ -176,22 +218,27 @@ def _temporal_filter_findings(darks: tuple[StackStatistics, ...]) -> list[Findin
     """Return findings of temporal noise reduction: darks correlated in time and not in space."""
     known = [dark for dark in darks if dark.frames > CORRELATION.few_frames]
     value, sd = weighted_mean([(dark.successor_correlation, dark.successor_sd) for dark in known])
-    around = [weighted_mean([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
-              weighted_mean([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
+    around = [
+        weighted_mean([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
+        weighted_mean([(d.below_correlation, d.below_sd) for d in known]),
+    ]
     if (
         value < CORRELATION.min_correlation + CORRELATION.processing_sd * sd
         or max(part for part, _ in around) > CORRELATION.max_spatial_ratio * value
     ):
         return []
-    word = f"noise of successive dark frames is correlated ({100 * value:.2g} %), that of neighbouring pixels is not"
+    word = (
+        f"noise of successive dark frames is correlated ({100 * value:.2g} %), that of "
+        f"neighbouring pixels is not"
+    )
     return [Finding("processed", f"{word}: the camera reduces noise in time")]
 
 
 def _level_smoothing_findings(series: FlatSeries) -> list[Finding]:
     """Return findings of a neighbour correlation that changes with level.
 
-    Blur and linear filters correlate the noise of all levels alike; an edge-preserving filter smooths weak noise more
-    than strong noise.
+    Blur and linear filters correlate the noise of all levels alike; an edge-preserving filter
+    smooths weak noise more than strong noise.
     """
     chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
     if len(chosen) < 2:
@@ -203,10 +250,17 @@ def _level_smoothing_findings(series: FlatSeries) -> list[Finding]:
         (low, high), covariance, _ = linear_fit([1.0 - span, span], share, np.maximum(sd, 1e-9))
         error = float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
         if abs(high - low) > CORRELATION.min_change + CORRELATION.processing_sd * error:
-            word = f"noise of neighbours {place} is correlated by {100 * low:.2g} % in the dimmest flat"
+            word = (
+                f"noise of neighbours {place} is correlated by {100 * low:.2g} % in the "
+                f"dimmest flat"
+            )
             return [
                 Finding(
-                    "processed", f"{word} and by {100 * high:.2g} % in the brightest: the camera smooths nonlinearly"
+                    "processed",
+                    (
+                        f"{word} and by {100 * high:.2g} % in the brightest: the camera smooths "
+                        f"nonlinearly"
+                    ),
                 )
             ]
     return []
@@ -224,15 +278,18 @@ def gamma_of_light(light: Array, signal: Array) -> list[Finding]:
         or off > CORRELATION.power_law_tolerance
     ):
         return []
-    word = f"the signal is proportional to the power {power:.2f} of the light within {100 * off:.2g} %"
+    word = (
+        f"the signal is proportional to the power {power:.2f} of the light within {100 * off:.2g} %"
+    )
     return [Finding("gamma", f"{word}: a gamma curve, or a gain that follows the light")]
 
 
 def gamma_of_noise(signal: Array, gain: Array, sd: Array) -> list[Finding]:
     """Return the finding of variance over signal that is a power of the signal, shapes (level,).
 
-    The dark's variance is included, because a gamma curve is steep at its start and amplifies dark noise. For v =
-    u^gamma and a variance of u proportional to u, the variance of v over v is proportional to v^(1 - 1/gamma).
+    The dark's variance is included, because a gamma curve is steep at its start and amplifies dark
+    noise. For v = u^gamma and a variance of u proportional to u, the variance of v over v is
+    proportional to v^(1 - 1/gamma).
     """
     if (
         len(signal) < CORRELATION.min_power_law_levels
@@ -246,7 +303,10 @@ def gamma_of_noise(signal: Array, gain: Array, sd: Array) -> list[Finding]:
     gamma = 1.0 / (1.0 - power)
     if CORRELATION.linear_exponents[0] < gamma < CORRELATION.linear_exponents[1]:
         return []
-    word = f"variance over signal is proportional to the power {power:.2f} of the signal within {100 * off:.2g} %"
+    word = (
+        f"variance over signal is proportional to the power {power:.2f} of the signal within "
+        f"{100 * off:.2g} %"
+    )
     return [Finding("gamma", f"{word}, as behind a gamma of {gamma:.2f}")]
 
 

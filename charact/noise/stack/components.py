@@ -19,16 +19,19 @@ Array = NDArray[np.float64]
 class Contrasts:
     """Orthonormal combinations of the pixels of a stack, separate for each interlaced field.
 
-    Index 0 of an axis of combinations is the sum over it divided by the root of its length; the others are the
-    slowest waves along it, see `waves`. White noise of variance v gives every combination the variance v. DN.
+    Index 0 of an axis of combinations is the sum over it divided by the root of its length; the
+    others are the slowest waves along it, see `waves`. White noise of variance v gives every
+    combination the variance v. DN.
     """
 
     by_row: NDArray  # combinations along columns, shape (field, frame, row, wave)
     by_col: NDArray  # combinations along rows, shape (field, frame, wave, col)
     by_pixel: NDArray  # combinations along frames, shape (field, wave, row, col)
-    # sum over frames and pixels of the squared deviation from the temporal mean of each pixel, shape (field,), DN^2
+    # sum over frames and pixels of the squared deviation from the temporal mean of each pixel,
+    # shape (field,), DN^2
     power_dn2: Array
-    # differences of some successive frames, disjoint, over the root of two, shape (field, pair, row, col)
+    # differences of some successive frames, disjoint, over the root of two, shape (field, pair,
+    # row, col)
     pairs: NDArray[np.float32]
 
     @property
@@ -43,7 +46,9 @@ class Contrasts:
 
 
 def waves(length: int) -> Array:
-    """Return the mean and the slowest waves along an axis as orthonormal rows, shape (1 + wave, length)."""
+    """Return the mean and the slowest waves along an axis as orthonormal rows, shape (1 + wave,
+    length).
+    """
     phase = 2.0 * np.pi * np.arange(length) / length
     periods = range(1, min(CUBE.slow_waves // 2, length // 2) + 1)
     pairs = [wave(period * phase) for period in periods for wave in (np.cos, np.sin)]
@@ -53,17 +58,22 @@ def waves(length: int) -> Array:
 
 
 def row_sets(*, interlaced: bool, two_way: bool = False) -> int:
-    """Return the number of sets of rows that are separate: two fields, each with lines of both scan directions."""
+    """Return the number of sets of rows that are separate: two fields, each with lines of both scan
+    directions.
+    """
     return (2 if interlaced else 1) * (2 if two_way else 1)
 
 
-def contrasts(stack: LazyStack | FrameStack, *, interlaced: bool, two_way: bool = False) -> Contrasts:
+def contrasts(
+    stack: LazyStack | FrameStack, *, interlaced: bool, two_way: bool = False
+) -> Contrasts:
     """Read a stack once, in groups of frames, and return its contrasts.
 
-    `two_way`: whether successive lines of a field are scanned in opposite directions; these are separate then.
+    `two_way`: whether successive lines of a field are scanned in opposite directions; these are
+    separate then.
 
-    The first frame is subtracted from all frames, which removes the fixed pattern, so that single precision suffices
-    for the squares.
+    The first frame is subtracted from all frames, which removes the fixed pattern, so that single
+    precision suffices for the squares.
     """
     step = row_sets(interlaced=interlaced, two_way=two_way)
     rows = step * (stack.shape[1] // step)
@@ -73,7 +83,9 @@ def contrasts(stack: LazyStack | FrameStack, *, interlaced: bool, two_way: bool 
         for part in parts:
             part.take(frames, first)
     found = [part.contrasts() for part in parts]
-    by_row, by_col, by_pixel, power, pairs = (np.stack([part[i] for part in found]) for i in range(5))
+    by_row, by_col, by_pixel, power, pairs = (
+        np.stack([part[i] for part in found]) for i in range(5)
+    )
     return Contrasts(by_row=by_row, by_col=by_col, by_pixel=by_pixel, power_dn2=power, pairs=pairs)
 
 
@@ -90,7 +102,9 @@ class _Pass:
         self.by_pixel = np.zeros((len(self.along[0]), height, width), np.float32)
         self.power = 0.0
         pairs = frames // 2
-        self.starts = 2 * np.unique(np.linspace(0, pairs - 1, min(CUBE.pairs, pairs)).round().astype(int))
+        self.starts = 2 * np.unique(
+            np.linspace(0, pairs - 1, min(CUBE.pairs, pairs)).round().astype(int)
+        )
         self.pairs: list[NDArray[np.float32]] = []
 
     def take(self, frames: NDArray, first: int) -> None:
@@ -98,25 +112,44 @@ class _Pass:
         change = self._from_first(frames[:, self.field])
         here = slice(first, first + len(change))
         in_time = np.ascontiguousarray(self.along[0][:, here].T)
-        self.power += _add(change, in_time, self.along[1], self.along[2], self.by_row[here], self.by_col[here],
-                           self.by_pixel)  # fmt: skip
-        for start in self.starts[(self.starts >= first) & (self.starts < first + len(change))] - first:
+        self.power += _add(
+            change,
+            in_time,
+            self.along[1],
+            self.along[2],
+            self.by_row[here],
+            self.by_col[here],
+            self.by_pixel,
+        )
+        for start in (
+            self.starts[(self.starts >= first) & (self.starts < first + len(change))] - first
+        ):
             self.pairs.append((change[start + 1] - change[start]) / np.float32(np.sqrt(2.0)))
 
     def _from_first(self, frames: NDArray) -> NDArray[np.float32]:
-        """Return the deviation from the first frame; values of up to 16 bits are exact in single precision."""
+        """Return the deviation from the first frame; values of up to 16 bits are exact in single
+        precision.
+        """
         if frames.dtype.itemsize <= 2:
             return np.subtract(frames, self.first.astype(np.float32), dtype=np.float32)
         return (frames - self.first).astype(np.float32)
 
     def contrasts(self):
-        """Return the contrasts of the field including the first frame, the power about the mean, and the pairs."""
+        """Return the contrasts of the field including the first frame, the power about the mean,
+        and the pairs.
+        """
         frames = len(self.by_row)
         power = self.power - float(np.sum(self.by_pixel[0].astype(np.float64) ** 2))
         fixed_row, fixed_col = self.first @ self.along[2].T, self.along[1] @ self.first
         by_pixel = self.by_pixel.astype(np.float64)
         by_pixel[0] += np.sqrt(frames) * self.first
-        return self.by_row + fixed_row, self.by_col + fixed_col, by_pixel, power, np.array(self.pairs)
+        return (
+            self.by_row + fixed_row,
+            self.by_col + fixed_col,
+            by_pixel,
+            power,
+            np.array(self.pairs),
+        )
 
 
 @njit(cache=True, fastmath=True)
@@ -157,7 +190,9 @@ class MeanSquare:
 
 
 def subtract_means(part: NDArray, own: tuple[int, ...], *, fixed: bool) -> NDArray:
-    """Return contrasts without their means along the given axes, and without smooth shading of a fixed pattern."""
+    """Return contrasts without their means along the given axes, and without smooth shading of a
+    fixed pattern.
+    """
     for axis in own:
         part = part - part.mean(axis=axis, keepdims=True)
     if not fixed:
@@ -181,10 +216,11 @@ def shading(length: int) -> Array:
 def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSquare:
     """Return the mean square of centred contrasts.
 
-    For a stationary normal process with mode powers P the sum of n squares is approximately chi-squared with (sum P)^2
-    / sum P^2 degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 110 (1946)). A fourth cumulant g adds g / n to
-    its relative variance; k fields of correlation r count k / (1 + (k - 1) r^2) times. Each of the three is measured
-    and corrected for its own error.
+    For a stationary normal process with mode powers P the sum of n squares is approximately
+    chi-squared with (sum P)^2 / sum P^2 degrees of freedom (Satterthwaite, Biometrics Bulletin 2,
+    110 (1946)). A fourth cumulant g adds g / n to its relative variance; k fields of correlation r
+    count k / (1 + (k - 1) r^2) times. Each of the three is measured and corrected for its own
+    error.
     """
     count = degrees_of_freedom(rest.shape, own, fixed=fixed)
     total = float(np.sum(rest**2))
@@ -193,7 +229,8 @@ def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSqua
     unit = rest / np.sqrt(total / rest.size)
     spread = correlation_factor(unit, own, count) + 0.5 * excess_kurtosis(unit, count)
     return MeanSquare(
-        value_dn2=total / count, freedom=max(1.0, count / spread / (1.0 + field_correlation_square(unit, count)))
+        value_dn2=total / count,
+        freedom=max(1.0, count / spread / (1.0 + field_correlation_square(unit, count))),
     )
 
 
@@ -210,10 +247,21 @@ def correlation_factor(unit: NDArray, own: tuple[int, ...], count: float) -> flo
     from scipy import fft
 
     modes = np.asarray(fft.rfftn(unit, axes=own))
-    power = np.abs(modes[np.ix_(*(np.arange(axis in own, length) for axis, length in enumerate(modes.shape)))]) ** 2
+    power = (
+        np.abs(
+            modes[
+                np.ix_(*(np.arange(axis in own, length) for axis, length in enumerate(modes.shape)))
+            ]
+        )
+        ** 2
+    )
     mean = float(np.mean(power))
     # Powers of single modes are exponential, with a mean square of twice the squared mean.
-    return max(1.0, 0.5 * float(np.mean(power**2)) / mean**2 - np.sqrt(10.0 / count)) if mean > 0 else 1.0
+    return (
+        max(1.0, 0.5 * float(np.mean(power**2)) / mean**2 - np.sqrt(10.0 / count))
+        if mean > 0
+        else 1.0
+    )
 
 
 def excess_kurtosis(unit: NDArray, count: float) -> float:
@@ -236,8 +284,8 @@ def field_correlation_square(unit: NDArray, count: float) -> float:
 def strata(values: Array, own: tuple[int, ...]) -> list[tuple[int, list[int], Array]]:
     """Return the parts of the contrasts of a component, each with its sign and its axes of waves.
 
-    Along every other axis the mean (index 0) is compared with the slowest waves (all others), which contain the same
-    noise without the component: sign -1 for each axis of waves.
+    Along every other axis the mean (index 0) is compared with the slowest waves (all others), which
+    contain the same noise without the component: sign -1 for each axis of waves.
     """
     others = [axis for axis in (TIME, ROW, COL) if axis not in own]
     out = []
@@ -251,14 +299,22 @@ def strata(values: Array, own: tuple[int, ...]) -> list[tuple[int, list[int], Ar
 
 
 # Axes along which each component varies.
-OWN = {"t": (TIME,), "v": (ROW,), "h": (COL,), "tv": (TIME, ROW), "th": (TIME, COL), "vh": (ROW, COL)}
+OWN = {
+    "t": (TIME,),
+    "v": (ROW,),
+    "h": (COL,),
+    "tv": (TIME, ROW),
+    "th": (TIME, COL),
+    "vh": (ROW, COL),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class LowFrequencyExcess:
     """Excess power of correlated noise in its mean over its slowest waves along an axis."""
 
-    # dn2, sd_dn2: the excess and its standard error, extrapolated from the waves of two periods and of one, DN^2
+    # dn2, sd_dn2: the excess and its standard error, extrapolated from the waves of two periods and
+    # of one, DN^2
     dn2: float
     sd_dn2: float
     share: float  # the excess over the power of these waves, dimensionless
@@ -282,7 +338,11 @@ class LowFrequencyExcess:
     @property
     def min_fraction(self) -> float:
         """Lower limit of the relative excess by its error, dimensionless."""
-        return abs(self.share) * max(0.0, 1.0 - CUBE.significant_sd * abs(self.sd_dn2 / self.dn2)) if self.dn2 else 0.0
+        return (
+            abs(self.share) * max(0.0, 1.0 - CUBE.significant_sd * abs(self.sd_dn2 / self.dn2))
+            if self.dn2
+            else 0.0
+        )
 
     @property
     def _weight(self) -> float:
@@ -295,8 +355,12 @@ class LowFrequencyExcess:
 class Component:
     """The variance of one component."""
 
-    terms: tuple[tuple[float, MeanSquare], ...]  # mean squares with their factors; the variance is their sum
-    slopes: dict[int, LowFrequencyExcess]  # excess to subtract for each axis (`TIME`, `ROW`, `COL`) of averaging
+    terms: tuple[
+        tuple[float, MeanSquare], ...
+    ]  # mean squares with their factors; the variance is their sum
+    slopes: dict[
+        int, LowFrequencyExcess
+    ]  # excess to subtract for each axis (`TIME`, `ROW`, `COL`) of averaging
 
     @property
     def variance_dn2(self) -> float:
@@ -305,7 +369,9 @@ class Component:
         return sum(factor * term.value_dn2 for factor, term in self.terms) - noise
 
     def draws(self, rng: np.random.Generator, count: int) -> Array:
-        """Return draws of the variance, shape (count,), DN^2; some are negative if the component is near zero."""
+        """Return draws of the variance, shape (count,), DN^2; some are negative if the component is
+        near zero.
+        """
         out = sum((factor * term.draws(rng, count) for factor, term in self.terms), np.zeros(count))
         for slope in self.slopes.values():
             out -= slope.estimate_dn2 + slope.estimate_sd_dn2 * rng.standard_normal(count)
@@ -315,15 +381,17 @@ class Component:
 def components(found: Contrasts) -> dict[str, Component]:
     """Return the seven variance components of a stack.
 
-    U(t,v,h) = S + N_t + N_v + N_h + N_tv + N_th + N_vh + N_tvh. An orthonormal mean along an axis contains white noise
-    of variance s^2 as s^2, and a component constant along the axis n-fold; the analysis of variance subtracts the one
-    from the other. The subtracted term is not the mean square over all of N_tvh, as in the textbook, but over its
-    slowest waves along the averaged axis. Both agree for white noise, and the estimate is unbiased for finite cubes.
-    Correlated noise has more power in slow waves, which alone predict its part in a mean (`LowFrequencyExcess`). Bias
-    identities for white noise: s_vh^2 = sigma_vh^2 + sigma_tvh^2 / T and cyclic, s_t^2 = sigma_t^2 + sigma_tv^2 / V
-    + sigma_th^2 / H + sigma_tvh^2 / (VH) and cyclic (Appl. Opt. 54, 4907 (2015)). Mean squares are independent and
-    chi-squared distributed for normal noise, each with its own degrees of freedom if it is not white (see
-    `mean_square`). Draws of each give draws of their sum and the generalized confidence interval (Weerahandi, J. Am.
+    U(t,v,h) = S + N_t + N_v + N_h + N_tv + N_th + N_vh + N_tvh. An orthonormal mean along an axis
+    contains white noise of variance s^2 as s^2, and a component constant along the axis n-fold; the
+    analysis of variance subtracts the one from the other. The subtracted term is not the mean
+    square over all of N_tvh, as in the textbook, but over its slowest waves along the averaged
+    axis. Both agree for white noise, and the estimate is unbiased for finite cubes. Correlated
+    noise has more power in slow waves, which alone predict its part in a mean
+    (`LowFrequencyExcess`). Bias identities for white noise: s_vh^2 = sigma_vh^2 + sigma_tvh^2 / T
+    and cyclic, s_t^2 = sigma_t^2 + sigma_tv^2 / V + sigma_th^2 / H + sigma_tvh^2 / (VH) and cyclic
+    (Appl. Opt. 54, 4907 (2015)). Mean squares are independent and chi-squared distributed for
+    normal noise, each with its own degrees of freedom if it is not white (see `mean_square`). Draws
+    of each give draws of their sum and the generalized confidence interval (Weerahandi, J. Am.
     Stat. Assoc. 88, 899 (1993)).
     """
     arrays = _arrays(found)
@@ -332,7 +400,9 @@ def components(found: Contrasts) -> dict[str, Component]:
 
 
 def _arrays(found: Contrasts) -> dict[str, Array]:
-    """Return the contrasts of each component, shape (field, time, row, col) with waves on the averaged axes."""
+    """Return the contrasts of each component, shape (field, time, row, col) with waves on the
+    averaged axes.
+    """
     frames, rows, _ = (waves(length) for length in found.size)
     return {
         "t": np.einsum("wv,ftvx->ftwx", rows, found.by_row),
@@ -345,7 +415,9 @@ def _arrays(found: Contrasts) -> dict[str, Array]:
 
 
 def _component(values: Array, own: tuple[int, ...], size: tuple[int, int, int]) -> Component:
-    """Return one component: mean squares of means less those of slow waves, over the number of averaged pixels."""
+    """Return one component: mean squares of means less those of slow waves, over the number of
+    averaged pixels.
+    """
     fixed = TIME not in own
     averaged = float(np.prod([size[axis - 1] for axis in (TIME, ROW, COL) if axis not in own]))
     terms, excess = [], {axis: [] for axis in (TIME, ROW, COL) if axis not in own}
@@ -355,11 +427,15 @@ def _component(values: Array, own: tuple[int, ...], size: tuple[int, int, int]) 
         terms.append((sign / averaged, square))
         for axis in slow:
             excess[axis].append((-sign / averaged, square, _excess(rest, axis, square)))
-    return Component(terms=tuple(terms), slopes={axis: _slope(found) for axis, found in excess.items()})
+    return Component(
+        terms=tuple(terms), slopes={axis: _slope(found) for axis, found in excess.items()}
+    )
 
 
 def _excess(rest: Array, axis: int, square: MeanSquare) -> float:
-    """Return the power at frequency 0 less that of the waves of one and two periods, by a parabola."""
+    """Return the power at frequency 0 less that of the waves of one and two periods, by a
+    parabola.
+    """
     if rest.shape[axis] < 4 or square.value_dn2 <= 0:
         return 0.0
     one, two = (float(np.mean(np.take(rest, pair, axis=axis) ** 2)) for pair in ((0, 1), (2, 3)))
@@ -369,30 +445,46 @@ def _excess(rest: Array, axis: int, square: MeanSquare) -> float:
 def _slope(found: list[tuple[float, MeanSquare, float]]) -> LowFrequencyExcess:
     """Return the excess along an axis of all its terms: factor, mean square and excess of each."""
     value = sum(factor * excess for factor, _, excess in found)
-    sd = [factor * square.value_dn2 * 5.0 / 6.0 * np.sqrt(8.0 / square.freedom) for factor, square, _ in found]
+    sd = [
+        factor * square.value_dn2 * 5.0 / 6.0 * np.sqrt(8.0 / square.freedom)
+        for factor, square, _ in found
+    ]
     power = sum(abs(factor) * square.value_dn2 for factor, square, _ in found)
-    return LowFrequencyExcess(dn2=value, sd_dn2=float(np.linalg.norm(sd)), share=value / power if power > 0 else 0.0)
+    return LowFrequencyExcess(
+        dn2=value, sd_dn2=float(np.linalg.norm(sd)), share=value / power if power > 0 else 0.0
+    )
 
 
 def _random_component(found: Contrasts, parts: dict[str, Component]) -> Component:
-    """Return the component that varies along all axes: residual power, and its scatter from pairs of frames."""
+    """Return the component that varies along all axes: residual power, and its scatter from pairs
+    of frames.
+    """
     length = np.array(found.size)
     count = len(found.by_row) * float(np.prod(length - 1))
     means = (found.by_row[..., 0], found.by_col[:, :, 0], _arrays(found)["t"][:, :, 0, 0])
-    rows, cols, frames = (float(np.sum((mean - mean.mean(axis=1, keepdims=True)) ** 2)) for mean in means)
+    rows, cols, frames = (
+        float(np.sum((mean - mean.mean(axis=1, keepdims=True)) ** 2)) for mean in means
+    )
     power = max(float(found.power_dn2.sum()) - rows - cols + frames, 0.0) / count
     # Correlated noise has a different power in the planes removed with the means.
     slow = np.array([parts[name].terms[1][1].value_dn2 for name in ("vh", "th", "tv")])
     factor = float(np.prod(1.0 + (slow / power - 1.0) / length)) if power > 0 else 1.0
     square = MeanSquare(value_dn2=power, freedom=_freedom(found.pairs, power, count))
-    slopes = {axis: parts[name].slopes[axis] for axis, name in ((TIME, "vh"), (ROW, "th"), (COL, "tv"))}
+    slopes = {
+        axis: parts[name].slopes[axis] for axis, name in ((TIME, "vh"), (ROW, "th"), (COL, "tv"))
+    }
     # The correction is small relative to this component, so its error matters less than a bias.
-    taken = {axis: replace(slope, dn2=-slope.dn2, share=-slope.share, drawn=False) for axis, slope in slopes.items()}
+    taken = {
+        axis: replace(slope, dn2=-slope.dn2, share=-slope.share, drawn=False)
+        for axis, slope in slopes.items()
+    }
     return Component(terms=((factor, square),), slopes=taken)
 
 
 def _freedom(pairs: NDArray[np.float32], power: float, count: float) -> float:
-    """Return the degrees of freedom of the random component; correlations and pulses reduce them."""
+    """Return the degrees of freedom of the random component; correlations and pulses reduce
+    them.
+    """
     rest = subtract_means(pairs, (2, 3), fixed=False)
     square = float(np.mean(rest**2, dtype=np.float64))
     if power <= 0 or square <= 0:

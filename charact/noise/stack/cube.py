@@ -30,7 +30,12 @@ def shading_findings(found: Contrasts) -> list[Finding]:
     smooth = rows.T @ image @ cols
     smooth[:, 0, 0] = 0.0
     rms = float(np.sqrt(np.sum(smooth**2) / image.size))
-    return [Finding(None, f"excludes smooth shading up to fourth order along rows and columns, {rms:.3g} DN rms")]
+    return [
+        Finding(
+            None,
+            f"excludes smooth shading up to fourth order along rows and columns, {rms:.3g} DN rms",
+        )
+    ]
 
 
 def row_parity_findings(found: Contrasts, *, fixed: bool) -> list[Finding]:
@@ -41,7 +46,11 @@ def row_parity_findings(found: Contrasts, *, fixed: bool) -> list[Finding]:
     sign = (-1.0) ** np.arange(rows.shape[2]) / np.sqrt(rows.shape[2])
     alternating = np.einsum("ftvx,v->ft", rows, sign)
     power = float(np.mean(alternating**2) / np.mean(rows**2)) if np.any(rows) else 0.0
-    limit = CUBE.alternating_power if fixed else 1.0 + CUBE.alternating_sd * np.sqrt(2.0 / (found.size[0] - 1))
+    limit = (
+        CUBE.alternating_power
+        if fixed
+        else 1.0 + CUBE.alternating_sd * np.sqrt(2.0 / (found.size[0] - 1))
+    )
     if power <= limit:
         return []
     rms = float(np.sqrt(np.mean(alternating**2) / rows.shape[2] / found.size[2]))
@@ -57,10 +66,15 @@ class FrameMeans:
     """Means of the exposures of one stack."""
 
     mean_dn: Array  # mean of each exposure about the mean of its parity, shape (exposure,), DN
-    frequency_cy_per_exposure: Array  # frequencies above zero, shape (frequency,), cycles per exposure
-    power_dn2: Array  # variance of the means at each frequency without drift, shape (frequency,), DN^2
+    frequency_cy_per_exposure: (
+        Array  # frequencies above zero, shape (frequency,), cycles per exposure
+    )
+    power_dn2: (
+        Array  # variance of the means at each frequency without drift, shape (frequency,), DN^2
+    )
     exposure_period_s: float | None  # exposure period, s; None without time stamps
-    # drift_dn, drift_seen: linear change from first to last exposure, DN, and whether it is significant
+    # drift_dn, drift_seen: linear change from first to last exposure, DN, and whether it is
+    # significant
     drift_dn: float
     drift_seen: bool
     line: int | None  # index of the strongest frequency if significant, else None
@@ -81,11 +95,11 @@ class FrameMeans:
 def frame_means(field_mean_dn: Array, time_s: NDArray) -> FrameMeans:
     """Search the means of exposures for drift and a flicker line.
 
-    `field_mean_dn`: mean of every frame of each field, shape (field, frame), DN, at least four frames; `time_s`: time
-    of each frame, shape (frame,), s; empty if unknown.
+    `field_mean_dn`: mean of every frame of each field, shape (field, frame), DN, at least four
+    frames; `time_s`: time of each frame, shape (frame,), s; empty if unknown.
 
-    The largest of m powers of white noise exceeds the fraction g of their sum with probability m (1 - g)^(m - 1)
-    (Fisher, Proc. R. Soc. A 125, 54 (1929), first term).
+    The largest of m powers of white noise exceeds the fraction g of their sum with probability m (1
+    - g)^(m - 1) (Fisher, Proc. R. Soc. A 125, 54 (1929), first term).
     """
     fields = len(field_mean_dn)
     series = (field_mean_dn - field_mean_dn.mean(axis=1, keepdims=True)).T.ravel()
@@ -95,9 +109,15 @@ def frame_means(field_mean_dn: Array, time_s: NDArray) -> FrameMeans:
         power[-1] /= 2.0
     frequency = np.asarray(np.fft.rfftfreq(len(rest))[1:], np.float64)
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
-    return FrameMeans(mean_dn=series, frequency_cy_per_exposure=frequency, power_dn2=power,
-                      exposure_period_s=step / fields if step > 0 else None, drift_dn=drift, drift_seen=seen,
-                      line=_line(power))  # fmt: skip
+    return FrameMeans(
+        mean_dn=series,
+        frequency_cy_per_exposure=frequency,
+        power_dn2=power,
+        exposure_period_s=step / fields if step > 0 else None,
+        drift_dn=drift,
+        drift_seen=seen,
+        line=_line(power),
+    )
 
 
 def _drift(series: Array, taken: int) -> tuple[float, bool, Array]:
@@ -130,7 +150,8 @@ class Cube:
     components: dict[str, Component]  # variance of each component, by its axes: "t" to "tvh"
     findings: dict[str, tuple[Finding, ...]]  # findings of each component, by its axes
     means: FrameMeans  # means of the exposures
-    # row_mean_dn, column_mean_dn: mean of each row, shape (row,), and of each column, shape (col,), DN
+    # row_mean_dn, column_mean_dn: mean of each row, shape (row,), and of each column, shape (col,),
+    # DN
     row_mean_dn: Array
     column_mean_dn: Array
     fields: int  # number of cubes: 2 for interlaced frames, 4 if their lines are scanned both ways
@@ -158,8 +179,11 @@ def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
         "tv": () if split else tuple(row_parity_findings(found, fixed=False)),
     }
     return Cube(
-        components=parts, findings=findings, means=frame_means(mean_dn, stack.time_s),
+        components=parts,
+        findings=findings,
+        means=frame_means(mean_dn, stack.time_s),
         row_mean_dn=(found.by_row[..., 0].mean(axis=1) / np.sqrt(found.size[2])).T.ravel(),
         column_mean_dn=(found.by_col[:, :, 0].mean(axis=1) / np.sqrt(found.size[1])).mean(axis=0),
-        fields=len(found.by_row), seconds=watch.seconds(),
-    )  # fmt: skip
+        fields=len(found.by_row),
+        seconds=watch.seconds(),
+    )

@@ -1,4 +1,6 @@
-"""Statistics of a block of frames: clipped values, means, pixel products, fixed pattern and noise spectra."""
+"""Statistics of a block of frames: clipped values, means, pixel products, fixed pattern and noise
+spectra.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -50,7 +52,8 @@ class ClippedCounts:
     def high_fraction(self) -> float:
         """Fraction at full scale, or at the largest value if values accumulate there.
 
-        A smooth distribution falls towards its largest value; grey values need not be consecutive integers.
+        A smooth distribution falls towards its largest value; grey values need not be consecutive
+        integers.
         """
         likely = self.next_held + STACK.accumulated_sd * np.sqrt(self.next_held)
         piled = (
@@ -71,21 +74,37 @@ def count_clipped(data: NDArray, full_scale_dn: float | None) -> ClippedCounts:
         full = held if largest == full_scale_dn else int(np.count_nonzero(flat >= full_scale_dn))
     # With negative values, 0 is not the lower limit.
     low = int(np.count_nonzero(flat == 0)) if flat.min() == 0 else 0
-    return ClippedCounts(values=flat.size, frames=len(data), low=low, full=full,
-                 largest=float(largest), held=int(held), next_largest=float(next_largest),
-                 next_held=int(next_held))  # fmt: skip
+    return ClippedCounts(
+        values=flat.size,
+        frames=len(data),
+        low=low,
+        full=full,
+        largest=float(largest),
+        held=int(held),
+        next_largest=float(next_largest),
+        next_held=int(next_held),
+    )
 
 
 def sum_counts(parts: list[ClippedCounts]) -> ClippedCounts:
     """Return the sum of the counts."""
     held: dict[float, int] = {}
-    for value, count in [(p.largest, p.held) for p in parts] + [(p.next_largest, p.next_held) for p in parts]:
+    for value, count in [(p.largest, p.held) for p in parts] + [
+        (p.next_largest, p.next_held) for p in parts
+    ]:
         held[value] = held.get(value, 0) + count
     first, *others = sorted(held, reverse=True)
     second = others[0] if others else first
-    return ClippedCounts(values=sum(p.values for p in parts), frames=sum(p.frames for p in parts),
-                         low=sum(p.low for p in parts), full=sum(p.full for p in parts), largest=first,
-                         held=held[first], next_largest=second, next_held=held[second] if others else 0)  # fmt: skip
+    return ClippedCounts(
+        values=sum(p.values for p in parts),
+        frames=sum(p.frames for p in parts),
+        low=sum(p.low for p in parts),
+        full=sum(p.full for p in parts),
+        largest=first,
+        held=held[first],
+        next_largest=second,
+        next_held=held[second] if others else 0,
+    )
 
 
 def _top(flat: NDArray) -> tuple[float, int, float, int]:
@@ -109,19 +128,20 @@ class Pattern:
     # variance_dn2, sd_dn2: the variance and its standard error, DN^2
     variance_dn2: float
     sd_dn2: float
-    # whether the covariance is independent of the separation of exposures; if not, slow noise counts as pattern
+    # whether the covariance is independent of the separation of exposures; if not, slow noise
+    # counts as pattern
     settled: bool
 
 
 def measure_fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
     """Return the spatial variance of the fixed pattern.
 
-    `order`: order of the exposures; `sums`: products of their pixels; `least`: smallest separation of compared
-    exposures.
+    `order`: order of the exposures; `sums`: products of their pixels; `least`: smallest separation
+    of compared exposures.
 
-    The estimate is the mean covariance over the image of two exposures of the same rows, whose temporal noise is
-    independent. Image lag correlates exposures near in time, so the separation is doubled until the covariance no
-    longer falls.
+    The estimate is the mean covariance over the image of two exposures of the same rows, whose
+    temporal noise is independent. Image lag correlates exposures near in time, so the separation is
+    doubled until the covariance no longer falls.
     """
     parts = [_field_pattern(order, sums, int(parity), least) for parity in np.unique(order.parity)]
     return Pattern(
@@ -145,7 +165,9 @@ def _field_pattern(order: Order, sums: PixelSums, parity: int, least: int) -> Pa
         if not further.any():
             rest = _remaining_correlation(excess)
             return Pattern(
-                variance_dn2=found, sd_dn2=float(np.hypot(sd, rest)), settled=rest <= STACK.max_slow_noise * abs(found)
+                variance_dn2=found,
+                sd_dn2=float(np.hypot(sd, rest)),
+                settled=rest <= STACK.max_slow_noise * abs(found),
             )
         near_pairs = (distance >= apart) & ~further
         if not near_pairs.any():
@@ -154,10 +176,18 @@ def _field_pattern(order: Order, sums: PixelSums, parity: int, least: int) -> Pa
         near, near_sd = _mean(products, near_pairs, spread)
         far, far_sd = _mean(products, further, spread)
         noise = float(np.hypot(near_sd, far_sd))
-        alike = near - far <= STACK.slow_noise_sd * noise + 0.5 * STACK.slow_noise_fraction * abs(far)
+        alike = near - far <= STACK.slow_noise_sd * noise + 0.5 * STACK.slow_noise_fraction * abs(
+            far
+        )
         # A possible excess of near pairs adds to the error in proportion to their number.
-        unseen = (max(near - far, 0.0) + noise) * float(near_pairs.sum() / (distance >= apart).sum())
-        if alike and apart >= least and (not any(excess) or unseen <= STACK.max_slow_noise * abs(found)):
+        unseen = (max(near - far, 0.0) + noise) * float(
+            near_pairs.sum() / (distance >= apart).sum()
+        )
+        if (
+            alike
+            and apart >= least
+            and (not any(excess) or unseen <= STACK.max_slow_noise * abs(found))
+        ):
             return Pattern(variance_dn2=found, sd_dn2=float(np.hypot(sd, unseen)), settled=True)
         excess.append(0.0 if alike and not any(excess) else max(near - far, noise))
         apart *= 2
@@ -171,8 +201,12 @@ def _remaining_correlation(excess: list[float]) -> float:
     return float(last**2 / before) if before > last else np.inf
 
 
-def _mean(products: Array, chosen: NDArray[np.bool_], spread: tuple[float, float]) -> tuple[float, float]:
-    """Return the mean product over the chosen pairs and its standard error, for noise of the given spread."""
+def _mean(
+    products: Array, chosen: NDArray[np.bool_], spread: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the mean product over the chosen pairs and its standard error, for noise of the given
+    spread.
+    """
     weight = chosen / chosen.sum()
     common = float((weight * products).sum())
     noise = products - common
@@ -184,23 +218,38 @@ def _mean(products: Array, chosen: NDArray[np.bool_], spread: tuple[float, float
 
 
 def _spread(sums: PixelSums, parity: int) -> tuple[float, float]:
-    """Return the inverse number of independent pixels, for noise with noise and for noise with the pattern.
+    """Return the inverse number of independent pixels, for noise with noise and for noise with the
+    pattern.
 
-    The image centre represents the image; variance missing from its mean image is shading at the lowest frequencies.
+    The image centre represents the image; variance missing from its mean image is shading at the
+    lowest frequencies.
     """
     middle, pixels = sums.middle[parity], sums.size[0] * sums.size[1]
-    noise, mean = np.mean([_power(image) for image in middle], axis=0), _power(sums.mean_middle[parity])
+    noise, mean = (
+        np.mean([_power(image) for image in middle], axis=0),
+        _power(sums.mean_middle[parity]),
+    )
     level = float(noise.mean())
     if level <= 0:
         return 0.0, 0.0
     # The mean square of a mean of m exponential powers is biased by 1 + 1/m.
     twice = float(np.mean(noise**2)) / level**2 / (1.0 + 1.0 / len(middle))
     lowest = np.delete(
-        noise[np.ix_(*([0, min(1, n - 1), -1][:most] for n, most in zip(noise.shape, (3, 2), strict=True)))], 0
+        noise[
+            np.ix_(
+                *(
+                    [0, min(1, n - 1), -1][:most]
+                    for n, most in zip(noise.shape, (3, 2), strict=True)
+                )
+            )
+        ],
+        0,
     )
     own = float(mean.mean()) / middle[0].size
     shading = max(sums.mean_square[parity] - own, 0.0)
-    alike = own * float(np.mean(mean * noise)) / max(float(mean.mean()), 1e-30) + shading * float(lowest.mean())
+    alike = own * float(np.mean(mean * noise)) / max(float(mean.mean()), 1e-30) + shading * float(
+        lowest.mean()
+    )
     return twice / pixels, alike / max((own + shading) * level, 1e-30) / pixels
 
 
@@ -216,14 +265,20 @@ def _power(image: NDArray[np.float32]) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class BlockSpectrum:
-    """Temporal noise of one stack up to a largest lag: more lags mean less bias and more scatter."""
+    """Temporal noise of one stack up to a largest lag: more lags mean less bias and more
+    scatter.
+    """
 
-    lags: NDArray[np.int64]  # lags, exposures, 0 first, shape (lag,); empty if no spectrum was requested
+    lags: NDArray[
+        np.int64
+    ]  # lags, exposures, 0 first, shape (lag,); empty if no spectrum was requested
     power_dn2: Array  # autocovariance in time of the modes of each bin, shape (bin, lag), DN^2
     variance_dn2: float  # temporal variance of a pixel, DN^2
 
 
-NO_SPECTRUM = BlockSpectrum(lags=np.empty(0, np.int64), power_dn2=np.empty((0, 0)), variance_dn2=0.0)
+NO_SPECTRUM = BlockSpectrum(
+    lags=np.empty(0, np.int64), power_dn2=np.empty((0, 0)), variance_dn2=0.0
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,8 +303,8 @@ class FrameBlock:
         return self.pattern.variance_dn2, self.pattern.sd_dn2
 
 
-# Whether to compute noise spectra: in the bins of the covariance sum, or in those of a function of rows, columns and
-# row pitch.
+# Whether to compute noise spectra: in the bins of the covariance sum, or in those of a function of
+# rows, columns and row pitch.
 Spectra = bool | Callable[[int, int, float], Bins]
 
 
@@ -259,12 +314,16 @@ def run_of(frames: FrameStack, *, context: Context, spectra: Spectra) -> FrameBl
     Raises BadInput if values are out of range, or a frame has too few rows for two fields.
     """
     _check(frames, context)
-    full_scale_dn = context.full_scale_dn if context.full_scale_dn is not None else frames.full_scale_dn
+    full_scale_dn = (
+        context.full_scale_dn if context.full_scale_dn is not None else frames.full_scale_dn
+    )
     bins = bins_of_run(frames.shape, context, spectra=spectra)
     order = order_of(frames.frame_number, interlaced=context.interlaced)
     sums = pixel_sums(frames.data, order, bins)
     plain = np.zeros(1, np.int64)
-    variance = float(autocovariance(sums.products, order.time, order.parity, plain, within_parity=True)[0])
+    variance = float(
+        autocovariance(sums.products, order.time, order.parity, plain, within_parity=True)[0]
+    )
     few, many = NO_SPECTRUM, NO_SPECTRUM
     if spectra:
         few = _spectrum(sums, order, STACK.few_lags if spectra is True else 0)
@@ -275,22 +334,34 @@ def run_of(frames: FrameStack, *, context: Context, spectra: Spectra) -> FrameBl
     (right, right_sd), (below, below_sd) = right_neighbour(sums), lower_neighbour(sums)
     return FrameBlock(
         codes=count_clipped(frames.data, full_scale_dn),
-        frame_mean_dn=sums.mean_dn.reshape(len(frames), -1).mean(axis=1), time=order.time, parity=order.parity,
+        frame_mean_dn=sums.mean_dn.reshape(len(frames), -1).mean(axis=1),
+        time=order.time,
+        parity=order.parity,
         variance=(variance, float(np.hypot(variance_error(sums, variance), lines))),
         neighbour=(right, float(np.hypot(right_sd, rows / scale))),
-        below=(below, float(np.hypot(below_sd, cols / scale))), successor=successor_correlation(sums, order.parity),
-        pattern=measure_fixed_pattern(order, sums, STACK.decay_exposures if context.interlaced else 1), few=few,
+        below=(below, float(np.hypot(below_sd, cols / scale))),
+        successor=successor_correlation(sums, order.parity),
+        pattern=measure_fixed_pattern(
+            order, sums, STACK.decay_exposures if context.interlaced else 1
+        ),
+        few=few,
         many=many,
-    )  # fmt: skip
+    )
 
 
 def bins_of_run(shape: tuple[int, int, int], context: Context, *, spectra: Spectra) -> Bins:
-    """Return the spectral bins of frames of a shape; those of the covariance sum are cropped to fast transforms."""
+    """Return the spectral bins of frames of a shape; those of the covariance sum are cropped to
+    fast transforms.
+    """
     if not spectra:
         return NO_BINS
     step = 2 if context.interlaced else 1
     rows, cols, pitch = shape[1] // step, shape[2], context.pitch_ratio * step
-    return bins_of(smooth_length(rows), smooth_length(cols), pitch) if spectra is True else spectra(rows, cols, pitch)
+    return (
+        bins_of(smooth_length(rows), smooth_length(cols), pitch)
+        if spectra is True
+        else spectra(rows, cols, pitch)
+    )
 
 
 def _check(frames: FrameStack, context: Context) -> None:

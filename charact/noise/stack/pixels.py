@@ -1,4 +1,6 @@
-"""Statistics of pixels and their neighbours in one pass over the exposures, with errors from image blocks."""
+"""Statistics of pixels and their neighbours in one pass over the exposures, with errors from image
+blocks.
+"""
 
 from dataclasses import dataclass
 
@@ -25,32 +27,36 @@ class PixelSums:
 
     size: tuple[int, int]  # rows and columns of an exposure
     mean_dn: Array  # mean of each exposure, shape (exposure,), DN
-    products: Array  # mean product of exposures of equal parity, shape (exposure, exposure), DN^2; 0 across parities
-    # mean product of each exposure's fluctuations with the mean image of its parity, shape (exposure,), DN^2
+    # mean product of exposures of equal parity, shape (exposure, exposure), DN^2; 0 across parities
+    products: Array
+    # mean product of each exposure's fluctuations with the mean image of its parity, shape
+    # (exposure,), DN^2
     with_mean: Array
     mean_square: Array  # variance over the image of that mean image, shape (parity,), DN^2
-    # middle, mean_middle: for each parity the image centre of the fluctuations of some exposures, shape (exposure, row,
-    # col), and of the mean image, shape (row, col), DN
+    # middle, mean_middle: for each parity the image centre of the fluctuations of some exposures,
+    # shape (exposure, row, col), and of the mean image, shape (row, col), DN
     middle: tuple[NDArray[np.float32], ...]
     mean_middle: tuple[NDArray[np.float32], ...]
-    # power, right, below: block means of the sum over exposures of the square, and of the product with the next pixel
-    # of the row and of the column, shape (block,), DN^2; NaN for a block without such pairs
+    # power, right, below: block means of the sum over exposures of the square, and of the product
+    # with the next pixel of the row and of the column, shape (block,), DN^2; NaN for a block
+    # without such pairs
     power: Array
     right: Array
     below: Array
-    # near, pairs: block means of the summed products of the exposures nearest in time, shape (block,), DN^2, and the
-    # number of these pairs
+    # near, pairs: block means of the summed products of the exposures nearest in time, shape
+    # (block,), DN^2, and the number of these pairs
     near: Array
     pairs: int
     level: Array  # mean of the pixels of a block, shape (block,), DN
-    spectra: Array  # mean product of the modes of exposures, see `charact.noise.stack.spectrum.products_of`
+    # mean product of the modes of exposures, see `charact.noise.stack.spectrum.products_of`
+    spectra: Array
 
 
 def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
     """Return the sums over the pixels of frames.
 
-    `data`: pixels, shape (frame, row, col), DN; `order`: time order of the exposures; `bins`: bins of the spectra;
-    `NO_BINS` for none.
+    `data`: pixels, shape (frame, row, col), DN; `order`: time order of the exposures; `bins`: bins
+    of the spectra; `NO_BINS` for none.
     """
     fields = split_fields(data, order.row_step)
     rows, cols = fields[0].shape[1:]
@@ -63,8 +69,13 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
     for parity, field in enumerate(fields):
         same = np.flatnonzero(order.parity == parity)
         level[same] = [_mean(image) for image in field]
-        found = _Pass(field, level[same], _nearest(order.time[same]), row_cuts, col_cuts, total, bins)
-        products[np.ix_(same, same)], with_mean[same] = found.products / (rows * cols), found.with_mean / (rows * cols)
+        found = _Pass(
+            field, level[same], _nearest(order.time[same]), row_cuts, col_cuts, total, bins
+        )
+        products[np.ix_(same, same)], with_mean[same] = (
+            found.products / (rows * cols),
+            found.with_mean / (rows * cols),
+        )
         modes += [modes_of(along, parity, bins) for along in found.along]
         passes.append(found)
     high, wide = np.diff(row_cuts), np.diff(col_cuts)
@@ -79,23 +90,40 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
     }
     mean["level"] += level.mean()
     return PixelSums(
-        size=(rows, cols), mean_dn=level, products=products, with_mean=with_mean,
+        size=(rows, cols),
+        mean_dn=level,
+        products=products,
+        with_mean=with_mean,
         mean_square=np.array([found.mean_square for found in passes]) / (rows * cols),
-        middle=tuple(found.middle for found in passes), mean_middle=tuple(found.mean_middle for found in passes),
+        middle=tuple(found.middle for found in passes),
+        mean_middle=tuple(found.mean_middle for found in passes),
         pairs=sum(len(found.first) for found in passes),
-        spectra=_complete_products(products_of(np.array(modes), bins), order.parity), **mean,
-    )  # fmt: skip
+        spectra=_complete_products(products_of(np.array(modes), bins), order.parity),
+        **mean,
+    )
 
 
 class _Pass:
     """One pass over the exposures of one parity, in bands of rows."""
 
-    def __init__(self, field: NDArray, level: Array, near: tuple[Whole, Whole], row_cuts: Whole, col_cuts: Whole,
-                 total: Array, bins: Bins) -> None:  # fmt: skip
+    def __init__(
+        self,
+        field: NDArray,
+        level: Array,
+        near: tuple[Whole, Whole],
+        row_cuts: Whole,
+        col_cuts: Whole,
+        total: Array,
+        bins: Bins,
+    ) -> None:
         count, rows, cols = field.shape
         self.first, self.second = near
         self.bins = bins
-        self.products, self.with_mean, self.mean_square = np.zeros((count, count)), np.zeros(count), 0.0
+        self.products, self.with_mean, self.mean_square = (
+            np.zeros((count, count)),
+            np.zeros(count),
+            0.0,
+        )
         # Centred exposures sum to zero: all but one are independent.
         self.some = np.linspace(0, count - 2, min(count - 1, STACK.spectra)).round().astype(int)
         self.rows, self.cols = (_middle(length) for length in (rows, cols))
@@ -110,8 +138,18 @@ class _Pass:
         for start in range(0, rows, step):
             band = field[:, start : start + step].astype(np.float32)
             mean = _centre(band, level, back)
-            self.mean_square += _add(band, mean, above, start, row_cuts, col_cuts, *near, self.products,
-                                     self.with_mean, total)  # fmt: skip
+            self.mean_square += _add(
+                band,
+                mean,
+                above,
+                start,
+                row_cuts,
+                col_cuts,
+                *near,
+                self.products,
+                self.with_mean,
+                total,
+            )
             above = band[:, -1].copy()
             self._keep(band, mean, start)
 
@@ -119,7 +157,10 @@ class _Pass:
         """Store the data of the spectra."""
         low, high = max(start, self.rows.start), min(start + len(mean), self.rows.stop)
         if low < high:
-            here, there = np.s_[low - start : high - start], np.s_[low - self.rows.start : high - self.rows.start]
+            here, there = (
+                np.s_[low - start : high - start],
+                np.s_[low - self.rows.start : high - self.rows.start],
+            )
             self.middle[:, there] = band[self.some, here, self.cols]
             self.mean_middle[there] = mean[here, self.cols]
         stop = min(start + len(mean), self.along.shape[1])
@@ -128,7 +169,8 @@ class _Pass:
 
 
 def _complete_products(products: Array, parity: Whole) -> Array:
-    """Return the mode products of all exposures from those without the last of each parity, shape (bin, i, j).
+    """Return the mode products of all exposures from those without the last of each parity, shape
+    (bin, i, j).
 
     Centred exposures sum to zero: the last is minus the sum of the others.
     """
@@ -192,7 +234,9 @@ def _centre(band, level, back):
 
 @njit(cache=True, fastmath=True)
 def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, with_mean, total):
-    """Add the products of a band that starts at row `start`, below the row `above`; return those of its mean."""
+    """Add the products of a band that starts at row `start`, below the row `above`; return those of
+    its mean.
+    """
     count, rows, cols = band.shape
     mean_square, high = 0.0, 0
     sums = np.zeros((len(total), cols), np.float32)
@@ -242,7 +286,9 @@ def _flush(sums, total, col_cuts):
 
 
 def variance_error(sums: PixelSums, variance: float) -> float:
-    """Return the standard error of the mean variance, from image blocks scaled to the mean level."""
+    """Return the standard error of the mean variance, from image blocks scaled to the mean
+    level.
+    """
     # Shot noise is lower in darker blocks.
     bright = sums.level.min() > 0.5 * sums.level.mean()
     even = sums.power * (sums.level.mean() / sums.level if bright else 1.0)
@@ -252,21 +298,29 @@ def variance_error(sums: PixelSums, variance: float) -> float:
 
 
 def line_errors(sums: PixelSums, order: Order) -> tuple[float, float]:
-    """Return the part of row noise, and of column noise, in the standard error of the variance, DN^2.
+    """Return the part of row noise, and of column noise, in the standard error of the variance,
+    DN^2.
 
-    Row noise of variance v in R rows of n exposures has the standard error v sqrt(2 / (R (n - 1))), whatever the number
-    of pixels. It is the power of rows at frequency 0 above that at the lowest frequency, which blur affects alike.
+    Row noise of variance v in R rows of n exposures has the standard error v sqrt(2 / (R (n - 1))),
+    whatever the number of pixels. It is the power of rows at frequency 0 above that at the lowest
+    frequency, which blur affects alike.
     """
     count = len(order.time) / len(sums.middle)
     freedom = max(len(order.time) - len(sums.middle), 1)
-    parts = [[_line_power(np.moveaxis(image, axis, -1)) for image in sums.middle] for axis in (2, 1)]
+    parts = [
+        [_line_power(np.moveaxis(image, axis, -1)) for image in sums.middle] for axis in (2, 1)
+    ]
     # Subtracting the mean of n exposures removes the fraction 1/n.
     rows, cols = (max(float(np.mean(part)), 0.0) * count / max(count - 1.0, 1.0) for part in parts)
-    return rows * float(np.sqrt(2.0 / (sums.size[0] * freedom))), cols * float(np.sqrt(2.0 / (sums.size[1] * freedom)))
+    return rows * float(np.sqrt(2.0 / (sums.size[0] * freedom))), cols * float(
+        np.sqrt(2.0 / (sums.size[1] * freedom))
+    )
 
 
 def _line_power(lines: NDArray[np.float32]) -> float:
-    """Return the variance of the line means beyond that of the lowest frequency; lines along the last axis."""
+    """Return the variance of the line means beyond that of the lowest frequency; lines along the
+    last axis.
+    """
     phase = 2.0 * np.pi * np.arange(lines.shape[-1], dtype=np.float32) / lines.shape[-1]
     waves = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=1) / lines.shape[-1]
     power = np.mean((lines @ waves).reshape(-1, 3) ** 2, axis=0)
@@ -274,12 +328,16 @@ def _line_power(lines: NDArray[np.float32]) -> float:
 
 
 def right_neighbour(sums: PixelSums) -> tuple[float, float]:
-    """Return the correlation of neighbouring pixels of a row, and its standard error; zeros for rows of one pixel."""
+    """Return the correlation of neighbouring pixels of a row, and its standard error; zeros for
+    rows of one pixel.
+    """
     return _correlation(sums, sums.right) if sums.size[1] > 1 else (0.0, 0.0)
 
 
 def lower_neighbour(sums: PixelSums) -> tuple[float, float]:
-    """Return the correlation of neighbouring pixels of a column of one exposure, and its standard error."""
+    """Return the correlation of neighbouring pixels of a column of one exposure, and its standard
+    error.
+    """
     return _correlation(sums, sums.below) if sums.size[0] > 1 else (0.0, 0.0)
 
 
@@ -295,18 +353,23 @@ def _correlation(sums: PixelSums, products: Array) -> tuple[float, float]:
 
 
 def successor_correlation(sums: PixelSums, parity: Whole) -> tuple[float, float]:
-    """Return the excess correlation of exposures nearest in time over the others, and its standard error.
+    """Return the excess correlation of exposures nearest in time over the others, and its standard
+    error.
 
-    Centred exposures sum to zero, so the mean covariance of all pairs follows from the variance, and the excess needs
-    the near pairs alone. It is free of centring bias and fixed pattern. With two exposures of one parity the error is
-    infinite.
+    Centred exposures sum to zero, so the mean covariance of all pairs follows from the variance,
+    and the excess needs the near pairs alone. It is free of centring bias and fixed pattern. With
+    two exposures of one parity the error is infinite.
     """
     count = np.bincount(parity)
     others = int((count * (count - 1) // 2).sum()) - sums.pairs
     freedom = len(parity) - np.count_nonzero(count)
     if not others or sums.power.mean() <= 0 or sums.power.size < 2:
         return 0.0, np.inf
-    contrast = (sums.near / sums.pairs + (0.5 * sums.power + sums.near) / others) * freedom / sums.power.mean()
+    contrast = (
+        (sums.near / sums.pairs + (0.5 * sums.power + sums.near) / others)
+        * freedom
+        / sums.power.mean()
+    )
     return float(contrast.mean()), float(contrast.std(ddof=1) / np.sqrt(contrast.size))
 
 
@@ -314,5 +377,7 @@ def _nearest(time: Whole) -> tuple[Whole, Whole]:
     """Return the indices of the pairs nearest in time."""
     distance = np.abs(time[:, None] - time)
     upper = np.triu(np.ones_like(distance, bool), 1)
-    first, second = np.nonzero(upper & (distance == distance[upper].min(initial=np.iinfo(np.int64).max)))
+    first, second = np.nonzero(
+        upper & (distance == distance[upper].min(initial=np.iinfo(np.int64).max))
+    )
     return first, second

@@ -1,4 +1,6 @@
-"""Statistics of one stack of dark or uniformly illuminated frames: level, temporal variance, noise spectrum."""
+"""Statistics of one stack of dark or uniformly illuminated frames: level, temporal variance, noise
+spectrum.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +11,14 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.stack.cube import Cube, cube_of
-from charact.noise.stack.frame_block import BlockSpectrum, FrameBlock, Spectra, bins_of_run, run_of, sum_counts
+from charact.noise.stack.frame_block import (
+    BlockSpectrum,
+    FrameBlock,
+    Spectra,
+    bins_of_run,
+    run_of,
+    sum_counts,
+)
 from charact.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY, Bins
 from charact.noise.stack.temporal import runs_of
 from charact.noise.thresholds import STACK
@@ -36,20 +45,23 @@ class StackStatistics:
     size: tuple[int, int]
     mean_dn: float  # mean over all pixels and frames
     frame_mean_dn: Array  # mean of each frame, shape (frame,)
-    # variance_dn2, variance_sd_dn2: temporal variance of a pixel, mean over the image, and its standard error
+    # variance_dn2, variance_sd_dn2: temporal variance of a pixel, mean over the image, and its
+    # standard error
     variance_dn2: float
     variance_sd_dn2: float
-    # neighbour_correlation, neighbour_sd: correlation of neighbouring pixels of a row, and its standard error
+    # neighbour_correlation, neighbour_sd: correlation of neighbouring pixels of a row, and its
+    # standard error
     neighbour_correlation: float
     neighbour_sd: float
     # below_correlation, below_sd: correlation of neighbouring pixels of a column of one exposure
     below_correlation: float
     below_sd: float
-    # successor_correlation, successor_sd: correlation of successive exposures relative to others, and its standard
-    # error; infinite for two frames
+    # successor_correlation, successor_sd: correlation of successive exposures relative to others,
+    # and its standard error; infinite for two frames
     successor_correlation: float
     successor_sd: float
-    # spatial_variance_dn2, spatial_sd_dn2: spatial variance of the fixed pattern, and its standard error
+    # spatial_variance_dn2, spatial_sd_dn2: spatial variance of the fixed pattern, and its standard
+    # error
     spatial_variance_dn2: float
     spatial_sd_dn2: float
     settled: bool  # whether that variance is free of slowly varying noise
@@ -112,13 +124,26 @@ def _join(
     codes = sum_counts([run.codes for run in runs])
     frame_mean = np.concatenate([run.frame_mean_dn for run in runs])
     return StackStatistics(
-        label=entry.label, kind=entry.kind, conditions=entry.conditions, frames=shape[0], pixels=shape[1] * shape[2],
-        size=shape[1:], mean_dn=float(frame_mean.mean()), frame_mean_dn=frame_mean, **pooled,
-        settled=all(run.pattern.settled for run in runs), low_fraction=codes.low_fraction,
-        high_fraction=codes.high_fraction, few=_mean_spectrum([run.few for run in runs], weight),
-        many=_mean_spectrum([run.many for run in runs], weight), runs=len(runs), time=runs[0].time,
-        parity=runs[0].parity, bins=bins, cube=next((cube for _, cube in found if cube is not None), None),
-    )  # fmt: skip
+        label=entry.label,
+        kind=entry.kind,
+        conditions=entry.conditions,
+        frames=shape[0],
+        pixels=shape[1] * shape[2],
+        size=shape[1:],
+        mean_dn=float(frame_mean.mean()),
+        frame_mean_dn=frame_mean,
+        **pooled,
+        settled=all(run.pattern.settled for run in runs),
+        low_fraction=codes.low_fraction,
+        high_fraction=codes.high_fraction,
+        few=_mean_spectrum([run.few for run in runs], weight),
+        many=_mean_spectrum([run.many for run in runs], weight),
+        runs=len(runs),
+        time=runs[0].time,
+        parity=runs[0].parity,
+        bins=bins,
+        cube=next((cube for _, cube in found if cube is not None), None),
+    )
 
 
 def _mean_spectrum(runs: list[BlockSpectrum], weight: Array) -> BlockSpectrum:
@@ -136,14 +161,18 @@ def read_levels_of(
 ) -> list[StackStatistics | None]:
     """Return the statistics of stacks; None for a stack of a single frame.
 
-    `cubes`: whether to compute 3-D noise. `context.spread` maps over the parts of stacks. Raises BadInput if frame
-    numbers repeat, values are out of range, or a frame has too few rows for two fields.
+    `cubes`: whether to compute 3-D noise. `context.spread` maps over the parts of stacks. Raises
+    BadInput if frame numbers repeat, values are out of range, or a frame has too few rows for two
+    fields.
     """
     alone = replace(context, progress=Context.progress, spread=Context.spread)
     # Workers run in other folders.
     entries = [replace(entry, folder=entry.folder.absolute()) for entry in entries]
     stacks = [open_lazy_stack(entry) for entry in entries]
-    parts = [_parts(entry, stack, alone, spectra, cubes) for entry, stack in zip(entries, stacks, strict=True)]
+    parts = [
+        _parts(entry, stack, alone, spectra, cubes)
+        for entry, stack in zip(entries, stacks, strict=True)
+    ]
     found = iter(context.spread(part_statistics, [part for of_stack in parts for part in of_stack]))
     levels: list[StackStatistics | None] = []
     for entry, stack, of_stack in zip(entries, stacks, parts, strict=True):
@@ -161,14 +190,17 @@ def part_statistics(part: Part) -> PartStatistics:
         stack = stack.in_memory()
     try:
         runs = tuple(
-            run_of(_frames(stack, first, last), context=part.context, spectra=part.spectra) for first, last in part.runs
+            run_of(_frames(stack, first, last), context=part.context, spectra=part.spectra)
+            for first, last in part.runs
         )
     except BadInput as error:
         raise BadInput(f"{error}, in stack {part.entry.label!r}") from None
     return runs, cube_of(stack, context=part.context) if part.cube else None
 
 
-def _parts(entry: StackEntry, stack: LazyStack, context: Context, spectra: Spectra, cube: bool) -> list[Part]:
+def _parts(
+    entry: StackEntry, stack: LazyStack, context: Context, spectra: Spectra, cube: bool
+) -> list[Part]:
     """Return the parts of a stack."""
     number = stack.frame_number
     if len(np.unique(number)) < len(number):
@@ -187,7 +219,9 @@ def _frames(stack: LazyStack, first: int, last: int) -> FrameStack:
     """Return the frames of one block."""
     stamped = len(stack.frame_number) == len(stack)
     number = stack.frame_number[first:last] if stamped else np.arange(first, last)
-    return FrameStack(data=stack.frames(first, last), frame_number=number, full_scale_dn=stack.full_scale_dn)
+    return FrameStack(
+        data=stack.frames(first, last), frame_number=number, full_scale_dn=stack.full_scale_dn
+    )
 
 
 # Side of the square, pixels of one exposure; larger than the blur.
@@ -207,10 +241,14 @@ class Shares:
 def shares_of(bins: Bins, side: int = SIDE_PX) -> Shares:
     """Return the weights of a square of `side` pixels.
 
-    Modes of the band without a bin (on the axes and in the smallest rings) count with the nearest bin.
+    Modes of the band without a bin (on the axes and in the smallest rings) count with the nearest
+    bin.
     """
     rows, cols = bins.window.shape
-    row, col = np.abs(np.fft.fftfreq(rows))[:, None].astype(float), np.fft.rfftfreq(cols)[None, :].astype(float)
+    row, col = (
+        np.abs(np.fft.fftfreq(rows))[:, None].astype(float),
+        np.fft.rfftfreq(cols)[None, :].astype(float),
+    )
     count = np.where((col == 0) | (col == 0.5), 1.0, 2.0) * np.ones((rows, 1)) / (rows * cols)
     weight = count * _response(row, side) * _response(col, side)
     y, x = np.broadcast_arrays(row / bins.row_pitch, col)
@@ -218,15 +256,19 @@ def shares_of(bins: Bins, side: int = SIDE_PX) -> Shares:
     place = np.array(bins.select)
     lost = inside & (place < 0)
     radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
-    across = (x[lost][:, None] - bins.column_cy_per_px) ** 2 + (y[lost][:, None] - bins.row_cy_per_px) ** 2
+    across = (x[lost][:, None] - bins.column_cy_per_px) ** 2 + (
+        y[lost][:, None] - bins.row_cy_per_px
+    ) ** 2
     outward = (np.hypot(x, y)[lost][:, None] - radius) ** 2
     # Power depends mainly on the radius.
     place[lost] = (outward + 0.05 * across).argmin(axis=1)
     number = len(bins.modes)
     return Shares(
-        bins=np.bincount(place[inside], weight[inside], number).astype(float), beyond=float(weight[~inside].sum()),
-        modes=np.bincount(place[inside], count[inside], number).astype(float), edge=radius > 0.9 * radius.max(),
-    )  # fmt: skip
+        bins=np.bincount(place[inside], weight[inside], number).astype(float),
+        beyond=float(weight[~inside].sum()),
+        modes=np.bincount(place[inside], count[inside], number).astype(float),
+        edge=radius > 0.9 * radius.max(),
+    )
 
 
 def _response(frequency: Array, side: int) -> Array:
@@ -241,13 +283,14 @@ def area_variance(
 ) -> tuple[float, float]:
     """Return the variance of a square's mean and its standard error, DN^2.
 
-    `level`, `spectrum`: a stack and the spectrum of its noise; `shares`: weights of the square; `exposures`:
-    independent exposures behind the spectrum.
+    `level`, `spectrum`: a stack and the spectrum of its noise; `shares`: weights of the square;
+    `exposures`: independent exposures behind the spectrum.
 
-    The variance is the sum over modes of power times (sin(pi n f) / (n sin(pi f)))^2 along rows and columns. For white
-    noise it is the pixel variance over n^2, for blurred noise larger by the inverse blur factor. Beyond the bins the
-    power is taken midway between their outer edge and the mean beyond, which follows from the pixel variance. Row,
-    column and frame noise lies on the excluded axes and is added from the 3-D noise if available.
+    The variance is the sum over modes of power times (sin(pi n f) / (n sin(pi f)))^2 along rows and
+    columns. For white noise it is the pixel variance over n^2, for blurred noise larger by the
+    inverse blur factor. Beyond the bins the power is taken midway between their outer edge and the
+    mean beyond, which follows from the pixel variance. Row, column and frame noise lies on the
+    excluded axes and is added from the 3-D noise if available.
     """
     power = spectrum.power_dn2[:, 0]
     rest = float(spectrum.variance_dn2 - shares.modes @ power) / max(1.0 - shares.modes.sum(), 1e-6)
@@ -256,19 +299,28 @@ def area_variance(
     variance = float(shares.bins @ power) + beyond
     own = (shares.bins * power) ** 2 / (level.bins.modes * level.bins.efficiency * exposures)
     pulses = variance * level.variance_sd_dn2 / max(level.variance_dn2, 1e-12)
-    parts = [np.sqrt(own.sum()), 0.3 * shares.beyond * abs(edge - rest), STACK.binning_sd * variance, pulses]
+    parts = [
+        np.sqrt(own.sum()),
+        0.3 * shares.beyond * abs(edge - rest),
+        STACK.binning_sd * variance,
+        pulses,
+    ]
     whole, whole_sd = _whole_lines(level)
     return variance + whole, float(np.sqrt(np.sum(np.square(parts)) + whole_sd**2))
 
 
 def _whole_lines(level: StackStatistics, side: int = SIDE_PX) -> tuple[float, float]:
-    """Return the variance of a square's mean by frame, row and column noise, and its standard error, DN^2."""
+    """Return the variance of a square's mean by frame, row and column noise, and its standard
+    error, DN^2.
+    """
     if level.cube is None:
         return 0.0, 0.0
     rng = np.random.default_rng(8)
     parts = level.cube.components
     shares = {"t": 1.0, "tv": 1.0 / side, "th": 1.0 / side}
     value = sum(share * parts[name].variance_dn2 for name, share in shares.items())
-    draws = sum((share * parts[name].draws(rng, 400) for name, share in shares.items()), np.zeros(400))
+    draws = sum(
+        (share * parts[name].draws(rng, 400) for name, share in shares.items()), np.zeros(400)
+    )
     low, high = np.quantile(draws, [0.16, 0.84])
     return float(value), float(0.5 * (high - low))

@@ -21,7 +21,8 @@ from charact.noise.sweep.settings import Sweep, SweepSetting
 from charact.noise.thresholds import GAIN, SWEEP
 
 Array = NDArray[np.float64]
-# Smallest slope of the gain law of a working control, by its unit: exponent, none, exponent, dB per dB.
+# Smallest slope of the gain law of a working control, by its unit: exponent, none, exponent, dB per
+# dB.
 FOLLOWS = {"V": 1.0, "count": 0.0, "1": 0.5, "dB": 0.5}
 # Flags covered by the errors of settings; and flags that only add to the scatter of levels.
 ALLOWED = ("quantised",)
@@ -33,7 +34,9 @@ STRAY = 1.5 * SWEEP.departure
 class SweepJointFit:
     """Joint fit of all settings."""
 
-    sweep: Sweep  # the settings, with gains corrected to small signals if MCP saturation was measured
+    sweep: (
+        Sweep  # the settings, with gains corrected to small signals if MCP saturation was measured
+    )
     axis: Axis  # positions of the settings
     law: GainLaw  # law of the covariance gain
     lit: tuple[int, ...]  # indices of settings with light in one unit
@@ -71,12 +74,18 @@ def fit_sweep(sweep: Sweep, *, context: Context) -> SweepJointFit:
     # Settings with light in the most frequent unit.
     units = [s.light_unit for s in sweep.settings if s.light is not None]
     unit = max(sorted(set(units)), key=units.count) if units else ""
-    lit = tuple(i for i, s in enumerate(sweep.settings) if s.light is not None and s.light_unit == unit)
+    lit = tuple(
+        i for i, s in enumerate(sweep.settings) if s.light is not None and s.light_unit == unit
+    )
     response = None
     if len(lit) > 1:
         of_lit = tuple(sweep.settings[i] for i in lit)
-        response = response_of(of_lit, axis.x[list(lit)], seed=context.seed + 1, quick=context.quick)
-        sweep = replace(sweep, settings=correct_saturation(sweep.settings, lit, response, seed=context.seed))
+        response = response_of(
+            of_lit, axis.x[list(lit)], seed=context.seed + 1, quick=context.quick
+        )
+        sweep = replace(
+            sweep, settings=correct_saturation(sweep.settings, lit, response, seed=context.seed)
+        )
     gains, sd = np.array([s.log_gain for s in sweep.settings]).T
     variance = None
     if not sweep.settings[0].white:
@@ -88,18 +97,26 @@ def fit_sweep(sweep: Sweep, *, context: Context) -> SweepJointFit:
     own = [one for s in sweep.settings for one in s.findings]
     findings = [Finding(None if one.flag in allowed else one.flag, one.note) for one in own]
     findings += _law_findings(joint)
-    return replace(joint, findings=(*findings, *(Finding(None, sentence) for sentence in sweep.left_out)))
+    return replace(
+        joint, findings=(*findings, *(Finding(None, sentence) for sentence in sweep.left_out))
+    )
 
 
 def _share(sweep: Sweep, least: float, context: Context) -> tuple[float, float] | None:
-    """Return the prior of the electron gain over the smallest covariance gain; None if the control changes it."""
+    """Return the prior of the electron gain over the smallest covariance gain; None if the control
+    changes it.
+    """
     if not sweep.knob.tube:
         return None
     if context.sensor is None:
         return 0.0, SWEEP.electron_fraction
     known = context.sensor.video.conversion_gain_dn_per_e
     share = float(known) / float(np.exp(least))
-    spread = 0.0 if known.low is None or known.high is None else (known.high - known.low) / 3.92 / float(known)
+    spread = (
+        0.0
+        if known.low is None or known.high is None
+        else (known.high - known.low) / 3.92 / float(known)
+    )
     return share, max(spread, 0.05) * share
 
 
@@ -108,11 +125,18 @@ def _law_findings(joint: SweepJointFit) -> list[Finding]:
     knob = joint.sweep.knob
     found: list[Finding] = []
     if len(joint.sweep.settings) < 3:
-        found.append(Finding("too-few-frames", "only 2 settings: the law between them cannot be checked"))
-    found += [Finding(flag, "see the posterior") for flag in joint.law.posterior.flags + joint.source.posterior.flags]
+        found.append(
+            Finding("too-few-frames", "only 2 settings: the law between them cannot be checked")
+        )
+    found += [
+        Finding(flag, "see the posterior")
+        for flag in joint.law.posterior.flags + joint.source.posterior.flags
+    ]
     found += _curvature_findings(joint) + _outlier_findings(joint) + _blur_findings(joint)
     if np.quantile(joint.rise, 0.975) < FOLLOWS[knob.unit]:
-        found.append(Finding("agc", f"the gain does not follow the {knob.words}: possible automatic control"))
+        found.append(
+            Finding("agc", f"the gain does not follow the {knob.words}: possible automatic control")
+        )
     return found
 
 
@@ -126,7 +150,11 @@ def _curvature_findings(joint: SweepJointFit) -> list[Finding]:
     ends = [slope + side * 8.0 * leaves / joint.axis.span for side in (-1.0, 1.0)]
     words = f"from {ends[0]:.3g} at the lowest setting to {ends[1]:.3g} at the highest"
     flag = "nonlinear" if abs(leaves) > SWEEP.curvature else None
-    return [Finding(flag, f"the gain law is curved by {100 * abs(leaves):.1f} %: its slope changes {words}")]
+    return [
+        Finding(
+            flag, f"the gain law is curved by {100 * abs(leaves):.1f} %: its slope changes {words}"
+        )
+    ]
 
 
 def _own_gains(joint: SweepJointFit) -> tuple[Array, Array, Array]:
@@ -147,7 +175,10 @@ def _outlier_findings(joint: SweepJointFit) -> list[Finding]:
     law = np.polyval(np.polyfit(x, own, 1, w=1.0 / np.hypot(sd, STRAY)), x)
     for value, off, error in zip([s.value for s in settings], own - law, sd, strict=True):
         if abs(off) > SWEEP.outlier_sd * np.hypot(error, STRAY):
-            text = f"the gain at {joint.sweep.knob.text(value)} is {np.exp(off):.2f} times that of the law"
+            text = (
+                f"the gain at {joint.sweep.knob.text(value)} is {np.exp(off):.2f} times that "
+                f"of the law"
+            )
             found.append(Finding("model-misfit", text))
     return found
 
@@ -169,7 +200,10 @@ def _blur_findings(joint: SweepJointFit) -> list[Finding]:
     return [
         Finding(
             "model-misfit",
-            f"at {joint.sweep.knob.text(s.value)} the blur factor is {np.exp(o):.3g}, not {np.exp(e):.3g}",
+            (
+                f"at {joint.sweep.knob.text(s.value)} the blur factor is {np.exp(o):.3g}, not "
+                f"{np.exp(e):.3g}"
+            ),
         )
         for s, o, e, error in zip(settings, own, expected, sd, strict=True)
         if abs(o - e) > SWEEP.outlier_sd * error

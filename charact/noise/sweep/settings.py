@@ -9,8 +9,18 @@ from charact.method import Context
 from charact.noise.findings import Finding
 from charact.noise.gain import emva1288
 from charact.noise.gain.checks import series_findings
-from charact.noise.gain.series import GAINS, gain_obstacle, has_intensifier, longest_series, series_of_one_gain
-from charact.noise.gain.single_setting import SingleSetting, fit_single_setting, quantisation_fraction
+from charact.noise.gain.series import (
+    GAINS,
+    gain_obstacle,
+    has_intensifier,
+    longest_series,
+    series_of_one_gain,
+)
+from charact.noise.gain.single_setting import (
+    SingleSetting,
+    fit_single_setting,
+    quantisation_fraction,
+)
 from charact.noise.gain.undetected_correlation import allowance_of
 from charact.noise.illumination import relative_sd_of
 from charact.noise.stack.stack_statistics import StackStatistics
@@ -44,28 +54,45 @@ class GainControl:
 
     def text(self, value: float) -> str:
         """Return a value with its unit."""
-        return f"{value:.4g}" if self.unit == "1" else f"{value:.4g} {self.unit}{'s' * (self.unit == 'count')}"
+        return (
+            f"{value:.4g}"
+            if self.unit == "1"
+            else f"{value:.4g} {self.unit}{'s' * (self.unit == 'count')}"
+        )
 
 
 KNOBS = (
     GainControl(name="mcp_v", unit="V", words="MCP voltage", logarithmic=True, tube=True),
-    GainControl(name="gain_control", unit="count", words="control word", logarithmic=False, tube=True),
-    GainControl(name="em_gain", unit="1", words="stated multiplication", logarithmic=True, tube=False),
-    GainControl(name="camera_gain_db", unit="dB", words="camera gain", logarithmic=False, tube=False),
+    GainControl(
+        name="gain_control", unit="count", words="control word", logarithmic=False, tube=True
+    ),
+    GainControl(
+        name="em_gain", unit="1", words="stated multiplication", logarithmic=True, tube=False
+    ),
+    GainControl(
+        name="camera_gain_db", unit="dB", words="camera gain", logarithmic=False, tube=False
+    ),
 )
 
 
-def setting_of(flats: list[StackStatistics], knob: GainControl) -> list[tuple[float, list[StackStatistics]]]:
-    """Return the flats by value of a control with all other controls equal; of several groups the one of most
-    values."""
+def setting_of(
+    flats: list[StackStatistics], knob: GainControl
+) -> list[tuple[float, list[StackStatistics]]]:
+    """Return the flats by value of a control with all other controls equal; of several groups the
+    one of most values.
+    """
     others: dict[tuple, list[StackStatistics]] = {}
     for flat in flats:
         value = getattr(flat.conditions, knob.name)
         if value is not None and (value > 0 or not knob.logarithmic):
-            rest = tuple(repeatable_value(flat.conditions, name) for name in GAINS if name != knob.name)
+            rest = tuple(
+                repeatable_value(flat.conditions, name) for name in GAINS if name != knob.name
+            )
             others.setdefault(rest, []).append(flat)
     grouped = [_by_value(own, knob) for own in others.values()]
-    return max(grouped, key=lambda groups: (len(groups), sum(len(own) for _, own in groups)), default=[])
+    return max(
+        grouped, key=lambda groups: (len(groups), sum(len(own) for _, own in groups)), default=[]
+    )
 
 
 def repeatable_value(conditions: Conditions, name: str) -> float | None:
@@ -78,7 +105,9 @@ def repeatable_value(conditions: Conditions, name: str) -> float | None:
     return round(float(np.log(abs(value))) / SWEEP.same_setting)
 
 
-def _by_value(flats: list[StackStatistics], knob: GainControl) -> list[tuple[float, list[StackStatistics]]]:
+def _by_value(
+    flats: list[StackStatistics], knob: GainControl
+) -> list[tuple[float, list[StackStatistics]]]:
     """Return the flats grouped by value within its repeatability, with the mean value."""
     groups: list[tuple[list[float], list[StackStatistics]]] = []
     for flat in sorted(flats, key=lambda level: getattr(level.conditions, knob.name)):
@@ -101,8 +130,10 @@ class SweepSetting:
 
     value: float  # value of the control, in its unit
     labels: tuple[str, ...]  # labels of its flats in the linear range, in order of rising level
-    gain_dn: Array  # draws of the covariance gain, or for white noise of the system gain, shape (draw,), DN
-    # log_variance, log_variance_sd: ln of a pixel's variance over signal in DN, and its standard error
+    # draws of the covariance gain, or for white noise of the system gain, shape (draw,), DN
+    gain_dn: Array
+    # log_variance, log_variance_sd: ln of a pixel's variance over signal in DN, and its standard
+    # error
     log_variance: float
     log_variance_sd: float
     blur_factor: Array  # draws of the blur factor, shape (draw,)
@@ -113,16 +144,18 @@ class SweepSetting:
     # signal_dn, signal_sd_dn: mean above the dark and its standard error, shape (level,)
     signal_dn: Array
     signal_sd_dn: Array
-    # levels_dn, levels_sd_dn: covariance over signal of each level and its standard error, shape (level,)
+    # levels_dn, levels_sd_dn: covariance over signal of each level and its standard error, shape
+    # (level,)
     levels_dn: Array
     levels_sd_dn: Array
     variance_dn2: Array  # temporal variance of each level above the dark's, shape (level,)
-    # dark_variance_dn2, dark_variance_sd_dn2: temporal variance of its dark and the standard error; None without a dark
+    # dark_variance_dn2, dark_variance_sd_dn2: temporal variance of its dark and the standard error;
+    # None without a dark
     dark_variance_dn2: float | None = None
     dark_variance_sd_dn2: float = 0.0
     dark: str | None = None  # label of the dark
-    # possible quantisation noise in variance and covariance over signal, DN, which differs between darks and flats of
-    # small noise
+    # possible quantisation noise in variance and covariance over signal, DN, which differs between
+    # darks and flats of small noise
     unsure_dn: float = 0.0
     findings: tuple[Finding, ...] = ()  # findings of this setting
 
@@ -155,15 +188,22 @@ class Sweep:
     left_out: tuple[str, ...] = field(default=())  # notes on excluded settings and stacks
 
 
-def sweep_of(darks: list[StackStatistics], flats: list[StackStatistics], *, context: Context) -> Sweep | None:
-    """Return the gain sweep of flats; None if no control was varied, or the images are too small."""
+def sweep_of(
+    darks: list[StackStatistics], flats: list[StackStatistics], *, context: Context
+) -> Sweep | None:
+    """Return the gain sweep of flats; None if no control was varied, or the images are too
+    small.
+    """
     found = [(knob, setting_of(flats, knob)) for knob in KNOBS]
     knob, groups = max(found, key=lambda entry: len(entry[1]))
     if len(groups) < 2 or min(len(level.bins.modes) for level in (*darks, *flats)) < GAIN.min_bins:
         return None
     here = {flat.label for _, own in groups for flat in own}
     rest = [flat.label for flat in flats if flat.label not in here]
-    gains, sentences = [], [f"excluded from the sweep of the {knob.words}: {', '.join(rest)}"] if rest else []
+    gains, sentences = (
+        [],
+        [f"excluded from the sweep of the {knob.words}: {', '.join(rest)}"] if rest else [],
+    )
     for value, own in groups:
         series = series_of_one_gain(sorted(own, key=lambda level: level.mean_dn), darks)
         reason = gain_obstacle(series)
@@ -176,10 +216,14 @@ def sweep_of(darks: list[StackStatistics], flats: list[StackStatistics], *, cont
     white = all(one.white for _, one in gains)
     settings = [_setting(value, one, white, knob, context) for value, one in gains]
     main = getattr(longest_series(flats)[0].conditions, knob.name)
-    return Sweep(knob=knob, settings=tuple(settings), main=float(main or 0.0), left_out=tuple(sentences))
+    return Sweep(
+        knob=knob, settings=tuple(settings), main=float(main or 0.0), left_out=tuple(sentences)
+    )
 
 
-def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, context: Context) -> SweepSetting:
+def _setting(
+    value: float, one: SingleSetting, white: bool, knob: GainControl, context: Context
+) -> SweepSetting:
     """Return the statistics of one setting."""
     series = one.series
     chosen = np.flatnonzero(series.fitted)
@@ -189,29 +233,46 @@ def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, c
     log_carried = np.log(carried.posterior["covariance_gain"] / one.posterior["covariance_gain"])
     covariance = one.levels_dn[chosen]
     signal_sd = [
-        np.sqrt(max(gain * signal, 0.0) + 2.0 * series.darks[i].variance_dn2) / np.sqrt(flat.pixels * flat.frames)
-        for i, flat, gain, signal in zip(chosen, flats, covariance, series.signal_dn[chosen], strict=True)
+        np.sqrt(max(gain * signal, 0.0) + 2.0 * series.darks[i].variance_dn2)
+        / np.sqrt(flat.pixels * flat.frames)
+        for i, flat, gain, signal in zip(
+            chosen, flats, covariance, series.signal_dn[chosen], strict=True
+        )
     ]
     # Darks of the same setting, as far as stated.
     alike = (None, repeatable_value(flats[0].conditions, knob.name))
-    own = [dark for dark in series.darks if series.reference == "dark" and dark.variance_dn2 > 0
-           and repeatable_value(dark.conditions, knob.name) in alike]  # fmt: skip
+    own = [
+        dark
+        for dark in series.darks
+        if series.reference == "dark"
+        and dark.variance_dn2 > 0
+        and repeatable_value(dark.conditions, knob.name) in alike
+    ]
     dark = min(own, key=lambda level: level.conditions.exposure_s or 0.0) if own else None
-    found = [entry for entry in series_findings(series) if entry.flag not in OF_ONE_SERIES] + one.findings()
-    findings = [Finding(entry.flag, f"at {knob.text(value)}: {entry.note}") for entry in found if entry.flag]
+    found = [
+        entry for entry in series_findings(series) if entry.flag not in OF_ONE_SERIES
+    ] + one.findings()
+    findings = [
+        Finding(entry.flag, f"at {knob.text(value)}: {entry.note}") for entry in found if entry.flag
+    ]
     gain = carried.posterior["covariance_gain"]
     if white:
         # The slope of the photon transfer curve.
         tube = has_intensifier([flat.conditions for flat in series.flats], context)
         allowance = allowance_of(one.neighbours, one.exposures, tube=tube)
-        gain = emva1288.gain_line(series, context=replace(context, quick=True), allowance=allowance).slope
+        gain = emva1288.gain_line(
+            series, context=replace(context, quick=True), allowance=allowance
+        ).slope
     setting = SweepSetting(
         value=value,
         labels=tuple(flat.label for flat in flats),
         gain_dn=gain,
         log_variance=float(np.log(max(one.summary.variance_dn, 1e-12)) + np.median(log_carried)),
         log_variance_sd=float(
-            np.hypot(one.summary.variance_sd_dn / max(one.summary.variance_dn, 1e-12), np.std(log_carried))
+            np.hypot(
+                one.summary.variance_sd_dn / max(one.summary.variance_dn, 1e-12),
+                np.std(log_carried),
+            )
         ),
         blur_factor=np.ones(1000) if white else one.posterior["blur_factor"],
         white=white,
@@ -235,14 +296,25 @@ def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, c
     return _with_quantisation(setting, share, least, knob) if share else setting
 
 
-def _with_quantisation(s: SweepSetting, share: float, least_dn2: float, knob: GainControl) -> SweepSetting:
+def _with_quantisation(
+    s: SweepSetting, share: float, least_dn2: float, knob: GainControl
+) -> SweepSetting:
     """Return a setting with the uncertainty and finding of quantisation noise."""
-    note = f"noise of {np.sqrt(least_dn2):.2g} DN is smaller than the quantisation step, which adds {100 * share:.2g} %"
-    found = (Finding("quantised", f"at {knob.text(s.value)}: {note}"),) if share > SWEEP.max_quantisation else ()
+    note = (
+        f"noise of {np.sqrt(least_dn2):.2g} DN is smaller than the quantisation step, which "
+        f"adds {100 * share:.2g} %"
+    )
+    found = (
+        (Finding("quantised", f"at {knob.text(s.value)}: {note}"),)
+        if share > SWEEP.max_quantisation
+        else ()
+    )
     return replace(
-        s, unsure_dn=share * float(np.exp(s.log_variance)), log_variance_sd=float(np.hypot(s.log_variance_sd, share)),
+        s,
+        unsure_dn=share * float(np.exp(s.log_variance)),
+        log_variance_sd=float(np.hypot(s.log_variance_sd, share)),
         findings=(*s.findings, *found),
-    )  # fmt: skip
+    )
 
 
 def _light(flats: list[StackStatistics]) -> tuple[Array | None, str]:

@@ -1,4 +1,6 @@
-"""The cases of the bar methods: what they must cope with, and each way they break, past its breaking point."""
+"""The cases of the bar methods: what they must cope with, and each way they break, past its
+breaking point.
+"""
 
 from typing import Any
 
@@ -14,7 +16,11 @@ from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases
 AXES: Axes = {
     "bar SNR": ("level / pixel noise", (100, 30, 10, 5, 3, 2, 1, 0.5), (3, 100)),
     "one frame, bar SNR": ("level / pixel noise", (100, 30, 10, 5, 2, 1), (10, 100)),
-    "frequency": ("cy/px", (0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.35, 0.4, 0.45, 0.48, 0.5), (0.05, 0.35)),
+    "frequency": (
+        "cy/px",
+        (0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.35, 0.4, 0.45, 0.48, 0.5),
+        (0.05, 0.35),
+    ),
     "frequency, untilted": ("cy/px", (0.08, 0.2, 0.3, 0.4, 0.45, 0.48), (0.08, 0.3)),
     "tilt": ("deg", (0, 0.3, 1, 2, 5, 10, 20, 30, 40, 45), (1, 45)),
     "blur": ("px, Gaussian sigma", (0.2, 0.5, 1, 2, 3, 4), (0.5, 2)),
@@ -48,7 +54,9 @@ def _strip(axis: str, position: float, common: dict[str, Any]) -> StripScene:
     """The strip of an axis at a position."""
     swept = {"snr": position} if axis.endswith("SNR") else {"frequency_cy_per_px": position}
     kept = {key: common[key] for key in ("blur", "frequency_cy_per_px", "angle_deg")}
-    return StripScene(**{**kept, "phase_px": common["col_px"], "turned": common["row_px"] > 0, **swept})
+    return StripScene(
+        **{**kept, "phase_px": common["col_px"], "turned": common["row_px"] > 0, **swept}
+    )
 
 
 def _scene(axis: str, position: float, common: dict[str, Any]) -> Scene:
@@ -114,8 +122,11 @@ def _common(rng: np.random.Generator, tube: bool) -> dict[str, Any]:
     }
 
 
-def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
-    """Every axis at every position, drawn several times with another blur, tilt and phase, and frames of noise alone.
+def stability_cases(
+    seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
+) -> tuple[Case, ...]:
+    """Every axis at every position, drawn several times with another blur, tilt and phase, and
+    frames of noise alone.
 
     `seed`: seed of the draws; `repeats`: draws at each position; `axes`: names of `AXES`.
     """
@@ -125,15 +136,27 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
         return _case(at, _scene(at.axis, at.position, _common(rng, tube=repeat % 2 == 1)), rng)
 
     cases = cases_along_axes(AXES, axes, repeats, make_case)
-    return (*cases, *(_noise_case(kind, rng) for kind in ("white", "correlated") for _ in range(repeats)))
+    return (
+        *cases,
+        *(_noise_case(kind, rng) for kind in ("white", "correlated") for _ in range(repeats)),
+    )
 
 
 def _noise_case(kind: str, rng: np.random.Generator) -> Case:
     """Frames without bars: nothing to measure."""
     flat = BarScene(
-        level_dn=1e-3, pedestal_dn=100.0, snr=1e-4, shot_share=1.0, noise_blur_px=1.0 if kind == "correlated" else 0.0
+        level_dn=1e-3,
+        pedestal_dn=100.0,
+        snr=1e-4,
+        shot_share=1.0,
+        noise_blur_px=1.0 if kind == "correlated" else 0.0,
     )
-    at = AxisPosition(axis="noise alone", position=float(kind == "correlated"), unit="1 = correlated", in_scope=False)
+    at = AxisPosition(
+        axis="noise alone",
+        position=float(kind == "correlated"),
+        unit="1 = correlated",
+        in_scope=False,
+    )
     return at.case(
         rng,
         kind="bars",
@@ -146,7 +169,9 @@ def _noise_case(kind: str, rng: np.random.Generator) -> Case:
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
-    """Cases inside the scope, drawn at random: blur, frequency, number, direction, phase, noise and its correlation."""
+    """Cases inside the scope, drawn at random: blur, frequency, number, direction, phase, noise and
+    its correlation.
+    """
     rng = np.random.default_rng([seed, 8])
 
     def make_case(at: AxisPosition, number: int) -> Case:

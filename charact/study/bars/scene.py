@@ -1,4 +1,6 @@
-"""Bar targets of exactly known MTF: the finite target's own spectrum through the transfer, sampled with its aliases."""
+"""Bar targets of exactly known MTF: the finite target's own spectrum through the transfer, sampled
+with its aliases.
+"""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -12,21 +14,29 @@ from charact.study.sharpening_camera import boost, sharpen_images
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
-# The pattern repeats after this many pixels, and spectra this many sampling frequencies away still fold back.
+# The pattern repeats after this many pixels, and spectra this many sampling frequencies away still
+# fold back.
 PERIOD_PX = 320
 ALIASES = 3
 
 
 @lru_cache(maxsize=16)
 def _bars_image(
-    blur: TrueBlur, bars: int, frequency_cy_per_px: float, angle_deg: float, row_px: float, col_px: float
+    blur: TrueBlur,
+    bars: int,
+    frequency_cy_per_px: float,
+    angle_deg: float,
+    row_px: float,
+    col_px: float,
 ) -> NDArray[np.floating]:
-    """Blurred bars sampled at whole pixels, 1 on a wide bar, shape (PERIOD_PX, PERIOD_PX), centred on its middle.
+    """Blurred bars sampled at whole pixels, 1 on a wide bar, shape (PERIOD_PX, PERIOD_PX), centred
+    on its middle.
 
     Notes
     -----
-    Spectrum of N bars of width w = 1/(2f) and length 7 w: w sinc(u w) sin(pi N u / f) / sin(pi u / f) across them times
-    7 w sinc(7 w v) along. A sampled picture's spectrum is the sum of its copies at whole cycles a pixel.
+    Spectrum of N bars of width w = 1/(2f) and length 7 w: w sinc(u w) sin(pi N u / f) / sin(pi u /
+    f) across them times 7 w sinc(7 w v) along. A sampled picture's spectrum is the sum of its
+    copies at whole cycles a pixel.
     """
     from scipy.fft import irfft2
 
@@ -36,11 +46,17 @@ def _bars_image(
         for right in range(-ALIASES, ALIASES + 1):
             fy, fx = rows + up, cols + right
             shift = np.exp(-2j * np.pi * (fy * row_px + fx * col_px))
-            spectrum += spectrum_of_bars(bars, frequency_cy_per_px, angle_deg, fx, fy) * blur.transfer(fx, fy) * shift
+            spectrum += (
+                spectrum_of_bars(bars, frequency_cy_per_px, angle_deg, fx, fy)
+                * blur.transfer(fx, fy)
+                * shift
+            )
     return np.fft.fftshift(np.asarray(irfft2(spectrum, (PERIOD_PX, PERIOD_PX))))
 
 
-def spectrum_of_bars(bars: int, frequency: float, angle_deg: float, fx: NDArray, fy: NDArray) -> NDArray[np.floating]:
+def spectrum_of_bars(
+    bars: int, frequency: float, angle_deg: float, fx: NDArray, fy: NDArray
+) -> NDArray[np.floating]:
     """Spectrum of the bars themselves, px^2."""
     angle, width = np.deg2rad(angle_deg), 0.5 / frequency
     across, along = fx * np.cos(angle) + fy * np.sin(angle), fy * np.cos(angle) - fx * np.sin(angle)
@@ -51,7 +67,9 @@ def spectrum_of_bars(bars: int, frequency: float, angle_deg: float, fx: NDArray,
 
 @dataclass(frozen=True, kw_only=True)
 class BarScene:
-    """A bar target as a camera would digitise it, with one knob for each way in which bar methods break."""
+    """A bar target as a camera would digitise it, with one knob for each way in which bar methods
+    break.
+    """
 
     blur: TrueBlur = field(default_factory=TrueBlur)  # The blur whose MTF is the truth
     # bars, frequency_cy_per_px: number of bars, and their frequency across them
@@ -68,7 +86,8 @@ class BarScene:
     # pedestal_dn, level_dn: ground, and what a wide bar adds to it, DN
     pedestal_dn: float = 15.0
     level_dn: float = 150.0
-    # `level_dn` over the standard deviation of one pixel's noise half way up, dimensionless. Infinite: no noise
+    # `level_dn` over the standard deviation of one pixel's noise half way up, dimensionless.
+    # Infinite: no noise
     snr: float = 20.0
     # shot_share, noise_blur_px: as for `charact.study.edge.scene.EdgeScene`
     shot_share: float = 0.8
@@ -76,11 +95,16 @@ class BarScene:
     gamma: float = 1.0  # Exponent of the response, on a scale from black to full scale
     gradient: float = 0.0  # Illumination at the right border over that at the left, minus 1
     motion_px: float = 0.0  # Horizontal displacement of odd rows, exposed in the later field, px
-    jitter_px: float = 0.0  # Standard deviation of a horizontal displacement that each frame has for itself, px
+    jitter_px: float = (
+        0.0  # Standard deviation of a horizontal displacement that each frame has for itself, px
+    )
     clip_share: float = 0.0  # Share of `level_dn` that lies above full scale
     hot_share: float = 0.0  # Share of pixels stuck at full scale
-    sharpening: float = 0.0  # Share by which the camera raises fine detail, see `charact.study.sharpening_camera`
-    # Gap between the target and another of three quarters of its frequency along the bars, px; infinite: none
+    sharpening: float = (
+        0.0  # Share by which the camera raises fine detail, see `charact.study.sharpening_camera`
+    )
+    # Gap between the target and another of three quarters of its frequency along the bars, px;
+    # infinite: none
     neighbour_px: float = np.inf
     # black_dn, full_scale_dn: codes at no light and at the top, DN
     black_dn: float = 10.0
@@ -90,7 +114,9 @@ class BarScene:
         if not self.snr > 0:
             raise BadInput(f"snr must be positive, got {self.snr:g}")
         if max(self.rows, self.cols) > PERIOD_PX:
-            raise BadInput(f"rows and cols must be at most {PERIOD_PX}, got {self.rows} x {self.cols}")
+            raise BadInput(
+                f"rows and cols must be at most {PERIOD_PX}, got {self.rows} x {self.cols}"
+            )
 
     @property
     def truth_mtf(self) -> float:
@@ -103,8 +129,13 @@ class BarScene:
         angle = np.deg2rad(self.angle_deg)
         row = self.row_px + along_px * np.cos(angle) - 0.5 * ((self.rows + 1) % 2)
         col = self.col_px - along_px * np.sin(angle) + motion_px - 0.5 * ((self.cols + 1) % 2)
-        image = _bars_image(self.blur, self.bars, frequency, round(self.angle_deg, 9), round(row, 9), round(col, 9))
-        top, left = PERIOD_PX // 2 - (self.rows - self.rows % 2) // 2, PERIOD_PX // 2 - (self.cols - self.cols % 2) // 2
+        image = _bars_image(
+            self.blur, self.bars, frequency, round(self.angle_deg, 9), round(row, 9), round(col, 9)
+        )
+        top, left = (
+            PERIOD_PX // 2 - (self.rows - self.rows % 2) // 2,
+            PERIOD_PX // 2 - (self.cols - self.cols % 2) // 2,
+        )
         return image[top : top + self.rows, left : left + self.cols]
 
     def _light(self, motion_px: float) -> NDArray[np.floating]:
@@ -129,17 +160,25 @@ class BarScene:
             odd = (np.arange(self.rows) % 2 == 1)[:, None]
             light = np.where(odd, self._light(moved_px + self.motion_px), light)
         place = (np.arange(self.cols) + 0.5) / self.cols
-        light = (self.pedestal_dn - self.black_dn + self.level_dn * light) * (1 + self.gradient * place)
+        light = (self.pedestal_dn - self.black_dn + self.level_dn * light) * (
+            1 + self.gradient * place
+        )
         if self.clip_share > 0:
             room = self.full_scale_dn - self.black_dn
-            light = light * room / (self.pedestal_dn - self.black_dn + (1 - self.clip_share) * self.level_dn)
+            light = (
+                light
+                * room
+                / (self.pedestal_dn - self.black_dn + (1 - self.clip_share) * self.level_dn)
+            )
         return light
 
     def _frames_light(self, rng: np.random.Generator) -> NDArray[np.floating]:
         """Light of every frame, or of all of them where nothing moves."""
         if not self.jitter_px:
             return self.light()
-        return np.stack([self.light(moved) for moved in self.jitter_px * rng.standard_normal(self.frames)])
+        return np.stack(
+            [self.light(moved) for moved in self.jitter_px * rng.standard_normal(self.frames)]
+        )
 
     def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
         """What the camera makes of light: DN, black included."""
@@ -147,15 +186,23 @@ class BarScene:
         return self.black_dn + room * np.sign(light) * np.abs(light / room) ** self.gamma
 
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
-        """Draw the stack: noise of the light correlated after the gain, the response, white read noise, digitised."""
+        """Draw the stack: noise of the light correlated after the gain, the response, white read
+        noise, digitised.
+        """
         light = self._frames_light(rng)
         sd = self.level_dn / self.snr if np.isfinite(self.snr) else 0.0
         half_way = self.pedestal_dn + 0.5 * self.level_dn - self.black_dn
         shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)
         shape = (self.frames, self.rows, self.cols)
-        drawn = self._response(light + correlate_noise(shot * rng.standard_normal(shape), self.noise_blur_px))
+        drawn = self._response(
+            light + correlate_noise(shot * rng.standard_normal(shape), self.noise_blur_px)
+        )
         drawn = drawn + np.sqrt(1 - self.shot_share) * sd * rng.standard_normal(shape)
         drawn = sharpen_images(drawn, self.sharpening)
         drawn = np.where(rng.random(shape[1:]) < self.hot_share, self.full_scale_dn, drawn)
-        codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(np.uint8 if self.full_scale_dn < 256 else "u2")
-        return FrameStack(data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn)
+        codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(
+            np.uint8 if self.full_scale_dn < 256 else "u2"
+        )
+        return FrameStack(
+            data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn
+        )

@@ -1,4 +1,6 @@
-"""Strips of rows across long bars: their exact spectrum along one line, through a blur and the pixel, and noise."""
+"""Strips of rows across long bars: their exact spectrum along one line, through a blur and the
+pixel, and noise.
+"""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -10,7 +12,8 @@ from charact.study.edge.scene import TrueBlur
 from charact.study.noise import correlate_noise
 from labdata.frames import FrameStack
 
-# Length of the tabulated profile and its step, px; highest frequency of its spectrum, cycles per pixel.
+# Length of the tabulated profile and its step, px; highest frequency of its spectrum, cycles per
+# pixel.
 PERIOD_PX, STEP_PX, HIGHEST = 4096, 1 / 32, 3
 
 
@@ -38,12 +41,17 @@ class StripScene:
     rows: int = 20
     reach_px: int = 16
     frames: int = 1
-    # angle_deg, phase_px: tilt of the bars from the columns, degrees, and where their middle lies, px
+    # angle_deg, phase_px: tilt of the bars from the columns, degrees, and where their middle lies,
+    # px
     angle_deg: float = 4.0
     phase_px: float = 0.0
     turned: bool = False  # Whether rows and columns are exchanged: horizontal bars
-    snr: float = 10.0  # Step of a wide bar over the standard deviation of one pixel's noise, dimensionless
-    noise_blur_px: float = 0.0  # Gaussian blur of the noise behind the gain, px; the noise of a pixel stays what it is
+    snr: float = (
+        10.0  # Step of a wide bar over the standard deviation of one pixel's noise, dimensionless
+    )
+    noise_blur_px: float = (
+        0.0  # Gaussian blur of the noise behind the gain, px; the noise of a pixel stays what it is
+    )
     noise_sign: int = 1  # 1, or -1: the same draw with its noise upside down
     # pedestal_dn, level_dn, full_scale_dn: ground, step, and highest code, DN
     pedestal_dn: float = 400.0
@@ -60,14 +68,18 @@ class StripScene:
         cols = int(np.ceil(self.bars / self.frequency_cy_per_px)) + 2 * self.reach_px
         row, col = np.mgrid[: self.rows, :cols]
         angle = np.deg2rad(self.angle_deg)
-        across = (col - (cols - 1) / 2 - self.phase_px) * np.cos(angle) + (row - (self.rows - 1) / 2) * np.sin(angle)
+        across = (col - (cols - 1) / 2 - self.phase_px) * np.cos(angle) + (
+            row - (self.rows - 1) / 2
+        ) * np.sin(angle)
         profile = _profile(self.blur, self.bars, self.frequency_cy_per_px, self.angle_deg)
         return np.interp(across, (np.arange(profile.size) - profile.size // 2) * STEP_PX, profile)
 
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
         """Draw the stack: the picture, noise, whole codes."""
         light = self.light()
-        noise = correlate_noise(rng.standard_normal((self.frames, *light.shape)), self.noise_blur_px)
+        noise = correlate_noise(
+            rng.standard_normal((self.frames, *light.shape)), self.noise_blur_px
+        )
         drawn = self.pedestal_dn + self.level_dn * (light + self.noise_sign * noise / self.snr)
         codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(np.uint16)
         if self.turned:

@@ -1,8 +1,8 @@
 """Sessions of a point source far too bright before an intensified camera, drawn in closed form.
 
-Neither the simulator nor a formula of the analysis has a part in it. The light meets the MCP (which saturates), comes
-as pulses of random height, is blurred after the gain, overflows its columns, smears them, is held by an automatic gain,
-read and digitised.
+Neither the simulator nor a formula of the analysis has a part in it. The light meets the MCP (which
+saturates), comes as pulses of random height, is blurred after the gain, overflows its columns,
+smears them, is held by an automatic gain, read and digitised.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 
 
 def noiseless_frame(scene: BloomScene, overload: float, *, faintest: float | None = None) -> Array:
-    """Return the noiseless picture of a source that stands still, not clipped and not digitised, (row, col), DN.
+    """Return the noiseless picture of a source that stands still, not clipped and not digitised,
+    (row, col), DN.
 
     `faintest` is that of `stack`.
     """
@@ -30,14 +31,22 @@ def noiseless_frame(scene: BloomScene, overload: float, *, faintest: float | Non
     return scene.dark_dn + _gain(scene, overload, faintest) * charge
 
 
-def stack(scene: BloomScene, overload: float, rng: np.random.Generator, *, faintest: float | None = None) -> FrameStack:
+def stack(
+    scene: BloomScene, overload: float, rng: np.random.Generator, *, faintest: float | None = None
+) -> FrameStack:
     """Draw the frames of one level.
 
-    `faintest`: overload of the faintest level, to whose mean an automatic gain returns; None: this is the faintest.
+    `faintest`: overload of the faintest level, to whose mean an automatic gain returns; None: this
+    is the faintest.
     """
     first = 0 if scene.lag > 0 else 1
-    moves = [scene.motion_px * (frame - (scene.frames + 1) / 2) for frame in range(first, scene.frames + 1)]
-    pictures = [picture_of(optics_of(scene), move) for move in (moves if scene.motion_px else [0.0])]
+    moves = [
+        scene.motion_px * (frame - (scene.frames + 1) / 2)
+        for frame in range(first, scene.frames + 1)
+    ]
+    pictures = [
+        picture_of(optics_of(scene), move) for move in (moves if scene.motion_px else [0.0])
+    ]
     light = overload * scene.span_dn * np.stack(pictures) + scene.background_dn
     mean = _plate(scene, light)
     noise = _pulses(scene, at_pixels(light), len(moves), rng) - at_pixels(mean)
@@ -58,13 +67,17 @@ def _half_gain(scene: BloomScene) -> float:
 
 
 def _pulses(scene: BloomScene, light: Array, frames: int, rng: np.random.Generator) -> Array:
-    """Pulses of the photoelectrons where they fell, DN, (frame, row, col): the plate's gain falls with the light."""
+    """Pulses of the photoelectrons where they fell, DN, (frame, row, col): the plate's gain falls
+    with the light.
+    """
     height = scene.photoelectron_dn / (1.0 + light / _half_gain(scene))
     mean = np.broadcast_to(light / scene.photoelectron_dn, (frames, scene.rows, scene.cols))
     # From so many photoelectrons on their summed pulses are as good as normal.
     many = mean > 50.0
     out = np.empty(mean.shape)
-    out[many] = mean[many] + np.sqrt(mean[many] * scene.excess) * rng.standard_normal(int(many.sum()))
+    out[many] = mean[many] + np.sqrt(mean[many] * scene.excess) * rng.standard_normal(
+        int(many.sum())
+    )
     counted = rng.poisson(mean[~many])
     if scene.excess > 1:
         shape = 1.0 / (scene.excess - 1.0)
@@ -90,11 +103,15 @@ def _blur_light(scene: BloomScene, light: Array, finer: int = 1) -> Array:
     if sigma <= 0:
         return light
     axes = (light.ndim - 2, light.ndim - 1)
-    return gaussian_filter(light, (sigma / scene.row_pitch, sigma), axes=axes, mode="nearest", truncate=5.0)
+    return gaussian_filter(
+        light, (sigma / scene.row_pitch, sigma), axes=axes, mode="nearest", truncate=5.0
+    )
 
 
 def _columns(scene: BloomScene, light: Array) -> Array:
-    """What the columns of the sensor make of the light: overflow, then smear, shape (.., row, col)."""
+    """What the columns of the sensor make of the light: overflow, then smear, shape (.., row,
+    col).
+    """
     charge = light
     if scene.full_well_dn is not None:
         charge = apply_column_blooming(light, scene.full_well_dn)
@@ -104,12 +121,14 @@ def _columns(scene: BloomScene, light: Array) -> Array:
 
 
 def apply_column_blooming(charge: Array, holds: float) -> Array:
-    """Return charge settled along its columns: what a pixel cannot hold spills half up and half down, over and over.
+    """Return charge settled along its columns: what a pixel cannot hold spills half up and half
+    down, over and over.
 
-    `charge`: before, shape (.., row, col); `holds`: most that a pixel keeps; what spills over an end of the column is
-    gone. With u the charge that each pixel ever passed on, the settled column is q + u''/2 and never above the limit c,
-    with u >= 0 and u = 0 where it stays below: u is the distance of a curve whose second difference is 2 (c - q) from
-    its greatest convex minorant, whose slopes are the isotonic regression of the curve's.
+    `charge`: before, shape (.., row, col); `holds`: most that a pixel keeps; what spills over an
+    end of the column is gone. With u the charge that each pixel ever passed on, the settled column
+    is q + u''/2 and never above the limit c, with u >= 0 and u = 0 where it stays below: u is the
+    distance of a curve whose second difference is 2 (c - q) from its greatest convex minorant,
+    whose slopes are the isotonic regression of the curve's.
     """
     from scipy.optimize import isotonic_regression
 
@@ -122,20 +141,27 @@ def apply_column_blooming(charge: Array, holds: float) -> Array:
 
 
 def _gain(scene: BloomScene, overload: float, faintest: float | None) -> float:
-    """Factor by which an automatic gain brings the mean, light beyond full scale cut off, to the faintest level's."""
+    """Factor by which an automatic gain brings the mean, light beyond full scale cut off, to the
+    faintest level's.
+    """
     if not scene.agc or faintest is None:
         return 1.0
     fixed = replace(scene, agc=False)
     seen = [
-        np.minimum(noiseless_frame(fixed, one) - scene.dark_dn, scene.span_dn).mean() for one in (faintest, overload)
+        np.minimum(noiseless_frame(fixed, one) - scene.dark_dn, scene.span_dn).mean()
+        for one in (faintest, overload)
     ]
     return float(seen[0] / seen[1])
 
 
 def digitise_frames(scene: BloomScene, level_dn: Array, rng: np.random.Generator) -> FrameStack:
-    """Read frames of given levels, shape (frame, row, col), DN: white noise, whole codes, the highest one."""
+    """Read frames of given levels, shape (frame, row, col), DN: white noise, whole codes, the
+    highest one.
+    """
     noisy = level_dn + scene.read_noise_dn * rng.standard_normal(level_dn.shape)
-    codes = np.clip(np.rint(noisy), 0, scene.full_scale_dn).astype(np.uint8 if scene.bits <= 8 else np.uint16)
+    codes = np.clip(np.rint(noisy), 0, scene.full_scale_dn).astype(
+        np.uint8 if scene.bits <= 8 else np.uint16
+    )
     times = np.arange(len(codes)) / 30.0
     return FrameStack(data=codes, time_s=times, full_scale_dn=scene.full_scale_dn)
 
@@ -152,5 +178,7 @@ def bloom_session(
         entries.append(in_memory_stack("point", f"point-{number}", held, stated))
     if darks:
         level = np.full((scene.frames, scene.rows, scene.cols), scene.dark_dn + scene.wrong_dark_dn)
-        entries.insert(0, in_memory_stack("dark", "dark", digitise_frames(scene, level, children[0]), 0.0))
+        entries.insert(
+            0, in_memory_stack("dark", "dark", digitise_frames(scene, level, children[0]), 0.0)
+        )
     return Session(folder=Path("."), name="a point source of closed form", stacks=tuple(entries))

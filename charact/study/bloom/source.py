@@ -1,7 +1,9 @@
-"""Point source far too bright, as it lies before the camera: core, wing, halo and glare in closed form.
+"""Point source far too bright, as it lies before the camera: core, wing, halo and glare in closed
+form.
 
-Each part is a density of volume 1 on the plane, per square column pitch. A ring blurred by a Gaussian is
-exp(-(r - a)^2 / 2 s^2) I0e(r a / s^2) / 2 pi s^2; a halo is a sum of rings, a Moffat wing a sum of Gaussians.
+Each part is a density of volume 1 on the plane, per square column pitch. A ring blurred by a
+Gaussian is exp(-(r - a)^2 / 2 s^2) I0e(r a / s^2) / 2 pi s^2; a halo is a sum of rings, a Moffat
+wing a sum of Gaussians.
 """
 
 from dataclasses import dataclass, replace
@@ -23,7 +25,8 @@ SMOOTH_RINGS, SMOOTH_STEP_PX = 60, 0.5
 FINE = 2
 # Rings that make up a halo: enough for a blur of a hundredth of its diameter.
 RINGS = 200
-# Gaussians that make up a Moffat wing where it blurs a halo, and the least weight of those left out on either side.
+# Gaussians that make up a Moffat wing where it blurs a halo, and the least weight of those left out
+# on either side.
 GAUSSIANS, LEAST_WEIGHT = 48, 1e-8
 
 
@@ -40,11 +43,14 @@ class BloomScene:
     row, col
         Centre of the source, px; None: a little off the middle of the frame.
     core_sigma_px
-        Standard deviation of the Gaussian core, column pitches; the blur after the gain is a part of it.
+        Standard deviation of the Gaussian core, column pitches; the blur after the gain is a part
+        of it.
     wing_share, wing_radius_px, wing_exponent
-        Share of the core's light in a Moffat wing (1 + r^2/a^2)^-b before the plate, its a in column pitches and its b.
+        Share of the core's light in a Moffat wing (1 + r^2/a^2)^-b before the plate, its a in
+        column pitches and its b.
     halo_diameter_px, halo_fraction, halo_elastic_share
-        Outer diameter in column pitches, share of all light that bounces, and share of that which keeps its energy.
+        Outer diameter in column pitches, share of all light that bounces, and share of that which
+        keeps its energy.
     glare_fraction
         Share of all light spread evenly over 600 px x 600 px.
     dark_dn, background_dn
@@ -54,11 +60,13 @@ class BloomScene:
     photoelectron_dn, excess
         DN per photoelectron, and F^2 = 1 + relative variance of the pulse heights.
     post_gain_sigma_px
-        Standard deviation of the Gaussian blur after the gain, column pitches: it ties the noise of neighbours.
+        Standard deviation of the Gaussian blur after the gain, column pitches: it ties the noise of
+        neighbours.
     read_noise_dn
         White noise, DN.
     plate_saturation_dn
-        Level s (DN per pixel before any clip) at which the gain of the plate has halved: x/(1 + x/s). None: linear.
+        Level s (DN per pixel before any clip) at which the gain of the plate has halved: x/(1 +
+        x/s). None: linear.
     full_well_dn
         What a pixel holds before charge spills along the column, DN; None: no spill.
     smear_fraction
@@ -68,12 +76,13 @@ class BloomScene:
     motion_px
         Columns that the source moves from frame to frame.
     agc
-        Whether an automatic gain holds the mean of the frame, light beyond full scale cut off, at that of the faintest
-        level.
+        Whether an automatic gain holds the mean of the frame, light beyond full scale cut off, at
+        that of the faintest level.
     wrong_dark_dn
         By how much the dark stack is off, DN.
     second_distance_px, second_ratio, second_angle_deg
-        A second source: how far, its brightness relative to the first, and in which direction from the columns' one.
+        A second source: how far, its brightness relative to the first, and in which direction from
+        the columns' one.
     light_sd
         Standard deviation of the natural logarithm of each level's stated light.
     """
@@ -115,11 +124,13 @@ class BloomScene:
     def __post_init__(self) -> None:
         if self.core_sigma_px <= self.post_gain_sigma_px:
             raise BadInput(
-                f"the core must be wider than the blur after the gain of {self.post_gain_sigma_px} px, got "
-                f"{self.core_sigma_px}"
+                "the core must be wider than the blur after the gain of "
+                f"{self.post_gain_sigma_px} px, got {self.core_sigma_px}"
             )
         if self.full_scale_dn > 2**self.bits - 1:
-            raise BadInput(f"full scale must fit into {self.bits} bits, got {self.full_scale_dn} DN")
+            raise BadInput(
+                f"full scale must fit into {self.bits} bits, got {self.full_scale_dn} DN"
+            )
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -139,7 +150,9 @@ class BloomScene:
         return self.row_pitch * float(_core(self, np.zeros(1), before_gain=False)[0])
 
     def source_dn(self, overload: float) -> float:
-        """All light of the source, DN px: at the overload 1 the core's peak just meets full scale."""
+        """All light of the source, DN px: at the overload 1 the core's peak just meets full
+        scale.
+        """
         core_share = 1.0 - self.halo_fraction - self.glare_fraction
         return overload * self.span_dn / (self.core_peak * core_share)
 
@@ -151,13 +164,17 @@ def gaussian(radius_px: Array, sigma_px: float) -> Array:
 
 def moffat(radius_px: Array, scale_px: float, exponent: float) -> Array:
     """Return the density (b - 1) / (pi a^2) (1 + r^2/a^2)^-b of a Moffat wing, 1/px2; b > 1."""
-    return (exponent - 1.0) / (np.pi * scale_px**2) * (1.0 + (radius_px / scale_px) ** 2) ** -exponent
+    return (
+        (exponent - 1.0) / (np.pi * scale_px**2) * (1.0 + (radius_px / scale_px) ** 2) ** -exponent
+    )
 
 
 def moffat_as_gaussians(scale_px: float, exponent: float) -> tuple[Array, Array]:
-    """Return standard deviations and weights of the Gaussians whose sum is a Moffat wing, shape (gaussian,).
+    """Return standard deviations and weights of the Gaussians whose sum is a Moffat wing, shape
+    (gaussian,).
 
-    With t from a gamma law of shape b - 1, the Gaussian of variance a^2 / 2t is on average the wing.
+    With t from a gamma law of shape b - 1, the Gaussian of variance a^2 / 2t is on average the
+    wing.
     """
     from scipy.special import gamma
 
@@ -168,13 +185,15 @@ def moffat_as_gaussians(scale_px: float, exponent: float) -> tuple[Array, Array]
 
 
 def halo_rings(diameter_px: float, elastic_share: float, count: int = RINGS) -> tuple[Array, Array]:
-    """Return radii and weights of the rings that make up a halo, px and dimensionless, shape (ring,).
+    """Return radii and weights of the rings that make up a halo, px and dimensionless, shape
+    (ring,).
 
-    `diameter_px`: outer diameter, four gaps between photocathode and plate; `elastic_share`: share of the halo's
-    electrons that keep their energy; the others keep any part of it alike; `count`: number of rings. With x = 2r/D,
-    electrons that leave by the cosine law land with the density 1/sqrt(1 - x^2) if they keep their energy, and
-    arccos(x)/x if it is uniform. In the angle of x = sin(angle) the weight of their rings is sin(angle) and (pi/2 -
-    angle) cos(angle): nothing is singular.
+    `diameter_px`: outer diameter, four gaps between photocathode and plate; `elastic_share`: share
+    of the halo's electrons that keep their energy; the others keep any part of it alike; `count`:
+    number of rings. With x = 2r/D, electrons that leave by the cosine law land with the density
+    1/sqrt(1 - x^2) if they keep their energy, and arccos(x)/x if it is uniform. In the angle of x =
+    sin(angle) the weight of their rings is sin(angle) and (pi/2 - angle) cos(angle): nothing is
+    singular.
     """
     angle, weight = _angles(count, 0.0, 0.5 * np.pi)
     return 0.5 * diameter_px * np.sin(angle), weight * _weight(angle, elastic_share)
@@ -196,7 +215,9 @@ def _angles(count: int, first: float, last: float) -> tuple[Array, Array]:
 
 def _weight(angle: Array, elastic_share: float) -> Array:
     """Light of a halo per angle."""
-    return elastic_share * np.sin(angle) + (1.0 - elastic_share) * (0.5 * np.pi - angle) * np.cos(angle)
+    return elastic_share * np.sin(angle) + (1.0 - elastic_share) * (0.5 * np.pi - angle) * np.cos(
+        angle
+    )
 
 
 def rings_blurred(radius_px: Array, rings: tuple[Array, Array], sigma_px: float) -> Array:
@@ -214,12 +235,15 @@ def rings_blurred(radius_px: Array, rings: tuple[Array, Array], sigma_px: float)
 
 
 def radial_light(scene: BloomScene, radius_px: Array, *, before_gain: bool = False) -> Array:
-    """Return the light of a source of volume 1 over the radius, per square column pitch, glare left out.
+    """Return the light of a source of volume 1 over the radius, per square column pitch, glare left
+    out.
 
-    `radius_px`: distances from the source, column pitches; `before_gain`: whether the blur after the gain is still to
-    come.
+    `radius_px`: distances from the source, column pitches; `before_gain`: whether the blur after
+    the gain is still to come.
     """
-    light = (1.0 - scene.halo_fraction - scene.glare_fraction) * _core(scene, radius_px, before_gain=before_gain)
+    light = (1.0 - scene.halo_fraction - scene.glare_fraction) * _core(
+        scene, radius_px, before_gain=before_gain
+    )
     if scene.halo_fraction <= 0:
         return light
     return light + scene.halo_fraction * radial_halo(scene, radius_px, before_gain=before_gain)
@@ -237,7 +261,13 @@ def radial_halo(scene: BloomScene, radius_px: Array, *, before_gain: bool = Fals
     coarse = np.arange(0.0, radius_px.max() + 1.0, SMOOTH_STEP_PX)
     rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share, SMOOTH_RINGS)
     gaussians = zip(*moffat_as_gaussians(scene.wing_radius_px, scene.wing_exponent), strict=True)
-    far = np.sum([wing * weight * rings_blurred(coarse, rings, np.hypot(wide, after)) for wide, weight in gaussians], 0)
+    far = np.sum(
+        [
+            wing * weight * rings_blurred(coarse, rings, np.hypot(wide, after))
+            for wide, weight in gaussians
+        ],
+        0,
+    )
     return light + np.asarray(CubicSpline(coarse, far)(radius_px))
 
 
@@ -250,28 +280,52 @@ def _core(scene: BloomScene, radius_px: Array, *, before_gain: bool) -> Array:
     widths, weights = moffat_as_gaussians(scene.wing_radius_px, scene.wing_exponent)
     variance = widths**2 + after**2
     return light + wing * (
-        np.exp(-0.5 * np.divide.outer(radius_px**2, variance)) @ (weights / (2.0 * np.pi * variance))
+        np.exp(-0.5 * np.divide.outer(radius_px**2, variance))
+        @ (weights / (2.0 * np.pi * variance))
     )
 
 
 def _sigmas(scene: BloomScene, before_gain: bool) -> tuple[float, float]:
-    """Standard deviations of the core and of what blurs the wing, px: the blur after the gain is in both or in none."""
+    """Standard deviations of the core and of what blurs the wing, px: the blur after the gain is in
+    both or in none.
+    """
     after = scene.post_gain_sigma_px
-    return (float(np.sqrt(scene.core_sigma_px**2 - after**2)), 0.0) if before_gain else (scene.core_sigma_px, after)
+    return (
+        (float(np.sqrt(scene.core_sigma_px**2 - after**2)), 0.0)
+        if before_gain
+        else (scene.core_sigma_px, after)
+    )
 
 
 def optics_of(scene: BloomScene) -> BloomScene:
-    """Return the scene with all that its light before the plate does not depend on set alike: a key to keep it by."""
+    """Return the scene with all that its light before the plate does not depend on set alike: a key
+    to keep it by.
+    """
     return replace(
-        scene, frames=1, background_dn=0.0, photoelectron_dn=1.0, excess=1.0, read_noise_dn=0.0, full_well_dn=None,
-        plate_saturation_dn=None, smear_fraction=0.0, lag=0.0, motion_px=0.0, agc=False, wrong_dark_dn=0.0,
-        light_sd=0.0, dark_dn=0.0, full_scale_dn=1.0,
-    )  # fmt: skip
+        scene,
+        frames=1,
+        background_dn=0.0,
+        photoelectron_dn=1.0,
+        excess=1.0,
+        read_noise_dn=0.0,
+        full_well_dn=None,
+        plate_saturation_dn=None,
+        smear_fraction=0.0,
+        lag=0.0,
+        motion_px=0.0,
+        agc=False,
+        wrong_dark_dn=0.0,
+        light_sd=0.0,
+        dark_dn=0.0,
+        full_scale_dn=1.0,
+    )
 
 
 @lru_cache(maxsize=64)
 def picture_of(optics: BloomScene, move_px: float) -> Array:
-    """Light before the plate of a source of overload 1 and span 1 DN, `FINE` times as finely as pixels, (row, col)."""
+    """Light before the plate of a source of overload 1 and span 1 DN, `FINE` times as finely as
+    pixels, (row, col).
+    """
     row, col = optics.centre
     picture = _source(optics, row, col + move_px)
     if optics.second_distance_px is not None:
@@ -294,4 +348,8 @@ def _source(optics: BloomScene, row: float, col: float) -> Array:
     radius = np.hypot(down, (np.arange(FINE * optics.cols) / FINE - col)[None, :])
     table = np.arange(0.0, radius.max() + 1.0, 0.2)
     light = np.asarray(CubicSpline(table, radial_light(optics, table, before_gain=True))(radius))
-    return optics.row_pitch * optics.source_dn(1.0) * (light + optics.glare_fraction / GLARE_SIDE_PX**2)
+    return (
+        optics.row_pitch
+        * optics.source_dn(1.0)
+        * (light + optics.glare_fraction / GLARE_SIDE_PX**2)
+    )

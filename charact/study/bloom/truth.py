@@ -1,4 +1,6 @@
-"""What should be found of a point source far too bright: extents of its noiseless picture, and of its light."""
+"""What should be found of a point source far too bright: extents of its noiseless picture, and of
+its light.
+"""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -23,14 +25,17 @@ PLATEAU, RIM = (0.3, 0.7), (0.75, 1.1)
 def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) -> dict[str, float]:
     """Return what should be found, by the names of the quantities, for a source that stands still.
 
-    `faintest` is that of `charact.study.bloom.scene.stack`. Diameters (column pitches; 0: not reached) are those of the
-    connected region around the source; encircled radii are of the linear light without glare, fractions of the light
-    that falls on the frame.
+    `faintest` is that of `charact.study.bloom.scene.stack`. Diameters (column pitches; 0: not
+    reached) are those of the connected region around the source; encircled radii are of the linear
+    light without glare, fractions of the light that falls on the frame.
     """
     picture = noiseless_frame(scene, overload, faintest=faintest)
     # The picture before wells overflow.
     dry = picture
-    if scene.full_well_dn is not None and (picture - scene.dark_dn >= 0.999 * scene.full_well_dn).any():
+    if (
+        scene.full_well_dn is not None
+        and (picture - scene.dark_dn >= 0.999 * scene.full_well_dn).any()
+    ):
         dry = noiseless_frame(replace(scene, full_well_dn=None), overload)
     half = scene.dark_dn + 0.5 * scene.span_dn
     levels = {
@@ -46,23 +51,43 @@ def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) 
         "core_compression": _compression(scene, overload),
         "smear_fraction": scene.smear_fraction,
         **_halo_truth(scene),
-        **{f"encircled_radius_{share:.0f}": _radius_of_energy(scene, share / 100.0) for share in (50.0, 90.0)},
+        **{
+            f"encircled_radius_{share:.0f}": _radius_of_energy(scene, share / 100.0)
+            for share in (50.0, 90.0)
+        },
     }
 
 
-def _diameter(scene: BloomScene, overload: float, level_dn: float, picture: Array, dry: Array) -> float:
-    """Diameter of the circle of equal area to the connected region around the source, column pitches."""
+def _diameter(
+    scene: BloomScene, overload: float, level_dn: float, picture: Array, dry: Array
+) -> float:
+    """Diameter of the circle of equal area to the connected region around the source, column
+    pitches.
+    """
     if _is_round(scene, picture is not dry):
         radius, density = _radial(optics_of(scene))
-        light = scene.row_pitch * scene.source_dn(overload) * (density + scene.glare_fraction / GLARE_SIDE_PX**2)
-        over = np.log(np.maximum(light, 1e-300) / max(level_dn - scene.dark_dn - scene.background_dn, 1e-9))
+        light = (
+            scene.row_pitch
+            * scene.source_dn(overload)
+            * (density + scene.glare_fraction / GLARE_SIDE_PX**2)
+        )
+        over = np.log(
+            np.maximum(light, 1e-300) / max(level_dn - scene.dark_dn - scene.background_dn, 1e-9)
+        )
         last = int(np.argmax(over < 0)) - 1
         if over[0] < 0:
             return 0.0
         row, col = scene.centre
-        to_border = min(row * scene.row_pitch, (scene.rows - 1 - row) * scene.row_pitch, col, scene.cols - 1 - col)
+        to_border = min(
+            row * scene.row_pitch,
+            (scene.rows - 1 - row) * scene.row_pitch,
+            col,
+            scene.cols - 1 - col,
+        )
         if last >= 0 and radius[last + 1] < to_border:
-            return float(2.0 * (radius[last] + STEP_PX * over[last] / (over[last] - over[last + 1])))
+            return float(
+                2.0 * (radius[last] + STEP_PX * over[last] / (over[last] - over[last + 1]))
+            )
     area = _region(scene, picture, level_dn, dry).sum() / PARTS**2 * scene.row_pitch
     return float(2.0 * np.sqrt(area / np.pi))
 
@@ -77,7 +102,9 @@ def _radial(optics: BloomScene) -> tuple[Array, Array]:
 def _is_round(scene: BloomScene, overflows: bool) -> bool:
     """Whether nothing but the light shapes the picture."""
     wrong = scene.second_distance_px is not None or overflows
-    return not (wrong or scene.plate_saturation_dn is not None or scene.smear_fraction > 0 or scene.agc)
+    return not (
+        wrong or scene.plate_saturation_dn is not None or scene.smear_fraction > 0 or scene.agc
+    )
 
 
 def _region(scene: BloomScene, picture: Array, level_dn: float, dry: Array) -> NDArray[np.bool_]:
@@ -90,7 +117,9 @@ def _region(scene: BloomScene, picture: Array, level_dn: float, dry: Array) -> N
     log = np.log(np.maximum(dry - scene.dark_dn, 1e-6))
     fine = np.asarray(ndimage.zoom(log, PARTS, order=3, mode="nearest", grid_mode=True))
     reached = (picture >= level_dn) & (picture > dry)
-    above = (fine >= np.log(max(level_dn - scene.dark_dn, 1e-6))) | np.kron(reached, np.ones((PARTS, PARTS), bool))
+    above = (fine >= np.log(max(level_dn - scene.dark_dn, 1e-6))) | np.kron(
+        reached, np.ones((PARTS, PARTS), bool)
+    )
     row, col = scene.centre
     return _around(above, (PARTS * (row + 0.5) - 0.5, PARTS * (col + 0.5) - 0.5))
 
@@ -100,7 +129,9 @@ def _around(above: NDArray[np.bool_], place: tuple[float, float]) -> NDArray[np.
     from scipy import ndimage
 
     labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
-    row, col = (min(max(round(at), 0), size - 1) for at, size in zip(place, labels.shape, strict=True))
+    row, col = (
+        min(max(round(at), 0), size - 1) for at, size in zip(place, labels.shape, strict=True)
+    )
     return (labels == labels[row, col]) & above
 
 
@@ -119,11 +150,15 @@ def _ellipticity(scene: BloomScene, picture: Array, level_dn: float, dry: Array)
 
 
 def _compression(scene: BloomScene, overload: float) -> float:
-    """Light inside four standard deviations of the core over that of a camera without MCP saturation."""
+    """Light inside four standard deviations of the core over that of a camera without MCP
+    saturation.
+    """
     if scene.plate_saturation_dn is None:
         return 1.0
     calm = replace(scene, full_well_dn=None, smear_fraction=0.0, agc=False)
-    saturated, unsaturated = (noiseless_frame(one, overload) for one in (calm, replace(calm, plate_saturation_dn=None)))
+    saturated, unsaturated = (
+        noiseless_frame(one, overload) for one in (calm, replace(calm, plate_saturation_dn=None))
+    )
     rows, cols = np.indices(saturated.shape)
     away = np.hypot((rows - scene.centre[0]) * scene.row_pitch, cols - scene.centre[1])
     # Radius that holds the core, in its standard deviations.
@@ -136,7 +171,9 @@ def _halo_truth(scene: BloomScene) -> dict[str, float]:
 
     The plateau is that of the halo before any blur; the rim that of the blurred one over it.
     """
-    glare = scene.glare_fraction * min(1.0, scene.rows * scene.row_pitch * scene.cols / GLARE_SIDE_PX**2)
+    glare = scene.glare_fraction * min(
+        1.0, scene.rows * scene.row_pitch * scene.cols / GLARE_SIDE_PX**2
+    )
     seen = 1.0 - scene.glare_fraction + glare
     shares = {"veiling_glare": 100.0 * glare / seen, "halo_fraction": scene.halo_fraction / seen}
     if scene.halo_fraction <= 0:
@@ -151,9 +188,13 @@ def _halo_truth(scene: BloomScene) -> dict[str, float]:
 
 
 def plateau_per_px2(scene: BloomScene) -> float:
-    """Return the mean density of the halo's light between 0.3 and 0.7 of its radius, before any blur."""
+    """Return the mean density of the halo's light between 0.3 and 0.7 of its radius, before any
+    blur.
+    """
     first, last = (0.5 * scene.halo_diameter_px * share for share in PLATEAU)
-    return source.halo_share_between(*PLATEAU, scene.halo_elastic_share) / (np.pi * (last**2 - first**2))
+    return source.halo_share_between(*PLATEAU, scene.halo_elastic_share) / (
+        np.pi * (last**2 - first**2)
+    )
 
 
 def _radius_of_energy(scene: BloomScene, share: float) -> float:

@@ -1,4 +1,6 @@
-"""Edges of exactly known MTF: the frame of a blurred step by numerical transform, and its noise, from no simulator."""
+"""Edges of exactly known MTF: the frame of a blurred step by numerical transform, and its noise,
+from no simulator.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,8 +29,8 @@ class TrueBlur:
     Parameters
     ----------
     form
-        "gaussian": exp(-2 (pi f s)^2). "exponential": exp(-(f/fc)^n), the form of intensifier tubes. "moffat": the
-        transform of (1 + r^2/a^2)^-b.
+        "gaussian": exp(-2 (pi f s)^2). "exponential": exp(-(f/fc)^n), the form of intensifier
+        tubes. "moffat": the transform of (1 + r^2/a^2)^-b.
     sigma_px
         s of the Gaussian, px.
     frequency_cy_per_px, exponent
@@ -48,22 +50,32 @@ class TrueBlur:
     halo_share: float = 0.0
     halo_px: float = 30.0
 
-    def mtf(self, frequency_cy_per_px: NDArray[np.floating] | float, angle_deg: float) -> NDArray[np.floating]:
-        """MTF along the normal of an edge whose normal stands at an angle to the rows, pixel included.
+    def mtf(
+        self, frequency_cy_per_px: NDArray[np.floating] | float, angle_deg: float
+    ) -> NDArray[np.floating]:
+        """MTF along the normal of an edge whose normal stands at an angle to the rows, pixel
+        included.
 
-        The square pixel's transform along the direction a is sinc(f cos a) sinc(f sin a), sinc(x) = sin(pi x)/(pi x).
+        The square pixel's transform along the direction a is sinc(f cos a) sinc(f sin a), sinc(x) =
+        sin(pi x)/(pi x).
         """
         f = np.asarray(frequency_cy_per_px, float)
         angle = np.deg2rad(angle_deg)
         return self.transfer(f * np.cos(angle), f * np.sin(angle))
 
-    def transfer(self, fx: NDArray[np.floating] | float, fy: NDArray[np.floating] | float) -> NDArray[np.floating]:
+    def transfer(
+        self, fx: NDArray[np.floating] | float, fy: NDArray[np.floating] | float
+    ) -> NDArray[np.floating]:
         """MTF at frequencies along rows and columns, cycles per pixel, pixel included."""
         return self.before_pixel(np.hypot(fx, fy)) * np.sinc(fx) * np.sinc(fy)
 
     def before_pixel(self, f: NDArray[np.floating]) -> NDArray[np.floating]:
         """MTF at frequencies in any direction, cycles per pixel, without the pixel."""
-        core = {"gaussian": self._gaussian, "exponential": self._exponential, "moffat": self._moffat}[self.form](f)
+        core = {
+            "gaussian": self._gaussian,
+            "exponential": self._exponential,
+            "moffat": self._moffat,
+        }[self.form](f)
         if self.halo_share == 0:
             return core
         from scipy.special import j1
@@ -83,7 +95,9 @@ class TrueBlur:
 
         x, order = np.maximum(2 * np.pi * self.moffat_px * f, 1e-9), self.moffat_exponent - 1
         # Beyond x of 600 the Bessel function underflows, and so does the transfer.
-        return np.where(x < 600, 2 ** (1 - order) / gamma(order) * x**order * kv(order, np.minimum(x, 600)), 0.0)
+        return np.where(
+            x < 600, 2 ** (1 - order) / gamma(order) * x**order * kv(order, np.minimum(x, 600)), 0.0
+        )
 
     def mtf50(self, angle_deg: float, level: float = 0.5) -> float:
         """Lowest frequency at which the MTF falls to a level, cycles per pixel along the normal."""
@@ -91,7 +105,9 @@ class TrueBlur:
 
 
 def level_crossing(mtf: Callable[[Any], Any], level: float) -> float:
-    """Lowest frequency at which a function of frequency falls to a level, cycles per pixel, by bisection."""
+    """Lowest frequency at which a function of frequency falls to a level, cycles per pixel, by
+    bisection.
+    """
     grid = np.linspace(0, 2, 4001)
     below = int(np.argmax(mtf(grid) < level))
     low, high = grid[below - 1], grid[below]
@@ -102,10 +118,15 @@ def level_crossing(mtf: Callable[[Any], Any], level: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def _edge_spread(blur: TrueBlur, angle_deg: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Distance, px, and edge spread from 0 to 1: running sum of the line spread over cells of exact integral."""
+def _edge_spread(
+    blur: TrueBlur, angle_deg: float
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Distance, px, and edge spread from 0 to 1: running sum of the line spread over cells of exact
+    integral.
+    """
     frequency = np.fft.rfftfreq(SAMPLES, STEP_PX)
-    # Dividing by the cell's own transform makes the sum over whole cells the integral between their borders.
+    # Dividing by the cell's own transform makes the sum over whole cells the integral between their
+    # borders.
     transform = blur.mtf(frequency, angle_deg) / np.sinc(frequency * STEP_PX)
     line_spread = np.fft.fftshift(np.fft.irfft(transform, SAMPLES)) / STEP_PX
     distance = (np.arange(SAMPLES) - SAMPLES // 2 + 0.5) * STEP_PX
@@ -113,24 +134,32 @@ def _edge_spread(blur: TrueBlur, angle_deg: float) -> tuple[NDArray[np.floating]
     return distance[near], (np.cumsum(line_spread) * STEP_PX)[near]
 
 
-def edge_spread(blur: TrueBlur, distance_px: NDArray[np.floating], angle_deg: float) -> NDArray[np.floating]:
+def edge_spread(
+    blur: TrueBlur, distance_px: NDArray[np.floating], angle_deg: float
+) -> NDArray[np.floating]:
     """Edge spread, 0 on the dark and 1 on the bright side, at signed distances from the edge.
 
-    `distance_px`: distance along the normal, px, any shape; `angle_deg`: angle of the normal to the rows, degrees.
+    `distance_px`: distance along the normal, px, any shape; `angle_deg`: angle of the normal to the
+    rows, degrees.
     """
     distance, spread = _edge_spread(blur, round(float(angle_deg), 9))
     return np.interp(distance_px, distance, spread)
 
 
 def distance_across(
-    row: NDArray[np.floating], col: NDArray[np.floating], size: tuple[int, int], *, angle_deg: float,
-    moved_px: NDArray[np.floating] | float, sagitta_px: float,
-) -> NDArray[np.floating]:  # fmt: skip
+    row: NDArray[np.floating],
+    col: NDArray[np.floating],
+    size: tuple[int, int],
+    *,
+    angle_deg: float,
+    moved_px: NDArray[np.floating] | float,
+    sagitta_px: float,
+) -> NDArray[np.floating]:
     """Signed distance along its normal from an edge through the middle of a frame, px.
 
-    `row`, `col`: places from the middle, shapes (row, 1) and (1, col), px; `size`: rows and columns of the frame;
-    `angle_deg`: angle of the normal to the rows, degrees; `moved_px`: displacement of the edge along the rows, px;
-    `sagitta_px`: bow of the edge over its length in the frame, px.
+    `row`, `col`: places from the middle, shapes (row, 1) and (1, col), px; `size`: rows and columns
+    of the frame; `angle_deg`: angle of the normal to the rows, degrees; `moved_px`: displacement of
+    the edge along the rows, px; `sagitta_px`: bow of the edge over its length in the frame, px.
     """
     angle = np.deg2rad(angle_deg)
     along = row * np.cos(angle) - col * np.sin(angle)
@@ -141,7 +170,8 @@ def distance_across(
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeScene:
-    """An edge as a camera would digitise it, with one knob for each way in which edge methods break.
+    """An edge as a camera would digitise it, with one knob for each way in which edge methods
+    break.
 
     Parameters
     ----------
@@ -156,11 +186,13 @@ class EdgeScene:
     dark_dn, bright_dn
         Levels on both sides, DN, black level included.
     snr
-        Step over the standard deviation of the noise half way up, dimensionless. Infinite: no noise.
+        Step over the standard deviation of the noise half way up, dimensionless. Infinite: no
+        noise.
     shot_share
         Share of the variance half way up that grows with the signal; the rest is white read noise.
     noise_blur_px
-        Standard deviation of the Gaussian that correlates the signal's noise after the gain, px; 0 is white.
+        Standard deviation of the Gaussian that correlates the signal's noise after the gain, px; 0
+        is white.
     gamma
         Exponent of the response, on a scale from black to full scale.
     gradient
@@ -172,9 +204,9 @@ class EdgeScene:
     sagitta_px
         Bow of the edge over its length in the frame, px.
     roughness_px, roughness_length_px
-        Root mean square of how far the edge wanders along its length, the same in all frames, and the standard
-        deviation of the Gaussian that smooths its course, px. Seen by the camera without loss, as courses are that
-        are long compared with the blur.
+        Root mean square of how far the edge wanders along its length, the same in all frames, and
+        the standard deviation of the Gaussian that smooths its course, px. Seen by the camera
+        without loss, as courses are that are long compared with the blur.
     clip_share
         Share of the step that lies above full scale.
     floor_dn
@@ -221,29 +253,41 @@ class EdgeScene:
     @property
     def truth_mtf50(self) -> float:
         """MTF50 along the edge's normal, cycles per pixel."""
-        return level_crossing(lambda f: self.blur.mtf(f, self.angle_deg) * boost(f, self.sharpening), 0.5)
+        return level_crossing(
+            lambda f: self.blur.mtf(f, self.angle_deg) * boost(f, self.sharpening), 0.5
+        )
 
     def mean(self) -> NDArray[np.floating]:
         """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
         return self._response(self.light())
 
-    def light(self, moved_px: float = 0.0, course_px: NDArray[np.floating] | float = 0.0) -> NDArray[np.floating]:
+    def light(
+        self, moved_px: float = 0.0, course_px: NDArray[np.floating] | float = 0.0
+    ) -> NDArray[np.floating]:
         """Noiseless light signal over black, DN of a straight response, shape (row, col).
 
-        `moved_px`: horizontal displacement of the edge, px; `course_px`: how far the edge lies off its line along the
-        normal, seen from each pixel, shape (row, col), px.
+        `moved_px`: horizontal displacement of the edge, px; `course_px`: how far the edge lies off
+        its line along the normal, seen from each pixel, shape (row, col), px.
         """
         row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
         col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
         moved = moved_px + self.motion_px * (np.arange(self.rows) % 2)[:, None]
         distance = distance_across(
-            row, col, (self.rows, self.cols), angle_deg=self.angle_deg, moved_px=moved, sagitta_px=self.sagitta_px
+            row,
+            col,
+            (self.rows, self.cols),
+            angle_deg=self.angle_deg,
+            moved_px=moved,
+            sagitta_px=self.sagitta_px,
         )
         distance = distance - self.offset_px - course_px
         step = self.bright_dn - self.dark_dn
-        light = self.dark_dn - self.black_dn + step * edge_spread(self.blur, distance, self.angle_deg)
+        light = (
+            self.dark_dn - self.black_dn + step * edge_spread(self.blur, distance, self.angle_deg)
+        )
         light = light * (1 + self.gradient * (col / self.cols + 0.5))
-        # Clipping is a matter of exposure: the light grows until the share of the step lies above full scale.
+        # Clipping is a matter of exposure: the light grows until the share of the step lies above
+        # full scale.
         if self.clip_share > 0:
             room = self.full_scale_dn - self.black_dn
             light = light * room / (self.bright_dn - self.black_dn - self.clip_share * step)
@@ -254,7 +298,12 @@ class EdgeScene:
         course = self._course(rng) if self.roughness_px else 0.0
         if not self.jitter_px:
             return self.light(course_px=course)
-        return np.stack([self.light(moved, course) for moved in self.jitter_px * rng.standard_normal(self.frames)])
+        return np.stack(
+            [
+                self.light(moved, course)
+                for moved in self.jitter_px * rng.standard_normal(self.frames)
+            ]
+        )
 
     def _course(self, rng: np.random.Generator) -> NDArray[np.floating]:
         """How far a rough edge lies off its line, seen from each pixel, px."""
@@ -266,7 +315,9 @@ class EdgeScene:
         along = row * np.cos(angle) - col * np.sin(angle)
         reach = 0.5 * np.hypot(self.rows, self.cols) + 1.0
         place = np.arange(-reach, reach, 1 / COURSE_PER_PX)
-        course = gaussian_filter1d(rng.standard_normal(place.size), self.roughness_length_px * COURSE_PER_PX)
+        course = gaussian_filter1d(
+            rng.standard_normal(place.size), self.roughness_length_px * COURSE_PER_PX
+        )
         return np.interp(along, place, self.roughness_px * course / np.std(course))
 
     def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -275,11 +326,12 @@ class EdgeScene:
         return self.black_dn + room * np.sign(light) * np.abs(light / room) ** self.gamma
 
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
-        """Draw the stack: noise of the light correlated after the gain, the response, white read noise, digitised.
+        """Draw the stack: noise of the light correlated after the gain, the response, white read
+        noise, digitised.
 
-        The noise is sqrt(v_s(mean)) w blurred by a kernel h of unit sum of squares, plus white noise: variance v_s +
-        v_r, covariance v_s R_h. The signal's part of the variance is proportional to the light; the response bends
-        light and its noise alike.
+        The noise is sqrt(v_s(mean)) w blurred by a kernel h of unit sum of squares, plus white
+        noise: variance v_s + v_r, covariance v_s R_h. The signal's part of the variance is
+        proportional to the light; the response bends light and its noise alike.
         """
         light = self._frames_light(rng)
         sd = (self.bright_dn - self.dark_dn) / self.snr if np.isfinite(self.snr) else 0.0
@@ -287,10 +339,14 @@ class EdgeScene:
         shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)
         read = np.sqrt(1 - self.shot_share) * sd
         shape = (self.frames, self.rows, self.cols)
-        drawn = self._response(light + correlate_noise(shot * rng.standard_normal(shape), self.noise_blur_px))
+        drawn = self._response(
+            light + correlate_noise(shot * rng.standard_normal(shape), self.noise_blur_px)
+        )
         drawn = sharpen_images(drawn + read * rng.standard_normal(shape), self.sharpening)
         stuck = rng.random((self.rows, self.cols)) < self.hot_share
         drawn = np.where(stuck, self.full_scale_dn, drawn)
         kind = np.uint8 if self.full_scale_dn < 256 else np.uint16
         codes = np.clip(np.rint(drawn), self.floor_dn, self.full_scale_dn).astype(kind)
-        return FrameStack(data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn)
+        return FrameStack(
+            data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn
+        )

@@ -1,4 +1,6 @@
-"""Flat series of exactly known covariance gain: counted pulses through an exact cascade, from no simulator."""
+"""Flat series of exactly known covariance gain: counted pulses through an exact cascade, from no
+simulator.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,20 +29,25 @@ class InMemoryStack(StackEntry):
 def in_memory_stack(kind: Kind, label: str, frames: FrameStack, lux: float) -> InMemoryStack:
     """Return a stack at the settings of an intensified camera and some illuminance."""
     conditions = Conditions(illuminance_lux=lux, mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167)
-    return InMemoryStack(label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=frames)
+    return InMemoryStack(
+        label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=frames
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlatScene:
-    """A flat series of an intensified camera, with one knob for each way in which gain estimators break."""
+    """A flat series of an intensified camera, with one knob for each way in which gain estimators
+    break.
+    """
 
     photoelectron_gain_dn: float = 20.0  # k, DN per photoelectron
-    # F^2 = 1 + relative variance of the pulse heights; every photoelectron is detected. 1: equal pulses. 0: a camera
-    # without an intensifier, whose light comes without pulses
+    # F^2 = 1 + relative variance of the pulse heights; every photoelectron is detected. 1: equal
+    # pulses. 0: a camera without an intensifier, whose light comes without pulses
     excess_noise_factor: float = 2.0
     electron_gain_dn: float = 0.05  # K, DN per CCD electron
     blur_px: float = 0.6  # standard deviation of the Gaussian blur after the gain, px
-    # frequency fc of the blur exp(-(f/fc)^1.2) of an image tube that comes on top, cycles per px; infinite: none
+    # frequency fc of the blur exp(-(f/fc)^1.2) of an image tube that comes on top, cycles per px;
+    # infinite: none
     wings_cy_per_px: float = np.inf
     # mean photoelectrons per pixel and frame at each level; the first stack is dark
     photoelectrons: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
@@ -54,8 +61,11 @@ class FlatScene:
     full_scale_dn: float = 4095.0
     lag: float = 0.0  # share of a frame's light that returns in the next, dimensionless
     flicker: float = 0.0  # relative standard deviation of the light from frame to frame
-    agc: bool = False  # whether an automatic gain holds the mean of every level at that of the brightest
-    # standard deviation of a Gaussian that smooths the frames as recorded, px: noise of the camera shared afterwards
+    agc: bool = (
+        False  # whether an automatic gain holds the mean of every level at that of the brightest
+    )
+    # standard deviation of a Gaussian that smooths the frames as recorded, px: noise of the camera
+    # shared afterwards
     resampling_px: float = 0.0
 
     @property
@@ -80,11 +90,15 @@ class FlatScene:
 
             noisy = gaussian_filter(noisy, (0, self.resampling_px, self.resampling_px), mode="wrap")
         codes = np.clip(np.rint(noisy), 0, self.full_scale_dn).astype(np.uint16)
-        stack = FrameStack(data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn)
+        stack = FrameStack(
+            data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn
+        )
         return in_memory_stack(kind, f"{kind}-{number}", stack, 1e-6 * level)
 
     def _light(self, level: float, rng: np.random.Generator) -> NDArray[np.floating]:
-        """Light signal, DN, shape (frame, row, col): pulses, blur after the gain, then electrons."""
+        """Light signal, DN, shape (frame, row, col): pulses, blur after the gain, then
+        electrons.
+        """
         from scipy.ndimage import gaussian_filter
 
         shape = (self.frames + 1, self.rows, self.cols)
@@ -93,7 +107,9 @@ class FlatScene:
         counted = light if self.excess_noise_factor == 0 else rng.poisson(light)
         pulses = _pulse_heights(counted, self.excess_noise_factor, rng) * self.photoelectron_gain_dn
         if self.blur_px > 0:
-            pulses = gaussian_filter(pulses, (0, self.blur_px, self.blur_px), mode="wrap", truncate=6)
+            pulses = gaussian_filter(
+                pulses, (0, self.blur_px, self.blur_px), mode="wrap", truncate=6
+            )
         if np.isfinite(self.wings_cy_per_px):
             pulses = _with_wings(pulses, self.wings_cy_per_px)
         lagged = (1 - self.lag) * pulses[1:] + self.lag * pulses[:-1]
@@ -106,11 +122,17 @@ def _with_wings(pulses: NDArray[np.floating], frequency_cy_per_px: float) -> NDA
 
     rows, cols = pulses.shape[1:]
     radius = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(cols)[None, :])
-    return np.asarray(irfft2(rfft2(pulses) * np.exp(-((radius / frequency_cy_per_px) ** 1.2)), s=(rows, cols)))
+    return np.asarray(
+        irfft2(rfft2(pulses) * np.exp(-((radius / frequency_cy_per_px) ** 1.2)), s=(rows, cols))
+    )
 
 
-def _pulse_heights(counts: NDArray, factor: float, rng: np.random.Generator) -> NDArray[np.floating]:
-    """Summed heights of pulses of mean 1: a sum of n gamma heights of shape m is gamma of shape n m."""
+def _pulse_heights(
+    counts: NDArray, factor: float, rng: np.random.Generator
+) -> NDArray[np.floating]:
+    """Summed heights of pulses of mean 1: a sum of n gamma heights of shape m is gamma of shape n
+    m.
+    """
     if factor <= 1:
         return counts.astype(float)
     shape = 1 / (factor - 1)
@@ -118,36 +140,62 @@ def _pulse_heights(counts: NDArray, factor: float, rng: np.random.Generator) -> 
 
 
 AXES: Axes = {
-    "blur after the gain": ("px, Gaussian sigma", (0, 0.3, 0.6, 1, 1.5, 2.5), (0, 1), lambda x, _: {"blur_px": x}),
+    "blur after the gain": (
+        "px, Gaussian sigma",
+        (0, 0.3, 0.6, 1, 1.5, 2.5),
+        (0, 1),
+        lambda x, _: {"blur_px": x},
+    ),
     "frames": ("a stack", (2, 4, 8, 24, 48), (24, 48), lambda x, _: {"frames": int(x)}),
     "levels": (
-        "flat stacks", (1, 2, 3, 5), (3, 5), lambda x, base: {"photoelectrons": base.photoelectrons[-int(x) :]},
+        "flat stacks",
+        (1, 2, 3, 5),
+        (3, 5),
+        lambda x, base: {"photoelectrons": base.photoelectrons[-int(x) :]},
     ),
     "brightest level": (
-        "photoelectrons a pixel", (0.05, 0.3, 2, 32, 100), (2, 32),
+        "photoelectrons a pixel",
+        (0.05, 0.3, 2, 32, 100),
+        (2, 32),
         lambda x, _: {"photoelectrons": tuple(x * np.array([0.1, 0.25, 0.5, 0.75, 1.0]))},
     ),
     "saturated": (
-        "% of full scale at the brightest", (70, 100, 130, 300), (70, 70),
-        lambda x, base: {"full_scale_dn": float(round(base.black_dn + 3200 * base.photoelectron_gain_dn / x))},
+        "% of full scale at the brightest",
+        (70, 100, 130, 300),
+        (70, 70),
+        lambda x, base: {
+            "full_scale_dn": float(round(base.black_dn + 3200 * base.photoelectron_gain_dn / x))
+        },
     ),
     "lag": ("share a frame", (0, 0.05, 0.1, 0.2, 0.4), (0, 0), lambda x, _: {"lag": x}),
     "flicker": ("% rms", (0, 0.5, 2, 5, 10), (0, 0), lambda x, _: {"flicker": x / 100}),
     "automatic gain": ("1 = on", (0, 1), (0, 0), lambda x, _: {"agc": bool(x)}),
     "steps of the digitiser": (
-        "DN a photoelectron", (20, 3, 1, 0.3, 0.1), (3, 20),
-        lambda x, _: {"photoelectron_gain_dn": x, "electron_gain_dn": x / 400, "read_noise_dn": x / 13},
+        "DN a photoelectron",
+        (20, 3, 1, 0.3, 0.1),
+        (3, 20),
+        lambda x, _: {
+            "photoelectron_gain_dn": x,
+            "electron_gain_dn": x / 400,
+            "read_noise_dn": x / 13,
+        },
     ),
-}  # fmt: skip
+}
 
 
 def flat_case(quantity: str, at: AxisPosition, scene: FlatScene, rng: np.random.Generator) -> Case:
-    """Return a case of a flat series whose covariance gain or, without an intensifier, system gain is known."""
+    """Return a case of a flat series whose covariance gain or, without an intensifier, system gain
+    is known.
+    """
     truth = scene.truth_covariance_gain if quantity == "covariance_gain" else scene.electron_gain_dn
     return at.case(
-        rng, kind="flats", quantity=quantity, truth=truth, draw=scene.session_drawn,
+        rng,
+        kind="flats",
+        quantity=quantity,
+        truth=truth,
+        draw=scene.session_drawn,
         context={"full_scale_dn": scene.full_scale_dn},
-    )  # fmt: skip
+    )
 
 
 def _base(rng: np.random.Generator) -> FlatScene:
@@ -158,8 +206,12 @@ def _base(rng: np.random.Generator) -> FlatScene:
     )
 
 
-def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
-    """Every axis at every position, drawn several times with another gain, pulse height and blur."""
+def stability_cases(
+    seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
+) -> tuple[Case, ...]:
+    """Every axis at every position, drawn several times with another gain, pulse height and
+    blur.
+    """
     rng = np.random.default_rng([seed, 3])
 
     def make_case(at: AxisPosition, _: int) -> Case:
@@ -169,7 +221,9 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
-    """Cases inside the scope, drawn at random: gain, pulse heights, blur, every other with wings, number of frames."""
+    """Cases inside the scope, drawn at random: gain, pulse heights, blur, every other with wings,
+    number of frames.
+    """
     rng = np.random.default_rng([seed, 4])
     scenes = [
         replace(
@@ -179,4 +233,6 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
         )
         for number in range(count)
     ]
-    return cases_in_scope(count, lambda at, number: flat_case("covariance_gain", at, scenes[number], rng))
+    return cases_in_scope(
+        count, lambda at, number: flat_case("covariance_gain", at, scenes[number], rng)
+    )

@@ -1,7 +1,9 @@
-"""Flats of exactly known MTF after the gain: pulses in continuous space through a closed form, from no simulator.
+"""Flats of exactly known MTF after the gain: pulses in continuous space through a closed form, from
+no simulator.
 
-Pulses fall on a grid several times finer than the pixels; their spectrum is multiplied with the transfer and folded
-as sampling folds it, so that replicas of the spectrum are there as a real pixel makes them.
+Pulses fall on a grid several times finer than the pixels; their spectrum is multiplied with the
+transfer and folded as sampling folds it, so that replicas of the spectrum are there as a real pixel
+makes them.
 """
 
 from collections.abc import Sequence
@@ -28,23 +30,28 @@ FINER = 4
 
 @dataclass(frozen=True, kw_only=True)
 class ScintillatingFlats:
-    """Flats of an intensified camera, with one knob for each way in which a noise spectrum breaks."""
+    """Flats of an intensified camera, with one knob for each way in which a noise spectrum
+    breaks.
+    """
 
-    # half_frequency_cy_per_px, exponent: f2 and n of the transfer after the gain exp(-ln 2 (f/f2)^n), times the square
-    # pixel's; n = 2 is a Gaussian
+    # half_frequency_cy_per_px, exponent: f2 and n of the transfer after the gain exp(-ln 2
+    # (f/f2)^n), times the square pixel's; n = 2 is a Gaussian
     half_frequency_cy_per_px: float = 0.25
     exponent: float = 1.5
     anisotropy: float = 1.0  # f2 along columns over f2 along rows
-    # halo_fraction, halo_px: share of the light after the gain in a Gaussian veil of this standard deviation, px
+    # halo_fraction, halo_px: share of the light after the gain in a Gaussian veil of this standard
+    # deviation, px
     halo_fraction: float = 0.0
     halo_px: float = 6.0
-    # mean photoelectrons per pixel and exposure of each flat, all detected, pulse heights exponential
+    # mean photoelectrons per pixel and exposure of each flat, all detected, pulse heights
+    # exponential
     photoelectrons: tuple[float, ...] = (2.0, 8.0)
     gain_dn: float = 20.0  # k, DN per photoelectron; 0: no intensifier, electrons alone
     # electron_gain_dn, read_noise_dn: K, DN per electron, white; and read noise, DN
     electron_gain_dn: float = 0.05
     read_noise_dn: float = 3.0
-    # standard deviation of a Gaussian along rows over the read noise, px: electronics that are not white
+    # standard deviation of a Gaussian along rows over the read noise, px: electronics that are not
+    # white
     read_smoothing_px: float = 0.0
     # rows, cols, frames: size of each stack
     rows: int = 128
@@ -57,12 +64,15 @@ class ScintillatingFlats:
     black_dn: float = 60.0
     interlaced: bool = False  # whether odd and even rows are exposed one after the other
     darks: bool = True  # whether there is a dark stack
-    # share of the light that the corners lose, growing with the square of the distance from the middle
+    # share of the light that the corners lose, growing with the square of the distance from the
+    # middle
     vignetting: float = 0.0
     flicker: float = 0.0  # relative standard deviation of the light from exposure to exposure
-    row_noise_dn: float = 0.0  # standard deviation of an offset that each row of each frame has for itself, DN
-    # ion_share, ion_photoelectrons: share of the pulses that an ion makes, and how many photoelectrons' light such a
-    # one has
+    row_noise_dn: float = (
+        0.0  # standard deviation of an offset that each row of each frame has for itself, DN
+    )
+    # ion_share, ion_photoelectrons: share of the pulses that an ion makes, and how many
+    # photoelectrons' light such a one has
     ion_share: float = 0.0
     ion_photoelectrons: float = 20.0
 
@@ -96,7 +106,11 @@ class ScintillatingFlats:
         stacks = tuple(self._entry(number, level, rng) for number, level in enumerate(levels))
         depth = int(np.log2(self.full_scale_dn + 1))
         return Session(
-            folder=Path("."), name="scintillating flats", stacks=stacks, interlaced=self.interlaced, bit_depth=depth
+            folder=Path("."),
+            name="scintillating flats",
+            stacks=stacks,
+            interlaced=self.interlaced,
+            bit_depth=depth,
         )
 
     def _entry(self, number: int, level: float, rng: np.random.Generator) -> InMemoryStack:
@@ -105,18 +119,24 @@ class ScintillatingFlats:
         top = self.full_scale_dn - self.black_dn
         curved = np.sign(signal) * top * (np.abs(signal) / top) ** self.gamma
         codes = np.clip(np.rint(self.black_dn + curved), 0, self.full_scale_dn).astype(np.uint16)
-        held = FrameStack(data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn)
+        held = FrameStack(
+            data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn
+        )
         return in_memory_stack(kind, f"{kind}-{number}", held, 1e-6 * level)
 
     def _frames(self, level: float, rng: np.random.Generator) -> Sequence[Array]:
-        """Light signal of each frame, DN; of interlaced ones each field has an exposure of its own."""
+        """Light signal of each frame, DN; of interlaced ones each field has an exposure of its
+        own.
+        """
         if level == 0.0:
             return [np.zeros((self.rows, self.cols))] * self.frames
         count = self.frames * (2 if self.interlaced else 1)
         shots = [self._exposure(level, rng) for _ in range(count + 1)]
         lagged = [(1 - self.lag) * new + self.lag * old for old, new in pairwise(shots)]
         if self.electron_gain_dn > 0:
-            electrons = [rng.poisson(np.maximum(light, 0) / self.electron_gain_dn) for light in lagged]
+            electrons = [
+                rng.poisson(np.maximum(light, 0) / self.electron_gain_dn) for light in lagged
+            ]
             lagged = [self.electron_gain_dn * each for each in electrons]
         if not self.interlaced:
             return lagged
@@ -128,7 +148,9 @@ class ScintillatingFlats:
         return frames
 
     def _exposure(self, level: float, rng: np.random.Generator) -> Array:
-        """One exposure's light before the electrons: pulses, transfer, and sampling as a fold of the spectrum."""
+        """One exposure's light before the electrons: pulses, transfer, and sampling as a fold of
+        the spectrum.
+        """
         if self.gain_dn == 0.0:
             return np.full((self.rows, self.cols), 20.0 * level)
         from scipy import fft
@@ -172,37 +194,73 @@ class ScintillatingFlats:
 
 AXES: Axes = {
     "half frequency after the gain": (
-        "cy/px", (0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 1.0), (0.08, 0.4), lambda x, _: {"half_frequency_cy_per_px": x},
+        "cy/px",
+        (0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 1.0),
+        (0.08, 0.4),
+        lambda x, _: {"half_frequency_cy_per_px": x},
     ),
     "exponent": ("1", (1.0, 1.2, 1.5, 2.0, 2.5), (1.2, 2.0), lambda x, _: {"exponent": x}),
     "frames": ("a stack", (2, 3, 4, 8, 24), (4, 24), lambda x, _: {"frames": int(x)}),
-    "size": ("px square", (40, 64, 96, 192), (96, 192), lambda x, _: {"rows": int(x), "cols": int(x)}),
+    "size": (
+        "px square",
+        (40, 64, 96, 192),
+        (96, 192),
+        lambda x, _: {"rows": int(x), "cols": int(x)},
+    ),
     "light": (
-        "photoelectrons a pixel", (0.01, 0.1, 1, 10, 50), (0.1, 10), lambda x, _: {"photoelectrons": (0.3 * x, x)},
+        "photoelectrons a pixel",
+        (0.01, 0.1, 1, 10, 50),
+        (0.1, 10),
+        lambda x, _: {"photoelectrons": (0.3 * x, x)},
     ),
     "read noise": ("DN", (0.5, 3, 30, 100, 300), (0.5, 30), lambda x, _: _noisy(x)),
-    "coloured read noise": ("DN", (3, 30, 100), (3, 30), lambda x, _: _noisy(x) | {"read_smoothing_px": 1.0}),
+    "coloured read noise": (
+        "DN",
+        (3, 30, 100),
+        (3, 30),
+        lambda x, _: _noisy(x) | {"read_smoothing_px": 1.0},
+    ),
     "coloured read noise, no darks": (
-        "DN", (3, 30, 100), (0, 0), lambda x, _: _noisy(x) | {"read_smoothing_px": 1.0, "darks": False},
+        "DN",
+        (3, 30, 100),
+        (0, 0),
+        lambda x, _: _noisy(x) | {"read_smoothing_px": 1.0, "darks": False},
     ),
     "no darks": ("1 = none", (0, 1), (0, 0), lambda x, _: {"darks": x == 0}),
-    "no intensifier": ("1 = none", (0, 1), (0, 0), lambda x, base: {"gain_dn": 0.0 if x else base.gain_dn}),
+    "no intensifier": (
+        "1 = none",
+        (0, 1),
+        (0, 0),
+        lambda x, base: {"gain_dn": 0.0 if x else base.gain_dn},
+    ),
     "lag": ("share an exposure", (0, 0.1, 0.3, 0.5), (0, 0.3), lambda x, _: {"lag": x}),
     "lag between fields": (
-        "share a field", (0, 0.1, 0.3, 0.5), (0, 0.3),
+        "share a field",
+        (0, 0.1, 0.3, 0.5),
+        (0, 0.3),
         lambda x, base: {"lag": x, "interlaced": True, "rows": 2 * base.rows},
     ),
     "gamma": ("1", (0.45, 0.7, 1, 1.4, 2.2), (1, 1), lambda x, _: {"gamma": x}),
     "gamma, one level": (
-        "1", (0.45, 0.7, 1, 1.4, 2.2), (1, 1), lambda x, _: {"gamma": x, "photoelectrons": (8.0,)},
+        "1",
+        (0.45, 0.7, 1, 1.4, 2.2),
+        (1, 1),
+        lambda x, _: {"gamma": x, "photoelectrons": (8.0,)},
     ),
     "saturated": (
-        "% of full scale at the brighter level", (20, 60, 90, 120), (20, 60),
+        "% of full scale at the brighter level",
+        (20, 60, 90, 120),
+        (20, 60),
         lambda x, base: {"gain_dn": 4035.0 * x / 100 / max(base.photoelectrons)},
     ),
-    "veil after the gain": ("% of the light", (0, 2, 5, 15), (0, 0), lambda x, _: {"halo_fraction": x / 100}),
+    "veil after the gain": (
+        "% of the light",
+        (0, 2, 5, 15),
+        (0, 0),
+        lambda x, _: {"halo_fraction": x / 100},
+    ),
     "anisotropy": ("1", (0.6, 0.8, 1, 1.25, 1.6), (0.8, 1.25), lambda x, _: {"anisotropy": x}),
-}  # fmt: skip
+}
 
 
 def _noisy(read_noise_dn: float) -> dict[str, float]:
@@ -211,9 +269,13 @@ def _noisy(read_noise_dn: float) -> dict[str, float]:
 
 def _case(at: AxisPosition, scene: ScintillatingFlats, rng: np.random.Generator) -> Case:
     return at.case(
-        rng, kind="post-gain", quantity="post_gain_mtf50", truth=scene.mtf50() if scene.gain_dn > 0 else None,
-        draw=scene.session_drawn, context={"full_scale_dn": scene.full_scale_dn, "interlaced": scene.interlaced},
-    )  # fmt: skip
+        rng,
+        kind="post-gain",
+        quantity="post_gain_mtf50",
+        truth=scene.mtf50() if scene.gain_dn > 0 else None,
+        draw=scene.session_drawn,
+        context={"full_scale_dn": scene.full_scale_dn, "interlaced": scene.interlaced},
+    )
 
 
 def _base(rng: np.random.Generator) -> ScintillatingFlats:
@@ -224,22 +286,32 @@ def _base(rng: np.random.Generator) -> ScintillatingFlats:
     )
 
 
-def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
+def stability_cases(
+    seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
+) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another blur and read noise."""
     rng = np.random.default_rng([seed, 8])
-    return cases_along_axes(AXES, axes, repeats, lambda at, _: _case(at, scene_at(AXES, at, _base(rng)), rng))
+    return cases_along_axes(
+        AXES, axes, repeats, lambda at, _: _case(at, scene_at(AXES, at, _base(rng)), rng)
+    )
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
-    """Cases inside the scope, drawn at random: blur, light, read noise, size and number of frames."""
+    """Cases inside the scope, drawn at random: blur, light, read noise, size and number of
+    frames.
+    """
     rng = np.random.default_rng([seed, 9])
 
     def make_case(at: AxisPosition, _: int) -> Case:
         light = float(np.exp(rng.uniform(np.log(0.5), np.log(10.0))))
         side = int(rng.integers(96, 161))
         scene = replace(
-            _base(rng), photoelectrons=(0.3 * light, light), frames=int(rng.integers(4, 17)), rows=side, cols=side,
-        )  # fmt: skip
+            _base(rng),
+            photoelectrons=(0.3 * light, light),
+            frames=int(rng.integers(4, 17)),
+            rows=side,
+            cols=side,
+        )
         return _case(at, scene, rng)
 
     return cases_in_scope(count, make_case)

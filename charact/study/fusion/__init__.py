@@ -1,1 +1,3 @@
-"""Closed-form pairs of an intensified and a thermal frame: truth, cases and what fusion makes of them."""
+"""Closed-form pairs of an intensified and a thermal frame: truth, cases and what fusion makes of
+them.
+"""

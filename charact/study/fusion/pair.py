@@ -1,9 +1,10 @@
 """Closed-form pair of an intensified and a thermal frame with known truth.
 
-Two lamps with halos, two floodlights beyond full scale, and twelve objects: in the dark, in halos and inside the
-floodlights, each with contrast in both bands, of opposite sign, and in one band alone. Nothing here is taken from the
-package: light is blurred by a Gaussian and a flat halo, becomes photoelectrons (Poisson) with exponential pulse heights
-(F^2 = 2), is blurred again after the gain, and is rounded to 8 bits.
+Two lamps with halos, two floodlights beyond full scale, and twelve objects: in the dark, in halos
+and inside the floodlights, each with contrast in both bands, of opposite sign, and in one band
+alone. Nothing here is taken from the package: light is blurred by a Gaussian and a flat halo,
+becomes photoelectrons (Poisson) with exponential pulse heights (F^2 = 2), is blurred again after
+the gain, and is rounded to 8 bits.
 """
 
 from dataclasses import dataclass
@@ -52,7 +53,8 @@ class Pair:
     lamps: tuple[tuple[int, int], ...] = ((62, 72), (70, 250))
     floods: tuple[tuple[int, int], ...] = ((180, 82), (172, 238))
     flood_px: float = 18.0
-    # Contrast of the ground, its coarse and fine scale, px, and the share that both bands have in common, -1 to 1.
+    # Contrast of the ground, its coarse and fine scale, px, and the share that both bands have in
+    # common, -1 to 1.
     texture: float = 1.0
     scales_px: tuple[float, float] = (22.0, 6.0)
     common: float = 0.0
@@ -96,7 +98,8 @@ class Pair:
         """Ground and objects without lamps and halos: photoelectrons, and K."""
         rng = np.random.default_rng(self.seed)
         visible, thermal = (
-            self.texture * (self._smooth(rng, self.scales_px[0]) + 0.3 * self._smooth(rng, self.scales_px[1]))
+            self.texture
+            * (self._smooth(rng, self.scales_px[0]) + 0.3 * self._smooth(rng, self.scales_px[1]))
             for _ in range(2)
         )
         thermal = self.common * visible + (1.0 - self.common**2) ** 0.5 * thermal
@@ -105,7 +108,14 @@ class Pair:
         visible = self.ground_pe + 1.2 * visible - 1.2 * horizon
         thermal = 0.13 * thermal - 0.2 * horizon
         # Walls that both bands see, with contrasts of either sign.
-        for row, col, sign in ((20, 30, 1), (35, 210, -1), (125, 20, -1), (130, 130, 1), (200, 150, 1), (205, 280, -1)):
+        for row, col, sign in (
+            (20, 30, 1),
+            (35, 210, -1),
+            (125, 20, -1),
+            (130, 130, 1),
+            (200, 150, 1),
+            (205, 280, -1),
+        ):
             wall = np.zeros(SHAPE)
             wall[row : row + 26, col : col + 34] = self.buildings
             visible, thermal = visible + 2.5 * wall, thermal + 0.4 * sign * wall
@@ -128,7 +138,9 @@ class Pair:
         for row, col in self.floods:
             sources += self.flood_pe * self.disc(row, col, self.flood_px)
         big = np.pad(sources, 64)
-        whole = gaussian((1.0 - self.halo_fraction) * big + self.halo_fraction * self.spread(big), self.core_px)
+        whole = gaussian(
+            (1.0 - self.halo_fraction) * big + self.halo_fraction * self.spread(big), self.core_px
+        )
         return np.maximum(whole[64:-64, 64:-64], 0.0)
 
     def spread(self, light: NDArray) -> NDArray:
@@ -151,7 +163,13 @@ class Pair:
         top = self.full_dn / self.gain_dn
         core = gaussian((self.mean_pe > top).astype(float), 1.0) > 0.02
         lit = self.light > 2.0
-        patch = sum((self.disc(row, col, self.flood_px - 3.0) for row, col in self.floods), np.zeros(SHAPE)) > 0.5
+        patch = (
+            sum(
+                (self.disc(row, col, self.flood_px - 3.0) for row, col in self.floods),
+                np.zeros(SHAPE),
+            )
+            > 0.5
+        )
         return {"dark": self.light < 0.1, "halo": lit & ~core, "core": patch}
 
     def frames(self, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
@@ -159,7 +177,9 @@ class Pair:
         mean = self.mean_pe
         capped = np.minimum(mean, 2e4)
         electrons = rng.poisson(capped)
-        pulses = np.where(electrons > 0, rng.gamma(np.maximum(electrons, 1) / (self.excess - 1.0)), 0.0)
+        pulses = np.where(
+            electrons > 0, rng.gamma(np.maximum(electrons, 1) / (self.excess - 1.0)), 0.0
+        )
         signal = gaussian(pulses * (self.excess - 1.0) * self.gain_dn, self.post_gain_px)
         dn = np.rint(signal + self.dark_dn + self.read_dn * rng.normal(size=SHAPE))
         thermal = self.scene[1] + self.netd_k * rng.normal(size=SHAPE)
@@ -167,7 +187,9 @@ class Pair:
 
     @cached_property
     def truth(self) -> FusionTruth:
-        """Bands without noise and lamps, zones, objects by number from 1, and halos of the point lamps."""
+        """Bands without noise and lamps, zones, objects by number from 1, and halos of the point
+        lamps.
+        """
         objects = np.zeros(SHAPE, int)
         for number, (_, _, mask) in enumerate(self.objects, start=1):
             objects[mask > 0.5] = number
@@ -178,28 +200,45 @@ class Pair:
 
 
 def psf_of(pair: Pair, halo_px: float | None = None) -> PosteriorPsf:
-    """Point spread function of the pair's visible camera, one draw; `halo_px`: another halo radius."""
+    """Point spread function of the pair's visible camera, one draw; `halo_px`: another halo
+    radius.
+    """
     return PosteriorPsf(
-        halo_diameter_px=np.array([2.0 * (halo_px or pair.halo_px)]), elastic_share=np.array([0.0]),
-        halo_fraction=np.array([pair.halo_fraction]), core_frequency_cy_per_px=np.array([np.inf]),
-        core_exponent=np.array([2.0]), core_spread_px2=np.array([pair.core_px**2 + pair.post_gain_px**2]),
+        halo_diameter_px=np.array([2.0 * (halo_px or pair.halo_px)]),
+        elastic_share=np.array([0.0]),
+        halo_fraction=np.array([pair.halo_fraction]),
+        core_frequency_cy_per_px=np.array([np.inf]),
+        core_exponent=np.array([2.0]),
+        core_spread_px2=np.array([pair.core_px**2 + pair.post_gain_px**2]),
         flat_share=1.0,
-    )  # fmt: skip
+    )
 
 
 def bands_of(
-    pair: Pair, frames: tuple[NDArray, NDArray], *, halo_px: float | None = None, with_map: bool = True
+    pair: Pair,
+    frames: tuple[NDArray, NDArray],
+    *,
+    halo_px: float | None = None,
+    with_map: bool = True,
 ) -> tuple[Band, Band]:
     """Bands of a pair of frames with their noise laws and the bloom map of the visible one."""
     visible, thermal = frames
     found = None
     if with_map:
         found = bloom_map(
-            visible, psf_of(pair, halo_px), clip_dn=pair.full_dn, clipped=visible >= 0.985 * pair.full_dn,
-            most_draws=1, rng=np.random.default_rng(0),
-        )  # fmt: skip
+            visible,
+            psf_of(pair, halo_px),
+            clip_dn=pair.full_dn,
+            clipped=visible >= 0.985 * pair.full_dn,
+            most_draws=1,
+            rng=np.random.default_rng(0),
+        )
     # Rounding to whole numbers adds 1/12 to the variance.
-    law = NoiseLaw(gain_dn=pair.covariance_gain, read_dn=(pair.read_dn**2 + 1 / 12) ** 0.5, blur_px=pair.post_gain_px)
+    law = NoiseLaw(
+        gain_dn=pair.covariance_gain,
+        read_dn=(pair.read_dn**2 + 1 / 12) ** 0.5,
+        blur_px=pair.post_gain_px,
+    )
     return (
         Band(name="visible", image=visible, noise=law, clip=pair.full_dn, bloom=found),
         Band(name="thermal", image=thermal, noise=NoiseLaw(gain_dn=0.0, read_dn=pair.netd_k)),

@@ -1,4 +1,6 @@
-"""The cases of the point methods: what they must cope with, and each way they break, past its breaking point."""
+"""The cases of the point methods: what they must cope with, and each way they break, past its
+breaking point.
+"""
 
 from typing import Any
 
@@ -9,10 +11,15 @@ from charact.study.harness import Case
 from charact.study.point.scene import PointScene
 from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
 
-# Axis: unit, positions, and the first and last position inside the scope that point methods declare.
+# Axis: unit, positions, and the first and last position inside the scope that point methods
+# declare.
 AXES: Axes = {
     "light": ("photoelectrons a frame", (30000, 3000, 1000, 300, 100, 30, 10, 3), (300, 30000)),
-    "light, ordinary camera": ("photoelectrons a frame", (100000, 10000, 1000, 300, 100, 30), (1000, 100000)),
+    "light, ordinary camera": (
+        "photoelectrons a frame",
+        (100000, 10000, 1000, 300, 100, 30),
+        (1000, 100000),
+    ),
     "read noise": ("DN, peak 150 DN", (0.3, 1, 3, 10, 30, 60), (0.3, 3)),
     "blur": ("px, Gaussian sigma", (0.3, 0.5, 0.8, 1.2, 2, 3, 5), (0.8, 2)),
     "cut-off of a tube": ("cy/px", (0.06, 0.1, 0.15, 0.2, 0.3, 0.5), (0.2, 0.5)),
@@ -40,7 +47,10 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> PointScene:
         "light": {"photoelectrons": position},
         "light, ordinary camera": {"photoelectrons": position, "pulse_px": 0.0, "gain_spread": 0.0},
         "read noise": {"read_dn": position},
-        "blur": {"blur": TrueBlur(sigma_px=float(np.sqrt(max(position**2 - 0.25, 0.04)))), "pulse_px": 0.5},
+        "blur": {
+            "blur": TrueBlur(sigma_px=float(np.sqrt(max(position**2 - 0.25, 0.04)))),
+            "pulse_px": 0.5,
+        },
         "cut-off of a tube": {"blur": TrueBlur(form="exponential", frequency_cy_per_px=position)},
         "pulse": {"pulse_px": position},
         "peak over full scale": {"peak_dn": 243.0 * position / 100},
@@ -61,7 +71,9 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> PointScene:
     return PointScene(**{**common, **knob})
 
 
-def _case(at: AxisPosition, scene: PointScene, rng: np.random.Generator, *, lit: bool = True) -> Case:
+def _case(
+    at: AxisPosition, scene: PointScene, rng: np.random.Generator, *, lit: bool = True
+) -> Case:
     return at.case(
         rng,
         kind="point",
@@ -84,8 +96,11 @@ def _common(rng: np.random.Generator, tube: bool) -> dict[str, Any]:
     }
 
 
-def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
-    """Every axis at every position, drawn several times with another blur and phase, and frames without a source.
+def stability_cases(
+    seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
+) -> tuple[Case, ...]:
+    """Every axis at every position, drawn several times with another blur and phase, and frames
+    without a source.
 
     `seed`: seed of the draws; `repeats`: draws at each position; `axes`: names of `AXES`.
     """
@@ -101,12 +116,16 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
 def _noise_case(background: float, rng: np.random.Generator) -> Case:
     """Frames of the background's own pulses: nothing to measure."""
     dark = PointScene(photoelectrons=0.0, background=background, peak_dn=30.0)
-    at = AxisPosition(axis="noise alone", position=background, unit="photoelectrons a pixel", in_scope=False)
+    at = AxisPosition(
+        axis="noise alone", position=background, unit="photoelectrons a pixel", in_scope=False
+    )
     return _case(at, dark, rng, lit=False)
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
-    """Cases inside the scope, drawn at random: blur, halo, pulses, light, phase, frames and read noise."""
+    """Cases inside the scope, drawn at random: blur, halo, pulses, light, phase, frames and read
+    noise.
+    """
     rng = np.random.default_rng([seed, 10])
 
     def make_case(at: AxisPosition, number: int) -> Case:
@@ -114,7 +133,9 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
         ordinary = number % 3 == 2
         share, halo_px = float(rng.uniform(0.02, 0.2)), float(rng.uniform(8.0, 30.0))
         lens = TrueBlur(
-            sigma_px=float(rng.uniform(0.6, 1.5)), halo_share=share if number % 4 == 3 else 0.0, halo_px=halo_px
+            sigma_px=float(rng.uniform(0.6, 1.5)),
+            halo_share=share if number % 4 == 3 else 0.0,
+            halo_px=halo_px,
         )
         scene = PointScene(
             blur=lens if number % 2 else tube,

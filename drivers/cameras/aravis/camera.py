@@ -22,9 +22,11 @@ class AravisCamera:
     resend
         Whether missing packets are requested again (GigE Vision).
     silence_s
-        Longest time without a frame before the camera counts as dead, s; exposure and four frame periods are added.
+        Longest time without a frame before the camera counts as dead, s; exposure and four frame
+        periods are added.
     control_s
-        Longest wait for a camera in use by another program, s; that of a dead client is released after its heartbeat.
+        Longest wait for a camera in use by another program, s; that of a dead client is released
+        after its heartbeat.
     say
         Called with a sentence if opening takes long.
     """
@@ -51,7 +53,9 @@ class AravisCamera:
     def connection(self) -> Connection:
         """Connection to the open camera."""
         if self._open is None:
-            raise CameraError(f"camera {self.identifier} must be opened with a with block before it is used")
+            raise CameraError(
+                f"camera {self.identifier} must be opened with a with block before it is used"
+            )
         return self._open
 
     def __enter__(self) -> Self:
@@ -67,7 +71,8 @@ class AravisCamera:
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None and return the read-back of all.
 
-        A value outside the camera's range is BadInput, a refused one or another read-back CameraError.
+        A value outside the camera's range is BadInput, a refused one or another read-back
+        CameraError.
         """
         features = AravisSettings(self.connection)
 
@@ -100,10 +105,16 @@ class AravisSettings:
     """Settings of an open camera, each set and read back."""
 
     def __init__(self, connection: Connection) -> None:
-        self._library, self._camera, self._identifier = connection.library, connection.camera, connection.identifier
+        self._library, self._camera, self._identifier = (
+            connection.library,
+            connection.camera,
+            connection.identifier,
+        )
 
     def apply(self, settings: CameraSettings) -> None:
-        """Apply the settings that are not None; a value that the camera does not allow is a BadInput."""
+        """Apply the settings that are not None; a value that the camera does not allow is a
+        BadInput.
+        """
         if settings.pixel_format is not None:
             self._set_pixel_format(settings.pixel_format)
         self._set_region(settings)
@@ -111,13 +122,17 @@ class AravisSettings:
             self._set_trigger(settings.trigger)
         self._require_no_fields(settings)
         self._set_number("frame_rate", "frame rate", "Hz", settings.frame_rate_hz)
-        self._set_number("exposure_time", "exposure", "us", settings.exposure_s and settings.exposure_s * 1e6)
+        self._set_number(
+            "exposure_time", "exposure", "us", settings.exposure_s and settings.exposure_s * 1e6
+        )
         self._set_number("gain", "gain", "dB", settings.gain_db)
 
     def read(self) -> CameraSettings:
         """Return every setting as the camera reads it back."""
         first_column, first_row, columns, rows = self._region()
-        exposure_us, gain, rate = (self._number(name) for name in ("exposure_time", "gain", "frame_rate"))
+        exposure_us, gain, rate = (
+            self._number(name) for name in ("exposure_time", "gain", "frame_rate")
+        )
         return CameraSettings(
             rows=rows,
             columns=columns,
@@ -143,17 +158,20 @@ class AravisSettings:
         column, row, columns, rows = (
             now if part is None else part for part, now in zip(asked, self._region(), strict=True)
         )
-        most_columns, most_rows = self._library.pair("arv_camera_get_sensor_size", self._camera, ctypes.c_int)
+        most_columns, most_rows = self._library.pair(
+            "arv_camera_get_sensor_size", self._camera, ctypes.c_int
+        )
         if row + rows > most_rows or column + columns > most_columns:
             raise BadInput(
-                f"a picture must fit into the sensor's {most_rows} rows and {most_columns} columns, "
-                f"got {rows} rows from row {row} and {columns} columns from column {column}"
+                f"a picture must fit into the sensor's {most_rows} rows and {most_columns} "
+                f"columns, got {rows} rows from row {row} and {columns} columns from column "
+                f"{column}"
             )
         self._library.call("arv_camera_set_region", self._camera, column, row, columns, rows)
         if (is_now := self._region()) != (column, row, columns, rows):
             raise CameraError(
-                f"camera {self._identifier} must accept the requested region (column, row, columns, rows), "
-                f"{(column, row, columns, rows)}, but reads back {is_now}"
+                f"camera {self._identifier} must accept the requested region (column, row, "
+                f"columns, rows), {(column, row, columns, rows)}, but reads back {is_now}"
             )
 
     def _set_trigger(self, source: str) -> None:
@@ -164,7 +182,8 @@ class AravisSettings:
             self._library.call("arv_camera_set_trigger", self._camera, source.encode())
         if (is_now := self._trigger()) != source:
             raise CameraError(
-                f"camera {self._identifier} must accept the requested trigger, {source!r}, but reads back {is_now!r}"
+                f"camera {self._identifier} must accept the requested trigger, {source!r}, but "
+                f"reads back {is_now!r}"
             )
 
     def _require_no_fields(self, settings: CameraSettings) -> None:
@@ -179,7 +198,10 @@ class AravisSettings:
             return
         low, high = self._library.pair(f"arv_camera_get_{feature}_bounds", self._camera)
         if not low <= value <= high:
-            raise BadInput(f"{word} of camera {self._identifier} must lie in {low:g}..{high:g} {unit}, got {value:g}")
+            raise BadInput(
+                f"{word} of camera {self._identifier} must lie in {low:g}..{high:g} {unit}, got "
+                f"{value:g}"
+            )
         self._library.call(f"arv_camera_set_{feature}", self._camera, value)
         is_value = self._library.call(f"arv_camera_get_{feature}", self._camera)
         # Exposures have steps of 1 us, raw gains of 1.

@@ -1,8 +1,8 @@
 """Frames from the buffers of an Aravis camera.
 
-Sources of the packed pixel formats: GenICam Pixel Format Naming Convention 2.4, section 6.2 (Mono10p, Mono12p: lower
-bits first, without gaps); GigE Vision 1.2, section 26.1 (Mono10Packed, Mono12Packed: two pixels in three bytes, the
-lower bits of both in the middle one).
+Sources of the packed pixel formats: GenICam Pixel Format Naming Convention 2.4, section 6.2
+(Mono10p, Mono12p: lower bits first, without gaps); GigE Vision 1.2, section 26.1 (Mono10Packed,
+Mono12Packed: two pixels in three bytes, the lower bits of both in the middle one).
 """
 
 import ctypes
@@ -98,11 +98,16 @@ class AravisCapture(FrameCapture):
         discard: int,
         while_waiting: Callable[[], None],
     ) -> None:
-        super().__init__(frames=frames, discard=discard, while_waiting=while_waiting, identifier=connection.identifier)
+        super().__init__(
+            frames=frames,
+            discard=discard,
+            while_waiting=while_waiting,
+            identifier=connection.identifier,
+        )
         if settings.pixel_format not in PIXELS:
             raise CameraError(
-                f"the pixel format of camera {connection.identifier} must be one of {', '.join(PIXELS)}, "
-                f"got {settings.pixel_format}"
+                f"the pixel format of camera {connection.identifier} must be one of "
+                f"{', '.join(PIXELS)}, got {settings.pixel_format}"
             )
         self._connection, self._library = connection, connection.library
         self._patience_s, self._resend = patience_s, resend
@@ -110,7 +115,9 @@ class AravisCapture(FrameCapture):
         self._shape = (settings.rows or 0, settings.columns or 0)
         self._stream: int | None = None
         self._numbers = RunningNumbers(BLOCK_NUMBERS)
-        self.lost_packets = 0  # Number of missing packets, after the end of the capture (GigE Vision)
+        self.lost_packets = (
+            0  # Number of missing packets, after the end of the capture (GigE Vision)
+        )
         self.resent_packets = 0  # Number of packets received after a repeated request
 
     def _start(self) -> None:
@@ -124,7 +131,9 @@ class AravisCapture(FrameCapture):
 
     def _start_stream(self) -> None:
         # A new stream on a new port cannot receive earlier frames.
-        self._stream = stream = self._library.call("arv_camera_create_stream", self._connection.camera, None, None)
+        self._stream = stream = self._library.call(
+            "arv_camera_create_stream", self._connection.camera, None, None
+        )
         if self._connection.address is not None:
             self._library.fix_socket_buffer(stream, SOCKET_BUFFER_BYTES)
             self._library.wait_for_packets(stream, LATE_PACKET_S)
@@ -163,20 +172,29 @@ class AravisCapture(FrameCapture):
         status = plain("arv_buffer_get_status", buffer)
         if status != BUFFER_SUCCESS:
             return BUFFER_FAULTS.get(status, f"status {status}")
-        size = (plain("arv_buffer_get_image_height", buffer), plain("arv_buffer_get_image_width", buffer))
+        size = (
+            plain("arv_buffer_get_image_height", buffer),
+            plain("arv_buffer_get_image_width", buffer),
+        )
         return f"{size} pixels instead of {self._shape}" if size != self._shape else ""
 
     def _buffers(self, payload: int) -> int:
-        """Return the number of buffers of the stream: one per frame that waits for packets or for the reader."""
+        """Return the number of buffers of the stream: one per frame that waits for packets or for
+        the reader.
+        """
         # longest delay of the reader on a busy machine
         waiting = math.ceil((self._frame_rate_hz or 0.0) * (LATE_PACKET_S + 2.0))
         return max(LEAST_BUFFERS, min(LEAST_BUFFERS + waiting, (256 << 20) // max(1, payload)))
 
     def _next_buffer(self) -> int:
-        """Wait for a buffer; a dead camera is detected by its closed port, or by the missing frame."""
+        """Wait for a buffer; a dead camera is detected by its closed port, or by the missing
+        frame.
+        """
         began_s = time.monotonic()
         while True:
-            buffer = self._library.plain("arv_stream_timeout_pop_buffer", self._stream, int(POLL_S * 1e6))
+            buffer = self._library.plain(
+                "arv_stream_timeout_pop_buffer", self._stream, int(POLL_S * 1e6)
+            )
             if buffer:
                 return buffer
             self._while_waiting()
@@ -198,7 +216,9 @@ class AravisCapture(FrameCapture):
         size = ctypes.c_size_t()
         address = self._library.plain("arv_buffer_get_data", buffer, ctypes.byref(size))
         if size.value < expected:
-            raise CameraError(f"a frame of {self._shape} pixels must hold {expected} bytes, got {size.value}")
+            raise CameraError(
+                f"a frame of {self._shape} pixels must hold {expected} bytes, got {size.value}"
+            )
         raw = np.frombuffer(ctypes.string_at(address, expected), kind)
         if packing:
             return packing.unpack(raw, pixels).reshape(self._shape)

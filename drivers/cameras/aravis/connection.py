@@ -1,7 +1,8 @@
 """Connection to one Aravis camera, and the test whether it still answers.
 
 The Aravis library repeats an unanswered command for seconds, too long for an open gate. Calls that
-access the camera therefore run in a thread, and the control port of a GigE Vision camera is queried meanwhile.
+access the camera therefore run in a thread, and the control port of a GigE Vision camera is queried
+meanwhile.
 """
 
 import ctypes
@@ -12,7 +13,19 @@ import struct
 import threading
 import time
 from collections.abc import Callable
-from ctypes import POINTER, byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint, c_uint32, c_uint64, c_void_p
+from ctypes import (
+    POINTER,
+    byref,
+    c_bool,
+    c_char_p,
+    c_double,
+    c_int,
+    c_size_t,
+    c_uint,
+    c_uint32,
+    c_uint64,
+    c_void_p,
+)
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeVar, cast
@@ -96,7 +109,9 @@ class Aravis:
     """The loaded library: `call` for functions that report a GError, `plain` for others."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
-        self._gobject, self._glib, self._gio = map(_companion, ("gobject-2.0", "glib-2.0", "gio-2.0"))
+        self._gobject, self._glib, self._gio = map(
+            _companion, ("gobject-2.0", "glib-2.0", "gio-2.0")
+        )
         self._functions = {name: _declare(library, name) for name in _FUNCTIONS}
         self._gobject.g_object_unref.argtypes = (c_void_p,)
         self._glib.g_error_free.argtypes = (POINTER(GError),)
@@ -114,7 +129,9 @@ class Aravis:
         error = POINTER(GError)()
         result = self._functions[name](*arguments, byref(error))
         if error:
-            sentence = (error.contents.message or b"an error without words").decode(errors="replace")
+            sentence = (error.contents.message or b"an error without words").decode(
+                errors="replace"
+            )
             self._glib.g_error_free(error)
             raise CameraError(sentence)
         return result
@@ -137,12 +154,18 @@ class Aravis:
         )
 
     def wait_for_packets(self, stream: int, longest_s: float) -> None:
-        """Set how long an incomplete frame of a GigE Vision stream waits after its last packet, s."""
-        self._gobject.g_object_set(c_void_p(stream), b"frame-retention", c_uint(round(longest_s * 1e6)), c_void_p(None))
+        """Set how long an incomplete frame of a GigE Vision stream waits after its last packet,
+        s.
+        """
+        self._gobject.g_object_set(
+            c_void_p(stream), b"frame-retention", c_uint(round(longest_s * 1e6)), c_void_p(None)
+        )
 
     def ask_for_lost_packets(self, stream: int, wanted: bool) -> None:
         """Set whether a GigE Vision stream requests missing packets again."""
-        self._gobject.g_object_set(c_void_p(stream), b"packet-resend", c_int(1 if wanted else 0), c_void_p(None))
+        self._gobject.g_object_set(
+            c_void_p(stream), b"packet-resend", c_int(1 if wanted else 0), c_void_p(None)
+        )
 
     def packets(self, stream: int) -> tuple[int, int]:
         """Return the numbers of resent and of missing packets of a GigE Vision stream."""
@@ -153,7 +176,9 @@ class Aravis:
     def address(self, device: int) -> str:
         """Return the IP address of a GigE Vision device."""
         socket_address = self.plain("arv_gv_device_get_device_address", device)
-        text = self._gio.g_inet_address_to_string(self._gio.g_inet_socket_address_get_address(socket_address))
+        text = self._gio.g_inet_address_to_string(
+            self._gio.g_inet_socket_address_get_address(socket_address)
+        )
         try:
             return (ctypes.string_at(text) if text else b"").decode()
         finally:
@@ -198,7 +223,9 @@ def _companion(name: str) -> ctypes.CDLL:
 T = TypeVar("T")
 
 CONTROL_PORT = 3956
-SUSPICION_S = 0.2  # Time without a frame or an answer after which the control port of a camera is queried, s
+SUSPICION_S = (
+    0.2  # Time without a frame or an answer after which the control port of a camera is queried, s
+)
 HEARTBEAT_S = 3.0  # time that a camera stays locked after its client died
 # GVCP discovery command: key, acknowledge required, command 0x0002, no payload, request number.
 _DISCOVERY = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 0x7FFF)
@@ -218,7 +245,12 @@ def list_cameras() -> tuple[CameraFound, ...]:
     """Return the cameras found on all interfaces."""
     library = aravis()
     library.plain("arv_update_device_list")
-    names = ("arv_get_device_id", "arv_get_device_address", "arv_get_device_model", "arv_get_device_serial_nbr")
+    names = (
+        "arv_get_device_id",
+        "arv_get_device_address",
+        "arv_get_device_model",
+        "arv_get_device_serial_nbr",
+    )
     rows = [
         [(library.plain(name, index) or b"").decode(errors="replace") for name in names]
         for index in range(library.plain("arv_get_n_devices"))
@@ -230,14 +262,18 @@ def only_camera() -> str:
     """Return the identifier of the only camera; none or several are a `CameraError`."""
     found = [camera.identifier for camera in list_cameras()]
     if len(found) != 1:
-        raise CameraError(f"a camera must be named unless there is exactly one, found {', '.join(found) or 'none'}")
+        raise CameraError(
+            "a camera must be named unless there is exactly one, found "
+            f"{', '.join(found) or 'none'}"
+        )
     return found[0]
 
 
 class Connection:
     """Control of one camera by identifier or IP address, from its construction to `close`.
 
-    A camera that is missing, or in use by another program for `control_s`, is CameraError; `say` reports the wait.
+    A camera that is missing, or in use by another program for `control_s`, is CameraError; `say`
+    reports the wait.
     """
 
     def __init__(self, name: str, *, control_s: float, say: Callable[[str], None]) -> None:
@@ -272,7 +308,9 @@ class Connection:
             raise self.mark_dead("has gone: nothing listens on its control port")
         self._unanswered = 0 if answers else self._unanswered + 1
         if self._unanswered >= 6:  # consecutive unanswered queries before a camera counts as dead
-            raise self.mark_dead(f"no longer answers: it left {self._unanswered} questions in a row without reply")
+            raise self.mark_dead(
+                f"no longer answers: it left {self._unanswered} questions in a row without reply"
+            )
 
     def mark_dead(self, how: str) -> CameraError:
         """Mark the camera as dead, which ends all waits for it, and return the error to raise."""
@@ -292,11 +330,13 @@ class Connection:
         self._act.start()
         return self._act
 
-    def while_alive(self, act: Callable[[], T], while_waiting: Callable[[], None] = lambda: None) -> T:
+    def while_alive(
+        self, act: Callable[[], T], while_waiting: Callable[[], None] = lambda: None
+    ) -> T:
         """Run an action that accesses the camera; return its result or raise its error.
 
-        If the camera is found dead meanwhile, or `while_waiting` raises, that is raised at once and the action ends in
-        the background.
+        If the camera is found dead meanwhile, or `while_waiting` raises, that is raised at once and
+        the action ends in the background.
         """
         done: queue.SimpleQueue[tuple[T | None, BaseException | None]] = queue.SimpleQueue()
 
@@ -332,23 +372,31 @@ class Connection:
                 return camera
             self.library.release(camera)
             if time.monotonic() > until_s:
-                raise CameraError(f"camera {self.identifier} is held by another program, waited {control_s:g} s for it")
-            say(f"camera {self.identifier} is locked by another client; waiting for its heartbeat to run out")
+                raise CameraError(
+                    f"camera {self.identifier} is held by another program, waited {control_s:g} s "
+                    "for it"
+                )
+            say(
+                f"camera {self.identifier} is locked by another client; waiting for its heartbeat "
+                "to run out"
+            )
 
     def _open_camera(self) -> int:
         try:
             return self.library.call("arv_camera_new", self.identifier.encode())
         except CameraError as error:
             there = ", ".join(camera.identifier for camera in list_cameras()) or "none"
-            raise CameraError(f"camera {self.identifier} cannot be opened ({error}); cameras found: {there}") from None
+            raise CameraError(
+                f"camera {self.identifier} cannot be opened ({error}); cameras found: {there}"
+            ) from None
 
 
 # longest wait for an answer on the control port
 def ask_control_port(address: str, *, timeout_s: float = 0.08) -> bool | None:
     """Send one GigE Vision discovery command to a camera's address.
 
-    Returns whether the acknowledgement came within `timeout_s`; None if no camera listens there (known at once on
-    loopback, when the camera's process is gone).
+    Returns whether the acknowledgement came within `timeout_s`; None if no camera listens there
+    (known at once on loopback, when the camera's process is gone).
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
         control.settimeout(timeout_s)

@@ -15,14 +15,16 @@ from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
-LONGEST_WAIT_S = 600.0  # Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s
+LONGEST_WAIT_S = (
+    600.0  # Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s
+)
 
 
 class V4l2Camera:
     """A camera of the kernel's video interface; use it in a `with` block.
 
-    Frame numbers and time stamps (s, kernel's monotonic clock) are those of the driver. Frames dropped without
-    a number by the driver cannot be detected.
+    Frame numbers and time stamps (s, kernel's monotonic clock) are those of the driver. Frames
+    dropped without a number by the driver cannot be detected.
 
     Parameters
     ----------
@@ -31,10 +33,12 @@ class V4l2Camera:
     input_number
         Input of a capture card; None leaves it as it is.
     video_lines
-        Lines of the analogue video on that input, 525 (NTSC) or 625 (PAL); None leaves them as they are.
+        Lines of the analogue video on that input, 525 (NTSC) or 625 (PAL); None leaves them as they
+        are.
     silence_s
-        Longest time without a frame before the camera counts as dead, s; exposure and four frame periods are added,
-        and three times as much before the first frame: USB cameras take a second or more to start.
+        Longest time without a frame before the camera counts as dead, s; exposure and four frame
+        periods are added, and three times as much before the first frame: USB cameras take a second
+        or more to start.
     """
 
     def __init__(
@@ -77,7 +81,8 @@ class V4l2Camera:
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None and return the read-back of all.
 
-        A value outside the camera's range is BadInput, a refused one or another read-back CameraError.
+        A value outside the camera's range is BadInput, a refused one or another read-back
+        CameraError.
         """
         own = V4l2Settings(self._open, self.identifier)
         own.apply(settings)
@@ -106,8 +111,10 @@ class V4l2Camera:
             self._open,
             form=form,
             standard=own.standard(),
-            patience_s=self._silence_s + min(4 * period_s + (settings.exposure_s or 0.0), LONGEST_WAIT_S),
-            start_s=3.0 * self._silence_s,  # Additional wait for the first frame, as a multiple of `silence_s`
+            patience_s=self._silence_s
+            + min(4 * period_s + (settings.exposure_s or 0.0), LONGEST_WAIT_S),
+            start_s=3.0
+            * self._silence_s,  # Additional wait for the first frame, as a multiple of `silence_s`
             frames=frames,
             discard=discard,
             while_waiting=while_waiting,
@@ -124,14 +131,21 @@ class V4l2Camera:
         rule = f"camera {self.identifier} must have the input {number}"
         query_device(device, structures.SET_INPUT, structures.SET_INPUT.structure(number), rule)
         is_now = structures.GET_INPUT.structure()
-        query_device(device, structures.GET_INPUT, is_now, f"camera {self.identifier} must report its input")
+        query_device(
+            device, structures.GET_INPUT, is_now, f"camera {self.identifier} must report its input"
+        )
         if is_now.value != number:
-            raise CameraError(f"camera {self.identifier} must accept the requested input, {number}, got {is_now.value}")
+            raise CameraError(
+                f"camera {self.identifier} must accept the requested input, {number}, got "
+                f"{is_now.value}"
+            )
 
     @property
     def _open(self) -> Device:
         if self._device is None:
-            raise CameraError(f"camera {self.identifier} must be opened with a with block before it is used")
+            raise CameraError(
+                f"camera {self.identifier} must be opened with a with block before it is used"
+            )
         return self._device
 
     def _close(self) -> None:
@@ -147,14 +161,19 @@ class V4l2Settings:
         self._device, self._identifier = device, identifier
 
     def apply(self, settings: CameraSettings) -> None:
-        """Apply the settings that are not None; a value that the camera does not allow is a BadInput."""
+        """Apply the settings that are not None; a value that the camera does not allow is a
+        BadInput.
+        """
         if settings.first_row or settings.first_column:
             raise BadInput(
                 f"a picture of camera {self._identifier} must begin at row 0 and column 0, "
                 f"got {settings.first_row} and {settings.first_column}"
             )
         if settings.trigger not in (None, "off"):
-            raise BadInput(f"camera {self._identifier} must run freely, V4L2 has no trigger, got {settings.trigger!r}")
+            raise BadInput(
+                f"camera {self._identifier} must run freely, V4L2 has no trigger, got "
+                f"{settings.trigger!r}"
+            )
         self._set_format(settings)
         if settings.frame_rate_hz is not None:
             self._set_frame_rate(settings.frame_rate_hz)
@@ -186,7 +205,10 @@ class V4l2Settings:
         """Return the format in force."""
         form = Format(type=CAPTURE)
         query_device(
-            self._device, structures.GET_FORMAT, form, f"camera {self._identifier} must report its image format"
+            self._device,
+            structures.GET_FORMAT,
+            form,
+            f"camera {self._identifier} must report its image format",
         )
         return form
 
@@ -202,7 +224,10 @@ class V4l2Settings:
         before = self.form()
         form = Format.from_buffer_copy(before)
         pix = form.of.pix
-        rows, pix.width = settings.rows or fields.rows_of(pix.height, pix.field), settings.columns or pix.width
+        rows, pix.width = (
+            settings.rows or fields.rows_of(pix.height, pix.field),
+            settings.columns or pix.width,
+        )
         pix.pixelformat = self._code(settings.pixel_format, now=pix.pixelformat)
         if settings.field_order is not None:
             pix.field = fields.NUMBERS[settings.field_order]
@@ -215,10 +240,17 @@ class V4l2Settings:
             raise BadInput(complaint)
 
     def _ask_format(self, form: Any) -> None:
-        query_device(self._device, structures.SET_FORMAT, form, f"camera {self._identifier} must take a picture format")
+        query_device(
+            self._device,
+            structures.SET_FORMAT,
+            form,
+            f"camera {self._identifier} must take a picture format",
+        )
 
     def _complaint(self, settings: CameraSettings, given: Any, *, code: int) -> str | None:
-        """Return the first difference between the format in force and the requested one; None if there is none."""
+        """Return the first difference between the format in force and the requested one; None if
+        there is none.
+        """
         pix = given.of.pix
         there = fields.rows_of(pix.height, pix.field)
         rows, columns = settings.rows or there, settings.columns or pix.width
@@ -226,18 +258,23 @@ class V4l2Settings:
             sizes = list_sizes(self._device, code)
             offered = ", ".join(f"{one}x{other}" for one, other in sizes) or "others"
             return (
-                f"a picture of camera {self._identifier} must have rows and columns that it offers ({offered}), "
-                f"got {rows}x{columns}, which it makes {there}x{pix.width}"
+                f"a picture of camera {self._identifier} must have rows and columns that it "
+                f"offers ({offered}), got {rows}x{columns}, which it makes {there}x{pix.width}"
             )
         if settings.field_order is not None:
             order = fields.field_order(pix.field, self.standard())
             if order != settings.field_order:
                 return (
-                    f"camera {self._identifier} must accept the requested field order, {settings.field_order!r}, "
-                    f"but reads back {order!r}"
+                    f"camera {self._identifier} must accept the requested field order, "
+                    f"{settings.field_order!r}, but reads back {order!r}"
                 )
-        if settings.pixel_format is not None and pix.pixelformat not in self._codes(settings.pixel_format):
-            return f"camera {self._identifier} must accept the pixel format {settings.pixel_format}, it does not"
+        if settings.pixel_format is not None and pix.pixelformat not in self._codes(
+            settings.pixel_format
+        ):
+            return (
+                f"camera {self._identifier} must accept the pixel format {settings.pixel_format}, "
+                "it does not"
+            )
         return None
 
     def _code(self, name: str | None, *, now: int) -> int:
@@ -246,9 +283,14 @@ class V4l2Settings:
             return now
         codes = self._codes(name)
         if not codes:
-            names = dict.fromkeys(LAYOUTS[one].name for one in format_codes(self._device) if one in LAYOUTS)
+            names = dict.fromkeys(
+                LAYOUTS[one].name for one in format_codes(self._device) if one in LAYOUTS
+            )
             offered = ", ".join(names) or "none"
-            raise BadInput(f"a pixel format of camera {self._identifier} must be one of {offered}, got {name!r}")
+            raise BadInput(
+                f"a pixel format of camera {self._identifier} must be one of {offered}, got "
+                f"{name!r}"
+            )
         return codes[0]
 
     def _codes(self, name: str) -> list[int]:
@@ -262,15 +304,19 @@ class V4l2Settings:
         before = self._parameters()
         period = Fraction(1 / frame_rate_hz).limit_denominator(100_000)
         parameters = StreamParameters(type=CAPTURE)
-        parameters.of.capture.numerator, parameters.of.capture.denominator = period.numerator, period.denominator
+        parameters.of.capture.numerator, parameters.of.capture.denominator = (
+            period.numerator,
+            period.denominator,
+        )
         self._ask_parameters(parameters)
         is_now = self._frame_rate_hz()
         if is_now is None or not math.isclose(is_now, frame_rate_hz, rel_tol=0.01):
             if before is not None:
                 self._ask_parameters(before)
             raise BadInput(
-                f"camera {self._identifier} must accept the requested frame rate, {frame_rate_hz:g} Hz, "
-                f"but reads back {'none' if is_now is None else f'{is_now:g}'}"
+                f"camera {self._identifier} must accept the requested frame rate, "
+                f"{frame_rate_hz:g} Hz, but reads back "
+                f"{'none' if is_now is None else f'{is_now:g}'}"
             )
 
     def _ask_parameters(self, parameters: Any) -> None:
@@ -283,7 +329,9 @@ class V4l2Settings:
 
     def _frame_rate_hz(self) -> float | None:
         parameters = self._parameters()
-        if parameters is None or not (parameters.of.capture.numerator and parameters.of.capture.denominator):
+        if parameters is None or not (
+            parameters.of.capture.numerator and parameters.of.capture.denominator
+        ):
             return None
         return parameters.of.capture.denominator / parameters.of.capture.numerator
 
@@ -302,12 +350,18 @@ class V4l2Settings:
         listing.write_control(self._device, self._control(listing.GAIN, "gain"), round(gain))
 
     def _require_within(self, word: str, unit: str, value: float, low: float, high: float) -> None:
-        # Checked before automatic modes are switched off, so that a refusal leaves the camera unchanged.
+        # Checked before automatic modes are switched off, so that a refusal leaves the camera
+        # unchanged.
         if not low <= value <= high:
-            raise BadInput(f"{word} of camera {self._identifier} must lie in {low:g}..{high:g} {unit}, got {value:g}")
+            raise BadInput(
+                f"{word} of camera {self._identifier} must lie in {low:g}..{high:g} {unit}, got "
+                f"{value:g}"
+            )
 
     def _switch(self, identifier: int, value: int) -> None:
-        """Set a mode, if the camera has it; an automatic mode would override the control set next."""
+        """Set a mode, if the camera has it; an automatic mode would override the control set
+        next.
+        """
         mode = listing.find_control(self._device, identifier)
         if mode is not None and not mode.is_read_only:
             listing.write_control(self._device, mode, value)
@@ -315,7 +369,10 @@ class V4l2Settings:
     def _control(self, identifier: int, word: str) -> Control:
         control = listing.find_control(self._device, identifier)
         if control is None:
-            raise BadInput(f"camera {self._identifier} must have a control for the {word} to set it, it has none")
+            raise BadInput(
+                f"camera {self._identifier} must have a control for the {word} to set it, it has "
+                "none"
+            )
         return control
 
     def _value(self, identifier: int) -> int | None:
@@ -325,7 +382,9 @@ class V4l2Settings:
     def _notes(self, form: Any, picture: BufferImage) -> tuple[str, ...]:
         notes = []
         if picture.layout.is_video and form.of.pix.quantization != 1:  # full range
-            notes.append(f"grey is the luma of {picture.layout.name} video: black is 16 and white is 235 DN")
+            notes.append(
+                f"grey is the luma of {picture.layout.name} video: black is 16 and white is 235 DN"
+            )
         if self._value(listing.AUTOMATIC_GAIN):
             notes.append("the camera's automatic gain is on")
         if self._value(listing.EXPOSURE_MODE) not in (None, listing.MANUAL_EXPOSURE):

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from drivers.cameras.frame_assembly import POLL_S, FrameCapture, IncompleteFrame, RunningNumbers
 from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.device import Device, MappedBuffer, query_device
-from drivers.cameras.v4l2.fields import ALTERNATE, BOTTOM, TOP, Field, FieldPairs, field_order, older_field
+from drivers.cameras.v4l2.fields import (
+    ALTERNATE,
+    BOTTOM,
+    TOP,
+    Field,
+    FieldPairs,
+    field_order,
+    older_field,
+)
 from drivers.cameras.v4l2.pixels import picture_of
 from drivers.cameras.v4l2.structures import (
     BUFFER_FAULTY,
@@ -33,7 +41,8 @@ T = TypeVar("T")
 
 
 class V4l2Capture(FrameCapture):
-    """Complete frames of an open device in one image format and the kernel's bits of its video standards.
+    """Complete frames of an open device in one image format and the kernel's bits of its video
+    standards.
 
     `patience_s` is the longest wait for a frame, s, and `start_s` the additional one for the first.
     """
@@ -51,13 +60,19 @@ class V4l2Capture(FrameCapture):
         while_waiting: Callable[[], None],
         identifier: str,
     ) -> None:
-        super().__init__(frames=frames, discard=discard, while_waiting=while_waiting, identifier=identifier)
+        super().__init__(
+            frames=frames, discard=discard, while_waiting=while_waiting, identifier=identifier
+        )
         self._device, self._picture, self._standard = device, picture_of(form), standard
         self._patience_s, self._start_s = patience_s, start_s
         self._memory: list[MappedBuffer] = []
         self._numbers = RunningNumbers(1 << 32)
         apart = form.of.pix.field == ALTERNATE
-        self._pairs = FieldPairs(older_field(standard), lambda: self._take_buffer(self._as_field)) if apart else None
+        self._pairs = (
+            FieldPairs(older_field(standard), lambda: self._take_buffer(self._as_field))
+            if apart
+            else None
+        )
 
     def _start(self) -> None:
         for index in range(self._request_buffers()):
@@ -73,7 +88,9 @@ class V4l2Capture(FrameCapture):
             memory.close()
         self._memory.clear()
         with suppress(OSError):
-            self._device.ask(structures.REQUEST_BUFFERS, BufferRequest(type=CAPTURE, memory=MEMORY_MAPPED))
+            self._device.ask(
+                structures.REQUEST_BUFFERS, BufferRequest(type=CAPTURE, memory=MEMORY_MAPPED)
+            )
 
     def _next_frame(self) -> Frame | IncompleteFrame:
         return self._take_buffer(self._as_frame) if self._pairs is None else self._pairs.frame()
@@ -88,11 +105,14 @@ class V4l2Capture(FrameCapture):
         return Field(pixels=pixels, parity=buffer.field, number=number, time_s=_time_s(buffer))
 
     def _take_buffer(self, made: Callable[[Any, NDArray, int], T]) -> T | IncompleteFrame:
-        """Copy the next image out of its buffer, convert it, and return the buffer to the device."""
+        """Copy the next image out of its buffer, convert it, and return the buffer to the
+        device.
+        """
         buffer = self._next_buffer()
         if not buffer.index < len(self._memory):
             raise CameraError(
-                f"camera {self._identifier} must fill one of {len(self._memory)} buffers, got number {buffer.index}"
+                f"camera {self._identifier} must fill one of {len(self._memory)} buffers, got "
+                f"number {buffer.index}"
             )
         number = self._numbers.running(buffer.sequence)
         try:
@@ -127,7 +147,9 @@ class V4l2Capture(FrameCapture):
                     raise self._loss_error(error) from None
             left_s = until_s - time.monotonic()
             if left_s <= 0:
-                raise CameraError(f"camera {self._identifier} has sent no frame for {patience_s:.1f} s")
+                raise CameraError(
+                    f"camera {self._identifier} has sent no frame for {patience_s:.1f} s"
+                )
             self._device.wait(min(left_s, POLL_S))
             self._while_waiting()
 
@@ -135,7 +157,10 @@ class V4l2Capture(FrameCapture):
         wanted = BufferRequest(count=BUFFERS, type=CAPTURE, memory=MEMORY_MAPPED)
         self._query(structures.REQUEST_BUFFERS, wanted, "must lend buffers")
         if not 2 <= wanted.count <= MOST_BUFFERS:
-            raise CameraError(f"camera {self._identifier} must lend 2 to {MOST_BUFFERS} buffers, got {wanted.count}")
+            raise CameraError(
+                f"camera {self._identifier} must lend 2 to {MOST_BUFFERS} buffers, got "
+                f"{wanted.count}"
+            )
         return wanted.count
 
     def _map_buffer(self, index: int) -> MappedBuffer:
@@ -143,13 +168,15 @@ class V4l2Capture(FrameCapture):
         self._query(structures.QUERY_BUFFER, buffer, f"must show its buffer {index}")
         if not self._picture.size_bytes <= buffer.length <= MOST_BYTES:
             raise CameraError(
-                f"a buffer of camera {self._identifier} must hold a picture of {self._picture.size_bytes} bytes, "
-                f"got {buffer.length}"
+                f"a buffer of camera {self._identifier} must hold a picture of "
+                f"{self._picture.size_bytes} bytes, got {buffer.length}"
             )
         try:
             return self._device.map(buffer.length, buffer.offset)
         except (OSError, ValueError) as error:
-            raise CameraError(f"a buffer of camera {self._identifier} must be mapped, got: {error}") from None
+            raise CameraError(
+                f"a buffer of camera {self._identifier} must be mapped, got: {error}"
+            ) from None
 
     def _query(self, request: Request, structure: Any, rule: str) -> None:
         query_device(self._device, request, structure, f"camera {self._identifier} {rule}")

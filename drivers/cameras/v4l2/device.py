@@ -24,11 +24,15 @@ class Device:
 
     def __init__(self, path: str) -> None:
         if struct.calcsize("P") != 8:
-            raise CameraError("V4L2 cameras need a 64-bit Linux: the kernel's structures are laid out for it")
+            raise CameraError(
+                "V4L2 cameras need a 64-bit Linux: the kernel's structures are laid out for it"
+            )
         try:
             self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
-            raise CameraError(f"the video device {path} must be there and free to use, got: {error.strerror}") from None
+            raise CameraError(
+                f"the video device {path} must be there and free to use, got: {error.strerror}"
+            ) from None
 
     def ask(self, request: Request, structure: Any) -> None:
         """Pass a structure to the kernel, which fills it in; a refusal is an OSError."""
@@ -36,7 +40,9 @@ class Device:
 
     def map(self, length_bytes: int, offset: int) -> "MappedBuffer":
         """Map one of the device's buffers."""
-        return MappedBuffer(mmap.mmap(self._file, length_bytes, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset))
+        return MappedBuffer(
+            mmap.mmap(self._file, length_bytes, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset)
+        )
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for a filled buffer or an event; False after the time limit."""
@@ -66,17 +72,23 @@ class MappedBuffer:
 
 
 def list_structures(device: Device, request: Request, **known: int) -> Iterator[Any]:
-    """Yield the structures of a list, selected by `known` fields, that ends with a refusal of the kernel."""
+    """Yield the structures of a list, selected by `known` fields, that ends with a refusal of the
+    kernel.
+    """
     for index in range(MOST_LISTED):
         structure = request.structure(index=index, **known)
         if not offers(device, request, structure):
             return
         yield structure
-    raise CameraError(f"a list of the video device must end, {request.name} gave {MOST_LISTED} entries")
+    raise CameraError(
+        f"a list of the video device must end, {request.name} gave {MOST_LISTED} entries"
+    )
 
 
 def offers(device: Device, request: Request, structure: Any) -> bool:
-    """Send a request and return whether the device supports it; a lost device is a `CameraError`."""
+    """Send a request and return whether the device supports it; a lost device is a
+    `CameraError`.
+    """
     try:
         device.ask(request, structure)
     except OSError as error:

@@ -1,8 +1,8 @@
 """Fields of interlaced video: field order, and frames from two fields.
 
-Source: Linux Media userspace API, "Field Order": of video of 525 lines the bottom field is the older one, of any other
-the top field. V4L2_FIELD_ALTERNATE: both fields of a frame have the same sequence number, and each buffer says which
-of the two it holds.
+Source: Linux Media userspace API, "Field Order": of video of 525 lines the bottom field is the
+older one, of any other the top field. V4L2_FIELD_ALTERNATE: both fields of a frame have the same
+sequence number, and each buffer says which of the two it holds.
 """
 
 from collections.abc import Callable
@@ -38,11 +38,16 @@ NUMBERS = {order: number for number, order in _ORDERS.items()}
 
 
 def field_order(field: int, standard: int) -> FieldOrder:
-    """Return the order of a frame's fields from the kernel's number and the bits of the input's standards."""
+    """Return the order of a frame's fields from the kernel's number and the bits of the input's
+    standards.
+    """
     if field in (INTERLACED, ALTERNATE):
         return "bottom first" if older_field(standard) == BOTTOM else "top first"
     if field not in _ORDERS:
-        raise BadInput(f"the order of a frame's fields must be one of the kernel's, got the field number {field}")
+        raise BadInput(
+            f"the order of a frame's fields must be one of the kernel's, got the field number "
+            f"{field}"
+        )
     return _ORDERS[field]
 
 
@@ -52,7 +57,9 @@ def older_field(standard: int) -> int:
 
 
 def rows_of(height: int, field: int) -> int:
-    """Return the rows of a frame from the height of its format, px, which is that of a field for separate fields."""
+    """Return the rows of a frame from the height of its format, px, which is that of a field for
+    separate fields.
+    """
     return 2 * height if field == ALTERNATE else height
 
 
@@ -67,14 +74,18 @@ class Field:
 
 
 class FieldPairs:
-    """Combines the fields that `next_field` returns into frames; `older` is exposed first, TOP or BOTTOM."""
+    """Combines the fields that `next_field` returns into frames; `older` is exposed first, TOP or
+    BOTTOM.
+    """
 
     def __init__(self, older: int, next_field: Callable[[], Field | IncompleteFrame]) -> None:
         self._older, self._next_field = older, next_field
         self._kept: Field | None = None
 
     def frame(self) -> Frame | IncompleteFrame:
-        """Return the next frame with the time of its older field; a single field is an incomplete frame."""
+        """Return the next frame with the time of its older field; a single field is an incomplete
+        frame.
+        """
         first, self._kept = self._kept or self._next_field(), None
         if isinstance(first, IncompleteFrame):
             return first

@@ -17,7 +17,14 @@ EXPOSURE_UNIT_S = 1e-4
 MANUAL_EXPOSURE = 1
 
 Kind = Literal["integer", "boolean", "menu", "button", "integer menu", "bitmask"]
-_KINDS: dict[int, Kind] = {1: "integer", 2: "boolean", 3: "menu", 4: "button", 8: "bitmask", 9: "integer menu"}
+_KINDS: dict[int, Kind] = {
+    1: "integer",
+    2: "boolean",
+    3: "menu",
+    4: "button",
+    8: "bitmask",
+    9: "integer menu",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +50,10 @@ def list_controls(device: Device) -> tuple[Control, ...]:
         if not offers(device, structures.QUERY_CONTROL, query):
             return tuple(found)
         if query.id <= last:
-            raise CameraError(f"controls must come in the order of their numbers, got {query.id:#x} after {last:#x}")
+            raise CameraError(
+                f"controls must come in the order of their numbers, got {query.id:#x} after "
+                f"{last:#x}"
+            )
         last = query.id
         if query.type in _KINDS and not query.flags & structures.CONTROL_DISABLED:
             found.append(_control(device, query))
@@ -53,7 +63,11 @@ def list_controls(device: Device) -> tuple[Control, ...]:
 def find_control(device: Device, identifier: int) -> Control | None:
     """Return one control by the kernel's number; None where the device does not have it."""
     query = structures.ControlQuery(id=identifier)
-    if not offers(device, structures.QUERY_CONTROL, query) or query.id != identifier or query.type not in _KINDS:
+    if (
+        not offers(device, structures.QUERY_CONTROL, query)
+        or query.id != identifier
+        or query.type not in _KINDS
+    ):
         return None
     return None if query.flags & structures.CONTROL_DISABLED else _control(device, query)
 
@@ -61,27 +75,40 @@ def find_control(device: Device, identifier: int) -> Control | None:
 def read_control(device: Device, control: Control) -> int:
     """Return a control's value."""
     value = structures.ControlValue(id=control.identifier)
-    query_device(device, structures.GET_CONTROL, value, f"the control {control.name!r} must report its value")
+    query_device(
+        device, structures.GET_CONTROL, value, f"the control {control.name!r} must report its value"
+    )
     return value.value
 
 
 def write_control(device: Device, control: Control, value: int) -> int | None:
     """Set a control and return its read-back; None for a button, which has no value.
 
-    A value outside its range, or a read-only control, is BadInput; a read-back off by more than a step CameraError.
+    A value outside its range, or a read-only control, is BadInput; a read-back off by more than a
+    step CameraError.
     """
     if control.is_read_only:
-        raise BadInput(f"the control {control.name!r} must be one that can be set, this one can only be read")
-    if control.kind not in ("button", "bitmask") and not control.minimum <= value <= control.maximum:
-        raise BadInput(f"{control.name!r} must lie in {control.minimum}..{control.maximum}, got {value}")
+        raise BadInput(
+            f"the control {control.name!r} must be one that can be set, this one can only be read"
+        )
+    if (
+        control.kind not in ("button", "bitmask")
+        and not control.minimum <= value <= control.maximum
+    ):
+        raise BadInput(
+            f"{control.name!r} must lie in {control.minimum}..{control.maximum}, got {value}"
+        )
     setting = structures.ControlValue(id=control.identifier, value=value)
-    query_device(device, structures.SET_CONTROL, setting, f"the control {control.name!r} must take {value}")
+    query_device(
+        device, structures.SET_CONTROL, setting, f"the control {control.name!r} must take {value}"
+    )
     if control.kind == "button":
         return None
     is_now = read_control(device, control)
     if abs(is_now - value) > max(0, control.step - 1):
         raise CameraError(
-            f"the control {control.name!r} must accept the requested value, {value}, but reads back {is_now}"
+            f"the control {control.name!r} must accept the requested value, {value}, but reads "
+            f"back {is_now}"
         )
     return is_now
 
@@ -96,7 +123,9 @@ def _control(device: Device, query: Any) -> Control:
         maximum=query.maximum,
         step=query.step,
         default=query.default_value,
-        is_read_only=bool(query.flags & (structures.CONTROL_READ_ONLY | structures.CONTROL_INACTIVE)),
+        is_read_only=bool(
+            query.flags & (structures.CONTROL_READ_ONLY | structures.CONTROL_INACTIVE)
+        ),
     )
 
 
@@ -105,8 +134,12 @@ class OfferedFormat:
     """A pixel format of a device."""
 
     letters: str  #: FourCC of the format
-    name: str | None  #: Name as a camera setting; None for an unsupported format, such as a compressed one
-    sizes: tuple[tuple[int, int], ...]  #: Rows and columns of the images; empty where any size within bounds is offered
+    name: (
+        str | None
+    )  #: Name as a camera setting; None for an unsupported format, such as a compressed one
+    sizes: tuple[
+        tuple[int, int], ...
+    ]  #: Rows and columns of the images; empty where any size within bounds is offered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +205,9 @@ def capture_capability(device: Device, path: str) -> Any:
     own = capability.capabilities & structures.HAS_OWN_CAPABILITIES
     able = capability.device_caps if own else capability.capabilities
     if not (able & structures.CAN_CAPTURE and able & structures.CAN_STREAM):
-        raise CameraError(f"{path} must capture video into mapped memory, {words(capability.card)!r} does not")
+        raise CameraError(
+            f"{path} must capture video into mapped memory, {words(capability.card)!r} does not"
+        )
     return capability
 
 
@@ -190,11 +225,15 @@ def list_formats(device: Device) -> tuple[OfferedFormat, ...]:
 
 def format_codes(device: Device) -> tuple[int, ...]:
     """Return the kernel's numbers of the pixel formats of a device's present input."""
-    return tuple(one.pixelformat for one in list_structures(device, structures.LIST_FORMATS, type=CAPTURE))
+    return tuple(
+        one.pixelformat for one in list_structures(device, structures.LIST_FORMATS, type=CAPTURE)
+    )
 
 
 def list_sizes(device: Device, code: int) -> tuple[tuple[int, int], ...]:
-    """Return rows and columns of the image sizes of a format; empty where any size within bounds is offered."""
+    """Return rows and columns of the image sizes of a format; empty where any size within bounds is
+    offered.
+    """
     sizes = []
     for one in list_structures(device, structures.LIST_SIZES, pixel_format=code):
         if one.type != 1:  # discrete

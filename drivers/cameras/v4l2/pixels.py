@@ -21,7 +21,9 @@ class Layout:
     kind: str = "u1"  #: NumPy type of one value
     first: int = 0  #: Position of the first value of a row, and distance to the next one, in values
     step: int = 1  #: Position of the first value of a row, and distance to the next one, in values
-    planes: float = 1.0  #: Size of the complete image relative to the plane of grey values, dimensionless
+    planes: float = (
+        1.0  #: Size of the complete image relative to the plane of grey values, dimensionless
+    )
 
     @property
     def is_video(self) -> bool:
@@ -55,23 +57,26 @@ class BufferImage:
     columns: int  #: Size of the image, px
     row_bytes: int  #: Bytes from one row to the next
     layout: Layout  #: Position of the grey values
-    #: First row of the field stored first, 0 (top) or 1 (bottom), for fields one after the other; None for interleaved
-    #: rows
+    # : First row of the field stored first, 0 (top) or 1 (bottom), for fields one after the other;
+    # None for interleaved : rows
     first_field: int | None = None
 
     def __post_init__(self) -> None:
         if not (0 < self.rows <= MOST_PIXELS_A_SIDE and 0 < self.columns <= MOST_PIXELS_A_SIDE):
             raise BadInput(
-                f"a picture must have 1 to {MOST_PIXELS_A_SIDE} rows and columns, got {self.rows} and {self.columns}"
+                f"a picture must have 1 to {MOST_PIXELS_A_SIDE} rows and columns, got {self.rows} "
+                f"and {self.columns}"
             )
         least = self.layout.row_bytes(self.columns)
         if not least <= self.row_bytes <= 16 * least + 65536:
             raise BadInput(
-                f"a row of {self.columns} {self.layout.name} pixels must take {least} bytes, got {self.row_bytes}"
+                f"a row of {self.columns} {self.layout.name} pixels must take {least} bytes, got "
+                f"{self.row_bytes}"
             )
         if self.first_field is not None and (self.rows % 2 or self.layout.planes != 1.0):
             raise BadInput(
-                f"fields one after the other must be halves of one plane, got {self.rows} rows of {self.layout.name}"
+                f"fields one after the other must be halves of one plane, got {self.rows} rows of "
+                f"{self.layout.name}"
             )
 
     @property
@@ -79,15 +84,25 @@ class BufferImage:
         """Bytes of a complete image, colour included."""
         # The last row may be unpadded.
         plane = (self.rows - 1) * self.row_bytes + self.layout.row_bytes(self.columns)
-        return plane if self.layout.planes == 1.0 else int(self.rows * self.row_bytes * self.layout.planes)
+        return (
+            plane
+            if self.layout.planes == 1.0
+            else int(self.rows * self.row_bytes * self.layout.planes)
+        )
 
     def grey(self, data: NDArray[np.uint8]) -> NDArray:
-        """Return the grey values of at least `size_bytes` bytes, shape (row, col), DN, uint8 or uint16."""
+        """Return the grey values of at least `size_bytes` bytes, shape (row, col), DN, uint8 or
+        uint16.
+        """
         kind, layout = np.dtype(self.layout.kind), self.layout
         plane = np.zeros((self.rows, self.row_bytes), np.uint8)
         there = data[: plane.size]
         plane.reshape(-1)[: len(there)] = there
-        values = plane[:, : layout.row_bytes(self.columns)].copy().view(kind)[:, layout.first :: layout.step]
+        values = (
+            plane[:, : layout.row_bytes(self.columns)]
+            .copy()
+            .view(kind)[:, layout.first :: layout.step]
+        )
         rows = values.astype(kind.newbyteorder("="), copy=True)
         if self.first_field is None:
             return rows
@@ -99,7 +114,9 @@ def picture_of(form: Any) -> BufferImage:
     pix = form.of.pix
     if pix.pixelformat not in LAYOUTS:
         known = ", ".join(dict.fromkeys(layout.name for layout in LAYOUTS.values()))
-        raise BadInput(f"a pixel format must be one of {known}, got {four_letters(pix.pixelformat)!r}")
+        raise BadInput(
+            f"a pixel format must be one of {known}, got {four_letters(pix.pixelformat)!r}"
+        )
     layout = LAYOUTS[pix.pixelformat]
     return BufferImage(
         rows=pix.height,

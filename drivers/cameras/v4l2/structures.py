@@ -1,6 +1,7 @@
 """Structures and request numbers of V4L2 on a 64-bit Linux.
 
-Names, order and sizes are those of the kernel's `linux/videodev2.h` (Linux Media userspace API, part I).
+Names, order and sizes are those of the kernel's `linux/videodev2.h` (Linux Media userspace API,
+part I).
 """
 
 import ctypes
@@ -24,13 +25,21 @@ STANDARDS_525 = 0x0000F900  # V4L2_STD_525_60: NTSC in its kinds, and PAL of 525
 
 
 _KINDS: dict[str, Any] = {
-    "u8": ctypes.c_uint8, "u32": ctypes.c_uint32, "u64": ctypes.c_uint64, "i32": ctypes.c_int32,
-    "i64": ctypes.c_int64, "char": ctypes.c_char,
-}  # fmt: skip
+    "u8": ctypes.c_uint8,
+    "u32": ctypes.c_uint32,
+    "u64": ctypes.c_uint64,
+    "i32": ctypes.c_int32,
+    "i64": ctypes.c_int64,
+    "char": ctypes.c_char,
+}
 
 
-def _structure(name: str, fields: str, *, base: type = ctypes.Structure, pack: int = 0, **parts: Any) -> Any:
-    """Return a structure of fields "name:kind*count"; kinds are those of `_KINDS`, by default u32, or parts."""
+def _structure(
+    name: str, fields: str, *, base: type = ctypes.Structure, pack: int = 0, **parts: Any
+) -> Any:
+    """Return a structure of fields "name:kind*count"; kinds are those of `_KINDS`, by default u32,
+    or parts.
+    """
     made = []
     for one in fields.split():
         field, _, kind = one.partition(":")
@@ -41,19 +50,26 @@ def _structure(name: str, fields: str, *, base: type = ctypes.Structure, pack: i
 
 
 Capability = _structure(
-    "Capability", "driver:char*16 card:char*32 bus_info:char*32 version capabilities device_caps reserved:u32*3"
+    "Capability",
+    "driver:char*16 card:char*32 bus_info:char*32 version capabilities device_caps reserved:u32*3",
 )
 FormatDescription = _structure(
     "FormatDescription", "index type flags description:char*32 pixelformat mbus_code reserved:u32*3"
 )
-# A discrete size has its width and height in the first two of `sizes`; stepwise: smallest, largest, step of each
+# A discrete size has its width and height in the first two of `sizes`; stepwise: smallest, largest,
+# step of each
 FrameSize = _structure("FrameSize", "index pixel_format type sizes:u32*6 reserved:u32*2")
 PixelFormat = _structure(
     "PixelFormat",
-    "width height pixelformat field bytesperline sizeimage colorspace priv flags ycbcr_enc quantization xfer_func",
+    (
+        "width height pixelformat field bytesperline sizeimage colorspace priv flags ycbcr_enc "
+        "quantization xfer_func"
+    ),
 )
 # Another member of the kernel's union is a pointer, which determines the alignment.
-_FormatOf = _structure("_FormatOf", "pix:pix raw:u8*200 alignment:u64", base=ctypes.Union, pix=PixelFormat)
+_FormatOf = _structure(
+    "_FormatOf", "pix:pix raw:u8*200 alignment:u64", base=ctypes.Union, pix=PixelFormat
+)
 Format = _structure("Format", "type of:of", of=_FormatOf)
 BufferRequest = _structure("BufferRequest", "count type memory capabilities flags:u8 reserved:u8*3")
 TimeStamp = _structure("TimeStamp", "seconds:i64 microseconds:i64")
@@ -61,8 +77,8 @@ _TimeCode = _structure("_TimeCode", "type flags digits:u8*8")
 # The offset is the lower half of a union of 8 bytes on a little-endian machine.
 Buffer = _structure(
     "Buffer",
-    "index type bytesused flags field timestamp:time timecode:code sequence memory offset:u64 length reserved2 "
-    "request_fd:i32",
+    "index type bytesused flags field timestamp:time timecode:code sequence memory offset:u64 "
+    "length reserved2 request_fd:i32",
     time=TimeStamp,
     code=_TimeCode,
 )
@@ -72,11 +88,16 @@ ControlQuery = _structure(
 )
 ControlValue = _structure("ControlValue", "id value:i32")
 CaptureParameters = _structure(
-    "CaptureParameters", "capability capturemode numerator denominator extendedmode readbuffers reserved:u32*4"
+    "CaptureParameters",
+    "capability capturemode numerator denominator extendedmode readbuffers reserved:u32*4",
 )
-_ParametersOf = _structure("_ParametersOf", "capture:capture raw:u8*200", base=ctypes.Union, capture=CaptureParameters)
+_ParametersOf = _structure(
+    "_ParametersOf", "capture:capture raw:u8*200", base=ctypes.Union, capture=CaptureParameters
+)
 StreamParameters = _structure("StreamParameters", "type of:of", of=_ParametersOf)
-Input = _structure("Input", "index name:char*32 type audioset tuner std:u64 status capabilities reserved:u32*3")
+Input = _structure(
+    "Input", "index name:char*32 type audioset tuner std:u64 status capabilities reserved:u32*3"
+)
 
 
 _READ, _WRITE, _BOTH = 2, 1, 3
@@ -87,7 +108,9 @@ class Request:
     """One kind of ioctl."""
 
     name: str  #: Name in the kernel, without VIDIOC_
-    code: int  #: Number: direction, size of the structure, the letter V, and a running number (asm-generic/ioctl.h)
+    # : Number: direction, size of the structure, the letter V, and a running number
+    # (asm-generic/ioctl.h)
+    code: int
     structure: Any  #: Structure passed to the kernel and filled in by it
 
 

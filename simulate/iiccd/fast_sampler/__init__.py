@@ -1,1 +1,3 @@
-"""Fast sampler: pulses from tabulated distributions, spread by kernels that conserve the covariance."""
+"""Fast sampler: pulses from tabulated distributions, spread by kernels that conserve the
+covariance.
+"""

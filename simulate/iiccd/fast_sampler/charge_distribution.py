@@ -1,10 +1,11 @@
 """Charge distribution of a cell: tabulated quantiles of a Poisson sum of gamma pulses.
 
-A cell that expects N detected photoelectrons holds the sum of Poisson(N) pulses of mean 1 and gamma shape k. The sum is
-zero with probability exp(-N); given that it is not, its standardised law changes slowly with N. That law is kept as
-rows of quantiles, one for every two per cent of N; zero probability, mean and variance are those of the cell's own N.
-Quantiles stand at probabilities that are evenly spaced in each octave towards both ends, so that the exponent and
-leading bits of a single-precision number are the index.
+A cell that expects N detected photoelectrons holds the sum of Poisson(N) pulses of mean 1 and gamma
+shape k. The sum is zero with probability exp(-N); given that it is not, its standardised law
+changes slowly with N. That law is kept as rows of quantiles, one for every two per cent of N; zero
+probability, mean and variance are those of the cell's own N. Quantiles stand at probabilities that
+are evenly spaced in each octave towards both ends, so that the exponent and leading bits of a
+single-precision number are the index.
 """
 
 from dataclasses import dataclass
@@ -20,7 +21,8 @@ MANTISSA_BITS, OCTAVES = 4, 24
 HALF = (OCTAVES << MANTISSA_BITS) + 2
 NODES = 2 * HALF
 SMALLEST = 2.0 ** -(OCTAVES + 1)
-# Up to this mean the law is summed over the number of pulses; beyond, it is inverted from its characteristic function.
+# Up to this mean the law is summed over the number of pulses; beyond, it is inverted from its
+# characteristic function.
 SUMMED_TO = 32.0
 
 
@@ -28,7 +30,8 @@ SUMMED_TO = 32.0
 class CellLaw:
     """Tables from which the charge of cells is looked up.
 
-    `inverse` of the probability that a cell holds anything, `rows` of its standardised law, and these rows, flat.
+    `inverse` of the probability that a cell holds anything, `rows` of its standardised law, and
+    these rows, flat.
     """
 
     inverse: NDArray[np.float32]
@@ -55,13 +58,17 @@ def pulse_law(shape: float, mean: NDArray[np.floating]) -> CellLaw:
 
 
 def normal_law(mean: NDArray[np.floating]) -> CellLaw:
-    """Return a normal law of the same mean and variance, for each mean number of pulses: one row for all."""
+    """Return a normal law of the same mean and variance, for each mean number of pulses: one row
+    for all.
+    """
     ones = np.ones(mean.shape, np.float32)
     return CellLaw(inverse=ones, rows=np.zeros(mean.shape, np.uint16), quantiles=normal_quantiles())
 
 
 def node_probabilities() -> NDArray[np.float64]:
-    """Return the probabilities of one half's nodes, ascending to 1/2, the last one twice, shape (HALF,)."""
+    """Return the probabilities of one half's nodes, ascending to 1/2, the last one twice, shape
+    (HALF,).
+    """
     step = np.arange(OCTAVES << MANTISSA_BITS)
     octave, part = step >> MANTISSA_BITS, step & ((1 << MANTISSA_BITS) - 1)
     probability = SMALLEST * 2.0**octave * (1.0 + part / (1 << MANTISSA_BITS))
@@ -70,13 +77,17 @@ def node_probabilities() -> NDArray[np.float64]:
 
 @lru_cache(maxsize=2048)
 def row_quantiles(shape: float, row: int) -> NDArray[np.float64]:
-    """Return the quantiles of a row, shape (NODES,): every fifth by the law itself, between them by straight lines."""
+    """Return the quantiles of a row, shape (NODES,): every fifth by the law itself, between them by
+    straight lines.
+    """
     below = row - row % EXACT_EVERY
     share = (row - below) / EXACT_EVERY
     exact = unit_variance_quantiles(shape, LOWEST_ROW * float(np.exp(ROW_STEP * below)))
     if share == 0.0:
         return exact
-    above = unit_variance_quantiles(shape, LOWEST_ROW * float(np.exp(ROW_STEP * (below + EXACT_EVERY))))
+    above = unit_variance_quantiles(
+        shape, LOWEST_ROW * float(np.exp(ROW_STEP * (below + EXACT_EVERY)))
+    )
     return _standard((1.0 - share) * exact + share * above)
 
 
@@ -86,11 +97,14 @@ def unit_variance_quantiles(shape: float, mean: float) -> NDArray[np.float64]:
 
     Notes
     -----
-    P(sum > x | sum > 0) = sum_n Poisson(n; N) Q(n k, k x)/(1 - exp(-N)), n from 1, Q the regularised upper gamma
-    function; for many pulses the density is the inverse Fourier transform of exp(N((1 - it/k)^-k - 1)).
+    P(sum > x | sum > 0) = sum_n Poisson(n; N) Q(n k, k x)/(1 - exp(-N)), n from 1, Q the
+    regularised upper gamma function; for many pulses the density is the inverse Fourier transform
+    of exp(N((1 - it/k)^-k - 1)).
     """
     amount, below, above = (
-        _distribution_by_sum(shape, mean) if mean <= SUMMED_TO else _distribution_by_transform(shape, mean)
+        _distribution_by_sum(shape, mean)
+        if mean <= SUMMED_TO
+        else _distribution_by_transform(shape, mean)
     )
     probability = node_probabilities()
     upper = _invert_distribution(amount, above, probability)
@@ -98,7 +112,9 @@ def unit_variance_quantiles(shape: float, mean: float) -> NDArray[np.float64]:
     return _standard(np.concatenate([upper, lower]))
 
 
-def _invert_distribution(amount: NDArray, cumulative: NDArray, probability: NDArray) -> NDArray[np.float64]:
+def _invert_distribution(
+    amount: NDArray, cumulative: NDArray, probability: NDArray
+) -> NDArray[np.float64]:
     """Amounts at which a cumulative probability, ascending or descending, has the values given."""
     kept = cumulative > 0.1 * SMALLEST
     x, p = np.log(cumulative[kept]), amount[kept]
@@ -121,7 +137,10 @@ def _distribution_by_sum(shape: float, mean: float) -> tuple[NDArray, NDArray, N
     reach = mean + 1.0 + 9.0 * np.sqrt((mean + 1.0) * (1.0 + 1.0 / shape)) + 18.0 / min(shape, 1.0)
     # Heights of narrow pulses leave peaks, each to be resolved.
     points = int(min(260.0 * max(1.0, np.sqrt(shape)), 6000.0))
-    fine, coarse = np.geomspace(1e-9, 1e-2, 60, endpoint=False), np.linspace(0.1, np.sqrt(reach), points) ** 2
+    fine, coarse = (
+        np.geomspace(1e-9, 1e-2, 60, endpoint=False),
+        np.linspace(0.1, np.sqrt(reach), points) ** 2,
+    )
     amount = np.concatenate([fine, coarse])
     argument = shape * amount[:, None], number[None, :] * shape
     below = gammainc(argument[1], argument[0]) @ weight
@@ -147,7 +166,9 @@ def _distribution_by_transform(shape: float, mean: float) -> tuple[NDArray, NDAr
 
 
 def _standard(quantiles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bring quantiles to mean 0 and variance 1 as they will be drawn: straight lines between nodes."""
+    """Bring quantiles to mean 0 and variance 1 as they will be drawn: straight lines between
+    nodes.
+    """
     first = second = 0.0
     probability = node_probabilities()
     for half in (quantiles[:HALF], quantiles[HALF:]):

@@ -28,11 +28,18 @@ def to_nearer_end(probability, nearer):
 
 @njit(**PART)
 def look_up_quantiles(probability, nearer, rows, quantiles, out):
-    """Standardised quantiles at probabilities; the bits of the distance to the nearer end are the index."""
+    """Standardised quantiles at probabilities; the bits of the distance to the nearer end are the
+    index.
+    """
     bits = nearer.view(np.uint32)
     for c in range(out.size):
         b = bits[c]
-        j = u4(rows[c]) * PER_ROW + (b >> SHIFT) - FIRST + (u4(0) if probability[c] < HALF_ONE else LOWER)
+        j = (
+            u4(rows[c]) * PER_ROW
+            + (b >> SHIFT)
+            - FIRST
+            + (u4(0) if probability[c] < HALF_ONE else LOWER)
+        )
         fraction = f4(np.int32(b & FRACTION)) * PER_FRACTION
         q = quantiles[j]
         out[c] = q + fraction * (quantiles[j + u4(1)] - q)
@@ -54,17 +61,21 @@ def normal_row(words, quantiles, out, probability, nearer):
 
 
 @njit(**FAST)
-def charge_rows(first, last, key, shown, kernel, wing, mean, response, noise, normal, readout, charge, codes):
-    """Spread the noise over the pixels of rows first..last, add the mean and the charge's own noise; read them.
+def charge_rows(
+    first, last, key, shown, kernel, wing, mean, response, noise, normal, readout, charge, codes
+):
+    """Spread the noise over the pixels of rows first..last, add the mean and the charge's own
+    noise; read them.
 
-    `shown`: electrons beyond the mean on cells, (exposure, plane, row, col), the first cell under the first pixel's
-    kernel; row r is read from exposure r modulo their number. `kernel`: separable kernels down and along, (plane, rank,
-    tap). `wing`: what its far wing brings, on coarse rows and the frame's columns, and the coarse row above each row of
-    the frame, fraction included. `mean`: mean charge, e-, that of the dark left out. `response`: of the pixels, or
-    (1, 1). `noise`: whether the charge's own noise is drawn elsewhere, as whole electrons, and the variance of noise
-    besides that of the mean charge. `normal`: quantiles of the normal law. `readout`: whether rows are read later, by
-    `read_rows`, and its arguments. Filled: `charge`, e-, where rows are read later, else `codes`. Returns the largest
-    charge.
+    `shown`: electrons beyond the mean on cells, (exposure, plane, row, col), the first cell under
+    the first pixel's kernel; row r is read from exposure r modulo their number. `kernel`: separable
+    kernels down and along, (plane, rank, tap). `wing`: what its far wing brings, on coarse rows and
+    the frame's columns, and the coarse row above each row of the frame, fraction included. `mean`:
+    mean charge, e-, that of the dark left out. `response`: of the pixels, or (1, 1). `noise`:
+    whether the charge's own noise is drawn elsewhere, as whole electrons, and the variance of noise
+    besides that of the mean charge. `normal`: quantiles of the normal law. `readout`: whether rows
+    are read later, by `read_rows`, and its arguments. Filled: `charge`, e-, where rows are read
+    later, else `codes`. Returns the largest charge.
     """
     cols = mean.shape[1]
     gathered, spread = np.empty(shown.shape[3], np.float32), np.empty(cols, np.float32)
@@ -106,7 +117,9 @@ def charge_rows(first, last, key, shown, kernel, wing, mean, response, noise, no
 
 @njit(**PART)
 def _blur_row(shown, top, down, along, gathered, out):
-    """Noise of one row of pixels: separable kernels, summed over their ranks and over the planes of cells."""
+    """Noise of one row of pixels: separable kernels, summed over their ranks and over the planes of
+    cells.
+    """
     out[:] = ZERO
     for plane in range(down.shape[0]):
         for rank in range(down.shape[1]):
@@ -135,7 +148,9 @@ def _add_four(out, weights, first, rows, start):
 
 @njit(**FAST)
 def interpolate_columns(coarse, left, right, share, wide):
-    """Fill images (image, row + 1, col) from coarse ones between two columns each; the last row is repeated."""
+    """Fill images (image, row + 1, col) from coarse ones between two columns each; the last row is
+    repeated.
+    """
     for n in range(coarse.shape[0]):
         for r in range(wide.shape[1]):
             cells, out = coarse[n, min(r, coarse.shape[1] - 1)], wide[n, r]
@@ -148,8 +163,9 @@ def interpolate_columns(coarse, left, right, share, wide):
 def read_rows(first, last, key, charge, impulse, noise, levels, normal, codes):
     """Read rows first..last of a charge, e-, through the amplifier and its filter into whole codes.
 
-    `impulse`: impulse response along a line. `noise`: standard deviations of reading a pixel, e-, of the start of a
-    line, pixels, and of an offset common to it, DN. `levels`: DN per electron, DN without charge, highest code, gamma.
+    `impulse`: impulse response along a line. `noise`: standard deviations of reading a pixel, e-,
+    of the start of a line, pixels, and of an offset common to it, DN. `levels`: DN per electron, DN
+    without charge, highest code, gamma.
     """
     cols = charge.shape[1]
     line, level, taps = line_buffers(cols, impulse)

@@ -12,7 +12,7 @@ from simulate.iiccd.fast_sampler.charge_rows import (
     f4,
     look_up_quantiles,
     to_nearer_end,
-)  # fmt: skip
+)
 from simulate.iiccd.fast_sampler.kernel import REACH
 from simulate.iiccd.random_numbers import FAST, PART, fill_random_words, row_key, u4, u8
 
@@ -21,15 +21,19 @@ TWO = f4(2.0)
 # A uniform number of variance 1 from 16 bits.
 UNIFORM = f4(np.sqrt(12.0) * 2.0**-16)
 MIDDLE = f4(32767.5)
-# Half the variance of u^2 - 1, and inverse of the third moment that adding a little of it to a uniform u brings.
+# Half the variance of u^2 - 1, and inverse of the third moment that adding a little of it to a
+# uniform u brings.
 TWO_FIFTHS, PER_LEAN = f4(0.4), f4(1.0 / 2.4)
-# More lateness than this the scatter does not carry; phosphors that have it leave next to nothing to later exposures.
+# More lateness than this the scatter does not carry; phosphors that have it leave next to nothing
+# to later exposures.
 MOST_LATENESS = f4(2.1)
 
 
 @njit(**PART)
 def _pulse_row(key, row, law, brightness, out, split, high, low, probability, nearer):
-    """One row's charge beyond its mean, and the random part of its division in time, both in electrons."""
+    """One row's charge beyond its mean, and the random part of its division in time, both in
+    electrons.
+    """
     (expected, inverse, rows, gain), (quantiles, shape, lateness, ions) = row, law
     fill_random_words(key, high, low)
     for c in range(out.size):
@@ -51,12 +55,13 @@ def _pulse_row(key, row, law, brightness, out, split, high, low, probability, ne
 
 @njit(**PART)
 def _likeness(charge, mean, shape):
-    """1/(n k + 1), on average over the numbers n of pulses of gamma shape k that may have added up to a charge.
+    """1/(n k + 1), on average over the numbers n of pulses of gamma shape k that may have added up
+    to a charge.
 
-    n pulses that add up to x have a sum of squares of mean x^2 (k + 1)/(n k + 1). Given x, 1/(n k + 1) is on average
-    near 1/(c + sqrt((k + 1 - c)^2 + k^2 m^2)), m = N^(1/(k+1)) x^(k/(k+1)), c = 1 - k/(2 (k + 1)): exact for few pulses
-    and for many; for exponential ones in between it is Amos' bound on a ratio of Bessel functions (Math. Comp. 28, 239,
-    1974).
+    n pulses that add up to x have a sum of squares of mean x^2 (k + 1)/(n k + 1). Given x, 1/(n k +
+    1) is on average near 1/(c + sqrt((k + 1 - c)^2 + k^2 m^2)), m = N^(1/(k+1)) x^(k/(k+1)), c = 1
+    - k/(2 (k + 1)): exact for few pulses and for many; for exponential ones in between it is Amos'
+    bound on a ratio of Bessel functions (Math. Comp. 28, 239, 1974).
     """
     half = HALF_ONE * (shape - ONE) / (shape + ONE)
     power = ONE
@@ -71,28 +76,35 @@ def _likeness(charge, mean, shape):
 
 @njit(**PART)
 def _scatter(charge, mean, shape, lateness, uniform):
-    """Random scatter of a sum's pulses over the exposure, as a fraction of the sum: its variance and third moment.
+    """Random scatter of a sum's pulses over the exposure, as a fraction of the sum: its variance
+    and third moment.
 
-    The sum of cubes of n pulses that add up to x is x^3 (k + 1)(k + 2)/((n k + 1)(n k + 2)) on average.
+    The sum of cubes of n pulses that add up to x is x^3 (k + 1)(k + 2)/((n k + 1)(n k + 2)) on
+    average.
     """
     inverse = _likeness(charge, mean, shape)
     further = inverse / (ONE + inverse)
     # What u^2 - 1 brings leans the scatter; it takes from the rest what it adds to the variance.
     lean = min(lateness, MOST_LATENESS) * (shape + TWO) * PER_LEAN
     straight = ONE - TWO_FIFTHS * lean * lean / (shape + ONE) * further * (ONE - further)
-    return straight * np.sqrt((shape + ONE) * inverse) * uniform + lean * further * (uniform * uniform - ONE)
+    return straight * np.sqrt((shape + ONE) * inverse) * uniform + lean * further * (
+        uniform * uniform - ONE
+    )
 
 
 @njit(**FAST)
 def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, shown, coarse):
-    """Draw the pulses of consecutive exposures, cell rows first..last of a plane, and let the phosphor decay.
+    """Draw the pulses of consecutive exposures, cell rows first..last of a plane, and let the
+    phosphor decay.
 
-    `exposures`: keys and factors of the gain. `cells`: mean number of pulses, inverse of the probability of any, row of
-    the law, and electrons per mean pulse, (row, col). `law`: its rows, flat; gamma shape of pulses; skewness of what
-    they leave to later exposures; mean pulses that ions bring to a cell. `ions`: exposure, row, column and pulses of
-    each event. `decay`: mean fraction stored, its standard deviation, and fraction kept, of each component. `stored`:
-    electrons still to come, (component, row, col), changed. Filled: `shown`, electrons beyond the mean in each
-    exposure, (exposure, plane, row, col), and `coarse`, their sums over blocks; rows first..last are whole blocks.
+    `exposures`: keys and factors of the gain. `cells`: mean number of pulses, inverse of the
+    probability of any, row of the law, and electrons per mean pulse, (row, col). `law`: its rows,
+    flat; gamma shape of pulses; skewness of what they leave to later exposures; mean pulses that
+    ions bring to a cell. `ions`: exposure, row, column and pulses of each event. `decay`: mean
+    fraction stored, its standard deviation, and fraction kept, of each component. `stored`:
+    electrons still to come, (component, row, col), changed. Filled: `shown`, electrons beyond the
+    mean in each exposure, (exposure, plane, row, col), and `coarse`, their sums over blocks; rows
+    first..last are whole blocks.
     """
     (keys, brightness), (expected, inverse, rows, gain) = exposures, cells
     cols, block = gain.shape[1], gain.shape[1] // coarse.shape[3]
@@ -147,14 +159,20 @@ ADDED_AT_ONCE = 8
 def pulse_rows(first, last, exposure, pulses, shares, expected, decay, stored, shown):
     """Lay the pulses of one exposure on rows first..last of the frame, and let the phosphor decay.
 
-    `exposure`: its number in the frame, of how many (row r is read from exposure r modulo those), and how far `shares`
-    reach, px. `pulses`: rows and columns in fractions of a pixel, counted from before the frame as the kernel says;
-    electrons; and those that come later, (component, pulse). `shares`: fraction of a pulse on pixels by its place, (row
-    and col of the place, row, col). `expected`: mean charge of the frame by pulses, e-, and the fraction of it that
-    each component stores. `decay`: fraction of what is stored that stays stored. `stored`: electrons beyond the mean
-    still to come, (component, row, col), changed. `shown`: electrons beyond the mean that come out; filled.
+    `exposure`: its number in the frame, of how many (row r is read from exposure r modulo those),
+    and how far `shares` reach, px. `pulses`: rows and columns in fractions of a pixel, counted from
+    before the frame as the kernel says; electrons; and those that come later, (component, pulse).
+    `shares`: fraction of a pulse on pixels by its place, (row and col of the place, row, col).
+    `expected`: mean charge of the frame by pulses, e-, and the fraction of it that each component
+    stores. `decay`: fraction of what is stored that stays stored. `stored`: electrons beyond the
+    mean still to come, (component, row, col), changed. `shown`: electrons beyond the mean that come
+    out; filled.
     """
-    (number, numbers, reach), (rows, columns, charge, later), (light, stays) = exposure, pulses, expected
+    (number, numbers, reach), (rows, columns, charge, later), (light, stays) = (
+        exposure,
+        pulses,
+        expected,
+    )
     places, taps, breadth = shares.shape[0], shares.shape[2], shares.shape[3]
     cols, components, further = shown.shape[1], stored.shape[0], REACH - reach
     at_once = ONE
@@ -205,7 +223,9 @@ def _add_rows(image, own, charge, begin, end, step, top, left, column):
 
 @njit(**FAST)
 def cells_beyond(parts, running, guide):
-    """Return the first cell whose running sum exceeds each part, shape (part,): a search that begins at a guide."""
+    """Return the first cell whose running sum exceeds each part, shape (part,): a search that
+    begins at a guide.
+    """
     cells, per_guide = np.empty(parts.size, np.int64), guide.size / running[-1]
     for p in range(parts.size):
         cell = guide[min(int(parts[p] * per_guide), guide.size - 1)]
@@ -220,7 +240,9 @@ def cells_beyond(parts, running, guide):
 
 @njit(**FAST)
 def coarse_sums(rows, columns, charge, later, side, coarse_rows, coarse_columns):
-    """Sums over coarse cells of what comes out at once, then of what each component stores, shape (sum, row, col)."""
+    """Sums over coarse cells of what comes out at once, then of what each component stores, shape
+    (sum, row, col).
+    """
     sums = np.zeros((1 + later.shape[0], coarse_rows, coarse_columns), np.float32)
     for p in range(rows.size):
         row, col, now = rows[p] // side, columns[p] // side, charge[p]

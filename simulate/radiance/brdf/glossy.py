@@ -1,4 +1,6 @@
-"""Glossy dielectrics (paint, plastic, wet ground, water) and retroreflectors over a diffuse base, and rough metals."""
+"""Glossy dielectrics (paint, plastic, wet ground, water) and retroreflectors over a diffuse base,
+and rough metals.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,7 +19,12 @@ from simulate.radiance.brdf.microfacet import (
     schlick_albedo,
     specular_albedo,
 )
-from simulate.radiance.brdf.protocol import Reflectance, both_above, cosine_density, directions_at_cosine
+from simulate.radiance.brdf.protocol import (
+    Reflectance,
+    both_above,
+    cosine_density,
+    directions_at_cosine,
+)
 
 Array = NDArray[np.floating]
 # Mean of (1 - cos)^5 over the hemisphere, cosine-weighted.
@@ -26,7 +33,9 @@ MEAN_RISE = 1.0 / 21.0
 
 @dataclass(frozen=True, kw_only=True)
 class Facets:
-    """A first layer of GGX facets: it is sampled by mirrored directions, the rest by the cosine law."""
+    """A first layer of GGX facets: it is sampled by mirrored directions, the rest by the cosine
+    law.
+    """
 
     reflectance: Reflectance  # of the metal at normal incidence, or of the base under a dielectric
     roughness: float  # GGX's a, the spread of the facets' slopes, dimensionless
@@ -42,8 +51,12 @@ class Facets:
 
     def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw mirrored directions or by the cosine law; and their densities."""
-        normals = microfacet.sample_visible_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
-        drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self.specular_share(outgoing), rng)
+        normals = microfacet.sample_visible_normals(
+            outgoing, self.roughness, rng.random((len(outgoing), 2))
+        )
+        drawn = sample_mixture(
+            microfacet.mirror_direction(outgoing, normals), self.specular_share(outgoing), rng
+        )
         return drawn, self.pdf(drawn, outgoing)
 
     def pdf(self, incoming: Array, outgoing: Array) -> Array:
@@ -59,9 +72,10 @@ class Metal(Facets):
 
     Notes
     -----
-    f = F D G/(4 cos cos) + F_m (1 - E(i)) (1 - E(o))/(pi (1 - E_mean)), E the albedo of perfect facets, F by Schlick,
-    F_m = F_mean^2 E_mean/(1 - F_mean (1 - E_mean)) (Kulla and Conty, SIGGRAPH 2017 course): a perfect mirror metal of
-    any roughness sends all light back. Without the second term roughness 1 loses up to 69 %.
+    f = F D G/(4 cos cos) + F_m (1 - E(i)) (1 - E(o))/(pi (1 - E_mean)), E the albedo of perfect
+    facets, F by Schlick, F_m = F_mean^2 E_mean/(1 - F_mean (1 - E_mean)) (Kulla and Conty, SIGGRAPH
+    2017 course): a perfect mirror metal of any roughness sends all light back. Without the second
+    term roughness 1 loses up to 69 %.
     """
 
     @property
@@ -75,7 +89,9 @@ class Metal(Facets):
         mirrored = microfacet.lobe(incoming, outgoing, self.roughness)
         one = normal * mirrored + (1.0 - normal) * (mirrored * microfacet.schlick_rise(facing))
         perfect = self._perfect
-        many = base_value(perfect.at(incoming), perfect.at(outgoing), perfect.mean, self._between(normal))
+        many = base_value(
+            perfect.at(incoming), perfect.at(outgoing), perfect.mean, self._between(normal)
+        )
         return one + many * both_above(incoming, outgoing)
 
     def specular_share(self, outgoing: Array) -> Array:
@@ -83,7 +99,9 @@ class Metal(Facets):
         return self._perfect.at(outgoing)
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band,
+        ray).
+        """
         normal = self.reflectance.at(wavelength_nm)[:, None]
         perfect, rise = self._perfect.at(outgoing), schlick_albedo(self.roughness).at(outgoing)
         return normal * perfect + (1.0 - normal) * rise + (1.0 - perfect) * self._between(normal)
@@ -104,10 +122,13 @@ class Glossy(Facets):
 
     Notes
     -----
-    f = F D G/(4 cos cos) + rho (1 - E(i)) (1 - E(o))/(pi (1 - E_mean)), F by Fresnel, E the coat's albedo.
+    f = F D G/(4 cos cos) + rho (1 - E(i)) (1 - E(o))/(pi (1 - E_mean)), F by Fresnel, E the coat's
+    albedo.
     """
 
-    refractive_index: float = 1.5  # of the coat, dimensionless; 1.5 of paint and plastic, 1.33 of water
+    refractive_index: float = (
+        1.5  # of the coat, dimensionless; 1.5 of paint and plastic, 1.33 of water
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -128,7 +149,9 @@ class Glossy(Facets):
         return mirrored + below * both_above(incoming, outgoing)
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band,
+        ray).
+        """
         coat = self._coat.at(outgoing)
         return coat + (1.0 - coat) * self.reflectance.at(wavelength_nm)[:, None]
 
@@ -150,19 +173,23 @@ class Retroreflector:
 
     Notes
     -----
-    f = R N(angle)/max(cos(i), cos(o)) + rho (1 - R e(i)) (1 - R e(o))/(pi (1 - R e_mean)), N = k exp(k (cos - 1))/(2 pi
-    (1 - exp(-2 k))) with an integral of 1 over all directions, e the lobe's albedo: 1 but for grazing light. The
-    coefficient of retroreflection, as sheets state it, is R N(0) cd lx-1 m-2 at normal incidence.
+    f = R N(angle)/max(cos(i), cos(o)) + rho (1 - R e(i)) (1 - R e(o))/(pi (1 - R e_mean)), N = k
+    exp(k (cos - 1))/(2 pi (1 - exp(-2 k))) with an integral of 1 over all directions, e the lobe's
+    albedo: 1 but for grazing light. The coefficient of retroreflection, as sheets state it, is R
+    N(0) cd lx-1 m-2 at normal incidence.
     """
 
     share: Reflectance  # fraction of the light in the lobe, over wavelength
     reflectance: Reflectance  # of the base, over wavelength
-    half_width_deg: float = 0.5  # angle between light and viewer at half of the lobe's maximum, degrees
+    half_width_deg: float = (
+        0.5  # angle between light and viewer at half of the lobe's maximum, degrees
+    )
 
     def __post_init__(self) -> None:
         if not NARROWEST_DEG <= self.half_width_deg <= WIDEST_DEG:
             raise BadInput(
-                f"half_width_deg must lie in [{NARROWEST_DEG:g}, {WIDEST_DEG:g}], got {self.half_width_deg:g}"
+                f"half_width_deg must lie in [{NARROWEST_DEG:g}, {WIDEST_DEG:g}], got "
+                f"{self.half_width_deg:g}"
             )
 
     @property
@@ -179,9 +206,14 @@ class Retroreflector:
         above = both_above(incoming, outgoing)
         back = _lobe(incoming, outgoing, self.concentration)
         back = back * above / np.maximum(np.maximum(incoming[:, 2], outgoing[:, 2]), 1e-12)
-        share, base = self.share.at(wavelength_nm)[:, None], self.reflectance.at(wavelength_nm)[:, None]
+        share, base = (
+            self.share.at(wavelength_nm)[:, None],
+            self.reflectance.at(wavelength_nm)[:, None],
+        )
         table = self._lobe_albedo
-        below = base_value(share * table.at(incoming), share * table.at(outgoing), share * table.mean, base)
+        below = base_value(
+            share * table.at(incoming), share * table.at(outgoing), share * table.mean, base
+        )
         return share * back + below * above
 
     def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -195,7 +227,9 @@ class Retroreflector:
         return 0.5 * _lobe(incoming, outgoing, self.concentration) + 0.5 * cosine_density(incoming)
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band,
+        ray).
+        """
         back = self.share.at(wavelength_nm)[:, None] * self._lobe_albedo.at(outgoing)
         return back + (1.0 - back) * self.reflectance.at(wavelength_nm)[:, None]
 
@@ -203,7 +237,11 @@ class Retroreflector:
 def _lobe(incoming: Array, outgoing: Array, concentration: float) -> Array:
     # 1 - cos of the angle between, by the chord, which keeps its digits for narrow lobes.
     apart = 0.5 * np.sum(np.square(incoming - outgoing), axis=1)
-    return concentration / (-2.0 * np.pi * np.expm1(-2.0 * concentration)) * np.exp(-concentration * apart)
+    return (
+        concentration
+        / (-2.0 * np.pi * np.expm1(-2.0 * concentration))
+        * np.exp(-concentration * apart)
+    )
 
 
 def _lobe_directions(outgoing: Array, concentration: float, even: Array) -> Array:
@@ -211,7 +249,8 @@ def _lobe_directions(outgoing: Array, concentration: float, even: Array) -> Arra
     apart = -np.log1p(even[:, 0] * np.expm1(-2.0 * concentration)) / concentration
     aside = np.sqrt(np.maximum(apart * (2.0 - apart), 0.0))
     turn = 2.0 * np.pi * even[:, 1]
-    # Two directions normal to the viewing direction (Duff et al., J. Comput. Graph. Tech. 6(1), 2017).
+    # Two directions normal to the viewing direction (Duff et al., J. Comput. Graph. Tech. 6(1),
+    # 2017).
     sign = np.copysign(1.0, outgoing[:, 2])
     a = -1.0 / (sign + outgoing[:, 2])
     b = outgoing[:, 0] * outgoing[:, 1] * a
@@ -234,7 +273,9 @@ def _lobe_albedo(concentration: float) -> AlbedoTable:
     albedo = []
     for mu in cosine:
         incoming = _lobe_directions(
-            np.broadcast_to(directions_at_cosine(np.array([mu])), (len(even), 3)), concentration, even
+            np.broadcast_to(directions_at_cosine(np.array([mu])), (len(even), 3)),
+            concentration,
+            even,
         )
         height = np.maximum(incoming[:, 2], 0.0)
         albedo.append(float(np.mean(height / np.maximum(np.maximum(height, mu), 1e-12))))

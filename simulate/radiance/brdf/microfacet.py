@@ -1,4 +1,6 @@
-"""Microfacet model: GGX normals, Smith masking, Fresnel reflectance, albedo tables and the base under a layer."""
+"""Microfacet model: GGX normals, Smith masking, Fresnel reflectance, albedo tables and the base
+under a layer.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +19,9 @@ SMOOTHEST, ROUGHEST = 0.002, 1.0
 
 
 def normals_density(half: Array, roughness: float) -> Array:
-    """Return the GGX density of facet normals D, sr-1: a^2 / (pi (z^2 (a^2 - 1) + 1)^2), shape (ray,)."""
+    """Return the GGX density of facet normals D, sr-1: a^2 / (pi (z^2 (a^2 - 1) + 1)^2), shape
+    (ray,).
+    """
     square = roughness**2
     # sin^2 + a^2 cos^2, which keeps its digits for smooth surfaces.
     spread = half[:, 0] ** 2 + half[:, 1] ** 2 + square * half[:, 2] ** 2
@@ -25,23 +29,29 @@ def normals_density(half: Array, roughness: float) -> Array:
 
 
 def smith_lambda(cosine: Array, roughness: float) -> Array:
-    """Return Smith's Lambda, (sqrt(1 + a^2 tan^2) - 1)/2: the fraction 1/(1 + Lambda) of the facets is visible."""
+    """Return Smith's Lambda, (sqrt(1 + a^2 tan^2) - 1)/2: the fraction 1/(1 + Lambda) of the facets
+    is visible.
+    """
     tangent2 = (1.0 - cosine**2) / np.maximum(cosine**2, 1e-300)
     return 0.5 * (np.sqrt(1.0 + roughness**2 * np.maximum(tangent2, 0.0)) - 1.0)
 
 
 def halfway(incoming: Array, outgoing: Array) -> Array:
-    """Return the normals of the facets that reflect one direction into the other, shape (ray, 3)."""
+    """Return the normals of the facets that reflect one direction into the other, shape (ray,
+    3).
+    """
     total = incoming + outgoing
     return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
 
 
 def lobe(incoming: Array, outgoing: Array, roughness: float) -> Array:
-    """Return D G / (4 cos cos) with the height-correlated Smith term, sr-1, shape (ray,): times Fresnel it is a BRDF.
+    """Return D G / (4 cos cos) with the height-correlated Smith term, sr-1, shape (ray,): times
+    Fresnel it is a BRDF.
 
     Notes
     -----
-    Walter et al. 2007 (GGX); G = 1/(1 + Lambda(i) + Lambda(o)) (Heitz, J. Comput. Graph. Tech. 3(2), 2014).
+    Walter et al. 2007 (GGX); G = 1/(1 + Lambda(i) + Lambda(o)) (Heitz, J. Comput. Graph. Tech.
+    3(2), 2014).
     """
     cos_in, cos_out = incoming[:, 2], outgoing[:, 2]
     above = (cos_in > 0.0) & (cos_out > 0.0)
@@ -56,8 +66,8 @@ def sample_visible_normals(outgoing: Array, roughness: float, even: Array) -> Ar
 
     Notes
     -----
-    Stretch to a hemisphere, draw on the cap that faces the viewer, stretch back (Dupuy and Benyoub, Comput. Graph.
-    Forum 42(8), 2023).
+    Stretch to a hemisphere, draw on the cap that faces the viewer, stretch back (Dupuy and Benyoub,
+    Comput. Graph. Forum 42(8), 2023).
     """
     stretched = outgoing * np.array([roughness, roughness, 1.0])
     stretched = stretched / np.linalg.norm(stretched, axis=1)[:, None]
@@ -76,7 +86,8 @@ def mirror_direction(outgoing: Array, normal: Array) -> Array:
 
 
 def mirror_density(incoming: Array, outgoing: Array, roughness: float) -> Array:
-    """Return the density of mirrored `sample_visible_normals`, D / (4 cos(o) (1 + Lambda(o))), sr-1, shape (ray,).
+    """Return the density of mirrored `sample_visible_normals`, D / (4 cos(o) (1 + Lambda(o))),
+    sr-1, shape (ray,).
 
     Directions below the surface have a density too: they are drawn and give zero.
     """
@@ -86,13 +97,17 @@ def mirror_density(incoming: Array, outgoing: Array, roughness: float) -> Array:
 
 
 def dielectric(cosine: ArrayLike, refractive_index: float) -> Array:
-    """Return the reflectance of unpolarised light on glass, water, lacquer; cosine of the angle from the normal."""
+    """Return the reflectance of unpolarised light on glass, water, lacquer; cosine of the angle
+    from the normal.
+    """
     parallel, perpendicular = dielectric_polarised(cosine, refractive_index)
     return 0.5 * (parallel + perpendicular)
 
 
 def dielectric_polarised(cosine: ArrayLike, refractive_index: float) -> tuple[Array, Array]:
-    """Return the reflectances of light polarised parallel and perpendicular to the plane of incidence."""
+    """Return the reflectances of light polarised parallel and perpendicular to the plane of
+    incidence.
+    """
     cos_in = np.clip(np.asarray(cosine, float), 0.0, 1.0)
     cos_on = np.sqrt(1.0 - (1.0 - cos_in**2) / refractive_index**2)
     parallel = (refractive_index * cos_in - cos_on) / (refractive_index * cos_in + cos_on)
@@ -101,7 +116,9 @@ def dielectric_polarised(cosine: ArrayLike, refractive_index: float) -> tuple[Ar
 
 
 def schlick_rise(cosine: ArrayLike) -> Array:
-    """Return (1 - cosine)^5: a metal of normal reflectance F0 has about F0 + (1 - F0) (1 - cosine)^5 (Schlick 1994)."""
+    """Return (1 - cosine)^5: a metal of normal reflectance F0 has about F0 + (1 - F0) (1 -
+    cosine)^5 (Schlick 1994).
+    """
     return (1.0 - np.clip(np.asarray(cosine, float), 0.0, 1.0)) ** 5
 
 
@@ -150,7 +167,9 @@ def dielectric_albedo(roughness: float, refractive_index: float) -> AlbedoTable:
 
 
 def _rough_albedo(roughness: float, reflectance: Callable[[Array], Array]) -> AlbedoTable:
-    """Integrate over the visible facets: reflectance times the probability that the reflected ray is unmasked."""
+    """Integrate over the visible facets: reflectance times the probability that the reflected ray
+    is unmasked.
+    """
     # Nodes are denser at grazing angles, where the albedo changes most.
     cosine = np.linspace(0.0, 1.0, NODES) ** 2
     cosine[0] = 1e-5
@@ -163,7 +182,9 @@ def _rough_albedo(roughness: float, reflectance: Callable[[Array], Array]) -> Al
     return AlbedoTable(read_only(cosine), read_only(np.array(albedo, float)))
 
 
-def _one_albedo(cosine: float, roughness: float, reflectance: Callable[[Array], Array], even: Array) -> Array:
+def _one_albedo(
+    cosine: float, roughness: float, reflectance: Callable[[Array], Array], even: Array
+) -> Array:
     """Return the fraction of light that each sampled facet reflects."""
     outgoing = np.broadcast_to(directions_at_cosine(np.array([cosine])), (len(even), 3))
     normal = sample_visible_normals(outgoing, roughness, even)
@@ -176,17 +197,20 @@ def _one_albedo(cosine: float, roughness: float, reflectance: Callable[[Array], 
 
 
 def base_value(first_in: Array, first_out: Array, first_mean: Array | float, base: Array) -> Array:
-    """Return the BRDF of a base under a first layer of given albedo towards light and viewer and its mean, sr-1.
+    """Return the BRDF of a base under a first layer of given albedo towards light and viewer and
+    its mean, sr-1.
 
     Notes
     -----
-    rho (1 - E(i)) (1 - E(o)) / (pi (1 - E_mean)) (Kelemen and Szirmay-Kalos, Eurographics 2001): its albedo is
-    rho (1 - E(o)), so with rho = 1 all light comes back.
+    rho (1 - E(i)) (1 - E(o)) / (pi (1 - E_mean)) (Kelemen and Szirmay-Kalos, Eurographics 2001):
+    its albedo is rho (1 - E(o)), so with rho = 1 all light comes back.
     """
     return base * (1.0 - first_in) * (1.0 - first_out) / (np.pi * (1.0 - first_mean))
 
 
 def sample_mixture(first: Array, share: Array, rng: np.random.Generator) -> Array:
-    """Return the first directions with a probability `share` (ray,), else draws by the cosine law, shape (ray, 3)."""
+    """Return the first directions with a probability `share` (ray,), else draws by the cosine law,
+    shape (ray, 3).
+    """
     takes_first = rng.random(len(first)) < share
     return np.where(takes_first[:, None], first, cosine_directions(len(first), rng))

@@ -1,4 +1,6 @@
-"""Bidirectional reflectance distribution functions: protocol, Lambert's law, measured tables, and sampling."""
+"""Bidirectional reflectance distribution functions: protocol, Lambert's law, measured tables, and
+sampling.
+"""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,19 +18,24 @@ Array = NDArray[np.floating]
 
 
 class Brdf(Protocol):
-    """Bidirectional reflectance distribution function of a surface that is the same in all azimuths.
+    """Bidirectional reflectance distribution function of a surface that is the same in all
+    azimuths.
 
     Notes
     -----
-    f(i, o) = f(o, i), and int f cos(i) di <= 1 for every o. A direction at or below the surface gives zero.
+    f(i, o) = f(o, i), and int f cos(i) di <= 1 for every o. A direction at or below the surface
+    gives zero.
     """
 
     def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return f for directions (ray, 3) to light and viewer at wavelengths (band,), sr-1, shape (band, ray)."""
+        """Return f for directions (ray, 3) to light and viewer at wavelengths (band,), sr-1, shape
+        (band, ray).
+        """
         ...
 
     def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Draw a direction to the light for each direction (ray, 3) to the viewer; return them, and densities as `pdf`.
+        """Draw a direction to the light for each direction (ray, 3) to the viewer; return them, and
+        densities as `pdf`.
 
         Some may lie below the surface, where `value` is zero.
         """
@@ -39,7 +46,9 @@ class Brdf(Protocol):
         ...
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the fraction of a uniform sky's light that goes to the viewer, int f cos(i) di, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, int f cos(i) di,
+        shape (band, ray).
+        """
         ...
 
 
@@ -53,8 +62,8 @@ class Reflectance:
     def __post_init__(self) -> None:
         if not self.wavelength_nm or len(self.wavelength_nm) != len(self.share):
             raise BadInput(
-                f"a reflectance must have one share per wavelength, got {len(self.wavelength_nm)} wavelengths "
-                f"and {len(self.share)} shares"
+                f"a reflectance must have one share per wavelength, got {len(self.wavelength_nm)} "
+                f"wavelengths and {len(self.share)} shares"
             )
         if any(b <= a for a, b in zip(self.wavelength_nm, self.wavelength_nm[1:], strict=False)):
             raise BadInput(f"a material's wavelengths must ascend, got {list(self.wavelength_nm)}")
@@ -64,7 +73,9 @@ class Reflectance:
 
     def at(self, wavelength_nm: ArrayLike) -> Array:
         """Return the fraction at wavelengths, dimensionless, shape (band,)."""
-        return np.interp(np.atleast_1d(np.asarray(wavelength_nm, float)), self.wavelength_nm, self.share)
+        return np.interp(
+            np.atleast_1d(np.asarray(wavelength_nm, float)), self.wavelength_nm, self.share
+        )
 
 
 def grey(share: float) -> Reflectance:
@@ -136,24 +147,29 @@ class MeasuredTable(CosineSampled):
     Raises
     ------
     BadInput
-        If the table is not reciprocal within 5 % of its largest value, depends as much on azimuth along the normal, or
-        gives off more light than arrives.
+        If the table is not reciprocal within 5 % of its largest value, depends as much on azimuth
+        along the normal, or gives off more light than arrives.
 
     Notes
     -----
-    The mean of f(i, o) and f(o, i) is kept, and along the normal the mean over azimuths, which has no meaning there.
+    The mean of f(i, o) and f(o, i) is kept, and along the normal the mean over azimuths, which has
+    no meaning there.
     """
 
     wavelength_nm: Array  # wavelengths, ascending, shape (band,), nm; constant outside
     # Angles of light and viewer from the normal, ascending from 0 to 90, shape (polar,), degrees.
     polar_deg: Array
-    # Azimuth between light and viewer, ascending from 0 (both on one side) to 180 (specular side), degrees.
+    # Azimuth between light and viewer, ascending from 0 (both on one side) to 180 (specular side),
+    # degrees.
     azimuth_deg: Array
     table: Array  # f, sr-1, shape (band, polar of light, polar of eye, azimuth)
     _albedo: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        axes = [np.asarray(axis, float) for axis in (self.wavelength_nm, self.polar_deg, self.azimuth_deg)]
+        axes = [
+            np.asarray(axis, float)
+            for axis in (self.wavelength_nm, self.polar_deg, self.azimuth_deg)
+        ]
         wavelength, polar, azimuth = axes
         table = np.asarray(self.table, float)
         if table.shape != (wavelength.size, polar.size, polar.size, azimuth.size):
@@ -174,28 +190,42 @@ class MeasuredTable(CosineSampled):
         mirrored = table.transpose(0, 2, 1, 3)
         apart = float(np.abs(table - mirrored).max())
         if apart > ASYMMETRY * table.max():
-            raise BadInput(f"a BRDF must be the same with light and eye exchanged, got a difference of {apart:g} sr-1")
+            raise BadInput(
+                f"a BRDF must be the same with light and eye exchanged, got a difference of "
+                f"{apart:g} sr-1"
+            )
         upright = np.concatenate([table[:, 0], table[:, :, 0]], axis=1)
         turned = float(np.ptp(upright, axis=2).max())
         if turned > ASYMMETRY * table.max():
-            raise BadInput(f"a BRDF must not depend on the azimuth of the normal, got a difference of {turned:g} sr-1")
+            raise BadInput(
+                f"a BRDF must not depend on the azimuth of the normal, got a difference of "
+                f"{turned:g} sr-1"
+            )
         table = 0.5 * (table + mirrored)
         table[:, 0] = table[:, 0].mean(axis=-1, keepdims=True)
         table[:, :, 0] = table[:, :, 0].mean(axis=-1, keepdims=True)
         kept = (wavelength, polar, azimuth, table)
-        for name, values in zip(("wavelength_nm", "polar_deg", "azimuth_deg", "table"), kept, strict=True):
+        for name, values in zip(
+            ("wavelength_nm", "polar_deg", "azimuth_deg", "table"), kept, strict=True
+        ):
             object.__setattr__(self, name, read_only(values))
         object.__setattr__(self, "_albedo", read_only(self._albedos()))
         highest = float(self._albedo.max())
         if highest > 1.0 + EXCESS:
-            raise BadInput(f"a BRDF must not give off more light than arrives, got {highest:g} of it")
+            raise BadInput(
+                f"a BRDF must not give off more light than arrives, got {highest:g} of it"
+            )
 
     def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return f, sr-1, shape (band, ray)."""
-        return self._linear(self._bands(wavelength_nm), incoming, outgoing) * both_above(incoming, outgoing)
+        return self._linear(self._bands(wavelength_nm), incoming, outgoing) * both_above(
+            incoming, outgoing
+        )
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band,
+        ray).
+        """
         column, along = _place(self.polar_deg, _polar_deg(outgoing))
         table = self._between(self._albedo, wavelength_nm)
         return table[:, column] * (1.0 - along) + table[:, column + 1] * along
@@ -205,7 +235,11 @@ class MeasuredTable(CosineSampled):
         return self._between(self.table, wavelength_nm)
 
     def _between(self, values: Array, wavelength_nm: ArrayLike) -> Array:
-        wanted = np.clip(np.atleast_1d(np.asarray(wavelength_nm, float)), self.wavelength_nm[0], self.wavelength_nm[-1])
+        wanted = np.clip(
+            np.atleast_1d(np.asarray(wavelength_nm, float)),
+            self.wavelength_nm[0],
+            self.wavelength_nm[-1],
+        )
         if self.wavelength_nm.size == 1:
             return np.repeat(np.asarray(values, float), wanted.size, axis=0)
         band, along = _place(self.wavelength_nm, wanted)
@@ -213,7 +247,9 @@ class MeasuredTable(CosineSampled):
         return values[band] * (1.0 - along) + values[band + 1] * along
 
     def _linear(self, table: Array, incoming: Array, outgoing: Array) -> Array:
-        """Return the table's bands at directions: linear in both polar angles and in azimuth, shape (band, ray)."""
+        """Return the table's bands at directions: linear in both polar angles and in azimuth, shape
+        (band, ray).
+        """
         places = [
             _place(self.polar_deg, _polar_deg(incoming)),
             _place(self.polar_deg, _polar_deg(outgoing)),
@@ -231,7 +267,8 @@ class MeasuredTable(CosineSampled):
     def _albedos(self) -> Array:
         """Return the albedo towards each polar angle of the table, shape (band, polar).
 
-        It is linear in between, as f is; rings of light are summed by Gauss-Legendre between the table's angles.
+        It is linear in between, as f is; rings of light are summed by Gauss-Legendre between the
+        table's angles.
         """
         around = 2.0 * np.asarray(np.trapezoid(self.table, np.deg2rad(self.azimuth_deg), axis=3))
         node, weight = np.polynomial.legendre.leggauss(8)
@@ -268,7 +305,8 @@ ARRAYS = ("wavelength_nm", "polar_deg", "azimuth_deg", "table")
 
 
 def read_measured(path: Path) -> MeasuredTable:
-    """Return the BRDF of an .npz file with the arrays of `simulate.radiance.brdf.protocol.MeasuredTable`.
+    """Return the BRDF of an .npz file with the arrays of
+    `simulate.radiance.brdf.protocol.MeasuredTable`.
 
     Raises BadInput if the file cannot be read, lacks an array, or the table is not a BRDF.
     """
@@ -280,7 +318,9 @@ def read_measured(path: Path) -> MeasuredTable:
         raise BadInput(f"a measured BRDF must be a readable .npz file, got {path}") from None
     missing = [name for name in ARRAYS if name not in found]
     if missing:
-        raise BadInput(f"a measured BRDF must hold {', '.join(ARRAYS)}, got no {missing[0]} in {path.name}")
+        raise BadInput(
+            f"a measured BRDF must hold {', '.join(ARRAYS)}, got no {missing[0]} in {path.name}"
+        )
     try:
         return MeasuredTable(**found)
     except BadInput as error:

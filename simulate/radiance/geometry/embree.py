@@ -1,7 +1,7 @@
 """Adapter to the Embree library that embreex ships: scenes, and compiled loops over ray packets.
 
-The calls of embreex itself hold the interpreter lock, so that threads wait for each other; the compiled loops here call
-the library without the lock.
+The calls of embreex itself hold the interpreter lock, so that threads wait for each other; the
+compiled loops here call the library without the lock.
 """
 
 import ctypes
@@ -23,20 +23,34 @@ Array = NDArray[np.floating]
 
 # Constants of Embree 4's C interface: kinds of geometry and of buffers, and formats.
 TRIANGLES, INSTANCE, INDEX, VERTEX, UINT3, FLOAT3, ROWS_3X4 = 0, 121, 0, 1, 0x5003, 0x9003, 0x9134
-# Rays are traced in packets of 16, seven times as fast as single rays. A packet is aligned to 64 bytes; its rows of
-# 4-byte numbers are those of `RTCRay16`, then those of `RTCHit16`, and last the mask of valid rays.
+# Rays are traced in packets of 16, seven times as fast as single rays. A packet is aligned to 64
+# bytes; its rows of 4-byte numbers are those of `RTCRay16`, then those of `RTCHit16`, and last the
+# mask of valid rays.
 BITS, ALIGNED = 4, 64
 PACKET = 1 << BITS
-ORIGIN, DIRECTION, REACH, MASK, TRIANGLE, GEOMETRY, COPY, VALID, ROWS = 0, 4, 8, 9, 17, 18, 19, 22, 23
+ORIGIN, DIRECTION, REACH, MASK, TRIANGLE, GEOMETRY, COPY, VALID, ROWS = (
+    0,
+    4,
+    8,
+    9,
+    17,
+    18,
+    19,
+    22,
+    23,
+)
 NONE = -1
 COMPILED = {"nogil": True, "cache": True, "error_model": "numpy"}
-# For functions that are called for each ray: passing arrays and counting references would cost more than the work.
+# For functions that are called for each ray: passing arrays and counting references would cost more
+# than the work.
 INLINED = {**COMPILED, "forceinline": True}
-# A face number holds the row of the triangle in its low bits, and above these bits the number of its copy.
+# A face number holds the row of the triangle in its low bits, and above these bits the number of
+# its copy.
 COPY_BITS = 32
 ROW = (1 << COPY_BITS) - 1
-# A corner and the unit normal of each triangle, each of shape (row, 3). Of each copy (number 0 is the mesh without
-# copies): row of its first triangle, rotation times scale (copy, 3, 3), translation (copy, 3) and scale.
+# A corner and the unit normal of each triangle, each of shape (row, 3). Of each copy (number 0 is
+# the mesh without copies): row of its first triangle, rotation times scale (copy, 3, 3),
+# translation (copy, 3) and scale.
 Planes = tuple[Array, ...]
 
 
@@ -47,7 +61,9 @@ def _library() -> ctypes.CDLL:
     except PackageNotFoundError:
         held = []
     if not held:
-        raise BadInput("rays need the library libembree4 that embreex 4.4 ships, got an embreex without it")
+        raise BadInput(
+            "rays need the library libembree4 that embreex 4.4 ships, got an embreex without it"
+        )
     path = str(held[0].locate())
     llvmlite.binding.load_library_permanently(path)
     library = ctypes.CDLL(path)
@@ -56,7 +72,11 @@ def _library() -> ctypes.CDLL:
         ("rtcNewDevice", handle, [ctypes.c_char_p]),
         ("rtcNewScene", handle, [handle]),
         ("rtcNewGeometry", handle, [handle, ctypes.c_int]),
-        ("rtcSetNewGeometryBuffer", handle, [handle, ctypes.c_int, number, ctypes.c_int, size, size]),
+        (
+            "rtcSetNewGeometryBuffer",
+            handle,
+            [handle, ctypes.c_int, number, ctypes.c_int, size, size],
+        ),
         ("rtcGetDeviceProperty", size, [handle, ctypes.c_int]),
         ("rtcSetGeometryInstancedScene", None, [handle, handle]),
         ("rtcSetGeometryTransform", None, [handle, number, ctypes.c_int, handle]),
@@ -75,7 +95,8 @@ def _library() -> ctypes.CDLL:
 @cache
 def _device() -> int:
     device = _library().rtcNewDevice(None)
-    # Property 0 is the version, 40400 for 4.4.0; the layout of packets and the constants above are those of 4.
+    # Property 0 is the version, 40400 for 4.4.0; the layout of packets and the constants above are
+    # those of 4.
     version = _library().rtcGetDeviceProperty(device, 0)
     if version // 10000 != 4:
         raise BadInput(f"rays need Embree 4, got version {version}")
@@ -108,7 +129,11 @@ class EmbreeScene:
     """
 
     def __init__(
-        self, vertices_m: Array, faces: NDArray[np.integer], centre_m: Array, copied: tuple[Copied, ...] = ()
+        self,
+        vertices_m: Array,
+        faces: NDArray[np.integer],
+        centre_m: Array,
+        copied: tuple[Copied, ...] = (),
     ) -> None:
         library, device = _library(), _device()
         scene = library.rtcNewScene(device)
@@ -117,7 +142,9 @@ class EmbreeScene:
             shared = library.rtcNewScene(device)
             _attach(shared, _triangles(mesh.vertices_m, mesh.faces))
             library.rtcCommitScene(shared)
-            placed = np.concatenate([mesh.turn, (mesh.shift_m - centre_m)[:, :, None]], axis=2).astype(np.float32)
+            placed = np.concatenate(
+                [mesh.turn, (mesh.shift_m - centre_m)[:, :, None]], axis=2
+            ).astype(np.float32)
             for pose in placed:
                 copy = library.rtcNewGeometry(device, INSTANCE)
                 library.rtcSetGeometryInstancedScene(copy, shared)
@@ -127,24 +154,39 @@ class EmbreeScene:
         library.rtcCommitScene(scene)
         error = library.rtcGetDeviceError(device)
         if error:
-            raise BadInput(f"Embree must be able to take {len(faces)} triangles, got its error {error}")
+            raise BadInput(
+                f"Embree must be able to take {len(faces)} triangles, got its error {error}"
+            )
         self.address: int = scene
         self.centre_m = centre_m
         finalize(self, library.rtcReleaseScene, scene)
 
-    def hits(self, planes: Planes, origin: Array, direction: Array) -> tuple[NDArray[np.int64], Array]:
-        """Return the triangle that each ray (ray, 3) hits first, -1 for none, and its distance, each of shape (ray,).
+    def hits(
+        self, planes: Planes, origin: Array, direction: Array
+    ) -> tuple[NDArray[np.int64], Array]:
+        """Return the triangle that each ray (ray, 3) hits first, -1 for none, and its distance,
+        each of shape (ray,).
 
         Distances are those of the triangles' planes in double precision.
         """
         face, range_m = np.empty(len(origin), np.int64), np.empty(len(origin))
-        _trace_hits(self.address, self.centre_m, planes, (origin, direction), new_packets(PACKET), face, range_m)
+        _trace_hits(
+            self.address,
+            self.centre_m,
+            planes,
+            (origin, direction),
+            new_packets(PACKET),
+            face,
+            range_m,
+        )
         return face, range_m
 
     def is_occluded(self, origin: Array, direction: Array, reach: Array) -> NDArray[np.bool_]:
         """Return whether rays hit a surface within a number of direction lengths, shape (ray,)."""
         found = np.empty(len(origin), np.bool_)
-        _trace_occlusions(self.address, self.centre_m, (origin, direction, reach), new_packets(PACKET), found)
+        _trace_occlusions(
+            self.address, self.centre_m, (origin, direction, reach), new_packets(PACKET), found
+        )
         return found
 
 
@@ -258,7 +300,9 @@ def is_ray_occluded(packets, slot):
 
 @numba.njit(**INLINED)
 def meet_plane(planes, face, origin, direction):
-    """Return the distance along a ray to a face's plane in double precision, the slope on its normal, and that."""
+    """Return the distance along a ray to a face's plane in double precision, the slope on its
+    normal, and that.
+    """
     corner, normal = plane_of(planes, face)
     height, slope = 0.0, 0.0
     for axis in range(3):
@@ -290,7 +334,14 @@ def _trace_occlusions(scene, centre, rays, packets, found):
     for first in range(0, len(found), PACKET):
         many = min(PACKET, len(found) - first)
         for slot in range(many):
-            set_ray(packets, slot, centre, origin[first + slot], direction[first + slot], reach[first + slot])
+            set_ray(
+                packets,
+                slot,
+                centre,
+                origin[first + slot],
+                direction[first + slot],
+                reach[first + slot],
+            )
         trace_occlusion(scene, packets, many)
         for slot in range(many):
             found[first + slot] = is_ray_occluded(packets, slot)

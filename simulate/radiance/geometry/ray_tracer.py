@@ -1,8 +1,8 @@
 """Ray tracer of triangle meshes, by Embree.
 
-Embree computes in single precision. Surfaces are therefore moved to the middle of the scene, places where rays hit are
-found again in double precision on the plane of the triangle, and a ray that starts on a surface starts a little above
-it, by more than what single precision gets wrong there.
+Embree computes in single precision. Surfaces are therefore moved to the middle of the scene, places
+where rays hit are found again in double precision on the plane of the triangle, and a ray that
+starts on a surface starts a little above it, by more than what single precision gets wrong there.
 """
 
 from dataclasses import dataclass
@@ -15,8 +15,9 @@ from simulate.radiance.geometry.embree import COPY_BITS, ROW, Copied, EmbreeScen
 
 Array = NDArray[np.floating]
 
-# A ray starts at least so far above the surface it leaves, m, or so large a share of the coordinates there. Measured on
-# a scene of 60 m, shifted by up to 10 km: no ray then hits its own triangle.
+# A ray starts at least so far above the surface it leaves, m, or so large a share of the
+# coordinates there. Measured on a scene of 60 m, shifted by up to 10 km: no ray then hits its own
+# triangle.
 CLEARANCE_M, CLEARANCE_SHARE = 1e-4, 3e-6
 NOTHING = -1
 
@@ -26,7 +27,9 @@ class Hits:
     """First hits of rays."""
 
     face: NDArray[np.int64]  # triangle that each ray hits first, `NOTHING` for none, shape (ray,)
-    range_m: Array  # distance to it along a direction of unit length, infinite for none, shape (ray,), m
+    range_m: (
+        Array  # distance to it along a direction of unit length, infinite for none, shape (ray,), m
+    )
 
     @property
     def met(self) -> NDArray[np.int64]:
@@ -38,7 +41,8 @@ class Hits:
 class RayTracer:
     """Ray tracer of a triangle mesh.
 
-    A face is the row of a triangle, combined with the number of the copy for meshes with copies (`embree.COPY_BITS`).
+    A face is the row of a triangle, combined with the number of the copy for meshes with copies
+    (`embree.COPY_BITS`).
     """
 
     scene: EmbreeScene | None  # the embree scene; None without a triangle
@@ -58,39 +62,56 @@ class RayTracer:
         return found
 
     def hits(self, origin_m: Array, direction: Array) -> Hits:
-        """Return where rays of unit direction hit first, on the plane of the triangle in double precision."""
+        """Return where rays of unit direction hit first, on the plane of the triangle in double
+        precision.
+        """
         count = len(origin_m)
         if self.scene is None:
             return Hits(np.full(count, NOTHING, np.int64), np.full(count, np.inf))
         return Hits(*self.scene.hits(self.planes, _plain(origin_m), _plain(direction)))
 
-    def is_occluded(self, origin_m: Array, direction: Array, reach: ArrayLike | None = None) -> NDArray[np.bool_]:
-        """Return whether rays (ray, 3) are occluded within so many lengths of their direction; None: infinite."""
+    def is_occluded(
+        self, origin_m: Array, direction: Array, reach: ArrayLike | None = None
+    ) -> NDArray[np.bool_]:
+        """Return whether rays (ray, 3) are occluded within so many lengths of their direction;
+        None: infinite.
+        """
         if self.scene is None:
             return np.zeros(len(origin_m), np.bool_)
         limits = np.full(len(origin_m), np.inf if reach is None else reach, np.float64)
         return self.scene.is_occluded(_plain(origin_m), _plain(direction), limits)
 
     def facing(self, face: NDArray[np.integer], direction: Array) -> tuple[Array, Array]:
-        """Return normals of triangles on the side of ray origins, shape (ray, 3), and cosines to them, shape (ray,)."""
+        """Return normals of triangles on the side of ray origins, shape (ray, 3), and cosines to
+        them, shape (ray,).
+        """
         normal = self.normals(face)
         cosine = -np.einsum("ij,ij->i", normal, direction)
         return np.where(cosine < 0.0, -1.0, 1.0)[:, None] * normal, np.abs(cosine)
 
     def above(self, face: NDArray[np.integer], place_m: Array, side: Array) -> Array:
-        """Return positions (point, 3) on triangles displaced towards the side of a normal, as starts of rays, m."""
+        """Return positions (point, 3) on triangles displaced towards the side of a normal, as
+        starts of rays, m.
+        """
         # Column by column: ten times as fast in NumPy as over rows of three.
         away = reduce(np.maximum, np.abs(place_m - self.centre_m).T)
         shift = np.maximum(self.clearance_m[face & ROW], CLEARANCE_SHARE * away)
         return place_m + shift[:, None] * side
 
 
-def tracer(vertices_m: Array, faces: NDArray[np.integer], copied: tuple[Copied, ...] = ()) -> RayTracer:
-    """Return the ray tracer of a mesh, vertices (vertex, 3) in m and faces (face, 3), and of meshes with copies.
+def tracer(
+    vertices_m: Array, faces: NDArray[np.integer], copied: tuple[Copied, ...] = ()
+) -> RayTracer:
+    """Return the ray tracer of a mesh, vertices (vertex, 3) in m and faces (face, 3), and of meshes
+    with copies.
 
-    Rows of triangles are those of the mesh, which must not be empty, and then those of each copied mesh.
+    Rows of triangles are those of the mesh, which must not be empty, and then those of each copied
+    mesh.
     """
-    vertices, faces = np.asarray(vertices_m, float).reshape(-1, 3), np.asarray(faces, np.int64).reshape(-1, 3)
+    vertices, faces = (
+        np.asarray(vertices_m, float).reshape(-1, 3),
+        np.asarray(faces, np.int64).reshape(-1, 3),
+    )
     corners = vertices[faces]
     if not len(faces):
         return RayTracer(None, np.zeros(3), _planes(corners, ()), np.zeros(0))
@@ -113,17 +134,28 @@ def _planes(corners: Array, copied: tuple[Copied, ...]) -> Planes:
     turn = np.concatenate([np.eye(3)[None], *(mesh.turn for mesh in copied)])
     shift = np.concatenate([np.zeros((1, 3)), *(mesh.shift_m for mesh in copied)])
     size = np.cbrt(np.linalg.det(turn))
-    return np.ascontiguousarray(every[:, 0]), normals(every), np.concatenate([[0], first]), turn, shift, size
+    return (
+        np.ascontiguousarray(every[:, 0]),
+        normals(every),
+        np.concatenate([[0], first]),
+        turn,
+        shift,
+        size,
+    )
 
 
 def _extent(mesh: Copied) -> Array:
     """Return the diameter of the triangles in the largest copy, shape (face,), m."""
     corners = mesh.vertices_m[mesh.faces]
-    return np.ptp(corners, axis=1).max(axis=1) * np.sqrt(3.0) * np.cbrt(np.linalg.det(mesh.turn)).max()
+    return (
+        np.ptp(corners, axis=1).max(axis=1) * np.sqrt(3.0) * np.cbrt(np.linalg.det(mesh.turn)).max()
+    )
 
 
 def normals(corners_m: Array) -> Array:
-    """Return unit normals of triangles (face, corner, 3), zero for those without area, shape (face, 3)."""
+    """Return unit normals of triangles (face, corner, 3), zero for those without area, shape (face,
+    3).
+    """
     across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
     length = np.linalg.norm(across, axis=1, keepdims=True)
     return np.divide(across, length, out=np.zeros_like(across), where=length > 0.0)

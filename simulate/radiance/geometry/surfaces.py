@@ -1,4 +1,6 @@
-"""Surfaces of a scene: meshes of shapes, triangles with their object and material, and their ray tracer."""
+"""Surfaces of a scene: meshes of shapes, triangles with their object and material, and their ray
+tracer.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -23,7 +25,9 @@ class Mesh:
     """Triangles."""
 
     vertices_m: Array  # shape (vertex, 3), m
-    faces: NDArray[np.int64]  # vertices of each triangle, counterclockwise seen from outside, shape (face, 3)
+    faces: NDArray[
+        np.int64
+    ]  # vertices of each triangle, counterclockwise seen from outside, shape (face, 3)
 
     @property
     def corners_m(self) -> Array:
@@ -34,14 +38,23 @@ class Mesh:
     def area_m2(self) -> Array:
         """Area of each triangle, shape (face,), m2."""
         corners = self.corners_m
-        return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return 0.5 * np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        )
 
     @property
     def is_closed(self) -> bool:
-        """Whether each edge has one triangle on either side, with the same orientation, so that there is an inside."""
-        edges = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
+        """Whether each edge has one triangle on either side, with the same orientation, so that
+        there is an inside.
+        """
+        edges = np.concatenate(
+            [self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]
+        )
         same = _merge_vertices(self.vertices_m)[edges]
-        key, back = same[:, 0] * len(self.vertices_m) + same[:, 1], same[:, 1] * len(self.vertices_m) + same[:, 0]
+        key, back = (
+            same[:, 0] * len(self.vertices_m) + same[:, 1],
+            same[:, 1] * len(self.vertices_m) + same[:, 0],
+        )
         return len(np.unique(key)) == len(key) and np.array_equal(np.sort(key), np.sort(back))
 
 
@@ -100,7 +113,9 @@ def disc(radius: float) -> Mesh:
 
 def cylinder(radius: float, height: float) -> Mesh:
     """Closed upright cylinder on z = 0."""
-    vertices = np.vstack([_circle(radius, 0.0), _circle(radius, height), [[0, 0, 0], [0, 0, height]]])
+    vertices = np.vstack(
+        [_circle(radius, 0.0), _circle(radius, height), [[0, 0, 0], [0, 0, height]]]
+    )
     faces = []
     for i in range(AROUND):
         j = (i + 1) % AROUND
@@ -128,8 +143,8 @@ def sphere(radius: float) -> Mesh:
 def ground(side: float) -> Mesh:
     """Square at z = 0 that faces up, with small triangles at the centre and large ones far away.
 
-    The clearance of a ray start grows with the size of its triangle (`CLEARANCE_SHARE`), and must be small at the
-    centre, where objects are.
+    The clearance of a ray start grows with the size of its triangle (`CLEARANCE_SHARE`), and must
+    be small at the centre, where objects are.
     """
     halves = [side / 2.0]
     while halves[-1] > 2.0 * GROUND_CORE_M:
@@ -143,13 +158,25 @@ def ground(side: float) -> Mesh:
 
 
 def shed(width: float, depth: float, eaves: float, ridge: float) -> Mesh:
-    """Shed with a pitched roof, open towards -y: three walls, two roof slopes and a gable behind, 0.3 m thick.
+    """Shed with a pitched roof, open towards -y: three walls, two roof slopes and a gable behind,
+    0.3 m thick.
 
-    Its inside is hollow; the ridge runs along y, and the front edge of the roof lies in the open face.
+    Its inside is hollow; the ridge runs along y, and the front edge of the roof lies in the open
+    face.
     """
     thick = 0.3
-    outer = np.array([[-0.5 * width, 0], [-0.5 * width, eaves], [0, ridge], [0.5 * width, eaves], [0.5 * width, 0]])
-    drop = np.array([[thick, 0], [thick, -0.5 * thick], [0, -thick], [-thick, -0.5 * thick], [-thick, 0]])
+    outer = np.array(
+        [
+            [-0.5 * width, 0],
+            [-0.5 * width, eaves],
+            [0, ridge],
+            [0.5 * width, eaves],
+            [0.5 * width, 0],
+        ]
+    )
+    drop = np.array(
+        [[thick, 0], [thick, -0.5 * thick], [0, -thick], [-thick, -0.5 * thick], [-thick, 0]]
+    )
     inner = outer + drop
     front, back, within = -0.5 * depth, 0.5 * depth, 0.5 * depth - thick
     sides = ((outer, front), (outer, back), (inner, front), (inner, within))
@@ -163,7 +190,10 @@ def shed(width: float, depth: float, eaves: float, ridge: float) -> Mesh:
             [of_front + i, in_front + i, in_front + i + 1, of_front + i + 1],
         ]
     fans = [[of_back + i for i in (0, 1, 2, 3, 4)], [in_back + i for i in (4, 3, 2, 1, 0)]]
-    fans += [[of_front, of_back, in_back, in_front], [of_back + 4, of_front + 4, in_front + 4, in_back + 4]]
+    fans += [
+        [of_front, of_back, in_back, in_front],
+        [of_back + 4, of_front + 4, in_front + 4, in_back + 4],
+    ]
     fans += [[of_back, of_back + 4, in_back + 4, in_back]]
     return Mesh(np.concatenate(rings), _cut(quads + fans))
 
@@ -175,7 +205,9 @@ def _circle(radius: float, z: float) -> Array:
 
 def _cut(polygons: list[list[int]]) -> NDArray[np.int64]:
     """Triangulate convex polygons."""
-    return np.array([[p[0], p[i], p[i + 1]] for p in polygons for i in range(1, len(p) - 1)], np.int64)
+    return np.array(
+        [[p[0], p[i], p[i + 1]] for p in polygons for i in range(1, len(p) - 1)], np.int64
+    )
 
 
 SIZES: dict[str, tuple[Callable[..., Mesh], tuple[str, ...]]] = {
@@ -195,7 +227,8 @@ class Surfaces:
     """Triangles of a scene."""
 
     mesh: Mesh  # triangles without copies, in scene coordinates
-    # Number of the object and of the material of each triangle, of `mesh` and then of `copied`, shape (row,).
+    # Number of the object and of the material of each triangle, of `mesh` and then of `copied`,
+    # shape (row,).
     object_of: NDArray[np.int64]
     material_of: NDArray[np.int64]
     # Their names.
@@ -221,7 +254,9 @@ class Surfaces:
         return {name: value for name, value in vars(self).items() if name != "tracer"}
 
     def near(self, place_m: Array, radius_m: float) -> Iterator[tuple[Array, str]]:
-        """Yield triangles that a sphere may touch, in parts (face, corner, 3), m, and names of their objects."""
+        """Yield triangles that a sphere may touch, in parts (face, corner, 3), m, and names of
+        their objects.
+        """
         corners = self.mesh.corners_m
         close = _boxes_touch(corners, place_m, radius_m)
         for number in np.unique(self.object_of[close]):
@@ -233,7 +268,9 @@ class Surfaces:
             there = np.einsum("cji,cj->ci", mesh.turn, place_m - mesh.shift_m) / size[:, None] ** 2
             low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
             reach = (radius_m / size)[:, None]
-            for copy in np.flatnonzero(((there > low - reach) & (there < high + reach)).all(axis=1)):
+            for copy in np.flatnonzero(
+                ((there > low - reach) & (there < high + reach)).all(axis=1)
+            ):
                 placed = mesh.vertices_m @ mesh.turn[copy].T + mesh.shift_m[copy]
                 close = _boxes_touch(placed[mesh.faces], place_m, radius_m)
                 if len(close):
@@ -243,7 +280,9 @@ class Surfaces:
 
 def _boxes_touch(corners_m: Array, place_m: Array, radius_m: float) -> NDArray[np.int64]:
     """Return which triangles (face, corner, 3) have bounding boxes that overlap a sphere's."""
-    near = (corners_m.min(axis=1) <= place_m + radius_m) & (corners_m.max(axis=1) >= place_m - radius_m)
+    near = (corners_m.min(axis=1) <= place_m + radius_m) & (
+        corners_m.max(axis=1) >= place_m - radius_m
+    )
     return np.flatnonzero(near.all(axis=1))
 
 
@@ -252,20 +291,32 @@ def collect_surfaces(
     glass: frozenset[str] = frozenset(),
     copied: tuple[tuple[str, str, Copied], ...] = (),
 ) -> Surfaces:
-    """Return the surfaces of objects: name, name of the material, and triangles of each; some materials are glass.
+    """Return the surfaces of objects: name, name of the material, and triangles of each; some
+    materials are glass.
 
     Meshes with copies (`copied`) are not of glass, and the first of each is one of the parts.
     """
     if any(material in glass for _, material, _ in parts):
         panes = collect_surfaces([part for part in parts if part[1] in glass])
-        return replace(collect_surfaces([part for part in parts if part[1] not in glass], copied=copied), panes=panes)
+        return replace(
+            collect_surfaces([part for part in parts if part[1] not in glass], copied=copied),
+            panes=panes,
+        )
     objects = tuple(dict.fromkeys(name for name, _, _ in parts))
     materials = tuple(dict.fromkeys(material for _, material, _ in parts))
     every = [*parts, *copied]
     counts = [len(mesh.faces) for _, _, mesh in every]
     mesh = join_meshes([mesh for _, _, mesh in parts])
     of_part = np.repeat(np.arange(len(every)), counts)
-    object_of = np.array([objects.index(name) for name, _, _ in every], np.int64)[of_part] if every else of_part
-    material_of = np.array([materials.index(name) for _, name, _ in every], np.int64)[of_part] if every else of_part
+    object_of = (
+        np.array([objects.index(name) for name, _, _ in every], np.int64)[of_part]
+        if every
+        else of_part
+    )
+    material_of = (
+        np.array([materials.index(name) for _, name, _ in every], np.int64)[of_part]
+        if every
+        else of_part
+    )
     together = tuple(mesh for _, _, mesh in copied)
     return Surfaces(mesh, object_of, material_of, objects, materials, together)

@@ -37,9 +37,13 @@ class RasterGeometry:
         must_be_positive(self, "line_time_s")
 
     def at(self, row: Array) -> tuple[Array, Array]:
-        """Return displacement (row, 3), m, and rotation (row,), rad, of the scanner in the middle of rows' times."""
+        """Return displacement (row, 3), m, and rotation (row,), rad, of the scanner in the middle
+        of rows' times.
+        """
         time_s = (np.floor(row) + 0.5) * self.line_time_s
-        return time_s[:, None] * np.asarray(self.velocity_m_per_s), np.deg2rad(-self.turn_deg_per_s * time_s)
+        return time_s[:, None] * np.asarray(self.velocity_m_per_s), np.deg2rad(
+            -self.turn_deg_per_s * time_s
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,42 +69,67 @@ class Viewpoint:
     position_m: tuple[float, float, float]  # position of the lens (east, north, up), m
     forward: tuple[float, float, float]  # direction of its axis, shape (3,), unit length
     shape: tuple[int, int]  # pixels, (row, col)
-    focal_px: tuple[float, float]  # focal length over the pitch of columns and of rows (x, y), dimensionless
+    focal_px: tuple[
+        float, float
+    ]  # focal length over the pitch of columns and of rows (x, y), dimensionless
     roll_deg: float = 0.0  # rotation about the axis, clockwise as the camera sees it, deg
     # D of r' = r (1 + D (r/R)^2), R the corner's distance from the axis; positive is pincushion.
     distortion_fraction: float = 0.0
-    # For a line scanner, whose rows all view the central row, each at its own time; None: framing camera.
+    # For a line scanner, whose rows all view the central row, each at its own time; None: framing
+    # camera.
     scan: RasterGeometry | None = None
 
     def __post_init__(self) -> None:
         if not np.linalg.norm(self.forward) > 0.0:
             raise BadInput("a camera must look somewhere, got a direction of no length")
         if not min(self.focal_px) > 0.0 or min(self.shape) < 1:
-            raise BadInput(f"a camera must have pixels and a focal length, got {self.shape} and {self.focal_px}")
+            raise BadInput(
+                f"a camera must have pixels and a focal length, got {self.shape} and "
+                f"{self.focal_px}"
+            )
         if not -1.0 / (3.0 * FARTHEST**2) < self.distortion_fraction < 1.0:
-            raise BadInput(f"a distortion must lie between -1/12 and 1 at the corner, got {self.distortion_fraction:g}")
+            raise BadInput(
+                "a distortion must lie between -1/12 and 1 at the corner, got "
+                f"{self.distortion_fraction:g}"
+            )
 
     @cached_property
     def axes(self) -> Array:
         """Directions to the right, down and forward in the image, rows of a (3, 3) array."""
         ahead = np.asarray(self.forward) / np.linalg.norm(self.forward)
         # A camera that looks straight up or down has north at the top of the image.
-        zenith = np.array([0.0, 0.0, 1.0]) if abs(ahead[2]) < 1.0 - 1e-9 else np.array([0.0, 1.0, 0.0])
+        zenith = (
+            np.array([0.0, 0.0, 1.0]) if abs(ahead[2]) < 1.0 - 1e-9 else np.array([0.0, 1.0, 0.0])
+        )
         right = np.cross(ahead, zenith)
         right /= np.linalg.norm(right)
         down = np.cross(ahead, right)
         turn = np.deg2rad(self.roll_deg)
-        return np.array([np.cos(turn) * right + np.sin(turn) * down, np.cos(turn) * down - np.sin(turn) * right, ahead])
+        return np.array(
+            [
+                np.cos(turn) * right + np.sin(turn) * down,
+                np.cos(turn) * down - np.sin(turn) * right,
+                ahead,
+            ]
+        )
 
     def smaller(self, factor: int) -> "Viewpoint":
         """Return the same view with fewer pixels on each side, by a factor."""
         shape = tuple(max(1, -(-side // factor)) for side in self.shape)
-        focal = tuple(f * new / old for f, new, old in zip(self.focal_px, shape[::-1], self.shape[::-1], strict=True))
-        scan = None if self.scan is None else replace(self.scan, line_time_s=self.scan.line_time_s * factor)
+        focal = tuple(
+            f * new / old
+            for f, new, old in zip(self.focal_px, shape[::-1], self.shape[::-1], strict=True)
+        )
+        scan = (
+            None
+            if self.scan is None
+            else replace(self.scan, line_time_s=self.scan.line_time_s * factor)
+        )
         return replace(self, shape=(shape[0], shape[1]), focal_px=(focal[0], focal[1]), scan=scan)
 
     def rays(self, row: Array, col: Array) -> tuple[Array, Array]:
-        """Return origins, m, and unit directions of rays, each of shape (ray, 3), through image coordinates (ray,).
+        """Return origins, m, and unit directions of rays, each of shape (ray, 3), through image
+        coordinates (ray,).
 
         Coordinates are integers at the corners of pixels.
         """
@@ -108,7 +137,9 @@ class Viewpoint:
         x = (col - 0.5 * self.shape[1]) / self.focal_px[0]
         y = np.broadcast_to((along - 0.5 * self.shape[0]) / self.focal_px[1], x.shape)
         if self.distortion_fraction:
-            shrink = 1.0 / (1.0 + self.distortion_fraction * self._before(np.hypot(x, y) / self._corner) ** 2)
+            shrink = 1.0 / (
+                1.0 + self.distortion_fraction * self._before(np.hypot(x, y) / self._corner) ** 2
+            )
             x, y = x * shrink, y * shrink
         towards = np.stack([x, y, np.ones_like(x)], axis=1) @ self.axes
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
@@ -127,17 +158,24 @@ class Viewpoint:
         for row in range(self.shape[0]):
             moved, turn = self.scan.at(np.array([float(row)]))
             yield Exposure(
-                eye_m=eye + moved[0], turn_rad=float(turn[0]), first=0.5 * (self.shape[0] - 1), rows=1, picture_row=row
+                eye_m=eye + moved[0],
+                turn_rad=float(turn[0]),
+                first=0.5 * (self.shape[0] - 1),
+                rows=1,
+                picture_row=row,
             )
 
     def project(self, direction: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return image coordinates (row, col) of directions, and whether they are in front of the lens, shape (ray,).
+        """Return image coordinates (row, col) of directions, and whether they are in front of the
+        lens, shape (ray,).
 
         Those of a scanner are without its motion. Radii are limited to `FARTHEST`.
         """
         right, down, ahead = self.axes @ np.asarray(direction, float).T
         front = ahead > 1e-9
-        x, y = (np.divide(side, ahead, out=np.zeros_like(side), where=front) for side in (right, down))
+        x, y = (
+            np.divide(side, ahead, out=np.zeros_like(side), where=front) for side in (right, down)
+        )
         radius = np.hypot(x, y) / self._corner
         kept = np.minimum(radius, FARTHEST)
         stretch = kept / np.maximum(radius, 1e-300) * (1.0 + self.distortion_fraction * kept**2)
@@ -159,7 +197,9 @@ class Viewpoint:
 
     @cached_property
     def _corner(self) -> float:
-        return 0.5 * float(np.hypot(self.shape[1] / self.focal_px[0], self.shape[0] / self.focal_px[1]))
+        return 0.5 * float(
+            np.hypot(self.shape[1] / self.focal_px[0], self.shape[0] / self.focal_px[1])
+        )
 
     def _before(self, radius: Array) -> Array:
         """Return the undistorted radii of radii in the image, corner radii."""

@@ -1,4 +1,6 @@
-"""Auxiliary layers (AOVs): material, object, distance, normal and shadow at the centre of each pixel."""
+"""Auxiliary layers (AOVs): material, object, distance, normal and shadow at the centre of each
+pixel.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,10 +30,14 @@ class AuxiliaryLayers:
     # Numbers into `materials` and `objects`, -1 for the sky, shape (row, col).
     material: NDArray[np.int16]
     object: NDArray[np.int32]
-    range_m: NDArray[np.float32]  # distance from the lens, infinite for the sky, shape (row, col), m
-    normal: NDArray[np.float32]  # unit normal on the camera's side, zero for the sky, shape (row, col, 3)
-    # Bit n is set where source n of `sources` gives no light, because it is occluded or behind the surface,
-    # shape (row, col).
+    range_m: NDArray[
+        np.float32
+    ]  # distance from the lens, infinite for the sky, shape (row, col), m
+    normal: NDArray[
+        np.float32
+    ]  # unit normal on the camera's side, zero for the sky, shape (row, col, 3)
+    # Bit n is set where source n of `sources` gives no light, because it is occluded or behind the
+    # surface, shape (row, col).
     shadow: NDArray[np.uint32]
     temperature_k: NDArray[np.float32]  # layer of the thermal model, here NaN, shape (row, col), K
     # Names.
@@ -40,12 +46,16 @@ class AuxiliaryLayers:
     sources: tuple[str, ...]
 
     def edges(self, *, shadows: bool = True) -> NDArray[np.bool_]:
-        """Return the pixels at which object, face or, if requested, shadow changes, shape (row, col)."""
+        """Return the pixels at which object, face or, if requested, shadow changes, shape (row,
+        col).
+        """
         found = np.zeros(self.material.shape, bool)
         for axis in (0, 1):
             whole = (slice(None),) * axis
             first, rest = (*whole, slice(None, -1)), (*whole, slice(1, None))
-            differs = (self.object[first] != self.object[rest]) | (self.material[first] != self.material[rest])
+            differs = (self.object[first] != self.object[rest]) | (
+                self.material[first] != self.material[rest]
+            )
             if shadows:
                 differs |= self.shadow[first] != self.shadow[rest]
             facing = np.sum(self.normal[first] * self.normal[rest], axis=-1)
@@ -57,10 +67,16 @@ class AuxiliaryLayers:
     def save(self, path: Path, geometry: Mapping[str, ArrayLike]) -> None:
         """Write the maps, and the geometry of the view under its own names, to an .npz file."""
         maps: dict[str, Any] = {
-            "material": self.material, "object": self.object, "range_m": self.range_m,
-            "normal": self.normal.astype(np.float16), "shadow": self.shadow, "temperature_k": self.temperature_k,
-            "materials": np.array(self.materials), "objects": np.array(self.objects), "sources": np.array(self.sources),
-        }  # fmt: skip
+            "material": self.material,
+            "object": self.object,
+            "range_m": self.range_m,
+            "normal": self.normal.astype(np.float16),
+            "shadow": self.shadow,
+            "temperature_k": self.temperature_k,
+            "materials": np.array(self.materials),
+            "objects": np.array(self.objects),
+            "sources": np.array(self.sources),
+        }
         maps.update(geometry)
         np.savez_compressed(path, **maps)
 
@@ -80,11 +96,18 @@ def truth(stage: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:
         "shadow": np.zeros(count, np.uint32),
     }
     row_of = hit.face[met] & ROW
-    seen = (surfaces.material_of[row_of], surfaces.object_of[row_of], points.normal, _shadows(stage, points))
+    seen = (
+        surfaces.material_of[row_of],
+        surfaces.object_of[row_of],
+        points.normal,
+        _shadows(stage, points),
+    )
     for layer, values in zip(layers.values(), seen, strict=True):
         layer[met] = values
     layers["range_m"] = hit.range_m.astype(np.float32)
-    shaped = {name: values.reshape(*view.shape, *values.shape[1:]) for name, values in layers.items()}
+    shaped = {
+        name: values.reshape(*view.shape, *values.shape[1:]) for name, values in layers.items()
+    }
     return AuxiliaryLayers(
         **shaped,
         temperature_k=np.full(view.shape, np.nan, np.float32),

@@ -11,8 +11,9 @@ from simulate.radiance.geometry.embree import COMPILED, INLINED
 from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.integrator.integrator_settings import Run, local_mean
 
-# Neighbours belong to one smooth surface if their normals differ by less than acos(0.98) = 11 degrees, and if neither
-# deviates from the other's plane by more than this fraction of their distance, or by the single-precision error.
+# Neighbours belong to one smooth surface if their normals differ by less than acos(0.98) = 11
+# degrees, and if neither deviates from the other's plane by more than this fraction of their
+# distance, or by the single-precision error.
 SAME_NORMAL, OFF_PLANE, LEAST_OFF_M = 0.98, 0.05, 1e-5
 # A plane fit needs at least this many nodes, else the mean is used; and rows of nodes in one job.
 ENOUGH, STRIP = 4, 16
@@ -31,8 +32,12 @@ class Nodes:
     face: Rows  # triangles, -1 where there is no surface, shape (row, col)
 
     @classmethod
-    def of(cls, row: Rows, col: Rows, shape: tuple[int, int], place_m: Array, normal: Array, face: Rows) -> "Nodes":
-        """Return a grid of positions and normals (node, 3) and triangles (node,) at rows and columns (node,)."""
+    def of(
+        cls, row: Rows, col: Rows, shape: tuple[int, int], place_m: Array, normal: Array, face: Rows
+    ) -> "Nodes":
+        """Return a grid of positions and normals (node, 3) and triangles (node,) at rows and
+        columns (node,).
+        """
         grid = cls(row, col, np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.full(shape, NOTHING))
         grid.place_m[row, col], grid.normal[row, col], grid.face[row, col] = place_m, normal, face
         return grid
@@ -57,7 +62,16 @@ class Nodes:
         found, rows = np.zeros_like(values), len(values)
 
         def strip(first: int) -> None:
-            _fit(values, self.place_m, self.normal, self.face, width, first, min(first + STRIP, rows), found)
+            _fit(
+                values,
+                self.place_m,
+                self.normal,
+                self.face,
+                width,
+                first,
+                min(first + STRIP, rows),
+                found,
+            )
 
         list(run(strip, list(range(0, rows, STRIP))))
         return found
@@ -65,17 +79,24 @@ class Nodes:
     def between(
         self, values: NDArray[np.float32], row: Array, col: Array, place_m: Array, normal: Array
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Interpolate values (row, col, band) at points; return also which points had a node on their surface.
+        """Interpolate values (row, col, band) at points; return also which points had a node on
+        their surface.
 
         Coordinates (point,) are integers at nodes; positions and normals have shape (point, 3).
         """
         found, has = np.zeros((len(row), values.shape[2]), np.float32), np.zeros(len(row), np.bool_)
-        _interpolate(values, self.place_m, self.normal, self.face, row, col, place_m, normal, found, has)
+        _interpolate(
+            values, self.place_m, self.normal, self.face, row, col, place_m, normal, found, has
+        )
         return found, has
 
 
-def all_alike(place_m: Array, normal: Array, other_place_m: Array, other_normal: Array) -> NDArray[np.bool_]:
-    """Return which pairs of points (pair, 3), with unit normals, lie on one smooth surface, shape (pair,)."""
+def all_alike(
+    place_m: Array, normal: Array, other_place_m: Array, other_normal: Array
+) -> NDArray[np.bool_]:
+    """Return which pairs of points (pair, 3), with unit normals, lie on one smooth surface, shape
+    (pair,).
+    """
     found = np.empty(len(place_m), np.bool_)
     _all_alike(place_m, normal, other_place_m, other_normal, found)
     return found
@@ -102,8 +123,11 @@ def _all_alike(place: Any, normal: Any, other_place: Any, other_normal: Any, fou
 
 
 @numba.njit(**COMPILED)
-def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int, last: int, found: Any) -> None:
-    """Fit a plane over row and column to the values in the window of each node, and store its value at the centre.
+def _fit(
+    values: Any, place: Any, normal: Any, face: Any, width: Any, first: int, last: int, found: Any
+) -> None:
+    """Fit a plane over row and column to the values in the window of each node, and store its value
+    at the centre.
 
     Arrays are those of `Nodes` and shape (row, col, band); windows have half widths (row, col).
     """
@@ -121,7 +145,8 @@ def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int
                 for j in range(max(c - h, 0), min(c + h + 1, columns)):
                     # Nodes on one triangle are on one surface.
                     if face[i, j] != here and (
-                        face[i, j] == NOTHING or not alike(place[r, c], normal[r, c], place[i, j], normal[i, j])
+                        face[i, j] == NOTHING
+                        or not alike(place[r, c], normal[r, c], place[i, j], normal[i, j])
                     ):
                         continue
                     x, y = float(j - c), float(i - r)
@@ -149,7 +174,16 @@ def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int
 
 @numba.njit(**COMPILED)
 def _interpolate(
-    values: Any, place: Any, normal: Any, face: Any, row: Any, col: Any, at: Any, facing: Any, found: Any, has: Any
+    values: Any,
+    place: Any,
+    normal: Any,
+    face: Any,
+    row: Any,
+    col: Any,
+    at: Any,
+    facing: Any,
+    found: Any,
+    has: Any,
 ) -> None:
     """Interpolate nodes at points (ray,) between them, among nodes on the same surface."""
     rows, columns, bands = values.shape
@@ -159,10 +193,15 @@ def _interpolate(
         for reach in range(2):
             for i in range(max(top - reach, 0), min(top + 2 + reach, rows)):
                 for j in range(max(left - reach, 0), min(left + 2 + reach, columns)):
-                    if face[i, j] == NOTHING or not alike(at[ray], facing[ray], place[i, j], normal[i, j]):
+                    if face[i, j] == NOTHING or not alike(
+                        at[ray], facing[ray], place[i, j], normal[i, j]
+                    ):
                         continue
                     span = 1.0 + reach
-                    weight = max(span - abs(row[ray] - i), 0.0) * max(span - abs(col[ray] - j), 0.0) + 1e-6
+                    weight = (
+                        max(span - abs(row[ray] - i), 0.0) * max(span - abs(col[ray] - j), 0.0)
+                        + 1e-6
+                    )
                     total += weight
                     for b in range(bands):
                         found[ray, b] += weight * values[i, j, b]

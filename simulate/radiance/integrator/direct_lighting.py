@@ -1,6 +1,8 @@
-"""Direct lighting of points on any surface: next-event estimation of lamps, sun, moon and emitting surfaces.
+"""Direct lighting of points on any surface: next-event estimation of lamps, sun, moon and emitting
+surfaces.
 
-Each shadow ray ends at a random point of its source, so that penumbrae follow from the source's size.
+Each shadow ray ends at a random point of its source, so that penumbrae follow from the source's
+size.
 """
 
 from collections.abc import Callable, Iterator
@@ -32,8 +34,15 @@ class LightSamples(NamedTuple):
     distance_m: Array | None = None  # None for sun and moon
 
 
-def reflect(stage: SpectralScene, points: ShadingPoints, samples: LightSamples, through: Through | None = None) -> Lit:
-    """Return the reflected light of sources, as far as surfaces do not occlude it, through panes and air."""
+def reflect(
+    stage: SpectralScene,
+    points: ShadingPoints,
+    samples: LightSamples,
+    through: Through | None = None,
+) -> Lit:
+    """Return the reflected light of sources, as far as surfaces do not occlude it, through panes
+    and air.
+    """
     reach, panes = None if samples.distance_m is None else SHORT, stage.bsdfs.panes
     start = ray_starts(points, samples.which, stage.surfaces.tracer)
     clear = np.flatnonzero(~stage.surfaces.tracer.is_occluded(start, samples.target, reach))
@@ -62,7 +71,9 @@ def sample_disc(points: ShadingPoints, disc: DiscLight, rng: np.random.Generator
 
 
 def lamp_factor(points: ShadingPoints, lamp: LampLight) -> tuple[Array, Array, Array]:
-    """Return unit directions to a lamp, distances, m, and its unoccluded irradiance over its spectrum."""
+    """Return unit directions to a lamp, distances, m, and its unoccluded irradiance over its
+    spectrum.
+    """
     way = lamp.position_m - points.place_m
     distance = np.linalg.norm(way, axis=1)
     towards = way / distance[:, None]
@@ -99,20 +110,33 @@ def sample_one_lamp(
 
 
 def sample_panels(
-    points: ShadingPoints, panels: Panels, bsdfs: BsdfSet, tracer: RayTracer, rng: np.random.Generator, gather_rays: int
+    points: ShadingPoints,
+    panels: Panels,
+    bsdfs: BsdfSet,
+    tracer: RayTracer,
+    rng: np.random.Generator,
+    gather_rays: int,
 ) -> LightSamples:
     """Draw a point of the emitting surfaces for each point.
 
-    `gather_rays` of each point sample the same light: both are combined by the balance heuristic (Veach and Guibas,
-    1995; `gather_mis_weight`), so that a close panel does not cause bright outliers.
+    `gather_rays` of each point sample the same light: both are combined by the balance heuristic
+    (Veach and Guibas, 1995; `gather_mis_weight`), so that a close panel does not cause bright
+    outliers.
     """
     panel, place = panels.draw(len(points), rng)
     way = place - points.place_m
     distance = np.linalg.norm(way, axis=1)
-    towards = np.divide(way, distance[:, None], out=np.zeros_like(way), where=distance[:, None] > 0.0)
+    towards = np.divide(
+        way, distance[:, None], out=np.zeros_like(way), where=distance[:, None] > 0.0
+    )
     cosine, leaving = dot(points.normal, towards), -dot(panels.normal[panel], towards)
     lit = np.flatnonzero((cosine > 0.0) & (leaving > 0.0))
-    panel, towards, distance, face = panel[lit], towards[lit], distance[lit], panels.face[panel[lit]]
+    panel, towards, distance, face = (
+        panel[lit],
+        towards[lit],
+        distance[lit],
+        panels.face[panel[lit]],
+    )
     target = tracer.above(face, place[lit], panels.normal[panel]) - ray_starts(points, lit, tracer)
     by_area = panels.per_m2_of_face[face] * distance**2 / leaving[lit]
     by_gathering = gather_rays * bsdfs.density(points.some(lit), towards) if gather_rays else 0.0
@@ -121,16 +145,23 @@ def sample_panels(
 
 
 def gather_mis_weight(
-    panels: Panels, face: NDArray[np.int64], range_m: Array, leaving: Array, density: Array, rays: int
+    panels: Panels,
+    face: NDArray[np.int64],
+    range_m: Array,
+    leaving: Array,
+    density: Array,
+    rays: int,
 ) -> Array:
-    """Return the balance-heuristic weight of gather rays that hit panels: the counterpart of `sample_panels`.
+    """Return the balance-heuristic weight of gather rays that hit panels: the counterpart of
+    `sample_panels`.
 
     Parameters
     ----------
     panels, face, range_m, leaving
         Panels, triangles hit, distances, m, and cosines at them, shape (ray,).
     density, rays
-        Sampling density of the gather rays in those directions, sr-1, shape (ray,), and gather rays of each point.
+        Sampling density of the gather rays in those directions, sr-1, shape (ray,), and gather rays
+        of each point.
     """
     by_area = panels.per_m2_of_face[face] * range_m**2 / np.maximum(leaving, 1e-12)
     return np.where(leaving > 0.0, rays * density / (rays * density + by_area), 0.0)

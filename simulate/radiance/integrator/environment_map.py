@@ -1,4 +1,6 @@
-"""Environment map of the sky, the unoccluded irradiance by normal, and importance sampling; also in compiled loops."""
+"""Environment map of the sky, the unoccluded irradiance by normal, and importance sampling; also in
+compiled loops.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +15,8 @@ from simulate.radiance.integrator.integrator_settings import LIMITS
 from simulate.radiance.integrator.sampling import fraction
 
 Array = NDArray[np.floating]
-# Cells of the radiance table, in height and azimuth; step between the normals of the irradiance table.
+# Cells of the radiance table, in height and azimuth; step between the normals of the irradiance
+# table.
 HEIGHTS, AROUND, NORMAL_STEP_DEG = 90, 120, 4.0
 
 
@@ -21,8 +24,9 @@ HEIGHTS, AROUND, NORMAL_STEP_DEG = 90, 120, 4.0
 class EnvironmentMap:
     """Radiance of the sky above the horizon; zero below it."""
 
-    # By height from horizon to zenith and azimuth from east by north, both ends of each included, shape (height,
-    # azimuth, band), W m-2 sr-1 nm-1; and without obstacles by the normal's angle from the zenith and azimuth.
+    # By height from horizon to zenith and azimuth from east by north, both ends of each included,
+    # shape (height, azimuth, band), W m-2 sr-1 nm-1; and without obstacles by the normal's angle
+    # from the zenith and azimuth.
     radiance_table: NDArray[np.float32]
     irradiance_table: NDArray[np.float32]
 
@@ -39,14 +43,20 @@ class EnvironmentMap:
         return found
 
     def irradiance(self, normal: Array) -> NDArray[np.float32]:
-        """Return the unoccluded irradiance of surfaces with unit normals (point, 3), shape (point, band)."""
+        """Return the unoccluded irradiance of surfaces with unit normals (point, 3), shape (point,
+        band).
+        """
         return _interpolate(
-            self.irradiance_table, np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi, azimuth_turns(normal)
+            self.irradiance_table,
+            np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi,
+            azimuth_turns(normal),
         )
 
 
 def environment_map(sky: Callable[[Array], Array]) -> EnvironmentMap:
-    """Return the map of a sky: a function of unit directions (n, 3), z up, that gives radiance (band, n)."""
+    """Return the map of a sky: a function of unit directions (n, 3), z up, that gives radiance
+    (band, n).
+    """
     height = np.linspace(0.0, 0.5 * np.pi, HEIGHTS + 1)
     azimuth = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
     table = np.asarray(sky(_directions(height, azimuth)), np.float32).T
@@ -55,11 +65,14 @@ def environment_map(sky: Callable[[Array], Array]) -> EnvironmentMap:
 
 
 def sphere(light: Callable[[Array], Array]) -> EnvironmentMap:
-    """Tabulate a function of unit directions (n, 3) over the full sphere, for `EnvironmentMap.irradiance`."""
+    """Tabulate a function of unit directions (n, 3) over the full sphere, for
+    `EnvironmentMap.irradiance`.
+    """
     table = np.asarray(light(_directions(*_normals())), np.float32).T
     tilts, turns = (len(axis) for axis in _normals())
     return EnvironmentMap(
-        np.zeros((2, 2, table.shape[1]), np.float32), np.ascontiguousarray(table).reshape(tilts, turns, -1)
+        np.zeros((2, 2, table.shape[1]), np.float32),
+        np.ascontiguousarray(table).reshape(tilts, turns, -1),
     )
 
 
@@ -69,7 +82,9 @@ def black(bands: int) -> EnvironmentMap:
 
 
 def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Integrate the radiance table over the hemisphere of each normal, in equal steps of the sine of the height."""
+    """Integrate the radiance table over the hemisphere of each normal, in equal steps of the sine
+    of the height.
+    """
     bands = table.shape[2]
     if not table.any():
         return np.zeros((2, 2, bands), np.float32)
@@ -77,7 +92,10 @@ def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
     sine = (np.arange(rows) + 0.5) / rows
     directions = _directions(np.arcsin(sine), 2.0 * np.pi * (np.arange(columns) + 0.5) / columns)
     sample_sr = 2.0 * np.pi / len(directions)
-    radiance = _interpolate(table, np.arcsin(directions[:, 2]) / (0.5 * np.pi), azimuth_turns(directions)) * sample_sr
+    radiance = (
+        _interpolate(table, np.arcsin(directions[:, 2]) / (0.5 * np.pi), azimuth_turns(directions))
+        * sample_sr
+    )
     tilt, turn = _normals()
     normals = _directions(tilt, turn).astype(np.float32)
     towards = directions.T.astype(np.float32)
@@ -103,11 +121,18 @@ def azimuth_turns(direction: Array) -> Array:
 
 
 def _interpolate(table: NDArray[np.float32], down: Array, across: Array) -> NDArray[np.float32]:
-    """Interpolate a table (row, col, band) linearly at fractions of its height and width, shape (point, band)."""
+    """Interpolate a table (row, col, band) linearly at fractions of its height and width, shape
+    (point, band).
+    """
     rows, columns, bands = table.shape
     row, col = down * (rows - 1), across * (columns - 1)
-    top, left = np.minimum(row.astype(np.int64), rows - 2), np.minimum(col.astype(np.int64), columns - 2)
-    below, right = ((place - cell).astype(np.float32)[:, None] for place, cell in ((row, top), (col, left)))
+    top, left = (
+        np.minimum(row.astype(np.int64), rows - 2),
+        np.minimum(col.astype(np.int64), columns - 2),
+    )
+    below, right = (
+        (place - cell).astype(np.float32)[:, None] for place, cell in ((row, top), (col, left))
+    )
     flat, first = table.reshape(-1, bands), top * columns + left
     upper = flat[first]
     upper += right * (flat[first + 1] - upper)
@@ -128,7 +153,9 @@ class SkyImportance:
 
     @classmethod
     def of(cls, environment: EnvironmentMap) -> "SkyImportance | None":
-        """Return the sampling probabilities of a sky, or None where it is too uniform to gain from them."""
+        """Return the sampling probabilities of a sky, or None where it is too uniform to gain from
+        them.
+        """
         if environment.dark:
             return None
         corners = environment.radiance_table.sum(axis=2, dtype=np.float64)
@@ -144,7 +171,9 @@ class SkyImportance:
     def draw(self, count: int, rng: np.random.Generator) -> Array:
         """Draw unit directions, uniform over the solid angle of each cell, shape (count, 3)."""
         heights, around = self.per_sr.shape
-        cell = np.minimum(np.searchsorted(self.cumulated, rng.random(count), side="right"), self.per_sr.size - 1)
+        cell = np.minimum(
+            np.searchsorted(self.cumulated, rng.random(count), side="right"), self.per_sr.size - 1
+        )
         sine = np.sin(np.linspace(0.0, 0.5 * np.pi, heights + 1))
         row, col = np.divmod(cell, around)
         up = sine[row] + rng.random(count) * (sine[row + 1] - sine[row])
@@ -153,36 +182,62 @@ class SkyImportance:
         return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), up])
 
     def density(self, direction: Array) -> Array:
-        """Return the density of `draw` in unit directions (ray, 3), sr-1, zero below the horizon."""
+        """Return the density of `draw` in unit directions (ray, 3), sr-1, zero below the
+        horizon.
+        """
         heights, around = self.per_sr.shape
         row = np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)) / (0.5 * np.pi) * heights
         col = azimuth_turns(direction) * around
-        cell = np.minimum(row.astype(np.int64), heights - 1), np.minimum(col.astype(np.int64), around - 1)
+        cell = (
+            np.minimum(row.astype(np.int64), heights - 1),
+            np.minimum(col.astype(np.int64), around - 1),
+        )
         return np.where(direction[:, 2] >= 0.0, self.per_sr[cell], 0.0)
 
 
 def sky_arrays(environment: EnvironmentMap, bright: SkyImportance | None) -> tuple:
-    """Return tables, whether there is light, probabilities (empty without importance sampling) and sines of heights."""
-    cumulated, per_sr = (np.zeros(0), np.zeros((0, 0))) if bright is None else (bright.cumulated, bright.per_sr)
+    """Return tables, whether there is light, probabilities (empty without importance sampling) and
+    sines of heights.
+    """
+    cumulated, per_sr = (
+        (np.zeros(0), np.zeros((0, 0))) if bright is None else (bright.cumulated, bright.per_sr)
+    )
     sines = np.sin(np.linspace(0.0, 0.5 * np.pi, len(per_sr) + 1))
-    return environment.radiance_table, environment.irradiance_table, not environment.dark, cumulated, per_sr, sines
+    return (
+        environment.radiance_table,
+        environment.irradiance_table,
+        not environment.dark,
+        cumulated,
+        per_sr,
+        sines,
+    )
 
 
 @numba.njit(**INLINED)
-def sky_light(table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any) -> None:
+def sky_light(
+    table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any
+) -> None:
     """Add a fraction of the radiance from a unit direction above the horizon, weighted by band."""
     _add(table, np.arcsin(min(z, 1.0)) / (0.5 * np.pi), x, y, share, weight, found)
 
 
 @numba.njit(**INLINED)
-def sky_irradiance(table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any) -> None:
-    """Add a fraction of the unoccluded sky irradiance of a surface with a unit normal, weighted by band."""
+def sky_irradiance(
+    table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any
+) -> None:
+    """Add a fraction of the unoccluded sky irradiance of a surface with a unit normal, weighted by
+    band.
+    """
     _add(table, np.arccos(min(max(z, -1.0), 1.0)) / np.pi, x, y, share, weight, found)
 
 
 @numba.njit(**INLINED)
-def _add(table: Any, down: float, x: float, y: float, share: float, weight: Any, found: Any) -> None:
-    """Add the interpolated value of a table at a fraction of its height and the azimuth of a direction."""
+def _add(
+    table: Any, down: float, x: float, y: float, share: float, weight: Any, found: Any
+) -> None:
+    """Add the interpolated value of a table at a fraction of its height and the azimuth of a
+    direction.
+    """
     rows, columns, bands = table.shape
     row, col = down * (rows - 1), np.arctan2(y, x) / (2.0 * np.pi)
     col = (col - np.floor(col)) * (columns - 1)
@@ -196,7 +251,9 @@ def _add(table: Any, down: float, x: float, y: float, share: float, weight: Any,
 
 @numba.njit(**INLINED)
 def bright_density(per_sr: Any, x: float, y: float, z: float) -> float:
-    """Return the density with which `bright_way` draws a unit direction above the horizon, sr-1; zero without any."""
+    """Return the density with which `bright_way` draws a unit direction above the horizon, sr-1;
+    zero without any.
+    """
     heights, around = per_sr.shape
     if heights == 0:
         return 0.0

@@ -1,4 +1,6 @@
-"""Settings of the integrator: light paths, numbers of rays, the sensor whose noise limits errors, and threads."""
+"""Settings of the integrator: light paths, numbers of rays, the sensor whose noise limits errors,
+and threads.
+"""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -18,33 +20,38 @@ Array = NDArray[np.floating]
 class SamplingLimits:
     """Sample counts, iteration limits and tolerances of the integrator and the renderer.
 
-    Values without another source are a trade of time against variance in the scenes of `benchmarks.radiance`.
+    Values without another source are a trade of time against variance in the scenes of
+    `benchmarks.radiance`.
     """
 
-    # Largest growth of the rays of a pixel or cache node in a turn, and half widths over which variances of single
-    # rays and errors are averaged, pixels or nodes.
+    # Largest growth of the rays of a pixel or cache node in a turn, and half widths over which
+    # variances of single rays and errors are averaged, pixels or nodes.
     max_growth: int = 8
     variance_half_width: int = 8
     error_half_width: int = 2
-    # Irradiance cache: pixels between nodes; for fine nodes least ray origins and most rays from each, because the
-    # number of origins limits the accuracy in a penumbra; candidate half widths of the smoothing window, nodes; most
-    # turns, and rays of a batch.
+    # Irradiance cache: pixels between nodes; for fine nodes least ray origins and most rays from
+    # each, because the number of origins limits the accuracy in a penumbra; candidate half widths
+    # of the smoothing window, nodes; most turns, and rays of a batch.
     cache_step_px: int = 2
     min_ray_origins: int = 4
     max_rays_per_origin: int = 8
     smoothing_half_widths: tuple[int, ...] = (0, 1, 2, 4, 8)
     max_cache_turns: int = 6
     cache_batch_rays: int = 64_000
-    # Fraction of the allowed variance for the cache, which costs most; the rest is for the camera rays.
+    # Fraction of the allowed variance for the cache, which costs most; the rest is for the camera
+    # rays.
     cache_variance_fraction: float = 0.8
-    # Camera rays with their gather rays in a batch, most turns, and slices of a pixel's rays that give its variance.
+    # Camera rays with their gather rays in a batch, most turns, and slices of a pixel's rays that
+    # give its variance.
     batch_rays: int = 48_000
     max_turns: int = 12
     variance_slices: int = 8
-    # Factors on the gather rays of pixels outside the cache: larger where only sky shadowing is computed.
+    # Factors on the gather rays of pixels outside the cache: larger where only sky shadowing is
+    # computed.
     uncached_ray_factor: int = 2
     sky_shadow_ray_factor: int = 8
-    # Control-variate fraction of the sky: side of a tile, px, pixels of each and rays of each pixel.
+    # Control-variate fraction of the sky: side of a tile, px, pixels of each and rays of each
+    # pixel.
     control_tile_px: int = 4
     control_pixels: int = 2
     control_rays: int = 4
@@ -52,17 +59,20 @@ class SamplingLimits:
     max_sampled_lamps: int = 2
     # Mean square over squared mean of the sky radiance from which it is importance-sampled.
     min_sky_contrast: float = 2.0
-    # Panes along a ray, light beyond is lost; and panes at which a camera ray is split into both continuations.
+    # Panes along a ray, light beyond is lost; and panes at which a camera ray is split into both
+    # continuations.
     max_panes: int = 64
     max_pane_splits: int = 3
-    # Visible discs: corners of the polygon, rays for a covered pixel, and for a disc at least and at most.
+    # Visible discs: corners of the polygon, rays for a covered pixel, and for a disc at least and
+    # at most.
     disc_corners: int = 128
     disc_rays_per_pixel: int = 64
     min_disc_rays: int = 1024
     max_disc_rays: int = 65536
     # Covered fractions below this part of the largest are rounding errors.
     coverage_rounding: float = 1e-9
-    # Decimals to which planes of panes must agree, and half length of the ray that finds a pane in its plane, m.
+    # Decimals to which planes of panes must agree, and half length of the ray that finds a pane in
+    # its plane, m.
     plane_decimals: int = 6
     pane_test_length_m: float = 1e-3
 
@@ -74,12 +84,15 @@ LIMITS = SamplingLimits()
 class IntegratorSettings:
     """Which light paths are followed."""
 
-    # Most reflections by other surfaces between a source and the surface that the camera sees. Longer paths
+    # Most reflections by other surfaces between a source and the surface that the camera sees.
+    # Longer paths
     # are neglected, so that the bias is never positive.
     max_bounces: int = 1
     # Whether objects occlude the sky; without this and without bounces there is no final gather.
     sky_shadowing: bool = True
-    path_air: bool = True  # whether air attenuates light between lamps and the surfaces that the camera sees
+    path_air: bool = (
+        True  # whether air attenuates light between lamps and the surfaces that the camera sees
+    )
     neglected: frozenset[str] = frozenset()  # names of neglected lamps and discs
     roulette_depth: int | None = None  # first bounce with Russian roulette; None: never
 
@@ -97,30 +110,39 @@ class IntegratorSettings:
 class SamplingSettings:
     """Number of rays."""
 
-    # Fewest rays of a pixel (at least 2), of a pixel where objects or shadows meet, and most rays of any
+    # Fewest rays of a pixel (at least 2), of a pixel where objects or shadows meet, and most rays
+    # of any
     # pixel.
     min_rays: int = 2
     edge: int = 8
     max_rays: int = 32
-    total_rays: int | None = None  # most rays of all pixels together, apart from the fewest of each; None: no limit
+    total_rays: int | None = (
+        None  # most rays of all pixels together, apart from the fewest of each; None: no limit
+    )
     gather_rays: int = 2  # final-gather rays of each point that a camera ray hits
-    # First and most gather rays of each node of the irradiance cache; None: no cache, every ray gathers for
-    # itself, which is slower and makes no smoothness assumption.
+    # First and most gather rays of each node of the irradiance cache; None: no cache, every ray
+    # gathers for itself, which is slower and makes no smoothness assumption.
     cache_rays: int | None = 8
     max_cache_rays: int = 512
-    # Whether the cache has one node per pixel instead of one per four, and pixels in which surfaces meet
-    # gather for themselves: for shadows narrower than two pixels, in twice the time. No effect where only sky
-    # shadowing is computed.
+    # Whether the cache has one node per pixel instead of one per four, and pixels in which surfaces
+    # meet
+    # gather for themselves: for shadows narrower than two pixels, in twice the time. No effect
+    # where only sky shadowing is computed.
     refine: bool = False
-    # Allowed Monte Carlo variance of a pixel's signal, as a function of the signal: rays are added until the
-    # mean of measured variance over limit is 1 over the rendering. None: each pixel gets its fewest rays.
+    # Allowed Monte Carlo variance of a pixel's signal, as a function of the signal: rays are added
+    # until the mean of measured variance over limit is 1 over the rendering. None: each pixel gets
+    # its fewest rays.
     error_limit: Callable[[Array], Array] | None = None
 
 
 def excess_variance(variance: Array, signal: Array, error_limit: Callable[[Array], Array]) -> Array:
-    """Return variances over those allowed; zero where none is, as in the dark, which no number of rays reaches."""
+    """Return variances over those allowed; zero where none is, as in the dark, which no number of
+    rays reaches.
+    """
     limit = error_limit(np.maximum(signal, 0.0))
-    return np.divide(variance, limit, out=np.zeros(limit.shape), where=(variance > 0.0) & (limit > 0.0))
+    return np.divide(
+        variance, limit, out=np.zeros(limit.shape), where=(variance > 0.0) & (limit > 0.0)
+    )
 
 
 def local_mean(values: Array, among: NDArray[np.bool_], half_width: int) -> Array:
@@ -141,7 +163,8 @@ def additional_rays(
     max_rays: int,
     total: float = np.inf,
 ) -> NDArray[np.int64]:
-    """Return the additional rays of pixels or cache nodes by their measured variance, powers of two or zero.
+    """Return the additional rays of pixels or cache nodes by their measured variance, powers of two
+    or zero.
 
     Parameters
     ----------
@@ -154,10 +177,11 @@ def additional_rays(
 
     Notes
     -----
-    n proportional to the root of the single-ray variance v brings the mean of v/n to 1 with the fewest rays (Neyman,
-    1934). The estimate of v from few rays is used for at most `LIMITS.max_growth` times as many. The excess of those at
-    the limit of rays is not compensated by others. Each uses at least the mean variance of its group nearby, because
-    its rays may have missed rare bright light.
+    n proportional to the root of the single-ray variance v brings the mean of v/n to 1 with the
+    fewest rays (Neyman, 1934). The estimate of v from few rays is used for at most
+    `LIMITS.max_growth` times as many. The excess of those at the limit of rays is not compensated
+    by others. Each uses at least the mean variance of its group nearby, because its rays may have
+    missed rare bright light.
     """
     # Running sums leave small negative values where nothing varies.
     single, some = np.clip(excess * sent, 0.0, max_rays), np.zeros(sent.shape, bool)
@@ -179,8 +203,9 @@ def additional_rays(
     return found
 
 
-# Differences are compared with the noise, or with this fraction of the signal where that is larger. At a tolerance of
-# 10 % light is then correct to 1 %, better than lamps and materials are specified.
+# Differences are compared with the noise, or with this fraction of the signal where that is larger.
+# At a tolerance of 10 % light is then correct to 1 %, better than lamps and materials are
+# specified.
 KNOWN = 0.1
 
 
@@ -188,29 +213,34 @@ KNOWN = 0.1
 class RenderSensor:
     """A sensor's response and noise."""
 
-    # Signal of a pixel and exposure for each W m-2 sr-1 of radiance at wavelengths, linear between them and
-    # zero outside, in any unit, such as photoelectrons.
+    # Signal of a pixel and exposure for each W m-2 sr-1 of radiance at wavelengths, linear between
+    # them and zero outside, in any unit, such as photoelectrons.
     response_nm: tuple[float, ...]
     response: tuple[float, ...]
-    # Variance of a pixel's signal in the dark, in that unit squared, and its growth with the signal.
+    # Variance of a pixel's signal in the dark, in that unit squared, and its growth with the
+    # signal.
     dark_variance: float
     variance_per_signal: float
-    # Factor by which blur after the pixels reduces the standard deviation of noise that is independent
+    # Factor by which blur after the pixels reduces the standard deviation of noise that is
+    # independent
     # between pixels.
     noise_averaging_factor: float = 1.0
     name: str = "sensor"  # name of the sensor
 
     def weight(self, wavelength_nm: ArrayLike) -> NDArray[np.float32]:
-        """Return the signal for spectral radiance in the bands of a grid, shape (band,), per W m-2 sr-1 nm-1."""
+        """Return the signal for spectral radiance in the bands of a grid, shape (band,), per W m-2
+        sr-1 nm-1.
+        """
         grid = np.asarray(wavelength_nm, float)
         at = np.interp(grid, self.response_nm, self.response, left=0.0, right=0.0)
         return (at * band_widths(grid)).astype(np.float32)
 
     def noise_floor(self, signal: ArrayLike, *, smooth: bool = False) -> Array:
-        """Return the noise of a pixel in one frame, at least `KNOWN` of the signal: what differences are compared with.
+        """Return the noise of a pixel in one frame, at least `KNOWN` of the signal: what
+        differences are compared with.
 
-        Differences that extend over many pixels (`smooth`) are not reduced by blur, but the noise is; random
-        differences between pixels are reduced like the noise.
+        Differences that extend over many pixels (`smooth`) are not reduced by blur, but the noise
+        is; random differences between pixels are reduced like the noise.
         """
         bright = np.maximum(np.asarray(signal, float), 0.0)
         noise = np.sqrt(self.dark_variance + self.variance_per_signal * bright)

@@ -1,10 +1,11 @@
 """Irradiance cache of diffuse surfaces: computed at nodes of the frame, smoothed and interpolated.
 
-Indirect irradiance varies slowly along a surface. Nodes, one for four pixels or one for each, gather it in two
-independent halves of rays, minus the unoccluded sky irradiance, which is exact. Each half is smoothed by local plane
-fits; the window of a node is the one in which each half best predicts the other. Contact shadows thus keep their shape
-while large walls lose their noise, and the prediction error is an error estimate: nodes above the limit gather more
-rays. The mean that noise-dependent windows lose is restored with the largest window (twicing).
+Indirect irradiance varies slowly along a surface. Nodes, one for four pixels or one for each,
+gather it in two independent halves of rays, minus the unoccluded sky irradiance, which is exact.
+Each half is smoothed by local plane fits; the window of a node is the one in which each half best
+predicts the other. Contact shadows thus keep their shape while large walls lose their noise, and
+the prediction error is an error estimate: nodes above the limit gather more rays. The mean that
+noise-dependent windows lose is restored with the largest window (twicing).
 """
 
 from collections.abc import Callable
@@ -24,7 +25,12 @@ from simulate.radiance.integrator.integrator_settings import (
     excess_variance,
 )
 from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
-from simulate.radiance.integrator.sampling import R2, SequenceSlice, fraction, low_discrepancy_points
+from simulate.radiance.integrator.sampling import (
+    R2,
+    SequenceSlice,
+    fraction,
+    low_discrepancy_points,
+)
 from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
 
 Array = NDArray[np.floating]
@@ -36,17 +42,26 @@ class IrradianceCache:
 
     stage: SpectralScene
     nodes: Nodes
-    change: NDArray[np.float32]  # irradiance minus that of an unoccluded sky, shape (row, col, band), W m-2 nm-1
+    change: NDArray[
+        np.float32
+    ]  # irradiance minus that of an unoccluded sky, shape (row, col, band), W m-2 nm-1
     variance: Array  # estimated squared error of the signal of a white surface, shape (row, col)
     rays: NDArray[np.int64]  # gather rays of each node, shape (row, col)
     fine: bool = False  # whether each pixel is a node
 
-    def at(self, points: ShadingPoints, row: Array, col: Array) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Return which points have a cached irradiance, and that irradiance, shape (cached point, band).
+    def at(
+        self, points: ShadingPoints, row: Array, col: Array
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Return which points have a cached irradiance, and that irradiance, shape (cached point,
+        band).
 
-        Image coordinates of the rays that meet the points, shape (point,), are integers at the corners of pixels.
+        Image coordinates of the rays that meet the points, shape (point,), are integers at the
+        corners of pixels.
         """
-        row, col = (np.floor(axis) if self.fine else axis / LIMITS.cache_step_px - 0.5 for axis in (row, col))
+        row, col = (
+            np.floor(axis) if self.fine else axis / LIMITS.cache_step_px - 0.5
+            for axis in (row, col)
+        )
         light, has = self.nodes.between(self.change, row, col, points.place_m, points.normal)
         shares = np.flatnonzero(has & points.is_diffuse)
         light = light[shares]
@@ -80,14 +95,15 @@ def build_irradiance_cache(
     rays, max_rays
         First and most rays of each node.
     error_limit
-        Allowed variance of a pixel's signal, as a function of the signal: the mean of variance over limit is 1 over the
-        nodes. None: no node gets more rays.
+        Allowed variance of a pixel's signal, as a function of the signal: the mean of variance over
+        limit is 1 over the nodes. None: no node gets more rays.
     weight
         Signal of each band's radiance, shape (band,).
     seed, run
         Seed, and the runner of jobs.
     fine
-        Whether each pixel is a node with ray origins spread over the pixel: for shadows narrower than two pixels.
+        Whether each pixel is a node with ray origins spread over the pixel: for shadows narrower
+        than two pixels.
     """
     step = 1 if fine else LIMITS.cache_step_px
     seen = _trace_nodes(stage, view, sky_control_fraction, step)
@@ -100,13 +116,18 @@ def build_irradiance_cache(
     while True:
         for part in (0, 1):
             for many in np.unique(half[half > 0]).tolist():
-                which, seeds = np.flatnonzero(half == many), [[seed, kind, turn, part, many] for kind in (5, 6)]
+                which, seeds = (
+                    np.flatnonzero(half == many),
+                    [[seed, kind, turn, part, many] for kind in (5, 6)],
+                )
                 even = low_discrepancy_points(seen.row[which], seen.col[which], many, seeds[0])
                 found = _gather(stage, places, which, effort, even, seeds[1], run)
                 share = (many / (sent[which] + many)).astype(np.float32)[:, None]
                 light[part, which] += share * (found - light[part, which])
         sent += half
-        signals = np.stack([grid.spread(part @ weight) for part in light], axis=2).astype(np.float64)
+        signals = np.stack([grid.spread(part @ weight) for part in light], axis=2).astype(
+            np.float64
+        )
         width, variance, smooth = _windows(grid, signals, run)
         turn += 1
         if error_limit is None or turn == LIMITS.max_cache_turns or not len(white):
@@ -119,19 +140,31 @@ def build_irradiance_cache(
             break
     change = _smooth(grid, grid.spread(light.mean(axis=0)), width, run)
     return IrradianceCache(
-        stage=stage, nodes=grid, change=change, variance=variance, rays=grid.spread(2 * sent), fine=fine
+        stage=stage,
+        nodes=grid,
+        change=change,
+        variance=variance,
+        rays=grid.spread(2 * sent),
+        fine=fine,
     )
 
 
 def _known_signal(
     stage: SpectralScene, points: ShadingPoints, effort: IntegratorSettings, weight: Array
 ) -> tuple[Array, Array]:
-    """Return the signal of nodes by direct light and open sky, and their mean reflectance over the sensor's weights."""
+    """Return the signal of nodes by direct light and open sky, and their mean reflectance over the
+    sensor's weights.
+    """
     reflected = stage.bsdfs.diffuse_brdf(points) @ weight / max(float(weight.sum()), 1e-30)
     sky = stage.lighting.environment_map
     rng = np.random.default_rng(0)
-    signal = outgoing_radiance(stage, points, effort, rng, rays=0, light="lamps and discs").total() @ weight
-    return (signal if sky.dark else signal + reflected * (sky.irradiance(points.normal) @ weight)), reflected
+    signal = (
+        outgoing_radiance(stage, points, effort, rng, rays=0, light="lamps and discs").total()
+        @ weight
+    )
+    return (
+        signal if sky.dark else signal + reflected * (sky.irradiance(points.normal) @ weight)
+    ), reflected
 
 
 @dataclass(frozen=True)
@@ -144,7 +177,9 @@ class _NodePoints:
     shape: tuple[int, int]
 
 
-def _trace_nodes(stage: SpectralScene, view: Viewpoint, sky_control_fraction: Array, step: int) -> _NodePoints:
+def _trace_nodes(
+    stage: SpectralScene, view: Viewpoint, sky_control_fraction: Array, step: int
+) -> _NodePoints:
     """Trace the centres of nodes."""
     shape = (-(-view.shape[0] // step), -(-view.shape[1] // step))
     row, col = (axis.ravel() for axis in np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"))
@@ -152,7 +187,8 @@ def _trace_nodes(stage: SpectralScene, view: Viewpoint, sky_control_fraction: Ar
     hit = stage.surfaces.tracer.hits(origin, towards)
     met = hit.met
     share = sky_control_fraction[
-        np.minimum(step * row[met], view.shape[0] - 1), np.minimum(step * col[met], view.shape[1] - 1)
+        np.minimum(step * row[met], view.shape[0] - 1),
+        np.minimum(step * col[met], view.shape[1] - 1),
     ]
     points = stage.points(hit, origin, towards, met, share)
     kept = np.flatnonzero(points.is_diffuse)
@@ -171,10 +207,16 @@ class _Places:
 
     def each(self, rays: int) -> int:
         """Return the number of origins of a node's rays."""
-        return gcd(rays, max(LIMITS.min_ray_origins, rays // LIMITS.max_rays_per_origin)) if self.fine else 1
+        return (
+            gcd(rays, max(LIMITS.min_ray_origins, rays // LIMITS.max_rays_per_origin))
+            if self.fine
+            else 1
+        )
 
     def of(self, nodes: NDArray[np.int64], each: int, rng: np.random.Generator) -> ShadingPoints:
-        """Return `each` origins of some nodes, node by node; the centre where another surface is met."""
+        """Return `each` origins of some nodes, node by node; the centre where another surface is
+        met.
+        """
         start = rng.random((2, len(nodes), 1))
         nodes = np.repeat(nodes, each)
         middle = self.white.some(nodes)
@@ -188,7 +230,11 @@ class _Places:
         face = hit.face[met]
         normal, _ = self.stage.surfaces.tracer.facing(face, towards[met])
         same = all_alike(middle.place_m[met], middle.normal[met], place, normal)
-        for values, found in ((middle.place_m, place), (middle.face, face), (middle.normal, normal)):
+        for values, found in (
+            (middle.place_m, place),
+            (middle.face, face),
+            (middle.normal, normal),
+        ):
             values[met[same]] = found[same]
         return middle
 
@@ -221,28 +267,49 @@ def _gather(
     return np.concatenate(found) if found else np.zeros((0, stage.bands), np.float32)
 
 
-def _smooth(grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], run: Run) -> NDArray[np.float32]:
+def _smooth(
+    grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], run: Run
+) -> NDArray[np.float32]:
     """Return values of nodes smoothed over their windows, plus the smoothed residual.
 
-    Windows chosen from noisy values avoid rare bright light, which biases the mean. The residual, smoothed over the
-    largest window, restores it (twicing, Tukey 1977).
+    Windows chosen from noisy values avoid rare bright light, which biases the mean. The residual,
+    smoothed over the largest window, restores it (twicing, Tukey 1977).
     """
     evened = grid.smooth(values, width, run).astype(np.float32)
-    evened += grid.smooth(values - evened, np.full(width.shape, LIMITS.smoothing_half_widths[-1]), run)
+    evened += grid.smooth(
+        values - evened, np.full(width.shape, LIMITS.smoothing_half_widths[-1]), run
+    )
     return evened
 
 
 def _windows(grid: Nodes, signals: Array, run: Run) -> tuple[NDArray[np.int64], Array, Array]:
-    """Choose each node's window by cross-validation of the two halves; return it, its squared error and the fit.
+    """Choose each node's window by cross-validation of the two halves; return it, its squared error
+    and the fit.
 
-    (A - B)^2 / 2 is the variance of a half; a fit of A deviates from B by its error and by B's noise. The mean of both
-    halves has half of the error, and at least the noise of a mean over the window.
+    (A - B)^2 / 2 is the variance of a half; a fit of A deviates from B by its error and by B's
+    noise. The mean of both halves has half of the error, and at least the noise of a mean over the
+    window.
     """
     noise = grid.near(0.5 * (signals[..., 0] - signals[..., 1]) ** 2, LIMITS.error_half_width)
-    best, width, fit = np.full(noise.shape, np.inf), np.zeros(noise.shape, np.int64), np.zeros(noise.shape)
+    best, width, fit = (
+        np.full(noise.shape, np.inf),
+        np.zeros(noise.shape, np.int64),
+        np.zeros(noise.shape),
+    )
     for half_width in LIMITS.smoothing_half_widths:
-        smooth = grid.smooth(signals, np.full(noise.shape, half_width), run) if half_width else signals
-        missed = grid.near(0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1), LIMITS.error_half_width) - noise
+        smooth = (
+            grid.smooth(signals, np.full(noise.shape, half_width), run) if half_width else signals
+        )
+        missed = (
+            grid.near(
+                0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1), LIMITS.error_half_width
+            )
+            - noise
+        )
         better = missed < best
-        best[better], width[better], fit[better] = missed[better], half_width, smooth[better].mean(axis=-1)
+        best[better], width[better], fit[better] = (
+            missed[better],
+            half_width,
+            smooth[better].mean(axis=-1),
+        )
     return width, 0.5 * np.maximum(best, noise / (2.0 * width + 1.0) ** 2), fit

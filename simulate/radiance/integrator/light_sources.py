@@ -1,4 +1,5 @@
-"""Light sources on the bands of a rendering: sky, lamps, discs of sun and moon, and emitting surfaces.
+"""Light sources on the bands of a rendering: sky, lamps, discs of sun and moon, and emitting
+surfaces.
 
 Each is an object, and for compiled loops a tuple of arrays.
 """
@@ -35,7 +36,9 @@ class LampLight:
     frame: Array  # axes of the distribution in scene coordinates, as rows, shape (3, 3)
 
     def per_sr(self, direction: Array) -> Array:
-        """Return the fraction of its light per sr in unit directions (ray, 3) away from it, shape (ray,)."""
+        """Return the fraction of its light per sr in unit directions (ray, 3) away from it, shape
+        (ray,).
+        """
         return self.distribution.per_sr(direction @ self.frame.T)
 
 
@@ -56,26 +59,44 @@ class Panels:
     face: NDArray[np.int64]  # numbers of the triangles, shape (panel,)
     corners_m: Array  # shape (panel, 3, 3)
     normal: Array  # shape (panel, 3)
-    spectra: NDArray[np.float32]  # radiance of each kind of emitter, shape (kind, band), W m-2 sr-1 nm-1
+    spectra: NDArray[
+        np.float32
+    ]  # radiance of each kind of emitter, shape (kind, band), W m-2 sr-1 nm-1
     kind_of_face: NDArray[np.int64]  # of each triangle of the scene, -1 for none
     per_m2_of_face: Array  # sampling density on each triangle of the scene
     cumulated: Array  # cumulative probability of the panels, shape (panel,)
 
     @classmethod
-    def of(cls, surfaces: Surfaces, kind_of_face: NDArray[np.int64], spectra: NDArray[np.float32]) -> "Panels | None":
+    def of(
+        cls, surfaces: Surfaces, kind_of_face: NDArray[np.int64], spectra: NDArray[np.float32]
+    ) -> "Panels | None":
         """Return the emitting triangles of surfaces, or None without any."""
         face = np.flatnonzero(kind_of_face >= 0)
-        power = surfaces.area_m2[face] * spectra.sum(axis=1)[kind_of_face[face]] if len(face) else np.zeros(0)
+        power = (
+            surfaces.area_m2[face] * spectra.sum(axis=1)[kind_of_face[face]]
+            if len(face)
+            else np.zeros(0)
+        )
         if not power.sum() > 0.0:
             return None
         chance = power / power.sum()
-        per_m2, area, corners = np.zeros(len(kind_of_face)), surfaces.area_m2[face], surfaces.mesh.corners_m[face]
+        per_m2, area, corners = (
+            np.zeros(len(kind_of_face)),
+            surfaces.area_m2[face],
+            surfaces.mesh.corners_m[face],
+        )
         per_m2[face] = np.divide(chance, area, out=np.zeros_like(area), where=area > 0.0)
-        return cls(face, corners, normals(corners), spectra, kind_of_face, per_m2, np.cumsum(chance))
+        return cls(
+            face, corners, normals(corners), spectra, kind_of_face, per_m2, np.cumsum(chance)
+        )
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
-        """Draw panels by power and a uniform point on each: indices (count,) and positions (count, 3), m."""
-        panel = np.minimum(np.searchsorted(self.cumulated, rng.random(count), side="right"), len(self.face) - 1)
+        """Draw panels by power and a uniform point on each: indices (count,) and positions (count,
+        3), m.
+        """
+        panel = np.minimum(
+            np.searchsorted(self.cumulated, rng.random(count), side="right"), len(self.face) - 1
+        )
         root, v = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
         a, b, c = (self.corners_m[panel, i] for i in range(3))
         return panel, (1.0 - root) * a + root * ((1.0 - v) * b + v * c)
@@ -83,7 +104,9 @@ class Panels:
 
 @dataclass(frozen=True, kw_only=True)
 class Lighting:
-    """All light sources of a scene: the sky without discs, lamps, sun and moon, and emitting surfaces."""
+    """All light sources of a scene: the sky without discs, lamps, sun and moon, and emitting
+    surfaces.
+    """
 
     environment_map: EnvironmentMap
     lamps: tuple[LampLight, ...] = ()
@@ -102,14 +125,18 @@ class Lighting:
 
 
 def disc_arrays(discs: tuple[DiscLight, ...], bands: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Return axes with z towards the centre (disc, 3, 3), cosines of radii (disc,) and irradiances (disc, band)."""
+    """Return axes with z towards the centre (disc, 3, 3), cosines of radii (disc,) and irradiances
+    (disc, band).
+    """
     axes = np.array([shading_frames(disc.direction[None])[0] for disc in discs]).reshape(-1, 3, 3)
     least = np.array([np.cos(disc.angular_radius_rad) for disc in discs])
     return axes, least, np.array([disc.irradiance for disc in discs], np.float32).reshape(-1, bands)
 
 
 def lamp_arrays(lamps: tuple[LampLight, ...], bands: int) -> tuple:
-    """Return positions, radii, spectra and their sums, and the distributions' axes and concatenated tables."""
+    """Return positions, radii, spectra and their sums, and the distributions' axes and concatenated
+    tables.
+    """
     tables = [lamp.distribution.encode() for lamp in lamps]
     ends = np.cumsum([0, *(len(table) for table in tables)])
     return (
@@ -127,14 +154,24 @@ def panel_arrays(panels: Panels | None, bands: int) -> tuple:
     """Return the arrays of emitting triangles, see `Panels`; empty ones without any."""
     if panels is None:
         none, no_face = np.zeros(0), np.zeros(0, np.int64)
-        return none, no_face, np.zeros((0, 3, 3)), np.zeros((0, 3)), none, no_face, np.zeros((0, bands), np.float32)
+        return (
+            none,
+            no_face,
+            np.zeros((0, 3, 3)),
+            np.zeros((0, 3)),
+            none,
+            no_face,
+            np.zeros((0, bands), np.float32),
+        )
     drawn = (panels.cumulated, panels.face, panels.corners_m, panels.normal)
     return (*drawn, panels.per_m2_of_face, panels.kind_of_face, panels.spectra)
 
 
 @numba.njit(**COMPILED)
 def _cell(values: Any, value: float) -> Any:
-    """Return the interval of ascending values that contains a value, and the relative position in it."""
+    """Return the interval of ascending values that contains a value, and the relative position in
+    it.
+    """
     at = min(max(np.searchsorted(values, value, side="right") - 1, 0), len(values) - 2)
     return at, (value - values[at]) / (values[at + 1] - values[at])
 
@@ -163,22 +200,35 @@ def lamp_pattern(pattern: Any, axes: Any, x: float, y: float, z: float) -> float
     row, across = (0, 0.0) if around == 1 else _cell(azimuths, azimuth)
     following = min(row + 1, around - 1)
     near = candela[row * heights + col] * (1.0 - along) + candela[row * heights + col + 1] * along
-    far = candela[following * heights + col] * (1.0 - along) + candela[following * heights + col + 1] * along
+    far = (
+        candela[following * heights + col] * (1.0 - along)
+        + candela[following * heights + col + 1] * along
+    )
     return pattern[1] * (near * (1.0 - across) + far * across)
 
 
 @numba.njit(**INLINED)
 def lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
-    """Return the unoccluded irradiance of a lamp over its spectrum, as `direct_lighting.lamp_factor`."""
+    """Return the unoccluded irradiance of a lamp over its spectrum, as
+    `direct_lighting.lamp_factor`.
+    """
     position, _, _, _, axes, ends, tables = lamps
-    x, y, z = (position[lamp, 0] - place[0], position[lamp, 1] - place[1], position[lamp, 2] - place[2])
+    x, y, z = (
+        position[lamp, 0] - place[0],
+        position[lamp, 1] - place[1],
+        position[lamp, 2] - place[2],
+    )
     square = x * x + y * y + z * z
     distance = np.sqrt(square)
     cosine = (x * normal[0] + y * normal[1] + z * normal[2]) / distance
     if not cosine > 0.0:
         return 0.0
     pattern = tables[ends[lamp] : ends[lamp + 1]]
-    return cosine * lamp_pattern(pattern, axes[lamp], -x / distance, -y / distance, -z / distance) / square
+    return (
+        cosine
+        * lamp_pattern(pattern, axes[lamp], -x / distance, -y / distance, -z / distance)
+        / square
+    )
 
 
 @numba.njit(**INLINED)

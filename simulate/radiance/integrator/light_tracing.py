@@ -1,9 +1,10 @@
 """Light tracing: paths started at lamps, for small bright patches that gather rays seldom meet.
 
-A ray leaves the lamp by its intensity distribution; the surface that it hits is connected to the gathering point.
-Gather rays sample the same patches, and both are combined by the balance heuristic (Veach and Guibas, 1995), so that
-neither a patch close to the lamp nor one close to the point causes bright outliers. It costs two to three rays for each
-gather ray and is used only for lamps for which it reduces the variance strongly.
+A ray leaves the lamp by its intensity distribution; the surface that it hits is connected to the
+gathering point. Gather rays sample the same patches, and both are combined by the balance heuristic
+(Veach and Guibas, 1995), so that neither a patch close to the lamp nor one close to the point
+causes bright outliers. It costs two to three rays for each gather ray and is used only for lamps
+for which it reduces the variance strongly.
 """
 
 from dataclasses import dataclass
@@ -26,14 +27,20 @@ from simulate.radiance.geometry.embree import (
 )
 from simulate.radiance.geometry.ray_tracer import NOTHING, RayTracer
 from simulate.radiance.integrator.light_sources import SHORT, LampLight, lamp_factor, towards_lamp
-from simulate.radiance.integrator.sampling import cosine_lobe, set_ray_start, shading_frames, uniform
+from simulate.radiance.integrator.sampling import (
+    cosine_lobe,
+    set_ray_start,
+    shading_frames,
+    uniform,
+)
 
 Array = NDArray[np.floating]
 
-# Rings of equal light about a lamp's axis, from which directions are drawn; samples in both angles that define them.
+# Rings of equal light about a lamp's axis, from which directions are drawn; samples in both angles
+# that define them.
 RINGS, ANGLES, AROUND = 64, 2000, 24
-# Test rays that decide whether a lamp is light-traced: if light tracing would sample this fraction of its light, or if
-# the mean square of the gather estimate is this many times larger.
+# Test rays that decide whether a lamp is light-traced: if light tracing would sample this fraction
+# of its light, or if the mean square of the gather estimate is this many times larger.
 TRIED, SHARE, GAIN = 512, 0.7, 20.0
 # Below this weight only gather rays sample the light, which saves a shadow ray.
 LEAST = 0.01
@@ -53,8 +60,12 @@ class LightTracingSettings:
         worth = [_worth(lamp, rings, tracer) for lamp, rings in zip(lamps, falls, strict=True)]
         return cls(worth=np.array(worth, np.bool_), falls=falls)
 
-    def arrays(self, lamps: tuple[LampLight, ...], some: NDArray[np.bool_]) -> tuple[NDArray, NDArray, NDArray]:
-        """Return the probabilities of some of the lamps, their cumulative sums, and the ring limits."""
+    def arrays(
+        self, lamps: tuple[LampLight, ...], some: NDArray[np.bool_]
+    ) -> tuple[NDArray, NDArray, NDArray]:
+        """Return the probabilities of some of the lamps, their cumulative sums, and the ring
+        limits.
+        """
         power = np.array([float(lamp.spectrum.sum()) for lamp in lamps])[some]
         power[~self.worth[some]] = 0.0
         chance = power / power.sum() if power.sum() > 0.0 else np.zeros(0)
@@ -62,12 +73,20 @@ class LightTracingSettings:
 
 
 def _rings(lamp: LampLight) -> Array:
-    """Return 1 minus the cosines of the limits of rings of equal light about a lamp's axis, shape (ring + 1,)."""
+    """Return 1 minus the cosines of the limits of rings of equal light about a lamp's axis, shape
+    (ring + 1,).
+    """
     polar = np.pi * np.linspace(0.0, 1.0, ANGLES) ** 2
     turn = 2.0 * np.pi * (np.arange(AROUND) + 0.5) / AROUND
     sine = np.sin(polar)[:, None]
-    way = np.stack(np.broadcast_arrays(sine * np.cos(turn), sine * np.sin(turn), np.cos(polar)[:, None]), axis=-1)
-    density = lamp.distribution.per_sr(way.reshape(-1, 3)).reshape(ANGLES, AROUND).mean(axis=1) * sine[:, 0]
+    way = np.stack(
+        np.broadcast_arrays(sine * np.cos(turn), sine * np.sin(turn), np.cos(polar)[:, None]),
+        axis=-1,
+    )
+    density = (
+        lamp.distribution.per_sr(way.reshape(-1, 3)).reshape(ANGLES, AROUND).mean(axis=1)
+        * sine[:, 0]
+    )
     so_far = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(polar))])
     # A uniform part of 1e-6 keeps rings distinct where a table is dark.
     so_far += 1e-6 * so_far[-1] * polar / np.pi
@@ -76,17 +95,25 @@ def _rings(lamp: LampLight) -> Array:
 
 
 def _worth(lamp: LampLight, falls: Array, tracer: RayTracer) -> bool:
-    """Return whether light tracing samples a lamp's light by one reflection much better than gather rays.
+    """Return whether light tracing samples a lamp's light by one reflection much better than gather
+    rays.
 
     Notes
     -----
-    Rays from the lamp give pairs of points. With the densities l and g of the first point by light tracing and by
-    gather rays, and its radiance L, the weight of light tracing is l/(l + g); gather rays alone have the mean square of
-    L, combined ones that of L g/(l + g).
+    Rays from the lamp give pairs of points. With the densities l and g of the first point by light
+    tracing and by gather rays, and its radiance L, the weight of light tracing is l/(l + g); gather
+    rays alone have the mean square of L, combined ones that of L g/(l + g).
     """
     rng = np.random.default_rng(0)
-    ring, along, turn = rng.integers(RINGS, size=TRIED), rng.random(TRIED), 2.0 * np.pi * rng.random(TRIED)
-    fall, per_sr = falls[ring] + along * np.diff(falls)[ring], 1.0 / (2.0 * np.pi * RINGS * np.diff(falls)[ring])
+    ring, along, turn = (
+        rng.integers(RINGS, size=TRIED),
+        rng.random(TRIED),
+        2.0 * np.pi * rng.random(TRIED),
+    )
+    fall, per_sr = (
+        falls[ring] + along * np.diff(falls)[ring],
+        1.0 / (2.0 * np.pi * RINGS * np.diff(falls)[ring]),
+    )
     flat = np.sqrt(fall * (2.0 - fall))
     way = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), 1.0 - fall]) @ lamp.frame
     first = tracer.hits(np.broadcast_to(lamp.position_m, way.shape), way)
@@ -109,7 +136,9 @@ def _worth(lamp: LampLight, falls: Array, tracer: RayTracer) -> bool:
 
 
 @numba.njit(**INLINED)
-def light_tracing_weight(beams: Any, lamps: Any, lamp: int, place: Any, normal: Any, by_ray: float) -> float:
+def light_tracing_weight(
+    beams: Any, lamps: Any, lamp: int, place: Any, normal: Any, by_ray: float
+) -> float:
     """Return the balance-heuristic weight of light tracing for a lamp's light at a point.
 
     `by_ray` is the density with which gather rays reach the point, m-2.
@@ -127,7 +156,9 @@ def light_tracing_weight(beams: Any, lamps: Any, lamp: int, place: Any, normal: 
     distance = np.sqrt(square)
     if not (leaving > 0.0 and square > 0.0):
         return 0.0
-    by_light = chance[lamp] * _per_sr(falls[lamp], 1.0 - up / distance) * leaving / (distance * square)
+    by_light = (
+        chance[lamp] * _per_sr(falls[lamp], 1.0 - up / distance) * leaving / (distance * square)
+    )
     share = by_light / (by_light + by_ray)
     return share if share >= LEAST else 0.0
 
@@ -159,7 +190,15 @@ def _shine(beams: Any, lamps: Any, state: Any, way: Any) -> int:
 
 @numba.njit(**COMPILED)
 def add_light_traced_paths(
-    scene: Any, bsdfs: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any
+    scene: Any,
+    bsdfs: Any,
+    lamps: Any,
+    beams: Any,
+    packets: Any,
+    lanes: Any,
+    many: int,
+    state: Any,
+    found: Any,
 ) -> None:
     """Add the light-traced part of lamp light by one reflection: the counterpart of `add_lamps`."""
     address, centre, planes, clearance = scene
@@ -175,8 +214,8 @@ def add_light_traced_paths(
         face, lane = triangle_of(packets, slot, planes), lanes.active[slot]
         if face < 0 or not is_diffuse[material_of[face & ROW]]:
             continue
-        # The vertex keeps its normal, from which the path continues; the array of shadow rays is used for the new
-        # normal.
+        # The vertex keeps its normal, from which the path continues; the array of shadow rays is
+        # used for the new normal.
         up = lanes.target_direction[lane]
         origin = position[lanes.chosen[lane]]
         length, slope, normal = meet_plane(planes, face, origin, there[lane])
@@ -197,7 +236,9 @@ def add_light_traced_paths(
     for slot in range(asked):
         if not is_ray_occluded(packets, slot):
             lane = lanes.shadow_rays[slot]
-            towards_lamp(lamps, lanes.chosen[lane], there[lane], state, lanes.target_direction[lane])
+            towards_lamp(
+                lamps, lanes.chosen[lane], there[lane], state, lanes.target_direction[lane]
+            )
             set_ray(packets, free, centre, there[lane], lanes.target_direction[lane], SHORT)
             lanes.shadow_rays[free] = lane
             free += 1
@@ -205,7 +246,11 @@ def add_light_traced_paths(
     for slot in range(free):
         if not is_ray_occluded(packets, slot):
             lane = lanes.shadow_rays[slot]
-            owner, chosen, material = lanes.point[lane], lanes.chosen[lane], material_of[lanes.face[lane] & ROW]
+            owner, chosen, material = (
+                lanes.point[lane],
+                lanes.chosen[lane],
+                material_of[lanes.face[lane] & ROW],
+            )
             for band in range(found.shape[1]):
                 light = lanes.factor[lane] * spectrum[chosen, band] * rho_by_pi[material, band]
                 found[owner, band] += lanes.throughput[lane, band] * light
@@ -213,8 +258,15 @@ def add_light_traced_paths(
 
 @numba.njit(**INLINED)
 def _path_irradiance(lamps: Any, beams: Any, lanes: Any, lane: int, up: Any) -> float:
-    """Return the unoccluded, weighted irradiance by a light-traced point over spectrum and rho / pi."""
-    there, start, normal, lamp = lanes.place[lane], lanes.start[lane], lanes.normal[lane], lanes.chosen[lane]
+    """Return the unoccluded, weighted irradiance by a light-traced point over spectrum and rho /
+    pi.
+    """
+    there, start, normal, lamp = (
+        lanes.place[lane],
+        lanes.start[lane],
+        lanes.normal[lane],
+        lanes.chosen[lane],
+    )
     square, cosine, leaving = 0.0, 0.0, 0.0
     for axis in range(3):
         off = there[axis] - start[axis]
@@ -228,5 +280,6 @@ def _path_irradiance(lamps: Any, beams: Any, lanes: Any, lane: int, up: Any) -> 
     share = light_tracing_weight(beams, lamps, lamp, there, up, by_ray)
     if share == 0.0:
         return 0.0
-    # The density of light tracing is by_ray * weight / (1 - weight); the estimate is weight over that density.
+    # The density of light tracing is by_ray * weight / (1 - weight); the estimate is weight over
+    # that density.
     return lamp_factor(lamps, lamp, there, up) * form * (1.0 - share) / by_ray

@@ -1,11 +1,13 @@
-"""Outgoing radiance of surfaces and radiance along camera rays: direct light, sky, final gather, panes and air.
+"""Outgoing radiance of surfaces and radiance along camera rays: direct light, sky, final gather,
+panes and air.
 
-The unoccluded sky irradiance is a control variate. A gather ray that meets nothing adds nothing, so that a point in the
-open has no noise; a ray that meets an object adds the object's radiance and subtracts the sky behind it. Where little
-of the sky is visible the fraction of the control variate is low, see `ShadingPoints`.
+The unoccluded sky irradiance is a control variate. A gather ray that meets nothing adds nothing, so
+that a point in the open has no noise; a ray that meets an object adds the object's radiance and
+subtracts the sky behind it. Where little of the sky is visible the fraction of the control variate
+is low, see `ShadingPoints`.
 
-Diffuse points gather by the compiled path tracer. Batches of NumPy gather at glossy points and behind panes, and where
-light is requested by source and bounce.
+Diffuse points gather by the compiled path tracer. Batches of NumPy gather at glossy points and
+behind panes, and where light is requested by source and bounce.
 """
 
 from collections.abc import Callable
@@ -33,7 +35,8 @@ from simulate.radiance.integrator.spectral_scene import (
 Array = NDArray[np.floating]
 Rows = NDArray[np.int64]
 Light = NDArray[np.float32]
-# Points with a cached irradiance (without lamps and discs), and that irradiance, shape (cached point, band).
+# Points with a cached irradiance (without lamps and discs), and that irradiance, shape (cached
+# point, band).
 Shared = tuple[Rows, Light]
 # Cached irradiance of points, by the numbers of the rays that met them.
 Sharing = Callable[[ShadingPoints, Rows], Shared]
@@ -49,7 +52,9 @@ class RadianceComponents:
     def add(self, name: str, which: Rows, light: Array) -> None:
         """Add light to a component at some points, each named once."""
         if len(which):
-            found = self.found.setdefault(name if self.split else "", np.zeros(self.shape, np.float32))
+            found = self.found.setdefault(
+                name if self.split else "", np.zeros(self.shape, np.float32)
+            )
             found[slice(None) if len(which) == self.shape[0] else which] += light
 
     def total(self) -> Light:
@@ -76,7 +81,9 @@ class ShadingRequest:
     rng: np.random.Generator
     rays: int  # gather rays of each point
     depth: int = 0  # bounces between the points and the surface that the camera sees
-    even: SequenceSlice | None = None  # pairs from which directions of gather rays follow; None: drawn
+    even: SequenceSlice | None = (
+        None  # pairs from which directions of gather rays follow; None: drawn
+    )
 
     @property
     def reflections(self) -> bool:
@@ -86,11 +93,17 @@ class ShadingRequest:
     @property
     def slices(self) -> SequenceSlice:
         """The pairs of the gather rays, drawn where none are given."""
-        return SequenceSlice.random(len(self.points), self.rays, self.rng) if self.even is None else self.even
+        return (
+            SequenceSlice.random(len(self.points), self.rays, self.rng)
+            if self.even is None
+            else self.even
+        )
 
     @cached_property
     def control(self) -> Light:
-        """Control-variate fraction of the sky: 0 where not diffuse, 1 where sky shadowing is off."""
+        """Control-variate fraction of the sky: 0 where not diffuse, 1 where sky shadowing is
+        off.
+        """
         diffuse = self.points.is_diffuse.astype(np.float32)
         return self.points.sky_control_fraction * diffuse if self.effort.sky_shadowing else diffuse
 
@@ -136,9 +149,9 @@ def outgoing_radiance(
     into
         Components to add to, and the row of each point there; new ones if None.
     split
-        Whether sources and bounces are separate components: sources by name, "glow" of panels, "sky", "hidden sky"
-        (the occluded part of the control variate, never positive) and "bounce 1 of sun", "bounce 2 of sky" ... by
-        number of reflections elsewhere and by source.
+        Whether sources and bounces are separate components: sources by name, "glow" of panels,
+        "sky", "hidden sky" (the occluded part of the control variate, never positive) and "bounce 1
+        of sun", "bounce 2 of sky" ... by number of reflections elsewhere and by source.
     depth
         Bounces between the points and the surface that the camera sees.
     shared
@@ -148,9 +161,19 @@ def outgoing_radiance(
     light
         All light, that of lamps and discs alone, or all other.
     """
-    parts, rows = into or (RadianceComponents((len(points), stage.bands), split=split), np.arange(len(points)))
+    parts, rows = into or (
+        RadianceComponents((len(points), stage.bands), split=split),
+        np.arange(len(points)),
+    )
     asked = ShadingRequest(
-        points=points, parts=parts, rows=rows, effort=effort, rng=rng, rays=rays, depth=depth, even=even
+        points=points,
+        parts=parts,
+        rows=rows,
+        effort=effort,
+        rng=rng,
+        rays=rays,
+        depth=depth,
+        even=even,
     )
     if light != "surroundings":
         _add_direct(stage, asked)
@@ -184,8 +207,14 @@ def _add_direct(stage: SpectralScene, asked: ShadingRequest) -> None:
 
 
 def _air_before(stage: SpectralScene, asked: ShadingRequest) -> direct_lighting.Through | None:
-    """Return the transmittance of air between lamps and surfaces that the camera sees, if it is included."""
-    return stage.air.through if asked.effort.path_air and stage.air.absorbs and asked.depth == 0 else None
+    """Return the transmittance of air between lamps and surfaces that the camera sees, if it is
+    included.
+    """
+    return (
+        stage.air.through
+        if asked.effort.path_air and stage.air.absorbs and asked.depth == 0
+        else None
+    )
 
 
 def _add_around(stage: SpectralScene, asked: ShadingRequest) -> None:
@@ -195,8 +224,12 @@ def _add_around(stage: SpectralScene, asked: ShadingRequest) -> None:
     gathers = effort.gathers or bool(points.glossy)
     if light.panels is not None:
         tracer, rays = stage.surfaces.tracer, asked.rays if gathers else 0
-        samples = direct_lighting.sample_panels(points, light.panels, bsdfs, tracer, asked.rng, rays)
-        asked.add("glow", *direct_lighting.reflect(stage, points, samples, _air_before(stage, asked)))
+        samples = direct_lighting.sample_panels(
+            points, light.panels, bsdfs, tracer, asked.rng, rays
+        )
+        asked.add(
+            "glow", *direct_lighting.reflect(stage, points, samples, _air_before(stage, asked))
+        )
     if not light.environment_map.dark:
         open_sky = bsdfs.diffuse_brdf(points) * light.environment_map.irradiance(points.normal)
         asked.parts.add("sky", asked.rows, open_sky * asked.control[:, None])
@@ -212,18 +245,25 @@ def _add_around(stage: SpectralScene, asked: ShadingRequest) -> None:
         _add_paths(stage, asked)
 
 
-def _beyond(stage: SpectralScene, asked: ShadingRequest, there: ShadingPoints, depth: int) -> RadianceComponents:
+def _beyond(
+    stage: SpectralScene, asked: ShadingRequest, there: ShadingPoints, depth: int
+) -> RadianceComponents:
     """Return the outgoing radiance of points that rays of a request meet."""
-    return outgoing_radiance(stage, there, asked.effort, asked.rng, rays=1, split=asked.parts.split, depth=depth)
+    return outgoing_radiance(
+        stage, there, asked.effort, asked.rng, rays=1, split=asked.parts.split, depth=depth
+    )
 
 
 def _add_paths(stage: SpectralScene, asked: ShadingRequest) -> None:
-    """Add indirect light on diffuse points by the compiled path tracer, which defers what is not diffuse."""
+    """Add indirect light on diffuse points by the compiled path tracer, which defers what is not
+    diffuse.
+    """
     points, light = asked.points, stage.lighting
     last = not asked.reflections and light.panels is None
     if last and (not asked.effort.sky_shadowing or light.environment_map.dark):
         return
-    # Low-discrepancy rays of neighbouring points sample the sky well enough where only its shadowing is computed.
+    # Low-discrepancy rays of neighbouring points sample the sky well enough where only its
+    # shadowing is computed.
     bright = None if asked.even is not None and last else stage.bright_sky
     even = asked.slices
     if bright is not None:
@@ -240,7 +280,10 @@ def _add_paths(stage: SpectralScene, asked: ShadingRequest) -> None:
     )
     for behind in np.unique(back.depth).tolist():
         these = np.flatnonzero(back.depth == behind)
-        owner, at = back.owner[these], (back.face[these], back.place_m[these], back.direction[these])
+        owner, at = (
+            back.owner[these],
+            (back.face[these], back.place_m[these], back.direction[these]),
+        )
         there = stage.bsdfs.points(stage.surfaces, *at, points.sky_control_fraction[owner])
         np.add.at(found, owner, _beyond(stage, asked, there, behind).total() * back.weight[these])
     asked.parts.add("around", asked.rows, found * stage.bsdfs.diffuse_brdf(points))
@@ -249,11 +292,17 @@ def _add_paths(stage: SpectralScene, asked: ShadingRequest) -> None:
 def _gather(stage: SpectralScene, asked: ShadingRequest) -> None:
     """Add indirect light on any surface, in batches of rays."""
     rays, bsdfs, tracer = asked.rays, stage.bsdfs, stage.surfaces.tracer
-    many = asked.points if rays == 1 else asked.points.some(np.repeat(np.arange(len(asked.points)), rays))
+    many = (
+        asked.points
+        if rays == 1
+        else asked.points.some(np.repeat(np.arange(len(asked.points)), rays))
+    )
     direction, density = bsdfs.sample(many, asked.slices.pairs().reshape(-1, 2), asked.rng)
     cosine = direct_lighting.dot(many.normal, direction)
     gives = (cosine > 0.0) & (density > 0.0)
-    factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=gives).astype(np.float32)
+    factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=gives).astype(
+        np.float32
+    )
     start = direct_lighting.ray_starts(many, np.arange(len(many)), tracer)
     end = trace_segments(tracer, bsdfs.panes, start, direction, asked.rng)
     # BRDF times cosine over density and number of rays.
@@ -269,7 +318,10 @@ def _gather(stage: SpectralScene, asked: ShadingRequest) -> None:
     glows, glow = stage.emission(there)
     if stage.lighting.panels is not None and len(glows):
         ray = met[glows]
-        leaving, way = -direct_lighting.dot(there.normal[glows], end.direction[ray]), end.hit.range_m + end.earlier_m
+        leaving, way = (
+            -direct_lighting.dot(there.normal[glows], end.direction[ray]),
+            end.hit.range_m + end.earlier_m,
+        )
         share = direct_lighting.gather_mis_weight(
             stage.lighting.panels, there.face[glows], way[ray], leaving, density[ray], rays
         )
@@ -290,10 +342,19 @@ def _gather(stage: SpectralScene, asked: ShadingRequest) -> None:
 
 
 def _add_sky(
-    stage: SpectralScene, asked: ShadingRequest, direction: Array, density: Array, weight: Light, end: Segments
+    stage: SpectralScene,
+    asked: ShadingRequest,
+    direction: Array,
+    density: Array,
+    weight: Light,
+    end: Segments,
 ) -> None:
     """Add the sky that gather rays meet, and subtract the occluded part of the control variate."""
-    sky, bright, shadowing = stage.lighting.environment_map, stage.bright_sky, asked.effort.sky_shadowing
+    sky, bright, shadowing = (
+        stage.lighting.environment_map,
+        stage.bright_sky,
+        asked.effort.sky_shadowing,
+    )
     control, missed = np.repeat(asked.control, asked.rays), end.hit.face == NOTHING
     # Balance heuristic against `_add_bright_sky`.
     own = asked.rays * density
@@ -305,15 +366,24 @@ def _add_sky(
     asked.add_rays("sky", seen, light * unknown[seen, None].astype(np.float32))
     behind = np.flatnonzero((~missed | end.crossed) & (control > 0.0)) if shadowing else seen[:0]
     light = weight[behind] * sky.radiance(direction[behind])
-    asked.add_rays("hidden sky", behind, light * (-control * share)[behind, None].astype(np.float32))
+    asked.add_rays(
+        "hidden sky", behind, light * (-control * share)[behind, None].astype(np.float32)
+    )
 
 
 def _add_bright_sky(stage: SpectralScene, asked: ShadingRequest) -> None:
-    """Add the importance-sampled part of the sky, one ray from each point (balance heuristic, Veach 1995).
+    """Add the importance-sampled part of the sky, one ray from each point (balance heuristic, Veach
+    1995).
 
-    Visible and occluded directions count as for gather rays: 1 minus, or minus, the control-variate fraction.
+    Visible and occluded directions count as for gather rays: 1 minus, or minus, the control-variate
+    fraction.
     """
-    bright, points, shadowing, control = stage.bright_sky, asked.points, asked.effort.sky_shadowing, asked.control
+    bright, points, shadowing, control = (
+        stage.bright_sky,
+        asked.points,
+        asked.effort.sky_shadowing,
+        asked.control,
+    )
     if bright is None:
         return
     towards = bright.draw(len(points), asked.rng)
@@ -321,7 +391,9 @@ def _add_bright_sky(stage: SpectralScene, asked: ShadingRequest) -> None:
     which = np.flatnonzero(((control < 1.0) | shadowing) & (cosine > 0.0))
     some, towards, tracer = points.some(which), towards[which], stage.surfaces.tracer
     hidden = tracer.is_occluded(direct_lighting.ray_starts(points, which, tracer), towards)
-    counts = 1.0 - control[which] - hidden if shadowing else np.where(hidden, 0.0, 1.0 - control[which])
+    counts = (
+        1.0 - control[which] - hidden if shadowing else np.where(hidden, 0.0, 1.0 - control[which])
+    )
     density = asked.rays * stage.bsdfs.density(some, towards) + bright.density(towards)
     light = stage.bsdfs.value(some, towards) * stage.lighting.environment_map.radiance(towards)
     light *= (counts * cosine[which] / density).astype(np.float32)[:, None]
@@ -342,11 +414,13 @@ def radiance_along(
     share: Sharing | None = None,
     splits: int = LIMITS.max_pane_splits,
 ) -> RadianceComponents:
-    """Return the radiance along rays of unit direction (ray, 3), in components as of `outgoing_radiance`.
+    """Return the radiance along rays of unit direction (ray, 3), in components as of
+    `outgoing_radiance`.
 
-    Apart from the sources, components are "in view" (sky and emission that the ray meets) and "air" (path radiance less
-    the light that air removes from all other components). `share` gives the cached irradiance of points by ray number.
-    Rays that meet a pane continue both transmitted and reflected; after a few panes (`splits`) one of both at random.
+    Apart from the sources, components are "in view" (sky and emission that the ray meets) and "air"
+    (path radiance less the light that air removes from all other components). `share` gives the
+    cached irradiance of points by ray number. Rays that meet a pane continue both transmitted and
+    reflected; after a few panes (`splits`) one of both at random.
     """
     parts, airy = RadianceComponents((len(towards), stage.bands), split=split), stage.air.absorbs
     airy &= "air" not in effort.neglected
@@ -358,7 +432,13 @@ def radiance_along(
         for which, start, ways, left, straight in (
             (open_, origin[open_], towards[open_], np.float32(1.0), True),
             (glass.which, panes.start(glass), ahead, glass.through, True),
-            (glass.which, panes.start(glass, True), reflect_direction(ahead, glass.normal), glass.mirrored, False),
+            (
+                glass.which,
+                panes.start(glass, True),
+                reflect_direction(ahead, glass.normal),
+                glass.mirrored,
+                False,
+            ),
         ):
             if not len(which):
                 continue
@@ -369,7 +449,9 @@ def radiance_along(
                 effort,
                 rng,
                 gather_rays=gather_rays,
-                sky_control_fraction=None if sky_control_fraction is None else sky_control_fraction[which],
+                sky_control_fraction=None
+                if sky_control_fraction is None
+                else sky_control_fraction[which],
                 split=split,
                 share=_of_some(share, which) if straight else None,
                 splits=0 if which is open_ else splits - 1,
@@ -391,7 +473,9 @@ def radiance_along(
         which, irradiance = share(points, met)
         straight = ~end.mirrored[met[which]]
         shared = which[straight], irradiance[straight]
-    outgoing_radiance(stage, points, effort, rng, rays=gather_rays, into=(parts, met), shared=shared)
+    outgoing_radiance(
+        stage, points, effort, rng, rays=gather_rays, into=(parts, met), shared=shared
+    )
     if airy:
         _through_air(stage, parts, end.hit.range_m[met], end.direction[met], met)
     crossed = np.flatnonzero(end.crossed)
@@ -407,6 +491,10 @@ def _of_some(share: Sharing | None, which: Rows) -> Sharing | None:
     return None if share is None else lambda points, numbers: share(points, which[numbers])
 
 
-def _through_air(stage: SpectralScene, parts: RadianceComponents, range_m: Array, towards: Array, met: Rows) -> None:
-    """Add the path radiance of air, and subtract the light that it removes from all other components."""
+def _through_air(
+    stage: SpectralScene, parts: RadianceComponents, range_m: Array, towards: Array, met: Rows
+) -> None:
+    """Add the path radiance of air, and subtract the light that it removes from all other
+    components.
+    """
     parts.add("air", met, stage.air.change_of(parts.total()[met], range_m, towards))

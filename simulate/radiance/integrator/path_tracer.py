@@ -1,8 +1,9 @@
 """Path tracer of diffuse surfaces, in compiled loops over waves of paths.
 
-It computes for diffuse points what batches of NumPy (`outgoing_radiance`) compute for any surface: paths by the cosine
-law, next-event estimation of all light sources at each vertex, multiple importance sampling, and light tracing. Paths
-that meet a surface which is not diffuse are deferred to the batches.
+It computes for diffuse points what batches of NumPy (`outgoing_radiance`) compute for any surface:
+paths by the cosine law, next-event estimation of all light sources at each vertex, multiple
+importance sampling, and light tracing. Paths that meet a surface which is not diffuse are deferred
+to the batches.
 """
 
 from typing import Any, NamedTuple
@@ -23,7 +24,12 @@ from simulate.radiance.geometry.embree import (
     trace_occlusion,
     triangle_of,
 )
-from simulate.radiance.integrator.environment_map import SkyImportance, bright_density, sky_arrays, sky_light
+from simulate.radiance.integrator.environment_map import (
+    SkyImportance,
+    bright_density,
+    sky_arrays,
+    sky_light,
+)
 from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings
 from simulate.radiance.integrator.light_sources import disc_arrays, lamp_arrays, panel_arrays
 from simulate.radiance.integrator.light_tracing import add_light_traced_paths
@@ -61,7 +67,9 @@ class PathStates(NamedTuple):
     shadow_rays: NDArray[np.int64]  # paths with a shadow ray, by the slot of the ray
     point: NDArray[np.int64]  # shading point at which each path starts
     face: NDArray[np.int64]  # triangle of its current vertex
-    weight: NDArray[np.float32]  # contribution to the irradiance of the start per radiance from ahead, (path, band)
+    weight: NDArray[
+        np.float32
+    ]  # contribution to the irradiance of the start per radiance from ahead, (path, band)
     throughput: NDArray[np.float32]  # and per irradiance of the current vertex
     place: Array  # current vertex, (path, 3)
     start: Array  # ray start above it
@@ -81,7 +89,10 @@ class PathStates(NamedTuple):
         shape |= dict.fromkeys(("place", "start", "normal", "direction", "target_direction"), (3,))
         whole = ("active", "shadow_rays", "point", "face", "chosen")
         kind = dict.fromkeys(whole, np.int64) | {"weight": np.float32, "throughput": np.float32}
-        arrays: Any = [np.zeros((WAVE, *shape.get(name, ())), kind.get(name, np.float64)) for name in cls._fields]
+        arrays: Any = [
+            np.zeros((WAVE, *shape.get(name, ())), kind.get(name, np.float64))
+            for name in cls._fields
+        ]
         return cls(*arrays)
 
 
@@ -93,7 +104,9 @@ class DeferredPaths(NamedTuple):
     face: NDArray[np.int64]  # of the last hit
     place_m: Array
     direction: Array  # of the last segment
-    weight: NDArray[np.float32]  # contribution to the irradiance of the start per radiance from there, (path, band)
+    weight: NDArray[
+        np.float32
+    ]  # contribution to the irradiance of the start per radiance from there, (path, band)
 
 
 def follow_paths(
@@ -124,9 +137,10 @@ def follow_paths(
 
     Notes
     -----
-    pi/rays times the sum over rays. With the control-variate fraction c, a ray to the sky adds 1 - c of its radiance;
-    one that hits a surface subtracts c of it and adds the outgoing radiance there. Emission is sampled by rays and by
-    next-event estimation with multiple importance sampling; the latter is done elsewhere for the points themselves.
+    pi/rays times the sum over rays. With the control-variate fraction c, a ray to the sky adds 1 -
+    c of its radiance; one that hits a surface subtracts c of it and adds the outgoing radiance
+    there. Emission is sampled by rays and by next-event estimation with multiple importance
+    sampling; the latter is done elsewhere for the points themselves.
     """
     tracer, bsdfs, light, bands = stage.surfaces.tracer, stage.bsdfs, stage.lighting, stage.bands
     diffuse = np.array([isinstance(brdf, Lambert) for brdf in bsdfs.brdfs])
@@ -135,7 +149,9 @@ def follow_paths(
     room = 0 if diffuse.all() else len(points) * even.rays
     owner, at_depth, face = (np.empty(room, np.int64) for _ in range(3))
     place, direction = np.empty((2, room, 3))
-    back = DeferredPaths(owner, at_depth, face, place, direction, np.empty((room, bands), np.float32))
+    back = DeferredPaths(
+        owner, at_depth, face, place, direction, np.empty((room, bands), np.float32)
+    )
     assert tracer.scene is not None
     start = tracer.above(points.face, points.place_m, points.normal)
     roulette = np.iinfo(np.int64).max if effort.roulette_depth is None else effort.roulette_depth
@@ -188,16 +204,22 @@ def _follow(
             goes_on = depth < max_bounces
             meets = goes_on or glows
             if goes_on and len(beams[0]):
-                add_light_traced_paths(scene, bsdfs, lamps, beams, packets, lanes, many, state, found)
+                add_light_traced_paths(
+                    scene, bsdfs, lamps, beams, packets, lanes, many, state, found
+                )
             many = _ask(scene, packets, lanes, many, meets)
-            many = _meet_sky(scene, sky, packets, lanes, many, points[2], sent, meets, sky_counts, found)
+            many = _meet_sky(
+                scene, sky, packets, lanes, many, points[2], sent, meets, sky_counts, found
+            )
             if meets:
                 _arrive(scene, lanes, many)
             if glows:
                 add_glow(panels, scene[2], lanes, many, sent, found)
             if not goes_on:
                 break
-            many, n_deferred = _reflect(scene, bsdfs, lanes, many, depth, limits, state, n_deferred, back)
+            many, n_deferred = _reflect(
+                scene, bsdfs, lanes, many, depth, limits, state, n_deferred, back
+            )
             if many == 0:
                 break
             if sky[2]:
@@ -217,7 +239,9 @@ def _follow(
 
 @numba.njit(**COMPILED)
 def _send(lanes: Any, points: Any, begin: Any, each: int, now: Any, first: int) -> Any:
-    """Start paths at points, and return their number and the state of the last quasi-random slice."""
+    """Start paths at points, and return their number and the state of the last quasi-random
+    slice.
+    """
     starts, normals, _ = points
     many = min(WAVE, len(begin) * each - first)
     i, ray = first // each, first % each
@@ -265,7 +289,9 @@ def _meet_sky(
     sky_counts: bool,
     found: Any,
 ) -> int:
-    """Add the sky for rays that escape, subtract the control variate for others; return the number that continue."""
+    """Add the sky for rays that escape, subtract the control variate for others; return the number
+    that continue.
+    """
     kept = 0
     for slot in range(many):
         lane = lanes.active[slot]
@@ -292,7 +318,9 @@ def _arrive(scene: Any, lanes: Any, many: int) -> None:
     """Move paths to the surfaces that they met."""
     for k in range(many):
         lane = lanes.active[k]
-        length, slope, normal = meet_plane(scene[2], lanes.face[lane], lanes.start[lane], lanes.direction[lane])
+        length, slope, normal = meet_plane(
+            scene[2], lanes.face[lane], lanes.start[lane], lanes.direction[lane]
+        )
         side = 1.0 if slope < 0.0 else -1.0
         lanes.by_ray[lane] = lanes.cosine[lane] * abs(slope) / (np.pi * length * length)
         for axis in range(3):
@@ -302,7 +330,15 @@ def _arrive(scene: Any, lanes: Any, many: int) -> None:
 
 @numba.njit(**COMPILED)
 def _reflect(
-    scene: Any, bsdfs: Any, lanes: Any, many: int, depth: int, limits: Any, state: Any, n_deferred: int, back: Any
+    scene: Any,
+    bsdfs: Any,
+    lanes: Any,
+    many: int,
+    depth: int,
+    limits: Any,
+    state: Any,
+    n_deferred: int,
+    back: Any,
 ) -> tuple[int, int]:
     """Reflect paths, with Russian roulette; defer those on surfaces that are not diffuse."""
     _, centre, _, clearance = scene
@@ -321,8 +357,16 @@ def _reflect(
         material = material_of[face & ROW]
         if not is_diffuse[material]:
             owners, depths, faces, places, ways, weights = back
-            owners[n_deferred], depths[n_deferred], faces[n_deferred] = lanes.point[lane], depth + 1, face
-            places[n_deferred], ways[n_deferred], weights[n_deferred] = lanes.place[lane], lanes.direction[lane], weight
+            owners[n_deferred], depths[n_deferred], faces[n_deferred] = (
+                lanes.point[lane],
+                depth + 1,
+                face,
+            )
+            places[n_deferred], ways[n_deferred], weights[n_deferred] = (
+                lanes.place[lane],
+                lanes.direction[lane],
+                weight,
+            )
             n_deferred += 1
             continue
         reflected = 0.0
@@ -331,7 +375,9 @@ def _reflect(
             weight[band] = leaves[band] * np.pi
             reflected += rho_by_pi[material, band]
         lanes.reflectance[lane] = reflected * np.pi / len(weight)
-        set_ray_start(clearance, centre, face, lanes.place[lane], lanes.normal[lane], lanes.start[lane])
+        set_ray_start(
+            clearance, centre, face, lanes.place[lane], lanes.normal[lane], lanes.start[lane]
+        )
         lanes.active[kept] = lane
         kept += 1
     return kept, n_deferred

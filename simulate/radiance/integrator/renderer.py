@@ -1,7 +1,7 @@
 """Renderer: spectral radiance of a scene, with an error estimate for each pixel.
 
-Rays through the pixel centres give the auxiliary layers. Each pixel gets a few rays, more at edges; their variance
-gives the error, and where it is above the limit rays are added, turn by turn.
+Rays through the pixel centres give the auxiliary layers. Each pixel gets a few rays, more at edges;
+their variance gives the error, and where it is above the limit rays are added, turn by turn.
 """
 
 import time
@@ -39,14 +39,16 @@ class Rendering:
     """A rendering with its error estimate."""
 
     cube: RadianceCube  # spectral radiance
-    # Sensor signal of each pixel, and its estimated variance from slices of the pixel's rays, shape (row,
-    # col): on average too large where objects meet; the variance of the irradiance cache is not included.
+    # Sensor signal of each pixel, and its estimated variance from slices of the pixel's rays, shape
+    # (row,
+    # col): on average too large where objects meet; the variance of the irradiance cache is not
+    # included.
     signal: NDArray[np.float32]
     variance: NDArray[np.float32]
     rays: NDArray[np.int32]  # rays of each pixel, shape (row, col)
     truth: AuxiliaryLayers  # auxiliary layers
-    # Number of pixels with negative radiance in some band, because of the control variate. They are set to
-    # zero.
+    # Number of pixels with negative radiance in some band, because of the control variate. They are
+    # set to zero.
     below_zero: int
 
 
@@ -54,7 +56,8 @@ class Rendering:
 class _Batch:
     """Pixels (indices of shape (pixel,)) with the same number of rays.
 
-    Where surfaces meet, irradiance varies within a pixel: with `alone` its rays do not use the cache and gather more.
+    Where surfaces meet, irradiance varies within a pixel: with `alone` its rays do not use the
+    cache and gather more.
     """
 
     pixels: NDArray[np.int64]
@@ -81,7 +84,9 @@ class _BatchRenderer:
         """Whether only sky shadowing is computed, which is cheap without a cache."""
         return self.effort.max_bounces == 0 and self.stage.lighting.panels is None
 
-    def batches(self, wanted: NDArray[np.integer], alone: NDArray[np.bool_], turn: int) -> Iterator[_Batch]:
+    def batches(
+        self, wanted: NDArray[np.integer], alone: NDArray[np.bool_], turn: int
+    ) -> Iterator[_Batch]:
         """Yield batches in frame order, from maps of shape (row, col)."""
         flat = 2 * wanted.ravel() + alone.ravel()
         for kind in np.unique(flat[flat > 1]).tolist():
@@ -91,11 +96,17 @@ class _BatchRenderer:
                 yield _Batch(pixels[start : start + most], count, bool(kind % 2), turn)
 
     def render(self, batch: _Batch) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape (pixel,)."""
-        rng = np.random.default_rng([self.seed, batch.rays, int(batch.pixels[0]), batch.alone, batch.turn])
+        """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape
+        (pixel,).
+        """
+        rng = np.random.default_rng(
+            [self.seed, batch.rays, int(batch.pixels[0]), batch.alone, batch.turn]
+        )
         count, columns, factor = len(batch.pixels), self.view.shape[1], 1
         if batch.alone:
-            factor = LIMITS.sky_shadow_ray_factor if self.only_shadow else LIMITS.uncached_ray_factor
+            factor = (
+                LIMITS.sky_shadow_ray_factor if self.only_shadow else LIMITS.uncached_ray_factor
+            )
         spread = fraction(rng.random((count, 1, 2)) + np.arange(batch.rays)[:, None] * R2)
         row = (batch.pixels[:, None] // columns + spread[..., 0]).ravel()
         col = (batch.pixels[:, None] % columns + spread[..., 1]).ravel()
@@ -106,7 +117,9 @@ class _BatchRenderer:
             rng,
             gather_rays=self.gather_rays * factor,
             sky_control_fraction=np.repeat(self.control.ravel()[batch.pixels], batch.rays),
-            share=None if self.cache is None or batch.alone else partial(_irradiance_from_cache, self.cache, row, col),
+            share=None
+            if self.cache is None or batch.alone
+            else partial(_irradiance_from_cache, self.cache, row, col),
         ).total()
         each = (light @ self.weight).reshape(count, batch.rays)
         return light.reshape(count, batch.rays, -1).mean(axis=1), _variance_of_mean(each)
@@ -128,21 +141,27 @@ def _variance_of_mean(each: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def sky_control_fraction(stage: SpectralScene, view: Viewpoint, seed: int) -> NDArray[np.float32]:
-    """Return the unoccluded fraction of the hemisphere at the surfaces in view, averaged over a tile, shape (row, col).
+    """Return the unoccluded fraction of the hemisphere at the surfaces in view, averaged over a
+    tile, shape (row, col).
 
-    It is the control-variate fraction of the sky, estimated from a few points of each tile with independent random
-    numbers.
+    It is the control-variate fraction of the sky, estimated from a few points of each tile with
+    independent random numbers.
     """
     rng = np.random.default_rng([seed, 1])
     side, (rows, columns) = max(1, min(LIMITS.control_tile_px, min(view.shape) // 16)), view.shape
     tiles = (-(-rows // side), -(-columns // side))
     corner = side * np.indices(tiles).reshape(2, -1, 1)
     at = corner + side * rng.random((2, corner.shape[1], LIMITS.control_pixels))
-    row, col = (np.minimum(axis, length - 1e-3).ravel() for axis, length in zip(at, view.shape, strict=True))
+    row, col = (
+        np.minimum(axis, length - 1e-3).ravel() for axis, length in zip(at, view.shape, strict=True)
+    )
     origin, towards = view.rays(row, col)
     hit = stage.surfaces.tracer.hits(origin, towards)
     points = stage.points(hit, origin, towards, hit.met)
-    hidden, start = np.zeros(len(row)), stage.surfaces.tracer.above(points.face, points.place_m, points.normal)
+    hidden, start = (
+        np.zeros(len(row)),
+        stage.surfaces.tracer.above(points.face, points.place_m, points.normal),
+    )
     for _ in range(LIMITS.control_rays):
         direction, _ = stage.bsdfs.sample(points, rng.random((len(points), 2)), rng)
         hidden[hit.met] += stage.surfaces.tracer.is_occluded(start, direction) / LIMITS.control_rays
@@ -171,7 +190,8 @@ def render_scene(
     rays, effort
         Numbers of rays, and integrator settings.
     weight
-        Signal of each band's radiance (`RenderSensor.weight`), in which variances are stated, shape (band,).
+        Signal of each band's radiance (`RenderSensor.weight`), in which variances are stated, shape
+        (band,).
     seed
         Seed; the rendering does not depend on the number of threads.
     run
@@ -188,16 +208,30 @@ def render_scene(
     weight = np.asarray(weight, np.float32)
     layers, control = truth(stage, view), sky_control_fraction(stage, view, seed)
     look = _BatchRenderer(
-        stage=stage, view=view, effort=effort, weight=weight, gather_rays=rays.gather_rays, seed=seed, control=control
+        stage=stage,
+        view=view,
+        effort=effort,
+        weight=weight,
+        gather_rays=rays.gather_rays,
+        seed=seed,
+        control=control,
     )
     if rays.cache_rays is not None and effort.gathers:
         look, rays = _with_cache(look, rays, rays.cache_rays, run)
     edges = layers.edges()
-    alone = layers.edges(shadows=False) & (look.cache is not None and (rays.refine or look.only_shadow))
-    wanted = np.minimum(np.where(edges, max(rays.edge, rays.min_rays), rays.min_rays), rays.max_rays)
+    alone = layers.edges(shadows=False) & (
+        look.cache is not None and (rays.refine or look.only_shadow)
+    )
+    wanted = np.minimum(
+        np.where(edges, max(rays.edge, rays.min_rays), rays.min_rays), rays.max_rays
+    )
     radiance = np.zeros((control.size, stage.bands), np.float32)
     variance, sent = np.zeros(control.size, np.float32), np.zeros(control.size, np.int32)
-    total, done, seconds = np.inf if rays.total_rays is None else rays.total_rays + int(wanted.sum()), 0, 0.0
+    total, done, seconds = (
+        np.inf if rays.total_rays is None else rays.total_rays + int(wanted.sum()),
+        0,
+        0.0,
+    )
     for turn in range(LIMITS.max_turns):
         batches, start = list(look.batches(wanted, alone, turn)), time.perf_counter()
         asked = done + int(wanted.sum())
@@ -218,7 +252,9 @@ def render_scene(
         if not excess.mean() > 1.0:
             break
         groups = edges, ~edges
-        excess = np.where(edges, *(local_mean(excess, among, LIMITS.error_half_width) for among in groups))
+        excess = np.where(
+            edges, *(local_mean(excess, among, LIMITS.error_half_width) for among in groups)
+        )
         wanted = additional_rays(excess, sent.reshape(shape), groups, rays.max_rays, total)
         if not wanted.any():
             break

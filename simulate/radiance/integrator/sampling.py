@@ -1,4 +1,6 @@
-"""Random and low-discrepancy samples (R2 sequence) of discs and hemispheres, in NumPy and in compiled loops."""
+"""Random and low-discrepancy samples (R2 sequence) of discs and hemispheres, in NumPy and in
+compiled loops.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,8 +19,13 @@ R2 = np.array([0.7548776662466927, 0.5698402909980532])
 R6 = 1.1127756842787055
 # Points along the side of a tile of a grid that use one sequence.
 TILE = 8
-# What a step of the sequence adds to the square of the radius, and the turn by which it rotates a point of the disc.
-STEP, TURN_X, TURN_Y = float(R2[0]), float(np.cos(2.0 * np.pi * R2[1])), float(np.sin(2.0 * np.pi * R2[1]))
+# What a step of the sequence adds to the square of the radius, and the turn by which it rotates a
+# point of the disc.
+STEP, TURN_X, TURN_Y = (
+    float(R2[0]),
+    float(np.cos(2.0 * np.pi * R2[1])),
+    float(np.sin(2.0 * np.pi * R2[1])),
+)
 
 
 def fraction(values: Array) -> Array:
@@ -28,7 +35,9 @@ def fraction(values: Array) -> Array:
 
 @dataclass(frozen=True)
 class SequenceSlice:
-    """A slice of the sequence for each of several points: its first pair, shape (point, 2), and its length."""
+    """A slice of the sequence for each of several points: its first pair, shape (point, 2), and its
+    length.
+    """
 
     start: Array
     rays: int
@@ -57,7 +66,8 @@ class SequenceSlice:
 class EvenNumbers:
     """Numbers of a low-discrepancy sequence in place of a generator's, for rays of several points.
 
-    Each number of a ray is a further dimension of the R sequence (Roberts, 2018), with a random shift for each point.
+    Each number of a ray is a further dimension of the R sequence (Roberts, 2018), with a random
+    shift for each point.
     """
 
     points: int
@@ -66,7 +76,9 @@ class EvenNumbers:
     used: int = 0  # dimensions so far
 
     def random(self, shape: Any) -> Array:
-        """Return numbers in [0, 1) of a shape whose first axis holds the rays of one point after the other."""
+        """Return numbers in [0, 1) of a shape whose first axis holds the rays of one point after
+        the other.
+        """
         count = int(np.prod(np.atleast_1d(shape))) // (self.points * self.rays)
         step = R6 ** -(self.used + 1.0 + np.arange(count))
         self.used += count
@@ -74,11 +86,13 @@ class EvenNumbers:
         return fraction(start + (np.arange(self.rays)[:, None] + 1.0) * step).reshape(shape)
 
 
-def low_discrepancy_points(row: NDArray[np.int64], col: NDArray[np.int64], rays: int, seed: list[int]) -> SequenceSlice:
+def low_discrepancy_points(
+    row: NDArray[np.int64], col: NDArray[np.int64], rays: int, seed: list[int]
+) -> SequenceSlice:
     """Return slices for rays of points on a grid, with a random shift for each tile.
 
-    The points of a tile use consecutive slices in Morton order, so that every quarter of a tile is one slice: the rays
-    of a neighbourhood are together as uniform as those of one point.
+    The points of a tile use consecutive slices in Morton order, so that every quarter of a tile is
+    one slice: the rays of a neighbourhood are together as uniform as those of one point.
     """
     tiles = (int(row.max(initial=0)) // TILE + 1, int(col.max(initial=0)) // TILE + 1)
     shift = np.random.default_rng(seed).random((*tiles, 2))[row // TILE, col // TILE]
@@ -93,7 +107,8 @@ def shading_frames(normal: Array) -> Array:
 
     Notes
     -----
-    Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6 (2017) 1: no branch, no loss near any pole.
+    Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6 (2017) 1: no branch, no loss near
+    any pole.
     """
     x, y, z = normal[:, 0], normal[:, 1], normal[:, 2]
     sign = np.where(z >= 0.0, 1.0, -1.0)
@@ -105,9 +120,13 @@ def shading_frames(normal: Array) -> Array:
 
 
 def cosine_lobe(pairs: Array) -> Array:
-    """Return directions by the cosine law about z for pairs of numbers in [0, 1), shape (ray, 3) (Malley)."""
+    """Return directions by the cosine law about z for pairs of numbers in [0, 1), shape (ray, 3)
+    (Malley).
+    """
     radius, turn = np.sqrt(pairs[:, 0]), 2.0 * np.pi * pairs[:, 1]
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - pairs[:, 0])], axis=1)
+    return np.stack(
+        [radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - pairs[:, 0])], axis=1
+    )
 
 
 @numba.njit(**INLINED)
@@ -161,14 +180,18 @@ def next_even(now: Any) -> tuple[float, float, float]:
 
 @numba.njit(**INLINED)
 def by_cosine(normal: Any, foot: Any, way: Any) -> float:
-    """Set a direction by the cosine law, over a uniform point of the disc (Malley), and return its cosine."""
+    """Set a direction by the cosine law, over a uniform point of the disc (Malley), and return its
+    cosine.
+    """
     radius, cosine = np.sqrt(foot[0]), np.sqrt(max(1.0 - foot[0], 0.0))
     set_direction(normal, radius * foot[1], radius * foot[2], cosine, way)
     return cosine
 
 
 @numba.njit(**INLINED)
-def set_ray_start(clearance: Any, centre: Any, face: Any, place: Any, normal: Any, start: Any) -> None:
+def set_ray_start(
+    clearance: Any, centre: Any, face: Any, place: Any, normal: Any, start: Any
+) -> None:
     """Set where a ray from a surface starts, as `RayTracer.above`."""
     shift = 0.0
     for axis in range(3):

@@ -1,4 +1,6 @@
-"""Next-event estimation at the path vertices of a wave: compiled loops over sky, discs, lamps and panels."""
+"""Next-event estimation at the path vertices of a wave: compiled loops over sky, discs, lamps and
+panels.
+"""
 
 from typing import Any
 
@@ -14,14 +16,21 @@ from simulate.radiance.geometry.embree import (
     set_ray,
     trace_occlusion,
 )
-from simulate.radiance.integrator.environment_map import bright_density, bright_way, sky_irradiance, sky_light
+from simulate.radiance.integrator.environment_map import (
+    bright_density,
+    bright_way,
+    sky_irradiance,
+    sky_light,
+)
 from simulate.radiance.integrator.light_sources import SHORT, lamp_factor, towards_lamp
 from simulate.radiance.integrator.light_tracing import light_tracing_weight
 from simulate.radiance.integrator.sampling import set_ray_start, uniform
 
 
 @numba.njit(**COMPILED)
-def add_known_sky(irradiance: Any, lanes: Any, many: int, control: Any, sky_shadowing: bool, found: Any) -> None:
+def add_known_sky(
+    irradiance: Any, lanes: Any, many: int, control: Any, sky_shadowing: bool, found: Any
+) -> None:
     """Add the control variate of the sky at path vertices."""
     for k in range(many):
         lane = lanes.active[k]
@@ -32,7 +41,9 @@ def add_known_sky(irradiance: Any, lanes: Any, many: int, control: Any, sky_shad
 
 
 @numba.njit(**COMPILED)
-def add_discs(scene: Any, discs: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any) -> None:
+def add_discs(
+    scene: Any, discs: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any
+) -> None:
     """Add light of sun and moon at path vertices."""
     axes, least, light = discs
     for disc in range(len(least)):
@@ -47,16 +58,31 @@ def add_discs(scene: Any, discs: Any, packets: Any, lanes: Any, many: int, state
                 lanes.direction[lane, axis] = way
                 factor += way * lanes.normal[lane, axis]
             if factor > 0.0:
-                lanes.chosen[lane], lanes.factor[lane], lanes.shadow_rays[asked] = disc, factor, lane
+                lanes.chosen[lane], lanes.factor[lane], lanes.shadow_rays[asked] = (
+                    disc,
+                    factor,
+                    lane,
+                )
                 set_ray(packets, asked, scene[1], lanes.start[lane], lanes.direction[lane], np.inf)
                 asked += 1
         _add_unless_stopped(scene[0], packets, lanes, asked, light, found)
 
 
 @numba.njit(**COMPILED)
-def add_lamps(scene: Any, lamps: Any, beams: Any, most: int, packets: Any, lanes: Any, many: int, state: Any, found: Any
-              ) -> None:  # fmt: skip
-    """Add light of lamps at path vertices, less the light-traced part: of all lamps if few, else of one drawn."""
+def add_lamps(
+    scene: Any,
+    lamps: Any,
+    beams: Any,
+    most: int,
+    packets: Any,
+    lanes: Any,
+    many: int,
+    state: Any,
+    found: Any,
+) -> None:
+    """Add light of lamps at path vertices, less the light-traced part: of all lamps if few, else of
+    one drawn.
+    """
     draws = len(lamps[0]) > most
     for lamp in range(1 if draws else len(lamps[0])):
         _choose(lamps, lamp, draws, lanes, many, state)
@@ -67,7 +93,9 @@ def add_lamps(scene: Any, lamps: Any, beams: Any, most: int, packets: Any, lanes
             lane = lanes.active[k]
             if lanes.factor[lane] > 0.0:
                 lanes.shadow_rays[asked] = lane
-                towards_lamp(lamps, lanes.chosen[lane], lanes.place[lane], state, lanes.direction[lane])
+                towards_lamp(
+                    lamps, lanes.chosen[lane], lanes.place[lane], state, lanes.direction[lane]
+                )
                 set_ray(packets, asked, scene[1], lanes.start[lane], lanes.direction[lane], SHORT)
                 asked += 1
         _add_unless_stopped(scene[0], packets, lanes, asked, lamps[2], found)
@@ -81,20 +109,29 @@ def _choose(lamps: Any, lamp: int, draws: bool, lanes: Any, many: int, state: An
         one, chance = lamp, 1.0
         if draws:
             one, chance = _draw_lamp(lamps, lanes.place[lane], lanes.normal[lane], uniform(state))
-        might = lamp_factor(lamps, one, lanes.place[lane], lanes.normal[lane]) if chance > 0.0 else 0.0
+        might = (
+            lamp_factor(lamps, one, lanes.place[lane], lanes.normal[lane]) if chance > 0.0 else 0.0
+        )
         lanes.chosen[lane], lanes.factor[lane] = one, might / chance if might > 0.0 else 0.0
 
 
 @numba.njit(**COMPILED)
-def _leave_to_light(scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, many: int) -> None:
-    """Remove the light-traced part (`add_light_traced_paths`) at vertices that the lamp's centre sees."""
+def _leave_to_light(
+    scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, many: int
+) -> None:
+    """Remove the light-traced part (`add_light_traced_paths`) at vertices that the lamp's centre
+    sees.
+    """
     asked = 0
     for k in range(many):
         lane = lanes.active[k]
         if lanes.factor[lane] <= 0.0:
             continue
         lamp, place = lanes.chosen[lane], lanes.place[lane]
-        if light_tracing_weight(beams, lamps, lamp, place, lanes.normal[lane], lanes.by_ray[lane]) > 0.0:
+        if (
+            light_tracing_weight(beams, lamps, lamp, place, lanes.normal[lane], lanes.by_ray[lane])
+            > 0.0
+        ):
             for axis in range(3):
                 lanes.direction[lane, axis] = lamps[0][lamp, axis] - lanes.start[lane, axis]
             lanes.shadow_rays[asked] = lane
@@ -105,20 +142,31 @@ def _leave_to_light(scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any
         if not is_ray_occluded(packets, slot):
             lane = lanes.shadow_rays[slot]
             lamp, place = lanes.chosen[lane], lanes.place[lane]
-            share = light_tracing_weight(beams, lamps, lamp, place, lanes.normal[lane], lanes.by_ray[lane])
+            share = light_tracing_weight(
+                beams, lamps, lamp, place, lanes.normal[lane], lanes.by_ray[lane]
+            )
             lanes.factor[lane] *= 1.0 - share
 
 
 @numba.njit(**COMPILED)
-def add_panels(scene: Any, panels: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any) -> None:
-    """Add light of emitting surfaces from points drawn by power, as `direct_lighting.sample_panels`."""
+def add_panels(
+    scene: Any, panels: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any
+) -> None:
+    """Add light of emitting surfaces from points drawn by power, as
+    `direct_lighting.sample_panels`.
+    """
     address, centre, _, clearance = scene
     cumulated, faces, corners, normals, per_m2, kind, spectra = panels
     asked = 0
     for k in range(many):
         lane = lanes.active[k]
         panel = min(np.searchsorted(cumulated, uniform(state), side="right"), len(cumulated) - 1)
-        root, v, face, way = np.sqrt(uniform(state)), uniform(state), faces[panel], lanes.direction[lane]
+        root, v, face, way = (
+            np.sqrt(uniform(state)),
+            uniform(state),
+            faces[panel],
+            lanes.direction[lane],
+        )
         square, cosine, leaving = 0.0, 0.0, 0.0
         for axis in range(3):
             a, b, c = corners[panel, 0, axis], corners[panel, 1, axis], corners[panel, 2, axis]
@@ -144,7 +192,8 @@ def add_panels(scene: Any, panels: Any, packets: Any, lanes: Any, many: int, sta
 
 @numba.njit(**COMPILED)
 def add_glow(panels: Any, planes: Any, lanes: Any, many: int, sent: int, found: Any) -> None:
-    """Add the emission of what rays have met with its multiple-importance weight: the counterpart of `add_panels`.
+    """Add the emission of what rays have met with its multiple-importance weight: the counterpart
+    of `add_panels`.
 
     `sent` rays left the vertex where each started, by the cosine law.
     """
@@ -164,11 +213,15 @@ def add_glow(panels: Any, planes: Any, lanes: Any, many: int, sent: int, found: 
         own = sent * lanes.cosine[lane] / np.pi
         share = own / (own + per_m2[face & ROW] * square / leaving)
         for band in range(found.shape[1]):
-            found[lanes.point[lane], band] += share * lanes.weight[lane, band] * spectra[kind[face & ROW], band]
+            found[lanes.point[lane], band] += (
+                share * lanes.weight[lane, band] * spectra[kind[face & ROW], band]
+            )
 
 
 @numba.njit(**COMPILED)
-def _add_unless_stopped(address: Any, packets: Any, lanes: Any, asked: int, spectra: Any, found: Any) -> None:
+def _add_unless_stopped(
+    address: Any, packets: Any, lanes: Any, asked: int, spectra: Any, found: Any
+) -> None:
     """Add light of the chosen sources along shadow rays that are not occluded."""
     trace_occlusion(address, packets, asked)
     for slot in range(asked):
@@ -180,7 +233,9 @@ def _add_unless_stopped(address: Any, packets: Any, lanes: Any, asked: int, spec
 
 
 @numba.njit(**COMPILED)
-def add_bright(scene: Any, sky: Any, packets: Any, lanes: Any, many: int, control: Any, state: Any, found: Any) -> None:
+def add_bright(
+    scene: Any, sky: Any, packets: Any, lanes: Any, many: int, control: Any, state: Any, found: Any
+) -> None:
     """Add the importance-sampled part of the sky, as `outgoing_radiance` does in batches."""
     radiance, _, _, cumulated, per_sr, sines = sky
     asked = 0
@@ -190,7 +245,9 @@ def add_bright(scene: Any, sky: Any, packets: Any, lanes: Any, many: int, contro
         bright_way(cumulated, sines, uniform(state), uniform(state), uniform(state), way)
         cosine = way[0] * up[0] + way[1] * up[1] + way[2] * up[2]
         if cosine > 0.0:
-            lanes.factor[lane] = cosine / (cosine / np.pi + bright_density(per_sr, way[0], way[1], way[2]))
+            lanes.factor[lane] = cosine / (
+                cosine / np.pi + bright_density(per_sr, way[0], way[1], way[2])
+            )
             lanes.shadow_rays[asked] = lane
             set_ray(packets, asked, scene[1], lanes.start[lane], way, np.inf)
             asked += 1
@@ -199,12 +256,22 @@ def add_bright(scene: Any, sky: Any, packets: Any, lanes: Any, many: int, contro
         lane = lanes.shadow_rays[slot]
         i, way = lanes.point[lane], lanes.direction[lane]
         share = -float(control[i]) if is_ray_occluded(packets, slot) else 1.0 - float(control[i])
-        sky_light(radiance, way[0], way[1], way[2], share * lanes.factor[lane], lanes.throughput[lane], found[i])
+        sky_light(
+            radiance,
+            way[0],
+            way[1],
+            way[2],
+            share * lanes.factor[lane],
+            lanes.throughput[lane],
+            found[i],
+        )
 
 
 @numba.njit(**INLINED)
 def _draw_lamp(lamps: Any, place: Any, normal: Any, even: float) -> tuple[int, float]:
-    """Draw one lamp by its unoccluded irradiance, and return it with its probability; zero if no lamp gives light."""
+    """Draw one lamp by its unoccluded irradiance, and return it with its probability; zero if no
+    lamp gives light.
+    """
     sums, total = lamps[3], 0.0
     for lamp in range(len(sums)):
         total += lamp_factor(lamps, lamp, place, normal) * sums[lamp]

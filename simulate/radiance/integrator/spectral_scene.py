@@ -1,7 +1,9 @@
-"""A scene on the bands of a rendering: surfaces, BSDFs, panes of glass, light sources and air; its shading points.
+"""A scene on the bands of a rendering: surfaces, BSDFs, panes of glass, light sources and air; its
+shading points.
 
-Panes have a ray tracer of their own, so that scenes without panes lose no time. A pane has no thickness: transmitted
-rays are not displaced. Two panes closer to each other than the clearance of rays (`CLEARANCE_M`) count as one.
+Panes have a ray tracer of their own, so that scenes without panes lose no time. A pane has no
+thickness: transmitted rays are not displaced. Two panes closer to each other than the clearance of
+rays (`CLEARANCE_M`) count as one.
 """
 
 from dataclasses import dataclass, replace
@@ -52,7 +54,9 @@ class Panes:
     refractive_index: tuple[float, ...]  # of each kind
 
     def met(self, origin_m: Array, direction: Array, reach_m: Array) -> Met:
-        """Return the rays of unit direction (ray, 3) that meet a pane within a distance (ray,), m."""
+        """Return the rays of unit direction (ray, 3) that meet a pane within a distance (ray,),
+        m.
+        """
         hit = self.tracer.hits(origin_m, direction)
         which = np.flatnonzero((hit.face != NOTHING) & (hit.range_m < reach_m))
         face, range_m, along = hit.face[which], hit.range_m[which], direction[which]
@@ -62,14 +66,26 @@ class Panes:
         for number, index in enumerate(self.refractive_index):
             of = np.flatnonzero(self.kind_of_face[face] == number)
             mirrored[of], through[of] = pane_shares(cosine[of], self.transmittance[number], index)
-        return Met(which, range_m, origin_m[which] + range_m[:, None] * along, facing, face, mirrored, through)
+        return Met(
+            which,
+            range_m,
+            origin_m[which] + range_m[:, None] * along,
+            facing,
+            face,
+            mirrored,
+            through,
+        )
 
     def start(self, met: Met, mirrored: NDArray[np.bool_] | bool = False) -> Array:
         """Return starts of transmitted or reflected rays, shape (meeting ray, 3), m."""
-        side = np.where(np.broadcast_to(mirrored, met.which.shape)[:, None], met.normal, -met.normal)
+        side = np.where(
+            np.broadcast_to(mirrored, met.which.shape)[:, None], met.normal, -met.normal
+        )
         return self.tracer.above(met.face, met.place_m, side)
 
-    def transmittance_along(self, start_m: Array, way: Array, reach: float | None) -> tuple[Rows, NDArray[np.float32]]:
+    def transmittance_along(
+        self, start_m: Array, way: Array, reach: float | None
+    ) -> tuple[Rows, NDArray[np.float32]]:
         """Return indices of rays that meet panes, and their transmittances (ray, band).
 
         Rays have a length of `reach` times that of their vectors `way` (ray, 3), or none.
@@ -78,7 +94,11 @@ class Panes:
         ahead = way / np.maximum(length, 1e-300)[:, None]
         rest = np.full(len(way), np.inf) if reach is None else reach * length
         share = np.ones((len(way), self.transmittance.shape[1]), np.float32)
-        rows, start, touched = np.arange(len(way)), np.asarray(start_m, float), np.zeros(len(way), bool)
+        rows, start, touched = (
+            np.arange(len(way)),
+            np.asarray(start_m, float),
+            np.zeros(len(way), bool),
+        )
         for _ in range(LIMITS.max_panes):
             met = self.met(start, ahead[rows], rest[rows])
             rows = rows[met.which]
@@ -100,11 +120,17 @@ class Segments(NamedTuple):
     earlier_m: Array  # path length before the segment
     crossed: NDArray[np.bool_]  # whether the ray met a pane
     mirrored: NDArray[np.bool_]  # whether a pane reflected it
-    weight: NDArray[np.float32]  # fraction of the light over the probability of the path, shape (ray, band or 1)
+    weight: NDArray[
+        np.float32
+    ]  # fraction of the light over the probability of the path, shape (ray, band or 1)
 
 
 def trace_segments(
-    tracer: RayTracer, panes: Panes | None, start_m: Array, direction: Array, rng: np.random.Generator
+    tracer: RayTracer,
+    panes: Panes | None,
+    start_m: Array,
+    direction: Array,
+    rng: np.random.Generator,
 ) -> Segments:
     """Follow rays of unit direction (ray, 3) to the opaque surface."""
     hit, many = tracer.hits(start_m, direction), len(start_m)
@@ -125,7 +151,9 @@ def trace_segments(
         weight[rows] *= np.where(turns[:, None], met.mirrored, met.through)
         weight[rows] /= np.where(turns, chance, 1.0 - chance)[:, None].astype(np.float32)
         start[rows] = panes.start(met, turns)
-        ahead[rows] = np.where(turns[:, None], reflect_direction(ahead[rows], met.normal), ahead[rows])
+        ahead[rows] = np.where(
+            turns[:, None], reflect_direction(ahead[rows], met.normal), ahead[rows]
+        )
         earlier[rows] += met.range_m
         crossed[rows], mirrored[rows] = True, mirrored[rows] | turns
         onwards = tracer.hits(start[rows], ahead[rows])
@@ -153,10 +181,12 @@ class ShadingPoints:
     outgoing: Array  # unit direction to the viewer
     outside: NDArray[np.bool_]  # whether the viewer sees the outer side of the triangle
     material: Rows
-    glossy: tuple[tuple[Rows, Brdf], ...]  # points of each surface that is not diffuse, and its BRDF
-    # Fraction of the unoccluded sky irradiance of diffuse points that serves as control variate; the rest is gathered.
-    # Any fraction independent of the samples gives the same mean: 1 has no noise in the open, 0 has least where little
-    # sky is visible.
+    glossy: tuple[
+        tuple[Rows, Brdf], ...
+    ]  # points of each surface that is not diffuse, and its BRDF
+    # Fraction of the unoccluded sky irradiance of diffuse points that serves as control variate;
+    # the rest is gathered. Any fraction independent of the samples gives the same mean: 1 has no
+    # noise in the open, 0 has least where little sky is visible.
     sky_control_fraction: NDArray[np.float32]
 
     def __len__(self) -> int:
@@ -192,7 +222,9 @@ class BsdfSet:
 
     wavelength_nm: Array
     brdfs: tuple[Brdf, ...]  # one for each material of the surfaces
-    rho_by_pi: NDArray[np.float32]  # of the diffuse ones, and last of `WHITE`, shape (material + 1, band), sr-1
+    rho_by_pi: NDArray[
+        np.float32
+    ]  # of the diffuse ones, and last of `WHITE`, shape (material + 1, band), sr-1
     panes: Panes | None = None
 
     @classmethod
@@ -213,7 +245,8 @@ class BsdfSet:
         direction: Array,
         control: NDArray[np.float32] | None = None,
     ) -> ShadingPoints:
-        """Return shading points for rays of unit direction (ray, 3) that hit triangles (ray,) at positions (ray, 3), m.
+        """Return shading points for rays of unit direction (ray, 3) that hit triangles (ray,) at
+        positions (ray, 3), m.
 
         `control` is the control-variate fraction of the sky; None: 1.
         """
@@ -234,7 +267,9 @@ class BsdfSet:
         return self.rho_by_pi[points.material]
 
     def value(self, points: ShadingPoints, incoming: Array) -> NDArray[np.float32]:
-        """Return the BRDF of points for unit directions to the light above them, shape (point, band), sr-1."""
+        """Return the BRDF of points for unit directions to the light above them, shape (point,
+        band), sr-1.
+        """
         found = self.diffuse_brdf(points)
         for which, brdf in points.glossy:
             frame = shading_frames(points.normal[which])
@@ -242,15 +277,20 @@ class BsdfSet:
             found[which] = brdf.value(light, eye, self.wavelength_nm).T
         return found
 
-    def sample(self, points: ShadingPoints, pairs: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Draw gather directions and their density, sr-1: by the cosine law from pairs of uniform numbers (point, 2).
+    def sample(
+        self, points: ShadingPoints, pairs: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """Draw gather directions and their density, sr-1: by the cosine law from pairs of uniform
+        numbers (point, 2).
 
         Half of those of glossy points are by the specular lobe.
         """
         frame, local = shading_frames(points.normal), cosine_lobe(pairs)
         for which, brdf in points.glossy:
             by_gloss = which[rng.random(len(which)) < 0.5]
-            local[by_gloss] = brdf.sample(within(frame[by_gloss], points.outgoing[by_gloss]), rng)[0]
+            local[by_gloss] = brdf.sample(within(frame[by_gloss], points.outgoing[by_gloss]), rng)[
+                0
+            ]
         direction = np.einsum("ij,ijk->ik", local, frame)
         return direction, self.density(points, direction)
 
@@ -269,7 +309,8 @@ def within(frame: Array, direction: Array) -> Array:
     return np.einsum("ijk,ik->ij", frame, direction)
 
 
-# Gas transmittance is tabulated at ranges of 2^(n / NODES) m from 1 m; shorter paths lose nothing to gases.
+# Gas transmittance is tabulated at ranges of 2^(n / NODES) m from 1 m; shorter paths lose nothing
+# to gases.
 NODES, OCTAVES = 16, 20
 
 
@@ -277,9 +318,15 @@ NODES, OCTAVES = 16, 20
 class Air:
     """Air of a scene, on bands."""
 
-    extinction_per_m: NDArray[np.float32] | None = None  # by haze and molecules, shape (band,); None: no air
-    gas_transmittance: NDArray[np.float32] | None = None  # over paths of 2^(n / `NODES`) m, shape (length, band)
-    endless: environment_map.EnvironmentMap | None = None  # radiance of an infinite path; None for unlit air
+    extinction_per_m: NDArray[np.float32] | None = (
+        None  # by haze and molecules, shape (band,); None: no air
+    )
+    gas_transmittance: NDArray[np.float32] | None = (
+        None  # over paths of 2^(n / `NODES`) m, shape (length, band)
+    )
+    endless: environment_map.EnvironmentMap | None = (
+        None  # radiance of an infinite path; None for unlit air
+    )
 
     @classmethod
     def of(cls, lit: "Atmosphere", wavelength_nm: Array) -> "Air":
@@ -289,7 +336,9 @@ class Air:
         return cls(
             lit.extinction_per_m(wavelength_nm).astype(np.float32),
             np.ascontiguousarray(lit.gas_transmittance(lengths, wavelength_nm).T, np.float32),
-            None if light is None else environment_map.sphere(lambda way: light.air_radiance(way, wavelength_nm)),
+            None
+            if light is None
+            else environment_map.sphere(lambda way: light.air_radiance(way, wavelength_nm)),
         )
 
     @property
@@ -301,8 +350,11 @@ class Air:
         """Return the transmittance of paths of given lengths (ray,), m, shape (ray, band)."""
         return self._particle_transmittance(range_m) * self._gas_transmittance(range_m)
 
-    def change_of(self, light: NDArray[np.float32], range_m: Array, direction: Array) -> NDArray[np.float32]:
-        """Return the change of light (ray, band) along paths in unit directions (ray, 3): path radiance minus losses.
+    def change_of(
+        self, light: NDArray[np.float32], range_m: Array, direction: Array
+    ) -> NDArray[np.float32]:
+        """Return the change of light (ray, band) along paths in unit directions (ray, 3): path
+        radiance minus losses.
 
         The path radiance is J (1 - T of haze and molecules) (T of gases over half the path), see
         `Atmosphere.path_radiance`.
@@ -310,7 +362,11 @@ class Air:
         left = self._particle_transmittance(range_m)
         change = (left * self._gas_transmittance(range_m) - np.float32(1.0)) * light
         if self.endless is not None:
-            change += (1.0 - left) * self.endless.irradiance(direction) * self._gas_transmittance(0.5 * range_m)
+            change += (
+                (1.0 - left)
+                * self.endless.irradiance(direction)
+                * self._gas_transmittance(0.5 * range_m)
+            )
         return change
 
     def _particle_transmittance(self, range_m: Array) -> NDArray[np.float32]:
@@ -348,18 +404,29 @@ class SpectralScene:
 
     @property
     def bright_sky(self) -> SkyImportance | None:
-        """Importance sampling of the sky; None with panes, which next-event estimation does not handle."""
+        """Importance sampling of the sky; None with panes, which next-event estimation does not
+        handle.
+        """
         return self.lighting.bright_sky if self.bsdfs.panes is None else None
 
     def points(
-        self, hit: Hits, origin_m: Array, direction: Array, which: Rows, control: NDArray[np.float32] | None = None
+        self,
+        hit: Hits,
+        origin_m: Array,
+        direction: Array,
+        which: Rows,
+        control: NDArray[np.float32] | None = None,
     ) -> ShadingPoints:
-        """Return the shading points of some of the rays of unit direction (ray, 3), which hit a surface."""
+        """Return the shading points of some of the rays of unit direction (ray, 3), which hit a
+        surface.
+        """
         place = origin_m[which] + hit.range_m[which, None] * direction[which]
         return self.bsdfs.points(self.surfaces, hit.face[which], place, direction[which], control)
 
     def emission(self, points: ShadingPoints) -> tuple[Rows, NDArray[np.float32]]:
-        """Return the indices of emitting points and their emitted radiance, shape (emitting point, band)."""
+        """Return the indices of emitting points and their emitted radiance, shape (emitting point,
+        band).
+        """
         panels = self.lighting.panels
         if panels is None:
             return np.zeros(0, np.int64), np.zeros((0, self.bands), np.float32)

@@ -1,7 +1,8 @@
-"""Visible discs of lamps, sun and moon, which rays would miss: added to the pixels by exact coverage.
+"""Visible discs of lamps, sun and moon, which rays would miss: added to the pixels by exact
+coverage.
 
-Their images in panes of glass are added likewise: the source reflected at the plane of a pane, where the path meets
-that pane.
+Their images in panes of glass are added likewise: the source reflected at the plane of a pane,
+where the path meets that pane.
 """
 
 from dataclasses import dataclass
@@ -20,10 +21,11 @@ Array = NDArray[np.floating]
 
 
 def coverage(row: Array, col: Array, shape: tuple[int, int]) -> Array:
-    """Return the fraction of each pixel that a polygon with corners (corner,) covers, shape (row, col).
+    """Return the fraction of each pixel that a polygon with corners (corner,) covers, shape (row,
+    col).
 
-    Green's theorem: each segment of the outline within a pixel adds its height times the width to its right in that
-    pixel, and its full height to all pixels to the right.
+    Green's theorem: each segment of the outline within a pixel adds its height times the width to
+    its right in that pixel, and its full height to all pixels to the right.
     """
     place = np.clip(np.stack([row, col], axis=1) + 0.0, -1.0, np.add(shape, 1.0))
     start, end = _pieces(place)
@@ -37,11 +39,15 @@ def coverage(row: Array, col: Array, shape: tuple[int, int]) -> Array:
     np.add.at(height, (line, pixel + 1), rise * (at - pixel))
     share = np.abs(np.cumsum(height, axis=1)[:, :-1])
     # Cancelling sums leave rounding errors.
-    return np.where(share > LIMITS.coverage_rounding * share.max(initial=0.0), np.minimum(share, 1.0), 0.0)
+    return np.where(
+        share > LIMITS.coverage_rounding * share.max(initial=0.0), np.minimum(share, 1.0), 0.0
+    )
 
 
 def _pieces(corner: Array) -> tuple[Array, Array]:
-    """Split the sides of a polygon (corner, 2) at pixel borders: starts and ends, shape (segment, 2)."""
+    """Split the sides of a polygon (corner, 2) at pixel borders: starts and ends, shape (segment,
+    2).
+    """
     side = np.roll(corner, -1, axis=0) - corner
     edge, along = [np.arange(len(corner))], [np.zeros(len(corner))]
     for axis in (0, 1):
@@ -66,10 +72,13 @@ def add_small_sources(stage: SpectralScene, view: Viewpoint, radiance: NDArray[n
 
     Sources whose light on surfaces is neglected are included, because they may still dazzle.
 
-    A disc of irradiance E at the lens and solid angle W has the radiance E / W; a pixel gets that times the fraction of
-    its solid angle that the disc covers, by the exact area of a polygon.
+    A disc of irradiance E at the lens and solid angle W has the radiance E / W; a pixel gets that
+    times the fraction of its solid angle that the disc covers, by the exact area of a polygon.
     """
-    planes: list[_Plane | None] = [None, *(_planes(stage.bsdfs.panes) if stage.bsdfs.panes is not None else ())]
+    planes: list[_Plane | None] = [
+        None,
+        *(_planes(stage.bsdfs.panes) if stage.bsdfs.panes is not None else ()),
+    ]
     for exposure in view.exposures():
         for source in (*stage.lighting.discs, *stage.lighting.lamps):
             for plane in planes:
@@ -99,23 +108,39 @@ def _add_disc(
             return
     swollen = 2.0 * np.pi / LIMITS.disc_corners / np.sin(2.0 * np.pi / LIMITS.disc_corners)
     turn = 2.0 * np.pi * np.arange(LIMITS.disc_corners) / LIMITS.disc_corners
-    rim = _image_directions(_places(source, from_m, np.full(LIMITS.disc_corners, swollen), turn), plane)
+    rim = _image_directions(
+        _places(source, from_m, np.full(LIMITS.disc_corners, swollen), turn), plane
+    )
     row, col, front = view.project(exposure.direction_before_turn(rim))
     columns = view.shape[1]
     row, col = row[front] - exposure.first, col[front]
-    if len(row) < 3 or row.max() <= 0.0 or row.min() >= exposure.rows or col.max() <= 0.0 or col.min() >= columns:
+    if (
+        len(row) < 3
+        or row.max() <= 0.0
+        or row.min() >= exposure.rows
+        or col.max() <= 0.0
+        or col.min() >= columns
+    ):
         return
     covered = coverage(row, col, (exposure.rows, columns)).ravel()
     pixel = np.flatnonzero(covered)
     # For a disc within a pixel the solid angle at its position counts, not at the pixel's centre.
     middle = pixel // columns + 0.5, pixel % columns + 0.5
     place = np.clip(middle[0], row.min(), row.max()), np.clip(middle[1], col.min(), col.max())
-    here, there = (view.solid_angle_sr(exposure.picture_row + at[0], at[1]) for at in (place, middle))
+    here, there = (
+        view.solid_angle_sr(exposure.picture_row + at[0], at[1]) for at in (place, middle)
+    )
     part = (covered[pixel] * here / there).astype(np.float32)[:, None]
-    many = int(np.clip(LIMITS.disc_rays_per_pixel * covered.sum(), LIMITS.min_disc_rays, LIMITS.max_disc_rays))
+    many = int(
+        np.clip(
+            LIMITS.disc_rays_per_pixel * covered.sum(), LIMITS.min_disc_rays, LIMITS.max_disc_rays
+        )
+    )
     way = _places(source, from_m, (np.arange(many) + 0.5) / many, GOLDEN_TURN * np.arange(many))
     share = (
-        _transmittance(stage, eye, way, source) if plane is None else _by_pane(stage, eye, from_m, way, plane, source)
+        _transmittance(stage, eye, way, source)
+        if plane is None
+        else _by_pane(stage, eye, from_m, way, plane, source)
     )
     row, col, _ = view.project(exposure.direction_before_turn(_image_directions(way, plane)))
     left = _means(np.stack([row - exposure.first, col], axis=1), share, np.stack(middle, axis=1))
@@ -124,16 +149,23 @@ def _add_disc(
 
 
 def _means(place: Array, share: NDArray[np.float32], middle: Array) -> NDArray[np.float32]:
-    """Return means of pixels over the points (row, col) in them, or of the nearest, shape (pixel, band or 1)."""
+    """Return means of pixels over the points (row, col) in them, or of the nearest, shape (pixel,
+    band or 1).
+    """
     if (share == share[0]).all():
         return share[:1]
     last = middle.max(axis=0) + 1.5
     inside = ((place >= 0.0) & (place < last)).all(axis=1)
     across = int(last[1])
-    of_place, of_pixel = (at[:, 0].astype(np.int64) * across + at[:, 1].astype(np.int64) for at in (place, middle))
+    of_place, of_pixel = (
+        at[:, 0].astype(np.int64) * across + at[:, 1].astype(np.int64) for at in (place, middle)
+    )
     many = int(last[0]) * across
     count = np.bincount(of_place[inside], minlength=many)[of_pixel]
-    sums = np.stack([np.bincount(of_place[inside], band[inside], minlength=many)[of_pixel] for band in share.T], axis=1)
+    sums = np.stack(
+        [np.bincount(of_place[inside], band[inside], minlength=many)[of_pixel] for band in share.T],
+        axis=1,
+    )
     mean = (sums / np.maximum(count, 1)[:, None]).astype(np.float32)
     for pixel in np.flatnonzero(count == 0):
         mean[pixel] = share[np.argmin(np.square(place - middle[pixel]).sum(axis=1))]
@@ -141,12 +173,18 @@ def _means(place: Array, share: NDArray[np.float32], middle: Array) -> NDArray[n
 
 
 def _places(source: Source, eye: Array, within: Array, turn: Array) -> Array:
-    """Return vectors from the lens to points of a source, shape (point, 3); of unit length for sun and moon.
+    """Return vectors from the lens to points of a source, shape (point, 3); of unit length for sun
+    and moon.
 
-    The points have an angle about the centre, rad, and a fraction of the disc's area that is closer to it.
+    The points have an angle about the centre, rad, and a fraction of the disc's area that is closer
+    to it.
     """
     if isinstance(source, DiscLight):
-        middle, radius, length = source.direction, 1.0, 1.0 - within * (1.0 - np.cos(source.angular_radius_rad))
+        middle, radius, length = (
+            source.direction,
+            1.0,
+            1.0 - within * (1.0 - np.cos(source.angular_radius_rad)),
+        )
         across = np.sqrt(np.maximum(1.0 - length**2, 0.0))
     else:
         middle = source.position_m - eye
@@ -156,8 +194,12 @@ def _places(source: Source, eye: Array, within: Array, turn: Array) -> Array:
     return length[:, None] * middle + radius * across[:, None] * offset
 
 
-def _transmittance(stage: SpectralScene, eye: Array, way: Array, source: Source) -> NDArray[np.float32]:
-    """Return the transmittance to points of a source past surfaces and through panes, shape (point, band or 1)."""
+def _transmittance(
+    stage: SpectralScene, eye: Array, way: Array, source: Source
+) -> NDArray[np.float32]:
+    """Return the transmittance to points of a source past surfaces and through panes, shape (point,
+    band or 1).
+    """
     reach = None if isinstance(source, DiscLight) else SHORT
     start = np.broadcast_to(eye, way.shape)
     share = (~stage.surfaces.tracer.is_occluded(start, way, reach)).astype(np.float32)[:, None]
@@ -197,7 +239,9 @@ def _weaken(
 
 @dataclass(frozen=True)
 class _Plane:
-    """A plane of panes: unit normal, distance from the origin along it, and the panes' triangles."""
+    """A plane of panes: unit normal, distance from the origin along it, and the panes'
+    triangles.
+    """
 
     normal: Array
     offset_m: float
@@ -222,13 +266,19 @@ def _planes(panes: Panes) -> list[_Plane]:
 def _image_directions(way: Array, plane: _Plane | None) -> Array:
     """Return unit directions of vectors, reflected at a plane if there is one."""
     unit = way / np.linalg.norm(way, axis=1, keepdims=True)
-    return unit if plane is None else reflect_direction(unit, np.broadcast_to(plane.normal, unit.shape))
+    return (
+        unit
+        if plane is None
+        else reflect_direction(unit, np.broadcast_to(plane.normal, unit.shape))
+    )
 
 
 def _by_pane(
     stage: SpectralScene, eye: Array, image_eye: Array, way: Array, plane: _Plane, source: Source
 ) -> NDArray[np.float32]:
-    """Return the transmittance to points of an image, over both segments of its path, shape (point, band)."""
+    """Return the transmittance to points of an image, over both segments of its path, shape (point,
+    band).
+    """
     panes, tracer = stage.bsdfs.panes, stage.surfaces.tracer
     assert panes is not None
     share = np.zeros((len(way), stage.bands), np.float32)
@@ -247,7 +297,9 @@ def _by_pane(
     side = np.sign(np.einsum("ij,j->i", start - foot, plane.normal))[:, None] * plane.normal
     above = foot + off_m * side
     reach, onward = (None, way) if isinstance(source, DiscLight) else (SHORT, rest)
-    clear = ~tracer.is_occluded(start, foot - start, SHORT) & ~tracer.is_occluded(above, onward, reach)
+    clear = ~tracer.is_occluded(start, foot - start, SHORT) & ~tracer.is_occluded(
+        above, onward, reach
+    )
     light = back[clear]
     _weaken(panes, start[clear], above[clear] - start[clear], SHORT, light)
     _weaken(panes, above[clear], onward[clear], reach, light)

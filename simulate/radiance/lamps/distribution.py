@@ -1,4 +1,6 @@
-"""Lamps, their intensity distributions in the lamp's frame with the axis as z, and photometric files (IES LM-63)."""
+"""Lamps, their intensity distributions in the lamp's frame with the axis as z, and photometric
+files (IES LM-63).
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -14,7 +16,8 @@ from labdata.frames import read_only
 from simulate.radiance.spectrum import SourceSpectrum
 
 Array = NDArray[np.floating]
-# How compiled loops know a distribution: its kind, then factor and power, or sizes, angles and intensities of a table.
+# How compiled loops know a distribution: its kind, then factor and power, or sizes, angles and
+# intensities of a table.
 POWER, MEASURED = 1.0, 2.0
 
 
@@ -22,7 +25,9 @@ class Distribution(Protocol):
     """Fraction of a lamp's light per solid angle."""
 
     def per_sr(self, direction: Array) -> Array:
-        """Return the fraction of the flux per sr in directions (ray, 3), shape (ray,); its integral is 1."""
+        """Return the fraction of the flux per sr in directions (ray, 3), shape (ray,); its integral
+        is 1.
+        """
         ...
 
     def encode(self) -> Array:
@@ -84,9 +89,11 @@ class SpotBeam:
 class MeasuredDistribution:
     """Measured intensities, as in goniophotometer and IES files."""
 
-    # Angles from the axis, ascending from 0 or more to at most 180, shape (polar,), degrees; dark outside.
+    # Angles from the axis, ascending from 0 or more to at most 180, shape (polar,), degrees; dark
+    # outside.
     polar_deg: Array
-    # Angles around it from the frame's x towards its y, ascending from 0, shape (azimuth,), degrees: one
+    # Angles around it from the frame's x towards its y, ascending from 0, shape (azimuth,),
+    # degrees: one
     # angle for a lamp that is the same all around, else up to 90 or 180 (mirrored) or 360.
     azimuth_deg: Array
     candela: Array  # intensities in any unit, shape (azimuth, polar)
@@ -97,12 +104,24 @@ class MeasuredDistribution:
         candela = np.asarray(self.candela, float)
         if candela.shape != (azimuth.size, polar.size):
             raise BadInput(
-                f"candela must have the shape (azimuth, polar) = ({azimuth.size}, {polar.size}), got {candela.shape}"
+                f"candela must have the shape (azimuth, polar) = ({azimuth.size}, {polar.size}), "
+                f"got {candela.shape}"
             )
-        if polar.size < 2 or not (np.diff(polar) > 0.0).all() or polar[0] < 0.0 or polar[-1] > 180.0:
+        if (
+            polar.size < 2
+            or not (np.diff(polar) > 0.0).all()
+            or polar[0] < 0.0
+            or polar[-1] > 180.0
+        ):
             raise BadInput("polar_deg must ascend within [0, 180] and have at least two angles")
-        if not (np.diff(azimuth) > 0.0).all() or azimuth[0] != 0.0 or azimuth[-1] not in (0.0, 90.0, 180.0, 360.0):
-            raise BadInput(f"azimuth_deg must ascend from 0 to 0, 90, 180 or 360, got {azimuth.tolist()}")
+        if (
+            not (np.diff(azimuth) > 0.0).all()
+            or azimuth[0] != 0.0
+            or azimuth[-1] not in (0.0, 90.0, 180.0, 360.0)
+        ):
+            raise BadInput(
+                f"azimuth_deg must ascend from 0 to 0, 90, 180 or 360, got {azimuth.tolist()}"
+            )
         if not np.isfinite(candela).all() or candela.min() < 0.0 or not candela.max() > 0.0:
             raise BadInput("candela must be finite, not negative, and somewhere positive")
         for name, values in (("polar_deg", polar), ("azimuth_deg", azimuth), ("candela", candela)):
@@ -116,7 +135,12 @@ class MeasuredDistribution:
 
     def encode(self) -> Array:
         """Return the numbers for `light_sources.lamp_pattern`."""
-        head = [MEASURED, 1.0 / self.integral, float(self.polar_deg.size), float(self.azimuth_deg.size)]
+        head = [
+            MEASURED,
+            1.0 / self.integral,
+            float(self.polar_deg.size),
+            float(self.azimuth_deg.size),
+        ]
         return np.concatenate([head, self.polar_deg, self.azimuth_deg, self.candela.ravel()])
 
     def per_sr(self, direction: Array) -> Array:
@@ -126,13 +150,18 @@ class MeasuredDistribution:
         return self._candela(polar, azimuth) / self._total
 
     def _candela(self, polar: Array, azimuth: Array) -> Array:
-        column = np.clip(np.searchsorted(self.polar_deg, polar, side="right") - 1, 0, self.polar_deg.size - 2)
+        column = np.clip(
+            np.searchsorted(self.polar_deg, polar, side="right") - 1, 0, self.polar_deg.size - 2
+        )
         along = (polar - self.polar_deg[column]) / np.diff(self.polar_deg)[column]
         inside = (polar >= self.polar_deg[0]) & (polar <= self.polar_deg[-1])
         row, across = self._row(azimuth)
         following = np.minimum(row + 1, self.azimuth_deg.size - 1)
         near = self.candela[row, column] * (1.0 - along) + self.candela[row, column + 1] * along
-        far = self.candela[following, column] * (1.0 - along) + self.candela[following, column + 1] * along
+        far = (
+            self.candela[following, column] * (1.0 - along)
+            + self.candela[following, column + 1] * along
+        )
         return np.where(inside, near * (1.0 - across) + far * across, 0.0)
 
     def _row(self, azimuth: Array) -> tuple[NDArray[np.intp], Array]:
@@ -144,11 +173,17 @@ class MeasuredDistribution:
             folded = np.where(folded > 180.0, 360.0 - folded, folded)
         if last <= 90.0:
             folded = np.where(folded > 90.0, 180.0 - folded, folded)
-        row = np.clip(np.searchsorted(self.azimuth_deg, folded, side="right") - 1, 0, self.azimuth_deg.size - 2)
+        row = np.clip(
+            np.searchsorted(self.azimuth_deg, folded, side="right") - 1,
+            0,
+            self.azimuth_deg.size - 2,
+        )
         return row, (folded - self.azimuth_deg[row]) / np.diff(self.azimuth_deg)[row]
 
     def _integral(self) -> float:
-        """Return the integral over all directions: exact in azimuth, by midpoints in the polar angle."""
+        """Return the integral over all directions: exact in azimuth, by midpoints in the polar
+        angle.
+        """
         edges = np.linspace(self.polar_deg[0], self.polar_deg[-1], 3600)
         middle = 0.5 * (edges[1:] + edges[:-1])
         ring = np.cos(np.deg2rad(edges[:-1])) - np.cos(np.deg2rad(edges[1:]))
@@ -169,7 +204,9 @@ BEAMS: dict[str, Callable[[Any], Distribution]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lamp:
-    """Radiant flux, W over wavelength, and intensity distribution of a lamp, without a position; z is its axis."""
+    """Radiant flux, W over wavelength, and intensity distribution of a lamp, without a position; z
+    is its axis.
+    """
 
     flux: SourceSpectrum
     distribution: Distribution = field(default_factory=Isotropic)
@@ -186,15 +223,18 @@ class Photometry:
     """Photometry of a lamp from a file."""
 
     table: MeasuredDistribution  # its intensities over direction
-    lumens: float  # its luminous flux: the integral of the intensities with all factors of the file, lm
+    lumens: (
+        float  # its luminous flux: the integral of the intensities with all factors of the file, lm
+    )
 
 
 def read_ies(path: str | Path) -> Photometry:
     """Return the photometry of a file.
 
-    Read: IES LM-63 editions of 1986, 1991, 1995, 2002 and 2019, photometry of type C, and no correction for tilt. The
-    lamp shines along its axis at vertical angle 0; horizontal angles grow from the plane C0 counterclockwise as seen
-    from above a lamp that shines down. Not read: types A and B, as floodlights and cars have, and tilt factors but 1.
+    Read: IES LM-63 editions of 1986, 1991, 1995, 2002 and 2019, photometry of type C, and no
+    correction for tilt. The lamp shines along its axis at vertical angle 0; horizontal angles grow
+    from the plane C0 counterclockwise as seen from above a lamp that shines down. Not read: types A
+    and B, as floodlights and cars have, and tilt factors but 1.
 
     Raises BadInput if the file cannot be read, breaks the form, or needs what is not read here.
     """
@@ -205,7 +245,10 @@ def read_ies(path: str | Path) -> Photometry:
     except OSError:
         raise BadInput(f"a lamp's photometry must be a readable file, got {path}") from None
     if len(data) > LARGEST_BYTES:
-        raise BadInput(f"a lamp's photometry must not be larger than {LARGEST_BYTES} bytes, got {len(data)} in {path}")
+        raise BadInput(
+            f"a lamp's photometry must not be larger than {LARGEST_BYTES} bytes, got {len(data)} "
+            f"in {path}"
+        )
     try:
         return parse_photometry(data.decode("latin-1"))
     except BadInput as error:
@@ -226,13 +269,17 @@ def parse_photometry(text: str) -> Photometry:
         if not value > 0.0:
             raise BadInput(f"the {name} must be positive, got {value:g}")
     if lamps < 1.0 or (lumens_each < 0.0 and lumens_each != -1.0):
-        raise BadInput(f"a file must state lamps and their lumens, or -1, got {lamps:g} of {lumens_each:g} lm")
+        raise BadInput(
+            f"a file must state lamps and their lumens, or -1, got {lamps:g} of {lumens_each:g} lm"
+        )
     polar = numbers.take("vertical angles", _count("vertical angles", polar_count))
     azimuth = numbers.take("horizontal angles", _count("horizontal angles", azimuth_count))
     candela = numbers.take("candela", polar.size * azimuth.size).reshape(azimuth.size, polar.size)
     numbers.end()
     around, intensities = _from_zero(azimuth, candela)
-    table = MeasuredDistribution(polar_deg=polar, azimuth_deg=around, candela=intensities * multiplier * ballast)
+    table = MeasuredDistribution(
+        polar_deg=polar, azimuth_deg=around, candela=intensities * multiplier * ballast
+    )
     return Photometry(table=table, lumens=table.integral)
 
 
@@ -258,7 +305,8 @@ def _without_tilt(lines: list[str]) -> Iterator[str]:
     factors = numbers.take("factors of tilt", pairs)
     if (factors != 1.0).any():
         raise BadInput(
-            f"a lamp's light must not depend on its tilt, got factors of {factors.min():g} to {factors.max():g}"
+            f"a lamp's light must not depend on its tilt, got factors of {factors.min():g} to "
+            f"{factors.max():g}"
         )
     return numbers.lines
 
@@ -274,7 +322,10 @@ class _Numbers:
         while len(self._held) < count:
             line = next(self.lines, None)
             if line is None:
-                raise BadInput(f"a photometric file must hold {count} numbers for {what}, got {len(self._held)}")
+                raise BadInput(
+                    f"a photometric file must hold {count} numbers for {what}, got "
+                    f"{len(self._held)}"
+                )
             self._held += line.replace(",", " ").split()
         words, self._held = self._held[:count], self._held[count:]
         try:
@@ -293,12 +344,16 @@ class _Numbers:
 
 def _count(what: str, number: float) -> int:
     if not (1 <= number <= MOST_ANGLES and number == int(number)):
-        raise BadInput(f"the number of {what} must be whole and within 1 to {MOST_ANGLES}, got {number:g}")
+        raise BadInput(
+            f"the number of {what} must be whole and within 1 to {MOST_ANGLES}, got {number:g}"
+        )
     return int(number)
 
 
 def _from_zero(azimuth: Array, candela: Array) -> tuple[Array, Array]:
-    """Return horizontal angles from 0: a lamp given from 90 to 270 deg is symmetric about that plane."""
+    """Return horizontal angles from 0: a lamp given from 90 to 270 deg is symmetric about that
+    plane.
+    """
     if (azimuth[0], azimuth[-1]) != (90.0, 270.0):
         return azimuth, candela
     mirrored = (180.0 - azimuth) % 360.0

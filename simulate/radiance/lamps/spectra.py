@@ -1,4 +1,6 @@
-"""Spectra of lamps, scaled to lumens or watts: black bodies, sodium, mercury, metal halide, LED, laser, or a file."""
+"""Spectra of lamps, scaled to lumens or watts: black bodies, sodium, mercury, metal halide, LED,
+laser, or a file.
+"""
 
 from pathlib import Path
 
@@ -10,10 +12,14 @@ from simulate.radiance.spectrum import STEFAN_BOLTZMANN, SourceSpectrum, planck,
 
 NARROW = "narrow-band"
 FIRST_NM, LAST_NM = 300.0, 1200.0
-# Column of the table of visible spectra (380 to 780 nm, in all 1 W with the lines), and lines, nm, with their power.
+# Column of the table of visible spectra (380 to 780 nm, in all 1 W with the lines), and lines, nm,
+# with their power.
 COLUMNS = {
     "high-pressure-sodium": ("high_pressure_sodium", ()),
-    "mercury": ("mercury", ((404.7, 0.0852), (435.8, 0.1751), (546.1, 0.2185), (577.0, 0.0978), (579.1, 0.0978))),
+    "mercury": (
+        "mercury",
+        ((404.7, 0.0852), (435.8, 0.1751), (546.1, 0.2185), (577.0, 0.0978), (579.1, 0.0978)),
+    ),
     "mercury-coated": (
         "mercury_coated",
         ((404.7, 0.0579), (435.8, 0.1239), (546.1, 0.1605), (577.0, 0.0699), (579.1, 0.0699)),
@@ -23,10 +29,13 @@ COLUMNS = {
     "led-warm": ("led_warm", ()),
 }
 NEAR_INFRARED_LINES = {
-    **dict.fromkeys(("high-pressure-sodium", "low-pressure-sodium"), ((818.3, 0.36), (819.5, 0.64))),
+    **dict.fromkeys(
+        ("high-pressure-sodium", "low-pressure-sodium"), ((818.3, 0.36), (819.5, 0.64))
+    ),
     **dict.fromkeys(("mercury", "mercury-coated"), ((1014.0, 1.0),)),
 }
-# Default power beyond 780 nm over that before: the published 10 to 30 % of high-pressure sodium is uncertain.
+# Default power beyond 780 nm over that before: the published 10 to 30 % of high-pressure sodium is
+# uncertain.
 NEAR_INFRARED_SHARE = {"high-pressure-sodium": 0.2}
 KINDS = ("incandescent", "low-pressure-sodium", *COLUMNS)
 
@@ -50,43 +59,57 @@ def spectrum(
     lumens
         Luminous flux, lm. (Lux, cd m-2 or cd in place of it give W m-2, W m-2 sr-1, W sr-1.)
     watts
-        Radiant flux in place of lumens, W: of an incandescent lamp that of a black body at all wavelengths.
+        Radiant flux in place of lumens, W: of an incandescent lamp that of a black body at all
+        wavelengths.
     temperature_k
         Of an incandescent lamp, K; others ignore it.
     near_infrared_share
-        Power in near-infrared lines over that in 380 to 780 nm, dimensionless: sodium's 818.3 and 819.5 nm, mercury's
-        1014 nm. By default 0.2 for high-pressure sodium, which is uncertain within 0.1 to 0.3, and 0 for others.
+        Power in near-infrared lines over that in 380 to 780 nm, dimensionless: sodium's 818.3 and
+        819.5 nm, mercury's 1014 nm. By default 0.2 for high-pressure sodium, which is uncertain
+        within 0.1 to 0.3, and 0 for others.
     wavelength_nm, width_nm
-        Middle of a narrow band and its width at half of its height (a normal distribution; 0: a line), nm.
+        Middle of a narrow band and its width at half of its height (a normal distribution; 0: a
+        line), nm.
 
     Raises
     ------
     BadInput
-        If there is no such kind, power or share are negative, a temperature or wavelength is out of range, a share is
-        given for a lamp without such lines, or lumens for one without visible light.
+        If there is no such kind, power or share are negative, a temperature or wavelength is out of
+        range, a share is given for a lamp without such lines, or lumens for one without visible
+        light.
 
     Notes
     -----
-    Spectra of discharge lamps and LEDs are NIST's, measured to 780 nm; with mercury's lines put where they belong.
+    Spectra of discharge lamps and LEDs are NIST's, measured to 780 nm; with mercury's lines put
+    where they belong.
     """
     if kind == NARROW and wavelength_nm is None:
         raise BadInput(f"wavelength_nm must be given for a {NARROW} lamp, got none")
     if kind == "incandescent":
         if near_infrared_share is not None:
-            raise BadInput(f"an incandescent lamp has no near_infrared_share, got {near_infrared_share:g}")
+            raise BadInput(
+                f"an incandescent lamp has no near_infrared_share, got {near_infrared_share:g}"
+            )
         whole = _incandescent(temperature_k)
         total = STEFAN_BOLTZMANN * temperature_k**4 / np.pi
         return scale_to(whole, lumens, watts, kind, total)
     if kind == NARROW and wavelength_nm is not None:
         return scale_to(_narrow(wavelength_nm, width_nm), lumens, watts, f"{wavelength_nm:g} nm")
     if kind not in KINDS:
-        raise BadInput(f"a lamp must be of one of the kinds {', '.join((*KINDS, NARROW))}, got {kind!r}")
-    share = NEAR_INFRARED_SHARE.get(kind, 0.0) if near_infrared_share is None else near_infrared_share
+        raise BadInput(
+            f"a lamp must be of one of the kinds {', '.join((*KINDS, NARROW))}, got {kind!r}"
+        )
+    share = (
+        NEAR_INFRARED_SHARE.get(kind, 0.0) if near_infrared_share is None else near_infrared_share
+    )
     return scale_to(_discharge(kind, share), lumens, watts, kind)
 
 
-def read_spectrum(path: str | Path, *, lumens: float = 1.0, watts: float | None = None) -> SourceSpectrum:
-    """Return the radiant flux of a lamp from a file of two columns, wavelength in nm and power per nm in any unit.
+def read_spectrum(
+    path: str | Path, *, lumens: float = 1.0, watts: float | None = None
+) -> SourceSpectrum:
+    """Return the radiant flux of a lamp from a file of two columns, wavelength in nm and power per
+    nm in any unit.
 
     Commas, semicolons or blanks separate; lines that start with # and one heading are skipped.
     """
@@ -105,9 +128,17 @@ def scale_to(
     for unit, power in (("lumens", lumens), ("watts", watts)):
         if power is not None and not power >= 0.0:
             raise BadInput(f"{unit} must not be negative, got {power:g}")
-    whole, asked, unit = (found.lumens, lumens, "lumens") if watts is None else (total or found.total(), watts, "watts")
+    whole, asked, unit = (
+        (found.lumens, lumens, "lumens")
+        if watts is None
+        else (total or found.total(), watts, "watts")
+    )
     if not whole > 0.0:
-        needed = "have visible light to be scaled to lumens (state watts)" if unit == "lumens" else "have some power"
+        needed = (
+            "have visible light to be scaled to lumens (state watts)"
+            if unit == "lumens"
+            else "have some power"
+        )
         raise BadInput(f"the spectrum of a lamp must {needed}, got none in {name}")
     return found.scale(asked / whole)
 
@@ -115,12 +146,14 @@ def scale_to(
 def _narrow(wavelength_nm: float, width_nm: float) -> SourceSpectrum:
     if not (FIRST_NM <= wavelength_nm <= LAST_NM and 0.0 <= width_nm <= 0.1 * wavelength_nm):
         raise BadInput(
-            f"a {NARROW} lamp must lie within {FIRST_NM:g} to {LAST_NM:g} nm and be at most a tenth of that wide, "
-            f"got {wavelength_nm:g} nm and {width_nm:g} nm"
+            f"a {NARROW} lamp must lie within {FIRST_NM:g} to {LAST_NM:g} nm and be at most a "
+            f"tenth of that wide, got {wavelength_nm:g} nm and {width_nm:g} nm"
         )
     if width_nm == 0.0:
         ends = np.array([FIRST_NM, LAST_NM])
-        return SourceSpectrum(wavelength_nm=ends, density=np.zeros(2), line_nm=(wavelength_nm,), line_power=(1.0,))
+        return SourceSpectrum(
+            wavelength_nm=ends, density=np.zeros(2), line_nm=(wavelength_nm,), line_power=(1.0,)
+        )
     # A normal distribution to four standard deviations.
     off = np.linspace(-4.0, 4.0, 65)
     at = wavelength_nm + off * width_nm / np.sqrt(8.0 * np.log(2.0))
@@ -133,14 +166,23 @@ def _rows(path: Path) -> np.ndarray:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         raise BadInput(f"a lamp's spectrum must be a readable text file, got {path}") from None
-    cells = [line.replace(",", " ").replace(";", " ").split() for line in lines if line.strip() and line[0] != "#"]
+    cells = [
+        line.replace(",", " ").replace(";", " ").split()
+        for line in lines
+        if line.strip() and line[0] != "#"
+    ]
     if cells and not _is_number(cells[0][0]):
         cells = cells[1:]
     for row in cells:
         if len(row) != 2 or not all(_is_number(cell) for cell in row):
-            raise BadInput(f"a lamp's spectrum must have two numbers on each line, got {' '.join(row)!r} in {path}")
+            raise BadInput(
+                f"a lamp's spectrum must have two numbers on each line, got {' '.join(row)!r} in "
+                f"{path}"
+            )
     if len(cells) < 2:
-        raise BadInput(f"a lamp's spectrum must have at least two lines of numbers, got {len(cells)} in {path}")
+        raise BadInput(
+            f"a lamp's spectrum must have at least two lines of numbers, got {len(cells)} in {path}"
+        )
     return np.array([[float(cell) for cell in row] for row in cells])
 
 
@@ -165,7 +207,8 @@ def _discharge(kind: str, near_infrared_share: float) -> SourceSpectrum:
     beyond = NEAR_INFRARED_LINES.get(kind, ())
     if near_infrared_share > 0.0 and not beyond:
         raise BadInput(
-            f"near_infrared_share must be 0 for {kind}, of which no lines are known, got {near_infrared_share:g}"
+            f"near_infrared_share must be 0 for {kind}, of which no lines are known, got "
+            f"{near_infrared_share:g}"
         )
     if kind == "low-pressure-sodium":
         wavelength, density = np.array([FIRST_NM, LAST_NM]), np.zeros(2)
@@ -174,7 +217,10 @@ def _discharge(kind: str, near_infrared_share: float) -> SourceSpectrum:
         column, lines = COLUMNS[kind]
         visible = table("visible")
         wavelength, density = visible["wavelength_nm"], visible[column]
-    lines = (*lines, *((nm, near_infrared_share * part) for nm, part in beyond if near_infrared_share > 0.0))
+    lines = (
+        *lines,
+        *((nm, near_infrared_share * part) for nm, part in beyond if near_infrared_share > 0.0),
+    )
     return SourceSpectrum(
         wavelength_nm=wavelength,
         density=density,

@@ -1,4 +1,6 @@
-"""Surfaces of a scene from its description: shapes, mesh files and material maps, in their poses."""
+"""Surfaces of a scene from its description: shapes, mesh files and material maps, in their
+poses.
+"""
 
 import zlib
 from collections.abc import Sequence
@@ -23,30 +25,39 @@ MOST_RUNS = 500_000
 
 
 def _read_map(path: Path, count: int) -> NDArray[np.int64]:
-    """Return the numbers of materials of an image, shape (row, col); refuse others than 0 to count - 1."""
+    """Return the numbers of materials of an image, shape (row, col); refuse others than 0 to count
+    - 1.
+    """
     from labdata.importers import read_frames
 
     values = np.asarray(read_frames(path).data[0])
     wrong = values[(values < 0) | (values >= count) | (values != np.round(values))]
     if wrong.size:
         raise BadInput(
-            f"a material map must hold whole numbers from 0 to {count - 1}, got {wrong.flat[0]:g} in {path.name}"
+            f"a material map must hold whole numbers from 0 to {count - 1}, got {wrong.flat[0]:g} "
+            f"in {path.name}"
         )
     return values.astype(np.int64)
 
 
-def split_by_material(path: Path, size_m: tuple[float, ...], materials: Sequence[str]) -> list[tuple[str, Mesh]]:
-    """Return the parts of a plane of a size (x, y), m, one for each material of an image that covers it.
+def split_by_material(
+    path: Path, size_m: tuple[float, ...], materials: Sequence[str]
+) -> list[tuple[str, Mesh]]:
+    """Return the parts of a plane of a size (x, y), m, one for each material of an image that
+    covers it.
 
-    The image has one channel of indices of the materials; its first row lies at +y, its first column at -x.
+    The image has one channel of indices of the materials; its first row lies at +y, its first
+    column at -x.
 
-    Raises BadInput if the image cannot be read, contains other numbers, or changes too often for a map.
+    Raises BadInput if the image cannot be read, contains other numbers, or changes too often for a
+    map.
     """
     values = _read_map(path, len(materials))
     row, first, last, number = _runs(values)
     if len(row) > MOST_RUNS:
         raise BadInput(
-            f"a material map must change at most {MOST_RUNS} times along its rows, got {len(row)} in {path.name}"
+            f"a material map must change at most {MOST_RUNS} times along its rows, got {len(row)} "
+            f"in {path.name}"
         )
     rows, columns = values.shape
     x = np.stack([first, last], axis=1) / columns * size_m[0] - 0.5 * size_m[0]
@@ -71,7 +82,9 @@ def _runs(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
 
 
 def _rectangles(x: Array, y: Array) -> Mesh:
-    """Return rectangles at z = 0 that face up, x from left to right and y from top to bottom, (rectangle, 2) each."""
+    """Return rectangles at z = 0 that face up, x from left to right and y from top to bottom,
+    (rectangle, 2) each.
+    """
     corners = np.stack([x[:, [0, 1, 1, 0]], y[:, [1, 1, 0, 0]], np.zeros((len(x), 4))], axis=-1)
     first = 4 * np.arange(len(x))[:, None]
     halves = [first + np.array(half) for half in ([0, 1, 2], [0, 2, 3])]
@@ -86,12 +99,17 @@ KINDS = (".obj", ".ply", ".stl", ".glb")
 
 
 def build_surfaces(scene: OutdoorScene, *, opaque: bool = False) -> Surfaces:
-    """Return the surfaces of a scene; with `opaque`, as in the infrared, panes of glass are surfaces like others.
+    """Return the surfaces of a scene; with `opaque`, as in the infrared, panes of glass are
+    surfaces like others.
 
-    Raises BadInput if a mesh file cannot be read, contains no triangle, or is open although its surface emits
-    light; if an object with gaps has too few triangles.
+    Raises BadInput if a mesh file cannot be read, contains no triangle, or is open although its
+    surface emits light; if an object with gaps has too few triangles.
     """
-    panes = [] if opaque else [surface for surface in scene.material if surface.pane_transmittance is not None]
+    panes = (
+        []
+        if opaque
+        else [surface for surface in scene.material if surface.pane_transmittance is not None]
+    )
     glass = frozenset(surface.label for surface in panes)
     glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
     parts, copied, notes = [], [], []
@@ -102,16 +120,23 @@ def build_surfaces(scene: OutdoorScene, *, opaque: bool = False) -> Surfaces:
         for material, mesh in pieces:
             if thing.file is not None and material in glowing and not mesh.is_closed:
                 raise BadInput(
-                    f"the mesh of an object that glows must be closed, so that it has an outer side, got an open one "
-                    f"in {thing.file} of {thing.label!r}"
+                    "the mesh of an object that glows must be closed, so that it has an outer "
+                    f"side, got an open one in {thing.file} of {thing.label!r}"
                 )
             if thing.gaps > 0.0:
                 mesh = remove_triangles(mesh, thing.gaps, thing.label)
             # Emitters and glass are sampled by triangle, so that their copies are not shared.
-            shared = material not in glowing | glass and len(poses) * len(mesh.faces) > SHARED_FROM and len(poses) > 1
+            shared = (
+                material not in glowing | glass
+                and len(poses) * len(mesh.faces) > SHARED_FROM
+                and len(poses) > 1
+            )
             if shared:
                 copied.append((thing.label, material, _copies(mesh, poses[1:])))
-            parts += [(thing.label, material, place_mesh(mesh, pose)) for pose in (poses[:1] if shared else poses)]
+            parts += [
+                (thing.label, material, place_mesh(mesh, pose))
+                for pose in (poses[:1] if shared else poses)
+            ]
     return replace(collect_surfaces(parts, glass, tuple(copied)), notes=tuple(notes))
 
 
@@ -130,8 +155,8 @@ def remove_triangles(mesh: Mesh, gaps: float, label: str) -> Mesh:
     """
     if len(mesh.faces) < FINE:
         raise BadInput(
-            f"an object with gaps must have at least {FINE} triangles, as a sphere has, got {len(mesh.faces)} "
-            f"in {label!r}"
+            f"an object with gaps must have at least {FINE} triangles, as a sphere has, got "
+            f"{len(mesh.faces)} in {label!r}"
         )
     drawn = np.random.default_rng(zlib.crc32(label.encode())).permutation(len(mesh.faces))
     area = mesh.area_m2[drawn]
@@ -146,42 +171,58 @@ def place_mesh(mesh: Mesh, pose: Pose) -> Mesh:
 
 
 def _pieces(scene: OutdoorScene, thing: Object) -> tuple[list[tuple[str, Mesh]], list[str]]:
-    """Return the triangles of an object by materials of the scene, and what of its file is not used, in sentences."""
+    """Return the triangles of an object by materials of the scene, and what of its file is not
+    used, in sentences.
+    """
     if thing.map is not None and thing.file is None:
         return split_by_material(scene.file(thing.map), thing.size_m, thing.map_materials), []
     if thing.map is not None and thing.file is not None:
         numbers = _read_map(scene.file(thing.map), len(thing.map_materials))
-        return split_by_texture(scene.file(thing.file), METRE[thing.unit or "m"], numbers, thing.map_materials), []
+        return split_by_texture(
+            scene.file(thing.file), METRE[thing.unit or "m"], numbers, thing.map_materials
+        ), []
     if thing.shape is not None:
         return [(thing.material, shape(thing.shape, thing.size_m))], []
     assert thing.file is not None and thing.unit is not None
     meshes, colours = read_mesh(scene.file(thing.file), METRE[thing.unit])
     if not thing.file_materials:
         named = [name for name in meshes if name]
-        own = [*([f"materials ({', '.join(sorted(named))})"] if named else []), *(["colours"] if colours else [])]
+        own = [
+            *([f"materials ({', '.join(sorted(named))})"] if named else []),
+            *(["colours"] if colours else []),
+        ]
         words = " and ".join(own)
-        unused = f"{thing.file} has {words}, which are not used: all of {thing.label!r} is {thing.material!r}"
+        unused = (
+            f"{thing.file} has {words}, which are not used: all of {thing.label!r} is "
+            f"{thing.material!r}"
+        )
         return [(thing.material, join_meshes(list(meshes.values())))], [unused] if own else []
     known = ", ".join(sorted(repr(name) for name in meshes))
     for name in thing.file_materials:
         if name not in meshes:
-            raise BadInput(f"file_materials must name materials of {thing.file}, {known}, got {name!r}")
+            raise BadInput(
+                f"file_materials must name materials of {thing.file}, {known}, got {name!r}"
+            )
     for name in meshes:
         if name not in thing.file_materials and not thing.material:
             raise BadInput(
-                f"file_materials must name all materials of {thing.file} or leave the others to a material, "
-                f"got none for {name!r} of {thing.label!r}"
+                f"file_materials must name all materials of {thing.file} or leave the others to a "
+                f"material, got none for {name!r} of {thing.label!r}"
             )
-    return [(thing.file_materials.get(name, thing.material), mesh) for name, mesh in meshes.items()], []
+    return [
+        (thing.file_materials.get(name, thing.material), mesh) for name, mesh in meshes.items()
+    ], []
 
 
 def split_by_texture(
     path: Path, metre: float, numbers: NDArray[np.int64], materials: Sequence[str]
 ) -> list[tuple[str, Mesh]]:
-    """Return the parts of a mesh file, one for each material of an image that its texture coordinates lay on it.
+    """Return the parts of a mesh file, one for each material of an image that its texture
+    coordinates lay on it.
 
-    The image's first row lies at v = 1, its first column at u = 0, and it repeats beyond. Triangles with several
-    materials are cut into parts whose sides are as long as a pixel of the image at most.
+    The image's first row lies at v = 1, its first column at u = 0, and it repeats beyond. Triangles
+    with several materials are cut into parts whose sides are as long as a pixel of the image at
+    most.
 
     Raises BadInput if the mesh has no texture coordinates, or would have too many parts.
     """
@@ -189,7 +230,9 @@ def split_by_texture(
     for part in _load(path):
         own = getattr(part.visual, "uv", None)
         if own is None or len(own) != len(part.vertices):
-            raise BadInput(f"a mesh with a map must have texture coordinates, got none in {path.name}")
+            raise BadInput(
+                f"a mesh with a map must have texture coordinates, got none in {path.name}"
+            )
         _check_mesh(path.name, part.vertices, part.faces)
         corners.append(metre * np.asarray(part.vertices, float)[part.faces])
         uv.append(np.asarray(own, float)[part.faces])
@@ -200,26 +243,34 @@ def split_by_texture(
     cuts = np.maximum(np.ceil(sides), 1.0)
     if (cuts**2).sum() > MOST_RUNS:
         raise BadInput(
-            f"a map on a mesh must make at most {MOST_RUNS} parts, got {(cuts**2).sum():.0f} of {path.name}; "
-            "give an image of fewer pixels"
+            f"a map on a mesh must make at most {MOST_RUNS} parts, got {(cuts**2).sum():.0f} of "
+            f"{path.name}; give an image of fewer pixels"
         )
     parts: list[tuple[Array, NDArray[np.int64]]] = []
     for count in np.unique(cuts.astype(np.int64)):
         of = np.flatnonzero(cuts == count)
         weights = _subdivision(int(count))
-        col, row = np.floor(np.einsum("pk,fkx->xfp", weights.mean(axis=1), texel[of])).astype(np.int64)
+        col, row = np.floor(np.einsum("pk,fkx->xfp", weights.mean(axis=1), texel[of])).astype(
+            np.int64
+        )
         which = numbers[(-1 - row) % numbers.shape[0], col % numbers.shape[1]]
         whole = (which == which[:, :1]).all(axis=1)
         parts.append((place[of[whole]], which[whole, 0]))
         small = np.einsum("pck,fkx->fpcx", weights, place[of[~whole]])
         parts.append((small.reshape(-1, 3, 3), which[~whole].ravel()))
     every, which = (np.concatenate(each) for each in zip(*parts, strict=True))
-    meshes = ((name, every[which == number].reshape(-1, 3)) for number, name in enumerate(materials))
-    return [(name, Mesh(xyz, np.arange(len(xyz)).reshape(-1, 3))) for name, xyz in meshes if len(xyz)]
+    meshes = (
+        (name, every[which == number].reshape(-1, 3)) for number, name in enumerate(materials)
+    )
+    return [
+        (name, Mesh(xyz, np.arange(len(xyz)).reshape(-1, 3))) for name, xyz in meshes if len(xyz)
+    ]
 
 
 def _subdivision(count: int) -> Array:
-    """Return barycentric coordinates of the corners of count**2 equal parts of a triangle, (part, corner, 3)."""
+    """Return barycentric coordinates of the corners of count**2 equal parts of a triangle, (part,
+    corner, 3).
+    """
     i, j = (axis.ravel() for axis in np.indices((count, count)))
     up = (i + j) < count
     down = (i + j) < count - 1
@@ -230,14 +281,22 @@ def _subdivision(count: int) -> Array:
 
 
 def read_mesh(path: Path, metre: float) -> tuple[dict[str, Mesh], bool]:
-    """Return the triangles of a file by the names of its materials, "" without one, and whether it has colours."""
+    """Return the triangles of a file by the names of its materials, "" without one, and whether it
+    has colours.
+    """
     parts = _load(path)
-    found = [(_material_of(part), np.array(part.vertices, float), np.array(part.faces, np.int64)) for part in parts]
+    found = [
+        (_material_of(part), np.array(part.vertices, float), np.array(part.faces, np.int64))
+        for part in parts
+    ]
     colours = any(part.visual.defined and part.visual.kind in ("vertex", "face") for part in parts)
     for _, vertices, faces in found:
         _check_mesh(path.name, vertices, faces)
     names = dict.fromkeys(name for name, _, _ in found)
-    meshes = {name: [Mesh(metre * xyz, faces) for other, xyz, faces in found if other == name] for name in names}
+    meshes = {
+        name: [Mesh(metre * xyz, faces) for other, xyz, faces in found if other == name]
+        for name in names
+    }
     return {name: join_meshes(each) for name, each in meshes.items()}, colours
 
 
@@ -253,7 +312,9 @@ def _load(path: Path) -> list[Any]:
         triangles = sum(len(part.faces) for part in parts)
     except Exception as error:
         # The readers of the four formats raise many kinds of errors.
-        raise BadInput(f"{path.name} must be a whole {path.suffix} mesh: {_first_line(error)}") from None
+        raise BadInput(
+            f"{path.name} must be a whole {path.suffix} mesh: {_first_line(error)}"
+        ) from None
     if not triangles:
         raise BadInput(f"a mesh must have triangles, got none in {path.name}")
     return parts
@@ -261,17 +322,27 @@ def _load(path: Path) -> list[Any]:
 
 def _check_mesh(name: str, vertices: Array, faces: NDArray[np.int64]) -> None:
     if vertices.shape[1:] != (3,):
-        raise BadInput(f"the vertices of a mesh must have three coordinates, got {vertices.shape[1:]} in {name}")
+        raise BadInput(
+            f"the vertices of a mesh must have three coordinates, got {vertices.shape[1:]} in "
+            f"{name}"
+        )
     if not np.isfinite(vertices).all():
         raise BadInput(f"the vertices of a mesh must be finite, got others in {name}")
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise BadInput(f"the corners of a mesh must be among its {len(vertices)} vertices, got others in {name}")
+        raise BadInput(
+            f"the corners of a mesh must be among its {len(vertices)} vertices, got others in "
+            f"{name}"
+        )
 
 
 def _material_of(part: Any) -> str:
     """Return the name of the material of a part of a file; "" without one."""
     visual = part.visual
-    return str(visual.material.name or "unnamed") if visual.defined and hasattr(visual, "material") else ""
+    return (
+        str(visual.material.name or "unnamed")
+        if visual.defined and hasattr(visual, "material")
+        else ""
+    )
 
 
 def _first_line(error: Exception) -> str:

@@ -49,7 +49,12 @@ class BuiltScene:
         if where is None:
             return None
         towns = tuple(TownGlow(**vars(town)) for town in sky.towns)
-        parts = {"airglow": sky.airglow, "zodiacal": sky.zodiacal, "starlight": sky.starlight, "towns": towns}
+        parts = {
+            "airglow": sky.airglow,
+            "zodiacal": sky.zodiacal,
+            "starlight": sky.starlight,
+            "towns": towns,
+        }
         found = NightSky.at(where, where.moment, atmosphere=_atmosphere(weather), **parts)
         shining = {"moon": sky.moon, "sun": sky.sun}
         return replace(found, bodies=tuple(body for body in found.bodies if shining[body.name]))
@@ -62,9 +67,14 @@ class BuiltScene:
 
     @cached_property
     def glows(self) -> tuple[tuple[str, SourceSpectrum], ...]:
-        """Emitting materials and their radiance, W m-2 sr-1: of a Lambertian surface, exitance over pi."""
+        """Emitting materials and their radiance, W m-2 sr-1: of a Lambertian surface, exitance over
+        pi.
+        """
         return tuple(
-            (surface.label, spectrum(surface.lamp, lumens=surface.glow_lm_per_m2).scale(1.0 / np.pi))
+            (
+                surface.label,
+                spectrum(surface.lamp, lumens=surface.glow_lm_per_m2).scale(1.0 / np.pi),
+            )
             for surface in self.scene.material
             if surface.glow_lm_per_m2 > 0.0
         )
@@ -79,9 +89,13 @@ class BuiltScene:
         """Return the bands for the sources, materials and a sensor, see `spectral_grid`."""
         used = {self.surfaces.materials[number] for number in np.unique(self.surfaces.material_of)}
         used |= set() if self.surfaces.panes is None else set(self.surfaces.panes.materials)
-        spectra = [self._spectrum(surface) for surface in self.scene.material if surface.label in used]
+        spectra = [
+            self._spectrum(surface) for surface in self.scene.material if surface.label in used
+        ]
         spectra = [(nm, share) for nm, share in spectra if len(nm) > 1]
-        return spectral_grid(self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra)
+        return spectral_grid(
+            self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra
+        )
 
     def on(self, wavelength_nm: Array) -> SpectralScene:
         """Return the scene on bands."""
@@ -91,10 +105,14 @@ class BuiltScene:
         bsdfs = BsdfSet.of(tuple(self._brdf(by_label[name]) for name in surfaces.materials), grid)
         if surfaces.panes is not None:
             bsdfs = replace(bsdfs, panes=_panes(surfaces.panes, by_label, grid))
-        return SpectralScene(surfaces=surfaces, bsdfs=bsdfs, lighting=self._lighting(grid), air=self._air(grid))
+        return SpectralScene(
+            surfaces=surfaces, bsdfs=bsdfs, lighting=self._lighting(grid), air=self._air(grid)
+        )
 
     def like(self, stage: SpectralScene) -> SpectralScene:
-        """Return the scene on the bands of another one that differs by the poses of its objects alone."""
+        """Return the scene on the bands of another one that differs by the poses of its objects
+        alone.
+        """
         surfaces, bsdfs, grid = self.surfaces, stage.bsdfs, stage.bsdfs.wavelength_nm
         if surfaces.panes is not None:
             by_label = {surface.label: surface for surface in self.scene.material}
@@ -103,14 +121,22 @@ class BuiltScene:
         return replace(stage, surfaces=surfaces, bsdfs=bsdfs, lighting=lighting)
 
     def _brdf(self, surface: MaterialSpec) -> Brdf:
-        return surface.material.brdf() if surface.measured is None else read_measured(self.scene.file(surface.measured))
+        return (
+            surface.material.brdf()
+            if surface.measured is None
+            else read_measured(self.scene.file(surface.measured))
+        )
 
     def _spectrum(self, surface: MaterialSpec) -> tuple[Sequence[float], Array]:
-        """Return wavelengths and reflectance of a material's table; of a measured one the albedo at normal view."""
+        """Return wavelengths and reflectance of a material's table; of a measured one the albedo at
+        normal view.
+        """
         if surface.pane_transmittance is not None:
             return surface.wavelength_nm, surface.let_through(np.asarray(surface.wavelength_nm))
         if surface.measured is None:
-            return surface.material.wavelength_nm, surface.material.reflectance_at(surface.material.wavelength_nm)
+            return surface.material.wavelength_nm, surface.material.reflectance_at(
+                surface.material.wavelength_nm
+            )
         table = read_measured(self.scene.file(surface.measured))
         upright = table.albedo(np.array([[0.0, 0.0, 1.0]]), table.wavelength_nm)[:, 0]
         return tuple(float(nm) for nm in table.wavelength_nm), upright
@@ -142,15 +168,22 @@ class BuiltScene:
         if not self.glows:
             return None
         names = [name for name, _ in self.glows]
-        kinds = np.array([names.index(name) if name in names else -1 for name in self.surfaces.materials], np.int64)
+        kinds = np.array(
+            [names.index(name) if name in names else -1 for name in self.surfaces.materials],
+            np.int64,
+        )
         spectra = np.array([glow.on(grid) for _, glow in self.glows], np.float32)
         return Panels.of(self.surfaces, kinds[self.surfaces.material_of], spectra)
 
     def _air(self, grid: Array) -> Air:
-        """Return the air lit by the sky; without a place, that of the weather, with attenuation only."""
+        """Return the air lit by the sky; without a place, that of the weather, with attenuation
+        only.
+        """
         if self.sky is not None:
             return Air.of(self.sky.air(), grid)
-        return Air() if self.scene.weather is None else Air.of(_atmosphere(self.scene.weather), grid)
+        return (
+            Air() if self.scene.weather is None else Air.of(_atmosphere(self.scene.weather), grid)
+        )
 
 
 def _panes(surfaces: Surfaces, by_label: dict[str, MaterialSpec], grid: Array) -> Panes:
@@ -175,7 +208,10 @@ def _atmosphere(weather: Weather | None) -> Atmosphere:
 def _lamp(scene: OutdoorScene, post: LampPlacement) -> Lamp:
     measured = read_ies(scene.file(post.beam)) if post.has_photometric_file else None
     distribution = BEAMS[post.beam](post) if measured is None else measured.table
-    power = {"watts": post.watts, "lumens": measured.lumens if post.lumens is None and measured else post.lumens or 0.0}
+    power = {
+        "watts": post.watts,
+        "lumens": measured.lumens if post.lumens is None and measured else post.lumens or 0.0,
+    }
     if post.kind.endswith(".csv"):
         flux = read_spectrum(scene.file(post.kind), **power)
     else:
@@ -192,7 +228,11 @@ def _lamp(scene: OutdoorScene, post: LampPlacement) -> Lamp:
 
 def _lamp_light(post: LampPlacement, lamp: Lamp, grid: Array) -> LampLight:
     position = np.asarray(post.position_m, float)
-    axis = np.array([0.0, 0.0, -1.0]) if post.aim_m is None else np.asarray(post.aim_m, float) - position
+    axis = (
+        np.array([0.0, 0.0, -1.0])
+        if post.aim_m is None
+        else np.asarray(post.aim_m, float) - position
+    )
     frame = _frame(axis / np.linalg.norm(axis), post.heading_deg)
     return LampLight(
         name=post.label,
@@ -205,7 +245,9 @@ def _lamp_light(post: LampPlacement, lamp: Lamp, grid: Array) -> LampLight:
 
 
 def _frame(axis: Array, heading_deg: float) -> Array:
-    """Return the axes of a lamp as rows: C0, C90 (counterclockwise from above for a lamp that shines down), axis."""
+    """Return the axes of a lamp as rows: C0, C90 (counterclockwise from above for a lamp that
+    shines down), axis.
+    """
     heading = np.deg2rad(heading_deg)
     first = np.array([np.sin(heading), np.cos(heading), 0.0])
     first -= (first @ axis) * axis
@@ -222,10 +264,12 @@ def _refuse_touching(post: LampPlacement, surfaces: Surfaces) -> None:
     for corners, name in surfaces.near(place, post.radius_m):
         import trimesh
 
-        closest = trimesh.triangles.closest_point(corners, np.broadcast_to(place, (len(corners), 3)))
+        closest = trimesh.triangles.closest_point(
+            corners, np.broadcast_to(place, (len(corners), 3))
+        )
         distance = np.linalg.norm(closest - place, axis=1).min()
         if distance < post.radius_m:
             raise BadInput(
-                f"a lamp must stand clear of surfaces by its radius of {post.radius_m:g} m, got {post.label!r} "
-                f"{distance:.3g} m from {name!r}"
+                f"a lamp must stand clear of surfaces by its radius of {post.radius_m:g} m, got "
+                f"{post.label!r} {distance:.3g} m from {name!r}"
             )

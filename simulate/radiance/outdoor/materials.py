@@ -6,7 +6,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera_description import Parameter, must_be_a_share, must_be_positive, must_not_be_negative
+from labdata.camera_description import (
+    Parameter,
+    must_be_a_share,
+    must_be_positive,
+    must_not_be_negative,
+)
 from labdata.errors import BadInput
 from simulate.radiance.materials import Finish, Material, clearest, material
 
@@ -18,7 +23,8 @@ WINDOW_GLASS = 1.52
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialSpec:
-    """A material: from the library, by its parameters, measured, or a pane of glass; it may emit light.
+    """A material: from the library, by its parameters, measured, or a pane of glass; it may emit
+    light.
 
     Parameters
     ----------
@@ -26,15 +32,17 @@ class MaterialSpec:
         Its name in the scene.
     library
         Name on the shelf (`simulate.radiance.materials`); or else:
-    wavelength_nm, reflectance, finish, roughness, refractive_index, retroreflected_share, half_width_deg
+    wavelength_nm, reflectance, finish, roughness, refractive_index, retroreflected_share,
+    half_width_deg
         As of `simulate.radiance.materials.Material`.
     measured
-        An .npz file of a measured BRDF (`simulate.radiance.brdf.protocol`), relative to the scene's, in place
-        of library and numbers.
+        An .npz file of a measured BRDF (`simulate.radiance.brdf.protocol`), relative to the
+        scene's, in place of library and numbers.
     pane_transmittance
-        Transmittance at normal incidence of a thin pane of glass, for each wavelength or one for all, in place of
-        library and parameters: it reflects and transmits on both sides, by the `refractive_index` given or that of
-        window glass. Each triangle of its object is a complete pane.
+        Transmittance at normal incidence of a thin pane of glass, for each wavelength or one for
+        all, in place of library and parameters: it reflects and transmits on both sides, by the
+        `refractive_index` given or that of window glass. Each triangle of its object is a complete
+        pane.
     glow_lm_per_m2
         Luminous exitance of an emitting surface, lm/m2; its spectrum is that of `lamp`.
     lamp
@@ -66,14 +74,18 @@ class MaterialSpec:
         kinds = (self.library, self.reflectance, self.measured, self.pane_transmittance)
         if sum(given is not None for given in kinds) != 1:
             raise BadInput(
-                "a material must have a library entry, a reflectance, a measured file or a pane's transmittance, "
-                f"got {self.label!r}"
+                "a material must have a library entry, a reflectance, a measured file or a "
+                f"pane's transmittance, got {self.label!r}"
             )
         if not self.glow_lm_per_m2 >= 0.0:
-            raise BadInput(f"glow_lm_per_m2 must not be negative, got {self.glow_lm_per_m2:g} of {self.label!r}")
+            raise BadInput(
+                f"glow_lm_per_m2 must not be negative, got {self.glow_lm_per_m2:g} of "
+                f"{self.label!r}"
+            )
         if any(self.material.transmittance):
             raise BadInput(
-                f"out of doors light goes through panes alone (pane_transmittance), got {self.label!r} of another kind"
+                f"out of doors light goes through panes alone (pane_transmittance), got "
+                f"{self.label!r} of another kind"
             )
         self._check_pane()
 
@@ -81,9 +93,14 @@ class MaterialSpec:
         if self.pane_transmittance is None:
             return
         if self.glow_lm_per_m2 > 0.0:
-            raise BadInput(f"a pane must not glow, got {self.label!r} of {self.glow_lm_per_m2:g} lm/m2")
+            raise BadInput(
+                f"a pane must not glow, got {self.label!r} of {self.glow_lm_per_m2:g} lm/m2"
+            )
         if not self.glass_index > 1.0:
-            raise BadInput(f"refractive_index of a pane must exceed 1, got {self.glass_index:g} of {self.label!r}")
+            raise BadInput(
+                f"refractive_index of a pane must exceed 1, got {self.glass_index:g} of "
+                f"{self.label!r}"
+            )
         count = len(self.pane_transmittance)
         if count not in (1, len(self.wavelength_nm)):
             raise BadInput(
@@ -94,8 +111,8 @@ class MaterialSpec:
         for share in self.pane_transmittance:
             if not 0.0 <= share <= most:
                 raise BadInput(
-                    f"pane_transmittance must lie between 0 and what the faces leave, {most:.4f}, got {share:g} "
-                    f"of {self.label!r}"
+                    f"pane_transmittance must lie between 0 and what the faces leave, {most:.4f}, "
+                    f"got {share:g} of {self.label!r}"
                 )
 
     @property
@@ -170,14 +187,16 @@ class Slab:
     emissivity_mwir
         3.5 to 4.1 um, dimensionless; None if unknown.
     absorptivity
-        Fraction of sunlight that is absorbed, dimensionless; None: from the reflectance of the scene's material.
+        Fraction of sunlight that is absorbed, dimensionless; None: from the reflectance of the
+        scene's material.
     transmittance
-        Fraction of sunlight that goes through, as of glass, dimensionless; what is neither absorbed nor transmitted is
-        reflected.
+        Fraction of sunlight that goes through, as of glass, dimensionless; what is neither absorbed
+        nor transmitted is reflected.
     latent_fraction
         Fraction of the absorbed sun that evaporates water, dimensionless.
     wind_coefficient
-        Convection for each m/s of wind, W m-2 K-1 / (m/s), of the law "buoyant": 3 on smooth plates, 5 on rough ground.
+        Convection for each m/s of wind, W m-2 K-1 / (m/s), of the law "buoyant": 3 on smooth
+        plates, 5 on rough ground.
     back_w_m2_k
         Heat transfer coefficient behind the last layer, W m-2 K-1; 0 is adiabatic.
     back_c
@@ -185,8 +204,8 @@ class Slab:
     max_c
         Temperature that the face cannot exceed because it melts, C; None: no limit.
     temperature_c, above_air_k, above_mean_air_k
-        In place of layers, one of: a constant temperature, C; an excess over the air's temperature at each time, K;
-        an excess over the mean of the air's temperature, K.
+        In place of layers, one of: a constant temperature, C; an excess over the air's temperature
+        at each time, K; an excess over the mean of the air's temperature, K.
     source
         Where the numbers come from that do not name their own source.
     """
@@ -211,20 +230,29 @@ class Slab:
         rules = (self.temperature_c, self.above_air_k, self.above_mean_air_k)
         if sum(rule is not None for rule in rules) != (0 if self.layer else 1):
             raise BadInput(
-                "a slab must have layers or else one of temperature_c, above_air_k and above_mean_air_k, "
-                f"got {len(self.layer)} layers and {sum(rule is not None for rule in rules)} of these"
+                "a slab must have layers or else one of temperature_c, above_air_k and "
+                f"above_mean_air_k, got {len(self.layer)} layers and "
+                f"{sum(rule is not None for rule in rules)} of these"
             )
         must_be_a_share(self, *(name for name in SHARES if getattr(self, name) is not None))
         must_not_be_negative(self, "wind_coefficient", "back_w_m2_k")
         must_be_positive(self, "emissivity")
 
     def parameters(self) -> dict[str, Parameter]:
-        """Return every number by its name, such as "layer 1 thickness_mm", with its source and standing."""
-        tables = [("", self), *((f"layer {number} ", layer) for number, layer in enumerate(self.layer, 1))]
+        """Return every number by its name, such as "layer 1 thickness_mm", with its source and
+        standing.
+        """
+        tables = [
+            ("", self),
+            *((f"layer {number} ", layer) for number, layer in enumerate(self.layer, 1)),
+        ]
         found = {
             place + item.name: value
             for place, table in tables
             for item in fields(table)
             if isinstance(value := getattr(table, item.name), Parameter)
         }
-        return {name: value if value.source else replace(value, source=self.source) for name, value in found.items()}
+        return {
+            name: value if value.source else replace(value, source=self.source)
+            for name, value in found.items()
+        }

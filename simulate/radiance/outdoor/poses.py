@@ -1,8 +1,9 @@
-"""Poses of a scene's camera, of the sensors of its rig and of its objects, and their motion by keyframes.
+"""Poses of a scene's camera, of the sensors of its rig and of its objects, and their motion by
+keyframes.
 
-The pose in the table of a camera or object is that at the scene's time. Each keyframe states values at a later time;
-between two of them values change linearly with time, and those of the last one stay. A heading that shall turn through
-north goes on beyond 360 deg.
+The pose in the table of a camera or object is that at the scene's time. Each keyframe states values
+at a later time; between two of them values change linearly with time, and those of the last one
+stay. A heading that shall turn through north goes on beyond 360 deg.
 """
 
 import math
@@ -22,7 +23,8 @@ Posed = TypeVar("Posed")
 
 @dataclass(frozen=True, kw_only=True)
 class CameraKeyframe:
-    """Pose of a camera at a time; what is None is as at the keyframe before, or as in the camera's table.
+    """Pose of a camera at a time; what is None is as at the keyframe before, or as in the camera's
+    table.
 
     Parameters
     ----------
@@ -40,7 +42,8 @@ class CameraKeyframe:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectKeyframe:
-    """Pose of an object at a time; what is None is as at the keyframe before, or as in the object's table.
+    """Pose of an object at a time; what is None is as at the keyframe before, or as in the object's
+    table.
 
     Parameters
     ----------
@@ -59,7 +62,11 @@ class ObjectKeyframe:
 
 def _stated(keyframe: Any) -> dict[str, Any]:
     """Return the values that a keyframe states, by their names."""
-    values = {each.name: getattr(keyframe, each.name) for each in fields(keyframe) if each.name != "time_s"}
+    values = {
+        each.name: getattr(keyframe, each.name)
+        for each in fields(keyframe)
+        if each.name != "time_s"
+    }
     return {name: value for name, value in values.items() if value is not None}
 
 
@@ -69,24 +76,34 @@ def check_keyframes(keyframes: Sequence[CameraKeyframe | ObjectKeyframe], name: 
     for keyframe in keyframes:
         if not (math.isfinite(keyframe.time_s) and keyframe.time_s > before_s):
             raise BadInput(
-                f"times of keyframes must ascend from 0 s, got {keyframe.time_s:g} s after {before_s:g} s of {name}"
+                f"times of keyframes must ascend from 0 s, got {keyframe.time_s:g} s after "
+                f"{before_s:g} s of {name}"
             )
         if not (stated := _stated(keyframe)):
-            raise BadInput(f"a keyframe must state a pose, got none at {keyframe.time_s:g} s of {name}")
+            raise BadInput(
+                f"a keyframe must state a pose, got none at {keyframe.time_s:g} s of {name}"
+            )
         if not all(np.isfinite(value).all() for value in stated.values()):
             raise BadInput(f"places and angles of keyframes must be finite, got others of {name}")
         before_s = keyframe.time_s
 
 
-def pose_at(start: Posed, keyframes: Sequence[CameraKeyframe | ObjectKeyframe], time_s: float) -> Posed:
-    """Return a camera or object with the pose that its keyframes give it at a time after the scene's, s."""
+def pose_at(
+    start: Posed, keyframes: Sequence[CameraKeyframe | ObjectKeyframe], time_s: float
+) -> Posed:
+    """Return a camera or object with the pose that its keyframes give it at a time after the
+    scene's, s.
+    """
     pose: Any = start
     before_s = 0.0
     for keyframe in keyframes:
         stated = _stated(keyframe)
         if time_s < keyframe.time_s:
             part = max(time_s - before_s, 0.0) / (keyframe.time_s - before_s)
-            return replace(pose, **{name: _between(getattr(pose, name), end, part) for name, end in stated.items()})
+            return replace(
+                pose,
+                **{name: _between(getattr(pose, name), end, part) for name, end in stated.items()},
+            )
         pose, before_s = replace(pose, **stated), keyframe.time_s
     return pose
 
@@ -110,8 +127,8 @@ class SceneCamera:
     roll_deg
         Rotation about the axis, clockwise as the camera sees it, deg.
     distortion_fraction
-        Radial distortion of the rays at the corner; the sensor's lens has its own, so it is 0 unless a cube is made for
-        something else.
+        Radial distortion of the rays at the corner; the sensor's lens has its own, so it is 0
+        unless a cube is made for something else.
     scan
         Motion of a line scanner; None for a framing camera.
     keyframe
@@ -127,7 +144,10 @@ class SceneCamera:
 
     def __post_init__(self) -> None:
         if self.position_m == self.look_at_m:
-            raise BadInput(f"a camera must look at another place than it stands, got {list(self.position_m)} for both")
+            raise BadInput(
+                f"a camera must look at another place than it stands, got {list(self.position_m)} "
+                "for both"
+            )
         check_keyframes(self.keyframe, "the camera")
 
 
@@ -156,7 +176,9 @@ class RigSensor:
         if not self.delay_s >= 0.0:
             raise BadInput(f"delay_s of a rig's sensor must not be negative, got {self.delay_s:g}")
         if not max(abs(angle) for angle in self.pointing_deg) < 90.0:
-            raise BadInput(f"pointing_deg must lie between -90 and 90, got {list(self.pointing_deg)}")
+            raise BadInput(
+                f"pointing_deg must lie between -90 and 90, got {list(self.pointing_deg)}"
+            )
 
     def camera(self, camera: SceneCamera) -> SceneCamera:
         """Return the camera in this place."""
@@ -207,9 +229,17 @@ class Pose:
 
 
 def rotation_of(pose: Pose) -> NDArray[np.floating]:
-    """Return the rotation (3, 3): roll about y, then pitch about x, then heading about z, clockwise from above."""
+    """Return the rotation (3, 3): roll about y, then pitch about x, then heading about z, clockwise
+    from above.
+    """
     roll, pitch, heading = np.deg2rad([pose.roll_deg, pose.pitch_deg, -pose.heading_deg])
-    about_y = np.array([[np.cos(roll), 0, np.sin(roll)], [0, 1, 0], [-np.sin(roll), 0, np.cos(roll)]])
-    about_x = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
-    about_z = np.array([[np.cos(heading), -np.sin(heading), 0], [np.sin(heading), np.cos(heading), 0], [0, 0, 1]])
+    about_y = np.array(
+        [[np.cos(roll), 0, np.sin(roll)], [0, 1, 0], [-np.sin(roll), 0, np.cos(roll)]]
+    )
+    about_x = np.array(
+        [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]]
+    )
+    about_z = np.array(
+        [[np.cos(heading), -np.sin(heading), 0], [np.sin(heading), np.cos(heading), 0], [0, 0, 1]]
+    )
     return about_z @ about_x @ about_y

@@ -1,9 +1,10 @@
 """Render settings: bands, rays, bounces and sources for the error that a sensor tolerates.
 
-A pilot run at a few points computes every source and every bounce as a separate component. The influence of a component
-is its rms signal over the sensor's noise floor, in the sixteenth of the frame where that is largest; components whose
-influences are together below a fraction of the tolerance are neglected. Another fraction limits the spectral error of
-the bands, the rest is the rms Monte Carlo error of the rendering. Influences are estimates from the pilot's points, not
+A pilot run at a few points computes every source and every bounce as a separate component. The
+influence of a component is its rms signal over the sensor's noise floor, in the sixteenth of the
+frame where that is largest; components whose influences are together below a fraction of the
+tolerance are neglected. Another fraction limits the spectral error of the bands, the rest is the
+rms Monte Carlo error of the rendering. Influences are estimates from the pilot's points, not
 bounds: a small object that the pilot missed may have more.
 """
 
@@ -14,7 +15,12 @@ from numpy.typing import NDArray
 
 from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
 from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator.integrator_settings import KNOWN, IntegratorSettings, RenderSensor, SamplingSettings
+from simulate.radiance.integrator.integrator_settings import (
+    KNOWN,
+    IntegratorSettings,
+    RenderSensor,
+    SamplingSettings,
+)
 from simulate.radiance.integrator.outgoing_radiance import bounce_order, radiance_along
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
@@ -26,7 +32,8 @@ Array = NDArray[np.floating]
 class RenderLimits:
     """Parameters of the pilot run, and the division of the error between its causes."""
 
-    # Points of the pilot, camera and gather rays of each; bounces with components of their own, and most bounces.
+    # Points of the pilot, camera and gather rays of each; bounces with components of their own, and
+    # most bounces.
     pilot_points: int = 1600
     pilot_rays: int = 2
     pilot_gather_rays: int = 4
@@ -38,21 +45,24 @@ class RenderLimits:
     neglect_fraction: float = 0.4
     band_fraction: float = 0.2
     monte_carlo_fraction: float = 0.6
-    # Tolerance below which the fine irradiance cache is used, as a fraction of the noise floor; shorter side of the
-    # smallest frame with a cache, px: twice the largest smoothing window.
+    # Tolerance below which the fine irradiance cache is used, as a fraction of the noise floor;
+    # shorter side of the smallest frame with a cache, px: twice the largest smoothing window.
     fine_cache_tolerance: float = 0.1
     min_cached_frame_px: int = 64
-    # Limits of the spectral error of any source's signal; the largest is that of the pilot. Brightest pixels, per cent,
-    # which saturate any sensor and do not affect the choice of bands.
+    # Limits of the spectral error of any source's signal; the largest is that of the pilot.
+    # Brightest pixels, per cent, which saturate any sensor and do not affect the choice of bands.
     min_spectral_error: float = 0.0005
     max_spectral_error: float = 0.005
     saturated_percent: float = 0.5
-    # Most rays of a pixel, and of a rendering beyond the fewest of each pixel: about a minute on two cores.
+    # Most rays of a pixel, and of a rendering beyond the fewest of each pixel: about a minute on
+    # two cores.
     max_rays: int = 4096
     total_rays: int = 3_000_000
-    # With few bounces the last ones carry little light: early Russian roulette takes a fifth of the time.
+    # With few bounces the last ones carry little light: early Russian roulette takes a fifth of the
+    # time.
     early_roulette_depth: int = 1
-    # Exact renderings: most rays of a pixel, Monte Carlo error, first bounce with Russian roulette, and most bounces.
+    # Exact renderings: most rays of a pixel, Monte Carlo error, first bounce with Russian roulette,
+    # and most bounces.
     exact_max_rays: int = 32768
     exact_noise_fraction: float = 0.05
     exact_roulette_depth: int = 3
@@ -68,7 +78,9 @@ LAST_BOUNCE = f"bounce {RENDER_LIMITS.pilot_bounces} and further"
 
 @dataclass(frozen=True, kw_only=True)
 class MonteCarloTolerance:
-    """Allowed Monte Carlo variance of pixels by their signal: a fraction of the sensor's noise floor, rms."""
+    """Allowed Monte Carlo variance of pixels by their signal: a fraction of the sensor's noise
+    floor, rms.
+    """
 
     eye: RenderSensor
     noise_floor_fraction: float
@@ -86,7 +98,9 @@ class RenderSettings:
     # Numbers of rays, and integrator settings.
     rays: SamplingSettings
     effort: IntegratorSettings
-    plan: EffectSelection  # retained and neglected components, influences relative to the noise floor
+    plan: (
+        EffectSelection  # retained and neglected components, influences relative to the noise floor
+    )
     sensor_name: str  # name of the sensor
     exact: bool = False  # whether nothing is neglected
 
@@ -101,17 +115,23 @@ class RenderSettings:
 
     def text(self) -> str:
         """Return the settings as text."""
-        few, most, chance, bounces = self.rays.min_rays, self.rays.max_rays, self.chance, f"{self.effort.max_bounces}"
+        few, most, chance, bounces = (
+            self.rays.min_rays,
+            self.rays.max_rays,
+            self.chance,
+            f"{self.effort.max_bounces}",
+        )
         if self.effort.max_bounces >= RENDER_LIMITS.exact_bounces:
             bounces = "to the end, by chance"
         return "\n".join(
             (
                 f"light, relative to the noise of {self.sensor_name}:",
                 self.plan.text("rms where it is most"),
-                f"{len(self.wavelength_nm)} bands from {self.wavelength_nm[0]:.0f} to {self.wavelength_nm[-1]:.0f} nm, "
-                f"which change no source's signal by more than {100.0 * self.spectral_error:.2g} %",
-                f"{few} to {most} rays a pixel, rms Monte Carlo error {100.0 * chance:.2g} % of the noise (or "
-                f"{100.0 * KNOWN * chance:.2g} % of the signal where that is more)",
+                f"{len(self.wavelength_nm)} bands from {self.wavelength_nm[0]:.0f} to "
+                f"{self.wavelength_nm[-1]:.0f} nm, which change no source's signal by more than "
+                f"{100.0 * self.spectral_error:.2g} %",
+                f"{few} to {most} rays a pixel, rms Monte Carlo error {100.0 * chance:.2g} % of "
+                f"the noise (or {100.0 * KNOWN * chance:.2g} % of the signal where that is more)",
                 f"bounces followed: {bounces}",
             )
         )
@@ -139,8 +159,8 @@ class RenderSettings:
 class PilotEstimate:
     """Radiance components at a few points of a frame.
 
-    Reflected light of a lamp or disc, or the part of the bounces occluded from the sky, belongs both to the bounce and
-    to the source: neglecting either removes it.
+    Reflected light of a lamp or disc, or the part of the bounces occluded from the sky, belongs
+    both to the bounce and to the source: neglecting either removes it.
     """
 
     signal: Array  # of each point, or of each pixel that contains several, shape (point,)
@@ -153,15 +173,26 @@ def choose_render_settings(
 ) -> tuple[RenderSettings, SpectralScene]:
     """Choose the settings of a rendering for a sensor, and return the scene on the chosen bands.
 
-    The tolerance is the total rms error by neglected components and Monte Carlo noise, as a fraction of a pixel's noise
-    floor.
+    The tolerance is the total rms error by neglected components and Monte Carlo noise, as a
+    fraction of a pixel's noise floor.
     """
     limits = RENDER_LIMITS
     stage = site.on(site.bands(eye.response_nm, eye.response, limits.max_spectral_error))
     tried = trial(stage, view, eye, seed)
-    chosen = select_effects(_effects(tried, eye, view, stage.bands), limits.neglect_fraction * tolerance)
-    bright = float(np.percentile(tried.signal, 100.0 - limits.saturated_percent)) if len(tried.signal) else 0.0
-    error = limits.band_fraction * tolerance * float(eye.noise_floor(bright, smooth=True)) / max(bright, 1e-30)
+    chosen = select_effects(
+        _effects(tried, eye, view, stage.bands), limits.neglect_fraction * tolerance
+    )
+    bright = (
+        float(np.percentile(tried.signal, 100.0 - limits.saturated_percent))
+        if len(tried.signal)
+        else 0.0
+    )
+    error = (
+        limits.band_fraction
+        * tolerance
+        * float(eye.noise_floor(bright, smooth=True))
+        / max(bright, 1e-30)
+    )
     error = float(np.clip(error, limits.min_spectral_error, limits.max_spectral_error))
     if error < limits.max_spectral_error:
         stage = site.on(site.bands(eye.response_nm, eye.response, error))
@@ -172,9 +203,13 @@ def choose_render_settings(
         rays=SamplingSettings(
             max_rays=limits.max_rays,
             total_rays=limits.total_rays,
-            cache_rays=SamplingSettings().cache_rays if min(view.shape) >= limits.min_cached_frame_px else None,
+            cache_rays=SamplingSettings().cache_rays
+            if min(view.shape) >= limits.min_cached_frame_px
+            else None,
             refine=tolerance < limits.fine_cache_tolerance,
-            error_limit=MonteCarloTolerance(eye=eye, noise_floor_fraction=limits.monte_carlo_fraction * tolerance),
+            error_limit=MonteCarloTolerance(
+                eye=eye, noise_floor_fraction=limits.monte_carlo_fraction * tolerance
+            ),
         ),
         effort=_effort(plan),
         plan=plan,
@@ -182,7 +217,9 @@ def choose_render_settings(
     ), stage
 
 
-def exact(site: BuiltScene, view: Viewpoint, eye: RenderSensor, seed: int) -> tuple[RenderSettings, SpectralScene]:
+def exact(
+    site: BuiltScene, view: Viewpoint, eye: RenderSensor, seed: int
+) -> tuple[RenderSettings, SpectralScene]:
     """Return settings that neglect nothing, and the scene on their bands: a slow reference."""
     limits = RENDER_LIMITS
     stage = site.on(site.bands(eye.response_nm, eye.response, limits.min_spectral_error))
@@ -195,9 +232,13 @@ def exact(site: BuiltScene, view: Viewpoint, eye: RenderSensor, seed: int) -> tu
             edge=64,
             max_rays=limits.exact_max_rays,
             cache_rays=None,
-            error_limit=MonteCarloTolerance(eye=eye, noise_floor_fraction=limits.exact_noise_fraction),
+            error_limit=MonteCarloTolerance(
+                eye=eye, noise_floor_fraction=limits.exact_noise_fraction
+            ),
         ),
-        effort=IntegratorSettings(max_bounces=limits.exact_bounces, roulette_depth=limits.exact_roulette_depth),
+        effort=IntegratorSettings(
+            max_bounces=limits.exact_bounces, roulette_depth=limits.exact_roulette_depth
+        ),
         plan=EffectSelection(tolerance=0.0, kept=tuple(effects), left_out=()),
         sensor_name=eye.name,
         exact=True,
@@ -210,7 +251,8 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
     across = np.sqrt(limits.pilot_points * columns / rows)
     shape = max(1, int(across * rows / columns)), max(1, int(across))
     grid = np.meshgrid(
-        *((np.arange(n) + 0.5) * side / n for n, side in zip(shape, view.shape, strict=True)), indexing="ij"
+        *((np.arange(n) + 0.5) * side / n for n, side in zip(shape, view.shape, strict=True)),
+        indexing="ij",
     )
     at = np.stack([axis.ravel() for axis in grid])
     # Several points in a pixel count as one.
@@ -221,20 +263,32 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
     count = np.bincount(pixel, minlength=shape[0] * shape[1])[:, None]
 
     def means(signal: Array) -> Array:
-        """Return mean signals of each counted point, separately by first and second rays, shape (point, ray)."""
+        """Return mean signals of each counted point, separately by first and second rays, shape
+        (point, ray).
+        """
         each = signal.reshape(-1, limits.pilot_rays).astype(float)
-        return np.stack([np.bincount(pixel, ray, minlength=len(count)) for ray in each.T], axis=1) / count
+        return (
+            np.stack([np.bincount(pixel, ray, minlength=len(count)) for ray in each.T], axis=1)
+            / count
+        )
 
     spread = np.minimum(1.0, np.array(view.shape) / [len(grid[0]), grid[0].shape[1]])[:, None]
     row, col = (
-        np.repeat(at, limits.pilot_rays, axis=1) + (rng.random((2, len(pixel) * limits.pilot_rays)) - 0.5) * spread
+        np.repeat(at, limits.pilot_rays, axis=1)
+        + (rng.random((2, len(pixel) * limits.pilot_rays)) - 0.5) * spread
     )
     origin, towards = view.rays(row, col)
     weight = eye.weight(stage.bsdfs.wavelength_nm)
-    effort = IntegratorSettings(max_bounces=limits.pilot_max_bounces, roulette_depth=limits.pilot_bounces)
-    found = radiance_along(stage, origin, towards, effort, rng, gather_rays=limits.pilot_gather_rays, split=True).found
+    effort = IntegratorSettings(
+        max_bounces=limits.pilot_max_bounces, roulette_depth=limits.pilot_bounces
+    )
+    found = radiance_along(
+        stage, origin, towards, effort, rng, gather_rays=limits.pilot_gather_rays, split=True
+    ).found
     by_name = {name: means(light @ weight) for name, light in found.items()}
-    signal = np.asarray(sum(by_name.values(), start=np.zeros((len(count), limits.pilot_rays)))).mean(axis=1)
+    signal = np.asarray(
+        sum(by_name.values(), start=np.zeros((len(count), limits.pilot_rays)))
+    ).mean(axis=1)
     parts: dict[str, Array] = {}
     for name, light in by_name.items():
         for part in _parts_of(name, (*stage.lighting.names, "hidden sky")):
@@ -257,7 +311,9 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
 
 
 def _parts_of(name: str, sources: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the components that light belongs to: its bounce, and its source if that may be neglected."""
+    """Return the components that light belongs to: its bounce, and its source if that may be
+    neglected.
+    """
     order, source = bounce_order(name)
     if order == 0:
         return (name,)
@@ -265,7 +321,9 @@ def _parts_of(name: str, sources: tuple[str, ...]) -> tuple[str, ...]:
     return (last, source) if source in sources else (last,)
 
 
-def _effects(tried: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: int) -> list[OptionalEffect]:
+def _effects(
+    tried: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: int
+) -> list[OptionalEffect]:
     """Return effects of the components: influence and cost."""
     grain = eye.noise_floor(tried.signal, smooth=True)[:, None]
     million = view.shape[0] * view.shape[1] * SamplingSettings().min_rays * 1e-6 * bands / 10.0
@@ -280,19 +338,25 @@ def _effects(tried: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: in
         if further in influence:
             influence[order] = max(influence.get(order, 0.0), influence[further])
     return [
-        OptionalEffect(name=name, influence=amount, setup_s=million * _cost(name)) for name, amount in influence.items()
+        OptionalEffect(name=name, influence=amount, setup_s=million * _cost(name))
+        for name, amount in influence.items()
     ]
 
 
 def _influence(part: Array, shape: tuple[int, int]) -> float:
     """Return the rms of a component (point, ray) over the region where it is largest.
 
-    The mean square is that of the product of two rays of the same point, which is not biased by Monte Carlo noise as
-    the square of their mean would be.
+    The mean square is that of the product of two rays of the same point, which is not biased by
+    Monte Carlo noise as the square of their mean would be.
     """
     square = (part[:, 0] * part[:, 1]).reshape(shape)
     rows = np.array_split(square, RENDER_LIMITS.regions)
-    regions = [region for row in rows for region in np.array_split(row, RENDER_LIMITS.regions, axis=1) if region.size]
+    regions = [
+        region
+        for row in rows
+        for region in np.array_split(row, RENDER_LIMITS.regions, axis=1)
+        if region.size
+    ]
     return float(np.sqrt(max(0.0, *(region.mean() for region in regions))))
 
 
@@ -302,7 +366,9 @@ def _cost(name: str) -> float:
 
 
 def _effort(plan: EffectSelection) -> IntegratorSettings:
-    orders = [int(effect.name.split()[1]) for effect in plan.kept if effect.name.startswith("bounce ")]
+    orders = [
+        int(effect.name.split()[1]) for effect in plan.kept if effect.name.startswith("bounce ")
+    ]
     out = plan.names
     followed = max(orders, default=0)
     to_the_end = followed >= RENDER_LIMITS.pilot_bounces
@@ -311,5 +377,7 @@ def _effort(plan: EffectSelection) -> IntegratorSettings:
         sky_shadowing="hidden sky" not in out,
         path_air="air before surfaces" not in out,
         neglected=frozenset(out),
-        roulette_depth=RENDER_LIMITS.exact_roulette_depth if to_the_end else RENDER_LIMITS.early_roulette_depth,
+        roulette_depth=RENDER_LIMITS.exact_roulette_depth
+        if to_the_end
+        else RENDER_LIMITS.early_roulette_depth,
     )

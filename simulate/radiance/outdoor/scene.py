@@ -1,4 +1,6 @@
-"""Description of an outdoor scene: camera, objects, lamps, location, weather and natural light: tables of its file."""
+"""Description of an outdoor scene: camera, objects, lamps, location, weather and natural light:
+tables of its file.
+"""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -10,7 +12,14 @@ from labdata.errors import BadInput
 from simulate.radiance.lamps.distribution import BEAMS
 from simulate.radiance.lamps.spectra import NARROW
 from simulate.radiance.outdoor.materials import MaterialSpec, Slab
-from simulate.radiance.outdoor.poses import ObjectKeyframe, Pose, RigSensor, SceneCamera, check_keyframes, pose_at
+from simulate.radiance.outdoor.poses import (
+    ObjectKeyframe,
+    Pose,
+    RigSensor,
+    SceneCamera,
+    check_keyframes,
+    pose_at,
+)
 from simulate.radiance.sky.moon import ObserverLocation
 
 ConvectionLaw = Literal["buoyant", "mcadams", "watmuff", "constant"]
@@ -38,9 +47,14 @@ class Where(ObserverLocation):
         try:
             moment = datetime.fromisoformat(self.time)
         except ValueError:
-            raise BadInput(f"time must be written like 1998-06-24T02:00:00-04:00, got {self.time!r}") from None
+            raise BadInput(
+                f"time must be written like 1998-06-24T02:00:00-04:00, got {self.time!r}"
+            ) from None
         if moment.tzinfo is None:
-            raise BadInput(f"time must state its offset from UTC, like 02:00:00-04:00 or 06:00:00Z, got {self.time!r}")
+            raise BadInput(
+                f"time must state its offset from UTC, like 02:00:00-04:00 or 06:00:00Z, got "
+                f"{self.time!r}"
+            )
         return moment
 
     def __post_init__(self) -> None:
@@ -50,7 +64,8 @@ class Where(ObserverLocation):
 
 @dataclass(frozen=True, kw_only=True)
 class Weather:
-    """The air at the ground at the scene's time, and for surface temperatures its course over the day before.
+    """The air at the ground at the scene's time, and for surface temperatures its course over the
+    day before.
 
     Parameters
     ----------
@@ -73,14 +88,16 @@ class Weather:
     linke_turbidity
         Turbidity of the air for sunlight (Linke), dimensionless.
     file
-        Weather of the day up to the scene's time, in place of the numbers above from the temperature on: a file of kind
-        EPW (.epw), TMY3 or `docs/thermal.md` (.csv) or SURFRAD (.dat), relative to the scene's.
+        Weather of the day up to the scene's time, in place of the numbers above from the
+        temperature on: a file of kind EPW (.epw), TMY3 or `docs/thermal.md` (.csv) or SURFRAD
+        (.dat), relative to the scene's.
     convection, convection_w_m2_k
-        Law of convection (`simulate.thermal.slab`), and the coefficient of the law "constant", W m-2 K-1.
+        Law of convection (`simulate.thermal.slab`), and the coefficient of the law "constant", W
+        m-2 K-1.
     atmosphere, modtran_folder
-        Transmittance of paths in infrared images: "built-in" (`simulate.thermal.air`) or "modtran5", by the database of
-        pyBSM (`simulate.thermal.air.ModtranAir`), and the folder of its files, relative to the scene's; without one,
-        that of the installed package.
+        Transmittance of paths in infrared images: "built-in" (`simulate.thermal.air`) or
+        "modtran5", by the database of pyBSM (`simulate.thermal.air.ModtranAir`), and the folder of
+        its files, relative to the scene's; without one, that of the installed package.
     """
 
     visibility_km: float = 23.0
@@ -101,12 +118,14 @@ class Weather:
     def __post_init__(self) -> None:
         if self.modtran_folder is not None and self.atmosphere != "modtran5":
             raise BadInput(
-                f'modtran_folder must come with atmosphere = "modtran5", got {self.modtran_folder!r} and '
+                f'modtran_folder must come with atmosphere = "modtran5", got '
+                f"{self.modtran_folder!r} and "
                 f"{self.atmosphere!r}"
             )
         if self.dew_point_c is not None and self.dew_point_c > self.temperature_c:
             raise BadInput(
-                f"dew_point_c must not exceed temperature_c {self.temperature_c:g}, got {self.dew_point_c:g}"
+                f"dew_point_c must not exceed temperature_c {self.temperature_c:g}, got "
+                f"{self.dew_point_c:g}"
             )
         if not 0.0 <= self.cloud <= 1.0:
             raise BadInput(f"cloud must lie between 0 and 1, got {self.cloud:g}")
@@ -165,8 +184,8 @@ class LampPlacement:
     label
         Its name.
     kind
-        Kind of its spectrum (`simulate.radiance.lamps.spectra.KINDS`), "narrow-band" for a laser or a diode of one
-        colour, or a .csv file of two columns relative to the scene's.
+        Kind of its spectrum (`simulate.radiance.lamps.spectra.KINDS`), "narrow-band" for a laser or
+        a diode of one colour, or a .csv file of two columns relative to the scene's.
     position_m
         Place (east, north, up), m.
     lumens
@@ -178,7 +197,8 @@ class LampPlacement:
     aim_m
         Point on its axis, m; without one it shines straight down.
     beam
-        "isotropic", "cosine" (a Lambertian emitter), "spot", or a photometric .ies file relative to the scene's.
+        "isotropic", "cosine" (a Lambertian emitter), "spot", or a photometric .ies file relative to
+        the scene's.
     heading_deg
         Azimuth of the plane C0 of a photometric file, clockwise from north, deg.
     half_angle_deg
@@ -188,7 +208,8 @@ class LampPlacement:
     temperature_k
         Of an incandescent lamp, K.
     near_infrared_share
-        Power of near-infrared lines over that of the visible, dimensionless; None: that of its kind.
+        Power of near-infrared lines over that of the visible, dimensionless; None: that of its
+        kind.
     """
 
     label: str
@@ -208,7 +229,9 @@ class LampPlacement:
 
     def __post_init__(self) -> None:
         if self.beam not in BEAMS and not self.has_photometric_file:
-            raise BadInput(f"a beam must be one of {', '.join(BEAMS)} or an .ies file, got {self.beam!r}")
+            raise BadInput(
+                f"a beam must be one of {', '.join(BEAMS)} or an .ies file, got {self.beam!r}"
+            )
         given = [power for power in (self.lumens, self.watts) if power is not None]
         if len(given) == 2 or not (given or self.has_photometric_file):
             raise BadInput(
@@ -216,9 +239,14 @@ class LampPlacement:
                 f"{'both' if given else 'none'} of {self.label!r}"
             )
         if not all(power >= 0.0 for power in given):
-            raise BadInput(f"lumens and watts must not be negative, got {given[0]:g} of {self.label!r}")
+            raise BadInput(
+                f"lumens and watts must not be negative, got {given[0]:g} of {self.label!r}"
+            )
         if self.kind != NARROW and (self.wavelength_nm is not None or self.width_nm):
-            raise BadInput(f"wavelength_nm and width_nm belong to a {NARROW} lamp, got {self.kind} for {self.label!r}")
+            raise BadInput(
+                f"wavelength_nm and width_nm belong to a {NARROW} lamp, got {self.kind} for "
+                f"{self.label!r}"
+            )
         if not self.radius_m > 0.0:
             raise BadInput(f"radius_m must be positive, got {self.radius_m:g} of {self.label!r}")
         if self.aim_m == self.position_m:
@@ -231,7 +259,14 @@ class LampPlacement:
 
 
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
-METRE: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
+METRE: dict[str, float] = {
+    "m": 1.0,
+    "cm": 0.01,
+    "mm": 0.001,
+    "km": 1000.0,
+    "in": 0.0254,
+    "ft": 0.3048,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,24 +282,27 @@ class Object(Pose):
     shape, size_m
         A shape of `simulate.radiance.geometry.surfaces` and its sizes, m; or else:
     file, unit
-        A mesh file (.obj, .ply, .stl, .glb), relative to the scene's file, and the unit of its numbers.
+        A mesh file (.obj, .ply, .stl, .glb), relative to the scene's file, and the unit of its
+        numbers.
     file_materials
-        Of a mesh file: the material of the scene for the name of each material in the file; `material`, if given, is
-        that of all others.
+        Of a mesh file: the material of the scene for the name of each material in the file;
+        `material`, if given, is that of all others.
     map, map_materials
-        Of a plane, or of a mesh file with texture coordinates: a picture whose numbers say which of these materials
-        lies where, see `simulate.radiance.outdoor.build`; in place of `material`.
+        Of a plane, or of a mesh file with texture coordinates: a picture whose numbers say which of
+        these materials lies where, see `simulate.radiance.outdoor.build`; in place of `material`.
     gaps
-        Fraction of its surface that is open, as between leaves, dimensionless; all copies omit the same triangles.
+        Fraction of its surface that is open, as between leaves, dimensionless; all copies omit the
+        same triangles.
     instances
         Poses of copies; without any there is one object, in its own pose.
     keyframe
         Where it stands later; not with copies.
     temperature_c, above_air_k
-        Temperature of all of its surface, in place of the slab's: constant, C, or excess over that of the air, K.
+        Temperature of all of its surface, in place of the slab's: constant, C, or excess over that
+        of the air, K.
     heat_w_m2, heat_hours
-        Heat that its surface gets from within, W m-2, and from which hour to which of the scene's local time, such as
-        [22, 2.5]; without hours always.
+        Heat that its surface gets from within, W m-2, and from which hour to which of the scene's
+        local time, such as [22, 2.5]; without hours always.
     """
 
     label: str
@@ -288,28 +326,45 @@ class Object(Pose):
         super().__post_init__()
         check_keyframes(self.keyframe, repr(self.label))
         if self.keyframe and self.instances:
-            raise BadInput(f"an object with keyframes must have no copies, got {len(self.instances)} of {self.label!r}")
+            raise BadInput(
+                f"an object with keyframes must have no copies, got {len(self.instances)} of "
+                f"{self.label!r}"
+            )
         if (self.shape is None) == (self.file is None):
             raise BadInput(f"an object must have either a shape or a file, got {self.label!r}")
         if self.file_materials and self.file is None:
-            raise BadInput(f"file_materials must be those of a mesh file, got {self.label!r} without a file")
+            raise BadInput(
+                f"file_materials must be those of a mesh file, got {self.label!r} without a file"
+            )
         one = bool(self.material or self.file_materials)
         if (self.map is None) != (not self.map_materials) or (self.map is None) != one:
-            raise BadInput(f"an object must have either a material or a map and its materials, got {self.label!r}")
+            raise BadInput(
+                f"an object must have either a material or a map and its materials, got "
+                f"{self.label!r}"
+            )
         if self.map is not None and self.shape not in (None, "plane"):
-            raise BadInput(f"a material map must lie on a plane or on a mesh file, got {self.label!r}")
-        if self.temperature_c is not None and (self.above_air_k is not None or self.temperature_c <= -273.15):
+            raise BadInput(
+                f"a material map must lie on a plane or on a mesh file, got {self.label!r}"
+            )
+        if self.temperature_c is not None and (
+            self.above_air_k is not None or self.temperature_c <= -273.15
+        ):
             raise BadInput(
                 "an object must have either a temperature_c above -273.15 or above_air_k, got "
                 f"{self.temperature_c:g} and {self.above_air_k} of {self.label!r}"
             )
         if self.heat_hours is not None and not all(0.0 <= hour <= 24.0 for hour in self.heat_hours):
-            raise BadInput(f"heat_hours must lie between 0 and 24, got {list(self.heat_hours)} of {self.label!r}")
+            raise BadInput(
+                f"heat_hours must lie between 0 and 24, got {list(self.heat_hours)} of "
+                f"{self.label!r}"
+            )
         if not 0.0 <= self.gaps < 1.0:
             raise BadInput(f"gaps must lie in [0, 1), got {self.gaps:g} of {self.label!r}")
         if self.file is not None and self.unit is None:
-            raise BadInput(f"a mesh file has no unit of its own: unit must be one of {', '.join(METRE)}, "
-                           f"got none for {self.label!r}")  # fmt: skip
+            raise BadInput(
+                f"a mesh file has no unit of its own: unit must be one of {', '.join(METRE)}, "
+                f"got none for {self.label!r}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,7 +380,8 @@ class OutdoorScene:
     place
         Location and time; without a place there is no sky, only lamps.
     weather
-        The air. Without a place there is no air unless a weather is given, which then only attenuates.
+        The air. Without a place there is no air unless a weather is given, which then only
+        attenuates.
     sky
         Natural light of a place.
     material, object, lamp, slab
@@ -349,7 +405,12 @@ class OutdoorScene:
     folder: str = "."
 
     def __post_init__(self) -> None:
-        tables = ("material", self.material), ("object", self.object), ("lamp", self.lamp), ("slab", self.slab)
+        tables = (
+            ("material", self.material),
+            ("object", self.object),
+            ("lamp", self.lamp),
+            ("slab", self.slab),
+        )
         for kind, things in tables:
             labels = [thing.label for thing in things]
             twice = sorted({label for label in labels if labels.count(label) > 1})
@@ -360,11 +421,14 @@ class OutdoorScene:
             for name in thing.map_materials or (*thing.file_materials.values(), thing.material):
                 if (name or not thing.file_materials) and name not in known:
                     raise BadInput(
-                        f"the material of an object must be one of {', '.join(sorted(known)) or 'none described'}, "
-                        f"got {name!r} of {thing.label!r}"
+                        "the material of an object must be one of "
+                        f"{', '.join(sorted(known)) or 'none described'}, got {name!r} of "
+                        f"{thing.label!r}"
                     )
         if self.place is None and self.sky != Sky():
-            raise BadInput(f"a sky must have a place and a time, got [sky] without [place] in {self.name!r}")
+            raise BadInput(
+                f"a sky must have a place and a time, got [sky] without [place] in {self.name!r}"
+            )
         numbers = [*self.camera.position_m, *(x for thing in self.object for x in thing.position_m)]
         if not all(math.isfinite(number) for number in numbers):
             raise BadInput("places in a scene must be finite")
@@ -375,11 +439,15 @@ class OutdoorScene:
         return bool(self.camera.keyframe) or any(thing.keyframe for thing in self.object)
 
     def at(self, time_s: float) -> "OutdoorScene":
-        """Return the scene, without motion, as it stands at a time after its own, s; light and weather stay."""
+        """Return the scene, without motion, as it stands at a time after its own, s; light and
+        weather stay.
+        """
         if not self.moves:
             return self
         camera = pose_at(replace(self.camera, keyframe=()), self.camera.keyframe, time_s)
-        things = (pose_at(replace(thing, keyframe=()), thing.keyframe, time_s) for thing in self.object)
+        things = (
+            pose_at(replace(thing, keyframe=()), thing.keyframe, time_s) for thing in self.object
+        )
         return replace(self, camera=camera, object=tuple(things))
 
     def for_sensor(self, sensor: str | None) -> "OutdoorScene":

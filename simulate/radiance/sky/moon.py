@@ -1,4 +1,6 @@
-"""Sun and moon for an observer: ephemeris, spectra (of the moon by the ROLO model), and discs as light sources."""
+"""Sun and moon for an observer: ephemeris, spectra (of the moon by the ROLO model), and discs as
+light sources.
+"""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -29,7 +31,9 @@ class ObserverLocation:
         if not -90.0 <= self.latitude_deg <= 90.0:
             raise BadInput(f"latitude_deg must lie in [-90, 90], got {self.latitude_deg:g}")
         if not -180.0 <= self.longitude_deg <= 360.0:
-            raise BadInput(f"longitude_deg must lie in [-180, 360], east positive, got {self.longitude_deg:g}")
+            raise BadInput(
+                f"longitude_deg must lie in [-180, 360], east positive, got {self.longitude_deg:g}"
+            )
         if not -500.0 <= self.altitude_m <= 9000.0:
             raise BadInput(f"altitude_m must lie in [-500, 9000], got {self.altitude_m:g}")
 
@@ -70,7 +74,9 @@ class Ephemeris:
     # Where they stand.
     sun: Body
     moon: Body
-    sun_selenographic_longitude_deg: float  # of the point on the moon under the sun: positive before full moon, degrees
+    sun_selenographic_longitude_deg: (
+        float  # of the point on the moon under the sun: positive before full moon, degrees
+    )
     # Libration: the point on the moon under the observer, degrees.
     observer_selenographic_latitude_deg: float
     observer_selenographic_longitude_deg: float
@@ -82,7 +88,9 @@ class Ephemeris:
 
     @property
     def sunlit_share(self) -> float:
-        """Fraction of the sun visible from the moon's centre, 0 in the umbra of the earth, dimensionless."""
+        """Fraction of the sun visible from the moon's centre, 0 in the umbra of the earth,
+        dimensionless.
+        """
         to_earth = np.array([0.0, 0.0, -EARTH_RADIUS_KM]) - self.moon.position_km
         to_sun = self.sun.position_km - self.moon.position_km
         sun, earth = (
@@ -93,13 +101,18 @@ class Ephemeris:
 
     @property
     def sun_share(self) -> float:
-        """Fraction of the sun's disc that the moon does not cover for the observer, dimensionless."""
+        """Fraction of the sun's disc that the moon does not cover for the observer,
+        dimensionless.
+        """
         apart = np.deg2rad(angle_deg(self.sun.position_km, self.moon.position_km))
-        return visible_disc_fraction(self.sun.angular_radius_rad, self.moon.angular_radius_rad, float(apart))
+        return visible_disc_fraction(
+            self.sun.angular_radius_rad, self.moon.angular_radius_rad, float(apart)
+        )
 
 
 def ephemeris(place: ObserverLocation, time: datetime) -> Ephemeris:
-    """Return sun and moon for an observer at a time with its zone, topocentric and without refraction.
+    """Return sun and moon for an observer at a time with its zone, topocentric and without
+    refraction.
 
     Raises BadInput if the time has no zone, or lies outside 1900 to 2100.
 
@@ -125,7 +138,9 @@ def ephemeris(place: ObserverLocation, time: datetime) -> Ephemeris:
 
 def _universal(time: datetime) -> datetime:
     if time.tzinfo is None:
-        raise BadInput(f"a time must know its zone, as in 2024-02-24T06:00:00Z, got {time.isoformat()}")
+        raise BadInput(
+            f"a time must know its zone, as in 2024-02-24T06:00:00Z, got {time.isoformat()}"
+        )
     universal = time.astimezone(UTC)
     if not 1900 <= universal.year <= 2100:
         raise BadInput(f"a time must lie between 1900 and 2100, got {universal.isoformat()}")
@@ -136,7 +151,11 @@ def _body(found: object, radius_km: float) -> Body:
     elevation, azimuth = float(found.alt), float(found.az)  # pyright: ignore[reportAttributeAccessIssue]
     distance_km = float(found.earth_distance) * AU_KM  # pyright: ignore[reportAttributeAccessIssue]
     level = np.cos(elevation)
-    direction = (float(level * np.sin(azimuth)), float(level * np.cos(azimuth)), float(np.sin(elevation)))
+    direction = (
+        float(level * np.sin(azimuth)),
+        float(level * np.cos(azimuth)),
+        float(np.sin(elevation)),
+    )
     return Body(direction=direction, distance_km=distance_km, radius_km=radius_km)
 
 
@@ -150,7 +169,9 @@ def angle_deg(one: Array, other: Array) -> float:
 
 
 def visible_disc_fraction(radius: float, cover_radius: float, apart: float) -> float:
-    """Return the fraction of a disc that another one in front of it does not cover; radii and distance in rad."""
+    """Return the fraction of a disc that another one in front of it does not cover; radii and
+    distance in rad.
+    """
     if apart >= radius + cover_radius:
         return 1.0
     if apart <= abs(radius - cover_radius):
@@ -172,11 +193,13 @@ def sun_spectrum(distance_au: float = 1.0) -> SourceSpectrum:
 
     Notes
     -----
-    ASTM G173-03's extraterrestrial spectrum in steps of 5 nm: Fraunhofer lines are averaged, 133,100 lux are kept.
+    ASTM G173-03's extraterrestrial spectrum in steps of 5 nm: Fraunhofer lines are averaged,
+    133,100 lux are kept.
     """
     sun = table("sun")
     return SourceSpectrum(
-        wavelength_nm=sun["wavelength_nm"], density=sun["irradiance_w_m2_nm"] / np.square(distance_au)
+        wavelength_nm=sun["wavelength_nm"],
+        density=sun["irradiance_w_m2_nm"] / np.square(distance_au),
     )
 
 
@@ -189,25 +212,32 @@ def band_reflectance(
     observer_latitude_deg: float = 0.0,
     observer_longitude_deg: float = 0.0,
 ) -> tuple[Array, Array]:
-    """Return the model's bands, nm, and the disc-equivalent reflectance of the moon at them, both of shape (band,).
+    """Return the model's bands, nm, and the disc-equivalent reflectance of the moon at them, both
+    of shape (band,).
 
-    By the angle at the moon between sun and observer, the selenographic longitude of the sun (positive before full
-    moon; by default the phase), and the selenographic position of the observer, degrees.
+    By the angle at the moon between sun and observer, the selenographic longitude of the sun
+    (positive before full moon; by default the phase), and the selenographic position of the
+    observer, degrees.
 
     Notes
-    -----
-    ln A = sum a_i g^i + sum b_j P^(2j-1) + c1 th + c2 ph + c3 P th + c4 P ph + d1 exp(-g/p1) + d2 exp(-g/p2)
-    + d3 cos((g - p3)/p4) (Kieffer and Stone, Astron. J. 129, 2887, 2005, eq. 10, model 311g). Fitted for phases from
-    1.55 to 97 degrees; it is used beyond, where it stays within 0.35 mag of Allen's phase curve up to 150 degrees.
+    ----- ln A = sum a_i g^i + sum b_j P^(2j-1) + c1 th + c2 ph + c3 P th + c4 P ph + d1 exp(-g/p1)
+    + d2 exp(-g/p2) + d3 cos((g - p3)/p4) (Kieffer and Stone, Astron. J. 129, 2887, 2005, eq. 10,
+    model 311g). Fitted for phases from 1.55 to 97 degrees; it is used beyond, where it stays within
+    0.35 mag of Allen's phase curve up to 150 degrees.
     """
     rolo = table("rolo")
     phase = np.deg2rad(phase_deg)
     sun = np.deg2rad(phase_deg if sun_longitude_deg is None else sun_longitude_deg)
     logarithm = sum(rolo[f"a{i}"] * phase**i for i in range(4))
     logarithm = logarithm + sum(rolo[f"b{j}"] * sun ** (2 * j - 1) for j in (1, 2, 3))
-    # Terms common to all bands: libration (per degree), and the widths of the opposition surge, degrees.
+    # Terms common to all bands: libration (per degree), and the widths of the opposition surge,
+    # degrees.
     c1, c2, c3, c4 = (0.00034115, -0.0013425, 0.00095906, 0.00066229)
-    logarithm = logarithm + (c1 + c3 * sun) * observer_latitude_deg + (c2 + c4 * sun) * observer_longitude_deg
+    logarithm = (
+        logarithm
+        + (c1 + c3 * sun) * observer_latitude_deg
+        + (c2 + c4 * sun) * observer_longitude_deg
+    )
     p1, p2, p3, p4 = (4.06054, 12.8802, -30.5858, 16.7498)
     surge = rolo["d1"] * np.exp(-phase_deg / p1) + rolo["d2"] * np.exp(-phase_deg / p2)
     ripple = rolo["d3"] * np.cos((phase_deg - p3) / p4)
@@ -216,8 +246,11 @@ def band_reflectance(
 
 @cache
 def _smoother() -> Array:
-    """Return the matrix that takes values at the bands to polynomial coefficients, by least squares."""
-    # ln A is smoothed over wavelength by a polynomial: the bands' own calibration scatters by a few percent.
+    """Return the matrix that takes values at the bands to polynomial coefficients, by least
+    squares.
+    """
+    # ln A is smoothed over wavelength by a polynomial: the bands' own calibration scatters by a few
+    # percent.
     powers = np.vander(_scale_wavelength(table("rolo")["wavelength_nm"]), 3 + 1)
     return np.asarray(np.linalg.pinv(powers), float)
 
@@ -227,7 +260,8 @@ def _scale_wavelength(wavelength_nm: Array) -> Array:
 
 
 def moon_reflectance(wavelength_nm: ArrayLike, *geometry: float) -> Array:
-    """Return the reflectance at any wavelengths, smoothed over the bands; geometry as for `band_reflectance`.
+    """Return the reflectance at any wavelengths, smoothed over the bands; geometry as for
+    `band_reflectance`.
 
     Outside 405 to 1059.5 nm it is that of the nearer end.
     """
@@ -239,18 +273,23 @@ def moon_reflectance(wavelength_nm: ArrayLike, *geometry: float) -> Array:
 def moon_spectrum(
     *geometry: float, moon_distance_km: float = STANDARD_KM, sun_distance_au: float = 1.0
 ) -> SourceSpectrum:
-    """Return the moon's irradiance before the atmosphere, W m-2, by phase and libration as for `band_reflectance`.
+    """Return the moon's irradiance before the atmosphere, W m-2, by phase and libration as for
+    `band_reflectance`.
 
     Notes
     -----
     E = A Omega / pi E_sun / (d_sun/AU)^2 (384,400 km / d_moon)^2, Omega 6.4177e-5 sr.
     """
     share = 6.4177e-5 / np.pi * (STANDARD_KM / moon_distance_km) ** 2
-    return sun_spectrum(sun_distance_au).multiply(lambda nm: share * moon_reflectance(nm, *geometry))
+    return sun_spectrum(sun_distance_au).multiply(
+        lambda nm: share * moon_reflectance(nm, *geometry)
+    )
 
 
 def moonlight(at: Ephemeris) -> SourceSpectrum:
-    """Return the moon's irradiance before the atmosphere, W m-2, at a place and time; dark in an eclipse's umbra."""
+    """Return the moon's irradiance before the atmosphere, W m-2, at a place and time; dark in an
+    eclipse's umbra.
+    """
     from_sun = at.sun.position_km - at.moon.position_km
     light = moon_spectrum(
         at.phase_deg,
@@ -285,9 +324,12 @@ class Disc:
         return float(0.5 + (np.arcsin(height) + height * np.sqrt(1.0 - height**2)) / np.pi)
 
     def irradiance(self, wavelength_nm: ArrayLike) -> Array:
-        """Return the irradiance at the ground, normal to the beam, on the complete grid, W m-2 nm-1; zero when set."""
+        """Return the irradiance at the ground, normal to the beam, on the complete grid, W m-2
+        nm-1; zero when set.
+        """
         grid = require_grid(wavelength_nm)
-        # Absorption bands of gases are narrower than spectral bands: transmittance is applied before averaging.
+        # Absorption bands of gases are narrower than spectral bands: transmittance is applied
+        # before averaging.
         air, height = self.atmosphere, self.elevation_deg
         left = self.extraterrestrial.multiply(lambda nm: air.slant_transmittance(height, nm)[:, 0])
         return self.visible_share * left.on(grid)

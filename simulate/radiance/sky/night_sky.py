@@ -1,4 +1,6 @@
-"""Sky radiance: sun and moon, scattered light, twilight, airglow, zodiacal light, stars and towns."""
+"""Sky radiance: sun and moon, scattered light, twilight, airglow, zodiacal light, stars and
+towns.
+"""
 
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -12,7 +14,15 @@ from simulate.radiance.atmosphere import Atmosphere, airmass
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps.spectra import spectrum
 from simulate.radiance.sky import scattering
-from simulate.radiance.sky.moon import AU_KM, Disc, Ephemeris, ObserverLocation, ephemeris, moonlight, sun_spectrum
+from simulate.radiance.sky.moon import (
+    AU_KM,
+    Disc,
+    Ephemeris,
+    ObserverLocation,
+    ephemeris,
+    moonlight,
+    sun_spectrum,
+)
 from simulate.radiance.spectrum import (
     LUMENS_PER_WATT,
     SourceSpectrum,
@@ -25,13 +35,15 @@ from simulate.radiance.spectrum import (
 
 Array = NDArray[np.floating]
 BAND_NM = 50.0
-# Airglow's lines that stand out of a 50 nm band, W m-2 sr-1: oxygen at 558 and 630 nm (160 and 115 rayleigh), sodium.
+# Airglow's lines that stand out of a 50 nm band, W m-2 sr-1: oxygen at 558 and 630 nm (160 and 115
+# rayleigh), sodium.
 LINES_NM = (557.7, 589.3, 630.0)
 LINES_W_M2_SR = (4.5e-8, 1.3e-8, 2.9e-8)
 
 
 def van_rhijn(elevation_deg: ArrayLike) -> Array:
-    """Return how much longer a slanting ray runs in a thin layer 90 km up, dimensionless: 1 at the zenith, 6 at 0.
+    """Return how much longer a slanting ray runs in a thin layer 90 km up, dimensionless: 1 at the
+    zenith, 6 at 0.
 
     Notes
     -----
@@ -43,7 +55,9 @@ def van_rhijn(elevation_deg: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class DarkSky:
-    """Zenith radiance of the moonless sky in three parts, W m-2 sr-1, as it arrives at the ground in clear air."""
+    """Zenith radiance of the moonless sky in three parts, W m-2 sr-1, as it arrives at the ground
+    in clear air.
+    """
 
     # Their spectra.
     airglow: SourceSpectrum
@@ -62,22 +76,31 @@ def dark_sky() -> DarkSky:
 
     Notes
     -----
-    The sum is a measured spectrum; zodiacal light has the sun's spectrum and 30 % of the luminance, stars that of a
-    black body of 4700 K and 20 %; airglow is the rest, so nearly all of the near infrared. The airglow varies twofold
-    over the solar cycle; where on the sky the ecliptic and the Milky Way lie is left out.
+    The sum is a measured spectrum; zodiacal light has the sun's spectrum and 30 % of the luminance,
+    stars that of a black body of 4700 K and 20 %; airglow is the rest, so nearly all of the near
+    infrared. The airglow varies twofold over the solar cycle; where on the sky the ecliptic and the
+    Milky Way lie is left out.
     """
     smooth = _continuum()
-    lines = SourceSpectrum(wavelength_nm=smooth.wavelength_nm, density=0.0 * smooth.density,
-                     line_nm=LINES_NM, line_power=LINES_W_M2_SR)  # fmt: skip
+    lines = SourceSpectrum(
+        wavelength_nm=smooth.wavelength_nm,
+        density=0.0 * smooth.density,
+        line_nm=LINES_NM,
+        line_power=LINES_W_M2_SR,
+    )
     whole = sum_spectra([smooth, lines])
     sunlight = np.interp(smooth.wavelength_nm, sun_spectrum().wavelength_nm, sun_spectrum().density)
     zodiacal = _share(whole, sunlight, 0.30)
     # Colour of the stars' integrated light: redder than the sun.
-    # Shares of the zenith's luminance, after Leinert et al., Astron. Astrophys. Suppl. 127, 1 (1998).
+    # Shares of the zenith's luminance, after Leinert et al., Astron. Astrophys. Suppl. 127, 1
+    # (1998).
     starlight = _share(whole, planck(smooth.wavelength_nm, 4700.0), 0.20)
     rest = whole.density - zodiacal.density - starlight.density
     airglow = SourceSpectrum(
-        wavelength_nm=whole.wavelength_nm, density=rest, line_nm=whole.line_nm, line_power=whole.line_power
+        wavelength_nm=whole.wavelength_nm,
+        density=rest,
+        line_nm=whole.line_nm,
+        line_power=whole.line_power,
     )
     return DarkSky(airglow, zodiacal, starlight)
 
@@ -88,18 +111,23 @@ def _share(whole: SourceSpectrum, shape: Array, luminance_share: float) -> Sourc
 
 
 def _continuum() -> SourceSpectrum:
-    """Return the continuum of the table without the lines: the smoothest broken line with the bands' means."""
+    """Return the continuum of the table without the lines: the smoothest broken line with the
+    bands' means.
+    """
     bands = table("dark_sky")
     start, mean = bands["wavelength_nm"], 1e-9 * bands["radiance_1e-6_w_m2_sr_um"]
     for nm, power in zip(LINES_NM, LINES_W_M2_SR, strict=True):
         mean = mean - np.where((start <= nm) & (nm < start + BAND_NM), power / BAND_NM, 0.0)
     knots = np.arange(350.0, 1150.0 + 1.0, 10.0)
     rows = np.stack([_band_mean(knots, low) for low in start])
-    # Least sum of squared second differences under the bands' means, which Lagrange's multipliers keep exactly.
+    # Least sum of squared second differences under the bands' means, which Lagrange's multipliers
+    # keep exactly.
     bend = np.diff(np.eye(knots.size), 2, axis=0)
     flat = np.zeros((2, knots.size))
     flat[0, :2], flat[1, -2:] = (1.0, -1.0), (1.0, -1.0)
-    system = np.block([[bend.T @ bend + 10.0 * flat.T @ flat, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
+    system = np.block(
+        [[bend.T @ bend + 10.0 * flat.T @ flat, rows.T], [rows, np.zeros((len(rows), len(rows)))]]
+    )
     solved = np.linalg.solve(system, np.concatenate([np.zeros(knots.size), mean]))
     return SourceSpectrum(wavelength_nm=knots, density=solved[: knots.size])
 
@@ -112,8 +140,9 @@ def _band_mean(knots: Array, low_nm: float) -> Array:
     return weight / weight.sum()
 
 
-# Zenith brightness, mag arcsec-2, over the depression d in degrees: a0 + a1 (d - 5) + a2 (d - 5)^2 for 5 <= d <= 15,
-# in U, B, V, R, I (Patat, Ugolnikov and Postylyakov, Astron. Astrophys. 455, 385, 2006).
+# Zenith brightness, mag arcsec-2, over the depression d in degrees: a0 + a1 (d - 5) + a2 (d - 5)^2
+# for 5 <= d <= 15, in U, B, V, R, I (Patat, Ugolnikov and Postylyakov, Astron. Astrophys. 455, 385,
+# 2006).
 BANDS_NM = np.array([366.0, 438.0, 545.0, 641.0, 798.0])
 A0 = np.array([11.78, 11.84, 11.84, 11.40, 10.93])
 A1 = np.array([1.376, 1.411, 1.518, 1.567, 1.470])
@@ -121,41 +150,53 @@ A2 = np.array([-0.039, -0.041, -0.057, -0.064, -0.062])
 # Flux of magnitude 0 in these bands, W m-2 nm-1 (Bessell, Castelli and Plez 1998).
 ZERO_W_M2_NM = np.array([4.175e-11, 6.32e-11, 3.631e-11, 2.177e-11, 1.126e-11])
 FIRST_DEG, TANGENT_DEG, LAST_DEG = 5.0, 12.0, 20.0
-# Relative radiance 1 + RISE s^2 + 2.0 s^2 cos(azimuth from the sun), s the sine of the zenith angle: with a hemisphere
-# of twice the zenith the illuminances of civil and nautical dusk come out, 3.4 and 0.008 lux.
+# Relative radiance 1 + RISE s^2 + 2.0 s^2 cos(azimuth from the sun), s the sine of the zenith
+# angle: with a hemisphere of twice the zenith the illuminances of civil and nautical dusk come out,
+# 3.4 and 0.008 lux.
 RISE = 2.0
 
 
 def twilight_magnitude(depression_deg: float) -> Array:
-    """Return the zenith's brightness in U, B, V, R, I, mag arcsec-2, at a depression of the sun of 0 to 20 degrees."""
+    """Return the zenith's brightness in U, B, V, R, I, mag arcsec-2, at a depression of the sun of
+    0 to 20 degrees.
+    """
     if depression_deg < FIRST_DEG:
-        # From sunset on the zenith dims so much per degree that a level place has 600 lux at sunset; above, the
-        # glow fades out until daylight of `scattering` has taken over.
+        # From sunset on the zenith dims so much per degree that a level place has 600 lux at
+        # sunset; above, the glow fades out until daylight of `scattering` has taken over.
         return A0 - 0.85 * (FIRST_DEG - depression_deg)
-    # Beyond 12 degrees the measured sky approaches its night level; the twilight is extrapolated with the slope there.
+    # Beyond 12 degrees the measured sky approaches its night level; the twilight is extrapolated
+    # with the slope there.
     x = min(depression_deg, TANGENT_DEG) - FIRST_DEG
     beyond = max(depression_deg - TANGENT_DEG, 0.0)
     return A0 + A1 * x + A2 * x**2 + beyond * (A1 + 2.0 * A2 * (TANGENT_DEG - FIRST_DEG))
 
 
 def twilight_spectrum(elevation_deg: float, relative: float = 1.0) -> SourceSpectrum | None:
-    """Return the zenith's radiance by twilight, W m-2 sr-1, or None, for an elevation and strength over the sun's.
+    """Return the zenith's radiance by twilight, W m-2 sr-1, or None, for an elevation and strength
+    over the sun's.
 
     Notes
     -----
-    Below -20 degrees there is none, above 0 it stays and fades out towards 10 degrees. The moon counts as a dim sun.
+    Below -20 degrees there is none, above 0 it stays and fades out towards 10 degrees. The moon
+    counts as a dim sun.
     """
     if elevation_deg <= -LAST_DEG or elevation_deg >= 10.0 or relative <= 0.0:
         return None
     magnitude = twilight_magnitude(max(-elevation_deg, 0.0))
     faded = 1.0 - max(elevation_deg, 0.0) / 10.0
-    radiance = relative * faded * ZERO_W_M2_NM * (180.0 * 3600.0 / np.pi) ** 2 * 10.0 ** (-0.4 * magnitude)
+    radiance = (
+        relative * faded * ZERO_W_M2_NM * (180.0 * 3600.0 / np.pi) ** 2 * 10.0 ** (-0.4 * magnitude)
+    )
     fine = np.arange(350.0, 1151.0, 10.0)
-    return SourceSpectrum(wavelength_nm=fine, density=np.exp(np.interp(fine, BANDS_NM, np.log(radiance))))
+    return SourceSpectrum(
+        wavelength_nm=fine, density=np.exp(np.interp(fine, BANDS_NM, np.log(radiance)))
+    )
 
 
 def twilight_shape(direction: Array, towards: tuple[float, float, float]) -> Array:
-    """Return radiance relative to the zenith's for directions (path, 3) and a body's direction, shape (path,)."""
+    """Return radiance relative to the zenith's for directions (path, 3) and a body's direction,
+    shape (path,).
+    """
     level = float(np.hypot(towards[0], towards[1]))
     sine = np.hypot(direction[:, 0], direction[:, 1])
     if level == 0.0:
@@ -216,7 +257,9 @@ class NightSky:
     """
 
     atmosphere: Atmosphere = field(default_factory=Atmosphere)  # the air
-    bodies: tuple[Disc, ...] = ()  # sun and moon, also when below the horizon, where they still make twilight
+    bodies: tuple[
+        Disc, ...
+    ] = ()  # sun and moon, also when below the horizon, where they still make twilight
     # Strength of each over a dark site's, dimensionless.
     airglow: float = 1.0
     zodiacal: float = 1.0
@@ -233,9 +276,15 @@ class NightSky:
 
     @classmethod
     def at(
-        cls, place: ObserverLocation, time: datetime, *, atmosphere: Atmosphere | None = None, **parts: object
+        cls,
+        place: ObserverLocation,
+        time: datetime,
+        *,
+        atmosphere: Atmosphere | None = None,
+        **parts: object,
     ) -> "NightSky":
-        """Return the sky over a place at a time with its zone; by default in air of 23 km of visibility.
+        """Return the sky over a place at a time with its zone; by default in air of 23 km of
+        visibility.
 
         Other fields of the sky (`airglow`, `towns` and so on) are passed on.
 
@@ -254,7 +303,8 @@ class NightSky:
         return (*bodies, self._night(), *(town.spectrum for town in self.towns))
 
     def radiance(self, direction: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the sky's radiance without the discs in directions (path, 3), W m-2 sr-1 nm-1, shape (band, path).
+        """Return the sky's radiance without the discs in directions (path, 3), W m-2 sr-1 nm-1,
+        shape (band, path).
 
         On the complete spectral grid (band,), nm; zero below the horizon.
         """
@@ -263,19 +313,22 @@ class NightSky:
         depth, _ = scattering.scattering_parts(self.atmosphere, grid)
         for body in self.bodies:
             if body.elevation_deg > 0.0:
-                total += self._endless(body, direction, grid) * scattering.sky_depth(depth, direction)
+                total += self._endless(body, direction, grid) * scattering.sky_depth(
+                    depth, direction
+                )
             glow = self._twilight(body)
             if glow is not None:
                 total += glow.on(grid)[:, None] * twilight_shape(direction, body.direction)
         return total * (direction[:, 2] >= 0.0)
 
     def air_radiance(self, direction: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the radiance of an endless level path of the air near the ground, shape (band, path).
+        """Return the radiance of an endless level path of the air near the ground, shape (band,
+        path).
 
         Notes
         -----
-        The same scattering of sun and moon as in the sky, so that far hills fade into the horizon; of dusk and towns,
-        half of the sphere is sky and half is ground of the albedo given.
+        The same scattering of sun and moon as in the sky, so that far hills fade into the horizon;
+        of dusk and towns, half of the sphere is sky and half is ground of the albedo given.
         """
         grid = require_grid(wavelength_nm)
         total = np.zeros((grid.size, len(direction)))
@@ -314,31 +367,45 @@ class NightSky:
         return float(np.sum(self.irradiance(grid) * weight))
 
     def _endless(self, body: Disc, direction: Array, grid: Array) -> Array:
-        """Return the radiance of an endless path lit by one body; the sky it makes has the diffuse irradiance known."""
+        """Return the radiance of an endless path lit by one body; the sky it makes has the diffuse
+        irradiance known.
+        """
         depth, molecules = scattering.scattering_parts(self.atmosphere, grid)
         # Followed through the narrow bands of gases before it is put on the grid.
         diffuse = body.extraterrestrial.multiply(
-            lambda nm: scattering.diffuse_share(self.atmosphere, body.elevation_deg, nm, self.ground_albedo)
+            lambda nm: scattering.diffuse_share(
+                self.atmosphere, body.elevation_deg, nm, self.ground_albedo
+            )
         )
         per_shape = diffuse.on(grid) / scattering.level_irradiance(body.direction, depth, molecules)
         return per_shape[:, None] * scattering.endless_path(direction, body.direction, molecules)
 
     def _twilight(self, body: Disc) -> SourceSpectrum | None:
-        return twilight_spectrum(body.elevation_deg, body.extraterrestrial.lumens / sun_spectrum().lumens)
+        return twilight_spectrum(
+            body.elevation_deg, body.extraterrestrial.lumens / sun_spectrum().lumens
+        )
 
     def _night(self) -> SourceSpectrum:
         dark = dark_sky()
         return sum_spectra(
-            [dark.airglow.scale(self.airglow), dark.zodiacal.scale(self.zodiacal), dark.starlight.scale(self.starlight)]
+            [
+                dark.airglow.scale(self.airglow),
+                dark.zodiacal.scale(self.zodiacal),
+                dark.starlight.scale(self.starlight),
+            ]
         )
 
     def _night_radiance(self, direction: Array, grid: Array) -> Array:
         """Return airglow, zodiacal light, stars and towns, shape (band, path).
 
-        Each part comes through the air, and what the air takes from it it gives back evenly from above and below.
+        Each part comes through the air, and what the air takes from it it gives back evenly from
+        above and below.
         """
         elevation = np.rad2deg(np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)))
-        straight, slant = self._direct_fraction(np.array([90.0]), grid), self._direct_fraction(elevation, grid)
+        straight, slant = (
+            self._direct_fraction(np.array([90.0]), grid),
+            self._direct_fraction(elevation, grid),
+        )
         total = np.zeros((grid.size, len(direction)))
         for zenith, shape, back in self._night_parts(elevation, grid):
             seen = shape * slant + back * (1.0 - slant)
@@ -348,13 +415,21 @@ class NightSky:
         return total
 
     def _night_air(self, grid: Array) -> Array:
-        """Return the radiance of an endless path lit by airglow, zodiacal light and stars, shape (band,)."""
+        """Return the radiance of an endless path lit by airglow, zodiacal light and stars, shape
+        (band,).
+        """
         straight = self._direct_fraction(np.array([90.0]), grid)[:, 0]
         parts = self._night_parts(np.array([90.0]), grid)
-        return np.sum([zenith * back / (straight + back * (1.0 - straight)) for zenith, _, back in parts], axis=0)
+        return np.sum(
+            [zenith * back / (straight + back * (1.0 - straight)) for zenith, _, back in parts],
+            axis=0,
+        )
 
-    def _night_parts(self, elevation_deg: Array, grid: Array) -> tuple[tuple[Array, Array, float], ...]:
-        """Return of even light and of airglow: the zenith, its shape above the air, and what an endless path has of it.
+    def _night_parts(
+        self, elevation_deg: Array, grid: Array
+    ) -> tuple[tuple[Array, Array, float], ...]:
+        """Return of even light and of airglow: the zenith, its shape above the air, and what an
+        endless path has of it.
 
         Half of what lights the air comes from above and half from ground of the albedo given.
         """
@@ -362,7 +437,10 @@ class NightSky:
         even = self.zodiacal * dark.zodiacal.on(grid) + self.starlight * dark.starlight.on(grid)
         glow = self.airglow * dark.airglow.on(grid)
         half = 0.5 * (1.0 + self.ground_albedo)
-        return ((even, np.ones(elevation_deg.shape), half), (glow, van_rhijn(elevation_deg), half * AIRGLOW_HEMISPHERE))
+        return (
+            (even, np.ones(elevation_deg.shape), half),
+            (glow, van_rhijn(elevation_deg), half * AIRGLOW_HEMISPHERE),
+        )
 
     def _direct_fraction(self, elevation_deg: Array, grid: Array) -> Array:
         """Return the transmittance for isotropic light, shape (band, path).

@@ -1,4 +1,6 @@
-"""Scattering of sunlight and moonlight by the atmosphere: diffuse irradiance and angular distribution."""
+"""Scattering of sunlight and moonlight by the atmosphere: diffuse irradiance and angular
+distribution.
+"""
 
 from functools import lru_cache
 
@@ -17,25 +19,32 @@ RINGS, TURNS = 48, 48
 
 
 def krisciunas_schaefer_rayleigh(separation_deg: ArrayLike) -> Array:
-    """Return f_R, nL per foot-candle: 10^5.36 (1.06 + cos^2) of the angle from the moon, degrees."""
+    """Return f_R, nL per foot-candle: 10^5.36 (1.06 + cos^2) of the angle from the moon,
+    degrees.
+    """
     return 10.0**5.36 * (1.06 + np.square(np.cos(np.deg2rad(separation_deg))))
 
 
 def krisciunas_schaefer_mie(separation_deg: ArrayLike) -> Array:
-    """Return f_M, nL per foot-candle: 10^(6.15 - angle/40), inside 10 degrees 6.2e7/angle^2, flat inside 1 degree."""
+    """Return f_M, nL per foot-candle: 10^(6.15 - angle/40), inside 10 degrees 6.2e7/angle^2, flat
+    inside 1 degree.
+    """
     angle = np.maximum(np.asarray(separation_deg, float), AUREOLE_DEG)
     return np.where(angle < 10.0, 6.2e7 / np.square(angle), 10.0 ** (6.15 - angle / 40.0))
 
 
-def diffuse_share(atmosphere: Atmosphere, elevation_deg: float, wavelength_nm: Array, ground_albedo: float) -> Array:
-    """Return the diffuse irradiance of level ground over the extraterrestrial one normal to the beam, shape (band,).
+def diffuse_share(
+    atmosphere: Atmosphere, elevation_deg: float, wavelength_nm: Array, ground_albedo: float
+) -> Array:
+    """Return the diffuse irradiance of level ground over the extraterrestrial one normal to the
+    beam, shape (band,).
 
     The elevation is that of sun or moon; at and below 0 there is none (see `twilight_spectrum`).
 
     Notes
     -----
-    Bird and Riordan 1984 (SERI/TR-215-2436), eq. 3-1 to 3-17: molecules send half of their light down, haze by its
-    asymmetry 0.65, ground and sky reflect to each other.
+    Bird and Riordan 1984 (SERI/TR-215-2436), eq. 3-1 to 3-17: molecules send half of their light
+    down, haze by its asymmetry 0.65, ground and sky reflect to each other.
     """
     if elevation_deg <= 0.0:
         return np.zeros(len(wavelength_nm))
@@ -52,7 +61,9 @@ def diffuse_share(atmosphere: Atmosphere, elevation_deg: float, wavelength_nm: A
     return down + (down + direct) * sky * ground_albedo / (1.0 - sky * ground_albedo)
 
 
-def _layers(atmosphere: Atmosphere, wavelength_nm: Array, mass: float) -> tuple[Array, Array, Array]:
+def _layers(
+    atmosphere: Atmosphere, wavelength_nm: Array, mass: float
+) -> tuple[Array, Array, Array]:
     """Return what is left after scattering by molecules, by haze, and after absorption by haze."""
     share = scattering_albedo(wavelength_nm)
     haze = atmosphere.haze_depth(wavelength_nm) * mass
@@ -64,7 +75,9 @@ def _layers(atmosphere: Atmosphere, wavelength_nm: Array, mass: float) -> tuple[
 
 
 def _forward_share(sine: float) -> float:
-    """Return the downward fraction of light scattered by haze, for light from an elevation of this sine."""
+    """Return the downward fraction of light scattered by haze, for light from an elevation of this
+    sine.
+    """
     log = np.log(1.0 - ASYMMETRY)
     first = log * (1.459 + log * (0.1595 + log * 0.4129))
     second = log * (0.0783 + log * (-0.3824 - log * 0.5874))
@@ -80,8 +93,11 @@ def _sky_albedo(atmosphere: Atmosphere, wavelength_nm: Array) -> Array:
     return gas * absorbed * (0.5 * (1.0 - molecules) + by_haze)
 
 
-def endless_path(direction: Array, towards: tuple[float, float, float], molecules_share: Array) -> Array:
-    """Return the relative radiance of an endless path of air in directions (path, 3), sr-1, shape (band, path).
+def endless_path(
+    direction: Array, towards: tuple[float, float, float], molecules_share: Array
+) -> Array:
+    """Return the relative radiance of an endless path of air in directions (path, 3), sr-1, shape
+    (band, path).
 
     It is lit from one direction, and molecules do a share (band,) of the scattering.
 
@@ -96,7 +112,9 @@ def endless_path(direction: Array, towards: tuple[float, float, float], molecule
 
 
 def _integral_over_directions(spread: Array, separation: Array) -> float:
-    return float(2.0 * np.pi * np.trapezoid(spread * np.sin(np.deg2rad(separation)), np.deg2rad(separation)))
+    return float(
+        2.0 * np.pi * np.trapezoid(spread * np.sin(np.deg2rad(separation)), np.deg2rad(separation))
+    )
 
 
 _FINE = np.linspace(0.0, 180.0, 18001)
@@ -105,24 +123,37 @@ MIE_INTEGRAL = _integral_over_directions(krisciunas_schaefer_mie(_FINE), _FINE)
 
 
 def scattering_parts(atmosphere: Atmosphere, wavelength_nm: Array) -> tuple[Array, Array]:
-    """Return the vertical scattering depth and the molecules' fraction of it, both of shape (band,)."""
-    molecules, haze = atmosphere.molecules_depth(wavelength_nm), atmosphere.haze_depth(wavelength_nm)
+    """Return the vertical scattering depth and the molecules' fraction of it, both of shape
+    (band,).
+    """
+    molecules, haze = (
+        atmosphere.molecules_depth(wavelength_nm),
+        atmosphere.haze_depth(wavelength_nm),
+    )
     return molecules + haze, molecules / (molecules + haze)
 
 
 def sky_depth(depth: Array, direction: Array) -> Array:
-    """Return 1 - exp(-depth times air mass): how much of an endless path the sky holds, shape (band, path)."""
+    """Return 1 - exp(-depth times air mass): how much of an endless path the sky holds, shape
+    (band, path).
+    """
     elevation = np.rad2deg(np.arcsin(np.clip(direction[:, 2], -1.0, 1.0)))
     return -np.expm1(-depth[:, None] * airmass(elevation))
 
 
-def level_irradiance(towards: tuple[float, float, float], depth: Array, molecules_share: Array) -> Array:
-    """Return the irradiance of level ground under the sky of relative radiance `endless_path` x `sky_depth`."""
+def level_irradiance(
+    towards: tuple[float, float, float], depth: Array, molecules_share: Array
+) -> Array:
+    """Return the irradiance of level ground under the sky of relative radiance `endless_path` x
+    `sky_depth`.
+    """
     return _level_irradiance(towards[2], tuple(depth.tolist()), tuple(molecules_share.tolist()))
 
 
 @lru_cache(maxsize=64)
-def _level_irradiance(sine: float, depth: tuple[float, ...], molecules_share: tuple[float, ...]) -> Array:
+def _level_irradiance(
+    sine: float, depth: tuple[float, ...], molecules_share: tuple[float, ...]
+) -> Array:
     directions, weight = sky_quadrature()
     level = float(np.sqrt(max(1.0 - sine**2, 0.0)))
     shape = endless_path(directions, (level, 0.0, sine), np.array(molecules_share))
@@ -139,5 +170,7 @@ def sky_quadrature() -> tuple[Array, Array]:
     height, turn = 0.5 * (node + 1.0), 2.0 * np.pi * (np.arange(TURNS) + 0.5) / TURNS
     up, around = np.meshgrid(height, turn, indexing="ij")
     level = np.sqrt(1.0 - up**2)
-    directions = np.stack([level * np.sin(around), level * np.cos(around), up], axis=-1).reshape(-1, 3)
+    directions = np.stack([level * np.sin(around), level * np.cos(around), up], axis=-1).reshape(
+        -1, 3
+    )
     return directions, np.repeat(0.5 * width * 2.0 * np.pi / TURNS, TURNS)

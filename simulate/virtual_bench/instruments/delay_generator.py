@@ -1,4 +1,6 @@
-"""A virtual Stanford DG645 delay generator: commands, error queue and registers, and what its AB output does."""
+"""A virtual Stanford DG645 delay generator: commands, error queue and registers, and what its AB
+output does.
+"""
 
 from collections import deque
 from collections.abc import Iterable
@@ -80,11 +82,14 @@ def _volts(low: float, high: float, factory: float, count: int = 0) -> Setting:
     return Setting(low, high, factory, count, "{:+.2f}", 0.01)
 
 
-def _seconds(low: float, high: float, factory: float = 0.0, count: int = 0, step: float = STEP_S) -> Setting:
+def _seconds(
+    low: float, high: float, factory: float = 0.0, count: int = 0, step: float = STEP_S
+) -> Setting:
     return Setting(low, high, factory, count, "{:+.12f}", step, Dg645Error.ILLEGAL_DELAY)
 
 
-# Ranges as the maker's manual gives them; those of BURP, LOFF, TRAT and PRES are recalled, not looked up
+# Ranges as the maker's manual gives them; those of BURP, LOFF, TRAT and PRES are recalled, not
+# looked up
 SETTINGS: dict[str, Setting] = {
     "TSRC": Setting(0, 6, 5),
     "TRAT": Setting(1e-4, 1e7, 1000.0, 0, "{:+.6f}", 1e-6),
@@ -107,7 +112,9 @@ SETTINGS: dict[str, Setting] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Memory:
-    """Values of all settings, by mnemonic and index (0 where there is none), and the edges' delays."""
+    """Values of all settings, by mnemonic and index (0 where there is none), and the edges'
+    delays.
+    """
 
     values: dict[tuple[str, int], float] = field(
         default_factory=lambda: {
@@ -124,7 +131,9 @@ class Memory:
 
 
 class DelayGenerator(LineInstrument, GateGenerator):
-    """The instrument after power-on, with `external_hz` pulses a second at its trigger input, 0: none is wired."""
+    """The instrument after power-on, with `external_hz` pulses a second at its trigger input, 0:
+    none is wired.
+    """
 
     edges = (2, 3)
 
@@ -136,7 +145,9 @@ class DelayGenerator(LineInstrument, GateGenerator):
         self.power_cycle()
 
     def power_cycle(self) -> None:
-        """Lose power and get it back: settings stay (recalled), the error queue is empty, PON is set."""
+        """Lose power and get it back: settings stay (recalled), the error queue is empty, PON is
+        set.
+        """
         self._clear()
         self._event_status, self._line = StandardEvent.PON, b""
 
@@ -163,7 +174,9 @@ class DelayGenerator(LineInstrument, GateGenerator):
         if name in SETTINGS:
             return self._setting(command, SETTINGS[name])
         mine, other, wrong = (
-            (_QUERIES, _SETS, Dg645Error.ILLEGAL_QUERY) if command.query else (_SETS, _QUERIES, Dg645Error.ILLEGAL_SET)
+            (_QUERIES, _SETS, Dg645Error.ILLEGAL_QUERY)
+            if command.query
+            else (_SETS, _QUERIES, Dg645Error.ILLEGAL_SET)
         )
         if name not in mine:
             raise RefusedCommand(wrong if name in other else Dg645Error.UNDEFINED_COMMAND)
@@ -172,7 +185,11 @@ class DelayGenerator(LineInstrument, GateGenerator):
 
     def _complain(self, code: int) -> None:
         self._event_status |= (
-            StandardEvent.CME if 110 <= code < 130 else StandardEvent.DDE if code >= 30 else StandardEvent.EXE
+            StandardEvent.CME
+            if 110 <= code < 130
+            else StandardEvent.DDE
+            if code >= 30
+            else StandardEvent.EXE
         )
         if len(self._errors) < 20:
             self._errors.append(code)
@@ -187,7 +204,9 @@ class DelayGenerator(LineInstrument, GateGenerator):
             return setting.form.format(setting.kind(self._memory.values[place]))
         if not setting.low <= given[-1] <= setting.high:
             raise RefusedCommand(setting.wrong)
-        self._memory.values[place] = round(given[-1] / setting.step) * setting.step if setting.step else given[-1]
+        self._memory.values[place] = (
+            round(given[-1] / setting.step) * setting.step if setting.step else given[-1]
+        )
         return None
 
     def _now(self, mnemonic: str, index: int = 0) -> float:
@@ -209,7 +228,9 @@ class DelayGenerator(LineInstrument, GateGenerator):
 
     def _step_delay(self, edge: int, up: int) -> None:
         steps = round(self._now("SSDL", _within(edge, EDGES)) / STEP_S)
-        self._move(edge, self._delays.reference[edge], self._delays.steps[edge] + (steps if up else -steps))
+        self._move(
+            edge, self._delays.reference[edge], self._delays.steps[edge] + (steps if up else -steps)
+        )
 
     def _move(self, edge: int, reference: int, steps: int) -> None:
         if not 2 <= edge < EDGES:
@@ -288,7 +309,9 @@ class DelayGenerator(LineInstrument, GateGenerator):
 
     def _cycle_s(self) -> float:
         """Time after a trigger in which the instrument is busy and another is lost, s."""
-        cycle_s = self._longest() * STEP_S + 100e-9  # the next trigger must come this much after the longest delay
+        cycle_s = (
+            self._longest() * STEP_S + 100e-9
+        )  # the next trigger must come this much after the longest delay
         if self._now("BURM"):
             cycle_s += self._now("BURD") + (self._now("BURC") - 1) * max(self._now("BURP"), cycle_s)
         return cycle_s
@@ -317,7 +340,9 @@ def _numbers(arguments: tuple[str, ...], kinds: tuple[type, ...]) -> list:
     if not all(arguments):
         raise RefusedCommand(Dg645Error.NULL_PARAMETER)
     wrongs = {float: Dg645Error.BAD_FLOAT, int: Dg645Error.BAD_INTEGER}
-    return [parse_number(text, kind, wrongs[kind]) for text, kind in zip(arguments, kinds, strict=True)]
+    return [
+        parse_number(text, kind, wrongs[kind]) for text, kind in zip(arguments, kinds, strict=True)
+    ]
 
 
 def _within(index: int, count: int) -> int:

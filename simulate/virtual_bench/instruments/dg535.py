@@ -1,4 +1,6 @@
-"""A virtual Stanford DG535 delay generator behind its GPIB connector: two-letter commands, status bytes, AB output."""
+"""A virtual Stanford DG535 delay generator behind its GPIB connector: two-letter commands, status
+bytes, AB output.
+"""
 
 import re
 from enum import IntEnum, IntFlag
@@ -177,7 +179,9 @@ class Dg535(BusInstrument, GateGenerator):
 
     def _clear_settings(self) -> None:
         self._values: dict[tuple[str, int], float] = {
-            (name, index): value for name, (indices, _, _, value, _) in _SETTINGS.items() for index in indices or (0,)
+            (name, index): value
+            for name, (indices, _, _, value, _) in _SETTINGS.items()
+            for index in indices or (0,)
         }
         self._delays = EdgeDelays(dict.fromkeys(EDGES, T0), start=T0)
 
@@ -194,7 +198,10 @@ class Dg535(BusInstrument, GateGenerator):
         return "mains" if self._values["TM", 0] == TriggerMode.LINE else "clock"
 
     def _trigger_hz(self) -> float:
-        rates_hz: dict[int, float] = {TriggerMode.INTERNAL: self._values["TR", 0], TriggerMode.LINE: LINE_HZ}
+        rates_hz: dict[int, float] = {
+            TriggerMode.INTERNAL: self._values["TR", 0],
+            TriggerMode.LINE: LINE_HZ,
+        }
         return rates_hz.get(int(self._values["TM", 0]), 0.0)
 
     def _busy_s(self) -> float:
@@ -217,5 +224,10 @@ MODEL = VirtualModel(
     place="delay_generator",
     make=lambda address, scale: PrologixAdapter({address: Dg535()}),
     baud=None,
-    panel={"source": ("TM 4",), "idle level": ("OP 4,0",), "width": ("DT 3,2,0.002",), "busy": ("DT 5,1,0.02",)},
+    panel={
+        "source": ("TM 4",),
+        "idle level": ("OP 4,0",),
+        "width": ("DT 3,2,0.002",),
+        "busy": ("DT 5,1,0.02",),
+    },
 )

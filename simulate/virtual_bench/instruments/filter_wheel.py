@@ -11,13 +11,18 @@ PROMPT = b"> "
 STEP_S = (0.45, 0.25)  # from one position to the next, slow and fast; recalled
 COMMAND_S = 2e-3
 BUFFER_LENGTH = 64
-UNKNOWN, BAD_ARGUMENT = "Command error CMD_NOT_DEFINED", "Command error CMD_ARG_INVALID"  # the second is recalled
+UNKNOWN, BAD_ARGUMENT = (
+    "Command error CMD_NOT_DEFINED",
+    "Command error CMD_ARG_INVALID",
+)  # the second is recalled
 _NEW = {"pcount": 6, "trig": 0, "speed": 1, "sensors": 1, "baud": 1}
 _ALLOWED = {"pcount": (6, 12), "trig": (0, 1), "speed": (0, 1), "sensors": (0, 1), "baud": (0, 1)}
 
 
 class FilterWheel(VirtualInstrument):
-    """Filter wheel after power-on, at its first position; it turns `time_scale` times faster than life."""
+    """Filter wheel after power-on, at its first position; it turns `time_scale` times faster than
+    life.
+    """
 
     output_file = WHEEL_FILE
 
@@ -29,7 +34,9 @@ class FilterWheel(VirtualInstrument):
         self._turns_until_s = 0.0
 
     def power_cycle(self) -> None:
-        """Lose power and get it back: what was not saved is lost, and the wheel stands where it stood."""
+        """Lose power and get it back: what was not saved is lost, and the wheel stands where it
+        stood.
+        """
         self._settings, self._line = dict(self._saved), b""
 
     def receive(self, data: bytes) -> list[tuple[float, bytes]]:
@@ -89,5 +96,8 @@ class FilterWheel(VirtualInstrument):
 
 
 MODEL = VirtualModel(
-    name="fw102c", place="filter_wheel", make=lambda address, scale: FilterWheel(time_scale=scale), baud=115200
+    name="fw102c",
+    place="filter_wheel",
+    make=lambda address, scale: FilterWheel(time_scale=scale),
+    baud=115200,
 )

@@ -1,4 +1,6 @@
-"""A virtual Stanford PS350 high-voltage supply: commands, latched trips, and an output that slews and decays."""
+"""A virtual Stanford PS350 high-voltage supply: commands, latched trips, and an output that slews
+and decays.
+"""
 
 import math
 from enum import IntFlag
@@ -19,7 +21,10 @@ from simulate.virtual_bench.instrument import (
 from simulate.virtual_bench.prologix import PrologixAdapter
 
 IDENTITY = "StanfordResearchSystems,PS350,2067,1.40"
-FULL_SCALE_V, MINIMUM_V = 5000.0, 50.0  # in steps of 1 V; below the minimum only 0 can be set; recalled
+FULL_SCALE_V, MINIMUM_V = (
+    5000.0,
+    50.0,
+)  # in steps of 1 V; below the minimum only 0 can be set; recalled
 FULL_SCALE_A = 5.25e-3
 RISE_V_PER_S = FULL_SCALE_V / 3.0  # full scale in about 3 s
 DECAY_S = 6.0 / math.log(100.0)  # unloaded, to a hundredth in about 6 s
@@ -44,7 +49,9 @@ LATCHED = StatusByte.VOLTAGE_TRIP | StatusByte.CURRENT_TRIP | StatusByte.CURRENT
 
 
 class HighVoltageSupply(BusInstrument, VoltageSource):
-    """High-voltage supply behind its GPIB connector after power-on; it moves `time_scale` times faster than life."""
+    """High-voltage supply behind its GPIB connector after power-on; it moves `time_scale` times
+    faster than life.
+    """
 
     def __init__(self, *, time_scale: float = 1.0) -> None:
         BusInstrument.__init__(self)
@@ -137,7 +144,10 @@ class HighVoltageSupply(BusInstrument, VoltageSource):
             "*TST": "0",
             "VOUT": VOLTS.format(self.output_v),
             "IOUT": AMPERES.format(round(self.output_v / LOAD_OHM, 6)),
-            **{name: (VOLTS if name[0] == "V" else AMPERES).format(value) for name, value in self._set.items()},
+            **{
+                name: (VOLTS if name[0] == "V" else AMPERES).format(value)
+                for name, value in self._set.items()
+            },
             **{name: str(value) for name, value in self._switches.items()},
         }
 
@@ -182,7 +192,9 @@ class HighVoltageSupply(BusInstrument, VoltageSource):
         return min(self._set["VSET"], self._set["ILIM"] * LOAD_OHM) if self._on else 0.0
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Advance the output to a time, s: up at a constant rate, down by discharge through load and bleeder."""
+        """Advance the output to a time, s: up at a constant rate, down by discharge through load
+        and bleeder.
+        """
         elapsed_s = self._pass_time(now_s)
         if self._on and (faults.tripped or self.output_v / LOAD_OHM > self._set["ITRP"]):
             self._on, self._trip_pending = False, self._switches["TMOD"] == 0

@@ -1,4 +1,6 @@
-"""A virtual iseg SHQ high-voltage supply: echo, two-line exchanges, its own ramp, states, latches and a slow start."""
+"""A virtual iseg SHQ high-voltage supply: echo, two-line exchanges, its own ramp, states, latches
+and a slow start.
+"""
 
 import math
 
@@ -10,7 +12,8 @@ HARDWARE_LIMIT_PERCENT = 30  # position of the rotary switch
 END = b"\r\n"
 BUFFER_LENGTH = 64
 COMMAND_S = 2e-3
-# The break between output characters is said to be 0 ms after power-up and is the longest until it is set.
+# The break between output characters is said to be 0 ms after power-up and is the longest until it
+# is set.
 LONGEST_BREAK_MS = 255
 SETTLED_V = 1.0
 MANUAL, POSITIVE = 1, 4
@@ -22,7 +25,9 @@ class _Refused(Exception):
 
 
 class IsegSupply(VoltageSource):
-    """High-voltage supply after power-on: 0 V, positive, remote control; faster than life by `time_scale`."""
+    """High-voltage supply after power-on: 0 V, positive, remote control; faster than life by
+    `time_scale`.
+    """
 
     def __init__(self, *, time_scale: float = 1.0) -> None:
         super().__init__(time_scale=time_scale)
@@ -142,7 +147,9 @@ class IsegSupply(VoltageSource):
     # Physics
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Advance the ramp to a time, s; after a trip or a loss of power the load discharges the output."""
+        """Advance the ramp to a time, s; after a trip or a loss of power the load discharges the
+        output.
+        """
         elapsed_s = self._pass_time(now_s)
         if self._goal_v and (faults.tripped or 0 < self._trip_a < self.output_v / LOAD_OHM):
             self._tripped, self._goal_v = True, 0.0

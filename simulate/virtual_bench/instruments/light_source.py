@@ -1,4 +1,6 @@
-"""A virtual Thorlabs DC2100 driver of a light-emitting diode: constant current, limits, an error for each refusal."""
+"""A virtual Thorlabs DC2100 driver of a light-emitting diode: constant current, limits, an error
+for each refusal.
+"""
 
 import re
 from collections import deque
@@ -10,7 +12,11 @@ from simulate.virtual_bench.outputs import LAMP_FILE
 
 MAXIMUM_MA = 2000
 DIODE_OPEN, AT_LIMIT = 8, 32
-UNKNOWN, OUT_OF_RANGE, NOT_NOW = (1, "unknown command"), (2, "value out of range"), (3, "not possible now")
+UNKNOWN, OUT_OF_RANGE, NOT_NOW = (
+    (1, "unknown command"),
+    (2, "value out of range"),
+    (3, "not possible now"),
+)
 # Codes and words of errors are recalled; their form is looked up.
 _COMMAND = re.compile(r"([a-z]+)(\?)?(?: (-?\d{1,9}))?")
 
@@ -36,7 +42,11 @@ class LightSource(LineInstrument):
         name, asks, value = match.groups() if match else ("", None, None)
         if asks and value is None:
             return self._answer_query(name)
-        return self._set(name, int(value)) if value is not None and not asks else self._complain(UNKNOWN)
+        return (
+            self._set(name, int(value))
+            if value is not None and not asks
+            else self._complain(UNKNOWN)
+        )
 
     def _answer_query(self, name: str) -> str | None:
         if name == "e":
@@ -51,7 +61,8 @@ class LightSource(LineInstrument):
             "l": self._limit_ma,
             "ml": MAXIMUM_MA,
             "cc": self._current_ma,
-            "r": DIODE_OPEN * self._open | AT_LIMIT * (self._on and self._current_ma >= self._limit_ma > 0),
+            "r": DIODE_OPEN * self._open
+            | AT_LIMIT * (self._on and self._current_ma >= self._limit_ma > 0),
         }
         return str(known[name]) if name in known else self._complain(UNKNOWN)
 
@@ -90,4 +101,6 @@ class LightSource(LineInstrument):
         return {"current_a": self.current_a}
 
 
-MODEL = VirtualModel(name="dc2100", place="light_source", make=lambda address, scale: LightSource(), baud=115200)
+MODEL = VirtualModel(
+    name="dc2100", place="light_source", make=lambda address, scale: LightSource(), baud=115200
+)

@@ -1,4 +1,6 @@
-"""Virtual meters: a Thorlabs PM101R power meter (SCPI), and a Stanford CTC100 controller as a thermometer."""
+"""Virtual meters: a Thorlabs PM101R power meter (SCPI), and a Stanford CTC100 controller as a
+thermometer.
+"""
 
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -9,10 +11,15 @@ import numpy as np
 from simulate.virtual_bench.instrument import LineInstrument, VirtualModel
 from simulate.virtual_bench.outputs import THERMOMETER_FILE
 
-LUX_PER_W = 1.6e5  # Illuminance on the photocathode for a watt on the head: 1 cm2 of light of 16 lm/W next to the tube
+# Illuminance on the photocathode for a watt on the head: 1 cm2 of light of 16 lm/W next to the tube
+LUX_PER_W = 1.6e5
 NOISE_W = 2e-12
 TEMPERATURE_C = 23.4
-NO_ERROR, UNDEFINED, OUT_OF_RANGE = '+0,"No error"', '-113,"Undefined header"', '-222,"Data out of range"'
+NO_ERROR, UNDEFINED, OUT_OF_RANGE = (
+    '+0,"No error"',
+    '-113,"Undefined header"',
+    '-222,"Data out of range"',
+)
 _SWITCHES = {"ON": 1, "OFF": 0, "1": 1, "0": 0}
 _INPUTS = ("in1", "in2", "in3", "in4")
 
@@ -106,5 +113,9 @@ class Thermometer(LineInstrument):
         return {"temperature_c": TEMPERATURE_C}
 
 
-LIGHT_METER = VirtualModel(name="pm101", place="light_meter", make=lambda address, scale: PowerMeter(), baud=115200)
-THERMOMETER = VirtualModel(name="ctc100", place="thermometer", make=lambda address, scale: Thermometer(), baud=9600)
+LIGHT_METER = VirtualModel(
+    name="pm101", place="light_meter", make=lambda address, scale: PowerMeter(), baud=115200
+)
+THERMOMETER = VirtualModel(
+    name="ctc100", place="thermometer", make=lambda address, scale: Thermometer(), baud=9600
+)

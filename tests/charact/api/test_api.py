@@ -16,13 +16,21 @@ MTF50 = 0.17213
 
 @pytest.fixture(scope="module")
 def edge() -> np.ndarray:
-    """An edge at 5.71 degrees, Gaussian blur of 1.06 px, integrated over each pixel, with Poisson noise."""
+    """An edge at 5.71 degrees, Gaussian blur of 1.06 px, integrated over each pixel, with Poisson
+    noise.
+    """
     row, col = np.mgrid[:80, :96].astype(float)
     slope = 0.1
     fine = np.mean(
-        [erf((col + dx - 48 + slope * (row + dy - 40)) / (SIGMA_PX * np.sqrt(2 * (1 + slope**2))))
-         for dx in (-0.375, -0.125, 0.125, 0.375) for dy in (-0.375, -0.125, 0.125, 0.375)], axis=0,
-    )  # fmt: skip
+        [
+            erf(
+                (col + dx - 48 + slope * (row + dy - 40)) / (SIGMA_PX * np.sqrt(2 * (1 + slope**2)))
+            )
+            for dx in (-0.375, -0.125, 0.125, 0.375)
+            for dy in (-0.375, -0.125, 0.125, 0.375)
+        ],
+        axis=0,
+    )
     return np.random.default_rng(5).poisson(2000 + 1500 * fine).astype(np.uint16)
 
 
@@ -48,10 +56,21 @@ def test_the_mtf_of_an_array_is_that_of_its_blur(edge):
 
 @pytest.mark.parametrize(
     "bad",
-    [None, 3.0, [1, 2, 3], np.zeros(5), [[1, 2], [3]], object(), np.zeros((5, 5), complex), "no-such-file.tif",
-     np.full((40, 40), np.nan), np.ma.masked_equal(np.eye(40), 1), np.array([["a"]])],
+    [
+        None,
+        3.0,
+        [1, 2, 3],
+        np.zeros(5),
+        [[1, 2], [3]],
+        object(),
+        np.zeros((5, 5), complex),
+        "no-such-file.tif",
+        np.full((40, 40), np.nan),
+        np.ma.masked_equal(np.eye(40), 1),
+        np.array([["a"]]),
+    ],
     ids=lambda bad: type(bad).__name__,
-)  # fmt: skip
+)
 def test_what_is_no_image_is_bad_input(bad):
     with pytest.raises(charact.BadInput) as caught:
         charact.mtf(bad)
@@ -60,9 +79,14 @@ def test_what_is_no_image_is_bad_input(bad):
 
 def test_flats_in_memory_have_the_gain_they_were_made_with(seed):
     rng = np.random.default_rng(seed)
-    flats = [2.0 * rng.poisson(level, (16, 64, 64)) + rng.normal(100, 3, (16, 64, 64)) for level in (50, 200, 800)]
+    flats = [
+        2.0 * rng.poisson(level, (16, 64, 64)) + rng.normal(100, 3, (16, 64, 64))
+        for level in (50, 200, 800)
+    ]
     darks = [rng.normal(100, 3, (16, 64, 64))]
-    found = charact.noise(flats=flats, darks=darks, method="variance", quick=True, exposure_s=[1, 4, 16])
+    found = charact.noise(
+        flats=flats, darks=darks, method="variance", quick=True, exposure_s=[1, 4, 16]
+    )
     gain = found.system_gain
     assert abs(gain.value - 2.0) < 2.5 * (gain.interval95[1] - gain.value) / 1.96 + 1e-3
 
@@ -110,7 +134,8 @@ def test_a_result_is_shown_and_exported(edge, tmp_path):
 def test_an_array_goes_through_a_camera_and_same_seed_gives_same_frames(edge, tmp_path):
     sensor = small_camera(tmp_path, 64, 96, "gen3-digital-iccd")
     made = [
-        charact.simulate(edge, sensor=sensor, frames=2, photoelectrons_per_dn=0.01, seed=seed) for seed in (1, 1, 2)
+        charact.simulate(edge, sensor=sensor, frames=2, photoelectrons_per_dn=0.01, seed=seed)
+        for seed in (1, 1, 2)
     ]
     assert made[0].shape == (2, 64, 96)
     assert np.array_equal(made[0].data, made[1].data)
@@ -141,11 +166,13 @@ def test_small_frames_of_a_plain_camera_have_their_gain_by_the_variance_of_pixel
     rng = np.random.default_rng(0)
 
     def frames(electrons: float) -> np.ndarray:
-        return np.round(0.5 * rng.poisson(electrons, (8, 48, 64)) + rng.normal(20.0, 1.5, (8, 48, 64))).astype(
-            np.uint16
-        )
+        return np.round(
+            0.5 * rng.poisson(electrons, (8, 48, 64)) + rng.normal(20.0, 1.5, (8, 48, 64))
+        ).astype(np.uint16)
 
-    found = charact.noise(flats=[frames(n) for n in (500, 2000, 6000)], darks=[frames(0)], quick=True)
+    found = charact.noise(
+        flats=[frames(n) for n in (500, 2000, 6000)], darks=[frames(0)], quick=True
+    )
     low, high = found.system_gain.interval95
     assert low < 0.5 < high
     assert found.system_gain.method == "variance"

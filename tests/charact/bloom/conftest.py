@@ -1,4 +1,6 @@
-"""Point sources of exactly known halo, drawn electron by electron: the bounce itself is thrown, no formula of ours."""
+"""Point sources of exactly known halo, drawn electron by electron: the bounce itself is thrown, no
+formula of ours.
+"""
 
 from pathlib import Path
 
@@ -15,7 +17,9 @@ FULL_SCALE_DN = 255.0
 
 
 def thrown_halo(rng: np.random.Generator, count: int, diameter_px: float, elastic_share: float):
-    """Where bounced electrons land: range 2 e d sin(2 t) for emission by the cosine law, four gaps are the diameter."""
+    """Where bounced electrons land: range 2 e d sin(2 t) for emission by the cosine law, four gaps
+    are the diameter.
+    """
     gap_px = diameter_px / 4.0
     energy = np.where(rng.random(count) < elastic_share, 1.0, rng.random(count))
     # Cosine law: sin^2 of the angle to the normal is uniform.
@@ -38,7 +42,9 @@ def point_frames(
     shape: tuple[int, int] = (110, 120),
     pedestal: float = 0.0,
 ) -> FrameStack:
-    """Frames of a point source of so many photoelectrons, blurred after the gain, clipped at full scale."""
+    """Frames of a point source of so many photoelectrons, blurred after the gain, clipped at full
+    scale.
+    """
     rows, cols = shape
     images = []
     for _ in range(frames):
@@ -63,16 +69,29 @@ def point_frames(
 def session_of(stacks: list[tuple[str, FrameStack, float]], *, darks: bool = True) -> Session:
     """A session of point stacks in memory, with a dark one."""
     held = [
-        InMemoryStack(label=label, kind="point", frames=label, conditions=Conditions(illuminance_lux=light),
-                  folder=Path("."), held=frames)
+        InMemoryStack(
+            label=label,
+            kind="point",
+            frames=label,
+            conditions=Conditions(illuminance_lux=light),
+            folder=Path("."),
+            held=frames,
+        )
         for label, frames, light in stacks
-    ]  # fmt: skip
+    ]
     if darks:
         shape = stacks[0][1].data.shape[1:]
-        dark = FrameStack(data=np.full((2, *shape), int(DARK_DN), np.uint8), full_scale_dn=FULL_SCALE_DN)
+        dark = FrameStack(
+            data=np.full((2, *shape), int(DARK_DN), np.uint8), full_scale_dn=FULL_SCALE_DN
+        )
         held.append(
             InMemoryStack(
-                label="dark", kind="dark", frames="dark", conditions=Conditions(), folder=Path("."), held=dark
+                label="dark",
+                kind="dark",
+                frames="dark",
+                conditions=Conditions(),
+                folder=Path("."),
+                held=dark,
             )
         )
     return Session(folder=Path("."), name="in memory", stacks=tuple(held))

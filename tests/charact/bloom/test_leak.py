@@ -14,7 +14,9 @@ LEVELS = tuple(np.geomspace(0.5, 500.0, 5))
 
 
 def glare_of(drawn):
-    (found,) = bloom.measure(drawn, method="series-forward", context=Context(seed=1, quick=True)).find("veiling_glare")
+    (found,) = bloom.measure(
+        drawn, method="series-forward", context=Context(seed=1, quick=True)
+    ).find("veiling_glare")
     return found
 
 
@@ -29,7 +31,9 @@ def with_leak(drawn, fraction, radius_px):
         light = fraction * overload * 2.0 * np.pi * 1.3**2 * stack.held.full_scale_dn / lit.sum()
         leaked = np.random.default_rng(1).poisson(np.broadcast_to(light * lit, data.shape))
         codes = np.minimum(data + leaked, stack.held.full_scale_dn).astype(data.dtype)
-        stacks.append(replace(stack, held=FrameStack(data=codes, full_scale_dn=stack.held.full_scale_dn)))
+        stacks.append(
+            replace(stack, held=FrameStack(data=codes, full_scale_dn=stack.held.full_scale_dn))
+        )
     return replace(drawn, stacks=tuple(stacks))
 
 

@@ -1,4 +1,6 @@
-"""Beside a lit edge the halo is a ramp half its diameter wide: closed-form half planes and doors, saturated and not."""
+"""Beside a lit edge the halo is a ramp half its diameter wide: closed-form half planes and doors,
+saturated and not.
+"""
 
 from pathlib import Path
 
@@ -27,12 +29,16 @@ def through(world: np.ndarray, scene: BloomScene) -> np.ndarray:
     from scipy.signal import fftconvolve
 
     y, x = np.mgrid[-MARGIN : MARGIN + 1, -MARGIN : MARGIN + 1]
-    kernel = np.interp(np.hypot(y, x), table := np.arange(0.0, 120.0, 0.05), radial_light(scene, table))
+    kernel = np.interp(
+        np.hypot(y, x), table := np.arange(0.0, 120.0, 0.05), radial_light(scene, table)
+    )
     wide = fftconvolve(np.pad(world, MARGIN, mode="edge"), kernel, mode="same")
     return wide[MARGIN:-MARGIN, MARGIN:-MARGIN]
 
 
-def half_plane(level_dn: float, *, at: float = 85.3, slope: float = 0.06, shape=(150, 200)) -> np.ndarray:
+def half_plane(
+    level_dn: float, *, at: float = 85.3, slope: float = 0.06, shape=(150, 200)
+) -> np.ndarray:
     """An edge whose true place is column `at` + `slope` * row."""
     rows, cols = np.indices(shape)
     return 4.0 + level_dn * np.clip(at + slope * rows - cols + 0.5, 0.0, 1.0)
@@ -48,13 +54,22 @@ def session_of(levels, world, rng, scene=SCENE, *, turned=False, frames=4) -> Se
     entries = []
     for number, level in enumerate(levels):
         light = through(world(level), scene)
-        noise = np.sqrt(0.4 * scene.photoelectron_dn * scene.excess * light + scene.read_noise_dn**2)
+        noise = np.sqrt(
+            0.4 * scene.photoelectron_dn * scene.excess * light + scene.read_noise_dn**2
+        )
         data = 12.0 + light + noise * rng.standard_normal((frames, *light.shape))
         data = np.clip(np.rint(data), 0, 255).astype(np.uint8)
         data = np.swapaxes(data, 1, 2)[:, ::-1] if turned else data
-        entries.append(InMemoryStack(label=f"edge-{number}", kind="edge", frames="", folder=Path("."),
-                                 conditions=Conditions(illuminance_lux=1e-6 * level),
-                                 held=FrameStack(data=data, full_scale_dn=255.0)))  # fmt: skip
+        entries.append(
+            InMemoryStack(
+                label=f"edge-{number}",
+                kind="edge",
+                frames="",
+                folder=Path("."),
+                conditions=Conditions(illuminance_lux=1e-6 * level),
+                held=FrameStack(data=data, full_scale_dn=255.0),
+            )
+        )
     dark = FrameStack(data=np.full((2, 8, 8), 12, np.uint8), full_scale_dn=255.0)
     entries.append(InMemoryStack(label="dark", kind="dark", frames="", folder=Path("."), held=dark))
     return Session(folder=Path("."), name="edges", stacks=tuple(entries))
@@ -68,7 +83,9 @@ def found_of(session, context=QUICK):
 @pytest.mark.parametrize("turned", [False, True])
 def test_diameter_and_share_come_from_an_edge_that_saturates(seed, turned):
     rng = np.random.default_rng(seed)
-    diameter, fraction, result = found_of(session_of((150.0, 3000.0), half_plane, rng, turned=turned))
+    diameter, fraction, result = found_of(
+        session_of((150.0, 3000.0), half_plane, rng, turned=turned)
+    )
     assert diameter.status == "ok" and fraction.status == "ok"
     assert diameter.value == pytest.approx(46.0, rel=0.02)
     assert abs(errors(diameter, 46.0)) < 4.5 and abs(errors(fraction, 0.1)) < 4.5
@@ -83,7 +100,9 @@ def test_a_lit_door_is_narrower_than_a_half_plane_and_told_as_well(seed):
 
 
 def test_cut_levels_alone_tell_the_diameter_less_surely_and_no_share(seed):
-    diameter, fraction, _ = found_of(session_of((1500.0, 6000.0), half_plane, np.random.default_rng(seed)))
+    diameter, fraction, _ = found_of(
+        session_of((1500.0, 6000.0), half_plane, np.random.default_rng(seed))
+    )
     assert fraction.status == "refused" and "bright" in fraction.reason
     if diameter.value is not None:
         assert abs(errors(diameter, 46.0)) < 4.5

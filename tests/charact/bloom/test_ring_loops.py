@@ -1,9 +1,17 @@
-"""The compiled loops of the series' likelihood, against dense sums, drawn noise and least squares."""
+"""The compiled loops of the series' likelihood, against dense sums, drawn noise and least
+squares.
+"""
 
 import numpy as np
 import pytest
 
-from charact.bloom.series.ring_loops import best_step, lost_at_top, residuals_and_slopes, ring_means, whiten_rings
+from charact.bloom.series.ring_loops import (
+    best_step,
+    lost_at_top,
+    residuals_and_slopes,
+    ring_means,
+    whiten_rings,
+)
 
 LEVELS, RINGS, NODES, POINTS = 3, 7, 12, 4
 
@@ -44,15 +52,23 @@ def test_light_lost_at_the_top_is_what_cut_noise_loses_on_average(rng):
     lost = lost_at_top(light[:, None], ones, np.full((1, light.size), sd), full, 5.0)[0, :, :, 0]
     draws = light[:, None] + sd * rng.standard_normal((light.size, 400_000))
     cut = draws - np.minimum(draws, full)
-    assert np.all(np.abs(lost[:, 0] - cut.mean(axis=1)) <= 4.0 * cut.std(axis=1) / np.sqrt(draws.shape[1]) + 1e-5)
+    assert np.all(
+        np.abs(lost[:, 0] - cut.mean(axis=1))
+        <= 4.0 * cut.std(axis=1) / np.sqrt(draws.shape[1]) + 1e-5
+    )
     over = (draws > full).mean(axis=1)
-    assert np.all(np.abs(lost[:, 2] - over) <= 4.0 * np.sqrt(over * (1 - over) / draws.shape[1]) + 1e-5)
+    assert np.all(
+        np.abs(lost[:, 2] - over) <= 4.0 * np.sqrt(over * (1 - over) / draws.shape[1]) + 1e-5
+    )
 
 
 def test_what_is_left_over_falls_with_the_light_as_it_says(rng):
     triangles = np.tril(rng.standard_normal((LEVELS, RINGS, RINGS)))
     weights, begin, end = averages(rng)
-    straight, sd = np.sort(rng.uniform(1.0, 4.0, (NODES, POINTS)), axis=0)[::-1].copy(), np.full((LEVELS, NODES), 4.0)
+    straight, sd = (
+        np.sort(rng.uniform(1.0, 4.0, (NODES, POINTS)), axis=0)[::-1].copy(),
+        np.full((LEVELS, NODES), 4.0),
+    )
     light = np.repeat(straight[None], LEVELS, axis=0)
     white = whiten_rings(ring_means(light, weights, begin, end), triangles)
     even = (triangles @ weights.sum(axis=-1)[..., None])[..., 0]
@@ -61,7 +77,12 @@ def test_what_is_left_over_falls_with_the_light_as_it_says(rng):
         lost = lost_at_top(straight, amplitudes, sd, 100.0, 5.0)
         rings = ring_means(lost.reshape(LEVELS, lost.shape[1], -1), weights, begin, end)
         return residuals_and_slopes(
-            white, even, np.zeros_like(even), amplitudes, rings.reshape(LEVELS, -1, 3, POINTS), triangles
+            white,
+            even,
+            np.zeros_like(even),
+            amplitudes,
+            rings.reshape(LEVELS, -1, 3, POINTS),
+            triangles,
         )
 
     at = np.stack([np.full((LEVELS, POINTS), 40.0), np.full((LEVELS, POINTS), 5.0)], axis=1)
@@ -70,7 +91,10 @@ def test_what_is_left_over_falls_with_the_light_as_it_says(rng):
         move = np.zeros_like(at)
         move[:, amplitude] = step
         assert np.allclose(
-            (left(at - move)[0] - left(at + move)[0]) / (2 * step), slopes[amplitude], rtol=1e-4, atol=1e-5
+            (left(at - move)[0] - left(at + move)[0]) / (2 * step),
+            slopes[amplitude],
+            rtol=1e-4,
+            atol=1e-5,
         )
 
 

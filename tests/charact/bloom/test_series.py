@@ -1,4 +1,6 @@
-"""The forward model of a point series: its light is that of closed forms, its rings are read as cameras read them."""
+"""The forward model of a point series: its light is that of closed forms, its rings are read as
+cameras read them.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -62,15 +64,21 @@ def test_the_disc_is_where_thrown_electrons_land(rings, thrown, seed):
     rng = np.random.default_rng(seed)
     for share in (0.0, 0.3, 1.0):
         x, y = thrown(rng, 400_000, 40.0, share)
-        radius = np.hypot(x + 1.2 * rng.standard_normal(len(x)), y + 1.2 * rng.standard_normal(len(y)))
+        radius = np.hypot(
+            x + 1.2 * rng.standard_normal(len(x)), y + 1.2 * rng.standard_normal(len(y))
+        )
         edges = np.arange(0.0, 30.0, 2.0)
         core = transfer.gaussian(frequencies(), np.array([1.44]))
-        blurred = core * transfer.disc(frequencies(), np.array([40.0]), np.array([[share, 1.0 - share, 0.0, 0.0]]))
+        blurred = core * transfer.disc(
+            frequencies(), np.array([40.0]), np.array([[share, 1.0 - share, 0.0, 0.0]])
+        )
         at = np.arange(0.02, 30.0, 0.04)
         light = (blurred @ onto_nodes(at))[0] * 2 * np.pi * at * 0.04
         expected = np.histogram(at, bins=edges, weights=light)[0] * len(x)
         found = np.histogram(radius, bins=edges)[0]
-        assert np.all(np.abs(found - expected) < 4.5 * np.sqrt(np.maximum(expected, 1.0)) + 1e-4 * len(x))
+        assert np.all(
+            np.abs(found - expected) < 4.5 * np.sqrt(np.maximum(expected, 1.0)) + 1e-4 * len(x)
+        )
 
 
 def test_averages_are_those_of_the_rings_own_pixels(rings):
@@ -95,19 +103,25 @@ def test_a_cut_pixel_reads_what_cut_noise_reads(seed):
     geometry = geometry_of((60, 70), 30.0, 35.0, pitch_ratio=1.0, spoiled=None)
     levels = (level_of("one", frames, geometry, full_dn=255.0),)
     series = series_of(levels, noise_of(levels, dark_dn=12.0), full_dn=255.0, rings=20)
-    problem = SeriesLikelihood(series=series, form=HaloModel(core="gaussian", halo="none", reach_px=20.0))
+    problem = SeriesLikelihood(
+        series=series, form=HaloModel(core="gaussian", halo="none", reach_px=20.0)
+    )
     noise = rng.standard_normal(200_000)
     for level, sd in ((230.0, 6.0), (250.0, 6.0), (255.0, 12.0), (270.0, 8.0), (400.0, 3.0)):
         drawn = np.minimum(level + sd * noise, 255.0)
         read, slope = problem.read(np.full((1, 1, 1), level), np.full((1, 1), sd))
         assert abs(read.item() - drawn.mean()) < 4.5 * drawn.std() / np.sqrt(noise.size) + 1e-9
-        assert abs(slope.item() - np.mean(level + sd * noise < 255.0)) < 4.5 * 0.5 / np.sqrt(noise.size)
+        assert abs(slope.item() - np.mean(level + sd * noise < 255.0)) < 4.5 * 0.5 / np.sqrt(
+            noise.size
+        )
 
 
 @pytest.mark.parametrize(
     "scene",
     [
-        BloomScene(halo_diameter_px=28.0, halo_fraction=0.25, halo_elastic_share=0.8, core_sigma_px=1.1),
+        BloomScene(
+            halo_diameter_px=28.0, halo_fraction=0.25, halo_elastic_share=0.8, core_sigma_px=1.1
+        ),
         BloomScene(halo_diameter_px=62.0, halo_fraction=0.04, wing_share=0.1, core_sigma_px=1.8),
     ],
     ids=["narrow", "wide with a wing"],
@@ -125,7 +139,9 @@ def test_halo_and_its_share_are_found_with_honest_intervals(scene, seed):
 
 
 def off_about_the_core(series, shares):
-    """The series of a camera that is not round: its innermost rings, where uncut, are off by shares of their light."""
+    """The series of a camera that is not round: its innermost rings, where uncut, are off by shares
+    of their light.
+    """
     rings = len(shares)
     light = series.data[:, :rings] - np.median(series.data[:, -6:], axis=1, keepdims=True)
     data = series.data.copy()
@@ -134,7 +150,9 @@ def off_about_the_core(series, shares):
 
 
 def test_rings_about_the_core_that_are_off_blur_the_halos_share_and_leave_its_edge(seed):
-    """What many rings agree on says nothing of how far the few about the core are off, nor these of the many."""
+    """What many rings agree on says nothing of how far the few about the core are off, nor these of
+    the many.
+    """
     scene = BloomScene(halo_fraction=0.03, wing_share=0.1)
     drawn = bloom_session(scene, list(np.geomspace(0.3, 3e4, 9)), np.random.default_rng(seed))
     round_one, _ = build_ring_series(drawn, read_point_stacks(drawn, context=QUICK), context=QUICK)
@@ -154,8 +172,11 @@ def test_rings_about_the_core_that_are_off_blur_the_halos_share_and_leave_its_ed
         assert abs(one.point[share] - scene.halo_fraction) < 4.5 * sd[share]
 
 
-@pytest.mark.parametrize("scene", [BloomScene(halo_fraction=0.0), BloomScene(halo_fraction=0.0, wing_share=0.2)],
-                         ids=["bare core", "core with a wing"])  # fmt: skip
+@pytest.mark.parametrize(
+    "scene",
+    [BloomScene(halo_fraction=0.0), BloomScene(halo_fraction=0.0, wing_share=0.2)],
+    ids=["bare core", "core with a wing"],
+)
 def test_no_halo_is_no_halo(scene, seed):
     result = measured(scene, seed)
     refusal = only(result, "halo_diameter")
@@ -198,11 +219,17 @@ def test_a_saturating_mcp_has_its_density_measured_and_leaves_the_halo(seed):
 
 
 def test_glare_is_told_from_backgrounds_that_rise_with_the_light(seed):
-    """Halos tell the light of cut cores, so that glare is known as well as the halo's share of the light."""
+    """Halos tell the light of cut cores, so that glare is known as well as the halo's share of the
+    light.
+    """
     scene = BloomScene(glare_fraction=0.1)
     series = [measured(scene, [seed, number]) for number in range(2)]
-    glare, share = ([only(one, name) for one in series] for name in ("veiling_glare", "halo_fraction"))
-    error = np.mean([0.5 * (one.interval68[1] - one.interval68[0]) / one.value for one in share]) / np.sqrt(len(series))
+    glare, share = (
+        [only(one, name) for one in series] for name in ("veiling_glare", "halo_fraction")
+    )
+    error = np.mean(
+        [0.5 * (one.interval68[1] - one.interval68[0]) / one.value for one in share]
+    ) / np.sqrt(len(series))
     inside = 0.1 * scene.rows * scene.cols / 600.0**2
     true = 100.0 * inside / (0.9 + inside)
     assert abs(np.mean([one.value for one in glare]) / true - 1.0) < 4.5 * error
@@ -210,7 +237,9 @@ def test_glare_is_told_from_backgrounds_that_rise_with_the_light(seed):
 
 
 def test_a_source_beside_another_has_a_halo_of_its_own(seed):
-    """Rings without the pixels nearer to the other one: the edge stays where it is, what counts light is flagged."""
+    """Rings without the pixels nearer to the other one: the edge stays where it is, what counts
+    light is flagged.
+    """
     scene = BloomScene(rows=180, cols=260, second_distance_px=20.0, second_ratio=0.3)
     result = measured(scene, seed)
     found = only(result, "halo_diameter")
@@ -221,11 +250,15 @@ def test_a_source_beside_another_has_a_halo_of_its_own(seed):
         assert only(result, quantity).flags.count("several-targets") == 1
 
 
-@pytest.mark.parametrize("scene, flag", [
-    (BloomScene(second_distance_px=7.0), "model-misfit"),
-    (BloomScene(motion_px=0.5), "drift"),
-    (BloomScene(agc=True), "agc"),
-], ids=["two sources", "moving source", "automatic gain"])  # fmt: skip
+@pytest.mark.parametrize(
+    "scene, flag",
+    [
+        (BloomScene(second_distance_px=7.0), "model-misfit"),
+        (BloomScene(motion_px=0.5), "drift"),
+        (BloomScene(agc=True), "agc"),
+    ],
+    ids=["two sources", "moving source", "automatic gain"],
+)
 def test_what_is_not_one_source_at_rest_is_flagged(scene, flag, seed):
     found = only(measured(scene, seed), "halo_diameter")
     assert found.status == "refused" or flag in found.flags

@@ -26,7 +26,12 @@ def followed(scene, rng, overloads=LEVELS) -> Any:
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"frames": 3}, {"glare_fraction": 0.05, "wing_share": 0.1}, {"lag": 0.3, "full_well_dn": 300.0}],
+    [
+        {},
+        {"frames": 3},
+        {"glare_fraction": 0.05, "wing_share": 0.1},
+        {"lag": 0.3, "full_well_dn": 300.0},
+    ],
     ids=["calm", "three frames", "glare and wing", "afterglow and streak"],
 )
 def test_a_series_at_rest_has_no_flags(seed, settings):
@@ -36,13 +41,20 @@ def test_a_series_at_rest_has_no_flags(seed, settings):
 
 
 def test_an_automatic_gain_is_seen_and_its_fall_measured(seed):
-    """The background falls with the gain, and nothing of this scene lights it: the bound is the fall itself."""
+    """The background falls with the gain, and nothing of this scene lights it: the bound is the
+    fall itself.
+    """
     scene = BloomScene(agc=True, halo_diameter_px=30.0)
     found = followed(scene, np.random.default_rng(seed))
-    assert all(found.flags[f"point-{number}"] == ("agc",) for number in (1, 2, 3)) and found.flags["point-0"] == ()
+    assert (
+        all(found.flags[f"point-{number}"] == ("agc",) for number in (1, 2, 3))
+        and found.flags["point-0"] == ()
+    )
     row = noiseless_frame(scene, LEVELS[0])[:, 0]
     for number, overload in enumerate(LEVELS[1:], start=1):
-        (fall,) = [one for one in found.measurements if one.stack == f"point-{number}" and one.unit == "dB"]
+        (fall,) = [
+            one for one in found.measurements if one.stack == f"point-{number}" and one.unit == "dB"
+        ]
         dimmed = noiseless_frame(scene, overload, faintest=LEVELS[0])[:, 0]
         true = 20.0 * np.log10(np.median(row - scene.dark_dn) / np.median(dimmed - scene.dark_dn))
         assert fall.status == "ok" and "at least" in fall.notes[0]
@@ -70,7 +82,9 @@ def test_darks_of_another_level_do_not_fit(seed, off_dn):
 
 
 def going_out(rng, decay_s, *, frames=24, lit=8, phase=0.4, stamps=True) -> Any:
-    """A source that goes out a share of a frame after the stamp of its last full one, and fades like an exponential."""
+    """A source that goes out a share of a frame after the stamp of its last full one, and fades
+    like an exponential.
+    """
     scene = BloomScene(frames=frames, halo_fraction=0.3)
     faint = bloom_session(replace(scene, frames=8), (0.7,), rng)
     # So bright that noise is far less than a hundredth of it.
@@ -83,14 +97,21 @@ def going_out(rng, decay_s, *, frames=24, lit=8, phase=0.4, stamps=True) -> Any:
     data = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
     held = FrameStack(data=data, time_s=times if stamps else np.empty(0), full_scale_dn=255.0)
     entry: Any = faint.stack("point-0")
-    bright = InMemoryStack(label="fading", kind="point", frames="", folder=entry.folder, held=held,
-                       conditions=replace(entry.conditions, illuminance_lux=4e-5))  # fmt: skip
+    bright = InMemoryStack(
+        label="fading",
+        kind="point",
+        frames="",
+        folder=entry.folder,
+        held=held,
+        conditions=replace(entry.conditions, illuminance_lux=4e-5),
+    )
     series = replace(faint, stacks=(*faint.stacks, bright))
     return check_consistency(series, read_point_stacks(series, context=QUICK), QUICK, method="test")
 
 
 def test_recovery_is_timed_from_a_source_that_goes_out(seed):
-    """Time constant t: ln 10 t and ln 100 t, as often as promised over all places of the going out between two frames.
+    """Time constant t: ln 10 t and ln 100 t, as often as promised over all places of the going out
+    between two frames.
 
     At one place an interval holds always or, within a fortieth of a frame from its ends, never.
     """
@@ -102,7 +123,9 @@ def test_recovery_is_timed_from_a_source_that_goes_out(seed):
         decay_s = (0.06, 0.03)[number % 2]
         found = going_out(rng, decay_s, phase=phase)
         assert found.flags["fading"] == ("lag",)
-        for measured, share in zip((m for m in found.measurements if m.unit == "s"), held, strict=True):
+        for measured, share in zip(
+            (m for m in found.measurements if m.unit == "s"), held, strict=True
+        ):
             assert measured.status == "ok", measured
             true_s, (low_s, high_s) = -np.log(share) * decay_s, measured.interval95
             held[share].append(low_s <= true_s <= high_s)
@@ -118,8 +141,14 @@ def test_recovery_says_what_it_lacks(seed):
     rng = np.random.default_rng(seed)
     reasons = [
         [one.reason for one in found.measurements if one.unit == "s"]
-        for found in (followed(BloomScene(), rng, (0.7, 10.0)), going_out(rng, 0.06, stamps=False), going_out(rng, 1.0))
+        for found in (
+            followed(BloomScene(), rng, (0.7, 10.0)),
+            going_out(rng, 0.06, stamps=False),
+            going_out(rng, 1.0),
+        )
     ]
     assert all("no stack shows" in reason for reason in reasons[0]) and len(reasons[0]) == 2
     assert all("times of the frames" in reason for reason in reasons[1])
-    assert all("of the light is left" in reason or "no stack shows" in reason for reason in reasons[2])
+    assert all(
+        "of the light is left" in reason or "no stack shows" in reason for reason in reasons[2]
+    )

@@ -1,4 +1,6 @@
-"""A session's own point series says how its camera spreads light: that makes the map of any of its stacks."""
+"""A session's own point series says how its camera spreads light: that makes the map of any of its
+stacks.
+"""
 
 import numpy as np
 import pytest
@@ -9,7 +11,13 @@ from charact.report.bloom_images import write_bloom_map
 from charact.study.bloom.scene import bloom_session
 from charact.study.bloom.source import BloomScene
 from labdata.errors import BadInput
-from labdata.measurement import Posterior, Result, make_refusal, measurement_from_draws, measurement_from_sd
+from labdata.measurement import (
+    Posterior,
+    Result,
+    make_refusal,
+    measurement_from_draws,
+    measurement_from_sd,
+)
 
 CONTEXT = Context(seed=1, full_scale_dn=255.0)
 SCENE = BloomScene(frames=3)
@@ -22,7 +30,9 @@ def result() -> Result:
     glare = measurement_from_sd("veiling_glare", "%", 2.0, 0.1, method="made")
     return Result(
         measurements=(
-            measurement_from_draws("halo_fraction", "1", draws[:, 3], method="made", posterior=posterior),
+            measurement_from_draws(
+                "halo_fraction", "1", draws[:, 3], method="made", posterior=posterior
+            ),
             glare,
         )
     )
@@ -53,7 +63,9 @@ def test_what_cannot_be_mapped_is_said_in_a_sentence(tmp_path, seed):
     held = bloom_session(SCENE, (3.0,), np.random.default_rng(seed))
     with pytest.raises(BadInput, match="point-9"):
         map_of(held, result(), label="point-9", context=CONTEXT)
-    none = Result(measurements=(make_refusal("halo_diameter", "px", "no halo is visible", method="made"),))
+    none = Result(
+        measurements=(make_refusal("halo_diameter", "px", "no halo is visible", method="made"),)
+    )
     with pytest.raises(BadInput, match="no halo is visible"):
         map_of(held, none, context=CONTEXT)
     with pytest.raises(BadInput, match="png"):

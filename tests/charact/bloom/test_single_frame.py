@@ -1,4 +1,6 @@
-"""One frame by itself: extents, a halo's edge where the rings step, and a sentence for all that it cannot tell."""
+"""One frame by itself: extents, a halo's edge where the rings step, and a sentence for all that it
+cannot tell.
+"""
 
 import json
 

@@ -1,4 +1,6 @@
-"""The bright column: as long as charge in and charge a well holds say, seen as overflow only where wells overflow."""
+"""The bright column: as long as charge in and charge a well holds say, seen as overflow only where
+wells overflow.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -19,7 +21,8 @@ def spots_of(scene, overloads, rng):
     """Spots at the place where the source is: finding it is tested elsewhere."""
     row, col = scene.centre
     return tuple(
-        replace(one, row=row, col=col) for one in read_point_stacks(bloom_session(scene, overloads, rng), context=QUICK)
+        replace(one, row=row, col=col)
+        for one in read_point_stacks(bloom_session(scene, overloads, rng), context=QUICK)
     )
 
 
@@ -84,7 +87,9 @@ def test_a_streak_that_leaves_the_frame_says_so(seed):
 
 
 def test_each_field_of_an_interlaced_frame_overflows_by_itself(seed):
-    """The even rows are one picture, the odd ones another with shorter streaks: the rows of both are counted."""
+    """The even rows are one picture, the odd ones another with shorter streaks: the rows of both
+    are counted.
+    """
     rng = np.random.default_rng(seed)
     scene = BloomScene(full_well_dn=220.0, rows=200, frames=4)
     (long, short) = spots_of(scene, (30.0, 10.0), rng)[::-1]

@@ -33,11 +33,15 @@ def assert_one_sentence(done: Result, *words: str) -> None:
 def small_camera(folder: Path, rows: int, columns: int, name: str = "pulnix-ag5745ef3") -> Path:
     """Write the description of a shipped camera with a small chip, and return its path."""
     camera = load_camera(name)
-    save_sensor(replace(camera, ccd=replace(camera.ccd, rows=rows, columns=columns)), folder / f"{name}.toml")
+    save_sensor(
+        replace(camera, ccd=replace(camera.ccd, rows=rows, columns=columns)),
+        folder / f"{name}.toml",
+    )
     return folder / f"{name}.toml"
 
 
-# A scene of level ground and a box, whose size and place are to be added at its end; CAMERA is where the camera stands.
+# A scene of level ground and a box, whose size and place are to be added at its end; CAMERA is
+# where the camera stands.
 LAWN = """
 name = "a box on a lawn"
 place = { latitude_deg = 43.16, longitude_deg = -77.61, time = 1998-06-24T02:00:00-04:00 }
@@ -62,7 +66,9 @@ material = "paint"
 
 
 def small_imager(folder: Path, name: str, table: str, **size: int) -> Path:
-    """Write the description of a shipped thermal imager with few pixels as thermal.toml, and return its path."""
+    """Write the description of a shipped thermal imager with few pixels as thermal.toml, and return
+    its path.
+    """
     imager = load_camera(name)
     assert isinstance(imager, InfraredImager)
     few = replace(getattr(imager, table), **size)

@@ -1,4 +1,6 @@
-"""Bad input ends in one sentence that names the rule and the value, exit code 1, and no traceback."""
+"""Bad input ends in one sentence that names the rule and the value, exit code 1, and no
+traceback.
+"""
 
 import json
 from pathlib import Path
@@ -44,7 +46,9 @@ def session(folder: Path, line: str) -> Path:
         ("frames.xyz", b"1234", (".xyz", ".tif", ".fits", ".dng")),
     ],
 )
-def test_a_file_that_is_no_image_is_named(tmp_path: Path, name: str, content: bytes | None, words) -> None:
+def test_a_file_that_is_no_image_is_named(
+    tmp_path: Path, name: str, content: bytes | None, words
+) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
     assert_one_sentence(charact("mtf", "edge", tmp_path / name), *words)
@@ -52,7 +56,9 @@ def test_a_file_that_is_no_image_is_named(tmp_path: Path, name: str, content: by
 
 def test_a_session_file_is_refused_by_key_and_place(tmp_path: Path) -> None:
     assert_one_sentence(charact("measure", tmp_path), "session.toml")
-    assert_one_sentence(charact("noise", session(tmp_path, "mcp_volt = 780.0")), "mcp_volt", "flat-1")
+    assert_one_sentence(
+        charact("noise", session(tmp_path, "mcp_volt = 780.0")), "mcp_volt", "flat-1"
+    )
     assert_one_sentence(charact("noise", session(tmp_path, "mcp_v = -780.0")), "mcp_v", "-780")
     (tmp_path / "session.toml").write_text('name = "empty"\n')
     assert_one_sentence(charact("noise", tmp_path), "stack")
@@ -70,11 +76,15 @@ def test_a_session_file_is_refused_by_key_and_place(tmp_path: Path) -> None:
         ("bars", "--frequency=-0.1", ("-0.1",)),
     ],
 )
-def test_an_option_out_of_its_range_is_refused(edge: Path, kind: str, option: str, words: tuple[str, ...]) -> None:
+def test_an_option_out_of_its_range_is_refused(
+    edge: Path, kind: str, option: str, words: tuple[str, ...]
+) -> None:
     assert_one_sentence(charact("mtf", kind, edge, option), *words)
 
 
-def test_a_session_of_bars_that_shows_none_is_refused_in_one_sentence(edge: Path, tmp_path: Path) -> None:
+def test_a_session_of_bars_that_shows_none_is_refused_in_one_sentence(
+    edge: Path, tmp_path: Path
+) -> None:
     assert charact("import", "frames", edge, tmp_path / "mine", "--kind", "bars").exit_code == 0
     done = charact("measure", tmp_path / "mine", "--json")
     (refusal,) = json.loads(done.stdout)["measurements"]
@@ -83,7 +93,9 @@ def test_a_session_of_bars_that_shows_none_is_refused_in_one_sentence(edge: Path
     assert refusal["reason"] in done.stderr
 
 
-def test_of_a_session_of_scenes_nothing_is_measured_and_no_verb_says_otherwise(edge: Path, tmp_path: Path) -> None:
+def test_of_a_session_of_scenes_nothing_is_measured_and_no_verb_says_otherwise(
+    edge: Path, tmp_path: Path
+) -> None:
     done = charact("import", "frames", edge, tmp_path / "mine")
     assert done.exit_code == 0 and "charact measure" not in done.stdout
     assert "session.toml" in done.stdout
@@ -95,23 +107,38 @@ def test_of_a_session_of_scenes_nothing_is_measured_and_no_verb_says_otherwise(e
 
 
 @pytest.mark.parametrize("verb", ["noise", "measure", "fit", "validate", "report", "watch"])
-def test_a_picture_in_place_of_a_session_is_answered_with_what_makes_one(edge: Path, verb: str) -> None:
+def test_a_picture_in_place_of_a_session_is_answered_with_what_makes_one(
+    edge: Path, verb: str
+) -> None:
     more = ("--sensor-out", "fitted.toml") if verb == "fit" else ()
-    assert_one_sentence(charact(verb, edge, *more), "folder with a session.toml", f"charact import frames {edge}")
-
-
-def test_a_map_of_a_bare_picture_and_the_mtf_of_a_session_name_what_is_needed(edge: Path, tmp_path: Path) -> None:
     assert_one_sentence(
-        charact("bloom", edge, "--map", "map.png"), "--map needs a session with point sources", "--kind point"
+        charact(verb, edge, *more), "folder with a session.toml", f"charact import frames {edge}"
+    )
+
+
+def test_a_map_of_a_bare_picture_and_the_mtf_of_a_session_name_what_is_needed(
+    edge: Path, tmp_path: Path
+) -> None:
+    assert_one_sentence(
+        charact("bloom", edge, "--map", "map.png"),
+        "--map needs a session with point sources",
+        "--kind point",
     )
     folder = session(tmp_path, "")
-    assert_one_sentence(charact("mtf", "edge", folder), "images or stacks", f"charact measure {folder}")
-    assert_one_sentence(charact("mtf", "flats", tmp_path / "nope"), "session folder", "file of frames", "nope")
+    assert_one_sentence(
+        charact("mtf", "edge", folder), "images or stacks", f"charact measure {folder}"
+    )
+    assert_one_sentence(
+        charact("mtf", "flats", tmp_path / "nope"), "session folder", "file of frames", "nope"
+    )
 
 
 def test_flats_in_lines_per_millimetre_take_a_pitch(tmp_path: Path) -> None:
     folder = session(tmp_path, "")
-    assert_one_sentence(charact("mtf", "flats", folder, "--units", "lp/mm"), "give --pitch-um, or a sensor description")
+    assert_one_sentence(
+        charact("mtf", "flats", folder, "--units", "lp/mm"),
+        "give --pitch-um, or a sensor description",
+    )
     done = charact("mtf", "flats", folder, "--units", "lp/mm", "--pitch-um", "10")
     assert done.exit_code == 1 and "pitch_um" not in done.stderr
 
@@ -121,7 +148,10 @@ def test_flats_in_lines_per_millimetre_take_a_pitch(tmp_path: Path) -> None:
     [
         (("mtf", "edge", "a.tif", "--seed", "-1"), "'--seed'"),
         (("noise", "a", "--seed", "-1"), "greater than or equal to 0"),
-        (("simulate", "airfield", "out", "--sensor", "pulnix-ag5745ef3", "--seed", "-1"), "'--seed'"),
+        (
+            ("simulate", "airfield", "out", "--sensor", "pulnix-ag5745ef3", "--seed", "-1"),
+            "'--seed'",
+        ),
         (("bloom", "a", "--map-of", "point-1"), "needs --map"),
         (("mtf", "edge", "a.tif", "--no-such-option"), "No such option"),
         (("no-such-verb",), "No such command"),
@@ -143,7 +173,9 @@ def test_bad_input_is_also_said_in_json(tmp_path: Path) -> None:
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_an_interrupt_ends_in_one_sentence_that_tells_how_to_go_on(tmp_path: Path, monkeypatch) -> None:
+def test_an_interrupt_ends_in_one_sentence_that_tells_how_to_go_on(
+    tmp_path: Path, monkeypatch
+) -> None:
     def interrupted(*arguments, **settings):
         raise KeyboardInterrupt
 

@@ -1,4 +1,6 @@
-"""The judge of an acquisition: a mean's interval holds what it promises, and saturated pixels are counted, all."""
+"""The judge of an acquisition: a mean's interval holds what it promises, and saturated pixels are
+counted, all.
+"""
 
 import numpy as np
 
@@ -10,7 +12,13 @@ SHAPE = (20, 30)
 
 
 def watched(means_dn, *, until=None, kind="flat", frames=1000):
-    step = Step(label="a", kind=kind, frames=frames, conditions=Conditions(illuminance_lux=1e-4), until=until)
+    step = Step(
+        label="a",
+        kind=kind,
+        frames=frames,
+        conditions=Conditions(illuminance_lux=1e-4),
+        until=until,
+    )
     watcher = SaturationJudge().watch(step, 4095.0)
     for taken, mean_dn in enumerate(means_dn, 1):
         watcher.see(np.full(SHAPE, mean_dn))
@@ -32,7 +40,9 @@ def test_a_level_that_drifts_or_lags_is_known_less_well_than_white_noise(seed):
     lagging = np.convolve(white, 0.8 ** np.arange(20), "same")
     lagging *= white.std() / lagging.std()
     assert half_interval_dn(lagging) > 1.5 * half_interval_dn(white)
-    assert half_interval_dn(np.linspace(-1.0, 1.0, 200)) > 3 * np.linspace(-1.0, 1.0, 200).std() / np.sqrt(200)
+    assert half_interval_dn(np.linspace(-1.0, 1.0, 200)) > 3 * np.linspace(
+        -1.0, 1.0, 200
+    ).std() / np.sqrt(200)
 
 
 def test_levels_that_were_stopped_early_are_as_near_the_truth_as_was_asked(seed):
@@ -50,7 +60,9 @@ def test_levels_that_were_stopped_early_are_as_near_the_truth_as_was_asked(seed)
 
 
 def test_every_saturated_pixel_counts():
-    watcher = SaturationJudge().watch(Step(label="a", kind="flat", frames=9, conditions=Conditions()), 4095.0)
+    watcher = SaturationJudge().watch(
+        Step(label="a", kind="flat", frames=9, conditions=Conditions()), 4095.0
+    )
     frame = np.zeros(SHAPE)
     frame.flat[:3] = 4095.0
     watcher.see(frame)
@@ -62,6 +74,8 @@ def test_every_saturated_pixel_counts():
 
 
 def test_a_point_is_meant_to_saturate():
-    watcher = SaturationJudge().watch(Step(label="a", kind="point", frames=9, conditions=Conditions()), 4095.0)
+    watcher = SaturationJudge().watch(
+        Step(label="a", kind="point", frames=9, conditions=Conditions()), 4095.0
+    )
     watcher.see(np.full(SHAPE, 4095.0))
     assert watcher.complaint() is None

@@ -1,4 +1,6 @@
-"""Many sessions in one verb: each gets what it would get alone, and a bad one among them costs the others nothing."""
+"""Many sessions in one verb: each gets what it would get alone, and a bad one among them costs the
+others nothing.
+"""
 
 import json
 from pathlib import Path
@@ -17,10 +19,14 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     for folder in (made[0], made[2]):
         stacks = []
         for number, electrons in enumerate((0.0, 400.0, 900.0, 2000.0)):
-            frames = 20.0 + 0.05 * rng.poisson(electrons, (4, 48, 64)) + rng.standard_normal((4, 48, 64))
+            frames = (
+                20.0 + 0.05 * rng.poisson(electrons, (4, 48, 64)) + rng.standard_normal((4, 48, 64))
+            )
             np.save(folder / f"{number}.npy", np.rint(frames).astype(np.uint8))
             kind = "flat" if number else "dark"
-            stacks.append(f'[[stack]]\nlabel = "{number}"\nkind = "{kind}"\nframes = "{number}.npy"\n')
+            stacks.append(
+                f'[[stack]]\nlabel = "{number}"\nkind = "{kind}"\nframes = "{number}.npy"\n'
+            )
         (folder / "session.toml").write_text('name = "white"\n' + "".join(stacks))
     return made
 
@@ -40,7 +46,9 @@ def test_each_session_gets_one_object_a_line_as_it_would_alone(folders: list[Pat
     done = run(*folders, "--json")
     alone = [run(folder, "--json") for folder in folders]
     assert done.exit_code == 1
-    assert [without_times(line) for line in done.stdout.splitlines()] == [without_times(one.stdout) for one in alone]
+    assert [without_times(line) for line in done.stdout.splitlines()] == [
+        without_times(one.stdout) for one in alone
+    ]
     assert [one.exit_code for one in alone] == [0, 1, 0]
     assert f"1 of 3 sessions gave no value: {folders[1]}" in done.stderr
 

@@ -1,4 +1,6 @@
-"""`charact mtf` on a whole frame: each target its region, units at detector and cathode, and the annotated picture."""
+"""`charact mtf` on a whole frame: each target its region, units at detector and cathode, and the
+annotated picture.
+"""
 
 import json
 from pathlib import Path
@@ -32,10 +34,14 @@ def two_edges(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_each_edge_of_a_frame_has_its_region_and_its_curve(two_edges: Path) -> None:
-    document = json.loads(charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--json").stdout)
+    document = json.loads(
+        charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--json").stdout
+    )
     regions = {tuple(m["region"]) for m in document["measurements"]}
     assert len(regions) == 2
-    assert {"mtf", *(f"mtf:{','.join(map(str, region))}" for region in regions)} == set(document["curves"])
+    assert {"mtf", *(f"mtf:{','.join(map(str, region))}" for region in regions)} == set(
+        document["curves"]
+    )
     left, right = sorted(regions, key=lambda region: region[1])
     assert left[1] + left[3] <= 185
     assert right[1] >= 55
@@ -43,11 +49,27 @@ def test_each_edge_of_a_frame_has_its_region_and_its_curve(two_edges: Path) -> N
 
 def test_a_black_level_above_the_dark_side_is_not_believed_and_said(two_edges: Path) -> None:
     """The dark side lies at 40 DN, the bright one at 190."""
-    asked = ("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--roi", "0,0,120,110", "--json")
-    without, above = (json.loads(charact(*asked, *more).stdout) for more in ((), ("--black-dn", "100")))
+    asked = (
+        "mtf",
+        "edge",
+        two_edges,
+        "--quick",
+        "--method",
+        "edge-slanted",
+        "--roi",
+        "0,0,120,110",
+        "--json",
+    )
+    without, above = (
+        json.loads(charact(*asked, *more).stdout) for more in ((), ("--black-dn", "100"))
+    )
     said = "No light would be at 100 DN, above the edge's dark side at 40"
-    assert any(note.startswith(said) and "not known" in note for note in above["measurements"][0]["notes"])
-    assert [m["value"] for m in above["measurements"]] == [m["value"] for m in without["measurements"]]
+    assert any(
+        note.startswith(said) and "not known" in note for note in above["measurements"][0]["notes"]
+    )
+    assert [m["value"] for m in above["measurements"]] == [
+        m["value"] for m in without["measurements"]
+    ]
 
 
 @pytest.mark.parametrize("black", ["nan", "-inf", "4000"])
@@ -66,12 +88,22 @@ def test_each_colour_channel_has_its_own_mtf(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "lens.png"), np.stack(planes[::-1], axis=-1).astype(np.uint8))
     for plane, scene in zip("rgb", scenes, strict=True):
         done = charact(
-            "mtf", "edge", tmp_path / "lens.png", "--quick", "--plane", plane, "--method", "edge-gradient", "--json"
+            "mtf",
+            "edge",
+            tmp_path / "lens.png",
+            "--quick",
+            "--plane",
+            plane,
+            "--method",
+            "edge-gradient",
+            "--json",
         )
         found = json.loads(done.stdout)["measurements"][0]
         assert found["value"] == pytest.approx(scene.truth_mtf50, rel=0.05)
     values = [
-        json.loads(charact("mtf", "edge", tmp_path / "lens.png", "--quick", *asked, "--json").stdout)["measurements"][0]
+        json.loads(
+            charact("mtf", "edge", tmp_path / "lens.png", "--quick", *asked, "--json").stdout
+        )["measurements"][0]
         for asked in ((), ("--plane", "luminance"))
     ]
     assert values[0]["value"] == values[1]["value"]
@@ -79,8 +111,15 @@ def test_each_colour_channel_has_its_own_mtf(tmp_path: Path) -> None:
 
 
 def test_lines_at_the_cathode_are_wider_by_the_taper() -> None:
-    """11 um pixels behind a taper of 18/11 are 18 um at the cathode: 0.5 cy/px is 27.8 lp/mm there."""
-    lengths = {"pitch_x_um": 11.0, "pitch_y_um": 13.0, "demagnification": 18 / 11, "focal_length_mm": 36.0}
+    """11 um pixels behind a taper of 18/11 are 18 um at the cathode: 0.5 cy/px is 27.8 lp/mm
+    there.
+    """
+    lengths = {
+        "pitch_x_um": 11.0,
+        "pitch_y_um": 13.0,
+        "demagnification": 18 / 11,
+        "focal_length_mm": 36.0,
+    }
     at_cathode = FrequencyUnit(unit="lp/mm-cathode", **lengths)
     assert at_cathode(0.5)[0] == pytest.approx(1e3 * 0.5 / 18.0)
     assert FrequencyUnit(unit="lp/mm", **lengths)(0.5)[0] == pytest.approx(1e3 * 0.5 / 11.0)
@@ -91,9 +130,15 @@ def test_lines_at_the_cathode_are_wider_by_the_taper() -> None:
 def test_an_edge_along_rows_counts_their_pitch() -> None:
     """Rows of 13 um: 0.5 cycles per row are 38.5 lp/mm, and 493 rows hold 493 lines of them."""
     unit = FrequencyUnit(unit="lp/mm", pitch_x_um=11.0, pitch_y_um=13.0)
-    lying = make_measurement("mtf50", "cy/px", 0.5, None, None, method="edge-forward", orientation_deg=95.0)
-    standing = make_measurement("mtf50", "cy/px", 0.5, None, None, method="edge-forward", orientation_deg=5.0)
-    point = make_measurement("mtf50", "cy/px", 0.5, None, None, method="point-forward", orientation_deg=90.0)
+    lying = make_measurement(
+        "mtf50", "cy/px", 0.5, None, None, method="edge-forward", orientation_deg=95.0
+    )
+    standing = make_measurement(
+        "mtf50", "cy/px", 0.5, None, None, method="edge-forward", orientation_deg=5.0
+    )
+    point = make_measurement(
+        "mtf50", "cy/px", 0.5, None, None, method="point-forward", orientation_deg=90.0
+    )
     assert unit(0.5, lying)[0] == pytest.approx(500 / 13)
     assert unit(0.5, standing)[0] == pytest.approx(500 / 11)
     assert unit(0.5, point)[0] == pytest.approx(500 / 11)
@@ -110,7 +155,9 @@ def test_samples_of_a_plane_lie_two_pixels_apart(pitch_um: float | None) -> None
     own_um = float(camera.ccd.pitch_x_um) if pitch_um is None else pitch_um
     plane = FrequencyUnit.of(camera, unit="lp/mm", sample_pitch_px=2, pitch_um=pitch_um)
     assert plane(0.5)[0] == pytest.approx(1e3 * 0.25 / own_um)
-    assert FrequencyUnit.of(camera, unit="lp/mm", pitch_um=pitch_um)(0.25)[0] == pytest.approx(1e3 * 0.25 / own_um)
+    assert FrequencyUnit.of(camera, unit="lp/mm", pitch_um=pitch_um)(0.25)[0] == pytest.approx(
+        1e3 * 0.25 / own_um
+    )
 
 
 @pytest.mark.parametrize(
@@ -123,7 +170,9 @@ def test_samples_of_a_plane_lie_two_pixels_apart(pitch_um: float | None) -> None
         ("furlongs", {}, ("furlongs", "lp/mm-cathode")),
     ],
 )
-def test_a_missing_length_is_named_with_its_remedy(unit: str, given: dict[str, float], words: tuple[str, ...]) -> None:
+def test_a_missing_length_is_named_with_its_remedy(
+    unit: str, given: dict[str, float], words: tuple[str, ...]
+) -> None:
     with pytest.raises(BadInput) as error:
         FrequencyUnit(unit=unit, **given)
     assert all(word in str(error.value) for word in words)
@@ -149,33 +198,45 @@ def test_verdicts_differ_in_more_than_colour() -> None:
     share = {}
     for status, one in {
         "ok": make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), **common),
-        "suspect": make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), flags=("clipped",), **common),
+        "suspect": make_measurement(
+            "mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), flags=("clipped",), **common
+        ),
         "refused": make_refusal("mtf50", "cy/px", "nothing there", **common),
     }.items():
         picture = render_annotations(stack, Measured(measurements=(one,)))
         assert picture.shape[1] >= 1500
         top_line = picture[498:503, 505:945]
         share[status] = np.all(top_line == COLOURS[status], axis=2).any(axis=0).mean()
-        crossed = np.all(np.abs(picture[530:540, 530:540].astype(int) - COLOURS[status]) < 60, axis=2).any()
+        crossed = np.all(
+            np.abs(picture[530:540, 530:540].astype(int) - COLOURS[status]) < 60, axis=2
+        ).any()
         assert crossed == (status == "refused")
     assert share["ok"] > 0.99 and share["refused"] > 0.99
     assert 0.4 < share["suspect"] < 0.9
 
 
 def test_edges_that_cannot_be_measured_are_drawn_with_the_reason() -> None:
-    """The long sides of a bar of 8 px have no room for their plateaus; unless the region of one was measured."""
+    """The long sides of a bar of 8 px have no room for their plateaus; unless the region of one was
+    measured.
+    """
     row, col = np.mgrid[:200, :300].astype(float)
     across = (col - 230) * np.cos(0.09) + (row - 100) * np.sin(0.09)
     bar = (np.abs(row - 100) < 60) * (erf((across + 4) / 1.2) - erf((across - 4) / 1.2))
-    stack = FrameStack(data=np.random.default_rng(0).poisson(200.0 + 400.0 * bar).astype(np.uint16)[None])
+    stack = FrameStack(
+        data=np.random.default_rng(0).poisson(200.0 + 400.0 * bar).astype(np.uint16)[None]
+    )
     found = unusable_edges(stack, Measured())
     assert [why for _, why in found] == ["no room next to it"] * 2
     centres = sorted(region[1] + region[3] / 2 for region, _ in found)
     assert centres == pytest.approx([226, 234], abs=1.5)
     region = (41, 229, 120, 60)
-    one = make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), method="edge-forward", region=region)
+    one = make_measurement(
+        "mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), method="edge-forward", region=region
+    )
     assert len(unusable_edges(stack, Measured(measurements=(one,)))) == 1
-    bare, drawn = (render_annotations(stack, Measured(measurements=(one,)), unusable=u) for u in ((), found))
+    bare, drawn = (
+        render_annotations(stack, Measured(measurements=(one,)), unusable=u) for u in ((), found)
+    )
     rows, columns = np.nonzero(np.any(bare[:1000] != drawn[:1000], axis=2))
     # Outlines and captions are at the bar, rows 37 to 163, columns 215 to 245, five times enlarged.
     assert rows.size > 2 * 120 * 5 and 180 < rows.min() < 210 and 790 < rows.max() < 840
@@ -184,14 +245,27 @@ def test_edges_that_cannot_be_measured_are_drawn_with_the_reason() -> None:
 
 
 def test_a_picture_is_written_and_told_when_everything_is_refused(tmp_path: Path) -> None:
-    np.save(tmp_path / "even.npy", np.random.default_rng(0).poisson(300.0, (100, 120)).astype(np.uint16))
+    np.save(
+        tmp_path / "even.npy", np.random.default_rng(0).poisson(300.0, (100, 120)).astype(np.uint16)
+    )
     path = tmp_path / "even.png"
-    done = charact("mtf", "edge", tmp_path / "even.npy", "--quick", "--method", "edge-slanted", "--annotate", path)
+    done = charact(
+        "mtf",
+        "edge",
+        tmp_path / "even.npy",
+        "--quick",
+        "--method",
+        "edge-slanted",
+        "--annotate",
+        path,
+    )
     told, reason = done.stderr.strip().splitlines()
     assert done.exit_code == 1 and "no target: no step" in reason
     assert told == f"{path}: every region with its value, or why it has none"
     assert np.all(np.abs(cv2.imread(str(path)).astype(int) - COLOURS["refused"]) < 10, axis=2).any()
-    done = charact("mtf", "edge", tmp_path / "even.npy", "--quick", "--annotate", tmp_path / "out.jpg")
+    done = charact(
+        "mtf", "edge", tmp_path / "even.npy", "--quick", "--annotate", tmp_path / "out.jpg"
+    )
     assert done.exit_code == 1 and "must name a .png file" in done.stderr
 
 

@@ -1,4 +1,6 @@
-"""A frame of pure noise holds no target: every measuring verb refuses it or distrusts what it found, never 'ok'."""
+"""A frame of pure noise holds no target: every measuring verb refuses it or distrusts what it
+found, never 'ok'.
+"""
 
 import json
 from pathlib import Path
@@ -34,7 +36,8 @@ def test_noise_is_never_an_mtf(verb: str, noise: str, tmp_path: Path, seed: int)
 
 @pytest.mark.parametrize("kind", ["flat", "point", "edge", "dark"])
 def test_a_session_of_noise_is_never_ok(kind: str, tmp_path: Path, seed: int) -> None:
-    """Noise that does not follow the light is no camera: darks alone may give a read noise, and nothing else.
+    """Noise that does not follow the light is no camera: darks alone may give a read noise, and
+    nothing else.
 
     That no pixel stands out is true of any frames, whatever made them: none is defective.
     """
@@ -59,7 +62,9 @@ FLATS = {
 
 @pytest.mark.parametrize("kinds", [("flat", "flat"), ("dark", "flat")])
 @pytest.mark.parametrize("case", FLATS)
-def test_flats_that_tell_nothing_are_never_a_gain(case: str, kinds: tuple[str, ...], tmp_path: Path, seed: int) -> None:
+def test_flats_that_tell_nothing_are_never_a_gain(
+    case: str, kinds: tuple[str, ...], tmp_path: Path, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     text = 'name = "noise"\n'
     for index, kind in enumerate(kinds):

@@ -1,4 +1,6 @@
-"""Outputs that exist: every verb refuses them before any work and names the next free one; --force spares the rest."""
+"""Outputs that exist: every verb refuses them before any work and names the next free one; --force
+spares the rest.
+"""
 
 import subprocess
 import sys
@@ -28,7 +30,9 @@ def write_session(folder: Path, level: int = 100) -> Path:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a simulated session, an acquired one, one of an import, and files of frames and results."""
+    """A folder with a simulated session, an acquired one, one of an import, and files of frames and
+    results.
+    """
     monkeypatch.chdir(tmp_path)
     for name in ("simulated", "acquired"):
         write_session(tmp_path / name)
@@ -47,10 +51,15 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def contents(folder: Path) -> dict[str, bytes]:
     """Return the files of a folder."""
-    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != ".lock"}
+    return {
+        str(path): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != ".lock"
+    }
 
 
-# A verb with an output that exists, the name to suggest, and what is said where --force replaces nothing.
+# A verb with an output that exists, the name to suggest, and what is said where --force replaces
+# nothing.
 TAKEN = [
     ("acquire demo acquired", "acquired-2", None),
     ("acquire demo simulated", "simulated-2", "a session simulated"),
@@ -59,7 +68,11 @@ TAKEN = [
     ("simulate airfield simulated --sensor emccd-512", "simulated-2", None),
     ("simulate airfield acquired --sensor emccd-512 --preview", "acquired-2", "a session acquired"),
     ("simulate airfield imported --sensor emccd-512", "imported-2", "frames made elsewhere"),
-    ("simulate airfield simulated --sensor simulated/session.toml", "simulated-2", "its input session.toml"),
+    (
+        "simulate airfield simulated --sensor simulated/session.toml",
+        "simulated-2",
+        "its input session.toml",
+    ),
     ("import emva1288 absent.txt imported", "imported-2", None),
     ("import frames flat.npy simulated", "simulated-2", "a session simulated"),
     ("temperatures hangar notes", "notes-2", "without a temperatures.json"),
@@ -70,11 +83,17 @@ TAKEN = [
 
 
 @pytest.mark.parametrize(("line", "free", "kept"), TAKEN, ids=[line for line, *_ in TAKEN])
-def test_an_output_that_exists_is_refused_before_any_work(here: Path, line: str, free: str, kept: str | None) -> None:
+def test_an_output_that_exists_is_refused_before_any_work(
+    here: Path, line: str, free: str, kept: str | None
+) -> None:
     before = contents(here)
-    assert_one_sentence(charact(*line.split()), "an output must be new", f"{free} is free", "--force replaces")
+    assert_one_sentence(
+        charact(*line.split()), "an output must be new", f"{free} is free", "--force replaces"
+    )
     if kept:
-        assert_one_sentence(charact(*line.split(), "--force"), "--force replaces only", kept, f"{free} is free")
+        assert_one_sentence(
+            charact(*line.split(), "--force"), "--force replaces only", kept, f"{free} is free"
+        )
     assert contents(here) == before
 
 
@@ -89,32 +108,53 @@ def test_the_next_free_name_counts_on(tmp_path: Path, monkeypatch: pytest.Monkey
     (tmp_path / "sheet.xml").write_text("")
     asked = ("demo", "demo-2", "day-1", "2024-03-21", "a.b", "sheet.xml")
     assert [next_free(tmp_path / name).name for name in asked] == [
-        "demo-3", "demo-3", "day-2", "2024-03-21-2", "a.b-2", "sheet-2.xml",
-    ]  # fmt: skip
+        "demo-3",
+        "demo-3",
+        "day-2",
+        "2024-03-21-2",
+        "a.b-2",
+        "sheet-2.xml",
+    ]
     monkeypatch.chdir(tmp_path / "demo")
     assert next_free(Path()) == tmp_path / "demo-3"
 
 
 def test_a_replaced_session_leaves_the_files_of_others(here: Path) -> None:
     folder = here / "simulated"
-    for name in ("results.json", "results-0123.npz", "validation.json", "fitted.toml", "economy.json"):
+    for name in (
+        "results.json",
+        "results-0123.npz",
+        "validation.json",
+        "fitted.toml",
+        "economy.json",
+    ):
         (folder / name).write_text("of the session before")
     (folder / "frames" / "mine.tif").write_text("mine")
     (folder / "notes.txt").write_text("mine")
     assert why_kept(folder, "simulation") is None
     remove_session(folder, "simulation")
-    assert sorted(path.name for path in folder.rglob("*")) == [".lock", "frames", "mine.tif", "notes.txt"]
+    assert sorted(path.name for path in folder.rglob("*")) == [
+        ".lock",
+        "frames",
+        "mine.tif",
+        "notes.txt",
+    ]
     assert open_session(write_session(folder, 9)).stacks[0].read().data.max() == 9
 
 
 def test_a_session_that_is_being_written_is_not_replaced(here: Path) -> None:
     hold = (
-        "from labdata.session_writer import SessionWriter as S; w = S.resume('acquired'); print(1, flush=True); input()"
+        "from labdata.session_writer import SessionWriter as S; w = S.resume('acquired'); "
+        "print(1, flush=True); input()"
     )
-    with subprocess.Popen([sys.executable, "-c", hold], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+    with subprocess.Popen(
+        [sys.executable, "-c", hold], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
         assert other.stdout and other.stdout.readline() == b"1\n"
         before = contents(here)
-        assert_one_sentence(charact("acquire", "demo", "acquired", "--force"), "a session that is being written")
+        assert_one_sentence(
+            charact("acquire", "demo", "acquired", "--force"), "a session that is being written"
+        )
         assert contents(here) == before
         other.communicate(b"\n")
     assert why_kept(here / "acquired", "plan") is None
@@ -127,7 +167,10 @@ def test_an_import_replaces_its_manifest_or_nothing(here: Path) -> None:
     failed = charact("import", "frames", "absent.npy", "imported", "--force")
     assert failed.exit_code == 1 and (here / "imported" / "session.toml").read_bytes() == before
     done_well("import", "frames", "imported/dark.npy", "imported", "--kind", "dark", "--force")
-    assert sorted(path.name for path in (here / "imported").iterdir()) == ["dark.npy", "session.toml"]
+    assert sorted(path.name for path in (here / "imported").iterdir()) == [
+        "dark.npy",
+        "session.toml",
+    ]
     assert [entry.kind for entry in open_session(here / "imported").stacks] == ["dark"]
 
 
@@ -135,7 +178,10 @@ def test_converted_files_are_replaced_but_not_the_frames_themselves(here: Path) 
     (here / "converted" / "notes.txt").write_text("mine")
     (here / "converted" / "flat.npy").write_bytes(b"an earlier conversion")
     done_well("convert", "simulated", "converted", "--to", "npy", "--force")
-    assert np.load(here / "converted" / "flat.npy").max() == 100 and (here / "converted" / "notes.txt").exists()
+    assert (
+        np.load(here / "converted" / "flat.npy").max() == 100
+        and (here / "converted" / "notes.txt").exists()
+    )
     own = charact("convert", "flat.npy", ".", "--to", "npy", "--force")
     assert_one_sentence(own, "its own frames")
     assert np.load(here / "flat.npy").max() == 7

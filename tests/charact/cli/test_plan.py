@@ -1,4 +1,6 @@
-"""`charact plan` tells what a plan would do and switches nothing on; what was taken agrees with what was told."""
+"""`charact plan` tells what a plan would do and switches nothing on; what was taken agrees with
+what was told.
+"""
 
 import json
 
@@ -57,12 +59,19 @@ def test_the_plan_is_told_in_steps_time_disk_dose_and_hottest_step(plan, tmp_pat
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
-def test_what_was_taken_agrees_with_what_was_told_and_the_report_prints_the_override(plan, tmp_path):
+def test_what_was_taken_agrees_with_what_was_told_and_the_report_prints_the_override(
+    plan, tmp_path
+):
     document = told(plan)
     done_well("acquire", plan, tmp_path / "session")
     session = open_session(tmp_path / "session")
-    assert [entry.label for entry in session.stacks] == [step["label"] for step in document["steps"]]
-    assert any(note.endswith("was overridden to 400: a rehearsal on the virtual bench.") for note in session.notes)
+    assert [entry.label for entry in session.stacks] == [
+        step["label"] for step in document["steps"]
+    ]
+    assert any(
+        note.endswith("was overridden to 400: a rehearsal on the virtual bench.")
+        for note in session.notes
+    )
     spent = ledger_of("SN 7").total()
     assert spent.screen_c_per_cm2 > 0.0 and spent.hours_at_gain > 0.0
     assert told(plan)["dose_before"]["screen_c_per_cm2"] == spent.screen_c_per_cm2
@@ -73,7 +82,9 @@ def test_what_was_taken_agrees_with_what_was_told_and_the_report_prints_the_over
     done_well("acquire", plan, tmp_path / "session", "--force")
     again = open_session(tmp_path / "session")
     assert [entry.label for entry in again.stacks] == [entry.label for entry in session.stacks]
-    assert (tmp_path / "session" / "notes.txt").is_file() and not (tmp_path / "session" / "results.json").exists()
+    assert (tmp_path / "session" / "notes.txt").is_file() and not (
+        tmp_path / "session" / "results.json"
+    ).exists()
     # The dose of the first run stays in the tube's ledger.
     assert ledger_of("SN 7").total().hours_at_gain > spent.hours_at_gain
 
@@ -93,14 +104,24 @@ def test_every_shipped_plan_passes_its_check(name):
     ("line", "rule"),
     [
         ("mcp_v = 950.0", "mcp_v must not exceed the limit 900, got 950, in step"),
-        ("illuminance_lux = 0.5", "illuminance_lux must not exceed the limit 0.01, got 0.5, in step"),
+        (
+            "illuminance_lux = 0.5",
+            "illuminance_lux must not exceed the limit 0.01, got 0.5, in step",
+        ),
         ("gate_ns = 1.6668e7", "the gate must be open for at most 0.999 of the time"),
-        ("mcp_v = 890.0\nilluminance_lux = 9e-3", "must not exceed 120 nA/cm2 of MCP output, got 169"),
+        (
+            "mcp_v = 890.0\nilluminance_lux = 9e-3",
+            "must not exceed 120 nA/cm2 of MCP output, got 169",
+        ),
     ],
 )
 def test_what_the_interlock_would_refuse_is_refused_before(plan, line, rule):
     changed = line.split(" =")[0]
-    kept = [one for one in PLAN.splitlines() if not one.startswith((changed, *line.split("\n")[-1].split(" =")[:1]))]
+    kept = [
+        one
+        for one in PLAN.splitlines()
+        if not one.startswith((changed, *line.split("\n")[-1].split(" =")[:1]))
+    ]
     plan.write_text("\n".join(kept) + f"\n{line}\n")
     done = charact("plan", plan)
     assert done.exit_code == 1

@@ -1,4 +1,6 @@
-"""A person at the prompt may take their time: the run is called meanwhile, and may end the prompt."""
+"""A person at the prompt may take their time: the run is called meanwhile, and may end the
+prompt.
+"""
 
 import io
 import os
@@ -18,7 +20,9 @@ from labdata.target import Target
 
 @pytest.fixture(params=["terminal", "pipe"])
 def typed(request, monkeypatch):
-    """Standard input that is a terminal or a pipe; what is called types on it, nothing closes it."""
+    """Standard input that is a terminal or a pipe; what is called types on it, nothing closes
+    it.
+    """
     keyboard, there = pty.openpty() if request.param == "terminal" else os.pipe()[::-1]
     open_ends = {keyboard, there}
     with open(there, closefd=False) as stdin:
@@ -72,7 +76,10 @@ def test_the_run_is_called_ten_times_a_second_and_what_it_raises_ends_the_prompt
     with pytest.raises(ZeroDivisionError):
         reading(operator)
     # A bench makes safe after 0.6 s without a sign of life.
-    assert max(after - before for before, after in zip([began_s, *calls_s], calls_s, strict=False)) < 0.5
+    assert (
+        max(after - before for before, after in zip([began_s, *calls_s], calls_s, strict=False))
+        < 0.5
+    )
     operator.while_waiting = lambda: None
     typed("4e-5\n")
     assert reading(operator) == 4e-5
@@ -80,7 +87,9 @@ def test_the_run_is_called_ten_times_a_second_and_what_it_raises_ends_the_prompt
 
 def test_the_end_of_the_input_is_one_sentence(typed):
     typed("")
-    with pytest.raises(BadInput, match="a person must answer what the meter reads, got the end of the input"):
+    with pytest.raises(
+        BadInput, match="a person must answer what the meter reads, got the end of the input"
+    ):
         reading(PromptingOperator())
     typed_placer = TargetPlacer()
     with pytest.raises(BadInput, match="once the edge target is placed, got the end"):
@@ -88,7 +97,9 @@ def test_the_end_of_the_input_is_one_sentence(typed):
         typed_placer.place(kind="edge", target=Target(), illuminance_lux=1.0)
 
 
-def test_a_terminal_that_takes_no_more_is_waited_for_in_slices_and_not_at_all_to_darken(monkeypatch):
+def test_a_terminal_that_takes_no_more_is_waited_for_in_slices_and_not_at_all_to_darken(
+    monkeypatch,
+):
     there, full = os.pipe()
     os.set_blocking(full, False)
     with closing(os.fdopen(there, "rb")), open(full, "w", closefd=True) as stderr:

@@ -1,4 +1,6 @@
-"""`charact simulate` end to end: a picture, a cube and a bench scene become sessions that say how they came about."""
+"""`charact simulate` end to end: a picture, a cube and a bench scene become sessions that say how
+they came about.
+"""
 
 from pathlib import Path
 
@@ -49,15 +51,23 @@ SCALE = ("--photoelectrons-per-dn", 0.1, "--black-dn", 20)
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-def test_a_picture_comes_out_as_bright_as_its_photoelectrons_make_it(tmp_path, cameras, picture, name):
-    """10 photoelectrons per pixel as read, without halo, saturation and patterns: within 4 standard errors.
+def test_a_picture_comes_out_as_bright_as_its_photoelectrons_make_it(
+    tmp_path, cameras, picture, name
+):
+    """10 photoelectrons per pixel as read, without halo, saturation and patterns: within 4 standard
+    errors.
 
-    The mean over a patch away from the edge, above a dark one; 1 % is left for what the tube blurs across.
+    The mean over a patch away from the edge, above a dark one; 1 % is left for what the tube blurs
+    across.
     """
     plain = load_camera(cameras[name])
-    plain = plain.with_values({path: value for path, value in PLAIN.items() if path in plain.parameters()})
+    plain = plain.with_values(
+        {path: value for path, value in PLAIN.items() if path in plain.parameters()}
+    )
     save_sensor(plain, tmp_path / "plain.toml")
-    gain = ("--gain", 100, "--temperature-c", -70) if name == "emccd-512" else ("--temperature-c", 25)
+    gain = (
+        ("--gain", 100, "--temperature-c", -70) if name == "emccd-512" else ("--temperature-c", 25)
+    )
     sensor = ("--sensor", tmp_path / "plain.toml")
     done_well("simulate", picture, tmp_path / "out", *sensor, *SCALE, "--frames", 24, *gain)
     frames = open_session(tmp_path / "out").stack("scene").read().data.astype(float)
@@ -69,42 +79,93 @@ def test_a_picture_comes_out_as_bright_as_its_photoelectrons_make_it(tmp_path, c
     if name == "emccd-512":
         per_pe, excess = 100.0 * per_e, 2.0
     else:
-        lumens = float(known["phosphor.luminous_efficacy_lm_per_w"]) * float(known["phosphor.photon_energy_ev"])
+        lumens = float(known["phosphor.luminous_efficacy_lm_per_w"]) * float(
+            known["phosphor.photon_energy_ev"]
+        )
         sensitivity = float(known["photocathode.luminous_sensitivity_ua_per_lm"]) * 1e-6
         photons = float(known["tube.luminous_gain"]) / lumens / sensitivity
-        per_pe = photons * float(known["taper.transmission"]) * float(known["ccd.quantum_efficiency"]) * per_e
+        per_pe = (
+            photons
+            * float(known["taper.transmission"])
+            * float(known["ccd.quantum_efficiency"])
+            * per_e
+        )
         excess = 2.0 / float(known["microchannel_plate.detection_probability"])
-    # Counts in the patch and all frames; rows of an interlaced frame share half of theirs, and the patch is 12 wide.
+    # Counts in the patch and all frames; rows of an interlaced frame share half of theirs, and the
+    # patch is 12 wide.
     electrons = 10.0 * 24 * (ROWS - 16) * 12 * (0.5 if name == "pulnix-ag5745ef3" else 1.0)
     error = 10.0 * per_pe * np.sqrt(excess / electrons)
     assert lit.mean() == pytest.approx(10.0 * per_pe, abs=4.0 * error + 0.01 * 10.0 * per_pe)
 
 
-def test_the_session_records_camera_settings_and_how_the_light_came_about(tmp_path, cameras, picture):
-    options = ("--gain", 7500, "--gate-ns", 5e6, "--temperature-c", 10, "--seed", 3, "--phosphor", "P43", "--frames", 2)
-    done_well("simulate", picture, tmp_path / "out", "--sensor", cameras["pulnix-ag5745ef3"], *SCALE, *options)
+def test_the_session_records_camera_settings_and_how_the_light_came_about(
+    tmp_path, cameras, picture
+):
+    options = (
+        "--gain",
+        7500,
+        "--gate-ns",
+        5e6,
+        "--temperature-c",
+        10,
+        "--seed",
+        3,
+        "--phosphor",
+        "P43",
+        "--frames",
+        2,
+    )
+    done_well(
+        "simulate",
+        picture,
+        tmp_path / "out",
+        "--sensor",
+        cameras["pulnix-ag5745ef3"],
+        *SCALE,
+        *options,
+    )
     session = open_session(tmp_path / "out")
     assert session.sensor is not None
     assert session.sensor.phosphor == load_phosphor("p43")
     (stack,) = session.stacks
-    assert (stack.kind, stack.finished, session.is_interlaced, stack.bit_depth) == ("scene", True, True, 8)
+    assert (stack.kind, stack.finished, session.is_interlaced, stack.bit_depth) == (
+        "scene",
+        True,
+        True,
+        8,
+    )
     asked = stack.conditions
     gain = float(session.sensor.tube.luminous_gain) * (asked.mcp_v / 800.0) ** 10.0
     assert gain == pytest.approx(7500.0, rel=1e-9)
     assert (asked.gate_ns, asked.temperature_c) == (5e6, 10.0)
     said = " | ".join(stack.notes)
-    for words in ("seed 3", "half.tif", "0.1 photoelectrons per DN above 20 DN", "PULNiX", "gain 7500"):
+    for words in (
+        "seed 3",
+        "half.tif",
+        "0.1 photoelectrons per DN above 20 DN",
+        "PULNiX",
+        "gain 7500",
+    ):
         assert words in said
     frames = stack.read()
     assert list(frames.frame_number) == [0, 1]
     assert frames.time_s[1] == pytest.approx(2.0 / 59.94)
 
 
-def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(tmp_path, cameras, picture):
+def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(
+    tmp_path, cameras, picture
+):
     for name, options in {"a": (3, 5), "b": (2, 5), "c": (2, 6)}.items():
         frames, seed = options
         done_well(
-            *("simulate", picture, tmp_path / name, "--sensor", cameras["gen3-digital-iccd"], *SCALE),
+            *(
+                "simulate",
+                picture,
+                tmp_path / name,
+                "--sensor",
+                cameras["gen3-digital-iccd"],
+                *SCALE,
+            ),
             *("--frames", frames, "--seed", seed),
         )
     a, b, c = (open_session(tmp_path / name).stack("scene").read().data for name in "abc")
@@ -116,12 +177,28 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(tmp
     ("file", "options", "words"),
     [
         ("half.tif", (), ("needs --photoelectrons-per-dn",)),
-        ("half.tif", (*SCALE, "--illuminance-lux", 1), ("--illuminance-lux is only for bench scenes",)),
-        ("half.tif", (*SCALE, "--frequency", 0.1), ("--frequency is only for --kind bars of a bench scene",)),
+        (
+            "half.tif",
+            (*SCALE, "--illuminance-lux", 1),
+            ("--illuminance-lux is only for bench scenes",),
+        ),
+        (
+            "half.tif",
+            (*SCALE, "--frequency", 0.1),
+            ("--frequency is only for --kind bars of a bench scene",),
+        ),
         ("airfield", ("--illuminance-lux", 1e-4), ("--illuminance-lux is only for bench scenes",)),
         ("bench", ("--preview",), ("--preview needs an outdoor scene",)),
-        ("nowhere", (), ("must be a .toml file or one of airfield, bench, bench-lit, hangar, road",)),
-        ("half.tif", (*SCALE, "--phosphor", "P11"), ("a phosphor must be one of p20, p43, p46, p47",)),
+        (
+            "nowhere",
+            (),
+            ("must be a .toml file or one of airfield, bench, bench-lit, hangar, road",),
+        ),
+        (
+            "half.tif",
+            (*SCALE, "--phosphor", "P11"),
+            ("a phosphor must be one of p20, p43, p46, p47",),
+        ),
         ("half.tif", (*SCALE, "--kind", "house"), ("--kind must be one of dark, flat",)),
         ("half.tif", (*SCALE, "--gate-ns", 1e9), ("gate_ns", "at most one exposure")),
         ("letter.tif", SCALE, ("letter.tif",)),
@@ -130,10 +207,26 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(tmp
         ("cube.npz", SCALE, ("--photoelectrons-per-dn is only for an image",)),
         ("bench", SCALE, ("--photoelectrons-per-dn is only for an image",)),
         ("missing.toml", (), ("must exist",)),
-        ("half.tif", (*SCALE, "--pinhole-px", 1), ("--pinhole-px is only for --kind point of a bench scene",)),
-        ("half.tif", (*SCALE, "--kind", "dark"), ("a dark must have no light, got it on 50 % of half.tif",)),
-        ("airfield", ("--kind", "dark"), ("a dark must have no light, got the scene 'half-moon airfield'",)),
-        ("airfield", ("--preview", "--stage-images", "s"), ("--preview has no stages, got --stage-images",)),
+        (
+            "half.tif",
+            (*SCALE, "--pinhole-px", 1),
+            ("--pinhole-px is only for --kind point of a bench scene",),
+        ),
+        (
+            "half.tif",
+            (*SCALE, "--kind", "dark"),
+            ("a dark must have no light, got it on 50 % of half.tif",),
+        ),
+        (
+            "airfield",
+            ("--kind", "dark"),
+            ("a dark must have no light, got the scene 'half-moon airfield'",),
+        ),
+        (
+            "airfield",
+            ("--preview", "--stage-images", "s"),
+            ("--preview has no stages, got --stage-images",),
+        ),
         ("bench", ("--kind", "point"), ("--kind point of a bench scene needs --pinhole-px",)),
         ("bench", ("--kind", "bars"), ("--kind bars of a bench scene needs --frequency",)),
         (
@@ -141,8 +234,16 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(tmp
             ("--frequency", 0.1),
             ("--frequency is only for --kind bars of a bench scene, got it with --kind edge",),
         ),
-        ("bench", ("--kind", "point", "--pinhole-px", "inf"), ("pinhole_px must be a finite number, got inf",)),
-        ("bench", ("--kind", "dark", "--illuminance-lux", 1), ("a dark must have no light, got --illuminance-lux 1",)),
+        (
+            "bench",
+            ("--kind", "point", "--pinhole-px", "inf"),
+            ("pinhole_px must be a finite number, got inf",),
+        ),
+        (
+            "bench",
+            ("--kind", "dark", "--illuminance-lux", 1),
+            ("a dark must have no light, got --illuminance-lux 1",),
+        ),
     ],
 )
 def test_what_cannot_be_simulated_is_one_sentence_and_leaves_no_session(
@@ -152,14 +253,30 @@ def test_what_cannot_be_simulated_is_one_sentence_and_leaves_no_session(
     (tmp_path / "picture.xyz").write_text("Dear lab")
     (tmp_path / "cube.npz").write_text("Dear lab")
     source = file if "." not in file else tmp_path / file
-    done = charact("simulate", source, tmp_path / "out", "--sensor", cameras["pulnix-ag5745ef3"], *options)
+    done = charact(
+        "simulate", source, tmp_path / "out", "--sensor", cameras["pulnix-ag5745ef3"], *options
+    )
     assert_one_sentence(done, *words)
     assert not (tmp_path / "out").exists()
 
 
 STAGES = {
-    "pulnix-ag5745ef3": ("photoelectrons-at-the-plate", "microchannel-plate", "phosphor", "taper", "ccd", "video"),
-    "gen3-digital-iccd": ("photoelectrons-at-the-plate", "microchannel-plate", "phosphor", "taper", "ccd", "video"),
+    "pulnix-ag5745ef3": (
+        "photoelectrons-at-the-plate",
+        "microchannel-plate",
+        "phosphor",
+        "taper",
+        "ccd",
+        "video",
+    ),
+    "gen3-digital-iccd": (
+        "photoelectrons-at-the-plate",
+        "microchannel-plate",
+        "phosphor",
+        "taper",
+        "ccd",
+        "video",
+    ),
     "emccd-512": ("photoelectrons-in-the-chip", "ccd", "register", "video"),
 }
 
@@ -174,12 +291,15 @@ def test_the_image_after_each_stage_is_a_file_of_its_quantity(tmp_path, cameras,
     files = sorted(path.name for path in folder.glob("*.tif"))
     assert files[0] == "01-picture.tif"
     assert [file[:2] for file in files] == [f"{number:02d}" for number in range(1, len(files) + 1)]
-    places = [next(i for i, file in enumerate(files) if file[3:-4] == stage) for stage in STAGES[name]]
+    places = [
+        next(i for i, file in enumerate(files) if file[3:-4] == stage) for stage in STAGES[name]
+    ]
     assert places == sorted(places)
     seen = tifffile.imread(folder / files[0])
     assert seen.shape == (ROWS, COLS)
     assert (seen.min(), seen.max()) == (0.0, pytest.approx(10.0))
-    # As many photoelectrons arrive as were in the picture: what the halo and the blur carry over its borders, few.
+    # As many photoelectrons arrive as were in the picture: what the halo and the blur carry over
+    # its borders, few.
     arrived = tifffile.imread(folder / files[places[0]]).astype(float).sum()
     rows_summed = 2 if name == "pulnix-ag5745ef3" else 1
     assert arrived == pytest.approx(seen.astype(float).sum() / rows_summed, rel=0.12)
@@ -194,6 +314,18 @@ def test_a_cube_is_seen_from_the_lens_on(tmp_path, cameras):
     np.savez(tmp_path / "c.npz", **cube)
     sensor = ("--sensor", cameras["gen3-digital-iccd"])
     done_well(
-        *("simulate", tmp_path / "c.npz", tmp_path / "out", *sensor, "--frames", 1, "--stage-images", tmp_path / "s")
+        *(
+            "simulate",
+            tmp_path / "c.npz",
+            tmp_path / "out",
+            *sensor,
+            "--frames",
+            1,
+            "--stage-images",
+            tmp_path / "s",
+        )
     )
-    assert sorted(path.name for path in (tmp_path / "s").glob("0[12]*")) == ["01-optics.tif", "02-photocathode.tif"]
+    assert sorted(path.name for path in (tmp_path / "s").glob("0[12]*")) == [
+        "01-optics.tif",
+        "02-photocathode.tif",
+    ]

@@ -1,4 +1,6 @@
-"""`charact simulate` plans: it says what it leaves out and why, keeps the plan, and leaves nothing out when told so."""
+"""`charact simulate` plans: it says what it leaves out and why, keeps the plan, and leaves nothing
+out when told so.
+"""
 
 import json
 from pathlib import Path
@@ -24,9 +26,17 @@ def folder(tmp_path_factory) -> Path:
 
 def _simulated(folder: Path, out: str, *more: object, camera: str = "pulnix-ag5745ef3") -> Result:
     return done_well(
-        "simulate", folder / "dim.npy", folder / out, "--sensor", folder / f"{camera}.toml",
-        "--photoelectrons-per-dn", 1, "--frames", 2, *more,
-    )  # fmt: skip
+        "simulate",
+        folder / "dim.npy",
+        folder / out,
+        "--sensor",
+        folder / f"{camera}.toml",
+        "--photoelectrons-per-dn",
+        1,
+        "--frames",
+        2,
+        *more,
+    )
 
 
 def _left_out(session: Path) -> set[str]:

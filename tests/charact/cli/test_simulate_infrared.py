@@ -1,4 +1,6 @@
-"""`charact simulate` of a scene for thermal imagers, alone and with a camera of visible light on one rig."""
+"""`charact simulate` of a scene for thermal imagers, alone and with a camera of visible light on
+one rig.
+"""
 
 import json
 
@@ -11,7 +13,14 @@ from labdata.session import open_session
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.outdoor.scene import RigSensor, SceneCamera
 from simulate.radiance_files import save_view_radiance
-from tests.charact.cli.runner import LAWN, assert_one_sentence, charact, done_well, small_camera, small_imager
+from tests.charact.cli.runner import (
+    LAWN,
+    assert_one_sentence,
+    charact,
+    done_well,
+    small_camera,
+    small_imager,
+)
 
 SCENE = (
     LAWN.replace("CAMERA", "position_m = [0, -9, 1.5], look_at_m = [0, 0, 1]")
@@ -40,9 +49,17 @@ def files(tmp_path_factory):
 def test_a_thermal_imager_alone_gives_frames_truth_in_kelvin_terms_and_radiance(files, tmp_path):
     out = tmp_path / "out"
     done = done_well(
-        "simulate", files / "scene.toml", out, "--sensor", files / "thermal.toml", "--frames", 3, "--explain",
-        "--radiance", "npz",
-    )  # fmt: skip
+        "simulate",
+        files / "scene.toml",
+        out,
+        "--sensor",
+        files / "thermal.toml",
+        "--frames",
+        3,
+        "--explain",
+        "--radiance",
+        "npz",
+    )
     assert "term of infrared radiance" in done.output and "NETD of a pixel" in done.output
     session = open_session(out)
     frames = session.stack("scene").read()
@@ -54,8 +71,13 @@ def test_a_thermal_imager_alone_gives_frames_truth_in_kelvin_terms_and_radiance(
         kelvin, sky = truth["temperature_k"], truth["object"] < 0
         assert np.isnan(kelvin[sky]).all() and 275.0 < np.nanmin(kelvin) < np.nanmax(kelvin) < 300.0
         box = truth["object"] == list(truth["objects"]).index("box")
-        assert light["radiance"].shape == (8, 40, 48) and list(light["edges_um"][[0, -1]]) == [8.0, 12.0]
-        assert str(light["unit"]) == "W m-2 sr-1" and light["range_m"][box].min() == pytest.approx(8.4, abs=0.1)
+        assert light["radiance"].shape == (8, 40, 48) and list(light["edges_um"][[0, -1]]) == [
+            8.0,
+            12.0,
+        ]
+        assert str(light["unit"]) == "W m-2 sr-1" and light["range_m"][box].min() == pytest.approx(
+            8.4, abs=0.1
+        )
         signal = light["radiance"].sum(axis=0)
     # Warm where the light is strong: frame and radiance go together, and the sky is darker high up.
     mean = frames.data.mean(axis=0)
@@ -72,68 +94,121 @@ def test_a_thermal_imager_alone_gives_frames_truth_in_kelvin_terms_and_radiance(
 def test_sensors_of_a_rig_share_a_session_and_see_the_same_things(files, tmp_path):
     out = tmp_path / "rig"
     done = done_well(
-        "simulate", files / "scene.toml", out, "--sensor", files / "visible.toml", "--sensor", files / "thermal.toml",
-        "--frames", 2, "--gain", 3e4, "--radiance", "npz",
-    )  # fmt: skip
+        "simulate",
+        files / "scene.toml",
+        out,
+        "--sensor",
+        files / "visible.toml",
+        "--sensor",
+        files / "thermal.toml",
+        "--frames",
+        2,
+        "--gain",
+        3e4,
+        "--radiance",
+        "npz",
+    )
     assert "2 frames each of visible, thermal" in done.output
     session = open_session(out)
     assert [stack.label for stack in session.stacks] == ["visible", "thermal"]
-    assert [stack.sensor for stack in session.stacks] == ["sensor/visible.toml", "sensor/thermal.toml"]
+    assert [stack.sensor for stack in session.stacks] == [
+        "sensor/visible.toml",
+        "sensor/thermal.toml",
+    ]
     assert [stack.read().full_scale_dn for stack in session.stacks] == [255.0, 255.0]
     assert load_camera(out / "sensor" / "thermal.toml").is_thermal
     truths = {}
     for name in ("visible", "thermal"):
         with np.load(out / "truth" / f"{name}.npz") as truth:
             truths[name] = {key: truth[key] for key in truth.files}
-        assert (out / "radiance" / f"{name}.npz").exists() and (out / "light" / f"{name}.json").exists()
-    of = [truth["temperature_k"][truth["object"] == list(truth["objects"]).index("box")] for truth in truths.values()]
+        assert (out / "radiance" / f"{name}.npz").exists() and (
+            out / "light" / f"{name}.json"
+        ).exists()
+    of = [
+        truth["temperature_k"][truth["object"] == list(truth["objects"]).index("box")]
+        for truth in truths.values()
+    ]
     assert np.median(of[0]) == pytest.approx(np.median(of[1]), abs=0.5)
-    # The thermal imager points 4 degrees to the right of the visible camera: the box lies left of its middle.
-    column = {name: np.nonzero(truth["object"] == 1)[1].mean() / truth["object"].shape[1]
-              for name, truth in truths.items()}  # fmt: skip
+    # The thermal imager points 4 degrees to the right of the visible camera: the box lies left of
+    # its middle.
+    column = {
+        name: np.nonzero(truth["object"] == 1)[1].mean() / truth["object"].shape[1]
+        for name, truth in truths.items()
+    }
     assert column["thermal"] < 0.4 < column["visible"] < 0.5
     assert [float(truth["time_s"]) for truth in truths.values()] == [0.0, 0.5]
-    # The lens of the visible camera is a barrel of 1 %, its taper a pincushion of 2 % unless it was left out.
-    assert truths["visible"]["frame_distortion"][0] == -0.01 and truths["thermal"]["frame_distortion"].size == 0
+    # The lens of the visible camera is a barrel of 1 %, its taper a pincushion of 2 % unless it was
+    # left out.
+    assert (
+        truths["visible"]["frame_distortion"][0] == -0.01
+        and truths["thermal"]["frame_distortion"].size == 0
+    )
     assert_places_agree(truths["visible"], truths["thermal"])
 
 
 def places_m(truth):
-    """Places of the middles of pixels by range and geometry, (row, col, 3), m; distortion inverted by fixed point."""
+    """Places of the middles of pixels by range and geometry, (row, col, 3), m; distortion inverted
+    by fixed point.
+    """
     rows, columns = truth["range_m"].shape
     x = (np.arange(columns) + 0.5 - 0.5 * columns) / truth["focal_px"][0] + np.zeros((rows, 1))
-    y = ((np.arange(rows) + 0.5 - 0.5 * rows) / truth["focal_px"][1])[:, None] + np.zeros((rows, columns))
+    y = ((np.arange(rows) + 0.5 - 0.5 * rows) / truth["focal_px"][1])[:, None] + np.zeros(
+        (rows, columns)
+    )
     corner, shrink = np.hypot(*(0.5 * np.array([columns, rows]) / truth["focal_px"])), 1.0
     for _ in range(50):
-        shrink = 1.0 / (1.0 + float(truth["distortion_fraction"]) * (np.hypot(x, y) * shrink / corner) ** 2)
+        shrink = 1.0 / (
+            1.0 + float(truth["distortion_fraction"]) * (np.hypot(x, y) * shrink / corner) ** 2
+        )
     ray = np.stack([x * shrink, y * shrink, np.ones_like(x)], axis=-1) @ truth["rotation"]
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     return truth["position_m"] + truth["range_m"][..., None] * ray
 
 
 def assert_places_agree(*truths):
-    """Assert that range and geometry of sensors lead to the same faces: of the lawn, z = 0, and of the box."""
+    """Assert that range and geometry of sensors lead to the same faces: of the lawn, z = 0, and of
+    the box.
+    """
     for truth in truths:
         place = places_m(truth)
-        lawn, box = (truth["object"] == list(truth["objects"]).index(name) for name in ("ground", "box"))
-        assert box.sum() > 20 and np.abs(np.abs(place[box]) - [0.6, 0.6, 1.6]).min(axis=1).max() < 1e-3
-        assert np.abs(place[lawn][:, 2]).max(initial=0.0) < 1e-3 * truth["range_m"][lawn].max(initial=1.0)
+        lawn, box = (
+            truth["object"] == list(truth["objects"]).index(name) for name in ("ground", "box")
+        )
+        assert (
+            box.sum() > 20 and np.abs(np.abs(place[box]) - [0.6, 0.6, 1.6]).min(axis=1).max() < 1e-3
+        )
+        assert np.abs(place[lawn][:, 2]).max(initial=0.0) < 1e-3 * truth["range_m"][lawn].max(
+            initial=1.0
+        )
     assert lawn.sum() > 200
 
 
 def test_a_sensor_of_a_rig_stands_where_the_scene_says():
     camera = SceneCamera(position_m=(0.0, 0.0, 2.0), look_at_m=(0.0, 10.0, 2.0))
-    moved = RigSensor(offset_m=(0.5, 0.25, 1.0), pointing_deg=(45.0, 0.0), roll_deg=3.0).camera(camera)
+    moved = RigSensor(offset_m=(0.5, 0.25, 1.0), pointing_deg=(45.0, 0.0), roll_deg=3.0).camera(
+        camera
+    )
     assert moved.position_m == pytest.approx((0.5, 1.0, 2.25)) and moved.roll_deg == 3.0
-    assert np.subtract(moved.look_at_m, moved.position_m) == pytest.approx(10.0 * np.sqrt(0.5) * np.array([1, 1, 0]))
+    assert np.subtract(moved.look_at_m, moved.position_m) == pytest.approx(
+        10.0 * np.sqrt(0.5) * np.array([1, 1, 0])
+    )
     up = RigSensor(pointing_deg=(0.0, 30.0)).camera(camera)
-    assert np.subtract(up.look_at_m, up.position_m) == pytest.approx([0.0, 10.0 * np.cos(np.pi / 6), 5.0])
+    assert np.subtract(up.look_at_m, up.position_m) == pytest.approx(
+        [0.0, 10.0 * np.cos(np.pi / 6), 5.0]
+    )
     with pytest.raises(BadInput, match="delay_s of a rig's sensor must not be negative, got -1"):
         RigSensor(delay_s=-1.0)
 
 
 def test_a_preview_takes_few_pixels(files, tmp_path):
-    done = done_well("simulate", files / "scene.toml", tmp_path / "p", "--sensor", files / "thermal.toml", "--preview")
+    done = done_well(
+        "simulate",
+        files / "scene.toml",
+        tmp_path / "p",
+        "--sensor",
+        files / "thermal.toml",
+        "--preview",
+    )
     assert "radiance.png: a preview" in done.output and (tmp_path / "p" / "truth.npz").exists()
 
 
@@ -143,12 +218,44 @@ def test_what_a_thermal_imager_cannot_do_is_refused_in_one_sentence(files, tmp_p
     def refused(*arguments, words):
         assert_one_sentence(charact("simulate", *arguments), *words)
 
-    refused(files / "still.toml", tmp_path / "a", *thermal, words=("[weather] with wind_m_s or with a file",))
+    refused(
+        files / "still.toml",
+        tmp_path / "a",
+        *thermal,
+        words=("[weather] with wind_m_s or with a file",),
+    )
     refused("bench", tmp_path / "b", *thermal, words=("a thermal imager needs an outdoor scene",))
-    refused(files / "scene.toml", tmp_path / "c", *thermal, "--gain", 100, words=("--gain needs a camera of visible",))
-    refused(files / "scene.toml", tmp_path / "d", *thermal, *thermal, words=("different names, got 'thermal' twice",))
-    refused(files / "scene.toml", tmp_path / "e", *thermal, "--radiance", "tif", words=("fits, envi, exr, got 'tif'",))
-    refused(files / "scene.toml", tmp_path / "f", *thermal, "--kind", "flat", words=("must be scene, got flat",))
+    refused(
+        files / "scene.toml",
+        tmp_path / "c",
+        *thermal,
+        "--gain",
+        100,
+        words=("--gain needs a camera of visible",),
+    )
+    refused(
+        files / "scene.toml",
+        tmp_path / "d",
+        *thermal,
+        *thermal,
+        words=("different names, got 'thermal' twice",),
+    )
+    refused(
+        files / "scene.toml",
+        tmp_path / "e",
+        *thermal,
+        "--radiance",
+        "tif",
+        words=("fits, envi, exr, got 'tif'",),
+    )
+    refused(
+        files / "scene.toml",
+        tmp_path / "f",
+        *thermal,
+        "--kind",
+        "flat",
+        words=("must be scene, got flat",),
+    )
 
 
 def test_radiance_as_fits_has_bands_range_and_pose(files, tmp_path):
@@ -165,6 +272,7 @@ def test_radiance_as_fits_has_bands_range_and_pose(files, tmp_path):
         lens = Viewpoint(
             position_m=tuple(file[0].header[f"POS{axis}"] for axis in "XYZ"),
             forward=tuple(file[0].header[f"AXIS{axis}"] for axis in "XYZ"),
-            shape=(40, 48), focal_px=(file[0].header["FOCALX"], file[0].header["FOCALY"]),
-        )  # fmt: skip
+            shape=(40, 48),
+            focal_px=(file[0].header["FOCALX"], file[0].header["FOCALY"]),
+        )
     assert lens.position_m == (0.0, -9.0, 1.5) and lens.forward[1] > 0.99

@@ -1,4 +1,6 @@
-"""`charact simulate` of a scene out of doors: frames, and beside them its radiance, its truth and its plan."""
+"""`charact simulate` of a scene out of doors: frames, and beside them its radiance, its truth and
+its plan.
+"""
 
 import json
 
@@ -35,7 +37,9 @@ position_m = [0, 0, 1]
 def test_a_scene_becomes_frames_with_radiance_truth_and_plan_beside_them(tmp_path):
     out, camera = tmp_path / "out", small_camera(tmp_path, 48, 64)
     (tmp_path / "scene.toml").write_text(SCENE)
-    done = done_well("simulate", tmp_path / "scene.toml", out, "--sensor", camera, "--frames", 40, "--explain")
+    done = done_well(
+        "simulate", tmp_path / "scene.toml", out, "--sensor", camera, "--frames", 40, "--explain"
+    )
     assert "moon" in done.output and "bounces followed" in done.output
     frames = open_session(out).stack("scene").read().data.astype(float)
     with np.load(out / "truth.npz") as truth:

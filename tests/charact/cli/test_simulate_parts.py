@@ -1,4 +1,6 @@
-"""Before and after the physics of `charact simulate`: pictures become light, options conditions, stages files."""
+"""Before and after the physics of `charact simulate`: pictures become light, options conditions,
+stages files.
+"""
 
 import numpy as np
 import pytest
@@ -27,7 +29,9 @@ def saved(folder, picture, name="picture.npy"):
 
 def test_every_dn_above_black_is_so_many_photoelectrons(tmp_path):
     picture = np.array([[10.0, 12.0], [20.0, 10.0]])
-    image, notes = read_image(saved(tmp_path, picture), photoelectrons_per_dn=0.5, black_dn=10.0, shape=(2, 2))
+    image, notes = read_image(
+        saved(tmp_path, picture), photoelectrons_per_dn=0.5, black_dn=10.0, shape=(2, 2)
+    )
     assert_allclose(image, [[0.0, 1.0], [5.0, 0.0]])
     assert image.dtype == np.float32
     assert "0.5 photoelectrons per DN above 10 DN" in notes[0]
@@ -35,7 +39,9 @@ def test_every_dn_above_black_is_so_many_photoelectrons(tmp_path):
 
 def test_the_first_frame_of_several_is_taken_and_said_so(tmp_path):
     stack = np.stack([np.full((2, 2), 7), np.full((2, 2), 9)]).astype(np.uint16)
-    image, notes = read_image(saved(tmp_path, stack), photoelectrons_per_dn=1.0, black_dn=0.0, shape=(2, 2))
+    image, notes = read_image(
+        saved(tmp_path, stack), photoelectrons_per_dn=1.0, black_dn=0.0, shape=(2, 2)
+    )
     assert_array_equal(image, 7.0)
     assert any("first of 2 frames" in note for note in notes)
 
@@ -60,8 +66,16 @@ def test_a_picture_stands_in_the_middle_of_the_frame_to_half_a_pixel(rows, cols)
 @pytest.mark.parametrize(
     ("picture", "options", "sentence"),
     [
-        (np.ones((2, 2)), {"photoelectrons_per_dn": None}, "an image needs --photoelectrons-per-dn"),
-        (np.ones((2, 2)), {"photoelectrons_per_dn": 0.0}, "--photoelectrons-per-dn must be positive, got 0"),
+        (
+            np.ones((2, 2)),
+            {"photoelectrons_per_dn": None},
+            "an image needs --photoelectrons-per-dn",
+        ),
+        (
+            np.ones((2, 2)),
+            {"photoelectrons_per_dn": 0.0},
+            "--photoelectrons-per-dn must be positive, got 0",
+        ),
         (np.ones((2, 2)), {"photoelectrons_per_dn": float("nan")}, "must be positive, got nan"),
         (np.ones((2, 2)), {"black_dn": float("nan")}, "--black-dn must be a number, got nan"),
         (-np.ones((2, 2)), {}, "an image must have no negative pixel, got -1 in picture.npy"),
@@ -86,11 +100,26 @@ def test_a_cube_is_read_as_it_was_written(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "sentence"),
     [
-        ({"radiance": np.ones((1, 2, 2))}, "must contain wavelength_nm and radiance, got no wavelength_nm"),
-        ({"wavelength_nm": np.ones(1), "radiance": -np.ones((1, 2, 2))}, "must be finite and not negative"),
-        ({"wavelength_nm": np.ones(1), "radiance": np.full((1, 2, 2), np.nan)}, "must be finite and not negative"),
-        ({"wavelength_nm": np.array([2.0, 1.0]), "radiance": np.ones((2, 2, 2))}, "wavelengths must ascend"),
-        ({"wavelength_nm": np.ones(2), "radiance": np.ones((1, 2, 2))}, "axes (band, row, col) with 2 bands"),
+        (
+            {"radiance": np.ones((1, 2, 2))},
+            "must contain wavelength_nm and radiance, got no wavelength_nm",
+        ),
+        (
+            {"wavelength_nm": np.ones(1), "radiance": -np.ones((1, 2, 2))},
+            "must be finite and not negative",
+        ),
+        (
+            {"wavelength_nm": np.ones(1), "radiance": np.full((1, 2, 2), np.nan)},
+            "must be finite and not negative",
+        ),
+        (
+            {"wavelength_nm": np.array([2.0, 1.0]), "radiance": np.ones((2, 2, 2))},
+            "wavelengths must ascend",
+        ),
+        (
+            {"wavelength_nm": np.ones(2), "radiance": np.ones((1, 2, 2))},
+            "axes (band, row, col) with 2 bands",
+        ),
         ({"wavelength_nm": np.array(["a"]), "radiance": np.ones((1, 2, 2))}, "must be numbers"),
     ],
 )
@@ -102,12 +131,20 @@ def test_what_is_no_radiance_is_refused(tmp_path, arrays, sentence):
 
 
 def test_a_file_that_is_no_cube_is_refused(tmp_path):
-    for name, content in (("text.npz", b"radiance"), ("empty.npz", b""), ("cut.npz", b"PK\x03\x04 and no more")):
+    for name, content in (
+        ("text.npz", b"radiance"),
+        ("empty.npz", b""),
+        ("cut.npz", b"PK\x03\x04 and no more"),
+    ):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(BadInput, match=r"must be a complete \.npz file, got " + name.replace(".", r"\.")):
+        with pytest.raises(
+            BadInput, match=r"must be a complete \.npz file, got " + name.replace(".", r"\.")
+        ):
             read_cube(tmp_path / name)
     whole = tmp_path / "whole.npz"
-    np.savez_compressed(whole, wavelength_nm=np.arange(2.0), radiance=np.random.default_rng(0).random((2, 40, 40)))
+    np.savez_compressed(
+        whole, wavelength_nm=np.arange(2.0), radiance=np.random.default_rng(0).random((2, 40, 40))
+    )
     spoilt = bytearray(whole.read_bytes())
     spoilt[len(spoilt) // 2 : len(spoilt) // 2 + 400] = bytes(400)
     whole.write_bytes(spoilt)
@@ -147,7 +184,10 @@ def test_what_is_left_open_is_nominal_and_recorded(tube, emccd):
     [
         ({"gain": 0.0}, "--gain must be positive, got 0"),
         ({"gain": 100.0, "mcp_v": 700.0}, "the gain must be set once, got --mcp-v and --gain"),
-        ({"gain_control": 10.0, "mcp_v": 700.0}, "the gain must be set once, got --mcp-v and --gain-control"),
+        (
+            {"gain_control": 10.0, "mcp_v": 700.0},
+            "the gain must be set once, got --mcp-v and --gain-control",
+        ),
         ({"gate_ns": -1.0}, "gate_ns must not be negative, got -1"),
     ],
 )
@@ -163,7 +203,10 @@ def test_settings_that_no_tube_takes_are_refused(tube, options, sentence):
         ({"gain": 2000.0}, "--gain of 'EMCCD 512' must lie between 1 and 1000, got 2000"),
         ({"mcp_v": 800.0}, "--mcp-v needs a camera with a tube, got 'EMCCD 512'"),
         ({"gate_ns": 100.0}, "--gate-ns needs a camera with a tube, got 'EMCCD 512'"),
-        ({"brightness_control": True}, "--brightness-control needs a camera with a tube, got 'EMCCD 512'"),
+        (
+            {"brightness_control": True},
+            "--brightness-control needs a camera with a tube, got 'EMCCD 512'",
+        ),
         ({"automatic_gain": True}, "--automatic-gain needs a camera that has it, got 'EMCCD 512'"),
     ],
 )

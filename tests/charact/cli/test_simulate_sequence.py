@@ -38,26 +38,42 @@ def simulated(files, out, keyframes, *options):
     scene = files / f"{out.name}.toml"
     scene.write_text(SCENE.replace("KEYFRAMES", keyframes))
     done_well(
-        "simulate", scene, out, "--sensor", files / "visible.toml", "--sensor", files / "thermal.toml",
-        "--frames", FRAMES, "--gain", 3e4, *options,
-    )  # fmt: skip
+        "simulate",
+        scene,
+        out,
+        "--sensor",
+        files / "visible.toml",
+        "--sensor",
+        files / "thermal.toml",
+        "--frames",
+        FRAMES,
+        "--gain",
+        3e4,
+        *options,
+    )
     return open_session(out)
 
 
 def truth_of(out, name, number=0):
-    with np.load(out / "truth" / (f"{name}-{number:04d}.npz" if number else f"{name}.npz")) as truth:
+    with np.load(
+        out / "truth" / (f"{name}-{number:04d}.npz" if number else f"{name}.npz")
+    ) as truth:
         return {key: truth[key] for key in truth.files}
 
 
 def front_of_box(truth):
     """Columns of the front of the box, which faces the cameras, in one of its rows."""
-    front = (truth["object"] == list(truth["objects"]).index("box")) & (truth["normal"][..., 1] < -0.5)
+    front = (truth["object"] == list(truth["objects"]).index("box")) & (
+        truth["normal"][..., 1] < -0.5
+    )
     row = np.flatnonzero(front.any(axis=1))[3]
     return np.flatnonzero(front[row])
 
 
 def test_an_object_is_found_where_its_keyframes_bring_it_in_both_bands(files, tmp_path):
-    """5 px of the thermal imager a frame: truth within half a pixel, frames within a tenth of the way."""
+    """5 px of the thermal imager a frame: truth within half a pixel, frames within a tenth of the
+    way.
+    """
     thermal = load_camera(files / "thermal.toml")
     pitch = 1e-3 * thermal.pitch_mrad[1]
     shift_px = 5.0
@@ -67,13 +83,17 @@ def test_an_object_is_found_where_its_keyframes_bring_it_in_both_bands(files, tm
     for name in ("visible", "thermal"):
         first, last = (truth_of(tmp_path / "moving", name, number) for number in (0, FRAMES - 1))
         stack = session.stack(name).read()
-        assert len(stack) == FRAMES and first["time_s"] == 0.0 and last["time_s"] == stack.time_s[-1]
+        assert (
+            len(stack) == FRAMES and first["time_s"] == 0.0 and last["time_s"] == stack.time_s[-1]
+        )
         moved_px = velocity * last["time_s"] / 10.0 * first["focal_px"][0]
         found_px = front_of_box(last).mean() - front_of_box(first).mean()
         assert moved_px > 2.0 and abs(found_px - moved_px) <= 0.5
         assert "views, each with its truth" in " ".join(session.stack(name).notes)
     frames = session.stack("thermal").read().data.astype(float)
-    rows = np.flatnonzero((truth_of(tmp_path / "moving", "thermal")["object"] == 1).any(axis=1))[2:-2]
+    rows = np.flatnonzero((truth_of(tmp_path / "moving", "thermal")["object"] == 1).any(axis=1))[
+        2:-2
+    ]
     hot = frames[:, rows].mean(axis=1)
     hot = np.maximum(hot - 0.5 * (hot.min() + hot.max()), 0.0)
     place = hot @ np.arange(hot.shape[1]) / hot.sum(axis=1)
@@ -85,11 +105,20 @@ def test_an_object_is_found_where_its_keyframes_bring_it_in_both_bands(files, tm
 def test_a_still_scene_is_that_without_keyframes_bit_for_bit(files, tmp_path):
     still = simulated(files, tmp_path / "still", "")
     standing = simulated(
-        files, tmp_path / "standing", "[[object.keyframe]]\ntime_s = 0.01\nposition_m = [0, 0.075, 0]\nheading_deg = 0"
+        files,
+        tmp_path / "standing",
+        "[[object.keyframe]]\ntime_s = 0.01\nposition_m = [0, 0.075, 0]\nheading_deg = 0",
     )
     for name in ("visible", "thermal"):
-        np.testing.assert_array_equal(standing.stack(name).read().data, still.stack(name).read().data)
-        np.testing.assert_array_equal(standing.stack(name).read().time_s, still.stack(name).read().time_s)
+        np.testing.assert_array_equal(
+            standing.stack(name).read().data, still.stack(name).read().data
+        )
+        np.testing.assert_array_equal(
+            standing.stack(name).read().time_s, still.stack(name).read().time_s
+        )
         for key, values in truth_of(tmp_path / "still", name).items():
             np.testing.assert_array_equal(truth_of(tmp_path / "standing", name)[key], values)
-    assert sorted(path.name for path in (tmp_path / "standing" / "truth").iterdir()) == ["thermal.npz", "visible.npz"]
+    assert sorted(path.name for path in (tmp_path / "standing" / "truth").iterdir()) == [
+        "thermal.npz",
+        "visible.npz",
+    ]

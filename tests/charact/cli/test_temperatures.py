@@ -1,4 +1,6 @@
-"""`charact temperatures`: tables and pictures of a scene, what was left out, and what is refused in one sentence."""
+"""`charact temperatures`: tables and pictures of a scene, what was left out, and what is refused in
+one sentence.
+"""
 
 import csv
 import json
@@ -11,7 +13,9 @@ from labdata.sensors import load_camera, save_sensor
 from tests.charact.cli.runner import LAWN, charact, done_well
 
 SCENE = (
-    LAWN.replace("CAMERA", "position_m = [0, -9, 3], look_at_m = [0, 0, 1]").replace("green-canopy", "concrete")
+    LAWN.replace("CAMERA", "position_m = [0, -9, 3], look_at_m = [0, 0, 1]").replace(
+        "green-canopy", "concrete"
+    )
     + "size_m = [2, 2, 2]\n"
 )
 
@@ -29,7 +33,10 @@ def small(tmp_path):
     sensor = load_camera("pulnix-ag5745ef3")
     shrunk = replace(sensor, ccd=replace(sensor.ccd, rows=32, columns=48))
     focal = "optics.focal_length_mm"
-    save_sensor(shrunk.with_values({focal: float(sensor.parameters()[focal]) / 16.0}), tmp_path / "small.toml")
+    save_sensor(
+        shrunk.with_values({focal: float(sensor.parameters()[focal]) / 16.0}),
+        tmp_path / "small.toml",
+    )
     return tmp_path / "small.toml"
 
 
@@ -47,7 +54,11 @@ def test_tables_map_and_pictures_agree(scene, small, tmp_path):
     assert all((out / name).stat().st_size > 10_000 for name in ("temperatures.png", "map.png"))
     document = json.loads((out / "temperatures.json").read_text())
     conductivity = document["slabs"]["ground:lawn"]["layer 1 conductivity_w_m_k"]
-    assert conductivity["value"] == 1.4 and conductivity["standing"] == "default" and conductivity["source"]
+    assert (
+        conductivity["value"] == 1.4
+        and conductivity["standing"] == "default"
+        and conductivity["source"]
+    )
     left = [term for term in document["terms"] if not term["kept"]]
     assert left and sum(term["changes_mk"] for term in left) < 40.0
     for term in document["terms"]:
@@ -82,12 +93,22 @@ def test_the_document_holds_the_last_row_with_intervals(scene, small, tmp_path):
         (("wind_m_s = 1", 'file = "absent.epw"'), "must exist"),
         (('library = "concrete"', "reflectance = [0.3]"), "'lawn' without one"),
         (("wind_m_s = 1", "wind = 1"), "unknown key 'wind'"),
-        (('material = "paint"', 'material = "paint"\nheat_hours = [20, 30]'), "heat_hours must lie"),
-        (('material = "paint"', 'material = "paint"\ntemperature_c = 5\nabove_air_k = 5'), "either a temperature_c"),
+        (
+            ('material = "paint"', 'material = "paint"\nheat_hours = [20, 30]'),
+            "heat_hours must lie",
+        ),
+        (
+            ('material = "paint"', 'material = "paint"\ntemperature_c = 5\nabove_air_k = 5'),
+            "either a temperature_c",
+        ),
     ],
 )
-def test_a_scene_that_lacks_something_is_refused_in_one_sentence(scene, small, tmp_path, change, words):
+def test_a_scene_that_lacks_something_is_refused_in_one_sentence(
+    scene, small, tmp_path, change, words
+):
     scene.write_text(SCENE.replace(*change))
     done = charact("temperatures", scene, tmp_path / "warm", "--sensor", small)
-    assert done.exit_code == 1 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert (
+        done.exit_code == 1 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    )
     assert not (tmp_path / "warm").exists()

@@ -57,7 +57,9 @@ def test_specimens_five_percent_apart_are_ordered_rightly(seed: int) -> None:
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(PAIRS):
-        a, b = (result(mtf50(v * (1 + 0.01 * rng.standard_normal()), 0.01 * v)) for v in (0.200, 0.210))
+        a, b = (
+            result(mtf50(v * (1 + 0.01 * rng.standard_normal()), 0.01 * v)) for v in (0.200, 0.210)
+        )
         found.append(compare(a, b, rng=rng).differences[0])
     assert np.mean([one.difference > 0 for one in found]) >= 0.95
     assert np.mean([(one.probability_better or 0.0) > 0.5 for one in found]) >= 0.95
@@ -68,7 +70,9 @@ def test_specimens_five_percent_apart_are_ordered_rightly(seed: int) -> None:
     [((2.9, 3.4), (2.3, 5.2)), (None, (2.3, 5.2)), ((2.9, 3.4), None), ((3.1, 3.1), (3.1, 4.0))],
 )
 def test_draws_reproduce_the_intervals(interval68, interval95) -> None:
-    m = make_measurement("photoelectron_gain", "DN/pe", 3.1, interval68, interval95, method="covariance-sum")
+    m = make_measurement(
+        "photoelectron_gain", "DN/pe", 3.1, interval68, interval95, method="covariance-sum"
+    )
     draws = draws_of(m, count=400_000, rng=np.random.default_rng(2))
     assert draws is not None
     assert np.median(draws) == pytest.approx(3.1, abs=0.01)
@@ -97,11 +101,20 @@ def test_the_difference_of_asymmetric_sides_is_as_asymmetric_as_they_are() -> No
 
 @pytest.mark.parametrize(
     ("quantity", "unit", "better"),
-    [("mtf50", "cy/px", True), ("tube_snr", "1", True), ("read_noise", "e-", False), ("ebi", "pe/s/px", False),
-     ("halo_diameter", "px", False), ("system_gain", "DN/e-", None)],
-)  # fmt: skip
+    [
+        ("mtf50", "cy/px", True),
+        ("tube_snr", "1", True),
+        ("read_noise", "e-", False),
+        ("ebi", "pe/s/px", False),
+        ("halo_diameter", "px", False),
+        ("system_gain", "DN/e-", None),
+    ],
+)
 def test_better_is_higher_lower_or_neither(quantity: str, unit: str, better: bool | None) -> None:
-    a, b = (result(measurement_from_sd(quantity, unit, value, 0.1, method="x")) for value in (10.0, 11.0))
+    a, b = (
+        result(measurement_from_sd(quantity, unit, value, 0.1, method="x"))
+        for value in (10.0, 11.0)
+    )
     found = compared(a, b).differences[0]
     assert found.probability_greater == pytest.approx(1.0, abs=0.001)
     expected = None if better is None else pytest.approx(float(better), abs=0.001)
@@ -127,15 +140,34 @@ def test_equal_seeds_give_equal_differences() -> None:
 
 
 def test_measurements_meet_their_like() -> None:
-    def mtf(frequency: float, direction: float, method: str = "edge-forward", **fields) -> Measurement:
+    def mtf(
+        frequency: float, direction: float, method: str = "edge-forward", **fields
+    ) -> Measurement:
         return measurement_from_sd(
-            "mtf", "1", 0.5, 0.01, method=method, frequency_cy_per_px=frequency, orientation_deg=direction, **fields
+            "mtf",
+            "1",
+            0.5,
+            0.01,
+            method=method,
+            frequency_cy_per_px=frequency,
+            orientation_deg=direction,
+            **fields,
         )
 
-    a = result(mtf(0.1, 0.0), mtf(0.2, 0.0), mtf(0.2, 90.0), mtf(0.3, 0.0, stack="edge-1"), mtf(0.4, 0.0))
-    b = result(mtf(0.2, 89.0), mtf(0.1002, 179.0), mtf(0.3, 0.0, stack="edge-2"), mtf(0.2, 2.0), mtf(0.41, 0.0))
-    pairs = [(one.a.frequency_cy_per_px, one.b.frequency_cy_per_px, one.b.orientation_deg)
-             for one in compared(a, b).differences]  # fmt: skip
+    a = result(
+        mtf(0.1, 0.0), mtf(0.2, 0.0), mtf(0.2, 90.0), mtf(0.3, 0.0, stack="edge-1"), mtf(0.4, 0.0)
+    )
+    b = result(
+        mtf(0.2, 89.0),
+        mtf(0.1002, 179.0),
+        mtf(0.3, 0.0, stack="edge-2"),
+        mtf(0.2, 2.0),
+        mtf(0.41, 0.0),
+    )
+    pairs = [
+        (one.a.frequency_cy_per_px, one.b.frequency_cy_per_px, one.b.orientation_deg)
+        for one in compared(a, b).differences
+    ]
     assert pairs == [(0.1, 0.1002, 179.0), (0.2, 0.2, 2.0), (0.2, 0.2, 89.0)]
     assert compared(a, b).unmatched == (2, 2)
 
@@ -143,12 +175,19 @@ def test_measurements_meet_their_like() -> None:
 def test_of_several_methods_the_same_is_compared() -> None:
     one, other = mtf50(0.20), replace(mtf50(0.21), method="joint")
     found = compared(result(one, other), result(other, one)).differences
-    assert [(d.a.method, d.b.method) for d in found] == [("edge-forward", "edge-forward"), ("joint", "joint")]
+    assert [(d.a.method, d.b.method) for d in found] == [
+        ("edge-forward", "edge-forward"),
+        ("joint", "joint"),
+    ]
 
 
 def test_regions_that_do_not_overlap_are_different_targets() -> None:
     left, right = mtf50(0.20, region=(0, 0, 40, 40)), mtf50(0.25, region=(0, 100, 40, 40))
-    moved = [replace(m, region=(m.region[0] + 3, m.region[1] - 2, 40, 40)) for m in (right, left) if m.region]
+    moved = [
+        replace(m, region=(m.region[0] + 3, m.region[1] - 2, 40, 40))
+        for m in (right, left)
+        if m.region
+    ]
     found = compared(result(left, right), result(*moved)).differences
     assert [one.difference for one in found] == [0.0, 0.0]
 
@@ -199,9 +238,19 @@ def test_like_conditions_are_compared(one: dict, other: dict) -> None:
 
 def test_a_condition_of_one_stack_is_no_flag_on_another() -> None:
     frames = np.zeros((2, 8, 8))
-    a, b = (session([stack(frames, "edge", label="edge", mcp_v=780.0), stack(frames, "flat", label="flat", mcp_v=v)])
-            for v in (780.0, 800.0))  # fmt: skip
-    measured = result(mtf50(0.2, stack="edge"), measurement_from_sd("snr", "1", 5.0, 0.1, method="x", stack="flat"))
+    a, b = (
+        session(
+            [
+                stack(frames, "edge", label="edge", mcp_v=780.0),
+                stack(frames, "flat", label="flat", mcp_v=v),
+            ]
+        )
+        for v in (780.0, 800.0)
+    )
+    measured = result(
+        mtf50(0.2, stack="edge"),
+        measurement_from_sd("snr", "1", 5.0, 0.1, method="x", stack="flat"),
+    )
     found = compared(measured, measured, sessions=(a, b), anyway=True)
     assert [one.status for one in found.differences] == ["ok", "suspect"]
 
@@ -226,8 +275,14 @@ def test_cameras_without_intensifier_are_distinguished_by_the_manifest(tmp_path:
         (folder / "session.toml").write_text(f'name = "{name}"\n{sensor}\n{stacks}')
         return open_session(folder)
 
-    bare, known, same = on_disk("a", ""), on_disk("b", 'sensor = "emccd-512"'), on_disk("c", 'sensor = "emccd-512"')
-    assert [(pair.name, pair.a, pair.unlike) for pair in condition_pairs(bare, known)] == [("sensor", None, True)]
+    bare, known, same = (
+        on_disk("a", ""),
+        on_disk("b", 'sensor = "emccd-512"'),
+        on_disk("c", 'sensor = "emccd-512"'),
+    )
+    assert [(pair.name, pair.a, pair.unlike) for pair in condition_pairs(bare, known)] == [
+        ("sensor", None, True)
+    ]
     assert condition_pairs(known, same) == ()
 
 

@@ -1,4 +1,6 @@
-"""A session that never was: what unerring methods would have told of a specimen drawn from the prior, with noise."""
+"""A session that never was: what unerring methods would have told of a specimen drawn from the
+prior, with noise.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -51,9 +53,19 @@ def told_of(sheet: Sensor) -> Callable[[int], Told]:
         point = prior.draw(rng, 1)
         drawn = dict(zip(prior.names, prior.parameters(point).T, strict=True))
         values = {**values_of_description(sheet), **drawn}
-        stacks = (StackEntry(label="edge", kind="edge", frames="-", target=Target(angle_deg=ANGLE_DEG), folder=Path()),)
+        stacks = (
+            StackEntry(
+                label="edge",
+                kind="edge",
+                frames="-",
+                target=Target(angle_deg=ANGLE_DEG),
+                folder=Path(),
+            ),
+        )
         session = Session(folder=Path(), name="told", stacks=stacks, camera=sheet, bit_depth=8)
-        result = Result(measurements=_numbers(values, rng), curves={"mtf:edge": _curve(values, rng)})
+        result = Result(
+            measurements=_numbers(values, rng), curves={"mtf:edge": _curve(values, rng)}
+        )
         levels = _levels(values, rng)
         model = model_of(sheet, tube_observations(session, sheet, result, levels))
         truth = {path: float(value[0]) for path, value in drawn.items()}
@@ -71,7 +83,11 @@ def _numbers(values: Values, rng: np.random.Generator) -> tuple[Measurement, ...
     }
     out = [
         measurement_from_sd(
-            name, unit, float(x[0] * (1 + 0.01 * rng.standard_normal())), 0.01 * float(x[0]), method="told"
+            name,
+            unit,
+            float(x[0] * (1 + 0.01 * rng.standard_normal())),
+            0.01 * float(x[0]),
+            method="told",
         )
         for (name, unit), x in exact.items()
     ]
@@ -88,7 +104,9 @@ def _curve(values: Values, rng: np.random.Generator) -> Curve:
     # Errors of a curve go together over some distance in frequency.
     apart = np.abs(frequency[:, None] - frequency[None, :])
     root = np.linalg.cholesky(np.exp(-apart / 0.08) + 1e-9 * np.eye(frequency.size))
-    value = predicted_quantities.mtf(values, across, along)[0] + sd * (root @ rng.standard_normal(frequency.size))
+    value = predicted_quantities.mtf(values, across, along)[0] + sd * (
+        root @ rng.standard_normal(frequency.size)
+    )
     return Curve(
         frequency_cy_per_px=frequency,
         value=value,
@@ -101,7 +119,9 @@ def _levels(values: Values, rng: np.random.Generator) -> tuple[StackMean, ...]:
     gain = predicted_quantities.photoelectron_gain(values, MCP_V, 800.0)
     out = []
     for lux in LUX:
-        background = predicted_quantities.background_rate(values) + predicted_quantities.ion_light(values)
+        background = predicted_quantities.background_rate(values) + predicted_quantities.ion_light(
+            values
+        )
         events = predicted_quantities.photoelectrons(values, lux, GATE_S) + background * GATE_S
         load = predicted_quantities.mcp_load(values, lux, GATE_S, MCP_V, 800.0)
         mean = float((values["video.black_level_dn"] + gain * events / (1.0 + load))[0])

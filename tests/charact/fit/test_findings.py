@@ -16,13 +16,19 @@ from labdata.measurement import Measurement, Result, measurement_from_sd
 from labdata.session import LoadedStackEntry, Session
 
 
-def measured(quantity: str, *flags: str, stack: str | None = None, notes: tuple[str, ...] = ()) -> Measurement:
-    return measurement_from_sd(quantity, "DN", 1.0, 0.1, method="m", flags=flags, notes=notes, stack=stack)
+def measured(
+    quantity: str, *flags: str, stack: str | None = None, notes: tuple[str, ...] = ()
+) -> Measurement:
+    return measurement_from_sd(
+        quantity, "DN", 1.0, 0.1, method="m", flags=flags, notes=notes, stack=stack
+    )
 
 
-def test_a_flag_of_the_flats_is_a_finding_with_its_note_and_that_of_an_edge_counts_only_without() -> None:
+def test_a_flag_of_the_flats_is_a_finding_and_that_of_an_edge_counts_only_without() -> None:
     flat = measured(
-        "covariance_gain", "nonlinear", notes=("of a pixel", "nonlinear: it bends by 9 %; what settles it: x")
+        "covariance_gain",
+        "nonlinear",
+        notes=("of a pixel", "nonlinear: it bends by 9 %; what settles it: x"),
     )
     edge = measured("noise_t", "gamma", stack="edge")
     found = findings_of(Result(measurements=(flat, edge)))
@@ -44,19 +50,30 @@ def test_a_misfit_names_its_observation_and_what_that_speaks_of() -> None:
 
 
 def test_a_note_begins_with_its_flag_once() -> None:
-    known = Finding("nonlinear", "nonlinear: it bends"), Finding("lag", "it lags"), Finding(None, "plain")
+    known = (
+        Finding("nonlinear", "nonlinear: it bends"),
+        Finding("lag", "it lags"),
+        Finding(None, "plain"),
+    )
     assert notes_of(known) == ("nonlinear: it bends", "lag: it lags", "plain")
 
 
 def session_of_codes(codes: np.ndarray) -> Session:
     entry = LoadedStackEntry(
-        label="dark", kind="dark", frames="-", conditions=Conditions(), folder=Path(), kept=FrameStack(data=codes),
+        label="dark",
+        kind="dark",
+        frames="-",
+        conditions=Conditions(),
+        folder=Path(),
+        kept=FrameStack(data=codes),
         bit_depth=12,
-    )  # fmt: skip
+    )
     return Session(folder=Path(), name="s", stacks=(entry,), bit_depth=12)
 
 
-@pytest.mark.parametrize(("step", "sd", "found"), [(1, 20.0, False), (16, 20.0, True), (16, 400.0, False)])
+@pytest.mark.parametrize(
+    ("step", "sd", "found"), [(1, 20.0, False), (16, 20.0, True), (16, 400.0, False)]
+)
 def test_grey_values_that_are_multiples_are_found_where_their_rounding_adds_noise(
     step: int, sd: float, found: bool, seed: int
 ) -> None:
@@ -86,10 +103,17 @@ def test_coarse_grey_values_add_their_rounding_to_the_read_noise_and_are_named(s
     """Of a noise beyond half a step s the variance is larger by s^2 / 12."""
     values = 2000.0 + 20.0 * np.random.default_rng(seed).standard_normal((16, 64, 80))
     plain, found = (
-        next(m for m in measure_noise(one, context=method_context(one, quick=True, seed=seed)).find("read_noise")
-             if m.unit == "DN")
-        for one in (session_of_codes((step * np.floor(values / step)).astype(np.uint16)) for step in (1, 16))
-    )  # fmt: skip
+        next(
+            m
+            for m in measure_noise(one, context=method_context(one, quick=True, seed=seed)).find(
+                "read_noise"
+            )
+            if m.unit == "DN"
+        )
+        for one in (
+            session_of_codes((step * np.floor(values / step)).astype(np.uint16)) for step in (1, 16)
+        )
+    )
     assert plain.flags == ()
     assert found.flags == ("quantised",)
     assert plain.value is not None

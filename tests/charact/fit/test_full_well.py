@@ -1,4 +1,6 @@
-"""A camera whose frames reach full scale has wells that hold as much, whatever else of them is unknown."""
+"""A camera whose frames reach full scale has wells that hold as much, whatever else of them is
+unknown.
+"""
 
 import numpy as np
 import pytest

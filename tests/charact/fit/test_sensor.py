@@ -1,4 +1,6 @@
-"""The fit finds a known truth as often as it promises, and claims nothing that the data do not know."""
+"""The fit finds a known truth as often as it promises, and claims nothing that the data do not
+know.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,7 +34,13 @@ def fits(told_of: Callable, seed: int):
         told = told_of(seed + number)
         posterior = posterior_of(told.model, seed=seed + number)
         out.append(
-            (told, posterior, description_from_posterior(told.model, posterior, illuminance_relative_sd=0.0, seed=seed))
+            (
+                told,
+                posterior,
+                description_from_posterior(
+                    told.model, posterior, illuminance_relative_sd=0.0, seed=seed
+                ),
+            )
         )
     return out
 
@@ -40,8 +48,11 @@ def fits(told_of: Callable, seed: int):
 def test_truth_is_inside_the_ranges_as_often_as_promised(fits) -> None:
     inside, away = [], []
     for told, posterior, _ in fits:
-        # In the coordinates of the prior, logarithms of factors, where widths are alike on both sides.
-        truth = told.model.prior.coordinates(np.array([[told.truth[name] for name in posterior.names]]))[0]
+        # In the coordinates of the prior, logarithms of factors, where widths are alike on both
+        # sides.
+        truth = told.model.prior.coordinates(
+            np.array([[told.truth[name] for name in posterior.names]])
+        )[0]
         low, middle, high = np.quantile(posterior.draws, (0.025, 0.5, 0.975), axis=0)
         inside += list((low <= truth) & (truth <= high))
         away += list((truth - middle) / posterior.draws.std(axis=0))
@@ -59,18 +70,28 @@ def test_light_and_noise_narrow_what_they_speak_of(fits) -> None:
 
 
 def test_a_combination_is_known_better_than_its_factors_and_said_so(fits) -> None:
-    factors = ("tube.luminous_gain", "taper.transmission", "ccd.quantum_efficiency", "video.conversion_gain_dn_per_e")
+    factors = (
+        "tube.luminous_gain",
+        "taper.transmission",
+        "ccd.quantum_efficiency",
+        "video.conversion_gain_dn_per_e",
+    )
     for told, _, sensor in fits:
         table = dict(zip(sensor.draws.names, np.array(sensor.draws.values).T, strict=True))
         product = np.prod([table[path] for path in factors], axis=0)
-        assert product.std() / product.mean() < 0.5 * table[factors[0]].std() / table[factors[0]].mean()
+        assert (
+            product.std() / product.mean()
+            < 0.5 * table[factors[0]].std() / table[factors[0]].mean()
+        )
         true = np.prod([told.truth[path] for path in factors])
         assert abs(product.mean() - true) < 4.5 * product.std()
         assert any("only together with taper.transmission" in note for note in sensor.notes)
 
 
 def test_every_value_lies_inside_its_interval_without_an_effort(fits) -> None:
-    """Well inside: a value at the edge of its own interval would be tied to numbers that nobody fitted."""
+    """Well inside: a value at the edge of its own interval would be tied to numbers that nobody
+    fitted.
+    """
     for _, _, sensor in fits:
         table = np.array(sensor.draws.values)
         for name, column in zip(sensor.draws.names, table.T, strict=True):
@@ -96,12 +117,22 @@ def test_the_description_at_its_values_gives_back_what_was_measured(fits) -> Non
         values = values_of_description(sensor)
         gain = predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
         measured = told.result.find("covariance_gain")[0].value
-        assert predicted_quantities.covariance_gain(values, gain)[0] == pytest.approx(measured, rel=0.05)
+        assert predicted_quantities.covariance_gain(values, gain)[0] == pytest.approx(
+            measured, rel=0.05
+        )
         bright = told.levels[-1]
         events = predicted_quantities.photoelectrons(values, bright.illuminance_lux, bright.gate_s)
-        load = predicted_quantities.mcp_load(values, bright.illuminance_lux, bright.gate_s, 800.0, 800.0)
-        signal = gain * (events + predicted_quantities.background_rate(values) * bright.gate_s) / (1.0 + load)
-        assert signal[0] + values["video.black_level_dn"][0] == pytest.approx(bright.mean_dn, rel=0.02)
+        load = predicted_quantities.mcp_load(
+            values, bright.illuminance_lux, bright.gate_s, 800.0, 800.0
+        )
+        signal = (
+            gain
+            * (events + predicted_quantities.background_rate(values) * bright.gate_s)
+            / (1.0 + load)
+        )
+        assert signal[0] + values["video.black_level_dn"][0] == pytest.approx(
+            bright.mean_dn, rel=0.02
+        )
 
 
 def test_every_joint_draw_gives_back_what_was_measured(fits) -> None:
@@ -111,9 +142,9 @@ def test_every_joint_draw_gives_back_what_was_measured(fits) -> None:
     for _ in range(100):
         values = values_of_description(sensor.draw(rng))
         gains.append(
-            predicted_quantities.covariance_gain(values, predicted_quantities.photoelectron_gain(values, 800.0, 800.0))[
-                0
-            ]
+            predicted_quantities.covariance_gain(
+                values, predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
+            )[0]
         )
     measured = told.result.find("covariance_gain")[0]
     assert np.std(gains) < 0.03 * measured.value
@@ -130,12 +161,18 @@ def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> 
     """A halo alone speaks of the gap and the taper, and leaves everything else as it stood."""
     told = told_of(seed)
     halo = Result(measurements=told.result.find("halo_diameter"))
-    model = model_of(told.session.sensor, tube_observations(told.session, told.session.sensor, halo, ()))
+    model = model_of(
+        told.session.sensor, tube_observations(told.session, told.session.sensor, halo, ())
+    )
     posterior = posterior_of(model, seed=seed)
     assert posterior.sampler == "slice" and not posterior.flags
     sensor = description_from_posterior(model, posterior, illuminance_relative_sd=0.03, seed=seed)
     assert sensor.photocathode.gap_mm.standing == "fitted"
-    assert {p for p, parameter in sensor.parameters().items() if parameter.standing in ("fitted", "prior")} == {
+    assert {
+        p
+        for p, parameter in sensor.parameters().items()
+        if parameter.standing in ("fitted", "prior")
+    } == {
         "photocathode.gap_mm",
         "taper.demagnification",
     }
@@ -144,13 +181,18 @@ def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> 
     assert abs(truth - draws.mean()) < 5.0 * draws.std()
 
 
-def test_measurements_that_contradict_each_other_widen_the_ranges_and_are_named(told_of: Callable, seed: int) -> None:
+def test_measurements_that_contradict_each_other_widen_the_ranges_and_are_named(
+    told_of: Callable, seed: int
+) -> None:
     told = told_of(seed)
     blur = told.result.find("blur_factor")[0]
     wrong = measurement_from_sd("blur_factor", "1", 2.5 * blur.value, 0.003, method="told")
     others = tuple(m for m in told.result.measurements if m.quantity != "blur_factor")
     result = replace(told.result, measurements=(*others, wrong))
-    model = model_of(told.session.sensor, tube_observations(told.session, told.session.sensor, result, told.levels))
+    model = model_of(
+        told.session.sensor,
+        tube_observations(told.session, told.session.sensor, result, told.levels),
+    )
     wider, said = inflate_errors(model)
     assert said is not None and said.flag == "model-misfit"
     assert np.all(wider.observed[0].covariance > 1.5 * model.observed[0].covariance - 1e-12)
@@ -161,17 +203,23 @@ def test_a_bent_measurement_stays_outside(told_of: Callable, seed: int) -> None:
     told = told_of(seed)
     bent = tuple(m.with_(flags=("model-misfit",)) for m in told.result.measurements)
     result = replace(told.result, measurements=bent)
-    names = [one.name for one in tube_observations(told.session, told.session.sensor, result, told.levels)]
+    names = [
+        one.name
+        for one in tube_observations(told.session, told.session.sensor, result, told.levels)
+    ]
     assert names == ["levels"]
 
 
 def test_prior_draws_fill_the_ranges_of_the_description(sheet: Sensor, seed: int) -> None:
-    prior = prior_of(sheet, ("tube.luminous_gain", "photocathode.halo_fraction", "ccd.quantum_efficiency"))
+    prior = prior_of(
+        sheet, ("tube.luminous_gain", "photocathode.halo_fraction", "ccd.quantum_efficiency")
+    )
     drawn = prior.parameters(prior.draw(np.random.default_rng(seed), 20000))
     for name, column in zip(prior.names, drawn.T, strict=True):
         known = sheet.parameters()[name]
         share = np.mean((column >= known.low) & (column <= known.high))
-        # 95 % of 20,000 draws, 4.5 standard errors; the cut at zero takes a little of the halo's lower tail.
+        # 95 % of 20,000 draws, 4.5 standard errors; the cut at zero takes a little of the halo's
+        # lower tail.
         assert share == pytest.approx(0.95, abs=0.017)
 
 

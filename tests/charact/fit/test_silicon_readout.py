@@ -1,4 +1,6 @@
-"""Fit of a digital camera's read-out: rows, neighbours, interference, bent response; EMVA 1288 reference set 001."""
+"""Fit of a digital camera's read-out: rows, neighbours, interference, bent response; EMVA 1288
+reference set 001.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -49,15 +51,32 @@ def session_of(camera: SolidStateCamera, seed: int, *, lit: bool = True) -> Sess
         known = replace(dark, photons_per_px=photons, wavelength_nm=530.0) if photons else dark
         kept = bench.expose(kind, Target(), known, frames=FRAMES, seed=1000 * seed + index)
         stacks.append(
-            LoadedStackEntry(label=f"{kind} {index}", kind=kind, frames="-", folder=Path(), kept=kept,
-                             conditions=known if lit else dark, bit_depth=camera.video.bit_depth)
-        )  # fmt: skip
+            LoadedStackEntry(
+                label=f"{kind} {index}",
+                kind=kind,
+                frames="-",
+                folder=Path(),
+                kept=kept,
+                conditions=known if lit else dark,
+                bit_depth=camera.video.bit_depth,
+            )
+        )
     sheet = load_camera("machine-vision")
-    return Session(folder=Path(), name="s", stacks=tuple(stacks), camera=sheet, bit_depth=camera.video.bit_depth)
+    return Session(
+        folder=Path(),
+        name="s",
+        stacks=tuple(stacks),
+        camera=sheet,
+        bit_depth=camera.video.bit_depth,
+    )
 
 
 def dark_of(camera: SolidStateCamera, seed: int, frames: int = FRAMES) -> np.ndarray:
-    return LabBench(camera).expose("dark", Target(), Conditions(exposure_s=EXPOSURE_S), frames=frames, seed=seed).data
+    return (
+        LabBench(camera)
+        .expose("dark", Target(), Conditions(exposure_s=EXPOSURE_S), frames=frames, seed=seed)
+        .data
+    )
 
 
 def test_white_noise_shows_no_interference(seed):
@@ -89,7 +108,9 @@ def test_interference_is_found_with_its_frequency_and_variance(seed):
 
 
 def test_observations_agree_with_the_camera_that_was_simulated(seed):
-    """Chi-squared of all numbers at the truth, over 8 darks, within 4.5 standard deviations of its expectation."""
+    """Chi-squared of all numbers at the truth, over 8 darks, within 4.5 standard deviations of its
+    expectation.
+    """
     camera = camera_of()
     values = {path: np.array([float(p)]) for path, p in camera.parameters().items()}
     read_dn = float(camera.ccd.read_noise_e) * float(camera.video.conversion_gain_dn_per_e)
@@ -97,7 +118,9 @@ def test_observations_agree_with_the_camera_that_was_simulated(seed):
     read_dn /= 1.0 - 2.1 * 0.015
     total, count = 0.0, 0
     for number in range(8):
-        for one in readout_observations(dark_of(camera, seed + number), lambda values: np.array([read_dn]), ()):
+        for one in readout_observations(
+            dark_of(camera, seed + number), lambda values: np.array([read_dn]), ()
+        ):
             if not one.name.startswith("frequency"):
                 total, count = total + float(one.chi_squared(values)[0]), count + one.value.size
     assert count > 40
@@ -109,7 +132,13 @@ def test_the_read_out_of_a_camera_is_fitted_from_darks_and_flats(seed):
     session = session_of(truth, seed)
     fitted = fit_sensor(session, measure(session, quick=True), seed=seed)
     expected, missed = truth.parameters(), []
-    for path in (*READOUT, "ccd.read_noise_e", "ccd.prnu", "ccd.dsnu_e", "video.conversion_gain_dn_per_e"):
+    for path in (
+        *READOUT,
+        "ccd.read_noise_e",
+        "ccd.prnu",
+        "ccd.dsnu_e",
+        "video.conversion_gain_dn_per_e",
+    ):
         one = fitted.parameters()[path]
         assert one.standing == "fitted", path
         missed += [path] if not one.low <= expected[path].value <= one.high else []
@@ -144,27 +173,42 @@ def test_shading_of_the_light_is_no_response_of_pixels(seed):
 
 @pytest.fixture(scope="module")
 def basler(shared_data, tmp_path_factory) -> Session:
-    """A quarter of every fifth exposure of EMVA 1288 reference set 001, of 530 nm, which its file leaves out."""
+    """A quarter of every fifth exposure of EMVA 1288 reference set 001, of 530 nm, which its file
+    leaves out.
+    """
     data = shared_data / "emva001_basler_ccd12" / "EMVA1288_Data.txt"
     session = import_emva1288(data, tmp_path_factory.mktemp("emva") / "session")
     stacks = []
     for number, one in enumerate(session.stacks):
         # 26 flats, then darks of the same exposures; the last of each is the stack of 16 frames.
         if number % 26 % 5 == 0:
-            known = replace(one.conditions, wavelength_nm=530.0) if one.kind == "flat" else one.conditions
+            known = (
+                replace(one.conditions, wavelength_nm=530.0)
+                if one.kind == "flat"
+                else one.conditions
+            )
             frames = one.read()
             kept = replace(frames, data=frames.data[:, :240, :320])
             stacks.append(
-                LoadedStackEntry(label=one.label, kind=one.kind, frames="-", folder=Path(), kept=kept,
-                                 conditions=known, bit_depth=one.bit_depth)
-            )  # fmt: skip
+                LoadedStackEntry(
+                    label=one.label,
+                    kind=one.kind,
+                    frames="-",
+                    folder=Path(),
+                    kept=kept,
+                    conditions=known,
+                    bit_depth=one.bit_depth,
+                )
+            )
     return replace(session, stacks=tuple(stacks), camera=load_camera("machine-vision"))
 
 
 def test_a_real_camera_is_fitted_and_its_noise_simulated(basler):
-    """K of the standard's reference implementation within 1 %; noise of frames, rows and neighbours pass.
+    """K of the standard's reference implementation within 1 %; noise of frames, rows and neighbours
+    pass.
 
-    The frames have dust, which no description contains: whole frames fail in defects, shading and fixed pattern.
+    The frames have dust, which no description contains: whole frames fail in defects, shading and
+    fixed pattern.
     """
     fitted = fit_sensor(basler, measure(basler, quick=True), seed=1)
     assert float(fitted.video.conversion_gain_dn_per_e) == pytest.approx(0.2804, rel=0.01)

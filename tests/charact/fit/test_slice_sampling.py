@@ -8,7 +8,9 @@ from charact.fit.thresholds import SAMPLING
 
 
 def test_a_bounded_normal_law_has_its_closed_moments(seed: int) -> None:
-    """A half-normal coordinate has the mean sqrt(2/pi) and the variance 1 - 2/pi; a normal one is tied to it."""
+    """A half-normal coordinate has the mean sqrt(2/pi) and the variance 1 - 2/pi; a normal one is
+    tied to it.
+    """
 
     def log_probability(points):
         inside = points[:, 0] >= 0.0
@@ -55,17 +57,25 @@ def test_a_curved_ridge_keeps_its_width(seed: int) -> None:
 
 
 def test_many_parameters_at_their_bounds_are_drawn(seed: int) -> None:
-    """Of twenty half-normal coordinates one draw in a million about the peak has all inside; variances are 1 - 2/pi."""
+    """Of twenty half-normal coordinates one draw in a million about the peak has all inside;
+    variances are 1 - 2/pi.
+    """
     count = 20
 
     def log_probability(points):
         return np.where((points >= 0.0).all(axis=1), -0.5 * (points**2).sum(axis=1), -np.inf)
 
     found = slice_sample(
-        log_probability, names=tuple("abcdefghijklmnopqrst"), point=np.zeros(count), covariance=np.eye(count),
-        bounds=np.tile([0.0, np.inf], (count, 1)), seed=seed,
-    )  # fmt: skip
+        log_probability,
+        names=tuple("abcdefghijklmnopqrst"),
+        point=np.zeros(count),
+        covariance=np.eye(count),
+        bounds=np.tile([0.0, np.inf], (count, 1)),
+        seed=seed,
+    )
     sd = np.sqrt(1.0 - 2.0 / np.pi)
     away = (found.draws.mean(axis=0) - np.sqrt(2.0 / np.pi)) / sd * np.sqrt(len(found.draws))
     assert np.abs(away).max() < 4.5
-    assert abs(float(np.mean(found.draws.var(axis=0))) / sd**2 - 1.0) < 4.5 * np.sqrt(2.869 / found.draws.size)
+    assert abs(float(np.mean(found.draws.var(axis=0))) / sd**2 - 1.0) < 4.5 * np.sqrt(
+        2.869 / found.draws.size
+    )

@@ -1,4 +1,6 @@
-"""Transfer functions of the fit at the far ends of their parameters, where a climb to the peak looks once."""
+"""Transfer functions of the fit at the far ends of their parameters, where a climb to the peak
+looks once.
+"""
 
 import numpy as np
 import pytest
@@ -7,7 +9,9 @@ from charact.fit import predicted_quantities
 
 
 def test_a_tube_of_any_exponent_passes_all_below_its_cut_off_and_nothing_above():
-    passed = predicted_quantities.tube_transfer(np.array([0.0, 1.0, 10.0, 300.0]), np.array([10.0]), np.array([500.0]))
+    passed = predicted_quantities.tube_transfer(
+        np.array([0.0, 1.0, 10.0, 300.0]), np.array([10.0]), np.array([500.0])
+    )
     assert passed == pytest.approx([1.0, 1.0, np.exp(-1.0), 0.0])
 
 

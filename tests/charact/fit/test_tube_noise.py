@@ -1,4 +1,6 @@
-"""Noise of the flats of a tube as the fit observes it: level by level, with the joint errors of gain and blur."""
+"""Noise of the flats of a tube as the fit observes it: level by level, with the joint errors of
+gain and blur.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ POWER_SD, VARIANCE_SD = 0.01, 0.002
 
 
 def flats_of(sheet: Sensor, told, *, tested: bool = True, seed: int = 1) -> Result:
-    """Return measurements of the flats of a tube at the values of its description, with drawn errors."""
+    """Return measurements of the flats of a tube at the values of its description, with drawn
+    errors.
+    """
     values, gate_s = values_of_description(sheet), told.levels[1].gate_s
     gain = predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
     left = predicted_quantities.lag_noise_fraction(values, gate_s)
@@ -27,20 +31,27 @@ def flats_of(sheet: Sensor, told, *, tested: bool = True, seed: int = 1) -> Resu
     lag = np.full(2000, 1.0 / float(left[0])) * (1.0 + 0.01 * rng.standard_normal(2000) * tested)
     draws = np.stack([power * lag, slope.mean() / power, lag, power], axis=1)
     posterior = Posterior(
-        names=("covariance_gain", "blur_factor", "lag_factor", "power"), units=("DN", "1", "1", "DN"), draws=draws,
+        names=("covariance_gain", "blur_factor", "lag_factor", "power"),
+        units=("DN", "1", "1", "DN"),
+        draws=draws,
         sampler="laplace",
-    )  # fmt: skip
+    )
     measured = tuple(
         measurement_from_draws(name, unit, posterior[name], posterior=posterior, method="told")
         for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))
     )
     transfer = {
-        "label": ["a", "b", "c"], "signal_dn": SIGNAL_DN.tolist(), "fitted": [True] * 3,
-        "variance_dn2": (slope * SIGNAL_DN + 1.0).tolist(), "dark_variance_dn2": [1.0] * 3,
+        "label": ["a", "b", "c"],
+        "signal_dn": SIGNAL_DN.tolist(),
+        "fitted": [True] * 3,
+        "variance_dn2": (slope * SIGNAL_DN + 1.0).tolist(),
+        "dark_variance_dn2": [1.0] * 3,
         "variance_sd_dn2": (VARIANCE_SD * slope * SIGNAL_DN).tolist(),
-    }  # fmt: skip
+    }
     lags = {"lag_exposures": [1, 2] if tested else []}
-    return Result(measurements=measured, evidence={"photon-transfer": transfer, "autocorrelation": lags})
+    return Result(
+        measurements=measured, evidence={"photon-transfer": transfer, "autocorrelation": lags}
+    )
 
 
 def test_the_loss_of_gain_is_that_of_the_load_at_the_light_of_the_signal(sheet: Sensor) -> None:
@@ -49,15 +60,20 @@ def test_the_loss_of_gain_is_that_of_the_load_at_the_light_of_the_signal(sheet: 
     gain = predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
     signal = gain * predicted_quantities.photoelectrons(values, lux, gate_s) / (1.0 + load)
     assert 0.005 < load[0] < 0.5
-    assert predicted_quantities.gain_loss(values, signal) == pytest.approx(load / (1.0 + load), rel=1e-12)
+    assert predicted_quantities.gain_loss(values, signal) == pytest.approx(
+        load / (1.0 + load), rel=1e-12
+    )
 
 
-def test_variance_over_signal_is_known_better_than_gain_and_blur(sheet: Sensor, told_of, seed: int) -> None:
+def test_variance_over_signal_is_known_better_than_gain_and_blur(
+    sheet: Sensor, told_of, seed: int
+) -> None:
     told = told_of(seed)
     (observed,) = noise_observations(told.session, sheet, flats_of(sheet, told), told.levels)
     sd = np.sqrt(np.diag(observed.covariance)) / observed.value
     assert observed.value.size == 2 + SIGNAL_DN.size
-    # Power has its measured error and that of the blur models; the brightest flat has its own and no other's.
+    # Power has its measured error and that of the blur models; the brightest flat has its own and
+    # no other's.
     assert sd[0] > POWER_SD
     assert sd[-1] < 2.0 * VARIANCE_SD
     # The description itself agrees.
@@ -65,7 +81,9 @@ def test_variance_over_signal_is_known_better_than_gain_and_blur(sheet: Sensor, 
 
 
 def test_the_ridge_is_a_plane(sheet: Sensor, told_of, seed: int) -> None:
-    """Points of equal straightened sensitivity have equal variance over signal, whatever the other parameters."""
+    """Points of equal straightened sensitivity have equal variance over signal, whatever the other
+    parameters.
+    """
     told = told_of(seed)
     observed = tuple(noise_observations(told.session, sheet, flats_of(sheet, told), told.levels))
     model = model_of(sheet, observed)
@@ -80,7 +98,9 @@ def test_the_ridge_is_a_plane(sheet: Sensor, told_of, seed: int) -> None:
     assert bent.std() / bent.mean() < 2e-3
 
 
-def test_without_a_test_of_image_lag_gain_and_blur_stand_alone(sheet: Sensor, told_of, seed: int) -> None:
+def test_without_a_test_of_image_lag_gain_and_blur_stand_alone(
+    sheet: Sensor, told_of, seed: int
+) -> None:
     told = told_of(seed)
     result = flats_of(sheet, told, tested=False)
     (observed,) = noise_observations(told.session, sheet, result, told.levels)

@@ -1,4 +1,6 @@
-"""Lag, line noise and the noise between pulses are found in frames of a known law, and absent where nothing shows."""
+"""Lag, line noise and the noise between pulses are found in frames of a known law, and absent where
+nothing shows.
+"""
 
 from pathlib import Path
 
@@ -38,15 +40,31 @@ def tube(name: str = "pulnix-ag5745ef3") -> Sensor:
     return camera
 
 
-def level_of(data: np.ndarray, *, lux: float = 1e-4, numbers: np.ndarray | None = None) -> StackMean:
+def level_of(
+    data: np.ndarray, *, lux: float = 1e-4, numbers: np.ndarray | None = None
+) -> StackMean:
     """Return a stack of frames as the fit sees it."""
     numbers = np.arange(len(data)) if numbers is None else numbers
     stack = FrameStack(data=data, frame_number=numbers)
     entry = LoadedStackEntry(
-        label="a", kind="flat" if lux else "dark", frames="-", conditions=Conditions(), folder=Path(), kept=stack
+        label="a",
+        kind="flat" if lux else "dark",
+        frames="-",
+        conditions=Conditions(),
+        folder=Path(),
+        kept=stack,
     )
-    return StackMean(label="a", mean_dn=float(data.mean()), sd_dn=0.1, noise_dn=float(data.std()), illuminance_lux=lux,
-                     gate_s=GATE_S, exposure_s=GATE_S, mcp_v=800.0, entry=entry)  # fmt: skip
+    return StackMean(
+        label="a",
+        mean_dn=float(data.mean()),
+        sd_dn=0.1,
+        noise_dn=float(data.std()),
+        illuminance_lux=lux,
+        gate_s=GATE_S,
+        exposure_s=GATE_S,
+        mcp_v=800.0,
+        entry=entry,
+    )
 
 
 def fields_from(data: np.ndarray) -> Fields:
@@ -56,18 +74,25 @@ def fields_from(data: np.ndarray) -> Fields:
 
 
 def glowing_fields(rng: np.random.Generator, shares: np.ndarray) -> np.ndarray:
-    """Return interlaced frames of pulses that show these fractions of their light in successive fields."""
+    """Return interlaced frames of pulses that show these fractions of their light in successive
+    fields.
+    """
     pulses = rng.standard_gamma(2.0, size=(2 * FRAMES + len(shares), ROWS, COLUMNS))
     # A field row is seen by two frame rows: pulses lie on pairs of rows.
     pulses = np.repeat(pulses[:, ::2], 2, axis=1)
-    shown = np.sum([share * pulses[len(shares) - j : len(pulses) - j] for j, share in enumerate(shares)], axis=0)
+    shown = np.sum(
+        [share * pulses[len(shares) - j : len(pulses) - j] for j, share in enumerate(shares)],
+        axis=0,
+    )
     frames = np.array(shown[0::2])
     frames[:, 1::2] = shown[1::2, 1::2]
     return 20.0 * frames
 
 
 @pytest.mark.parametrize("odd_first", [False, True])
-def test_correlations_are_those_of_the_light_of_successive_fields(seed: int, odd_first: bool) -> None:
+def test_correlations_are_those_of_the_light_of_successive_fields(
+    seed: int, odd_first: bool
+) -> None:
     rng = np.random.default_rng([seed, 1])
     shares = np.array([0.6, 0.2, 0.12, 0.08])
     frames = glowing_fields(rng, shares)
@@ -91,13 +116,17 @@ def test_correlations_are_those_of_the_light_of_successive_fields(seed: int, odd
 def test_frames_without_lag_have_the_correlation_of_a_removed_mean(seed: int) -> None:
     data = np.random.default_rng([seed, 2]).normal(50.0, 4.0, (FRAMES, ROWS, COLUMNS))
     found, covariance = tube_time_observations.measure_correlations(fields_from(data))
-    assert np.all(np.abs(found[:4] + 1.0 / (FRAMES - 1.0)) < WITHIN * np.sqrt(np.diag(covariance)[:4]))
+    assert np.all(
+        np.abs(found[:4] + 1.0 / (FRAMES - 1.0)) < WITHIN * np.sqrt(np.diag(covariance)[:4])
+    )
 
 
 def test_line_noise_is_told_from_pulses_flicker_and_fixed_lines(seed: int) -> None:
     rng = np.random.default_rng([seed, 3])
     data = rng.normal(50.0, 2.0, (FRAMES, ROWS, COLUMNS + 2))
-    data = (data[:, :, :-2] + data[:, :, 1:-1] + data[:, :, 2:]) + rng.normal(0.0, 5.0, (FRAMES, 1, 1))
+    data = (data[:, :, :-2] + data[:, :, 1:-1] + data[:, :, 2:]) + rng.normal(
+        0.0, 5.0, (FRAMES, 1, 1)
+    )
     data += rng.normal(0.0, 3.0, (1, ROWS, 1)) + 0.8 * rng.standard_normal((FRAMES, ROWS, 1))
     value, variance = tube_time_observations.measure_line_variance(fields_from(data))
     assert abs(value - 0.64) < WITHIN * np.sqrt(variance)
@@ -106,7 +135,10 @@ def test_line_noise_is_told_from_pulses_flicker_and_fixed_lines(seed: int) -> No
 
 def test_frames_that_were_lost_or_too_few_show_no_lag() -> None:
     data = np.full((FRAMES, 16, 16), 50.0)
-    assert tube_time_observations.fields_of(level_of(data, numbers=2 * np.arange(FRAMES)), tube(), 0.0) is None
+    assert (
+        tube_time_observations.fields_of(level_of(data, numbers=2 * np.arange(FRAMES)), tube(), 0.0)
+        is None
+    )
     assert tube_time_observations.fields_of(level_of(data[:3]), tube(), 0.0) is None
 
 
@@ -127,14 +159,17 @@ def test_the_light_of_a_pulse_comes_out_once() -> None:
 
 
 @pytest.mark.parametrize(("level", "noise"), [(10.3, 0.25), (10.6, 0.33), (600.0, 12.0)])
-def test_the_noise_of_rounded_darks_is_located_below_their_pulses(seed: int, level: float, noise: float) -> None:
+def test_the_noise_of_rounded_darks_is_located_below_their_pulses(
+    seed: int, level: float, noise: float
+) -> None:
     rng = np.random.default_rng([seed, 5])
     values = rng.normal(level, noise, 400_000)
     pulses = rng.exponential(20.0 * noise, 4000)
     values[: pulses.size] += pulses
     found = quiet_noise(np.rint(values))
     assert found is not None
-    # A hundredth of the values are pulses: they move the level by a hundredth of a normal quantile's slope.
+    # A hundredth of the values are pulses: they move the level by a hundredth of a normal
+    # quantile's slope.
     assert found[0] == pytest.approx(level, abs=0.04 * noise)
     assert found[1] == pytest.approx(noise, rel=0.03)
 
@@ -161,7 +196,9 @@ def test_the_slope_of_rounding_is_that_of_the_rounded_mean(level: float, noise: 
 
 def test_moments_below_a_limit_are_those_of_the_exponential_law() -> None:
     x = np.array([0.5, 2.0, 8.0])
-    first, second = (tube_dark_observations.moment_below(np.ones(1), 1.0, x, order) for order in (1, 2))
+    first, second = (
+        tube_dark_observations.moment_below(np.ones(1), 1.0, x, order) for order in (1, 2)
+    )
     assert first == pytest.approx(1.0 - np.exp(-x) * (1.0 + x))
     assert second == pytest.approx(2.0 * (1.0 - np.exp(-x) * (1.0 + x + x**2 / 2.0)))
 
@@ -196,8 +233,12 @@ def test_noise_that_hides_the_pattern_leaves_no_observation(seed: int) -> None:
 PULSE_DN = 400.0
 
 
-def frames_with_ions(rng: np.random.Generator, values: Values, shape: tuple[int, int, int]) -> np.ndarray:
-    """Return frames of single pulses of a mean charge of 400 DN and of ion events of Poisson numbers of them."""
+def frames_with_ions(
+    rng: np.random.Generator, values: Values, shape: tuple[int, int, int]
+) -> np.ndarray:
+    """Return frames of single pulses of a mean charge of 400 DN and of ion events of Poisson
+    numbers of them.
+    """
     frames = rng.normal(600.0, 5.0, shape)
     charges = np.zeros(shape)
     ions, pulses = (
@@ -214,9 +255,17 @@ def frames_with_ions(rng: np.random.Generator, values: Values, shape: tuple[int,
 
 
 def values_of_ions(camera: Sensor, rate: float, pulses: float) -> Values:
-    """Return parameters of pulses of exponential heights and a mean charge of 400 DN, so many a pixel and frame."""
-    values = {**values_of_description(camera), tube_ions.RATE: np.array([rate]), tube_ions.SHAPE: np.ones(1)}
-    gain = predicted_quantities.photoelectron_gain(values, 800.0, float(camera.microchannel_plate.reference_v))
+    """Return parameters of pulses of exponential heights and a mean charge of 400 DN, so many a
+    pixel and frame.
+    """
+    values = {
+        **values_of_description(camera),
+        tube_ions.RATE: np.array([rate]),
+        tube_ions.SHAPE: np.ones(1),
+    }
+    gain = predicted_quantities.photoelectron_gain(
+        values, 800.0, float(camera.microchannel_plate.reference_v)
+    )
     conversion, background = "video.conversion_gain_dn_per_e", "photocathode.ebi_lm_per_cm2"
     values[conversion] = values[conversion] * PULSE_DN * values[tube_ions.DETECTED] / gain
     usual = predicted_quantities.background_rate(values) * values[tube_ions.DETECTED] * GATE_S
@@ -235,7 +284,9 @@ def test_number_and_charge_of_ion_events_are_those_put_into_the_frames(
     camera, rng = tube("gen3-digital-iccd"), np.random.default_rng([seed, 11, round(rate)])
     values = values_of_ions(camera, rate, pulses)
     data = frames_with_ions(rng, values, (FRAMES, 200, 300)).astype(np.float32)
-    observed = tube_ions.ion_observation(tube_ions.find_ions(data, level_of(data, lux=0.0), camera, 2.0 * PULSE_DN))
+    observed = tube_ions.ion_observation(
+        tube_ions.find_ions(data, level_of(data, lux=0.0), camera, 2.0 * PULSE_DN)
+    )
     away = (observed.predict(values)[0] - observed.value) / np.sqrt(np.diag(observed.covariance))
     assert np.abs(away).max() < WITHIN
     other = {**values, tube_ions.RATE: np.array([wrong])}

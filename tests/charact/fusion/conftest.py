@@ -25,6 +25,8 @@ def redraw(bands) -> Callable[..., list[Band]]:
     """Return bands of new frames of a pair, with the noise laws and the bloom map of the first."""
 
     def draw(pair: Pair, rng: np.random.Generator) -> list[Band]:
-        return [replace(band, image=image) for band, image in zip(bands, pair.frames(rng), strict=True)]
+        return [
+            replace(band, image=image) for band, image in zip(bands, pair.frames(rng), strict=True)
+        ]
 
     return draw

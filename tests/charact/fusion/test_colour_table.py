@@ -1,4 +1,6 @@
-"""Colours by a table: materials have the colour of daylight, whatever the noise, and the deviation is stated."""
+"""Colours by a table: materials have the colour of daylight, whatever the noise, and the deviation
+is stated.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +25,9 @@ def materials() -> np.ndarray:
     return out
 
 
-def bands_of(materials: np.ndarray, rng: np.random.Generator, sd: float, levels=LEVELS) -> list[Band]:
+def bands_of(
+    materials: np.ndarray, rng: np.random.Generator, sd: float, levels=LEVELS
+) -> list[Band]:
     images = [np.vectorize(lambda number, k=k: levels[number][k])(materials) for k in range(2)]
     laws = [NoiseLaw(gain_dn=0.0, read_dn=max(scale * sd, 1e-3)) for scale in (4.0, 1.0)]
     return [
@@ -34,7 +38,9 @@ def bands_of(materials: np.ndarray, rng: np.random.Generator, sd: float, levels=
 
 def test_materials_have_their_daylight_colour(materials, tmp_path) -> None:
     rng = np.random.default_rng(0)
-    make_colour_table(bands_of(materials, rng, 0.0), materials, COLOURS).save(tmp_path / "table.npz")
+    make_colour_table(bands_of(materials, rng, 0.0), materials, COLOURS).save(
+        tmp_path / "table.npz"
+    )
     table = ColourTable.load(tmp_path / "table.npz")
     noisy = bands_of(materials, rng, 1.0)
     found = fuse_by_table(noisy, table)
@@ -50,7 +56,8 @@ def test_the_deviation_is_no_less_than_that_of_repeated_frames(materials) -> Non
     spread = np.stack([one.picture for one in found]).std(axis=0, ddof=1)
     ratio = spread.mean() / np.mean([one.sd for one in found])
     print(ratio, spread.mean())
-    # Colours are taken around noisy values instead of true ones: the stated deviation is up to twice too large.
+    # Colours are taken around noisy values instead of true ones: the stated deviation is up to
+    # twice too large.
     assert 0.4 < ratio < 1.1 and spread.mean() > 0.01
 
 

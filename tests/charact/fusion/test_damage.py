@@ -46,20 +46,30 @@ DAMAGES = {
     "shift of 2 rows": lambda v, t: (v, shifted(t, -2, 0)),
     "shift of 4": lambda v, t: (v, shifted(t, 3, 3)),
     "unknown gain": lambda v, t: (replace(v, noise=None), t),
-    "gain of twice": lambda v, t: (replace(v, noise=replace(v.noise, gain_dn=2.0 * v.noise.gain_dn)), t),
-    "gain of half": lambda v, t: (replace(v, noise=replace(v.noise, gain_dn=0.5 * v.noise.gain_dn)), t),
+    "gain of twice": lambda v, t: (
+        replace(v, noise=replace(v.noise, gain_dn=2.0 * v.noise.gain_dn)),
+        t,
+    ),
+    "gain of half": lambda v, t: (
+        replace(v, noise=replace(v.noise, gain_dn=0.5 * v.noise.gain_dn)),
+        t,
+    ),
     "wrong NETD": lambda v, t: (v, replace(t, noise=NoiseLaw(gain_dn=0.0, read_dn=0.1))),
     "unequal sizes": lambda v, t: (v, replace(t, image=t.image[:-1])),
     "one name": lambda v, t: (v, replace(t, name=v.name)),
-    "gain of 4 times": lambda v, t: (replace(v, noise=replace(v.noise, gain_dn=4.0 * v.noise.gain_dn)), t),
+    "gain of 4 times": lambda v, t: (
+        replace(v, noise=replace(v.noise, gain_dn=4.0 * v.noise.gain_dn)),
+        t,
+    ),
     "a missing pixel": lambda v, t: (with_pixel(v, np.nan), t),
     "an infinite pixel": lambda v, t: (v, with_pixel(t, np.inf)),
     "another size": lambda v, t: (replace(v, image=v.image[:, 8:]), t),
     "a dark level of 20 DN too little": lambda v, t: (replace(v, image=v.image - 20.0), t),
     "a tenth clipped": lambda v, t: (
-        replace(v, image=np.where(np.arange(320) < 40, v.clip, v.image)), t
+        replace(v, image=np.where(np.arange(320) < 40, v.clip, v.image)),
+        t,
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("damage", DAMAGES)

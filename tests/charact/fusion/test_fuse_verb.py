@@ -16,7 +16,16 @@ from charact.fusion.truth_scores import FusionTruth
 from charact.study.fusion.pair import Pair
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorial" / "fusion.md"
-FILES = ("fused.tif", "fused.png", "sd.tif", "share.tif", "mask.png", "fused.json", "visible.png", "thermal.png")
+FILES = (
+    "fused.tif",
+    "fused.png",
+    "sd.tif",
+    "share.tif",
+    "mask.png",
+    "fused.json",
+    "visible.png",
+    "thermal.png",
+)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +54,11 @@ def test_a_folder_holds_picture_deviation_shares_and_marks(folder, tmp_path) -> 
     code, text = run(folder / "visible.tif", folder / "thermal.png", out, "--registered", "--json")
     document = json.loads(text)
     assert code == 0
-    assert {one["quantity"] for one in document["measurements"]} == {"fused_noise", "fused_share", "fused_filled_area"}
+    assert {one["quantity"] for one in document["measurements"]} == {
+        "fused_noise",
+        "fused_share",
+        "fused_filled_area",
+    }
     # Neither gain nor dark level is known.
     assert document["measurements"][0]["flags"] == ["no-darks", "uncalibrated"]
     assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
@@ -56,14 +69,31 @@ def test_a_folder_holds_picture_deviation_shares_and_marks(folder, tmp_path) -> 
     assert (np.asarray(Image.open(out / "mask.png"))[180, 82] & marks["filled"]) > 0
     code, _ = run(folder / "visible.tif", folder / "thermal.png", out)
     assert code == 1
-    assert run(folder / "visible.tif", folder / "thermal.png", out, "--force", "--colour", "--registered")[0] == 0
+    assert (
+        run(
+            folder / "visible.tif",
+            folder / "thermal.png",
+            out,
+            "--force",
+            "--colour",
+            "--registered",
+        )[0]
+        == 0
+    )
     assert tifffile.imread(out / "fused.tif").shape == (240, 320, 3)
 
 
-@pytest.mark.parametrize("method", ["weighted", "pca", "laplacian", "guided-filter", "inverse-noise", "opponent"])
+@pytest.mark.parametrize(
+    "method", ["weighted", "pca", "laplacian", "guided-filter", "inverse-noise", "opponent"]
+)
 def test_every_method_writes_one_picture(folder, tmp_path, method: str) -> None:
     out = tmp_path / "fused.png"
-    assert run(folder / "visible.tif", folder / "thermal.png", out, "--method", method, "--registered")[0] == 0
+    assert (
+        run(
+            folder / "visible.tif", folder / "thermal.png", out, "--method", method, "--registered"
+        )[0]
+        == 0
+    )
     assert np.asarray(Image.open(out)).std() > 3.0
 
 
@@ -71,16 +101,21 @@ def test_stacks_of_a_session_are_bands(folder, tmp_path) -> None:
     session = tmp_path / "night"
     files = [str(folder / "visible.png"), str(folder / "thermal.png")]
     assert CliRunner().invoke(app, ["import", "frames", *files, str(session)]).exit_code == 0
-    code, text = run(f"{session}#visible", f"{session}#thermal", tmp_path / "out", "--registered", "--json")
+    code, text = run(
+        f"{session}#visible", f"{session}#thermal", tmp_path / "out", "--registered", "--json"
+    )
     assert code == 0 and json.loads(text)["measurements"]
     code, text = run(f"{session}#no", f"{session}#thermal", tmp_path / "other", "--json")
     assert code == 1 and "a stack must be one of" in json.loads(text)["error"]
 
 
 @pytest.mark.parametrize(
-    ("thermal", "said"), [("palette.png", "palette"), ("small.png", "the same rows and columns"), ("no.png", "exist")]
+    ("thermal", "said"),
+    [("palette.png", "palette"), ("small.png", "the same rows and columns"), ("no.png", "exist")],
 )
-def test_what_is_no_second_band_is_refused_in_a_sentence(folder, tmp_path, thermal: str, said: str) -> None:
+def test_what_is_no_second_band_is_refused_in_a_sentence(
+    folder, tmp_path, thermal: str, said: str
+) -> None:
     code, text = run(folder / "visible.tif", folder / thermal, tmp_path / "out", "--json")
     assert code == 1 and said in json.loads(text)["error"]
     assert not (tmp_path / "out").exists()
@@ -114,15 +149,24 @@ def night(folder, tmp_path_factory) -> Path:
     pair, rng = Pair(seed=1), np.random.default_rng(4)
     frames = [pair.frames(rng) for _ in range(6)]
     visible = np.stack([one + pair.dark_dn for one, _ in frames]).astype(np.uint8)
-    thermal = np.clip(np.rint((np.stack([one for _, one in frames]) + 2.0) * 60.0), 0, 255).astype(np.uint8)
+    thermal = np.clip(np.rint((np.stack([one for _, one in frames]) + 2.0) * 60.0), 0, 255).astype(
+        np.uint8
+    )
     files = [path / "pulnix-ag5745ef3.tif", path / "vox-lwir-640.tif"]
     for file, stack in zip(files, (visible, thermal), strict=True):
         tifffile.imwrite(file, stack, photometric="minisblack")
-    assert CliRunner().invoke(app, ["import", "frames", *map(str, files), str(path / "night")]).exit_code == 0
+    assert (
+        CliRunner()
+        .invoke(app, ["import", "frames", *map(str, files), str(path / "night")])
+        .exit_code
+        == 0
+    )
     return path
 
 
-def test_the_steps_of_the_tutorial_run_as_printed_on_a_session_of_two_cameras(night, monkeypatch) -> None:
+def test_the_steps_of_the_tutorial_run_as_printed_on_a_session_of_two_cameras(
+    night, monkeypatch
+) -> None:
     monkeypatch.chdir(night)
     first, *commands = re.findall(r"^    charact (.*)$", TUTORIAL.read_text(), re.MULTILINE)
     assert first.startswith("simulate hangar night") and len(commands) == 4
@@ -136,42 +180,69 @@ def test_the_steps_of_the_tutorial_run_as_printed_on_a_session_of_two_cameras(ni
     assert page.count("data:image/jpeg") == 2 + 4 * len(methods)
     assert "copy of the visible band" in page and "http" not in page.replace("http-equiv", "")
     settings = json.loads((night / "frames" / "fused.json").read_text())
-    assert settings["frames"] == 6 and tifffile.imread(night / "frames" / "fused.tif").shape == (6, 240, 320)
+    assert settings["frames"] == 6 and tifffile.imread(night / "frames" / "fused.tif").shape == (
+        6,
+        240,
+        320,
+    )
 
 
 def test_the_truth_adds_restoration_errors_in_its_zones(folder, tmp_path) -> None:
     pair = Pair(seed=1)
-    truth = FusionTruth(bands=np.stack(pair.scene), zones=pair.zones, objects=np.zeros((240, 320), int))
+    truth = FusionTruth(
+        bands=np.stack(pair.scene), zones=pair.zones, objects=np.zeros((240, 320), int)
+    )
     truth.save(tmp_path / "truth.npz")
     given = folder / "visible.tif", folder / "thermal.png", tmp_path / "out", "--registered"
     code, text = run(*given, "--truth", tmp_path / "truth.npz", "--json")
-    errors = {row["stack"]: row for row in json.loads(text)["measurements"] if row["quantity"] == "fusion_error"}
+    errors = {
+        row["stack"]: row
+        for row in json.loads(text)["measurements"]
+        if row["quantity"] == "fusion_error"
+    }
     assert code == 0 and set(errors) == {"dark", "halo", "core"} and errors["dark"]["unit"] == "%"
-    assert 10.0 < errors["dark"]["value"] < errors["halo"]["value"]  # without a description halos stay
+    assert (
+        10.0 < errors["dark"]["value"] < errors["halo"]["value"]
+    )  # without a description halos stay
     bands = [tmp_path / "out" / f"{name}.png" for name in ("visible", "thermal", "fused")]
     code, text = run("score", *bands, "--truth", tmp_path / "truth.npz", "--json")
     rows = {row["quantity"]: row["value"] for row in json.loads(text)["scores"]}
-    assert code == 0 and rows["restoration_error_dark"] == pytest.approx(errors["dark"]["value"] / 100.0, rel=0.05)
+    assert code == 0 and rows["restoration_error_dark"] == pytest.approx(
+        errors["dark"]["value"] / 100.0, rel=0.05
+    )
 
 
 def test_a_table_of_the_materials_colours_a_session(night, tmp_path) -> None:
     """Upper half sheet metal, lower half grass, in the truth of a visible frame."""
     rows, cols = 240, 320
-    truth = {"focal_px": [400.0, 400.0], "position_m": np.zeros(3), "rotation": np.eye(3), "distortion_fraction": 0.0,
-             "frame_distortion": [], "range_m": np.full((rows, cols), np.inf),
-             "materials": ["grass", "sheet metal, painted pale"]}  # fmt: skip
-    truth["material"] = np.where(np.arange(rows)[:, None] < rows // 2, 1, 0) * np.ones((1, cols), int)
+    truth = {
+        "focal_px": [400.0, 400.0],
+        "position_m": np.zeros(3),
+        "rotation": np.eye(3),
+        "distortion_fraction": 0.0,
+        "frame_distortion": [],
+        "range_m": np.full((rows, cols), np.inf),
+        "materials": ["grass", "sheet metal, painted pale"],
+    }
+    truth["material"] = np.where(np.arange(rows)[:, None] < rows // 2, 1, 0) * np.ones(
+        (1, cols), int
+    )
     (night / "night" / "truth").mkdir(exist_ok=True)
     for name in ("pulnix-ag5745ef3", "vox-lwir-640"):
         np.savez(night / "night" / "truth" / f"{name}.npz", **truth)
     given = f"{night}/night#pulnix-ag5745ef3", f"{night}/night#vox-lwir-640"
     colours = tmp_path / "colours.npz"
     assert run("table", *given, "hangar", colours)[0] == 0
-    code, _ = run(*given, tmp_path / "out", "--method", "weighted", "--table", colours, "--registered")
+    code, _ = run(
+        *given, tmp_path / "out", "--method", "weighted", "--table", colours, "--registered"
+    )
     picture = np.asarray(Image.open(tmp_path / "out" / "colour-table" / "fused.png")).astype(float)
     assert code == 0 and picture.shape == (rows, cols, 3)
-    upper, lower = (picture[part].reshape(-1, 3).mean(axis=0) for part in (np.s_[:100], np.s_[140:]))
-    # Pale paint is brighter than grass in every colour, and grass is greener than it is red and blue.
+    upper, lower = (
+        picture[part].reshape(-1, 3).mean(axis=0) for part in (np.s_[:100], np.s_[140:])
+    )
+    # Pale paint is brighter than grass in every colour, and grass is greener than it is red and
+    # blue.
     assert (upper > lower).all() and lower[1] > max(lower[0], lower[2])
     (night / "night" / "truth" / "pulnix-ag5745ef3.npz").unlink()
     assert run("table", *given, "hangar", colours, "--force")[0] == 1

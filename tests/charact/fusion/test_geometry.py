@@ -1,4 +1,6 @@
-"""Bands of two cameras on one grid: parallax by range, occlusion, lenses, and what a warp does to noise."""
+"""Bands of two cameras on one grid: parallax by range, occlusion, lenses, and what a warp does to
+noise.
+"""
 
 from dataclasses import replace
 
@@ -13,13 +15,17 @@ from charact.fusion.sources import Source
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
-FIXED = CameraGeometry(shape=(96, 128), focal_px=(200.0, 200.0), position_m=np.zeros(3), rotation=np.eye(3))
+FIXED = CameraGeometry(
+    shape=(96, 128), focal_px=(200.0, 200.0), position_m=np.zeros(3), rotation=np.eye(3)
+)
 # Beside, 0.5 m to the right.
 BESIDE = replace(FIXED, position_m=np.array([0.5, 0.0, 0.0]))
 
 
 def ranges(camera: CameraGeometry, near_m: float, far_m: float) -> np.ndarray:
-    """Range of a wall far_m ahead with a board near_m ahead, |x| < 0.8 m and |y| < 0.6 m, by closed form."""
+    """Range of a wall far_m ahead with a board near_m ahead, |x| < 0.8 m and |y| < 0.6 m, by closed
+    form.
+    """
     x, y = camera.tangents
     length = np.sqrt(x**2 + y**2 + 1.0)
     board = (np.abs(camera.position_m[0] + near_m * x) < 0.8) & (np.abs(near_m * y) < 0.6)
@@ -28,8 +34,11 @@ def ranges(camera: CameraGeometry, near_m: float, far_m: float) -> np.ndarray:
 
 def test_parallax_is_focal_length_times_baseline_over_depth():
     for distance in (5.0, 20.0, np.inf):
-        placed = place_pixels(replace(FIXED, range_m=np.full(FIXED.shape, np.inf)), BESIDE,
-                              distance_m=None if np.isinf(distance) else distance)  # fmt: skip
+        placed = place_pixels(
+            replace(FIXED, range_m=np.full(FIXED.shape, np.inf)),
+            BESIDE,
+            distance_m=None if np.isinf(distance) else distance,
+        )
         rows, cols = np.indices(FIXED.shape)
         np.testing.assert_allclose(cols - placed.col, 200.0 * 0.5 / distance, atol=1e-9)
         np.testing.assert_allclose(placed.row, rows, atol=1e-9)
@@ -39,7 +48,8 @@ def test_a_step_of_range_hides_a_strip_of_the_difference_of_parallaxes():
     fixed, beside = (replace(one, range_m=ranges(one, 5.0, 10.0)) for one in (FIXED, BESIDE))
     placed = place_pixels(fixed, beside)
     strip = placed.occluded[48].sum()
-    # f B (1/Z1 - 1/Z2) = 200 x 0.5 x (0.2 - 0.1) = 10 px, left of the board; an edge within a pixel hides nothing.
+    # f B (1/Z1 - 1/Z2) = 200 x 0.5 x (0.2 - 0.1) = 10 px, left of the board; an edge within a pixel
+    # hides nothing.
     assert 8 <= strip <= 10
     rows, cols = np.nonzero(placed.occluded)
     board = 200.0 * 0.6 / 5.0
@@ -48,7 +58,9 @@ def test_a_step_of_range_hides_a_strip_of_the_difference_of_parallaxes():
 
 def test_a_warp_and_its_inverse_meet():
     turn = np.radians(1.5)
-    turned = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    turned = np.array(
+        [[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+    )
     other = replace(FIXED, focal_px=(230.0, 260.0), rotation=turned, frame_distortion=(-0.02, 0.03))
     there = place_pixels(FIXED, other)
     back = place_pixels(other, FIXED)
@@ -63,7 +75,9 @@ def test_a_lens_displaces_its_corner_by_its_distortion():
     lens = replace(FIXED, frame_distortion=(0.02,))
     col, row = lens.pixels_of(np.array([63.5 / 200.0]), np.array([47.5 / 200.0]))
     share = np.hypot(63.5, 47.5) / np.hypot(64.0, 48.0)
-    assert np.hypot(col - 63.5, row - 47.5)[0] == pytest.approx(np.hypot(63.5, 47.5) * (1.0 + 0.02 * share**2))
+    assert np.hypot(col - 63.5, row - 47.5)[0] == pytest.approx(
+        np.hypot(63.5, 47.5) * (1.0 + 0.02 * share**2)
+    )
 
 
 def test_a_warp_states_the_noise_that_it_leaves():
@@ -71,7 +85,8 @@ def test_a_warp_states_the_noise_that_it_leaves():
     coarse = replace(FIXED, shape=(64, 84), focal_px=(130.0, 130.0))
     placed = place_pixels(FIXED, coarse)
     power, factor = placed.noise_change
-    # A pixel of the fixed frame has (130/200)^2 of the area of a coarse one: noise per area is kept.
+    # A pixel of the fixed frame has (130/200)^2 of the area of a coarse one: noise per area is
+    # kept.
     assert power == pytest.approx((200.0 / 130.0) ** 2, rel=0.1)
     warped = placed.warp(rng.standard_normal(coarse.shape))
     assert warped[8:-8, 8:-8].var() == pytest.approx(power * factor, rel=0.1)
@@ -80,11 +95,22 @@ def test_a_warp_states_the_noise_that_it_leaves():
 def pair(rng, moving: CameraGeometry | None, fixed: CameraGeometry | None = FIXED):
     """Sources and bands of a random scene at infinity; `moving` sees it through its own lens."""
     scene = np.kron(rng.uniform(0.0, 50.0, (12, 16)), np.ones((8, 8)))
-    images = [scene, scene if moving is None or fixed is None else place_pixels(moving, fixed).warp(scene)]
-    bands = [Band(name=name, image=image + rng.normal(0.0, 0.5, image.shape), noise=NoiseLaw(gain_dn=0.0, read_dn=0.5))
-             for name, image in zip(("visible", "thermal"), images, strict=True)]  # fmt: skip
-    sources = [Source(name=band.name, stack=FrameStack(data=band.image[None]), geometry=geometry)
-               for band, geometry in zip(bands, (fixed, moving), strict=True)]  # fmt: skip
+    images = [
+        scene,
+        scene if moving is None or fixed is None else place_pixels(moving, fixed).warp(scene),
+    ]
+    bands = [
+        Band(
+            name=name,
+            image=image + rng.normal(0.0, 0.5, image.shape),
+            noise=NoiseLaw(gain_dn=0.0, read_dn=0.5),
+        )
+        for name, image in zip(("visible", "thermal"), images, strict=True)
+    ]
+    sources = [
+        Source(name=band.name, stack=FrameStack(data=band.image[None]), geometry=geometry)
+        for band, geometry in zip(bands, (fixed, moving), strict=True)
+    ]
     return bands, sources
 
 
@@ -121,7 +147,9 @@ def test_frames_state_their_own_noise():
     found = measure_noise(FrameStack(data=frames), 10.0)
     # Gain 3 DN/pe: variance 9 pe = 3 DN x mean. 12 frames of 3,000 places know it within 2 %.
     assert found is not None
-    assert found.gain_dn == pytest.approx(3.0, rel=0.06) and found.read_dn == pytest.approx(2.0, abs=0.8)
+    assert found.gain_dn == pytest.approx(3.0, rel=0.06) and found.read_dn == pytest.approx(
+        2.0, abs=0.8
+    )
     assert found.blur_px < 0.25
     assert measure_noise(FrameStack(data=frames[:3]), 10.0) is None
 
@@ -136,8 +164,14 @@ def test_a_shift_that_no_geometry_explains_is_measured_and_corrected():
     rng = np.random.default_rng(6)
     scene = np.kron(rng.uniform(0.0, 60.0, (24, 32)), np.ones((10, 10)))
     images = scene, np.roll(60.0 - scene, (2, 5), axis=(0, 1))
-    bands = [Band(name=name, image=image + rng.normal(0.0, 1.0, scene.shape), noise=NoiseLaw(gain_dn=0.0, read_dn=1.0))
-             for name, image in zip(("visible", "thermal"), images, strict=True)]  # fmt: skip
+    bands = [
+        Band(
+            name=name,
+            image=image + rng.normal(0.0, 1.0, scene.shape),
+            noise=NoiseLaw(gain_dn=0.0, read_dn=1.0),
+        )
+        for name, image in zip(("visible", "thermal"), images, strict=True)
+    ]
     sources = [Source(name=band.name, stack=FrameStack(data=band.image[None])) for band in bands]
     (_, moved), _ = align_bands(bands, sources)
     assert any("moved by its measured shift" in note for note in moved.notes)

@@ -1,4 +1,6 @@
-"""Laws of fusion rules: equal bands, infinite noise, scale of the noise, its correlation, and a band of noise alone."""
+"""Laws of fusion rules: equal bands, infinite noise, scale of the noise, its correlation, and a
+band of noise alone.
+"""
 
 from dataclasses import replace
 
@@ -33,7 +35,9 @@ def test_equal_bands_are_returned(method: str, scene) -> None:
 
 
 def test_equal_bands_without_noise_are_returned_by_noise_aware_fusion(scene) -> None:
-    found = fuse([band("a", scene, 1e-4), band("b", scene, 1e-4)], method="noise-aware", registered=True)
+    found = fuse(
+        [band("a", scene, 1e-4), band("b", scene, 1e-4)], method="noise-aware", registered=True
+    )
     low, high = found.spans["a"]
     assert np.abs(found.picture - (scene - low) / (high - low)).max() < 1e-3
 
@@ -50,7 +54,9 @@ def test_details_of_a_band_of_infinite_noise_have_no_weight(noisy: int, scene) -
 
 def test_a_band_that_is_clipped_everywhere_leaves_the_other_and_is_flagged(scene) -> None:
     white = band("visible", np.full(SHAPE, 245.0) + np.arange(128) % 2 * 1e-3, clip=245.0)
-    found = fuse([white, band("thermal", scene)], method="noise-aware", spans={"visible": (0.0, 245.0)})
+    found = fuse(
+        [white, band("thermal", scene)], method="noise-aware", spans={"visible": (0.0, 245.0)}
+    )
     assert "clipped" in found.measurements[0].flags
     assert np.corrcoef(found.picture.ravel(), scene.ravel())[0, 1] > 0.95
     assert (found.share[1] > 0.8).all()
@@ -59,8 +65,16 @@ def test_a_band_that_is_clipped_everywhere_leaves_the_other_and_is_flagged(scene
 def test_noise_power_scales_the_deviation_and_not_the_weights_of_detection() -> None:
     rng = np.random.default_rng(2)
     images = [rng.normal(size=SHAPE), rng.normal(size=SHAPE)]
-    one = fuse([band("a", images[0], 1.0), band("b", images[1], 2.0)], method="inverse-noise", registered=True)
-    four = fuse([band("a", images[0], 2.0), band("b", images[1], 4.0)], method="inverse-noise", registered=True)
+    one = fuse(
+        [band("a", images[0], 1.0), band("b", images[1], 2.0)],
+        method="inverse-noise",
+        registered=True,
+    )
+    four = fuse(
+        [band("a", images[0], 2.0), band("b", images[1], 4.0)],
+        method="inverse-noise",
+        registered=True,
+    )
     assert np.abs(one.picture - four.picture).max() < 1e-5
     assert four.sd == pytest.approx(2.0 * one.sd, rel=1e-4)
 
@@ -72,19 +86,25 @@ def test_weights_follow_the_noise_power_of_objects_not_the_variance_of_a_pixel(s
     hidden = Band(name="a", image=bright, noise=blurred)
     planes = display_planes([hidden, band("b", scene, pixel_sd)], bloom=True)
     white = display_planes(
-        [replace(hidden, noise=replace(blurred, blur_px=0.0)), band("b", scene, pixel_sd)], bloom=True
+        [replace(hidden, noise=replace(blurred, blur_px=0.0)), band("b", scene, pixel_sd)],
+        bloom=True,
     )
     pixel = planes[0].gains[0].pixel
     assert pixel == pytest.approx(1.0 / (4.0 * np.pi * 1.0**2), rel=0.01)
-    # At object scale the power is that of white noise; the variance of a pixel would be 1/S times lower.
+    # At object scale the power is that of white noise; the variance of a pixel would be 1/S times
+    # lower.
     assert planes[0].variance(3) == pytest.approx(white[0].variance(3), rel=0.1)
-    assert np.mean(planes[0].pixel_variance / white[0].pixel_variance) == pytest.approx(pixel, rel=1e-3)
+    assert np.mean(planes[0].pixel_variance / white[0].pixel_variance) == pytest.approx(
+        pixel, rel=1e-3
+    )
 
 
 def test_exchanged_bands_give_the_same_grey_picture_and_exchanged_colours(scene) -> None:
     other = 10.0 * gaussian(np.random.default_rng(1).normal(size=SHAPE), 3.0)
     bands = [band("a", scene), band("b", other)]
-    first, second = (fuse(order, method="noise-aware", registered=True) for order in (bands, bands[::-1]))
+    first, second = (
+        fuse(order, method="noise-aware", registered=True) for order in (bands, bands[::-1])
+    )
     assert np.abs(first.picture - second.picture).max() < 1e-5
     first, second = (fuse(order, colour=True, registered=True) for order in (bands, bands[::-1]))
     assert np.array_equal(first.picture[..., 0], second.picture[..., 1])
@@ -107,7 +127,9 @@ def test_a_third_band_of_noise_costs_little(pair: Pair, redraw) -> None:
     d = {}
     for count, one in values.items():
         present, missing = one[one[:, 0] > 0, 1], one[one[:, 0] < 0, 1]
-        d[count] = (present.mean() - missing.mean()) / np.sqrt(0.5 * (present.var(ddof=1) + missing.var(ddof=1)))
+        d[count] = (present.mean() - missing.mean()) / np.sqrt(
+            0.5 * (present.var(ddof=1) + missing.var(ddof=1))
+        )
     print(d)
     # The same frames: the difference of both d' has a far smaller error than either.
     assert d[3] >= 0.98 * d[2]

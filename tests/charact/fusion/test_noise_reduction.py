@@ -17,7 +17,9 @@ def camera_frames(mean_pe: np.ndarray, count: int, rng: np.random.Generator) -> 
     """Frames of 4 DN per photoelectron of exponential pulse height, blurred after the gain."""
     electrons = rng.poisson(np.broadcast_to(mean_pe, (count, *SHAPE)))
     pulses = np.where(electrons > 0, rng.gamma(np.maximum(electrons, 1)), 0.0) * 4.0
-    return np.stack([gaussian(one, BLUR_PX) for one in pulses]) + READ_DN * rng.normal(size=(count, *SHAPE))
+    return np.stack([gaussian(one, BLUR_PX) for one in pulses]) + READ_DN * rng.normal(
+        size=(count, *SHAPE)
+    )
 
 
 LAW = NoiseLaw(gain_dn=GAIN_DN, read_dn=READ_DN, blur_px=BLUR_PX)
@@ -35,8 +37,10 @@ def test_noise_of_a_static_scene_falls_by_g_over_2_minus_g(gain: float) -> None:
             *_, last = reduce_noise(frames, LAW, gain=gain, motion=motion)
             left = last - 4.0 * gaussian(np.maximum(scene, 1.0), BLUR_PX)
             values.append((left.var(), left.mean(), (frames - frames.mean(axis=0)).var() * 36 / 35))
-    ratios = {motion: np.mean([one[0] for one in values]) / np.mean([one[2] for one in values])
-              for motion, values in found.items()}  # fmt: skip
+    ratios = {
+        motion: np.mean([one[0] for one in values]) / np.mean([one[2] for one in values])
+        for motion, values in found.items()
+    }
     print(gain, variance_ratio(gain), ratios)
     # 18,000 pixels of which a third are independent: 2 %.
     assert ratios[False] == pytest.approx(variance_ratio(gain), rel=0.06)
@@ -49,12 +53,16 @@ def test_image_lag_raises_the_noise_of_the_filter() -> None:
     correlation, frames = 0.4, np.empty((30, *SHAPE))
     frames[0] = rng.normal(size=SHAPE)
     for number in range(1, len(frames)):
-        frames[number] = correlation * frames[number - 1] + (1.0 - correlation**2) ** 0.5 * rng.normal(size=SHAPE)
+        frames[number] = correlation * frames[number - 1] + (
+            1.0 - correlation**2
+        ) ** 0.5 * rng.normal(size=SHAPE)
     law = NoiseLaw(gain_dn=0.0, read_dn=1.0)
     *_, last = reduce_noise(frames, law, gain=0.3, motion=False)
     # Of 6,144 pixels the variance is known within 1.8 %.
     assert last.var() == pytest.approx(variance_ratio(0.3, correlation), rel=0.06)
-    assert filtered_law(law, 0.3, correlation).read_dn ** 2 == pytest.approx(variance_ratio(0.3, correlation))
+    assert filtered_law(law, 0.3, correlation).read_dn ** 2 == pytest.approx(
+        variance_ratio(0.3, correlation)
+    )
 
 
 @pytest.mark.parametrize("contrast_pe", [2.0, 4.0])
@@ -71,7 +79,9 @@ def test_an_object_that_moves_by_2_px_a_frame_is_seen_as_well(contrast_pe: float
             *_, last = reduce_noise(frames, LAW, gain=0.2)
             for name, picture in (("raw", frames[-1]), ("filtered", last)):
                 outputs[name][side].append(np.tensordot(templates, picture, axes=2))
-    d2 = {name: detectability2(*(np.array(one) for one in sides)) for name, sides in outputs.items()}
+    d2 = {
+        name: detectability2(*(np.array(one) for one in sides)) for name, sides in outputs.items()
+    }
     print(contrast_pe, d2)
     assert np.sqrt(d2["filtered"]) >= 0.9 * np.sqrt(d2["raw"])
 

@@ -8,7 +8,9 @@ from charact.fusion.registration import residual_shift
 
 
 def bands(rng: np.random.Generator, shift: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Two bands of rectangles, some of opposed contrast, the second one shifted by (x, y) px, with noise."""
+    """Two bands of rectangles, some of opposed contrast, the second one shifted by (x, y) px, with
+    noise.
+    """
     visible, thermal = np.zeros((2, 240, 320))
     for _ in range(60):
         row, col = rng.integers(0, 220), rng.integers(0, 300)
@@ -17,7 +19,9 @@ def bands(rng: np.random.Generator, shift: tuple[float, float]) -> tuple[np.ndar
         thermal[place] += rng.uniform(20.0, 60.0) * rng.choice([-1.0, 1.0])
     visible, thermal = (gaussian_filter(band, 1.2, mode="wrap") for band in (visible, thermal))
     moved = np.fft.ifft2(fourier_shift(np.fft.fft2(thermal), shift[::-1])).real
-    return tuple((band + rng.normal(0.0, 3.0, band.shape)).astype(np.float32) for band in (visible, moved))
+    return tuple(
+        (band + rng.normal(0.0, 3.0, band.shape)).astype(np.float32) for band in (visible, moved)
+    )
 
 
 @pytest.mark.parametrize("shift", [(0.4, -0.3), (1.3, 0.8), (0.0, 0.0)])

@@ -1,4 +1,6 @@
-"""Rules of the literature against exact forms: the guided filter at every pixel, and opponent colours in 8 bits."""
+"""Rules of the literature against exact forms: the guided filter at every pixel, and opponent
+colours in 8 bits.
+"""
 
 from dataclasses import replace
 
@@ -14,7 +16,9 @@ from charact.study.fusion.pair import Pair, bands_of, gaussian
 
 
 def exact_guided_filter(guide, image, radius: int, regularisation: float, *_) -> np.ndarray:
-    """Filter of He, Sun and Tang (ECCV 2010) in float64: means over windows of the mirrored frame, by its sums."""
+    """Filter of He, Sun and Tang (ECCV 2010) in float64: means over windows of the mirrored frame,
+    by its sums.
+    """
 
     def mean(values: np.ndarray) -> np.ndarray:
         for _ in range(2):
@@ -31,9 +35,17 @@ def exact_guided_filter(guide, image, radius: int, regularisation: float, *_) ->
 
 def photographed(name: str) -> tuple[Band, Band]:
     """A photograph and its blurred negative, with noise."""
-    photo, rng, law = getattr(data, name)().astype(float), np.random.default_rng(0), NoiseLaw(gain_dn=0.0, read_dn=3.0)
-    images = [one + 3.0 * rng.normal(size=photo.shape) for one in (photo, gaussian(255.0 - photo, 3.0))]
-    return Band(name="a", image=images[0], noise=law, clip=255.0), Band(name="b", image=images[1], noise=law)
+    photo, rng, law = (
+        getattr(data, name)().astype(float),
+        np.random.default_rng(0),
+        NoiseLaw(gain_dn=0.0, read_dn=3.0),
+    )
+    images = [
+        one + 3.0 * rng.normal(size=photo.shape) for one in (photo, gaussian(255.0 - photo, 3.0))
+    ]
+    return Band(name="a", image=images[0], noise=law, clip=255.0), Band(
+        name="b", image=images[1], noise=law
+    )
 
 
 def textured(seed: int) -> tuple[Band, Band]:
@@ -41,12 +53,17 @@ def textured(seed: int) -> tuple[Band, Band]:
     return bands_of(pair, pair.frames(np.random.default_rng(seed)), with_map=False)
 
 
-@pytest.mark.parametrize("bands", [textured(1), textured(2), photographed("camera"), photographed("coins")],
-                         ids=["pair 1", "pair 2", "camera", "coins"])  # fmt: skip
+@pytest.mark.parametrize(
+    "bands",
+    [textured(1), textured(2), photographed("camera"), photographed("coins")],
+    ids=["pair 1", "pair 2", "camera", "coins"],
+)
 def test_guided_filter_fusion_is_that_of_the_exact_filter(bands, monkeypatch) -> None:
-    """Rms of 1 % of the span: two and a half codes of 8 bits, below the noise of any band here (2 to 20 %).
+    """Rms of 1 % of the span: two and a half codes of 8 bits, below the noise of any band here (2
+    to 20 %).
 
-    Windows of the base are 92 px of blocks of 4 instead of 91: the largest difference is where its weights are steep.
+    Windows of the base are 92 px of blocks of 4 instead of 91: the largest difference is where its
+    weights are steep.
     """
     found = rules.fuse_guided(bands, uncertainty=False).picture
     monkeypatch.setattr(rules, "guided_filter", exact_guided_filter)
@@ -59,13 +76,19 @@ def test_guided_filter_fusion_is_that_of_the_exact_filter(bands, monkeypatch) ->
 def test_opponent_colours_fill_the_range_of_8_bits(pair, bands) -> None:
     found = fuse(bands, method="opponent", registered=True)
     # Two percentiles at the ends leave 1 % of the pixels of each colour at 0 and 255.
-    assert (found.codes.std(axis=(0, 1)) > 25.0).all() and 255.0 * found.picture.std(axis=(0, 1)).max() < 10.0
-    assert np.mean((found.codes == 0) | (found.codes == 255), axis=(0, 1)) == pytest.approx(0.012, abs=0.004)
+    assert (found.codes.std(axis=(0, 1)) > 25.0).all() and 255.0 * found.picture.std(
+        axis=(0, 1)
+    ).max() < 10.0
+    assert np.mean((found.codes == 0) | (found.codes == 255), axis=(0, 1)) == pytest.approx(
+        0.012, abs=0.004
+    )
     order = np.argsort(found.picture[..., 1].ravel())
     assert (np.diff(found.codes[..., 1].ravel()[order].astype(int)) >= 0).all()
 
 
-@pytest.mark.parametrize("method", ["weighted", "pca", "laplacian", "guided-filter", "inverse-noise", "opponent"])
+@pytest.mark.parametrize(
+    "method", ["weighted", "pca", "laplacian", "guided-filter", "inverse-noise", "opponent"]
+)
 def test_a_deviation_by_a_wrong_noise_law_is_flagged(method: str) -> None:
     visible, thermal = textured(1)
     assert fuse((visible, thermal), method=method, registered=True).measurements[0].status == "ok"

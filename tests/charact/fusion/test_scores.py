@@ -16,12 +16,21 @@ SHAPE = (37, 45)  # odd, and no multiple of the blocks of 16 px
 
 @pytest.fixture(scope="module")
 def pictures():
-    """Visible, thermal and fused grey pictures with structure of unlike contrast; part of the fused one is a copy."""
+    """Visible, thermal and fused grey pictures with structure of unlike contrast; part of the fused
+    one is a copy.
+    """
     rng = np.random.default_rng(7)
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     visible = 90 + 60 * np.sin(x / 4.0) + 30 * (y > 20) + rng.normal(0, 6, SHAPE)
-    thermal = 120 - 70 * ((x - 25) ** 2 + (y - 15) ** 2 < 80) + 20 * np.cos(y / 5.0) + rng.normal(0, 4, SHAPE)
-    visible, thermal = (np.clip(np.round(one), 0, 255).astype(np.uint8) for one in (visible, thermal))
+    thermal = (
+        120
+        - 70 * ((x - 25) ** 2 + (y - 15) ** 2 < 80)
+        + 20 * np.cos(y / 5.0)
+        + rng.normal(0, 4, SHAPE)
+    )
+    visible, thermal = (
+        np.clip(np.round(one), 0, 255).astype(np.uint8) for one in (visible, thermal)
+    )
     fused = np.round(0.5 * visible + 0.5 * thermal).astype(np.uint8)
     fused[:, 30:] = visible[:, 30:]
     return visible, thermal, fused
@@ -36,7 +45,10 @@ def test_entropies_are_sums_over_the_codes(pictures):
     entropy = -sum(p * math.log2(p) for p in counts[2] if p > 0)
     # Codes count that occur in both pictures alone.
     cross = sum(
-        p * math.log2(p / q) for band in counts[:2] for p, q in zip(band, counts[2], strict=True) if p > 0 and q > 0
+        p * math.log2(p / q)
+        for band in counts[:2]
+        for p, q in zip(band, counts[2], strict=True)
+        if p > 0 and q > 0
     )
     found = values(*pictures)
     assert found["entropy"] == pytest.approx(entropy, rel=1e-12)
@@ -49,7 +61,9 @@ def test_mutual_information_is_in_nats_of_pictures_stretched_and_rounded_half_up
         pair = []
         for one in (band, pictures[2]):
             low, high = int(one.min()), int(one.max())
-            pair.append([math.floor((int(v) - low) / (high - low) * 255 + 0.5) for v in one.ravel()])
+            pair.append(
+                [math.floor((int(v) - low) / (high - low) * 255 + 0.5) for v in one.ravel()]
+            )
         joint: dict = {}
         first: dict = {}
         second: dict = {}
@@ -58,7 +72,9 @@ def test_mutual_information_is_in_nats_of_pictures_stretched_and_rounded_half_up
             first[a] = first.get(a, 0) + 1
             second[b] = second.get(b, 0) + 1
         n = len(pair[0])
-        total += sum(c / n * math.log(c * n / (first[a] * second[b])) for (a, b), c in joint.items())
+        total += sum(
+            c / n * math.log(c * n / (first[a] * second[b])) for (a, b), c in joint.items()
+        )
     assert values(*pictures)["mutual_information"] == pytest.approx(total, rel=1e-10)
 
 
@@ -97,7 +113,9 @@ def test_qabf_is_the_sum_over_pixels_with_zeros_beyond_the_border(pictures):
 
 def test_qabf_of_equal_pictures_takes_the_strength_for_the_ratio(pictures):
     copy = pictures[0]
-    assert values(copy, copy, copy)["qabf"] == pytest.approx(0.9994 * 0.9879 / (1 + math.exp(-22 * 0.2)), rel=1e-6)
+    assert values(copy, copy, copy)["qabf"] == pytest.approx(
+        0.9994 * 0.9879 / (1 + math.exp(-22 * 0.2)), rel=1e-6
+    )
 
 
 def test_ssim_is_the_sum_of_scikit_image_over_whole_windows(pictures):
@@ -105,9 +123,15 @@ def test_ssim_is_the_sum_of_scikit_image_over_whole_windows(pictures):
     total = 0.0
     for band in (visible, thermal):
         _, field = structural_similarity(
-            band.astype(float), fused.astype(float), data_range=255, gaussian_weights=True, sigma=1.5,
-            use_sample_covariance=False, full=True, truncate=3.5,
-        )  # fmt: skip
+            band.astype(float),
+            fused.astype(float),
+            data_range=255,
+            gaussian_weights=True,
+            sigma=1.5,
+            use_sample_covariance=False,
+            full=True,
+            truncate=3.5,
+        )
         total += field[5:-5, 5:-5].mean()
     assert values(*pictures)["ssim_sum"] == pytest.approx(total, rel=1e-9)
 
@@ -119,18 +143,31 @@ def test_gradients_and_spread_are_sums_over_pixels(pictures):
     average = 0.0
     for i in range(rows):
         for j in range(columns):
-            up, down, left, right = max(i - 1, 0), min(i + 1, rows - 1), max(j - 1, 0), min(j + 1, columns - 1)
+            up, down, left, right = (
+                max(i - 1, 0),
+                min(i + 1, rows - 1),
+                max(j - 1, 0),
+                min(j + 1, columns - 1),
+            )
             y = (fused[down, j] - fused[up, j]) / (down - up)
             x = (fused[i, right] - fused[i, left]) / (right - left)
             average += math.sqrt((x * x + y * y) / 2)
-    assert found["average_gradient"] == pytest.approx(average / ((rows - 1) * (columns - 1)), rel=1e-12)
+    assert found["average_gradient"] == pytest.approx(
+        average / ((rows - 1) * (columns - 1)), rel=1e-12
+    )
     edge = np.pad(fused, 1, mode="edge")
     kernel = np.array([[1, 2, 1], [0, 0, 0], [-1, -2, -1]])
     modulus = np.hypot(convolve2d(edge, kernel, "valid"), convolve2d(edge, kernel.T, "valid"))
     assert found["edge_intensity"] == pytest.approx(modulus.mean(), rel=1e-12)
-    assert found["standard_deviation"] == pytest.approx(math.sqrt(((fused - fused.mean()) ** 2).sum() / fused.size))
-    steps = sum((fused[i, j] - fused[i, j - 1]) ** 2 for i in range(rows) for j in range(1, columns))
-    steps += sum((fused[i, j] - fused[i - 1, j]) ** 2 for i in range(1, rows) for j in range(columns))
+    assert found["standard_deviation"] == pytest.approx(
+        math.sqrt(((fused - fused.mean()) ** 2).sum() / fused.size)
+    )
+    steps = sum(
+        (fused[i, j] - fused[i, j - 1]) ** 2 for i in range(rows) for j in range(1, columns)
+    )
+    steps += sum(
+        (fused[i, j] - fused[i - 1, j]) ** 2 for i in range(1, rows) for j in range(columns)
+    )
     assert found["spatial_frequency"] == pytest.approx(math.sqrt(steps / fused.size), rel=1e-12)
 
 
@@ -149,11 +186,16 @@ def filtered(plane, sensitivity, cycles):
 
 def test_qcb_keeps_masked_contrasts_of_filtered_pictures(pictures):
     offsets = np.arange(-15, 16)
-    kernels = [np.exp(-np.add.outer(offsets**2, offsets**2) / (2 * s * s)) / (2 * np.pi * s * s) for s in (2, 4)]
+    kernels = [
+        np.exp(-np.add.outer(offsets**2, offsets**2) / (2 * s * s)) / (2 * np.pi * s * s)
+        for s in (2, 4)
+    ]
     masked = []
     for one in pictures:
         plane = filtered(
-            stretched(one), lambda r: np.exp(-((r / 15.387) ** 2)) - 0.7622 * np.exp(-((r / 1.3456) ** 2)), 30
+            stretched(one),
+            lambda r: np.exp(-((r / 15.387) ** 2)) - 0.7622 * np.exp(-((r / 1.3456) ** 2)),
+            30,
         )
         near, wide = (convolve2d(plane, kernel, "same") for kernel in kernels)
         contrast = np.abs(near / wide - 1)
@@ -187,12 +229,16 @@ def test_channels_are_averaged_but_lie_side_by_side_for_the_spatial_frequency(pi
     for name in scores.UNITS.keys() - {"spatial_frequency"}:
         assert found[name] == pytest.approx(np.mean([one[name] for one in single]), rel=1e-12)
     wide = np.concatenate([fused, visible, thermal], axis=1)
-    assert found["spatial_frequency"] == pytest.approx(scores.spatial_frequency(wide.astype(float)), rel=1e-12)
+    assert found["spatial_frequency"] == pytest.approx(
+        scores.spatial_frequency(wide.astype(float)), rel=1e-12
+    )
 
 
 def test_noise_control_raises_gradients_and_the_copy_control_is_the_visible_picture(pictures):
     visible, thermal, fused = pictures
-    rows = {row.quantity: row for row in score(visible, thermal, fused, rng=np.random.default_rng(3))}
+    rows = {
+        row.quantity: row for row in score(visible, thermal, fused, rng=np.random.default_rng(3))
+    }
     copy = values(visible, thermal, visible)
     assert rows["average_gradient"].noise_control > 1.1 * rows["average_gradient"].value
     assert rows["entropy"].noise_control > rows["entropy"].value
@@ -202,7 +248,9 @@ def test_noise_control_raises_gradients_and_the_copy_control_is_the_visible_pict
 
 def test_noise_control_has_ten_codes():
     grey = np.full((200, 200), 128, np.uint8)
-    row = {row.quantity: row for row in score(grey, grey, grey, rng=np.random.default_rng(5))}["standard_deviation"]
+    row = {row.quantity: row for row in score(grey, grey, grey, rng=np.random.default_rng(5))}[
+        "standard_deviation"
+    ]
     # Rounding adds 1/12; the standard error of an sd is sd / sqrt(2 n).
     assert abs(row.noise_control - math.sqrt(100 + 1 / 12)) < 3 * 10 / math.sqrt(2 * grey.size)
 

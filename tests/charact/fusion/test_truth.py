@@ -1,4 +1,6 @@
-"""Fused pictures of a pair with known truth: restoration error, and detection of objects against both raw bands."""
+"""Fused pictures of a pair with known truth: restoration error, and detection of objects against
+both raw bands.
+"""
 
 from dataclasses import replace
 
@@ -24,7 +26,9 @@ OURS, OTHERS = ("noise-aware", "noise-aware-colour"), ("weighted", "laplacian", 
 
 def scores_of(pictures, truth: FusionTruth, bands, absent=None) -> dict[str, float]:
     """Values of the scores, and the efficiency of all objects of a zone."""
-    rows = truth_scores(np.stack(pictures), truth, np.stack(bands), rng=np.random.default_rng(0), absent=absent)
+    rows = truth_scores(
+        np.stack(pictures), truth, np.stack(bands), rng=np.random.default_rng(0), absent=absent
+    )
     return {row.quantity: row.value for row in rows}
 
 
@@ -32,10 +36,17 @@ def scores_of(pictures, truth: FusionTruth, bands, absent=None) -> dict[str, flo
 PAIRS = {
     "tuned": Pair(seed=1),
     "other": Pair(
-        seed=23, ground_pe=10.0, gain_dn=3.5, texture=0.8, scales_px=(16.0, 4.0), visible_pe=2.5, thermal_k=0.35,
-        netd_k=0.16, halo_fraction=0.08,
+        seed=23,
+        ground_pe=10.0,
+        gain_dn=3.5,
+        texture=0.8,
+        scales_px=(16.0, 4.0),
+        visible_pe=2.5,
+        thermal_k=0.35,
+        netd_k=0.16,
+        halo_fraction=0.08,
     ),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module", params=PAIRS)
@@ -46,10 +57,14 @@ def results(request) -> dict[str, dict[str, float]]:
     first = bands_of(pair, pair.frames(np.random.default_rng(100)))
 
     def draw(scene: Pair) -> list[Band]:
-        return [replace(band, image=image) for band, image in zip(first, scene.frames(rng), strict=True)]
+        return [
+            replace(band, image=image) for band, image in zip(first, scene.frames(rng), strict=True)
+        ]
 
     with_objects, without = ([draw(scene) for _ in range(FRAMES)] for scene in (pair, empty))
-    frames, blank = ([np.stack([band.image for band in one]) for one in own] for own in (with_objects, without))
+    frames, blank = (
+        [np.stack([band.image for band in one]) for one in own] for own in (with_objects, without)
+    )
 
     def pictures(name: str, drawn) -> np.ndarray:
         return np.stack([fuse(bands, method=name, registered=True).picture for bands in drawn])
@@ -59,7 +74,9 @@ def results(request) -> dict[str, dict[str, float]]:
         absent = pictures(name, without), np.stack(blank)
         found[name] = scores_of(pictures(name, with_objects), pair.truth, frames, absent)
     for name in OTHERS:
-        found[name] = scores_of(pictures(name, with_objects[:COMPARED]), pair.truth, frames[:COMPARED])
+        found[name] = scores_of(
+            pictures(name, with_objects[:COMPARED]), pair.truth, frames[:COMPARED]
+        )
     for name, values in found.items():
         print(name, {quantity: round(value, 3) for quantity, value in values.items()})
     return found
@@ -82,9 +99,14 @@ def errors(request) -> tuple[str, dict[str, dict[str, float]]]:
         bands = bands_of(pair, pair.frames(np.random.default_rng(seed)))
         for name, rows in found.items():
             picture = np.asarray(fuse(bands, method=name, registered=True).picture, float)
-            rows.append(restoration_errors(fit_to_truth(picture[None], pair.truth) - pair.truth.picture, pair.truth))
+            rows.append(
+                restoration_errors(
+                    fit_to_truth(picture[None], pair.truth) - pair.truth.picture, pair.truth
+                )
+            )
     means = {
-        name: {zone: float(np.mean([row[zone] for row in rows])) for zone in ZONES} for name, rows in found.items()
+        name: {zone: float(np.mean([row[zone] for row in rows])) for zone in ZONES}
+        for name, rows in found.items()
     }
     print(request.param, means)
     return request.param, means
@@ -130,7 +152,10 @@ def test_detectability_of_a_known_signal_in_white_noise_is_its_energy() -> None:
     rng = np.random.default_rng(1)
     signal = np.array([1.0, 2.0, 0.5])
     sd = np.array([0.5, 1.0, 2.0])
-    found = [detectability2(signal + sd * rng.normal(size=(40, 3)), sd * rng.normal(size=(40, 3))) for _ in range(200)]
+    found = [
+        detectability2(signal + sd * rng.normal(size=(40, 3)), sd * rng.normal(size=(40, 3)))
+        for _ in range(200)
+    ]
     truth = float(np.sum((signal / sd) ** 2))
     assert np.mean(found) == pytest.approx(truth, abs=3.0 * np.std(found) / np.sqrt(len(found)))
     doubled = np.concatenate([rng.normal(size=(40, 2))] * 2, axis=1)
@@ -157,7 +182,10 @@ def test_artefacts_are_gradients_that_no_band_has() -> None:
     rng = np.random.default_rng(3)
     band = 60.0 + 40.0 * np.kron(rng.random((8, 8)), np.ones((12, 12)))
     assert artefact_share(band, band, band) < 1e-6
-    shares = [artefact_share(band, band, band + sd * rng.normal(size=band.shape)) for sd in (3.0, 10.0, 30.0)]
+    shares = [
+        artefact_share(band, band, band + sd * rng.normal(size=band.shape))
+        for sd in (3.0, 10.0, 30.0)
+    ]
     assert shares == sorted(shares) and shares[-1] > 0.1
 
 
@@ -172,4 +200,10 @@ def test_a_truth_that_does_not_fit_is_refused(pair: Pair, tmp_path) -> None:
     few = np.zeros((2, 240, 320)), np.zeros((2, 2, 240, 320))
     with pytest.raises(BadInput, match="more than"):
         noise = np.random.default_rng(0).normal(size=(2, 240, 320))
-        truth_scores(noise, pair.truth, np.stack([noise, noise], axis=1), rng=np.random.default_rng(0), absent=few)
+        truth_scores(
+            noise,
+            pair.truth,
+            np.stack([noise, noise], axis=1),
+            rng=np.random.default_rng(0),
+            absent=few,
+        )

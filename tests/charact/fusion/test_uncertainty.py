@@ -1,4 +1,6 @@
-"""The stated standard deviation is that of repeated frames; shares are those of injected signals."""
+"""The stated standard deviation is that of repeated frames; shares are those of injected
+signals.
+"""
 
 from dataclasses import replace
 
@@ -19,11 +21,15 @@ def through(weights, images) -> np.ndarray:
     """Return the picture of noise-free images by the weights of a fusion."""
     levels = len(weights[0]) - 1
     pyramids = [decompose(np.asarray(image, np.float32), levels) for image in images]
-    return collapse([
-        sum(resized(own[level], pyramid[level].shape) * pyramid[level]
-            for own, pyramid in zip(weights, pyramids, strict=True))
-        for level in range(levels + 1)
-    ])  # fmt: skip
+    return collapse(
+        [
+            sum(
+                resized(own[level], pyramid[level].shape) * pyramid[level]
+                for own, pyramid in zip(weights, pyramids, strict=True)
+            )
+            for level in range(levels + 1)
+        ]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +38,22 @@ def cases():
     found = []
     for seed in range(1, 11):
         pair = Pair(seed=seed)
-        planes = display_planes(bands_of(pair, pair.frames(np.random.default_rng(50 + seed))), bloom=True)
+        planes = display_planes(
+            bands_of(pair, pair.frames(np.random.default_rng(50 + seed))), bloom=True
+        )
         picture, weights, _ = fuse_levels(planes)
         sd, _ = level_uncertainty(planes, weights)
         scenes = (pair.scene[0] * pair.gain_dn, pair.scene[1])
-        clean = [(scene - p.span[0]) / (p.span[1] - p.span[0]) for scene, p in zip(scenes, planes, strict=True)]
-        found.append({zone: ((picture - through(weights, clean)) / sd)[mask] for zone, mask in pair.zones.items()})
+        clean = [
+            (scene - p.span[0]) / (p.span[1] - p.span[0])
+            for scene, p in zip(scenes, planes, strict=True)
+        ]
+        found.append(
+            {
+                zone: ((picture - through(weights, clean)) / sd)[mask]
+                for zone, mask in pair.zones.items()
+            }
+        )
     return {zone: np.concatenate([one[zone] for one in found]) for zone in found[0]}
 
 
@@ -63,7 +79,9 @@ def test_filled_pixels_state_their_error(cases) -> None:
 def test_filled_and_clipped_pixels_are_marked(pair, bands) -> None:
     found = fuse(bands, method="noise-aware", registered=True)
     core = pair.zones["core"]
-    assert (found.marks[core] & MARKS["filled"] > 0).all() and (found.marks[core] & MARKS["clipped"] > 0).all()
+    assert (found.marks[core] & MARKS["filled"] > 0).all() and (
+        found.marks[core] & MARKS["clipped"] > 0
+    ).all()
     assert not (found.marks[pair.zones["dark"]] & MARKS["filled"]).any()
 
 
@@ -71,7 +89,11 @@ def test_the_deviation_is_that_of_repeated_frames_without_lamps(redraw) -> None:
     dark = Pair(seed=4, lamp_pe=0.0, flood_pe=0.0)
     rng = np.random.default_rng(3)
     found = [
-        fuse([replace(b, bloom=None) for b in redraw(dark, rng)], method="noise-aware", registered=True)
+        fuse(
+            [replace(b, bloom=None) for b in redraw(dark, rng)],
+            method="noise-aware",
+            registered=True,
+        )
         for _ in range(FRAMES)
     ]
     pictures, sd = (np.stack([getattr(one, name) for one in found]) for name in ("picture", "sd"))
@@ -90,9 +112,14 @@ def test_shares_are_the_responses_to_injected_signals(pair, bands) -> None:
         for number, band in enumerate(bands):
             low, high = plain.spans[band.name]
             changed = list(bands)
-            changed[number] = replace(band, image=band.image + np.float32(0.02 * (high - low)) * mark)
+            changed[number] = replace(
+                band, image=band.image + np.float32(0.02 * (high - low)) * mark
+            )
             answers.append(
-                (fuse(changed, method="noise-aware", spans=plain.spans, registered=True).picture - plain.picture)[place]
+                (
+                    fuse(changed, method="noise-aware", spans=plain.spans, registered=True).picture
+                    - plain.picture
+                )[place]
             )
         shares = np.array(answers) / np.sum(answers)
         print(place, shares, plain.share[:, place[0], place[1]])
@@ -100,8 +127,18 @@ def test_shares_are_the_responses_to_injected_signals(pair, bands) -> None:
 
 
 def test_the_shares_of_known_pixels_sum_to_one(bands) -> None:
-    for method in ("weighted", "pca", "laplacian", "guided-filter", "inverse-noise", "noise-aware", "opponent"):
-        assert fuse(bands, method=method, registered=True).share.sum(axis=0) == pytest.approx(1.0, abs=1e-4)
+    for method in (
+        "weighted",
+        "pca",
+        "laplacian",
+        "guided-filter",
+        "inverse-noise",
+        "noise-aware",
+        "opponent",
+    ):
+        assert fuse(bands, method=method, registered=True).share.sum(axis=0) == pytest.approx(
+            1.0, abs=1e-4
+        )
 
 
 @pytest.mark.parametrize("blur_px", [0.0, 0.6, 1.5])
@@ -144,6 +181,8 @@ def test_without_a_lamp_the_bloom_step_changes_nothing() -> None:
     found = fuse(bands_of(dark, frames, with_map=False), method="noise-aware", registered=True)
     assert any("no lamp in view" in note for note in found.measurements[0].notes)
     plain = fuse(
-        [replace(b, clip=None) for b in bands_of(dark, frames, with_map=False)], method="noise-aware", registered=True
+        [replace(b, clip=None) for b in bands_of(dark, frames, with_map=False)],
+        method="noise-aware",
+        registered=True,
     )
     assert np.abs(found.picture - plain.picture).max() <= 1e-6

@@ -10,7 +10,14 @@ from labdata.frames import FrameStack
 from labdata.session import LoadedStackEntry, Session
 from labdata.target import Target
 
-AXES = {"t": (1, 0, 0), "v": (0, 1, 0), "h": (0, 0, 1), "tv": (1, 1, 0), "th": (1, 0, 1), "vh": (0, 1, 1)}
+AXES = {
+    "t": (1, 0, 0),
+    "v": (0, 1, 0),
+    "h": (0, 0, 1),
+    "tv": (1, 1, 0),
+    "th": (1, 0, 1),
+    "vh": (0, 1, 1),
+}
 # In K: the components over the random noise tvh of 0.1 K.
 NOISE_K = {"t": 0.02, "v": 0.03, "h": 0.05, "tv": 0.02, "th": 0.02, "vh": 0.04, "tvh": 0.1}
 
@@ -18,7 +25,8 @@ NOISE_K = {"t": 0.02, "v": 0.03, "h": 0.05, "tv": 0.02, "th": 0.02, "vh": 0.04, 
 def band_radiance(low_um, high_um, kelvin):
     """Radiance of a black body between two wavelengths, W m-2 sr-1, by the series of exponentials.
 
-    L(0..um) = 2 k^4 T^4 / (h^3 c^2) sum_n exp(-n x) (x^3/n + 3 x^2/n^2 + 6 x/n^3 + 6/n^4), x = h c / (um k T).
+    L(0..um) = 2 k^4 T^4 / (h^3 c^2) sum_n exp(-n x) (x^3/n + 3 x^2/n^2 + 6 x/n^3 + 6/n^4), x = h c
+    / (um k T).
     """
     h, c, k = 6.62607015e-34, 2.99792458e8, 1.380649e-23
     n = np.arange(1, 60)[:, None]
@@ -26,7 +34,9 @@ def band_radiance(low_um, high_um, kelvin):
 
     def below(um):
         x = h * c / (um * 1e-6 * k * kelvin)
-        return np.sum(np.exp(-n * x) * (x**3 / n + 3 * x**2 / n**2 + 6 * x / n**3 + 6 / n**4), axis=0)
+        return np.sum(
+            np.exp(-n * x) * (x**3 / n + 3 * x**2 / n**2 + 6 * x / n**3 + 6 / n**4), axis=0
+        )
 
     return 2 * k**4 * kelvin**4 / (h**3 * c**2) * (below(high_um) - below(low_um))
 
@@ -53,7 +63,9 @@ class Camera:
 
     def pattern(self, rng):
         """Fixed pattern of the camera, equal in all its stacks, DN."""
-        return sum((self._part(rng, name, (1, *self.shape[1:])) for name in ("v", "h", "vh")), np.zeros(1))
+        return sum(
+            (self._part(rng, name, (1, *self.shape[1:])) for name in ("v", "h", "vh")), np.zeros(1)
+        )
 
     def frames(self, rng, image_dn, pattern, *, frames=None):
         """Frames of an image or level, DN, with noise, digitised where the camera has bits."""
@@ -66,7 +78,9 @@ class Camera:
 
     def stack(self, data):
         stamps = {} if self.rate_hz is None else {"time_s": np.arange(len(data)) / self.rate_hz}
-        return FrameStack(data=data, full_scale_dn=None if self.bits is None else 2.0**self.bits - 1, **stamps)
+        return FrameStack(
+            data=data, full_scale_dn=None if self.bits is None else 2.0**self.bits - 1, **stamps
+        )
 
     def _part(self, rng, name, shape):
         own = [n if axis else 1 for n, axis in zip(shape, AXES.get(name, (1, 1, 1)), strict=True)]
@@ -74,22 +88,45 @@ class Camera:
 
 
 def entry(label, kind, stack, *, target=None, **conditions):
-    return LoadedStackEntry(label=label, kind=kind, frames=label, conditions=Conditions(**conditions),
-                            target=target or Target(), folder=Path("."), kept=stack)  # fmt: skip
+    return LoadedStackEntry(
+        label=label,
+        kind=kind,
+        frames=label,
+        conditions=Conditions(**conditions),
+        target=target or Target(),
+        folder=Path("."),
+        kept=stack,
+    )
 
 
-def blackbody_session(camera, rng, temperatures_c, *, background_c=22.0, change=None, imager=None, more=()):
-    """Black-body flats at some temperatures; `change` alters the noiseless mean, DN, and noise of level i."""
+def blackbody_session(
+    camera, rng, temperatures_c, *, background_c=22.0, change=None, imager=None, more=()
+):
+    """Black-body flats at some temperatures; `change` alters the noiseless mean, DN, and noise of
+    level i.
+    """
     pattern, stacks = camera.pattern(rng), []
     for number, blackbody_c in enumerate(temperatures_c):
         level = camera.mean_dn(blackbody_c)
-        stack = camera.frames(rng, level, pattern) if change is None else change(number, level, pattern)
-        stacks.append(entry(f"bb-{number}", "flat", stack, blackbody_c=blackbody_c, background_c=background_c))
-    return Session(folder=Path("."), name="in memory", stacks=(*stacks, *more), camera=imager, bit_depth=camera.bits)
+        stack = (
+            camera.frames(rng, level, pattern) if change is None else change(number, level, pattern)
+        )
+        stacks.append(
+            entry(f"bb-{number}", "flat", stack, blackbody_c=blackbody_c, background_c=background_c)
+        )
+    return Session(
+        folder=Path("."),
+        name="in memory",
+        stacks=(*stacks, *more),
+        camera=imager,
+        bit_depth=camera.bits,
+    )
 
 
 def edge_frames(camera, rng, pattern, *, blur_px, angle_deg=5.0, contrast_k=8.0, frames=None):
-    """Half-moon plate before the black body: a Gaussian-blurred edge, sampled at points (its blur holds the pixel)."""
+    """Half-moon plate before the black body: a Gaussian-blurred edge, sampled at points (its blur
+    holds the pixel).
+    """
     from scipy.special import ndtr
 
     rows, cols = camera.shape[1:]

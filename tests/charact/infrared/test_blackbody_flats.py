@@ -37,7 +37,9 @@ def rng(seed):
 
 
 def test_the_camera_drawn_is_the_camera_measured(rng):
-    """SiTF and NETD within 1 %, all seven components within five standard errors, in K at each black body."""
+    """SiTF and NETD within 1 %, all seven components within five standard errors, in K at each
+    black body.
+    """
     camera = Camera(shape=(16, 48, 64))
     session = blackbody_session(camera, rng, LEVELS)
     result = measured(session)
@@ -58,15 +60,21 @@ def test_the_camera_drawn_is_the_camera_measured(rng):
 
 
 def test_flats_of_a_black_body_are_not_taken_for_flats_of_light(rng):
-    """By the session's analysis they are measured in kelvin, and the noise against light refuses them."""
+    """By the session's analysis they are measured in kelvin, and the noise against light refuses
+    them.
+    """
     session = blackbody_session(Camera(shape=SMALL), rng, LEVELS)
     assert not measured(session).find("system_gain")
-    with pytest.raises(BadInput, match=r"needs flats of light, got bb-0, .* of a black body \(blackbody_c\)"):
+    with pytest.raises(
+        BadInput, match=r"needs flats of light, got bb-0, .* of a black body \(blackbody_c\)"
+    ):
         noise.measure(session, context=method_context(session, quick=True, seed=1))
 
 
 def test_noise_in_kelvin_is_that_at_its_own_black_body(rng):
-    """Equal noise in DN is less in K where 3-5 um have more radiance per kelvin: 37 % from 17 to 28 C."""
+    """Equal noise in DN is less in K where 3-5 um have more radiance per kelvin: 37 % from 17 to 28
+    C.
+    """
     result = of(Camera(band_um=(3.0, 5.0), shape=SMALL), rng)
     cold, hot = (one(result, "noise_tvh", unit="K", stack=f"bb-{i}").value for i in (0, 4))
     assert cold / hot == pytest.approx(1.42, abs=0.04)
@@ -85,7 +93,11 @@ def test_a_picture_stored_in_coarse_steps_and_white_cold(rng):
     camera = Camera(shape=SMALL, noise_k=WHITE, bits=16)
 
     def change(number, level, pattern):
-        return camera.stack((16 * (4000 - np.asarray(camera.frames(rng, level, pattern).data, int))).astype(np.uint16))
+        return camera.stack(
+            (16 * (4000 - np.asarray(camera.frames(rng, level, pattern).data, int))).astype(
+                np.uint16
+            )
+        )
 
     result = of(camera, rng, change=change)
     assert one(result, "sitf").value == pytest.approx(320.0, rel=0.01)
@@ -137,7 +149,9 @@ def test_a_well_that_fills_below_full_scale_is_seen(rng):
     assert found.value == pytest.approx(20.0, rel=0.02)
 
 
-@pytest.mark.parametrize(("sitf", "flagged"), [(40.0, False), (10.0, False), (4.0, True), (1.0, True)])
+@pytest.mark.parametrize(
+    ("sitf", "flagged"), [(40.0, False), (10.0, False), (4.0, True), (1.0, True)]
+)
 def test_noise_below_the_digitiser_is_never_a_silent_netd(rng, sitf, flagged):
     """8 bits and 0.1 K of noise: 4 to 0.1 steps. What is ok is right, the rest is told."""
     camera = Camera(sitf_dn_per_k=sitf, bits=8, offset_dn=100.3, shape=SMALL, noise_k=WHITE)
@@ -150,7 +164,9 @@ def test_noise_below_the_digitiser_is_never_a_silent_netd(rng, sitf, flagged):
 def with_gain(camera, rng, gains, steps=(0,) * 5):
     def change(number, level, pattern):
         frames = camera.frames(rng, level, pattern).data.astype(float)
-        return camera.stack(np.rint(2000.0 + gains[number] * (frames - 2000.0) + steps[number]).astype(np.uint16))
+        return camera.stack(
+            np.rint(2000.0 + gains[number] * (frames - 2000.0) + steps[number]).astype(np.uint16)
+        )
 
     return change
 
@@ -166,7 +182,9 @@ def test_a_gain_that_follows_the_scene_is_refused_or_flagged(rng):
     two = blackbody_session(camera, rng, LEVELS[1:4:2], change=with_gain(camera, rng, (1.3, 0.8)))
     assert "agc" in one(measured(two), "netd").flags
     session = blackbody_session(camera, rng, LEVELS)
-    told = [replace(s, conditions=replace(s.conditions, automatic_gain=True)) for s in session.stacks]
+    told = [
+        replace(s, conditions=replace(s.conditions, automatic_gain=True)) for s in session.stacks
+    ]
     assert one(measured(replace(session, stacks=tuple(told))), "sitf").flags == ("agc",)
 
 
@@ -176,16 +194,23 @@ def test_an_offset_that_changes_between_levels_is_drift(rng):
     assert found.flags == ("drift",)
     assert found.interval95[0] < 20.0 < found.interval95[1]
 
-    # 10 DN a level, in the order of the levels, is 3.6 DN/K more and seen by nothing but a level that comes again.
+    # 10 DN a level, in the order of the levels, is 3.6 DN/K more and seen by nothing but a level
+    # that comes again.
     risen = [10 * number for number in range(6)]
     rising = one(of(camera, rng, change=with_gain(camera, rng, (1,) * 5, risen)), "sitf")
     assert any("taken again show it" in note for note in rising.notes)
-    again = one(of(camera, rng, (*LEVELS, 17.0), change=with_gain(camera, rng, (1,) * 6, risen)), "sitf")
+    again = one(
+        of(camera, rng, (*LEVELS, 17.0), change=with_gain(camera, rng, (1,) * 6, risen)), "sitf"
+    )
     assert again.flags == ("drift",)
     assert not any("taken again show it" in note for note in again.notes)
 
     def warming(number, level, pattern):
-        frames = camera.frames(rng, level, pattern).data + np.linspace(0, 12, SMALL[0])[:, None, None] + 15 * number
+        frames = (
+            camera.frames(rng, level, pattern).data
+            + np.linspace(0, 12, SMALL[0])[:, None, None]
+            + 15 * number
+        )
         return camera.stack(np.rint(frames).astype(np.uint16))
 
     assert "drift" in one(of(camera, rng, change=warming), "sitf").flags
@@ -215,7 +240,9 @@ def test_a_black_body_that_does_not_fill_the_frame_is_a_gradient(rng):
 @pytest.mark.parametrize("span", [2.0, 60.0])
 @pytest.mark.parametrize("count", [2, 6])
 def test_no_span_of_levels_fails_silently(rng, band, span, count):
-    """Wherever the band is unknown and the levels lie, what is ok holds the truth within twice its interval."""
+    """Wherever the band is unknown and the levels lie, what is ok holds the truth within twice its
+    interval.
+    """
     camera = Camera(band_um=band, shape=(8, 32, 32), noise_k=WHITE, offset_dn=4000.0)
     found = one(of(camera, rng, 22.0 + np.linspace(-0.3, 0.7, count) * span), "sitf")
     if found.status == "ok":
@@ -233,18 +260,24 @@ def test_backgrounds_that_differ_or_lie_far_away_are_told(rng):
     session = blackbody_session(camera, rng, LEVELS)
     stacks = list(session.stacks)
     stacks[0] = replace(stacks[0], conditions=replace(stacks[0].conditions, background_c=25.0))
-    assert one(measured(replace(session, stacks=tuple(stacks))), "sitf").flags == ("unlike-conditions",)
+    assert one(measured(replace(session, stacks=tuple(stacks))), "sitf").flags == (
+        "unlike-conditions",
+    )
 
 
 def test_lines_of_both_scan_directions_are_no_fixed_row_noise(rng):
-    """A two-way scanner whose return lines lie 3 DN higher: apart they have no row noise, together 1.5 DN."""
+    """A two-way scanner whose return lines lie 3 DN higher: apart they have no row noise, together
+    1.5 DN.
+    """
     camera = Camera(shape=(16, 96, 64), noise_k=WHITE)
     row = np.arange(96)[:, None]
 
     def change(number, level, pattern):
         return camera.frames(rng, level + 3.0 * (row % 4 >= 2), pattern)
 
-    session = blackbody_session(camera, rng, LEVELS[1:4], change=change, imager=load_camera("scanning-lwir"))
+    session = blackbody_session(
+        camera, rng, LEVELS[1:4], change=change, imager=load_camera("scanning-lwir")
+    )
     apart = one(measured(session), "noise_v", unit="K", stack="bb-1")
     together = one(measured(replace(session, camera=None)), "noise_v", unit="K", stack="bb-1")
     assert apart.value < 0.02

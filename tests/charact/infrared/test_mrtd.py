@@ -27,7 +27,9 @@ def test_the_constant_is_that_of_four_bars():
 
 
 def test_worked_example_of_a_scanner():
-    """0.1 K, 1.8 mrad, 30 frames/s; MTF of footprint, 1.5 MHz and 0.3 mrad: within 2 % of the sheet's numbers."""
+    """0.1 K, 1.8 mrad, 30 frames/s; MTF of footprint, 1.5 MHz and 0.3 mrad: within 2 % of the
+    sheet's numbers.
+    """
     f = np.array([0.05, 0.1, 0.2, 0.25])
     found = mrtd(f, [0.938, 0.790, 0.467, 0.338], 0.1, frame_rate_hz=30.0, footprint=1.8)
     assert found == pytest.approx([0.0065, 0.0153, 0.0519, 0.0896], rel=0.02)
@@ -51,7 +53,9 @@ def test_worked_examples_of_arrays(pitch_um, um, f_number, netd_k, rate_hz, shee
 def session():
     rng = np.random.default_rng(47)
     camera = Camera(shape=(8, 80, 80), noise_k=WHITE)
-    half_moon = entry("edge", "edge", edge_frames(camera, rng, 0.0, blur_px=0.8), target=Target(angle_deg=5.0))
+    half_moon = entry(
+        "edge", "edge", edge_frames(camera, rng, 0.0, blur_px=0.8), target=Target(angle_deg=5.0)
+    )
     return blackbody_session(camera, rng, (18.0, 22.0, 26.0), more=(half_moon,))
 
 
@@ -61,11 +65,19 @@ def result(session):
 
 
 def test_an_edge_gives_mrtd_by_netd_and_mtf(result):
-    """A Gaussian blur of 0.8 px and 0.1 K, at 30 frames/s by time stamps; the interval is that of NETD and MTF."""
+    """A Gaussian blur of 0.8 px and 0.1 K, at 30 frames/s by time stamps; the interval is that of
+    NETD and MTF.
+    """
     netd_k = np.hypot(0.1, 1.0 / np.sqrt(12.0) / 20.0)
     for f in (0.125, 0.25):
         (found,) = result.find("mrtd", frequency_cy_per_px=f)
-        expected = 0.6594 * 2.5 * netd_k * f / (np.exp(-2.0 * (np.pi * 0.8 * f) ** 2) * np.sqrt(0.2 * 30.0))
+        expected = (
+            0.6594
+            * 2.5
+            * netd_k
+            * f
+            / (np.exp(-2.0 * (np.pi * 0.8 * f) ** 2) * np.sqrt(0.2 * 30.0))
+        )
         assert (found.status, found.unit, found.stack) == ("ok", "K", "edge")
         assert found.value == pytest.approx(expected, rel=0.03)
         assert found.interval95[0] < expected < found.interval95[1]
@@ -86,7 +98,9 @@ def test_what_is_missing_is_named(session, result):
 
 
 def test_scan_directions_are_rows_of_one_sweep():
-    """Rows 4 n and 4 n + 1 go right, 4 n + 2 and 4 n + 3 left; both keep their fields, at twice the row pitch."""
+    """Rows 4 n and 4 n + 1 go right, 4 n + 2 and 4 n + 3 left; both keep their fields, at twice the
+    row pitch.
+    """
     rows = np.broadcast_to(np.arange(482.0)[:, None], (2, 482, 20))
     context = Context(imager=load_camera("scanning-lwir"), interlaced=True)
     parts = list(scan_directions(FrameStack(data=rows), (8, 2, 40, 10), context=context))
@@ -96,4 +110,6 @@ def test_scan_directions_are_rows_of_one_sweep():
     assert to_left.data[0, :4, 0].tolist() == [2, 3, 6, 7]
     assert own.pitch_ratio == pytest.approx(2.0 * context.pitch_ratio)
     array = replace(context, imager=load_camera("vox-lwir-640"))
-    assert [name for name, *_ in scan_directions(FrameStack(data=rows), None, context=array)] == [""]
+    assert [name for name, *_ in scan_directions(FrameStack(data=rows), None, context=array)] == [
+        ""
+    ]

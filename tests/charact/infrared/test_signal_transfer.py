@@ -30,13 +30,17 @@ def test_band_radiance_agrees_with_the_table(kelvin, low, high, radiance, deriva
     assert float(energy.radiance(kelvin)) == pytest.approx(radiance, rel=3e-6)
     assert float(energy.derivative(kelvin)) == pytest.approx(derivative, rel=3e-6)
     assert float(counted.radiance(kelvin)) / PHOTON_J_UM == pytest.approx(photons, rel=3e-6)
-    assert float(energy.radiance(kelvin)) == pytest.approx(band_radiance(low, high, kelvin)[0], rel=1e-8)
+    assert float(energy.radiance(kelvin)) == pytest.approx(
+        band_radiance(low, high, kelvin)[0], rel=1e-8
+    )
 
 
 @pytest.mark.parametrize(("low", "high", "growth"), [(8, 12, 0.052), (3, 5, 0.165)])
 def test_contrast_per_kelvin_grows_from_295_to_300(low, high, growth):
     band = Response(low_um=low, high_um=high)
-    assert float(band.derivative(300.0) / band.derivative(295.0)) - 1.0 == pytest.approx(growth, abs=5e-4)
+    assert float(band.derivative(300.0) / band.derivative(295.0)) - 1.0 == pytest.approx(
+        growth, abs=5e-4
+    )
 
 
 def fit(camera, celsius, *, background_c=22.0, band_um=None, error_k=0.0, rng=None, seed=0):
@@ -44,9 +48,13 @@ def fit(camera, celsius, *, background_c=22.0, band_um=None, error_k=0.0, rng=No
     celsius = np.asarray(celsius, float)
     mean = camera.mean_dn(celsius + error_k * rng.standard_normal(len(celsius)))
     return fit_signal_transfer(
-        celsius + 273.15, mean, np.full(len(mean), 0.02), band_um=band_um, rng=rng,
+        celsius + 273.15,
+        mean,
+        np.full(len(mean), 0.02),
+        band_um=band_um,
+        rng=rng,
         background_k=None if background_c is None else background_c + 273.15,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("band", [(3.0, 5.0), (8.0, 12.0)])
@@ -62,7 +70,9 @@ def test_the_slope_is_that_at_the_background_wherever_the_levels_lie(band):
 
 
 def test_two_levels_of_an_unknown_band_leave_its_bend_in_the_interval():
-    """From 22 to 27 C the mean slope of 3-5 um exceeds that at 22 C by 8 %, of a linear camera by 0."""
+    """From 22 to 27 C the mean slope of 3-5 um exceeds that at 22 C by 8 %, of a linear camera by
+    0.
+    """
     for band in ((3.0, 5.0), (8.0, 12.0), None):
         low, high = np.quantile(fit(Camera(band_um=band), [22, 27]).sitf, [0.025, 0.975])
         assert low < 20.0 < high
@@ -70,7 +80,9 @@ def test_two_levels_of_an_unknown_band_leave_its_bend_in_the_interval():
 
 
 def test_an_unknown_background_lies_anywhere_between_the_levels():
-    low, high = np.quantile(fit(Camera(band_um=(3.0, 5.0)), [17, 20, 22, 25, 27], background_c=None).sitf, [0.02, 0.98])
+    low, high = np.quantile(
+        fit(Camera(band_um=(3.0, 5.0)), [17, 20, 22, 25, 27], background_c=None).sitf, [0.02, 0.98]
+    )
     ends = [Response(low_um=3, high_um=5).derivative(273.15 + t) for t in (17.5, 22.0, 26.5)]
     assert low < 20.0 * ends[0] / ends[1]
     assert high > 20.0 * ends[2] / ends[1]
@@ -82,14 +94,18 @@ def test_intervals_hold_the_truth_with_an_ordinary_black_body(levels, error_k, s
     """60 sessions of 95 % intervals: 57 hold on average; 50 is four standard errors below."""
     rng, held = np.random.default_rng([seed, len(levels)]), 0
     for _ in range(60):
-        low, high = np.quantile(fit(Camera(), levels, band_um=(8, 12), error_k=error_k, rng=rng).sitf, [0.025, 0.975])
+        low, high = np.quantile(
+            fit(Camera(), levels, band_um=(8, 12), error_k=error_k, rng=rng).sitf, [0.025, 0.975]
+        )
         held += low <= 20.0 <= high
     assert held >= 50
 
 
 def test_a_black_body_five_times_worse_than_taken_is_seen(seed):
-    """Five levels that err by 0.1 K, 60 times: chi squared tells 88 % of them (53, five standard errors less are 40),
-    and one in a hundred is neither seen nor inside twice its interval (five standard errors more are 4)."""
+    """Five levels that err by 0.1 K, 60 times: chi squared tells 88 % of them (53, five standard
+    errors less are 40), and one in a hundred is neither seen nor inside twice its interval (five
+    standard errors more are 4).
+    """
     rng, seen, silent = np.random.default_rng([seed, 1]), 0, 0
     for _ in range(60):
         found = fit(Camera(), [17, 20, 22, 25, 28], band_um=(8, 12), error_k=0.1, rng=rng)

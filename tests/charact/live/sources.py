@@ -14,10 +14,14 @@ from charact.method import Context
 from labdata.capture import Frame
 
 
-def seen(pixels: NDArray, number: int, *, full_scale_dn: float = 255.0, of: str = "a camera") -> SourceFrame:
+def seen(
+    pixels: NDArray, number: int, *, full_scale_dn: float = 255.0, of: str = "a camera"
+) -> SourceFrame:
     """A frame thirty of which come in a second."""
     return SourceFrame(
-        frame=Frame(pixels=pixels, number=number, time_s=number / 30.0), of=of, full_scale_dn=full_scale_dn
+        frame=Frame(pixels=pixels, number=number, time_s=number / 30.0),
+        of=of,
+        full_scale_dn=full_scale_dn,
     )
 
 
@@ -39,12 +43,18 @@ class Told:
             yield None
 
 
-def noisy(rng: np.random.Generator, *, mean_dn: float = 100.0, sd_dn: float = 3.0, shape=(128, 160)) -> NDArray:
+def noisy(
+    rng: np.random.Generator, *, mean_dn: float = 100.0, sd_dn: float = 3.0, shape=(128, 160)
+) -> NDArray:
     return np.rint(rng.normal(mean_dn, sd_dn, shape)).astype(np.uint8)
 
 
-def edge(rng: np.random.Generator, *, blur_px: float, shape=(160, 160), sd_dn: float = 2.0) -> NDArray:
-    """A slanted edge blurred by a Gaussian of `blur_px`: its MTF50 is sqrt(ln 2 / 2) / (pi blur_px) cy/px."""
+def edge(
+    rng: np.random.Generator, *, blur_px: float, shape=(160, 160), sd_dn: float = 2.0
+) -> NDArray:
+    """A slanted edge blurred by a Gaussian of `blur_px`: its MTF50 is sqrt(ln 2 / 2) / (pi blur_px)
+    cy/px.
+    """
     from scipy.special import erf
 
     rows, cols = np.indices(shape)

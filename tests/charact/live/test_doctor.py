@@ -15,39 +15,61 @@ def can_work(found: tuple[Finding, ...]) -> bool:
     return all(one.ok for one in found if one.core)
 
 
-REQUIRES = ("numpy>=2.1", "zarr>=3.1", 'starlette>=0.46; extra == "live"', 'uvicorn>=0.34 ; extra == "live"')
+REQUIRES = (
+    "numpy>=2.1",
+    "zarr>=3.1",
+    'starlette>=0.46; extra == "live"',
+    'uvicorn>=0.34 ; extra == "live"',
+)
 
 
 def test_a_package_that_is_missing_or_too_old_is_named_with_what_installs_it() -> None:
     there = {"numpy": "2.10.0", "zarr": "3.0.9", "starlette": "0.46.1"}
     core, live = doctor.package_findings(REQUIRES, there.get)
     assert core.core and not core.ok and core.says == "zarr must be 3.1 or later, got 3.0.9"
-    assert not live.core and live.says == "uvicorn is not installed" and "charact[live]" in (live.fix or "")
+    assert (
+        not live.core
+        and live.says == "uvicorn is not installed"
+        and "charact[live]" in (live.fix or "")
+    )
     good = {"numpy": "2.1", "zarr": "3.1.6rc1", "starlette": "1.0", "uvicorn": "0.34.0"}
     assert all(one.ok for one in doctor.package_findings(REQUIRES, good.get))
 
 
 def test_what_charact_needs_is_read_from_its_own_metadata() -> None:
-    assert [doctor.python_finding(version).ok for version in ((3, 10, 14), (3, 11, 0), (3, 12, 1))] == [
+    assert [
+        doctor.python_finding(version).ok for version in ((3, 10, 14), (3, 11, 0), (3, 12, 1))
+    ] == [
         False,
         True,
         True,
     ]
     found = {one.area: one for one in doctor.software_findings()}
-    assert found["packages"].ok and {"extra live", "extra pdf", "extra fits", "extra dask"} <= set(found)
+    assert found["packages"].ok and {"extra live", "extra pdf", "extra fits", "extra dask"} <= set(
+        found
+    )
 
 
 def test_a_small_socket_buffer_is_named_with_the_command_that_widens_it(tmp_path) -> None:
     (tmp_path / "rmem_max").write_text("212992\n")
     found = doctor.socket_buffer(tmp_path)
-    assert not found.ok and "0.203 MiB" in found.says and "net.core.rmem_max=8388608" in (found.fix or "")
+    assert (
+        not found.ok
+        and "0.203 MiB" in found.says
+        and "net.core.rmem_max=8388608" in (found.fix or "")
+    )
     (tmp_path / "rmem_max").write_text("8388608\n")
     assert doctor.socket_buffer(tmp_path).ok
     assert doctor.socket_buffer(tmp_path / "none").ok
 
 
 def test_packet_sizes_are_those_of_interfaces_that_are_up(tmp_path) -> None:
-    for name, state, mtu in (("eth0", "up", 1500), ("eth1", "up", 9000), ("eth2", "up", 576), ("wlan0", "down", 500)):
+    for name, state, mtu in (
+        ("eth0", "up", 1500),
+        ("eth1", "up", 9000),
+        ("eth2", "up", 576),
+        ("wlan0", "down", 500),
+    ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "operstate").write_text(state)
         (tmp_path / name / "mtu").write_text(str(mtu))
@@ -58,7 +80,9 @@ def test_packet_sizes_are_those_of_interfaces_that_are_up(tmp_path) -> None:
 
 
 def test_a_full_or_slow_disk_has_a_fix_and_one_that_takes_nothing_stops_the_core(tmp_path) -> None:
-    assert doctor.room_finding(tmp_path, 2 * 10**12).ok and not doctor.room_finding(tmp_path, 10**9).ok
+    assert (
+        doctor.room_finding(tmp_path, 2 * 10**12).ok and not doctor.room_finding(tmp_path, 10**9).ok
+    )
     # 22.7 MB/s: ten minutes of 768 x 493 px of 16 bit at 30 Hz.
     assert "10 minutes" in doctor.room_finding(tmp_path, 600 * 30 * 2 * 768 * 493 + 1).says
     assert doctor.speed_finding(tmp_path, 250.0).ok and not doctor.speed_finding(tmp_path, 40.0).ok
@@ -67,7 +91,9 @@ def test_a_full_or_slow_disk_has_a_fix_and_one_that_takes_nothing_stops_the_core
     assert not can_work(tuple(doctor.disk_findings(tmp_path / "nowhere")))
 
 
-def test_devices_are_told_with_the_kernels_name_and_with_whether_they_may_be_opened(tmp_path, monkeypatch) -> None:
+def test_devices_are_told_with_the_kernels_name_and_with_whether_they_may_be_opened(
+    tmp_path, monkeypatch
+) -> None:
     devices, kernel = tmp_path / "dev", tmp_path / "sys"
     devices.mkdir()
     (devices / "video10").touch()
@@ -85,17 +111,25 @@ def test_devices_are_told_with_the_kernels_name_and_with_whether_they_may_be_ope
     assert all(not one.ok and "usermod -a -G video" in (one.fix or "") for one in shut)
 
 
-def test_the_verb_prints_ok_or_the_fix_and_ends_with_the_cores_verdict(tmp_path, monkeypatch) -> None:
+def test_the_verb_prints_ok_or_the_fix_and_ends_with_the_cores_verdict(
+    tmp_path, monkeypatch
+) -> None:
     from charact.live import doctor
 
     # Nothing is asked of the network in a test.
     monkeypatch.setattr(
-        doctor, "camera_findings", lambda: iter([Finding(area="aravis", says="none", fix="plug one in")])
+        doctor,
+        "camera_findings",
+        lambda: iter([Finding(area="aravis", says="none", fix="plug one in")]),
     )
     plain = CliRunner().invoke(app, ["doctor", str(tmp_path)])
     assert plain.exit_code == 0, plain.output
     assert "FIX  aravis" in plain.stdout and "-> plug one in" in plain.stdout
-    assert all(line.startswith(("ok ", "FIX", "     ", "The core")) for line in plain.stdout.splitlines() if line)
+    assert all(
+        line.startswith(("ok ", "FIX", "     ", "The core"))
+        for line in plain.stdout.splitlines()
+        if line
+    )
     told = json.loads(CliRunner().invoke(app, ["doctor", str(tmp_path), "--json"]).stdout)
     assert told["core_can_work"] is True
     assert all(one["ok"] is (one["fix"] is None) for one in told["findings"])

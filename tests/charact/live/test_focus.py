@@ -49,7 +49,9 @@ def test_the_best_is_held_while_the_lens_is_turned_through_focus(seed) -> None:
 
 
 def test_noise_alone_does_not_push_the_best_upwards(seed) -> None:
-    """Of 50 lenses that nobody turns, 1,500 readings each: intervals of two standard errors on either side."""
+    """Of 50 lenses that nobody turns, 1,500 readings each: intervals of two standard errors on
+    either side.
+    """
     error, bests = 0.005, []
     for readings in np.random.default_rng(seed).normal(0.2, error, (50, 1500)):
         held = BestFocus()
@@ -78,10 +80,16 @@ def test_only_clearly_sharper_trusted_readings_take_the_place_of_the_best() -> N
 
 
 def test_readings_that_share_frames_are_held_against_the_best_once(seed) -> None:
-    """One sharp moment, in all readings that its frames enter: no two of them confirm each other."""
+    """One sharp moment, in all readings that its frames enter: no two of them confirm each
+    other.
+    """
     rng = np.random.default_rng(seed)
     with FocusReader(CONTEXT, None, AtOnce()) as reader:
-        for blur_px in (*[2.0] * 2 * AVERAGED_FRAMES, *[1.2] * AVERAGED_FRAMES, *[2.0] * 2 * AVERAGED_FRAMES):
+        for blur_px in (
+            *[2.0] * 2 * AVERAGED_FRAMES,
+            *[1.2] * AVERAGED_FRAMES,
+            *[2.0] * 2 * AVERAGED_FRAMES,
+        ):
             reader.look_at(edge(rng, blur_px=blur_px, shape=(100, 100)))
         assert reader.best.best is not None and reader.best.best.mtf50_cy_per_px is not None
         blurred = np.sqrt(np.log(2.0) / 2.0) / (np.pi * 2.0)

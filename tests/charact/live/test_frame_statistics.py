@@ -1,4 +1,6 @@
-"""Meters read what is in the frame: counts are exact, the noise lies within its stated standard errors."""
+"""Meters read what is in the frame: counts are exact, the noise lies within its stated standard
+errors.
+"""
 
 import numpy as np
 import pytest
@@ -7,8 +9,12 @@ from charact.live.live_view import SATURATED_BGR, measure_frame, render_preview
 from labdata.errors import BadInput
 
 
-@pytest.mark.parametrize("dtype,full_scale_dn", [(np.uint8, 255), (np.uint16, 1023), (np.uint16, 65535)])
-def test_every_saturated_pixel_is_counted_and_every_pixel_is_in_the_histogram(dtype, full_scale_dn, seed) -> None:
+@pytest.mark.parametrize(
+    "dtype,full_scale_dn", [(np.uint8, 255), (np.uint16, 1023), (np.uint16, 65535)]
+)
+def test_every_saturated_pixel_is_counted_and_every_pixel_is_in_the_histogram(
+    dtype, full_scale_dn, seed
+) -> None:
     rng = np.random.default_rng(seed)
     frame = rng.integers(0, full_scale_dn, (97, 131)).astype(dtype)
     places = rng.choice(frame.size, 37, replace=False)
@@ -42,9 +48,14 @@ def test_stated_error_of_the_noise_holds_where_pixels_share_their_noise(seed) ->
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng(seed)
-    shared = [gaussian_filter(rng.normal(0.0, 60.0, (480, 640)), 2.0, mode="wrap") for _ in range(41)]
+    shared = [
+        gaussian_filter(rng.normal(0.0, 60.0, (480, 640)), 2.0, mode="wrap") for _ in range(41)
+    ]
     frames = [np.rint(2000.0 + one).astype(np.uint16) for one in shared]
-    read = [measure_frame(b, a, full_scale_dn=4095.0) for a, b in zip(frames[::2], frames[1::2], strict=False)]
+    read = [
+        measure_frame(b, a, full_scale_dn=4095.0)
+        for a, b in zip(frames[::2], frames[1::2], strict=False)
+    ]
     scatter = np.std([meters.noise_dn for meters in read], ddof=1)
     stated = np.mean([meters.noise_se_dn for meters in read])
     assert 0.5 < stated / scatter < 1.7

@@ -1,4 +1,6 @@
-"""The bench at work: a camera is only read, its rate is its own, and the terminal shows what the page shows."""
+"""The bench at work: a camera is only read, its rate is its own, and the terminal shows what the
+page shows.
+"""
 
 import io
 from collections.abc import Callable, Iterator
@@ -29,7 +31,9 @@ class AskedCamera:
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         self.asked.append(settings)
-        return CameraSettings(pixel_format="Mono12", exposure_s=0.01, gain_db=6.0, frame_rate_hz=30.0)
+        return CameraSettings(
+            pixel_format="Mono12", exposure_s=0.01, gain_db=6.0, frame_rate_hz=30.0
+        )
 
     @contextmanager
     def capture(
@@ -44,7 +48,9 @@ class AskedCamera:
 
 
 def test_a_camera_is_read_and_nothing_of_it_is_set() -> None:
-    frames = [Frame(pixels=np.full((8, 8), n, np.uint16), number=n, time_s=n / 30.0) for n in (5, 6, 9)]
+    frames = [
+        Frame(pixels=np.full((8, 8), n, np.uint16), number=n, time_s=n / 30.0) for n in (5, 6, 9)
+    ]
     camera = AskedCamera(frames)
 
     @contextmanager
@@ -55,12 +61,18 @@ def test_a_camera_is_read_and_nothing_of_it_is_set() -> None:
     shown = list(islice(CameraSource(opened(), name="asked", context=Context()), 3))
     assert camera.asked == [CameraSettings()]
     assert [one.lost_frames for one in shown if one] == [0, 0, 2]
-    assert all(one and one.full_scale_dn == 4095.0 and one.conditions.camera_gain_db == 6.0 for one in shown)
+    assert all(
+        one and one.full_scale_dn == 4095.0 and one.conditions.camera_gain_db == 6.0
+        for one in shown
+    )
 
 
 def test_the_rate_is_the_cameras_own_and_counts_frames_that_nobody_looked_at() -> None:
     rate = FrameRate()
-    told = [rate.after(Frame(pixels=np.zeros((2, 2)), number=n, time_s=n / 25.0)) for n in range(0, 200, 3)]
+    told = [
+        rate.after(Frame(pixels=np.zeros((2, 2)), number=n, time_s=n / 25.0))
+        for n in range(0, 200, 3)
+    ]
     assert told[0] is None
     assert told[-1] == pytest.approx(25.0)
     # A new stack counts from the beginning.

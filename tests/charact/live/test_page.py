@@ -47,14 +47,24 @@ class Client:
 
     async def _ask(self, method: str, path: str, asked: dict) -> httpx.Response:
         transport = httpx.ASGITransport(self._app)
-        async with httpx.AsyncClient(transport=transport, base_url=self._base, cookies=self._cookies) as client:
+        async with httpx.AsyncClient(
+            transport=transport, base_url=self._base, cookies=self._cookies
+        ) as client:
             answer = await client.request(method, path, **asked)
             self._cookies = client.cookies
             return answer
 
 
-def client(running: LiveLoop, *, token: str | None = None, base: str = OWN, hosts=("127.0.0.1", "localhost")) -> Client:
-    return Client(PageAccess(page(running, title="charact live"), hosts=hosts, port=PORT, token=token), base)
+def client(
+    running: LiveLoop,
+    *,
+    token: str | None = None,
+    base: str = OWN,
+    hosts=("127.0.0.1", "localhost"),
+) -> Client:
+    return Client(
+        PageAccess(page(running, title="charact live"), hosts=hosts, port=PORT, token=token), base
+    )
 
 
 def test_own_page_is_served_with_no_door_left_open(running) -> None:
@@ -94,7 +104,12 @@ def test_another_origin_or_another_name_sees_nothing(running, strange) -> None:
 
 def test_another_page_cannot_make_the_bench_forget(running) -> None:
     assert client(running).post("/best/forget").status_code == 403
-    assert client(running).post("/best/forget", headers={"origin": "http://stranger.example"}).status_code == 403
+    assert (
+        client(running)
+        .post("/best/forget", headers={"origin": "http://stranger.example"})
+        .status_code
+        == 403
+    )
     assert client(running).post("/best/forget", headers={"origin": OWN}).status_code == 200
 
 
@@ -113,8 +128,15 @@ def test_without_the_token_nobody_sees_a_page_that_others_can_reach(running, pat
         strangers.get(path, headers={"cookie": "charact-8600"}),
     ]
     assert {answer.status_code for answer in refused} == {401}
-    assert all("token in the address" in answer.text and "mean_dn" not in answer.text for answer in refused)
-    assert strangers.get(path, params={"token": token}, headers={"host": "rebound.example:8600"}).status_code == 403
+    assert all(
+        "token in the address" in answer.text and "mean_dn" not in answer.text for answer in refused
+    )
+    assert (
+        strangers.get(
+            path, params={"token": token}, headers={"host": "rebound.example:8600"}
+        ).status_code
+        == 403
+    )
 
 
 def test_the_token_opens_once_by_address_and_then_by_a_cookie_that_no_script_reads(running) -> None:
@@ -131,7 +153,9 @@ def test_no_address_but_the_loopback_is_served_without_a_token(running) -> None:
         assert not is_loopback(host)
         with pytest.raises(BadInput, match="must have a token"):
             client(running, hosts=(host,))
-    assert all(is_loopback(host) for host in ("127.0.0.1", "127.8.8.8", "::1", "[::1]", "localhost"))
+    assert all(
+        is_loopback(host) for host in ("127.0.0.1", "127.8.8.8", "::1", "[::1]", "localhost")
+    )
 
 
 def test_a_web_socket_is_never_accepted(running) -> None:
@@ -140,14 +164,23 @@ def test_a_web_socket_is_never_accepted(running) -> None:
     async def send(message: dict) -> None:
         sent.append(message["type"])
 
-    guard = PageAccess(page(running, title="charact live"), hosts=("127.0.0.1",), port=PORT, token=None)
-    scope = {"type": "websocket", "path": "/events", "headers": [(b"host", b"127.0.0.1:8600")], "query_string": b""}
+    guard = PageAccess(
+        page(running, title="charact live"), hosts=("127.0.0.1",), port=PORT, token=None
+    )
+    scope = {
+        "type": "websocket",
+        "path": "/events",
+        "headers": [(b"host", b"127.0.0.1:8600")],
+        "query_string": b"",
+    }
     asyncio.run(guard(scope, None, send))
     assert "websocket.accept" not in sent and "websocket.send" not in sent
 
 
 def test_events_carry_meters_and_histogram_and_end_with_a_reason(running) -> None:
-    events = [block.split("\n", 1) for block in client(running).get("/events").text.strip().split("\n\n")]
+    events = [
+        block.split("\n", 1) for block in client(running).get("/events").text.strip().split("\n\n")
+    ]
     kinds = [kind.removeprefix("event: ") for kind, _ in events]
     assert kinds == ["about", "view", "ended"]
     view = json.loads(events[1][1].removeprefix("data: "))
@@ -158,7 +191,10 @@ def test_events_carry_meters_and_histogram_and_end_with_a_reason(running) -> Non
 
 def test_the_page_asks_the_network_for_nothing_and_names_a_unit_with_every_meter(running) -> None:
     files = {path: client(running).get(path).text for path in ("/", "/live.js", "/live.css")}
-    assert not any("http:" in text or "https:" in text or "//" in text.replace("// ", "") for text in files.values())
+    assert not any(
+        "http:" in text or "https:" in text or "//" in text.replace("// ", "")
+        for text in files.values()
+    )
     for unit in ("DN", "px", "Hz", "cy/px", "ms", "%"):
         assert any(unit in text for text in files.values())
 

@@ -1,4 +1,6 @@
-"""Serving: what is missing or taken is one sentence; the address of a page for others holds its token."""
+"""Serving: what is missing or taken is one sentence; the address of a page for others holds its
+token.
+"""
 
 import socket
 import sys

@@ -19,7 +19,9 @@ SHAPE = (96, 112)
 FRAMES = 6
 
 
-def take(writer: SessionWriter, label: str, kind: str, rng: np.random.Generator, finish: bool = True) -> None:
+def take(
+    writer: SessionWriter, label: str, kind: str, rng: np.random.Generator, finish: bool = True
+) -> None:
     setting = Conditions(mcp_v=700.0, gate_ns=1e7)
     with writer.begin_stack(label, kind, SHAPE, np.uint8, setting) as stack:  # type: ignore[arg-type]
         for number in range(FRAMES):
@@ -100,7 +102,8 @@ def test_a_flat_is_measured_over_the_dark_of_its_setting_and_its_numbers_hold(se
     # Of white noise: the variance over the mean, what the darks hold of both taken off.
     standard_error = (gain.interval95[1] - gain.interval95[0]) / 3.92
     assert abs(gain.value - (36.0 - 4.0) / (90.0 - 12.0)) < 4.5 * standard_error
-    # Six frames of so few pixels tell the gain within some eighth, and not surer than their variances let them.
+    # Six frames of so few pixels tell the gain within some eighth, and not surer than their
+    # variances let them.
     assert 0.05 < standard_error / gain.value < 0.2
 
 
@@ -111,8 +114,14 @@ def test_the_verb_prints_one_line_a_stack_with_interval_and_saturation(session) 
     plain = CliRunner().invoke(app, ["watch", str(writer.folder)])
     assert plain.exit_code == 0, plain.output
     (line,) = plain.stdout.splitlines()
-    assert line.startswith("edge (edge): 6 frames, 0 lost, mean ") and "at most 5 px at 255 DN" in line
+    assert (
+        line.startswith("edge (edge): 6 frames, 0 lost, mean ") and "at most 5 px at 255 DN" in line
+    )
     assert "mtf50" in line and "cy/px [" in line and "95 %" in line
-    lines = CliRunner().invoke(app, ["watch", str(writer.folder), "--once", "--json"]).stdout.splitlines()
+    lines = (
+        CliRunner()
+        .invoke(app, ["watch", str(writer.folder), "--once", "--json"])
+        .stdout.splitlines()
+    )
     told = json.loads(lines[0])
     assert len(lines) == 1 and told["stack"] == "edge" and told["most_saturated_px"] == 5

@@ -32,7 +32,9 @@ def test_a_method_of_another_package_is_listed_and_measures(package, monkeypatch
 
     @register("edge", "edge-theirs", quantities=("mtf50",), scope="always 0.3")
     def measure(stack, *, region, context) -> Result:
-        return Result(measurements=(measurement_from_sd("mtf50", "cy/px", 0.3, 0.01, method="edge-theirs"),))
+        return Result(
+            measurements=(measurement_from_sd("mtf50", "cy/px", 0.3, 0.01, method="edge-theirs"),)
+        )
 
     assert "edge-theirs" in registry.methods_of_kind("edge")
     found = charact.mtf(np.zeros((40, 40)), roi=(0, 0, 40, 40), method="edge-theirs")

@@ -1,4 +1,6 @@
-"""A measurement's time is that of the call that made it, refused or not; what numba compiles in it is not counted."""
+"""A measurement's time is that of the call that made it, refused or not; what numba compiles in it
+is not counted.
+"""
 
 import threading
 import time
@@ -32,11 +34,18 @@ def registered() -> Iterator[Callable]:
 def both(**fields) -> Result:
     """One measurement with a number, one without."""
     number = make_measurement("mtf50", "cy/px", 0.2, None, None, method="toy", **fields)
-    return Result(measurements=(number, make_refusal("mtf10", "cy/px", "nothing there", method="toy", **fields)))
+    return Result(
+        measurements=(
+            number,
+            make_refusal("mtf10", "cy/px", "nothing there", method="toy", **fields),
+        )
+    )
 
 
 def fresh() -> Callable[[float], float]:
-    """A function that numba must compile, with another that it calls: one compiles while the other does."""
+    """A function that numba must compile, with another that it calls: one compiles while the other
+    does.
+    """
 
     @njit
     def inner(x: float) -> float:

@@ -1,7 +1,9 @@
-"""Targets as an intensified camera shows them: photoelectrons where the light falls, each a pulse of light.
+"""Targets as an intensified camera shows them: photoelectrons where the light falls, each a pulse
+of light.
 
-Pulses fall on a grid several times finer than the pixels, at random as the light before the gain has it; a Gaussian and
-the square pixel make pixels of them. Nothing is shared with the methods measured.
+Pulses fall on a grid several times finer than the pixels, at random as the light before the gain
+has it; a Gaussian and the square pixel make pixels of them. Nothing is shared with the methods
+measured.
 """
 
 from abc import ABC, abstractmethod
@@ -22,7 +24,8 @@ from labdata.frames import FrameStack
 
 Array = NDArray[np.floating]
 
-# Places of pulses in a pixel, along each axis, and pixels around the frame whose pulses reach into it.
+# Places of pulses in a pixel, along each axis, and pixels around the frame whose pulses reach into
+# it.
 FINER, MARGIN_PX = 4, 8
 # Blur of a fixed pattern of gains, px: that of a screen's grain rather than of single pixels.
 PATTERN_PX = 0.7
@@ -30,7 +33,8 @@ PATTERN_PX = 0.7
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoelectronTarget(ABC):
-    """A target before an intensified camera, with one knob for each way in which methods break whatever the target.
+    """A target before an intensified camera, with one knob for each way in which methods break
+    whatever the target.
 
     Parameters
     ----------
@@ -47,7 +51,8 @@ class PhotoelectronTarget(ABC):
     gain_spread
         Relative variance of the pulses' heights: 1 is exponential, 0 has none.
     read_dn, row_noise_dn
-        Standard deviations of white read noise and of an offset that each row of each frame has for itself, DN.
+        Standard deviations of white read noise and of an offset that each row of each frame has for
+        itself, DN.
     rows, cols, frames
         Size of the stack.
     angle_deg
@@ -55,12 +60,14 @@ class PhotoelectronTarget(ABC):
     gradient
         Illumination at the right border over that at the left, minus 1.
     vignetting
-        Share of the light that the corners lose, growing with the square of the distance from the middle.
+        Share of the light that the corners lose, growing with the square of the distance from the
+        middle.
     interlaced, motion_px
-        Whether odd rows are exposed in a later field, and the displacement along the rows until then, px.
+        Whether odd rows are exposed in a later field, and the displacement along the rows until
+        then, px.
     drift_px, jitter_px
-        Displacement along the rows from the first frame to the last, and standard deviation of one that each frame has
-        for itself, px.
+        Displacement along the rows from the first frame to the last, and standard deviation of one
+        that each frame has for itself, px.
     flicker
         Relative standard deviation of the light from exposure to exposure.
     lag
@@ -111,7 +118,8 @@ class PhotoelectronTarget(ABC):
     def __post_init__(self) -> None:
         if not (self.photoelectrons > 0 and self.pulse_px > 0):
             raise BadInput(
-                f"photoelectrons and pulse_px must be positive, got {self.photoelectrons:g} and {self.pulse_px:g}"
+                f"photoelectrons and pulse_px must be positive, got {self.photoelectrons:g} and "
+                f"{self.pulse_px:g}"
             )
 
     def mtf(self, frequency_cy_per_px: Array | float) -> Array:
@@ -135,7 +143,8 @@ class PhotoelectronTarget(ABC):
     @property
     def snr(self) -> float:
         """Step over the standard deviation of the mean frame half way up, dimensionless."""
-        # Squares of a pixel's shares of a pulse, over all places of it: the integral of the pulse's squared transfer.
+        # Squares of a pixel's shares of a pulse, over all places of it: the integral of the pulse's
+        # squared transfer.
         f = (np.arange(400) - 199.5) / 100
         line = np.sum((np.exp(-2 * (np.pi * f * self.pulse_px) ** 2) * np.sinc(f)) ** 2) / 100
         light = self.bright_dn * (1.0 + self.dark_share) / 2.0
@@ -143,11 +152,15 @@ class PhotoelectronTarget(ABC):
         return self.bright_dn * (1.0 - self.dark_share) / float(np.sqrt(variance / self.frames))
 
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
-        """Draw the stack: Poisson pulses of random height, fixed pattern, response, read noise, digitised, clipped."""
+        """Draw the stack: Poisson pulses of random height, fixed pattern, response, read noise,
+        digitised, clipped.
+        """
         light = np.stack(self._light(rng))
         if self.pattern:
             light = light * (
-                1.0 + self.pattern * correlate_noise(rng.standard_normal((1, *light.shape[1:])), PATTERN_PX)
+                1.0
+                + self.pattern
+                * correlate_noise(rng.standard_normal((1, *light.shape[1:])), PATTERN_PX)
             )
         room = self.full_scale_dn - self.black_dn
         signal = self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
@@ -165,10 +178,18 @@ class PhotoelectronTarget(ABC):
         )
 
     def _light(self, rng: np.random.Generator) -> Sequence[Array]:
-        """Light of each frame over black, DN; of interlaced ones each field has an exposure of its own."""
+        """Light of each frame over black, DN; of interlaced ones each field has an exposure of its
+        own.
+        """
         fields = 2 if self.interlaced or self.motion_px else 1
-        moved = self.drift_px * np.linspace(-0.5, 0.5, self.frames) + self.jitter_px * rng.standard_normal(self.frames)
-        places = [frame + number * self.motion_px for frame in [moved[0], *moved] for number in range(fields)]
+        moved = self.drift_px * np.linspace(
+            -0.5, 0.5, self.frames
+        ) + self.jitter_px * rng.standard_normal(self.frames)
+        places = [
+            frame + number * self.motion_px
+            for frame in [moved[0], *moved]
+            for number in range(fields)
+        ]
         # A target at rest has one mean for all exposures.
         means = {place: self._mean(place) for place in set(places)}
         shots = [self._exposure(means[place], rng) for place in places[fields - 1 :]]
@@ -176,22 +197,35 @@ class PhotoelectronTarget(ABC):
         if fields == 1:
             return lagged
         odd = (np.arange(self.rows) % 2 == 1)[:, None]
-        return [np.where(odd, later, first) for first, later in zip(lagged[::2], lagged[1::2], strict=True)]
+        return [
+            np.where(odd, later, first)
+            for first, later in zip(lagged[::2], lagged[1::2], strict=True)
+        ]
 
     def _exposure(self, mean: Array, rng: np.random.Generator) -> Array:
-        """One exposure's light: pulses on the fine grid, their blur and the pixel, sampled once a pixel."""
+        """One exposure's light: pulses on the fine grid, their blur and the pixel, sampled once a
+        pixel.
+        """
         from scipy import fft
 
-        flicker = max(1.0 + self.flicker * float(rng.standard_normal()), 0.0) if self.flicker else 1.0
+        flicker = (
+            max(1.0 + self.flicker * float(rng.standard_normal()), 0.0) if self.flicker else 1.0
+        )
         heights = self._heights(flicker * mean, rng)
         spread: Any = fft.rfft2(heights, workers=1)
         # The transform of one row in so many is the mean of as many parts of the transform.
         sampled = (spread * self._pulse).reshape(FINER, -1, spread.shape[1]).mean(axis=0)
         fine = np.asarray(fft.irfft2(sampled, (len(sampled), heights.shape[1]), workers=1))
-        return self.gain_dn * FINER**2 * fine[MARGIN_PX:-MARGIN_PX, FINER * MARGIN_PX : -FINER * MARGIN_PX : FINER]
+        return (
+            self.gain_dn
+            * FINER**2
+            * fine[MARGIN_PX:-MARGIN_PX, FINER * MARGIN_PX : -FINER * MARGIN_PX : FINER]
+        )
 
     def _heights(self, mean: Array, rng: np.random.Generator) -> Array:
-        """Heights of the pulses at each place, in means of a photoelectron's: n gamma heights add up to a gamma one."""
+        """Heights of the pulses at each place, in means of a photoelectron's: n gamma heights add
+        up to a gamma one.
+        """
         counts = rng.poisson(mean)
         heights = counts.astype(float)
         if self.gain_spread > 0:
@@ -207,7 +241,11 @@ class PhotoelectronTarget(ABC):
         light = self.dark_share + (1.0 - self.dark_share) * self._illumination(row, col, moved_px)
         light = light * (1 + self.gradient * (col / self.cols + 0.5))
         squared = ((2 * row / self.rows) ** 2 + (2 * col / self.cols) ** 2) / 2
-        return np.maximum(light * (1.0 - self.vignetting * squared), 0.0) * self.photoelectrons / FINER**2
+        return (
+            np.maximum(light * (1.0 - self.vignetting * squared), 0.0)
+            * self.photoelectrons
+            / FINER**2
+        )
 
     def _places(self) -> tuple[Array, Array]:
         """Places of the fine grid off the middle of the frame, shapes (row, 1) and (1, col), px."""
@@ -216,7 +254,9 @@ class PhotoelectronTarget(ABC):
 
     @abstractmethod
     def _illumination(self, row: Array, col: Array, moved_px: float) -> Array:
-        """Light before the gain from 0 to 1 at places off the middle of the frame, px, moved along the rows."""
+        """Light before the gain from 0 to 1 at places off the middle of the frame, px, moved along
+        the rows.
+        """
 
     @cached_property
     def _pulse(self) -> Array:

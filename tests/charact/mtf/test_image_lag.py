@@ -1,4 +1,6 @@
-"""How long a screen remembers: what sums and pixels of frames are worth, against pulses drawn one moment at a time."""
+"""How long a screen remembers: what sums and pixels of frames are worth, against pulses drawn one
+moment at a time.
+"""
 
 import numpy as np
 import pytest
@@ -13,18 +15,27 @@ FRAMES, MOMENTS, WARM_UP, SERIES = 12, 10, 30, 4000
 
 @pytest.fixture(scope="module")
 def fields(seed):
-    """Light of even and odd fields, shape (series, frame, 2): white arrivals, each fading by two exponentials."""
+    """Light of even and odd fields, shape (series, frame, 2): white arrivals, each fading by two
+    exponentials.
+    """
     rng, phosphor = np.random.default_rng([seed, 61]), SHEET.phosphor
     period_ms = 1e3 / float(SHEET.video.field_rate_hz)
     end = np.arange(1, WARM_UP + 1)[:, None] * period_ms
     since = end - (np.arange(MOMENTS) + 0.5) / MOMENTS * period_ms
-    fast, tau = float(phosphor.fast_fraction), (float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms))
+    fast, tau = (
+        float(phosphor.fast_fraction),
+        (float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms)),
+    )
     weight = np.array([fast * tau[0], (1.0 - fast) * tau[1]])
-    left = (weight[0] * np.exp(-since / tau[0]) + weight[1] * np.exp(-since / tau[1])) / weight.sum()
+    left = (
+        weight[0] * np.exp(-since / tau[0]) + weight[1] * np.exp(-since / tau[1])
+    ) / weight.sum()
     shares = -np.diff(left, axis=0, prepend=1.0)
     count = 2 * FRAMES
     arrivals = rng.standard_normal((SERIES, count + WARM_UP - 1, MOMENTS))
-    light = sum(arrivals[:, WARM_UP - 1 - k : WARM_UP - 1 - k + count] @ shares[k] for k in range(WARM_UP))
+    light = sum(
+        arrivals[:, WARM_UP - 1 - k : WARM_UP - 1 - k + count] @ shares[k] for k in range(WARM_UP)
+    )
     return light.reshape(SERIES, FRAMES, 2)
 
 
@@ -47,7 +58,11 @@ def test_a_camera_without_a_screen_remembers_nothing():
 
 
 def test_rows_of_one_exposure_share_their_pulses_whatever_their_parity():
-    """Without fields the row above is of the same exposure: what two of its pixels share is what pixels of a row do."""
+    """Without fields the row above is of the same exposure: what two of its pixels share is what
+    pixels of a row do.
+    """
     for sensor in (None, SHEET):
-        memory = image_lag_model(Context(seed=0, quick=True, sensor=sensor, interlaced=False), FRAMES)
+        memory = image_lag_model(
+            Context(seed=0, quick=True, sensor=sensor, interlaced=False), FRAMES
+        )
         assert (memory.mean_other, memory.frame_other) == (memory.mean_same, memory.frame_same)

@@ -1,4 +1,6 @@
-"""Noise reduction that follows the picture: noise stays where an edge is steep and goes from its plateaus."""
+"""Noise reduction that follows the picture: noise stays where an edge is steep and goes from its
+plateaus.
+"""
 
 from dataclasses import replace
 
@@ -15,7 +17,9 @@ from tests.charact.mtf.edge.photoelectron_edges import PulseEdge
 
 QUICK = Context(quick=True)
 EDGE = EdgeScene(frames=8, snr=25.0, rows=90, cols=90)
-PULSES = PulseEdge(blur=TrueBlur(sigma_px=1.0), photoelectrons=2.0, frames=12, rows=80, cols=80, angle_deg=6.0)
+PULSES = PulseEdge(
+    blur=TrueBlur(sigma_px=1.0), photoelectrons=2.0, frames=12, rows=80, cols=80, angle_deg=6.0
+)
 
 
 def median(frames):
@@ -53,7 +57,18 @@ def test_every_method_says_that_noise_was_reduced(method, filtered, seed):
         replace(PULSES, jitter_px=0.4),
         replace(PULSES, lag=0.3),
     ],
-    ids=["light", "little noise", "tied", "trembling", "shaken", "pulses", "flicker", "row noise", "moving", "lag"],
+    ids=[
+        "light",
+        "little noise",
+        "tied",
+        "trembling",
+        "shaken",
+        "pulses",
+        "flicker",
+        "row noise",
+        "moving",
+        "lag",
+    ],
 )
 def test_noise_of_light_is_not(scene, seed):
     """The ratio is one where pixels are independent, and smaller where they are tied."""

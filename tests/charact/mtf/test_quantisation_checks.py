@@ -1,4 +1,6 @@
-"""Pixels that pile up at a code: told at any code where noise is cut off, not where a plateau is still."""
+"""Pixels that pile up at a code: told at any code where noise is cut off, not where a plateau is
+still.
+"""
 
 import numpy as np
 import pytest
@@ -18,9 +20,13 @@ def edge(noise_dn, **knobs):
 @pytest.mark.parametrize("over_sd", [-0.7, 0.0, 1.0])
 @pytest.mark.parametrize("noise_dn", [3.0, 8.0])
 def test_noise_cut_off_at_any_code_is_clipped(frames, over_sd, noise_dn, seed):
-    """The lowest code from 0.7 deviations below the dark side to one above it; only 0 and 16 were looked at."""
+    """The lowest code from 0.7 deviations below the dark side to one above it; only 0 and 16 were
+    looked at.
+    """
     scene = edge(noise_dn, frames=frames, floor_dn=float(round(60.3 + over_sd * noise_dn)))
-    assert clipping_flags(scene.frames_drawn(np.random.default_rng(seed)).data, 255.0) == ("clipped",)
+    assert clipping_flags(scene.frames_drawn(np.random.default_rng(seed)).data, 255.0) == (
+        "clipped",
+    )
 
 
 @pytest.mark.parametrize("frames", [1, 4])

@@ -11,7 +11,9 @@ from charact.mtf.thresholds import ACCURACY
 
 @pytest.mark.parametrize("sd", [0.02, 0.2, 0.35])
 def test_shifts_are_those_of_rounded_noise(sd: float, seed: int) -> None:
-    """Means of a million draws lie no further off than the shifts say, beyond five of their standard errors."""
+    """Means of a million draws lie no further off than the shifts say, beyond five of their
+    standard errors.
+    """
     rng = np.random.default_rng(seed)
     level = np.array([10.0, 10.2, 10.37, 10.8])
     drawn = np.rint(level + sd * rng.standard_normal((1_000_000, level.size)))
@@ -27,9 +29,11 @@ def test_noise_that_hides_the_steps_leaves_no_shift() -> None:
 
 
 def test_shifts_of_all_places_cancel() -> None:
-    """Where black lies between two codes is not known: on the average over all places nothing moves.
+    """Where black lies between two codes is not known: on the average over all places nothing
+    moves.
 
-    Without noise the shift is even within half a code; six terms of its series hold 95 % of its size.
+    Without noise the shift is even within half a code; six terms of its series hold 95 % of its
+    size.
     """
     shifts = rounding_shifts(np.linspace(20.0, 23.0, 31), np.full(31, 0.1))
     np.testing.assert_allclose(shifts.mean(axis=0), 0.0, atol=1e-12)
@@ -38,8 +42,12 @@ def test_shifts_of_all_places_cancel() -> None:
 
 @pytest.mark.parametrize("place", [-0.4, 0.0, 0.3])
 @pytest.mark.parametrize("sd", [0.6, 1.0, 2.0])
-def test_the_noise_of_quiet_pixels_is_told_beside_pulses_of_light(sd: float, place: float, seed: int) -> None:
-    """Pulses of several codes in one pixel of twenty hardly move it: within 8 % of 60,000 values."""
+def test_the_noise_of_quiet_pixels_is_told_beside_pulses_of_light(
+    sd: float, place: float, seed: int
+) -> None:
+    """Pulses of several codes in one pixel of twenty hardly move it: within 8 % of 60,000
+    values.
+    """
     rng = np.random.default_rng(seed)
     values = 12.0 + place + sd * rng.standard_normal(60_000)
     values += np.where(rng.random(values.size) < 0.05, rng.gamma(2.0, 1.5, values.size), 0.0)

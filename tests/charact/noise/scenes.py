@@ -1,4 +1,6 @@
-"""Cameras of exactly known gain, made here from counted pulses: no simulator of ours is asked for its opinion."""
+"""Cameras of exactly known gain, made here from counted pulses: no simulator of ours is asked for
+its opinion.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -38,12 +40,13 @@ def gaussian(sigma_px: float) -> Callable[[Any], Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Pulses:
-    """An intensified camera: Poisson counts, exponential pulse heights, blur, memory of earlier frames, read noise.
+    """An intensified camera: Poisson counts, exponential pulse heights, blur, memory of earlier
+    frames, read noise.
 
-    `transfer` maps frequency (cy/px) to the transfer of the blur after the gain; none leaves the noise white.
-    With `gain_dn` = 0 the camera has no intensifier and K = `electron_gain_dn`. `smoothing_px` is a Gaussian that the
-    camera lays over the finished image; `bend_per_dn` the share of the response lost per DN of signal; `offset_dn` the
-    spread of the pixels' dark levels.
+    `transfer` maps frequency (cy/px) to the transfer of the blur after the gain; none leaves the
+    noise white. With `gain_dn` = 0 the camera has no intensifier and K = `electron_gain_dn`.
+    `smoothing_px` is a Gaussian that the camera lays over the finished image; `bend_per_dn` the
+    share of the response lost per DN of signal; `offset_dn` the spread of the pixels' dark levels.
     """
 
     gain_dn: float = 20.0
@@ -65,9 +68,13 @@ class Pulses:
         rows, cols = (length + 2 * MARGIN for length in self.shape)
         before = len(self.memory) - 1
         blur = self._transfer(rows, cols)
-        light = [self._light(rng, level * self.light_of_frame(max(0, n - before)), (rows, cols), blur)
-                 for n in range(count + before)]  # fmt: skip
-        mixed = [sum(w * light[n + before - j] for j, w in enumerate(self.memory)) for n in range(count)]
+        light = [
+            self._light(rng, level * self.light_of_frame(max(0, n - before)), (rows, cols), blur)
+            for n in range(count + before)
+        ]
+        mixed = [
+            sum(w * light[n + before - j] for j, w in enumerate(self.memory)) for n in range(count)
+        ]
         gains = 1.0 + self.pattern * np.random.default_rng(7).standard_normal(self.shape)
         inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
         data = np.stack([self._read(rng, image[inner] * gains) for image in mixed])
@@ -114,21 +121,42 @@ def memory_of(share: float) -> tuple[float, ...]:
 def session_of(stacks: list[tuple[str, str, FrameStack, Conditions]]) -> Session:
     """A session of stacks in memory: label, kind, frames, conditions."""
     held = tuple(
-        InMemoryStack(label=label, kind=kind, frames=label, conditions=conditions, folder=Path("."), held=frames)
+        InMemoryStack(
+            label=label,
+            kind=kind,
+            frames=label,
+            conditions=conditions,
+            folder=Path("."),
+            held=frames,
+        )
         for label, kind, frames, conditions in stacks
     )
     return Session(folder=Path("."), name="in memory", stacks=held)
 
 
 def flat_series(
-    camera: Pulses, rng: np.random.Generator, levels: tuple[float, ...], *, frames: int = 8, dark_frames: int = 16,
+    camera: Pulses,
+    rng: np.random.Generator,
+    levels: tuple[float, ...],
+    *,
+    frames: int = 8,
+    dark_frames: int = 16,
     tube: bool = True,
-) -> Session:  # fmt: skip
-    """Darks and flats; the light is recorded as illuminance in proportion to the level, and a tube's voltage."""
+) -> Session:
+    """Darks and flats; the light is recorded as illuminance in proportion to the level, and a
+    tube's voltage.
+    """
     state = {"mcp_v": 800.0} if camera.gain_dn and tube else {}
     stacks = []
     if dark_frames:
-        stacks.append(("dark", "dark", camera.frames(rng, 0.0, dark_frames), Conditions(illuminance_lux=0.0, **state)))
+        stacks.append(
+            (
+                "dark",
+                "dark",
+                camera.frames(rng, 0.0, dark_frames),
+                Conditions(illuminance_lux=0.0, **state),
+            )
+        )
     for index, level in enumerate(levels):
         lit = camera.frames(rng, level, frames)
         stacks.append((f"flat-{index}", "flat", lit, Conditions(illuminance_lux=level, **state)))

@@ -1,4 +1,6 @@
-"""The covariance summed to frequency zero is the gain, whatever blur, lag or pattern does to the variance."""
+"""The covariance summed to frequency zero is the gain, whatever blur, lag or pattern does to the
+variance.
+"""
 
 import numpy as np
 import pytest
@@ -9,13 +11,17 @@ from tests.charact.noise.scenes import QUICK, errors, gaussian, one
 
 
 def gaussian_power(sigma_px: float) -> float:
-    """Sum of the squared samples' transfer over the band: the share of variance that blur on the grid leaves."""
+    """Sum of the squared samples' transfer over the band: the share of variance that blur on the
+    grid leaves.
+    """
     f = np.fft.fftfreq(512)
     return float(np.mean(np.exp(-4.0 * (np.pi * f * sigma_px) ** 2)) ** 2)
 
 
 @pytest.mark.parametrize("sigma_px", [0.5, 1.0, 2.0])
-def test_blur_after_the_gain_lowers_the_variance_but_not_the_covariance_sum(pulses, series, seed, sigma_px):
+def test_blur_after_the_gain_lowers_the_variance_but_not_the_covariance_sum(
+    pulses, series, seed, sigma_px
+):
     camera = pulses(transfer=gaussian(sigma_px))
     session = series(camera, np.random.default_rng(seed), (4.0, 12.0, 30.0))
     result = noise.measure(session, method="covariance-sum", context=QUICK)
@@ -45,7 +51,9 @@ def test_wings_beyond_any_window_of_lags_are_extrapolated(pulses, series, seed):
     assert abs(errors(one(result, "covariance_gain"), camera.covariance_gain_dn)) < 4.5
 
 
-def test_a_camera_without_intensifier_has_covariance_gain_equal_to_its_system_gain(pulses, series, seed):
+def test_a_camera_without_intensifier_has_covariance_gain_equal_to_its_system_gain(
+    pulses, series, seed
+):
     camera = pulses(gain_dn=0.0, electron_gain_dn=0.5)
     levels = (400.0, 1500.0, 4000.0, 9000.0)
     session = series(camera, np.random.default_rng(seed), levels, frames=4)
@@ -58,7 +66,9 @@ def test_a_camera_without_intensifier_has_covariance_gain_equal_to_its_system_ga
 
 
 def test_light_of_earlier_frames_is_summed_over_lags(pulses, series, seed):
-    """A share of each frame's light comes one and two frames late: the variance falls by the sum of squares."""
+    """A share of each frame's light comes one and two frames late: the variance falls by the sum of
+    squares.
+    """
     memory = (0.6, 0.25, 0.15)
     camera = pulses(transfer=gaussian(0.7), memory=memory)
     session = series(camera, np.random.default_rng(seed), (6.0, 15.0, 30.0), frames=16)
@@ -69,7 +79,9 @@ def test_light_of_earlier_frames_is_summed_over_lags(pulses, series, seed):
     assert abs(errors(one(result, "blur_factor"), gaussian_power(0.7))) < 4.5
 
 
-def test_weighted_draws_agree_with_the_curvature_where_the_posterior_is_nearly_normal(pulses, series, seed):
+def test_weighted_draws_agree_with_the_curvature_where_the_posterior_is_nearly_normal(
+    pulses, series, seed
+):
     camera = pulses(transfer=gaussian(0.7), shape=(90, 180))
     session = series(camera, np.random.default_rng(seed), (10.0, 30.0))
     slow = one(noise.measure(session, context=Context(seed=1)), "covariance_gain")

@@ -1,4 +1,6 @@
-"""Dark current and its doubling are those of thermal electrons counted here; what cannot be told is refused."""
+"""Dark current and its doubling are those of thermal electrons counted here; what cannot be told is
+refused.
+"""
 
 import numpy as np
 import pytest
@@ -26,19 +28,35 @@ def dark(rng, exposure_s, temperature_c=REFERENCE_C, *, drift_dn=0.0, shape=(96,
 
 
 def flat(rng, electrons, shape=(96, 128)):
-    read = 100.0 + GAIN_DN * rng.poisson(electrons, (4, *shape)) + 2.0 * rng.standard_normal((4, *shape))
+    read = (
+        100.0
+        + GAIN_DN * rng.poisson(electrons, (4, *shape))
+        + 2.0 * rng.standard_normal((4, *shape))
+    )
     return FrameStack(data=np.rint(read).astype(np.uint16))
 
 
-def measured(in_memory, rng, exposures_s=EXPOSURES_S, temperatures_c=(REFERENCE_C,), flats=True, **more):
+def measured(
+    in_memory, rng, exposures_s=EXPOSURES_S, temperatures_c=(REFERENCE_C,), flats=True, **more
+):
     stacks = [
-        (f"dark-{t}-{c}", "dark", dark(rng, t, c, **more), Conditions(exposure_s=t, temperature_c=c))
+        (
+            f"dark-{t}-{c}",
+            "dark",
+            dark(rng, t, c, **more),
+            Conditions(exposure_s=t, temperature_c=c),
+        )
         for c in temperatures_c
         for t in exposures_s
     ]
     if flats:
         stacks += [
-            (f"flat-{e}", "flat", flat(rng, e), Conditions(exposure_s=0.1, temperature_c=REFERENCE_C))
+            (
+                f"flat-{e}",
+                "flat",
+                flat(rng, e),
+                Conditions(exposure_s=0.1, temperature_c=REFERENCE_C),
+            )
             for e in (500.0, 1500.0, 3000.0, 5000.0)
         ]
     return noise.measure(in_memory(stacks), method="variance", context=QUICK)
@@ -56,7 +74,9 @@ def test_dark_current_is_the_rise_of_the_level_with_the_exposure(in_memory, seed
 
 
 def test_it_doubles_at_the_temperature_step_that_was_put_in(in_memory, seed):
-    result = measured(in_memory, np.random.default_rng(seed), temperatures_c=(15.0, 20.0, 25.0, 30.0), flats=False)
+    result = measured(
+        in_memory, np.random.default_rng(seed), temperatures_c=(15.0, 20.0, 25.0, 30.0), flats=False
+    )
     (doubling,) = result.find("dark_doubling_temperature")
     assert doubling.status == "ok"
     assert abs(errors(doubling, DOUBLING_K)) < 4.5
@@ -68,9 +88,13 @@ def test_it_doubles_at_the_temperature_step_that_was_put_in(in_memory, seed):
     [
         ({"exposures_s": (1.0,)}, "dark_current", "two exposures"),
         ({}, "dark_doubling_temperature", "two temperatures"),
-        ({"exposures_s": (1e-4, 2e-4), "temperatures_c": (15.0, 25.0)}, "dark_doubling_temperature", "longer expos"),
+        (
+            {"exposures_s": (1e-4, 2e-4), "temperatures_c": (15.0, 25.0)},
+            "dark_doubling_temperature",
+            "longer expos",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_the_darks_do_not_tell_is_refused_in_a_sentence(in_memory, seed, more, quantity, word):
     found = measured(in_memory, np.random.default_rng(seed), flats=False, **more).find(quantity)
     assert [m.status for m in found] == ["refused"]
@@ -78,7 +102,9 @@ def test_what_the_darks_do_not_tell_is_refused_in_a_sentence(in_memory, seed, mo
 
 
 def test_electrons_need_a_gain(in_memory, seed):
-    (found,) = measured(in_memory, np.random.default_rng(seed), flats=False).find("dark_current", unit="e-/s")
+    (found,) = measured(in_memory, np.random.default_rng(seed), flats=False).find(
+        "dark_current", unit="e-/s"
+    )
     assert found.status == "refused" and "system gain" in found.reason
 
 
@@ -90,15 +116,28 @@ def test_a_camera_that_warms_up_while_it_is_read_is_told(in_memory, seed):
 
 
 def test_an_interval_of_95_percent_holds_the_truth_as_often(in_memory, seed):
-    """Levels move by more than their noise from stack to stack, as they do: Student's law allows for it."""
+    """Levels move by more than their noise from stack to stack, as they do: Student's law allows
+    for it.
+    """
     rng = np.random.default_rng(seed)
     held, repeats = 0, 30
     for _ in range(repeats):
         stacks = []
         for exposure_s in EXPOSURES_S:
-            frames = dark(rng, exposure_s, shape=(24, 32)).data.astype(np.float32) + rng.normal(0.0, 0.5)
-            stacks.append((f"dark-{exposure_s}", "dark", FrameStack(data=frames), Conditions(exposure_s=exposure_s)))
-        (found,) = noise.measure(in_memory(stacks), method="variance", context=QUICK).find("dark_current", unit="DN/s")
+            frames = dark(rng, exposure_s, shape=(24, 32)).data.astype(np.float32) + rng.normal(
+                0.0, 0.5
+            )
+            stacks.append(
+                (
+                    f"dark-{exposure_s}",
+                    "dark",
+                    FrameStack(data=frames),
+                    Conditions(exposure_s=exposure_s),
+                )
+            )
+        (found,) = noise.measure(in_memory(stacks), method="variance", context=QUICK).find(
+            "dark_current", unit="DN/s"
+        )
         low, high = found.interval95
         held += low <= GAIN_DN * CURRENT_E_PER_S <= high
     assert held >= 0.95 * repeats - 4.5 * np.sqrt(0.95 * 0.05 * repeats)

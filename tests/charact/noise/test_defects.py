@@ -1,4 +1,6 @@
-"""Hot, dead and restless pixels are counted where they were put; a sound camera and pulses of light have none."""
+"""Hot, dead and restless pixels are counted where they were put; a sound camera and pulses of light
+have none.
+"""
 
 import numpy as np
 import pytest
@@ -22,7 +24,10 @@ def frames(rng, level, count=16, *, hot=(), dead=(), restless=(), restless_dn=60
     for place in dead:
         light[place] = 0.0
     read = (
-        100.0 + unequal + 0.5 * rng.poisson(light / 0.5, (count, *shape)) + 2.0 * rng.standard_normal((count, *shape))
+        100.0
+        + unequal
+        + 0.5 * rng.poisson(light / 0.5, (count, *shape))
+        + 2.0 * rng.standard_normal((count, *shape))
     )
     for row, col in hot:
         read[:, row, col] += 40.0
@@ -33,9 +38,13 @@ def frames(rng, level, count=16, *, hot=(), dead=(), restless=(), restless_dn=60
 
 def measured(in_memory, rng, interlaced=False, **defects):
     stacks = [("dark", "dark", frames(rng, 0.0, **defects), Conditions(exposure_s=1.0))]
-    stacks += [(f"flat-{i}", "flat", frames(rng, i * 300.0, **defects), Conditions()) for i in (1, 2, 3)]
+    stacks += [
+        (f"flat-{i}", "flat", frames(rng, i * 300.0, **defects), Conditions()) for i in (1, 2, 3)
+    ]
     return noise.measure(
-        in_memory(stacks), method="variance", context=Context(seed=1, quick=True, interlaced=interlaced)
+        in_memory(stacks),
+        method="variance",
+        context=Context(seed=1, quick=True, interlaced=interlaced),
     )
 
 
@@ -45,7 +54,16 @@ def counts(result):
 
 @pytest.mark.parametrize("interlaced", [False, True])
 def test_every_defect_is_counted_once_and_named(in_memory, seed, interlaced):
-    found = counts(measured(in_memory, np.random.default_rng(seed), interlaced, hot=HOT, dead=DEAD, restless=RESTLESS))
+    found = counts(
+        measured(
+            in_memory,
+            np.random.default_rng(seed),
+            interlaced,
+            hot=HOT,
+            dead=DEAD,
+            restless=RESTLESS,
+        )
+    )
     # In the dark a dead pixel is like any other.
     assert found["dark"].value == len(HOT) + len(RESTLESS)
     # In the light the noise of photons hides the restless ones.
@@ -69,7 +87,9 @@ def test_blinking_pixels_are_left_out_of_the_noise(in_memory, seed):
     (read_noise,) = spoiled.find("read_noise", unit="DN")
     # 2 DN of any sound pixel and the steps; the pixels put in would make it 2.9.
     for one in (random, read_noise):
-        assert one.status == "ok" and one.value == pytest.approx(np.hypot(2.0, 12.0**-0.5), rel=0.01)
+        assert one.status == "ok" and one.value == pytest.approx(
+            np.hypot(2.0, 12.0**-0.5), rel=0.01
+        )
     assert any("24 defective pixels" in note for note in read_noise.notes)
 
 
@@ -84,15 +104,21 @@ def test_pulses_of_light_are_no_defects(pulses, in_memory, seed):
 
 def test_pairs_of_frames_show_defects_too(in_memory, seed):
     rng = np.random.default_rng(seed)
-    stacks = [(kind, kind, frames(rng, level, 2, hot=HOT, dead=DEAD), Conditions())
-              for kind, level in (("dark", 0.0), ("flat", 900.0))]  # fmt: skip
+    stacks = [
+        (kind, kind, frames(rng, level, 2, hot=HOT, dead=DEAD), Conditions())
+        for kind, level in (("dark", 0.0), ("flat", 900.0))
+    ]
     found = counts(noise.measure(in_memory(stacks), method="variance", context=QUICK))
     assert (found["dark"].value, found["flat"].value) == (len(HOT), len(DEAD))
 
 
 def test_images_of_a_few_pixels_count_no_defects(in_memory, seed):
     rng = np.random.default_rng(seed)
-    stacks = [(kind, kind, FrameStack(data=rng.poisson(level, (8, 3, 3)).astype(np.uint16)), Conditions())
-              for kind, level in (("dark", 100.0), ("flat", 400.0))]  # fmt: skip
-    (found,) = noise.measure(in_memory(stacks), method="variance", context=QUICK).find("defect_pixels")
+    stacks = [
+        (kind, kind, FrameStack(data=rng.poisson(level, (8, 3, 3)).astype(np.uint16)), Conditions())
+        for kind, level in (("dark", 100.0), ("flat", 400.0))
+    ]
+    (found,) = noise.measure(in_memory(stacks), method="variance", context=QUICK).find(
+        "defect_pixels"
+    )
     assert found.status == "refused" and "32 x 32 px" in found.reason

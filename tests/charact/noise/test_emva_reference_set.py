@@ -1,4 +1,6 @@
-"""A real CCD, measured by others: EMVA 1288 reference set 001 (Basler AG, M. Grimm 2011, CC BY-SA 3.0)."""
+"""A real CCD, measured by others: EMVA 1288 reference set 001 (Basler AG, M. Grimm 2011, CC BY-SA
+3.0).
+"""
 
 import pytest
 
@@ -27,7 +29,9 @@ def session(shared_data, tmp_path_factory):
 
 @pytest.mark.parametrize("method", ["covariance-sum", "variance"])
 def test_a_real_camera_reads_as_the_standards_own_program_reads_it(session, method):
-    result = noise.measure(session, method=method, context=Context(seed=3, quick=True, full_scale_dn=4095.0))
+    result = noise.measure(
+        session, method=method, context=Context(seed=3, quick=True, full_scale_dn=4095.0)
+    )
     found = {(m.quantity, m.unit): m for m in result.measurements}
     for key, (truth, tolerance) in REFERENCE.items():
         assert found[key].value == pytest.approx(truth, rel=tolerance), key

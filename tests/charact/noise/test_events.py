@@ -1,4 +1,6 @@
-"""Single photoelectrons: rate, heights and spread of heights are found again in darks made pulse by pulse."""
+"""Single photoelectrons: rate, heights and spread of heights are found again in darks made pulse by
+pulse.
+"""
 
 from dataclasses import replace
 
@@ -23,9 +25,21 @@ def measured(scene: DarkScene, seed: int):
 
 
 def test_a_pixel_of_rare_pulses_has_the_moments_of_campbells_theorem():
-    """Variance and third cumulant are rate <h^2> sum of squares and rate <h^3> sum of cubes of a spot's places."""
-    pulses = PulsePopulation(density=0.02, height_dn=50.0, relative_variance=0.5, noise_dn2=0.0, line_1=0.0, line_2=0.0,
-                    column_px=0.8, row_px=0.8, wings=0.0, exponent=1.3)  # fmt: skip
+    """Variance and third cumulant are rate <h^2> sum of squares and rate <h^3> sum of cubes of a
+    spot's places.
+    """
+    pulses = PulsePopulation(
+        density=0.02,
+        height_dn=50.0,
+        relative_variance=0.5,
+        noise_dn2=0.0,
+        line_1=0.0,
+        line_2=0.0,
+        column_px=0.8,
+        row_px=0.8,
+        wings=0.0,
+        exponent=1.3,
+    )
     pixel = Filter(high=1, broad=1, exposures=10**9)
     t = 1e-4
     log = pulses.log_characteristic(pixel, np.array([t]))[0]
@@ -36,7 +50,10 @@ def test_a_pixel_of_rare_pulses_has_the_moments_of_campbells_theorem():
         return ndtr((x + 0.5) / 0.8) - ndtr((x - 0.5) / 0.8)
 
     places = np.arange(len(pixel.columns)) - len(pixel.columns) // 2
-    across = np.sum([weight * spot(fine - place) for weight, place in zip(pixel.columns, places, strict=True)], axis=0)
+    across = np.sum(
+        [weight * spot(fine - place) for weight, place in zip(pixel.columns, places, strict=True)],
+        axis=0,
+    )
     squares, cubes = ((spot(fine) ** n).sum() * 0.01 * (across**n).sum() * 0.01 for n in (2, 3))
     # Each pixel's mean over time is taken away, which leaves nothing at first order.
     assert -2.0 * log.real / t**2 == pytest.approx(0.02 * 50.0**2 * 1.5 * squares, rel=0.005)
@@ -63,7 +80,8 @@ def test_filters_see_neither_levels_nor_lines_nor_slopes():
 def test_glow_hands_all_light_on_and_none_twice():
     light, chance = PulseDecay(share=0.6, slow_exposures=1.5, fast_exposures=0.1).by_exposure()
     np.testing.assert_allclose(light.sum(axis=1), 1.0, atol=0.002)
-    # A steady light that goes out leaves the glow of one exposure in the next: the shares of all later ones.
+    # A steady light that goes out leaves the glow of one exposure in the next: the shares of all
+    # later ones.
     later = 0.6 * 1.5 * (1 - np.exp(-1 / 1.5)) + 0.4 * 0.1 * (1 - np.exp(-1 / 0.1))
     assert chance @ light[:, 1:].sum(axis=1) == pytest.approx(later, rel=0.01)
 
@@ -96,7 +114,8 @@ def test_ion_events_are_told_apart(seed):
 def test_pixels_that_flicker_are_no_pulses(seed):
     """The same darks with and without them tell the same."""
     calm, hot = (
-        one(measured(replace(BRIGHT, hot=share), seed), "detected_photoelectron_gain") for share in (0.0, 1e-3)
+        one(measured(replace(BRIGHT, hot=share), seed), "detected_photoelectron_gain")
+        for share in (0.0, 1e-3)
     )
     low, high = calm.interval95
     assert abs(hot.value - calm.value) < 0.25 * (high - low)
@@ -105,8 +124,14 @@ def test_pixels_that_flicker_are_no_pulses(seed):
 @pytest.mark.parametrize("interlaced", [False, True])
 def test_light_that_lingers_is_added_up(seed, interlaced):
     """A screen like P20: its slow light lasts for two fields, its fast light for a tenth of one."""
-    scene = replace(BRIGHT, glow=0.5, glow_exposures=2.0, fast_exposures=0.08, interlaced=interlaced,
-                    rows=192 if interlaced else 128)  # fmt: skip
+    scene = replace(
+        BRIGHT,
+        glow=0.5,
+        glow_exposures=2.0,
+        fast_exposures=0.08,
+        interlaced=interlaced,
+        rows=192 if interlaced else 128,
+    )
     found = one(measured(scene, seed), "detected_photoelectron_gain").posterior
     for name in ("density", "height_dn", "relative_variance", "glow", "glow_exposures"):
         draws = found[name]
@@ -136,7 +161,9 @@ def test_what_cannot_be_measured_is_refused_in_a_sentence(seed, changes, word):
         assert refused.status == "refused" and word in refused.reason
 
 
-@pytest.mark.parametrize("changes", [{"height_dn": 8.0}, {"density": 0.3}, {"read_noise_dn": 0.2, "height_dn": 6.0}])
+@pytest.mark.parametrize(
+    "changes", [{"height_dn": 8.0}, {"density": 0.3}, {"read_noise_dn": 0.2, "height_dn": 6.0}]
+)
 def test_past_breaking_nothing_is_wrong_and_unflagged(seed, changes):
     scene = replace(BRIGHT, **changes)
     height = one(measured(scene, seed), "detected_photoelectron_gain")
@@ -147,11 +174,18 @@ def test_past_breaking_nothing_is_wrong_and_unflagged(seed, changes):
 
 
 def test_darks_are_asked_where_an_intensifier_is_known_of_and_at_the_gain_of_the_flats(seed):
-    session = replace(BRIGHT, density=0.0, frames=8, rows=64, cols=72).session_drawn(np.random.default_rng(seed))
+    session = replace(BRIGHT, density=0.0, frames=8, rows=64, cols=72).session_drawn(
+        np.random.default_rng(seed)
+    )
     (dark,) = session.stacks
     names = {"same": 700.0, "other": 800.0, "flat": 700.0}
     stacks = tuple(
-        replace(dark, label=label, kind="flat" if label == "flat" else "dark", conditions=Conditions(mcp_v=volt))
+        replace(
+            dark,
+            label=label,
+            kind="flat" if label == "flat" else "dark",
+            conditions=Conditions(mcp_v=volt),
+        )
         for label, volt in names.items()
     )
     asked = replace(session, stacks=stacks)

@@ -1,4 +1,6 @@
-"""Light of earlier exposures to its end: what few frames hide of it, and how well their sum is known."""
+"""Light of earlier exposures to its end: what few frames hide of it, and how well their sum is
+known.
+"""
 
 from types import SimpleNamespace
 from typing import Any
@@ -26,7 +28,9 @@ def level(time, parity, lags, bins=None) -> Any:
 
 
 def screen(time, first: float, kept: float):
-    """Covariance of exposures of a screen that keeps a share from one exposure to the next after the first."""
+    """Covariance of exposures of a screen that keeps a share from one exposure to the next after
+    the first.
+    """
     distance = np.abs(time[:, None] - time[None, :])
     return np.where(distance == 0, 1.0, first * kept ** (distance - 1.0))
 
@@ -59,8 +63,12 @@ def test_the_error_of_the_sum_over_lags_is_the_scatter_of_sums(frames, fields, s
         modes = rng.standard_normal((int(2 * bins.modes.sum()), len(time))) @ root.T
         products = np.array([part.T @ part / (0.5 * len(part)) for part in np.split(modes, edges)])
         power = autocovariance(project @ products @ project, time, parity, lags)
-        found.append(lag_of(power, lags, np.zeros(len(power)), [level(time, parity, lags, bins)], np.ones(1)))
-    factor, told = (np.array([getattr(lag, name) for lag in found]) for name in ("factor", "factor_sd"))
+        found.append(
+            lag_of(power, lags, np.zeros(len(power)), [level(time, parity, lags, bins)], np.ones(1))
+        )
+    factor, told = (
+        np.array([getattr(lag, name) for lag in found]) for name in ("factor", "factor_sd")
+    )
     scatter = factor.std(ddof=1)
     # Beyond the scatter each says how little it knows of the end of the sum.
     assert 0.88 * scatter < np.sqrt(np.mean(told**2)) < 1.45 * scatter
@@ -68,8 +76,12 @@ def test_the_error_of_the_sum_over_lags_is_the_scatter_of_sums(frames, fields, s
 
 
 @pytest.mark.parametrize(("bend_per_dn", "seen"), [(-1.3e-5, True), (0.0, False), (1.3e-5, False)])
-def test_covariance_that_rises_with_the_signal_is_no_tiring_plate(pulses, series, seed, bend_per_dn, seen):
-    """A response that steepens by 2 % makes covariance over signal rise by 6 %, one that tires makes it fall."""
+def test_covariance_that_rises_with_the_signal_is_no_tiring_plate(
+    pulses, series, seed, bend_per_dn, seen
+):
+    """A response that steepens by 2 % makes covariance over signal rise by 6 %, one that tires
+    makes it fall.
+    """
     camera = pulses(gain_dn=20.0, transfer=gaussian(0.7), bend_per_dn=bend_per_dn)
     session = series(camera, np.random.default_rng(seed), (8.0, 20.0, 40.0, 80.0), frames=8)
     darks, flats, _ = read_levels(session, context=Context(), spectra=True)

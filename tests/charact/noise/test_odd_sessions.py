@@ -1,4 +1,6 @@
-"""Whatever a session lacks, the answer is a number, a refusal or one sentence: never a traceback."""
+"""Whatever a session lacks, the answer is a number, a refusal or one sentence: never a
+traceback.
+"""
 
 import numpy as np
 import pytest
@@ -16,9 +18,15 @@ PLAIN = Conditions()
 
 def frames(rng, signal_dn, count=4, shape=(96, 128), highest=65535.0, number=None):
     """A camera of K = 0.5 DN at a signal."""
-    data = 100.0 + 0.5 * rng.poisson(signal_dn / 0.5, (count, *shape)) + 2.0 * rng.standard_normal((count, *shape))
+    data = (
+        100.0
+        + 0.5 * rng.poisson(signal_dn / 0.5, (count, *shape))
+        + 2.0 * rng.standard_normal((count, *shape))
+    )
     stamps = {} if number is None else {"frame_number": np.array(number)}
-    return FrameStack(data=np.clip(np.rint(data), 0, highest).astype(np.uint16), full_scale_dn=highest, **stamps)
+    return FrameStack(
+        data=np.clip(np.rint(data), 0, highest).astype(np.uint16), full_scale_dn=highest, **stamps
+    )
 
 
 def still(code, count=4):
@@ -66,15 +74,30 @@ CASES = {
     "gaps": lambda r: (plain(r, (0.0,)), plain(r, number=(0, 5, 50, 51))),
     "numbers that fall": lambda r: (plain(r, (0.0,)), plain(r, number=(9, 5, 3, 1))),
     "no light in the books": lambda r: (
-        plain(r, (0.0,)), [(frames(r, s), Conditions(photons_per_px=0.0, illuminance_lux=0.0)) for s in LEVELS]
+        plain(r, (0.0,)),
+        [(frames(r, s), Conditions(photons_per_px=0.0, illuminance_lux=0.0)) for s in LEVELS],
     ),
-}  # fmt: skip
+}
 
 
-# The methods differ in what the size and number of frames allow, and fields halve the rows; all else they share.
-OF_EVERY_METHOD = ("single frames", "pairs", "saturated", "3 x 3", "one pixel", "one row", "one column", "all still")
+# The methods differ in what the size and number of frames allow, and fields halve the rows; all
+# else they share.
+OF_EVERY_METHOD = (
+    "single frames",
+    "pairs",
+    "saturated",
+    "3 x 3",
+    "one pixel",
+    "one row",
+    "one column",
+    "all still",
+)
 ODD = [(case, "covariance-sum", False) for case in CASES]
-ODD += [(case, *way) for case in OF_EVERY_METHOD for way in (("covariance-sum", True), ("variance", False))]
+ODD += [
+    (case, *way)
+    for case in OF_EVERY_METHOD
+    for way in (("covariance-sum", True), ("variance", False))
+]
 
 
 @pytest.mark.filterwarnings("error")
@@ -104,7 +127,9 @@ def test_a_session_that_lacks_something_is_answered(in_memory, seed, case, metho
 def test_darks_of_other_conditions_are_unlike(in_memory, seed, method, dark, flat):
     rng = np.random.default_rng(seed)
     given = session(
-        in_memory, [(frames(rng, 0.0), Conditions(**dark))], [(frames(rng, s), Conditions(**flat)) for s in LEVELS]
+        in_memory,
+        [(frames(rng, 0.0), Conditions(**dark))],
+        [(frames(rng, s), Conditions(**flat)) for s in LEVELS],
     )
     result = noise.measure(given, method=method, context=QUICK)
     (gain,) = result.find("system_gain")
@@ -112,10 +137,15 @@ def test_darks_of_other_conditions_are_unlike(in_memory, seed, method, dark, fla
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_biases_under_timed_flats_leave_the_gain_alone_and_the_efficiency_not(in_memory, seed, method):
+def test_biases_under_timed_flats_leave_the_gain_alone_and_the_efficiency_not(
+    in_memory, seed, method
+):
     """Dark current arrives at random as light does: it is on the line of variance over signal."""
     rng = np.random.default_rng(seed)
-    lit = [(frames(rng, s), Conditions(exposure_s=t, photons_per_px=4.0 * s)) for t, s in enumerate(LEVELS, start=1)]
+    lit = [
+        (frames(rng, s), Conditions(exposure_s=t, photons_per_px=4.0 * s))
+        for t, s in enumerate(LEVELS, start=1)
+    ]
     given = session(in_memory, [(frames(rng, 0.0), Conditions(exposure_s=0.0))], lit)
     result = noise.measure(given, method=method, context=QUICK)
     (gain,), (efficiency,) = result.find("system_gain"), result.find("quantum_efficiency")
@@ -163,26 +193,36 @@ def test_frames_that_do_not_belong_together_are_bad_input(in_memory, seed, metho
 
 def test_flats_that_cannot_be_used_leave_no_blur_factor_to_the_darks(in_memory, seed):
     rng = np.random.default_rng(seed)
-    given = session(in_memory, plain(rng, (0.0,), highest=150.0), plain(rng, (500.0,), highest=150.0))
+    given = session(
+        in_memory, plain(rng, (0.0,), highest=150.0), plain(rng, (500.0,), highest=150.0)
+    )
     assert not noise.measure(given, method="covariance-sum", context=QUICK).find("blur_factor")
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_darks_alone_that_are_cut_at_zero_are_flagged(in_memory, seed, method):
-    cut = FrameStack(data=np.clip(np.rint(np.random.default_rng(seed).normal(1.0, 3.0, (4, 96, 128))), 0, None))
+    cut = FrameStack(
+        data=np.clip(np.rint(np.random.default_rng(seed).normal(1.0, 3.0, (4, 96, 128))), 0, None)
+    )
     result = noise.measure(session(in_memory, [(cut, PLAIN)], []), method=method, context=QUICK)
     assert all("clipped" in m.flags for m in result.find("read_noise") + result.find("dark_signal"))
 
 
-def test_of_gains_with_as_many_flats_the_brightest_unclipped_one_is_taken_and_named(in_memory, seed):
-    """Three flats at each of three voltages: the first are dim, the last are cut by the highest code."""
+def test_of_gains_with_as_many_flats_the_brightest_unclipped_one_is_taken_and_named(
+    in_memory, seed
+):
+    """Three flats at each of three voltages: the first are dim, the last are cut by the highest
+    code.
+    """
     rng = np.random.default_rng(seed)
     flats = [
         (frames(rng, share * level, highest=1000.0), Conditions(mcp_v=volts))
         for volts, share in ((600.0, 0.1), (700.0, 1.0), (800.0, 10.0))
         for level in LEVELS
     ]
-    found = noise.measure(session(in_memory, plain(rng, (0.0,)), flats), method="variance", context=QUICK)
+    found = noise.measure(
+        session(in_memory, plain(rng, (0.0,)), flats), method="variance", context=QUICK
+    )
     (gain,) = found.find("system_gain")
     assert any("mcp_v 700" in note for note in gain.notes)
     assert gain.value == pytest.approx(0.5, rel=0.05)

@@ -1,4 +1,6 @@
-"""However a stack is cut and wherever it is read, its statistics are the same bytes, in little memory."""
+"""However a stack is cut and wherever it is read, its statistics are the same bytes, in little
+memory.
+"""
 
 import shutil
 import sys
@@ -34,7 +36,9 @@ def session(tmp_path_factory, seed):
             kind = "dark" if label == "dark" else "flat"
             with writer.begin_stack(label, kind, SHAPE, np.uint16, Conditions()) as stack:
                 for number in range(count):
-                    noise = gaussian_filter(20.0 * rng.standard_normal(SHAPE), 0.7) + rng.standard_normal(SHAPE)
+                    noise = gaussian_filter(
+                        20.0 * rng.standard_normal(SHAPE), 0.7
+                    ) + rng.standard_normal(SHAPE)
                     frame = 300.0 + 100.0 * (label != "dark") + pattern + noise
                     stack.append(np.rint(frame).astype(np.uint16), number / 30.0, number)
                 stack.finish()
@@ -45,7 +49,9 @@ def same(one, two) -> bool:
     """Whether two values are equal to the last bit, the time they took aside."""
     if is_dataclass(one):
         names = [field.name for field in fields(one) if field.name != "seconds"]
-        return type(one) is type(two) and all(same(getattr(one, name), getattr(two, name)) for name in names)
+        return type(one) is type(two) and all(
+            same(getattr(one, name), getattr(two, name)) for name in names
+        )
     if isinstance(one, np.ndarray):
         return one.dtype == two.dtype and one.tobytes() == two.tobytes()
     if isinstance(one, dict):
@@ -57,7 +63,10 @@ def same(one, two) -> bool:
 
 def levels(session, **more):
     darks, flats, single = read_levels(
-        session, context=method_context(session, quick=True, seed=1, **more), spectra=True, cubes=True
+        session,
+        context=method_context(session, quick=True, seed=1, **more),
+        spectra=True,
+        cubes=True,
     )
     assert not single
     return darks + flats
@@ -70,12 +79,18 @@ def test_a_stack_larger_than_memory_has_the_statistics_of_one_that_is_not(sessio
 
 
 def test_two_workers_of_a_cluster_give_the_same_bytes(session, monkeypatch):
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install 'charact[dask]'")
+    distributed = pytest.importorskip(
+        "distributed", reason="Dask is not installed: pip install 'charact[dask]'"
+    )
     here = levels(session)
     monkeypatch.setattr(stack_statistics, "WHOLE_BYTES", 2**19)
     with (
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
+            n_workers=2,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs=50,
         ) as cluster,
         parallel_map(cluster.scheduler_address) as spread,
     ):
@@ -88,11 +103,18 @@ def test_two_workers_of_a_cluster_give_the_same_bytes(session, monkeypatch):
 def _part(session):
     context = method_context(session, quick=True, seed=1)
     return stack_statistics.Part(
-        entry=session.stacks[0], runs=((0, 2),), cube=False, spectra=False, context=context, whole=False
+        entry=session.stacks[0],
+        runs=((0, 2),),
+        cube=False,
+        spectra=False,
+        context=context,
+        whole=False,
     )
 
 
-def test_a_frame_that_is_not_what_was_acknowledged_is_refused_part_by_part_too(session, tmp_path, monkeypatch):
+def test_a_frame_that_is_not_what_was_acknowledged_is_refused_part_by_part_too(
+    session, tmp_path, monkeypatch
+):
     copy = tmp_path / "copy"
     shutil.copytree(session.folder, copy)
     (chunk,) = (path for path in copy.rglob("c.35.0.0") if "dark" in path.parent.name)
@@ -102,8 +124,12 @@ def test_a_frame_that_is_not_what_was_acknowledged_is_refused_part_by_part_too(s
         levels(open_session(copy))
 
 
-def test_what_is_no_address_of_a_scheduler_ends_in_one_sentence_before_there_is_a_client(monkeypatch):
-    """A client without an address complains a second time when it is thrown away, with a traceback."""
+def test_what_is_no_address_of_a_scheduler_ends_in_one_sentence_before_there_is_a_client(
+    monkeypatch,
+):
+    """A client without an address complains a second time when it is thrown away, with a
+    traceback.
+    """
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(distributed, "Client", lambda *_, **__: pytest.fail("a client was made"))
     for address in ("nowhere", "", "tcp://127.0.0.1:99999", "tcp://127.0.0.1:9"):

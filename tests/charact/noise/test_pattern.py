@@ -1,4 +1,6 @@
-"""The fixed pattern of unequal pixels is neither the noise of the frames nor the light they keep from each other."""
+"""The fixed pattern of unequal pixels is neither the noise of the frames nor the light they keep
+from each other.
+"""
 
 import numpy as np
 import pytest
@@ -26,7 +28,9 @@ def kept(rng, share, count, shape=(96, 128)):
 
 @pytest.mark.parametrize("blur_px", [0.0, 1.5])
 def test_its_standard_error_holds_for_blurred_noise_too(seed, blur_px):
-    """Blurred noise has fewer independent pixels: the scatter over repeats is what the error says."""
+    """Blurred noise has fewer independent pixels: the scatter over repeats is what the error
+    says.
+    """
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng(seed)
@@ -36,7 +40,8 @@ def test_its_standard_error_holds_for_blurred_noise_too(seed, blur_px):
         image = gaussian_filter(white, (0, blur_px, blur_px), mode="wrap") if blur_px else white
         found = pattern_of(image)
         pulls.append(found.variance_dn2 / found.sd_dn2)
-    # What near pairs might share is in the error as well, so that it is too large rather than too small.
+    # What near pairs might share is in the error as well, so that it is too large rather than too
+    # small.
     assert 0.3 < np.sqrt(np.mean(np.square(pulls))) < 1.0 + 4.5 / np.sqrt(120)
 
 
@@ -50,18 +55,31 @@ def test_noise_that_fades_is_waited_for(seed, share):
 
 
 @pytest.mark.parametrize(("share", "frames"), [(0.0, 8), (0.2, 2), (0.2, 8), (0.8, 16), (0.6, 32)])
-def test_non_uniformity_of_an_intensified_camera_is_right_or_flagged(pulses, keeping, series, seed, share, frames):
+def test_non_uniformity_of_an_intensified_camera_is_right_or_flagged(
+    pulses, keeping, series, seed, share, frames
+):
     camera = pulses(
-        gain_dn=5.0, transfer=gaussian(0.7), memory=keeping(share), pattern=0.02,
-        offset_dn=1.0, shape=(128, 160),
-    )  # fmt: skip
-    session = series(camera, np.random.default_rng(seed), (40.0, 120.0, 360.0), frames=frames, dark_frames=frames)
+        gain_dn=5.0,
+        transfer=gaussian(0.7),
+        memory=keeping(share),
+        pattern=0.02,
+        offset_dn=1.0,
+        shape=(128, 160),
+    )
+    session = series(
+        camera, np.random.default_rng(seed), (40.0, 120.0, 360.0), frames=frames, dark_frames=frames
+    )
     realised = 100.0 * np.random.default_rng(7).standard_normal(camera.shape).std() * 0.02
     spread = np.random.default_rng(11).standard_normal(camera.shape).std()
     for method in METHODS:
         result = noise.measure(session, method=method, context=QUICK)
         (prnu,) = result.find("prnu")
         assert prnu.status == "ok" or (share and frames != 32), method
-        for found, truth in [(prnu, realised), *((m, spread) for m in result.find("dsnu") if m.unit == "DN")]:
+        for found, truth in [
+            (prnu, realised),
+            *((m, spread) for m in result.find("dsnu") if m.unit == "DN"),
+        ]:
             low, high = found.interval68 or (0.0, 0.0)
-            assert found.status != "ok" or abs(found.value - truth) < max(4.5 * 0.5 * (high - low), 0.02 * truth)
+            assert found.status != "ok" or abs(found.value - truth) < max(
+                4.5 * 0.5 * (high - low), 0.02 * truth
+            )

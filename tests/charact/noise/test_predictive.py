@@ -1,4 +1,6 @@
-"""Frames drawn from the posterior beside those measured: right models pass, wrong ones are told by what no fit saw."""
+"""Frames drawn from the posterior beside those measured: right models pass, wrong ones are told by
+what no fit saw.
+"""
 
 from collections import Counter
 from dataclasses import replace
@@ -33,13 +35,24 @@ def changed(session, in_memory, change):
     stacks = []
     for entry in session.stacks:
         data = entry.held.data.astype(float)
-        data = np.clip(np.rint(change(data) if entry.kind == "flat" else data), 0, 65535).astype(np.uint16)
-        stacks.append((entry.label, entry.kind, FrameStack(data=data, full_scale_dn=65535.0), entry.conditions))
+        data = np.clip(np.rint(change(data) if entry.kind == "flat" else data), 0, 65535).astype(
+            np.uint16
+        )
+        stacks.append(
+            (
+                entry.label,
+                entry.kind,
+                FrameStack(data=data, full_scale_dn=65535.0),
+                entry.conditions,
+            )
+        )
     return in_memory(stacks)
 
 
 @pytest.mark.parametrize("kind", ["wings", "lag", "white"])
-def test_a_camera_that_is_as_the_model_has_it_is_not_called_wrong(pulses, keeping, series, seed, kind):
+def test_a_camera_that_is_as_the_model_has_it_is_not_called_wrong(
+    pulses, keeping, series, seed, kind
+):
     camera = {
         "wings": pulses(transfer=lambda f: np.exp(-((f / 0.25) ** 1.2)), shape=SHAPE),
         "lag": pulses(transfer=gaussian(0.9), memory=keeping(0.3), shape=SHAPE),
@@ -71,20 +84,29 @@ def test_what_the_model_has_not_is_found_by_its_own_sign(pulses, series, in_memo
         return steady + (data - steady) * (1.0 + 0.9 * wave)
 
     change, sign = {
-        "flicker": (flicker, "flicker"), "blobs": (blobs, "skewness"), "gamma": (gamma, "variance"),
+        "flicker": (flicker, "flicker"),
+        "blobs": (blobs, "skewness"),
+        "gamma": (gamma, "variance"),
         "patches": (patches, "patches"),
-    }[wrong]  # fmt: skip
+    }[wrong]
     camera = pulses(transfer=gaussian(0.9), shape=SHAPE)
     # Few frames tell little of how their means vary.
     frames = 8 if wrong == "flicker" else 5
-    found = told(changed(series(camera, rng, LEVELS, frames=frames, dark_frames=5), in_memory, change))
+    found = told(
+        changed(series(camera, rng, LEVELS, frames=frames, dark_frames=5), in_memory, change)
+    )
     flags = predictive_check.findings_of(found)
     assert [flag for flag, _ in flags] == ["model-misfit"] * len(flags) and flags
-    assert any(one.sign == sign and one.chance * len(found) < predictive_check.PREDICTIVE.false_alarm for one in found)
+    assert any(
+        one.sign == sign and one.chance * len(found) < predictive_check.PREDICTIVE.false_alarm
+        for one in found
+    )
 
 
 def test_chances_are_no_smaller_than_they_say(seed, monkeypatch):
-    """Frames drawn from the very law: of each sign no more are odd than chance has it, with nothing held harmless."""
+    """Frames drawn from the very law: of each sign no more are odd than chance has it, with nothing
+    held harmless.
+    """
     monkeypatch.setattr(
         predictive_check,
         "STATISTICS",
@@ -108,7 +130,9 @@ def test_chances_are_no_smaller_than_they_say(seed, monkeypatch):
 
 @pytest.mark.parametrize(("kept", "spread"), [(0.0, 0.0), (0.4, 1.0), (0.6, 0.5)])
 def test_light_of_decaying_pulses_has_the_cumulants_of_shot_noise(seed, kept, spread):
-    """Cumulants of a sum of exposures, each (1 - r) r^i of compound Poisson light (Campbell's theorem)."""
+    """Cumulants of a sum of exposures, each (1 - r) r^i of compound Poisson light (Campbell's
+    theorem).
+    """
     light, pulse, every, pixels = 40.0, 5.0, 2, 400
     law = LightNoise(pulse_dn=pulse, height_variance=spread, electron_gain_dn=0.0, kept=kept)
     drawn = law.frames(np.full((pixels, pixels), light), 3, every, np.random.default_rng(seed))
@@ -140,4 +164,7 @@ def test_a_number_that_is_not_quick_carries_what_its_frames_say(pulses, series, 
     assert any("frames drawn from the posterior" in note for note in gain.notes)
     evidence = result.evidence["predictive-frames"]
     assert len(evidence["chance"]) == len(evidence["sign"]) and min(evidence["chance"]) < 1e-4
-    assert "predictive-frames" not in noise.measure(session, method="covariance-sum", context=QUICK).evidence
+    assert (
+        "predictive-frames"
+        not in noise.measure(session, method="covariance-sum", context=QUICK).evidence
+    )

@@ -1,4 +1,6 @@
-"""A camera that sharpens, averages over frames or bends its response is found out; its plain twin is not accused."""
+"""A camera that sharpens, averages over frames or bends its response is found out; its plain twin
+is not accused.
+"""
 
 import numpy as np
 import pytest
@@ -21,9 +23,13 @@ def plain(charge, read):
 
 
 def sharpened(charge, read):
-    """What an aperture correction adds: a part of the difference from both neighbours in the row."""
+    """What an aperture correction adds: a part of the difference from both neighbours in the
+    row.
+    """
     picture = plain(charge, read)
-    return picture + 0.1 * (2.0 * picture - np.roll(picture, 1, axis=2) - np.roll(picture, -1, axis=2))
+    return picture + 0.1 * (
+        2.0 * picture - np.roll(picture, 1, axis=2) - np.roll(picture, -1, axis=2)
+    )
 
 
 def averaged(charge, read):
@@ -41,7 +47,9 @@ def blurred(charge, read):
 
 
 def spared(charge, read):
-    """A filter that spares edges: the mean of a pixel and of neighbours that differ by no more than some 30 DN."""
+    """A filter that spares edges: the mean of a pixel and of neighbours that differ by no more than
+    some 30 DN.
+    """
     picture = plain(charge, read)
     total, weight = picture.copy(), np.ones_like(picture)
     for step in ((0, 1), (0, -1), (1, 0), (-1, 0)):
@@ -60,15 +68,24 @@ def series(in_memory, rng, camera, *, lit=True, count=10):
     stacks = []
     for level in (0.0, *LEVELS):
         read = 2.0 * rng.standard_normal((count, 112, 144))
-        data = np.clip(np.rint(camera(electrons(rng, level, count), read)), 0, 65535).astype(np.uint16)
+        data = np.clip(np.rint(camera(electrons(rng, level, count), read)), 0, 65535).astype(
+            np.uint16
+        )
         light = Conditions(illuminance_lux=level) if lit else Conditions()
-        stacks.append((f"level-{level:g}", "flat" if level else "dark", FrameStack(data=data), light))
+        stacks.append(
+            (f"level-{level:g}", "flat" if level else "dark", FrameStack(data=data), light)
+        )
     return in_memory(stacks)
 
 
 def flags_of(session, method):
     result = noise.measure(session, method=method, context=QUICK)
-    return {flag for name in ("system_gain", "covariance_gain") for m in result.find(name) for flag in m.flags}
+    return {
+        flag
+        for name in ("system_gain", "covariance_gain")
+        for m in result.find(name)
+        for flag in m.flags
+    }
 
 
 @pytest.mark.parametrize(
@@ -92,16 +109,25 @@ def test_filters_in_the_camera_are_found_and_blur_is_none(in_memory, seed, metho
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("lit", [True, False])
 def test_a_gamma_curve_is_told_by_the_light_or_by_the_noise_alone(in_memory, seed, method, lit):
-    assert "gamma" in flags_of(series(in_memory, np.random.default_rng(seed), gamma, lit=lit), method)
+    assert "gamma" in flags_of(
+        series(in_memory, np.random.default_rng(seed), gamma, lit=lit), method
+    )
     assert flags_of(series(in_memory, np.random.default_rng(seed), plain, lit=lit), method) == set()
 
 
 def test_the_glow_of_dark_pulses_is_no_noise_reduction(pulses, keeping, in_memory, seed):
-    """Scintillations of the dark are kept by the screen from frame to frame, and shared by neighbours."""
+    """Scintillations of the dark are kept by the screen from frame to frame, and shared by
+    neighbours.
+    """
     camera = pulses(transfer=gaussian(0.9), memory=keeping(0.3))
     rng = np.random.default_rng(seed)
     stacks = [
-        (f"level-{level}", "flat" if level > 1 else "dark", camera.frames(rng, level, 12), Conditions())
+        (
+            f"level-{level}",
+            "flat" if level > 1 else "dark",
+            camera.frames(rng, level, 12),
+            Conditions(),
+        )
         for level in (0.2, 4.0, 12.0, 36.0)
     ]
     assert "processed" not in flags_of(in_memory(stacks), "covariance-sum")

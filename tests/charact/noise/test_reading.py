@@ -1,4 +1,6 @@
-"""Laws of pixels that read light: what nothing blurs stays white, and what folds is what orders of sampling bring."""
+"""Laws of pixels that read light: what nothing blurs stays white, and what folds is what orders of
+sampling bring.
+"""
 
 import numpy as np
 import pytest
@@ -6,7 +8,9 @@ import pytest
 from charact.noise.gain.model import PixelReadoutModel
 from labdata.sensors import load_sensor
 
-X, ROWS = (axis.ravel() for axis in np.meshgrid(np.linspace(0.0, 0.25, 11), np.linspace(-0.3, 0.3, 9)))
+X, ROWS = (
+    axis.ravel() for axis in np.meshgrid(np.linspace(0.0, 0.25, 11), np.linspace(-0.3, 0.3, 9))
+)
 
 
 @pytest.mark.parametrize("row_pitch", [1.0, 1.18, 2.36])
@@ -34,7 +38,8 @@ def test_what_folds_back_is_the_sum_over_the_orders_of_sampling(row_pitch, sigma
         for down in range(-10, 11):
             x, y = X + across, row + down / row_pitch
             total += np.exp(ln_blur(x, y)) * (np.sinc(x) * np.sinc(y * row_pitch)) ** 2
-    # All that folds counts as of the nearest order, a little too much, by less than is missed without it.
+    # All that folds counts as of the nearest order, a little too much, by less than is missed
+    # without it.
     assert np.all(shown >= total - 1e-9)
     assert (shown - total).max() < 0.02
     assert (shown - total).max() <= 0.9 * (total - plain).max() + 1e-3
@@ -42,7 +47,10 @@ def test_what_folds_back_is_the_sum_over_the_orders_of_sampling(row_pitch, sigma
 
 def test_a_described_video_filter_is_put_in_as_it_is():
     sensor = load_sensor("pulnix-ag5745ef3")
-    plain, filtered = PixelReadoutModel(row_pitch=2.0, described=True), PixelReadoutModel.of(2.0, sensor)
+    plain, filtered = (
+        PixelReadoutModel(row_pitch=2.0, described=True),
+        PixelReadoutModel.of(2.0, sensor),
+    )
     assert filtered.video is not None
     white = filtered.pixel_power(lambda x, y: np.zeros((1, x.size)), X, ROWS / 2.0)[0]
     assert white == pytest.approx(np.abs(filtered.video(X)) ** 2)

@@ -1,4 +1,6 @@
-"""Cameras drawn at random over all that goes wrong: a number is right within its interval, or it carries a flag."""
+"""Cameras drawn at random over all that goes wrong: a number is right within its interval, or it
+carries a flag.
+"""
 
 import numpy as np
 import pytest
@@ -32,9 +34,11 @@ def drawn(pulses, keeping, rng):
         full_scale_dn=float(ailing(65535.0, 100.0 + top_dn, 110.0 + 0.9 * top_dn)),
         # Less than 2 % at the top is within the scope of both methods and goes unflagged.
         bend_per_dn=ailing(0.0, 0.05, 0.1, 0.2) / top_dn,
-        pattern=ailing(0.01, 0.0, 0.05), offset_dn=ailing(1.0, 0.0, 3.0), shape=(112, 144),
+        pattern=ailing(0.01, 0.0, 0.05),
+        offset_dn=ailing(1.0, 0.0, 3.0),
+        shape=(112, 144),
         light_of_frame=lambda frame: 1.0 + drift * frame / max(1, count - 1),
-    )  # fmt: skip
+    )
     unit = camera.gain_dn or camera.electron_gain_dn
     levels = tuple(top_dn / unit * np.linspace(0.0, 1.0, int(ailing(4, 1, 2, 6)) + 1)[1:])
     return camera, levels, count
@@ -43,7 +47,10 @@ def drawn(pulses, keeping, rng):
 def truths(camera) -> dict[tuple[str, str], float]:
     """What the camera was made with."""
     gain = camera.covariance_gain_dn if camera.gain_dn else camera.electron_gain_dn
-    found = {("covariance_gain", "DN"): gain * (1.0 + camera.pattern**2), ("system_gain", "DN/e-"): gain}
+    found = {
+        ("covariance_gain", "DN"): gain * (1.0 + camera.pattern**2),
+        ("system_gain", "DN/e-"): gain,
+    }
     if not camera.smoothing_px:
         found["read_noise", "DN"] = float(np.hypot(camera.read_noise_dn, np.sqrt(1 / 12)))
         if not camera.bend_per_dn and camera.pattern:
@@ -73,13 +80,21 @@ def test_no_number_is_wrong_without_a_flag(pulses, keeping, series, seed, method
 
 
 @pytest.mark.parametrize("frames", [2, 4])
-def test_the_interval_of_few_frames_covers_or_says_that_they_are_too_few(pulses, series, seed, frames):
-    """95 % intervals of 6 sessions of small frames miss at most 3 times: once in some 10,000 by chance."""
+def test_the_interval_of_few_frames_covers_or_says_that_they_are_too_few(
+    pulses, series, seed, frames
+):
+    """95 % intervals of 6 sessions of small frames miss at most 3 times: once in some 10,000 by
+    chance.
+    """
     camera = pulses(transfer=gaussian(0.7), shape=(96, 128))
     missed = 0
     for index in range(6):
-        session = series(camera, np.random.default_rng((seed, frames, index)), (5.0, 15.0, 30.0), frames=frames)
+        session = series(
+            camera, np.random.default_rng((seed, frames, index)), (5.0, 15.0, 30.0), frames=frames
+        )
         (gain,) = noise.measure(session, context=QUICK).find("covariance_gain")
         low, high = gain.interval95
-        missed += "too-few-frames" not in gain.flags and not low <= camera.covariance_gain_dn <= high
+        missed += (
+            "too-few-frames" not in gain.flags and not low <= camera.covariance_gain_dn <= high
+        )
     assert missed <= 3

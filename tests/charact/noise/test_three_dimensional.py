@@ -1,4 +1,6 @@
-"""The seven components of 3-D noise, on cubes whose components are known because they are drawn here."""
+"""The seven components of 3-D noise, on cubes whose components are known because they are drawn
+here.
+"""
 
 import tracemalloc
 
@@ -40,8 +42,12 @@ def cube(rng, shape, sd, *, blur_px=0.0, lag=0.0):
     margin = 2 * MARGIN if blur_px else 0
     random = kept(rng, (shape[0], shape[1] + margin, shape[2] + margin), lag)
     out = 1000.0 + sd[6] * (blurred(random, blur_px) if blur_px else random)
-    for share, own in zip(sd[:6], ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1)), strict=True):
-        out += share * rng.standard_normal([length if axis else 1 for length, axis in zip(shape, own, strict=True)])
+    for share, own in zip(
+        sd[:6], ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1)), strict=True
+    ):
+        out += share * rng.standard_normal(
+            [length if axis else 1 for length, axis in zip(shape, own, strict=True)]
+        )
     return out
 
 
@@ -53,11 +59,15 @@ def two_fields(rng, shape, sd):
 
 
 def of(frames, *, interlaced=False):
-    return components(contrasts(FrameStack(data=np.asarray(frames, np.float32)), interlaced=interlaced))
+    return components(
+        contrasts(FrameStack(data=np.asarray(frames, np.float32)), interlaced=interlaced)
+    )
 
 
 def trials(rng, make, sd, *, interlaced=False):
-    """Estimates, shape (cube, component), and how many 95 % intervals hold the truth, shape (component,)."""
+    """Estimates, shape (cube, component), and how many 95 % intervals hold the truth, shape
+    (component,).
+    """
     found, held = np.empty((CUBES, 7)), np.zeros(7, int)
     for trial in range(CUBES):
         parts = of(make(rng), interlaced=interlaced)
@@ -76,7 +86,9 @@ def pulls(found, sd):
 def measured(in_memory, frames, *, context=QUICK, **stamps):
     """The seven measurements of one flat, by name."""
     stack = FrameStack(data=frames, **stamps)
-    result = noise.measure(in_memory([("flat", "flat", stack, Conditions())]), method="variance", context=context)
+    result = noise.measure(
+        in_memory([("flat", "flat", stack, Conditions())]), method="variance", context=context
+    )
     return {name: result.find(f"noise_{name}", stack="flat")[0] for name in NAMES}
 
 
@@ -106,16 +118,20 @@ def test_a_component_that_is_not_there_is_estimated_as_often_below_zero_as_above
 
 
 def test_what_is_taken_off_is_the_bias_of_finite_cubes(seed):
-    """Variances of plain directional means exceed the components by the textbook's terms; ours do not."""
+    """Variances of plain directional means exceed the components by the textbook's terms; ours do
+    not.
+    """
     shape, sd = (12, 24, 32), (1.0, 1.0, 1.0, 1.5, 1.2, 0.8, 3.0)
     frames, rows, cols = shape
     tv, th, vh, tvh = np.square(sd[3:])
     textbook = {
-        "vh": tvh / frames, "tv": tvh / cols, "th": tvh / rows,
+        "vh": tvh / frames,
+        "tv": tvh / cols,
+        "th": tvh / rows,
         "t": tv / rows + th / cols + tvh / (rows * cols),
         "v": tv / frames + vh / cols + tvh / (frames * cols),
         "h": th / frames + vh / rows + tvh / (frames * rows),
-    }  # fmt: skip
+    }
     averaged = {"vh": 0, "tv": 2, "th": 1, "t": (1, 2), "v": (0, 2), "h": (0, 1)}
     rng = np.random.default_rng(seed)
     excess = {name: [] for name in textbook}
@@ -134,7 +150,9 @@ def test_what_is_taken_off_is_the_bias_of_finite_cubes(seed):
 
 
 def test_noise_shared_by_neighbours_is_no_noise_of_rows_or_columns(seed):
-    """Blurred noise leaves more in the mean of a row than white noise: the plain analysis calls that row noise."""
+    """Blurred noise leaves more in the mean of a row than white noise: the plain analysis calls
+    that row noise.
+    """
     sd = (0.1, 0.2, 0.2, 0.0, 0.0, 0.2, 2.0)
     rng = np.random.default_rng(seed)
     found, held = trials(rng, lambda rng: cube(rng, (8, 72, 96), sd, blur_px=1.0), sd)
@@ -144,9 +162,13 @@ def test_noise_shared_by_neighbours_is_no_noise_of_rows_or_columns(seed):
 
 
 def test_noise_that_lasts_is_followed_to_frequency_zero(seed):
-    """The slowest waves still hold less of it than the mean over time does: the slope between them tells the rest."""
+    """The slowest waves still hold less of it than the mean over time does: the slope between them
+    tells the rest.
+    """
     sd = (0.2, 0.3, 0.3, 0.0, 0.0, 0.2, 2.0)
-    found, held = trials(np.random.default_rng(seed), lambda rng: cube(rng, (32, 40, 56), sd, lag=0.4), sd)
+    found, held = trials(
+        np.random.default_rng(seed), lambda rng: cube(rng, (32, 40, 56), sd, lag=0.4), sd
+    )
     assert held.min() >= LEAST_HELD
     # Without the slope 0.026 DN2 of the random noise would pass for fixed pattern.
     assert abs(found[:, 5].mean() - sd[5] ** 2) < 0.01
@@ -185,16 +207,22 @@ def test_fields_that_were_not_taken_apart_are_seen(in_memory, seed):
 
 @pytest.mark.parametrize("kind", [np.uint16, np.float64])
 def test_a_strong_fixed_pattern_leaves_what_changes_in_time_alone(seed, kind):
-    """Shading ten thousand times the noise: single precision suffices because the first frame is taken off."""
+    """Shading ten thousand times the noise: single precision suffices because the first frame is
+    taken off.
+    """
     rng = np.random.default_rng(seed)
     still = np.rint(cube(rng, (13, 40, 48), (0.5, 0.0, 0.0, 0.5, 0.5, 0.0, 2.0)))
-    shading = np.rint(20000.0 * np.outer(np.linspace(1, 2, 40) ** 2, np.linspace(1.0, 0.5, 48)) / 4.0)
+    shading = np.rint(
+        20000.0 * np.outer(np.linspace(1, 2, 40) ** 2, np.linspace(1.0, 0.5, 48)) / 4.0
+    )
     plain, shaded = (
         components(contrasts(FrameStack(data=frames.astype(kind)), interlaced=False))
         for frames in (still, still + shading)
     )
     for name in ("t", "tv", "th", "tvh"):
-        assert shaded[name].variance_dn2 == pytest.approx(plain[name].variance_dn2, rel=1e-3, abs=1e-4)
+        assert shaded[name].variance_dn2 == pytest.approx(
+            plain[name].variance_dn2, rel=1e-3, abs=1e-4
+        )
 
 
 def test_smooth_shading_is_neither_row_nor_column_noise(in_memory, seed):
@@ -233,7 +261,9 @@ def test_drift_and_flicker_are_named(in_memory, seed):
 
 
 def test_what_is_not_seen_is_reported_with_its_limit(in_memory, seed):
-    """A negative estimate is no number below its interval: it is none, with what may still be there."""
+    """A negative estimate is no number below its interval: it is none, with what may still be
+    there.
+    """
     rng = np.random.default_rng(seed)
     notes = []
     for _ in range(6):
@@ -270,20 +300,31 @@ def test_every_long_stack_has_its_seven_and_short_ones_say_why_not(pulses, serie
     assert abs(second.value - np.sqrt(0.5**2 * 800.0 + 2.0**2 + 1 / 12)) < 4.5 * 0.5 * (high - low)
     assert first.unit == "DN"
     short = noise.measure(
-        series(camera, np.random.default_rng(seed), (200.0,), frames=4, dark_frames=4), method=method, context=QUICK
+        series(camera, np.random.default_rng(seed), (200.0,), frames=4, dark_frames=4),
+        method=method,
+        context=QUICK,
     )
     assert [m.status for name in NAMES for m in short.find(f"noise_{name}")] == ["refused"] * 7
 
 
 def test_rare_pulses_make_the_random_noise_less_certain_than_normal_noise_would(pulses, seed):
-    """One photoelectron in fifty pixels, exponential pulse heights: the fourth moment is far from the normal law's."""
+    """One photoelectron in fifty pixels, exponential pulse heights: the fourth moment is far from
+    the normal law's.
+    """
     camera, rng = pulses(gain_dn=20.0, shape=(64, 80)), np.random.default_rng(seed)
-    variance = 0.02 * 2.0 * camera.gain_dn**2 + 0.05 * 0.02 * camera.gain_dn + camera.read_noise_dn**2 + 1 / 12
+    variance = (
+        0.02 * 2.0 * camera.gain_dn**2
+        + 0.05 * 0.02 * camera.gain_dn
+        + camera.read_noise_dn**2
+        + 1 / 12
+    )
     held, narrow = 0, 0
     for _ in range(30):
         part = of(camera.frames(rng, 0.02, 12).data)["tvh"]
         low, high = np.quantile(part.draws(rng, 2000), [0.025, 0.975])
         held += low <= variance <= high
-        narrow += abs(part.variance_dn2 - variance) < 1.96 * variance * np.sqrt(2.0 / (11 * 63 * 79))
+        narrow += abs(part.variance_dn2 - variance) < 1.96 * variance * np.sqrt(
+            2.0 / (11 * 63 * 79)
+        )
     # 95 % of 30, less four standard errors.
     assert held >= 24 > 21 > narrow

@@ -1,10 +1,17 @@
-"""What lowers a variance without showing in it is found, or is in the interval, or is said to be beyond the frames."""
+"""What lowers a variance without showing in it is found, or is in the interval, or is said to be
+beyond the frames.
+"""
 
 import numpy as np
 import pytest
 
 from charact import noise
-from charact.noise.stack.pixels import lower_neighbour, pixel_sums, right_neighbour, successor_correlation
+from charact.noise.stack.pixels import (
+    lower_neighbour,
+    pixel_sums,
+    right_neighbour,
+    successor_correlation,
+)
 from charact.noise.stack.spectrum import NO_BINS
 from charact.noise.stack.temporal import order_of
 from labdata.frames import FrameStack
@@ -27,7 +34,8 @@ def test_a_little_smoothing_lowers_the_variance_and_is_seen(ccd, series, seed, s
     assert plain.value < 0.98 * 0.5
     assert "correlated-noise" in plain.flags
     summed = noise.measure(session, method="covariance-sum", context=QUICK)
-    # The gain of the standard is given as it is, with what it lacks and with the one that lacks nothing.
+    # The gain of the standard is given as it is, with what it lacks and with the one that lacks
+    # nothing.
     assert "correlated-noise" in one(summed, "system_gain").flags
     assert one(summed, "system_gain").value < 0.98 * 0.5
     assert abs(errors(one(summed, "covariance_gain"), 0.5)) < 4.5
@@ -44,9 +52,14 @@ def test_a_camera_that_hides_nothing_is_not_accused(ccd, series, seed, frames):
 
 
 @pytest.mark.parametrize(("share", "frames"), [(0.05, 8), (0.2, 3), (0.2, 2), (0.8, 16)])
-def test_light_that_stays_in_the_next_frames_never_passes_unseen(pulses, keeping, series, seed, share, frames):
+def test_light_that_stays_in_the_next_frames_never_passes_unseen(
+    pulses, keeping, series, seed, share, frames
+):
     session = series(
-        pulses(memory=keeping(share), shape=(144, 160)), np.random.default_rng(seed), (5.0, 15.0, 30.0), frames=frames
+        pulses(memory=keeping(share), shape=(144, 160)),
+        np.random.default_rng(seed),
+        (5.0, 15.0, 30.0),
+        frames=frames,
     )
     for method in METHODS:
         result = noise.measure(session, method=method, context=QUICK)
@@ -58,9 +71,12 @@ def test_light_that_stays_in_the_next_frames_never_passes_unseen(pulses, keeping
 
 def test_frames_that_come_twice_are_lag(ccd, series, in_memory, seed):
     session = series(ccd(), np.random.default_rng(seed), ELECTRONS, frames=4)
-    twice = in_memory([
-        (s.label, s.kind, FrameStack(data=np.repeat(s.read().data, 2, axis=0)), s.conditions) for s in session.stacks
-    ])  # fmt: skip
+    twice = in_memory(
+        [
+            (s.label, s.kind, FrameStack(data=np.repeat(s.read().data, 2, axis=0)), s.conditions)
+            for s in session.stacks
+        ]
+    )
     for method in METHODS:
         assert "lag" in one(noise.measure(twice, method=method, context=QUICK), "system_gain").flags
 
@@ -72,11 +88,17 @@ def test_what_a_handful_of_pixels_cannot_exclude_is_in_the_interval(ccd, series,
     assert np.ptp(gain.interval95) > 0.1 * gain.value
 
 
-def test_codes_that_pile_up_are_the_end_of_the_range_though_nobody_told(ccd, series, in_memory, seed):
+def test_codes_that_pile_up_are_the_end_of_the_range_though_nobody_told(
+    ccd, series, in_memory, seed
+):
     """A camera of 12 bits in words of 16: the topmost level is cut at 4095."""
     camera = ccd(full_scale_dn=4095.0)
-    session = series(camera, np.random.default_rng(seed), (1500.0, 3000.0, 5000.0, 7930.0), frames=6)
-    untold = in_memory([(s.label, s.kind, FrameStack(data=s.read().data), s.conditions) for s in session.stacks])
+    session = series(
+        camera, np.random.default_rng(seed), (1500.0, 3000.0, 5000.0, 7930.0), frames=6
+    )
+    untold = in_memory(
+        [(s.label, s.kind, FrameStack(data=s.read().data), s.conditions) for s in session.stacks]
+    )
     result = noise.measure(untold, method="variance", context=QUICK)
     assert result.evidence["photon-transfer"]["fitted"] == [True, True, True, False]
     assert abs(errors(one(result, "system_gain"), 0.5)) < 4.5

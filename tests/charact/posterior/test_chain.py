@@ -45,10 +45,13 @@ def test_same_seed_gives_the_same_draws_and_leaves_global_randomness_alone():
 
 
 def test_kept_draws_scatter_as_independent_ones_do():
-    """Their spread errs by 1/sqrt(2 N) from seed to seed, not by that of a few walkers followed step by step."""
+    """Their spread errs by 1/sqrt(2 N) from seed to seed, not by that of a few walkers followed
+    step by step.
+    """
     errors = []
     for seed in range(5):
         posterior = draw(lambda points: -0.5 * (points**2).sum(1), 10, seed=seed, draws=1000)
         errors.append((posterior.draws.std(0) - 1.0) * np.sqrt(2000))
-    # 50 errors of variance 1, and of 1/5 more since the chains hold five times as many independent draws.
+    # 50 errors of variance 1, and of 1/5 more since the chains hold five times as many independent
+    # draws.
     assert np.mean(np.square(errors)) < 1.2 * (1.0 + 4.5 * np.sqrt(2 / 50))

@@ -14,7 +14,9 @@ def test_autocorrelation_time_of_an_autoregressive_series_is_its_closed_form(see
     for step in range(1, 4000):
         series[step, :, 0] = a * series[step - 1, :, 0] + rng.standard_normal(40)
     # Relative error of tau with window M = 5 tau: sqrt(2 (2 M + 1) / N), Sokal 1996.
-    assert diagnostics.autocorrelation_time(series)[0] == pytest.approx(9.0, rel=4.5 * np.sqrt(2 * 91 / 160000) + 0.01)
+    assert diagnostics.autocorrelation_time(series)[0] == pytest.approx(
+        9.0, rel=4.5 * np.sqrt(2 * 91 / 160000) + 0.01
+    )
 
 
 def test_a_parameter_that_never_moves_has_no_finite_autocorrelation_time():

@@ -1,7 +1,9 @@
-"""Each way in which walkers are known to deceive is provoked and ends in a flag; its healthy twin ends in none.
+"""Each way in which walkers are known to deceive is provoked and ends in a flag; its healthy twin
+ends in none.
 
-Reference: physics reference, section 5.4. Where it is instructive emcee's own stretch move shows the failure first.
-Correct sampling of a wrong model, which no chain can tell, is in test_predictive.py.
+Reference: physics reference, section 5.4. Where it is instructive emcee's own stretch move shows
+the failure first. Correct sampling of a wrong model, which no chain can tell, is in
+test_predictive.py.
 """
 
 import numpy as np
@@ -41,11 +43,15 @@ def test_two_modes_are_flagged_and_shared_rightly_by_however_few_walkers(walkers
         # Standard error with as many independent draws as the chain says it holds.
         error = 0.5 / np.sqrt(min(posterior.effective_sample_size[0], 1000))
         assert (posterior["p0"] > 1.5).mean() == pytest.approx(0.5, abs=4.5 * error)
-    assert draw(lambda p: normal(p / 0.1), 1, seed=0, covariance=[[0.01]], walkers=walkers).flags == ()
+    assert (
+        draw(lambda p: normal(p / 0.1), 1, seed=0, covariance=[[0.01]], walkers=walkers).flags == ()
+    )
 
 
 def test_modes_of_which_walkers_hold_their_own_for_ever_are_no_converged_chain():
-    """Needles 300 apart, known from the start but seldom left: the shares are those of the start, not of the modes."""
+    """Needles 300 apart, known from the start but seldom left: the shares are those of the start,
+    not of the modes.
+    """
 
     def needles(points):
         squares = (points**2).sum(1), ((points - 300.0) ** 2).sum(1)
@@ -89,7 +95,9 @@ def test_a_tight_start_is_outgrown_given_steps_and_flagged_without():
 
 @pytest.mark.parametrize("peak", [-0.5, 4.0])
 def test_mass_next_to_a_hard_wall_is_flagged(peak):
-    """Peak at -0.5, wall at 0: mean and standard deviation are those of the truncated normal, 0.64 and 0.49."""
+    """Peak at -0.5, wall at 0: mean and standard deviation are those of the truncated normal, 0.64
+    and 0.49.
+    """
 
     def walled(points):
         return np.where(points[:, 0] < 0, -np.inf, -0.5 * (points[:, 0] - peak) ** 2)
@@ -123,7 +131,9 @@ def test_a_parameter_that_never_moves_is_no_converged_chain():
 
 
 def with_needle(points):
-    """A needle with a millionth of the mass, which no proposal hits twice: a walker born in it is stuck for ever."""
+    """A needle with a millionth of the mass, which no proposal hits twice: a walker born in it is
+    stuck for ever.
+    """
     needle = -0.5 * ((points - 3.0) ** 2).sum(1) / 1e-16 + np.log(1e-6 / 1e-16)
     return np.logaddexp(normal(points), needle)
 
@@ -163,9 +173,16 @@ def test_a_posterior_that_takes_hardly_any_proposal_is_flagged():
     angle = np.random.default_rng(1).uniform(0.0, 2 * np.pi, 32)
     first = 10.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     assert stretched(ring(1e-3), first, 500, 1).acceptance_fraction.mean() < 0.1
-    thin = draw(ring(1e-3), 2, seed=1, start=[10.0, 0.0], covariance=50.0 * np.eye(2), max_steps=1500)
+    thin = draw(
+        ring(1e-3), 2, seed=1, start=[10.0, 0.0], covariance=50.0 * np.eye(2), max_steps=1500
+    )
     assert "not-converged" in thin.flags
-    thick = draw(lambda points: ring(2.0)(points) + normal(points - [10.0, 0.0]), 2, seed=1, start=[10.0, 0.0])
+    thick = draw(
+        lambda points: ring(2.0)(points) + normal(points - [10.0, 0.0]),
+        2,
+        seed=1,
+        start=[10.0, 0.0],
+    )
     assert thick.flags == ()
 
 
@@ -196,7 +213,8 @@ def test_walkers_born_outside_a_linked_prior_stay_there_but_ours_are_born_inside
     posterior = draw(linked, 2, seed=2, draws=1000)
     assert posterior.flags == ()
     assert np.all(np.abs(np.diff(posterior.draws, axis=1)) < 0.01)
-    # On the diagonal the density is that of two normals multiplied: a standard deviation of 1/sqrt(2).
+    # On the diagonal the density is that of two normals multiplied: a standard deviation of
+    # 1/sqrt(2).
     spread = posterior["p0"].std()
     assert spread == pytest.approx(np.sqrt(0.5), abs=4.5 * np.sqrt(0.5) / np.sqrt(2 * 1000))
 

@@ -1,4 +1,6 @@
-"""Draws picked by their weight are those of the posterior, however bent it is; a mixture too thin says so."""
+"""Draws picked by their weight are those of the posterior, however bent it is; a mixture too thin
+says so.
+"""
 
 import numpy as np
 import pytest
@@ -48,7 +50,9 @@ def test_mass_at_walls_is_that_of_the_cut_density(seed):
 
 def test_a_mixture_that_may_not_grow_admits_how_few_draws_it_is_worth(monkeypatch):
     monkeypatch.setattr(importance, "MOST_ADDED", 0)
-    assert drawn(lambda points: banana(points * [0.1, 1.0]), 2, seed=1).effective_sample_size[0] < 1000
+    assert (
+        drawn(lambda points: banana(points * [0.1, 1.0]), 2, seed=1).effective_sample_size[0] < 1000
+    )
 
 
 def test_draws_are_picked_as_often_as_they_weigh_but_for_one_and_in_random_order(seed):
@@ -69,7 +73,9 @@ def test_few_draws_to_begin_with_do_as_well(seed):
 
 
 def test_a_posterior_that_no_draw_comes_near_ends_with_few_effective_draws():
-    """A peak ten million times narrower than the curvature says, in 15 directions; it ended in a NaN."""
+    """A peak ten million times narrower than the curvature says, in 15 directions; it ended in a
+    NaN.
+    """
 
     def far(points):
         return -0.5e15 * np.sum((points - 3.0) ** 2, axis=1)

@@ -1,4 +1,6 @@
-"""Least squares finds optima inside and on bounds; Laplace's evidence is that of the Gaussian integral."""
+"""Least squares finds optima inside and on bounds; Laplace's evidence is that of the Gaussian
+integral.
+"""
 
 import numpy as np
 import pytest
@@ -22,7 +24,9 @@ def decay(data, mean=(0.0, 0.0), precision=(0.0, 0.0)):
     def linearise(point):
         model = np.exp(point[0] - TIMES / point[1])
         jacobian = np.stack([model, model * TIMES / point[1] ** 2])
-        return linearise_residual(data - model, jacobian, np.asarray(mean) - point, precision, model)
+        return linearise_residual(
+            data - model, jacobian, np.asarray(mean) - point, precision, model
+        )
 
     return linearise
 

@@ -1,4 +1,6 @@
-"""Every move by itself leaves the posterior as it is, and ensembles side by side know nothing of each other."""
+"""Every move by itself leaves the posterior as it is, and ensembles side by side know nothing of
+each other.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ SCALES = np.array([0.1, 1.0, 10.0])
 MEAN = np.array([1.0, -2.0, 30.0])
 
 
-# Margins learnt from draws as skewed as a wall makes them, of another place and width than the posterior.
+# Margins learnt from draws as skewed as a wall makes them, of another place and width than the
+# posterior.
 SKEWED = NormalScores(MEAN + SCALES * (np.random.default_rng(5).exponential(1.0, (2000, 3)) - 0.5))
 
 
@@ -33,10 +36,16 @@ def drawn(move, seed, *, steps=1500, ensembles=2, walkers=16):
         IndependentDraws(MEAN[None] + SCALES, 2.0 * np.diag(SCALES**2)),
         IndependentDraws(np.zeros((1, 3)), np.eye(3), SKEWED),
     ],
-    ids=["differential evolution", "independent draws about a place beside the peak", "independent draws of scores"],
+    ids=[
+        "differential evolution",
+        "independent draws about a place beside the peak",
+        "independent draws of scores",
+    ],
 )
 def test_a_move_leaves_mean_variance_and_fourth_moment_of_a_gaussian_as_they_are(move, seed):
-    """By the scatter of ensembles side by side: a chain that missed its tails underrates its error."""
+    """By the scatter of ensembles side by side: a chain that missed its tails underrates its
+    error.
+    """
     _, chain = drawn(move, seed, steps=600, ensembles=40)
     for power, moment in ((1, 0.0), (2, 1.0), (4, 3.0)):
         means = (chain**power).mean((1, 2))
@@ -45,10 +54,14 @@ def test_a_move_leaves_mean_variance_and_fourth_moment_of_a_gaussian_as_they_are
 
 
 def test_an_ensemble_learns_nothing_from_the_one_beside_it(seed):
-    """With the second ensemble nowhere near, the first one's walkers stay on differences of their own."""
+    """With the second ensemble nowhere near, the first one's walkers stay on differences of their
+    own.
+    """
     first = np.random.default_rng(seed).standard_normal((2, 16, 3)) * SCALES + MEAN
     first[1] *= 1e6
-    running = Ensembles(lambda points: np.zeros(len(points)), [(DifferentialEvolution(2), 1.0)], first, seed)
+    running = Ensembles(
+        lambda points: np.zeros(len(points)), [(DifferentialEvolution(2), 1.0)], first, seed
+    )
     running.advance(5)
     assert np.abs(running.chains()[0] / first[0].max(axis=0)).max() < 1e4
 
@@ -64,7 +77,8 @@ def test_scores_of_draws_are_normal_and_carry_a_point_there_and_back_with_their_
     rng = np.random.default_rng(seed)
     scores = NormalScores(rng.exponential(1.0, (4000, 3)) * SCALES)
     mapped, _ = scores.of(rng.exponential(1.0, (4000, 3)) * SCALES)
-    # Two samples of 4000 each; the pieces are straight where the margin bends, and longer beyond two scores.
+    # Two samples of 4000 each; the pieces are straight where the margin bends, and longer beyond
+    # two scores.
     assert np.allclose(mapped.mean(axis=0), 0.0, atol=4.5 * np.sqrt(2.0 / 4000) + 0.02)
     assert np.allclose(np.quantile(mapped, 0.84134, axis=0), 1.0, atol=0.12)
     points = (rng.exponential(1.0, (50, 3)) * 4.0 - 2.0) * SCALES

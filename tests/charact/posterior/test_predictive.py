@@ -1,4 +1,6 @@
-"""Predictive probabilities are uniform under the right model, and the examples of the physics reference are told."""
+"""Predictive probabilities are uniform under the right model, and the examples of the physics
+reference are told.
+"""
 
 import numpy as np
 import pytest
@@ -20,7 +22,9 @@ def linear_posterior(data, covariance, rng, draws=1000):
     return mean + rng.standard_normal((draws, 4)) @ np.linalg.cholesky(spread).T
 
 
-def test_probabilities_are_uniform_where_the_model_is_right_and_one_in_a_hundred_is_called_wrong(seed):
+def test_probabilities_are_uniform_where_the_model_is_right_and_one_in_a_hundred_is_called_wrong(
+    seed,
+):
     rng, trials = np.random.default_rng(seed), 160
     lags = np.abs(np.subtract.outer(np.arange(60), np.arange(60)))
     covariance = 0.25 * 0.6**lags
@@ -29,7 +33,11 @@ def test_probabilities_are_uniform_where_the_model_is_right_and_one_in_a_hundred
     for _ in range(trials):
         data = SHAPES @ (PRIOR_SD * rng.standard_normal(4)) + root @ rng.standard_normal(60)
         check = predictive_check(
-            data, linear_posterior(data, covariance, rng) @ SHAPES.T, covariance, rng=rng, replicates=400
+            data,
+            linear_posterior(data, covariance, rng) @ SHAPES.T,
+            covariance,
+            rng=rng,
+            replicates=400,
         )
         found.append([check.chi_squared, check.runs, check.neighbours])
         wrong += check.flags != ()
@@ -43,14 +51,18 @@ def test_probabilities_are_uniform_where_the_model_is_right_and_one_in_a_hundred
 
 
 def test_a_weak_slope_that_chi_squared_misses_is_told_by_its_neighbours():
-    """Light rising by 0.6 standard deviations to either side, fitted by a level: the residuals keep their sign."""
+    """Light rising by 0.6 standard deviations to either side, fitted by a level: the residuals keep
+    their sign.
+    """
     told = {"chi_squared": 0, "structure": 0, "flags": 0}
     for trial in range(15):
         rng = np.random.default_rng(trial)
         place = np.linspace(-1.0, 1.0, 400)
         data = 10.0 + 0.6 * place + rng.standard_normal(400)
         level = data.mean() + rng.standard_normal(500) / 20.0
-        check = predictive_check(data, np.tile(level[:, None], (1, 400)), np.ones(400), rng=rng, replicates=500)
+        check = predictive_check(
+            data, np.tile(level[:, None], (1, 400)), np.ones(400), rng=rng, replicates=500
+        )
         told["chi_squared"] += check.chi_squared < 0.01
         told["structure"] += min(check.runs, check.neighbours) < 0.01
         told["flags"] += check.flags == ("model-misfit",)
@@ -62,12 +74,18 @@ def test_a_weak_slope_that_chi_squared_misses_is_told_by_its_neighbours():
 def bloom(points, radius):
     """Gaussian core and halo disc: amplitude, width, halo level, halo radius."""
     amplitude, width, halo, edge = np.moveaxis(points[..., None], -2, 0)
-    return amplitude * np.exp(-0.5 * (radius / width) ** 2) + halo / (1.0 + np.exp((radius - edge) / 0.5))
+    return amplitude * np.exp(-0.5 * (radius / width) ** 2) + halo / (
+        1.0 + np.exp((radius - edge) / 0.5)
+    )
 
 
-@pytest.mark.parametrize("censored", [False, True], ids=["saturated core as data", "saturation in the model"])
+@pytest.mark.parametrize(
+    "censored", [False, True], ids=["saturated core as data", "saturation in the model"]
+)
 def test_a_saturated_bloom_fitted_as_data_converges_soundly_on_a_wrong_model(censored, seed):
-    """Reference: section 5.3: amplitude 5000, width 2, halo 40, radius 24; full scale 255, noise 2."""
+    """Reference: section 5.3: amplitude 5000, width 2, halo 40, radius 24; full scale 255,
+    noise 2.
+    """
     rng = np.random.default_rng(seed)
     radius = np.sort(np.sqrt(rng.uniform(0.0, 40.0**2, 2000)))
     truth = np.array([5000.0, 2.0, 40.0, 24.0])
@@ -109,7 +127,9 @@ def test_a_saturated_bloom_fitted_as_data_converges_soundly_on_a_wrong_model(cen
 
 @pytest.mark.parametrize("gamma", [1.0, 0.45])
 def test_an_edge_through_a_gamma_is_no_symmetric_edge(gamma, seed):
-    """Reference: section 5.1: gamma 0.45 at contrast 0.02 to 1 moves MTF50 by -9 % and skews the edge."""
+    """Reference: section 5.1: gamma 0.45 at contrast 0.02 to 1 moves MTF50 by -9 % and skews the
+    edge.
+    """
     rng = np.random.default_rng(seed)
     distance = np.linspace(-8.0, 8.0, 300)
     data = 200.0 * (0.02 + 0.98 * norm.cdf(distance)) ** gamma + 0.4 * rng.standard_normal(300)
@@ -122,7 +142,9 @@ def test_an_edge_through_a_gamma_is_no_symmetric_edge(gamma, seed):
         return -0.5 * (((data - mean(points)) / 0.4) ** 2).sum(1)
 
     low, high = 200.0 * 0.02**gamma, 200.0
-    peak, covariance = find_maximum(log_probability, [low, high, 0.0, 1.1], [[-50, 150], [100, 300], [-4, 4], [0.3, 5]])
+    peak, covariance = find_maximum(
+        log_probability, [low, high, 0.0, 1.1], [[-50, 150], [100, 300], [-4, 4], [0.3, 5]]
+    )
     draws = rng.multivariate_normal(peak, covariance, 500)
     check = predictive_check(data, mean(draws), np.full(300, 0.4), rng=rng)
     assert check.flags == (() if gamma == 1.0 else ("model-misfit",))

@@ -1,4 +1,6 @@
-"""Even normal numbers are normal, independent of each other, the same from the same seed, and tell quantiles better."""
+"""Even normal numbers are normal, independent of each other, the same from the same seed, and tell
+quantiles better.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ WIDE = np.tile([-np.inf, np.inf], (4, 1))
 
 @pytest.mark.parametrize("count", [500, LONGEST + 700])
 def test_every_column_is_normal_and_more_evenly_so_than_chance(count, seed):
-    """Kolmogorov's distance, which random numbers pass at 1.36 / sqrt(n) once in twenty, stays below half of that."""
+    """Kolmogorov's distance, which random numbers pass at 1.36 / sqrt(n) once in twenty, stays
+    below half of that.
+    """
     drawn = quasi_random_normals(np.random.default_rng(seed), count, len(BASES))
     for column in drawn.T:
         assert stats.kstest(column, "norm").statistic < 0.5 * 1.36 / np.sqrt(count)
@@ -37,16 +41,18 @@ def test_the_same_seed_draws_the_same():
 
 
 def test_quantiles_of_few_draws_scatter_half_as_much(seed):
-    """The 97.5 % quantile of the second parameter of 500 draws, which all others go with, as an edge asks for it."""
+    """The 97.5 % quantile of the second parameter of 500 draws, which all others go with, as an
+    edge asks for it.
+    """
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((4, 4))
     covariance = root @ root.T
     scatter = {}
     for even in (False, True):
         drawn = [
-            draw_truncated_gaussian(np.random.default_rng([seed, i]), np.zeros(4), covariance, WIDE, 500, even=even)[
-                :, 1
-            ]
+            draw_truncated_gaussian(
+                np.random.default_rng([seed, i]), np.zeros(4), covariance, WIDE, 500, even=even
+            )[:, 1]
             for i in range(200)
         ]
         ends = np.quantile(drawn, 0.975, axis=1) / np.sqrt(covariance[1, 1])
@@ -57,14 +63,20 @@ def test_quantiles_of_few_draws_scatter_half_as_much(seed):
 
 def test_even_draws_keep_to_the_covariance_and_to_the_walls(seed):
     covariance = np.array([[2.0, -0.9], [-0.9, 0.5]])
-    drawn = draw_truncated_gaussian(np.random.default_rng(seed), np.zeros(2), covariance, WIDE[:2], 4000, even=True)
+    drawn = draw_truncated_gaussian(
+        np.random.default_rng(seed), np.zeros(2), covariance, WIDE[:2], 4000, even=True
+    )
     assert np.cov(drawn.T) == pytest.approx(covariance, rel=0.02)
     walls = np.array([[0.0, np.inf], [-np.inf, np.inf]])
-    half = draw_truncated_gaussian(np.random.default_rng(seed), np.zeros(2), covariance, walls, 4000, even=True)
+    half = draw_truncated_gaussian(
+        np.random.default_rng(seed), np.zeros(2), covariance, walls, 4000, even=True
+    )
     assert half.shape == (4000, 2)
     assert half[:, 0].min() >= 0
     # The mean of half a normal is sqrt(2 / pi) deviations; what goes with it follows.
-    assert half.mean(axis=0) == pytest.approx(np.sqrt(2 / np.pi) * np.array([1.0, -0.45]) * np.sqrt(2.0), rel=0.02)
+    assert half.mean(axis=0) == pytest.approx(
+        np.sqrt(2 / np.pi) * np.array([1.0, -0.45]) * np.sqrt(2.0), rel=0.02
+    )
 
 
 def test_a_singular_covariance_is_drawn_from_too(seed):

@@ -1,4 +1,6 @@
-"""Draws by importance where they are enough, by Markov chain where they are not: the same posterior either way."""
+"""Draws by importance where they are enough, by Markov chain where they are not: the same posterior
+either way.
+"""
 
 import numpy as np
 import pytest
@@ -14,14 +16,23 @@ def banana(points):
 def two_peaks(points):
     """Two normals of unit variance, 7 apart, of which the second holds a third."""
     off = points - np.array([7.0, 0.0])
-    return np.logaddexp(-0.5 * np.sum(points**2, axis=1), np.log(0.5) - 0.5 * np.sum(off**2, axis=1))
+    return np.logaddexp(
+        -0.5 * np.sum(points**2, axis=1), np.log(0.5) - 0.5 * np.sum(off**2, axis=1)
+    )
 
 
 def drawn(log_probability, seed, **options):
     return sample_posterior(
-        log_probability, names=("x", "y"), units=("1", "1"), start=np.zeros(2), covariance=np.eye(2), seed=seed,
-        bounds=np.tile([-np.inf, np.inf], (2, 1)), draws=4000, **options,
-    )  # fmt: skip
+        log_probability,
+        names=("x", "y"),
+        units=("1", "1"),
+        start=np.zeros(2),
+        covariance=np.eye(2),
+        seed=seed,
+        bounds=np.tile([-np.inf, np.inf], (2, 1)),
+        draws=4000,
+        **options,
+    )
 
 
 def test_a_bent_ridge_is_drawn_by_importance_alone(seed, monkeypatch):
@@ -37,7 +48,9 @@ def test_a_bent_ridge_is_drawn_by_importance_alone(seed, monkeypatch):
 
 
 def test_where_weighted_draws_are_too_few_a_markov_chain_takes_over(seed, monkeypatch):
-    """A normal of a twentieth of the width that it was said to have, of a mixture that may not grow to fit it."""
+    """A normal of a twentieth of the width that it was said to have, of a mixture that may not grow
+    to fit it.
+    """
     monkeypatch.setattr(importance, "MOST_ADDED", 0)
     found = drawn(lambda points: -0.5 * np.sum((points / 0.05) ** 2, axis=1), seed)
     assert found.sampler == "emcee"

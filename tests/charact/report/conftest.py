@@ -1,4 +1,6 @@
-"""A session, a result and truths made up for the report's tests; no camera and no method behind them."""
+"""A session, a result and truths made up for the report's tests; no camera and no method behind
+them.
+"""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,7 +32,9 @@ DIGEST = "ab" * 32
 
 def held(label: str, kind, data: np.ndarray, **fields) -> InMemoryStack:
     """A stack in memory."""
-    return InMemoryStack(label=label, kind=kind, frames="", folder=Path("."), held=FrameStack(data=data), **fields)
+    return InMemoryStack(
+        label=label, kind=kind, frames="", folder=Path("."), held=FrameStack(data=data), **fields
+    )
 
 
 def session(name: str = "day 1") -> Session:
@@ -41,12 +45,22 @@ def session(name: str = "day 1") -> Session:
     stacks = (
         held("dark", "dark", flat // 10),
         held("flat-1", "flat", flat, conditions=conditions, asked=Conditions(mcp_v=781.0)),
-        held("edge-1", "edge", flat, conditions=conditions, target=Target(angle_deg=5.0, region=(10, 20, 60, 80))),
+        held(
+            "edge-1",
+            "edge",
+            flat,
+            conditions=conditions,
+            target=Target(angle_deg=5.0, region=(10, 20, 60, 80)),
+        ),
     )
-    return Session(folder=Path("."), name=name, stacks=stacks, bit_depth=8, interlaced=True, notes=(WIRES,))
+    return Session(
+        folder=Path("."), name=name, stacks=stacks, bit_depth=8, interlaced=True, notes=(WIRES,)
+    )
 
 
-def posterior(names: tuple[str, ...] = ("tube_frequency_cy_per_px", "exponent", "step_dn")) -> Posterior:
+def posterior(
+    names: tuple[str, ...] = ("tube_frequency_cy_per_px", "exponent", "step_dn"),
+) -> Posterior:
     """Correlated Gaussian draws."""
     rng = np.random.default_rng(4)
     draws = rng.multivariate_normal([0, 0, 0], [[1, 0.6, 0], [0.6, 1, 0], [0, 0, 1]], 400)
@@ -64,40 +78,75 @@ def posterior(names: tuple[str, ...] = ("tube_frequency_cy_per_px", "exponent", 
 
 
 def result() -> Result:
-    """One measurement of each verdict, a curve, and evidence of a known, an unknown and a broken kind."""
+    """One measurement of each verdict, a curve, and evidence of a known, an unknown and a broken
+    kind.
+    """
     behind = posterior()
-    made = Provenance(version="9.8.7", seed=77, settings={"window_px": 21}, inputs={"edge-1.tif": DIGEST})
+    made = Provenance(
+        version="9.8.7", seed=77, settings={"window_px": 21}, inputs={"edge-1.tif": DIGEST}
+    )
     frequency = np.linspace(0, 0.6, 60)
     mtf = np.exp(-((frequency / 0.25) ** 1.18))
-    bands = {"interval68": np.array([mtf - 0.01, mtf + 0.01]), "interval95": np.array([mtf - 0.02, mtf + 0.02])}
+    bands = {
+        "interval68": np.array([mtf - 0.01, mtf + 0.01]),
+        "interval95": np.array([mtf - 0.02, mtf + 0.02]),
+    }
     distance = np.linspace(-10, 10, 120)
     return Result(
         measurements=(
             measurement_from_draws(
-                "mtf50", "cy/px", behind["tube_frequency_cy_per_px"], method="edge-forward", posterior=behind,
-                provenance=made, seconds=1.2, stack="edge-1", region=(10, 20, 60, 80),
+                "mtf50",
+                "cy/px",
+                behind["tube_frequency_cy_per_px"],
+                method="edge-forward",
+                posterior=behind,
+                provenance=made,
+                seconds=1.2,
+                stack="edge-1",
+                region=(10, 20, 60, 80),
             ),
             measurement_from_sd(
-                "mtf", "1", 0.55, 0.02, method="bars-forward", frequency_cy_per_px=0.15, orientation_deg=0.0
+                "mtf",
+                "1",
+                0.55,
+                0.02,
+                method="bars-forward",
+                frequency_cy_per_px=0.15,
+                orientation_deg=0.0,
             ),
             measurement_from_sd(
-                "covariance_gain", "DN", 3.51, 0.03, method="covariance-sum", flags=("lag",), notes=(NOTE,)
+                "covariance_gain",
+                "DN",
+                3.51,
+                0.03,
+                method="covariance-sum",
+                flags=("lag",),
+                notes=(NOTE,),
             ),
             measurement_from_sd("ebi", "lm/cm2", 3.5e-11, 2e-12, method="covariance-sum"),
             make_refusal("halo_diameter", "px", REASON, method="halo-forward"),
         ),
-        curves={"mtf:edge-1": Curve(frequency_cy_per_px=frequency, value=mtf, stack="edge-1", **bands)},
+        curves={
+            "mtf:edge-1": Curve(frequency_cy_per_px=frequency, value=mtf, stack="edge-1", **bands)
+        },
         evidence={
             "never seen": {"figure": "of-tomorrow", "numbers": [1, 2, 3], "strength_dn": 4.5},
             "broken": {"figure": "edge-spread", "distance_px": list(distance)},
         },
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="session")
 def made() -> SimpleNamespace:
     """What this file makes up."""
     return SimpleNamespace(
-        held=held, session=session, posterior=posterior, result=result,
-        hostile=HOSTILE, reason=REASON, wires=WIRES, note=NOTE, digest=DIGEST,
-    )  # fmt: skip
+        held=held,
+        session=session,
+        posterior=posterior,
+        result=result,
+        hostile=HOSTILE,
+        reason=REASON,
+        wires=WIRES,
+        note=NOTE,
+        digest=DIGEST,
+    )

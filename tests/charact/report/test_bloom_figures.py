@@ -1,4 +1,6 @@
-"""Figures of blooming draw the numbers they are given, and stay whole where some of them are missing."""
+"""Figures of blooming draw the numbers they are given, and stay whole where some of them are
+missing.
+"""
 
 import numpy as np
 import pytest
@@ -36,7 +38,9 @@ def series() -> dict:
 def result() -> Result:
     draws = np.tile([np.sqrt(1.3**2 - 1 / 12), 46.0, 0.3, 0.1], (20, 1))
     posterior = Posterior(names=NAMES, units=("px", "px", "1", "1"), draws=draws)
-    halo = measurement_from_draws("halo_diameter", "px", draws[:, 1], method="made", posterior=posterior)
+    halo = measurement_from_draws(
+        "halo_diameter", "px", draws[:, 1], method="made", posterior=posterior
+    )
     bloom = [
         measurement_from_sd("bloom_diameter", "px", value, 0.2, method="made", stack=label)
         for label, value in (("point-1", 7.4), ("point-2", 48.0))
@@ -53,7 +57,9 @@ def test_measured_extents_and_their_intervals_are_drawn_with_the_halo(evidence):
     data = evidence["bloom-series"]
     assert data["measured"]["bloom_diameter"]["point-2"][0] == 48.0
     axes = blooms.plot_bloom_series(data).axes[0]
-    drawn = [container for container in axes.containers if container.get_label() == "half of full scale"]
+    drawn = [
+        container for container in axes.containers if container.get_label() == "half of full scale"
+    ]
     assert drawn[0].lines[0].get_xydata()[1].tolist() == [3000.0, 48.0]
     assert any(line.get_label().startswith("halo, 46.0") for line in axes.lines)
     assert "px" in axes.get_ylabel() and "overload" in axes.get_xlabel()
@@ -75,14 +81,21 @@ def test_frames_show_source_bloom_and_halo_at_their_places(evidence):
     axes = plot_bloom_frames(data).axes[2]
     assert [round(patch.width) for patch in axes.patches] == [46, 48]
     tint = axes.images[1].get_array()
-    assert (tint[..., 3] > 0).sum() == pytest.approx(truth(SCENE, 3000.0)["saturated_area"], rel=0.1)
+    assert (tint[..., 3] > 0).sum() == pytest.approx(
+        truth(SCENE, 3000.0)["saturated_area"], rel=0.1
+    )
 
 
 def test_a_map_greys_what_is_unknown():
     fraction = np.full((40, 50), 0.3)
     fraction[:10] = np.nan
-    data = {"signal_dn": np.ones((40, 50)), "fraction": fraction, "sd": 0.1 * fraction, "near_px": 3.0,
-            "sources": [{"row": 5.0, "col": 6.0, "known": False}]}  # fmt: skip
+    data = {
+        "signal_dn": np.ones((40, 50)),
+        "fraction": fraction,
+        "sd": 0.1 * fraction,
+        "near_px": 3.0,
+        "sources": [{"row": 5.0, "col": 6.0, "known": False}],
+    }
     with white_style():
         axes = plot_bloom_map(data).axes
     shown = axes[1].images[0].get_array()

@@ -1,4 +1,6 @@
-"""The EMVA 1288 summary stands for a camera of white noise, and says for any other why it does not."""
+"""The EMVA 1288 summary stands for a camera of white noise, and says for any other why it does
+not.
+"""
 
 from xml.etree import ElementTree
 
@@ -24,8 +26,11 @@ def test_figures_stand_under_the_standards_names_and_what_is_missing_is_named():
     found = emva_summary(Result(measurements=white()))
     assert found is not None and not found["reason"]
     assert [(entry.symbol, entry.clause) for entry, *_ in found["rows"]] == [
-        ("η", "eq. 52"), ("K", "eq. 50"), ("1/K", "eq. 50"), ("σ_y.dark", "eq. 53"),
-    ]  # fmt: skip
+        ("η", "eq. 52"),
+        ("K", "eq. 50"),
+        ("1/K", "eq. 50"),
+        ("σ_y.dark", "eq. 53"),
+    ]
     assert found["rows"][1][1].startswith("0.28")
     assert "Largest signal-to-noise ratio" in found["left_out"]
 
@@ -60,5 +65,10 @@ def test_an_intensified_camera_gets_a_reason_and_no_figure():
 
 
 def test_without_a_gain_there_is_nothing_to_say():
-    assert emva_summary(Result(measurements=(make_refusal("system_gain", "DN/e-", "no flats", **PLAIN),))) is None
+    assert (
+        emva_summary(
+            Result(measurements=(make_refusal("system_gain", "DN/e-", "no flats", **PLAIN),))
+        )
+        is None
+    )
     assert "EMVA" not in fragment(Result(measurements=white()))

@@ -29,7 +29,9 @@ def numbers(**flags: tuple[str, ...]) -> Result:
 
 def outcome(passed: bool) -> Any:
     """A validation of one statistic."""
-    return SimpleNamespace(passed=passed, statistics=(SimpleNamespace(title="blur", passed=passed),), controls=())
+    return SimpleNamespace(
+        passed=passed, statistics=(SimpleNamespace(title="blur", passed=passed),), controls=()
+    )
 
 
 @pytest.mark.parametrize(
@@ -43,7 +45,7 @@ def outcome(passed: bool) -> Any:
         (numbers(**dict.fromkeys(UNITS, ("drift",))), None, "refused", "Do not trust: 4 of 4"),
         (NOTHING, None, "refused", "Nothing could"),
     ],
-)  # fmt: skip
+)
 def test_the_verdict_is_no_better_than_the_numbers(result, validation, status, words):
     found = verdict(SESSION, result, validation)
     assert found.status == status and words in found.heading
@@ -57,16 +59,28 @@ def test_a_validation_that_fails_by_its_controls_names_the_null_control_alone():
     # A negative control that nothing notices is a limit of the validation, no failure.
     unnoticed = control("negative", passed=False)
     failed = SimpleNamespace(
-        passed=False, statistics=statistics, controls=(control("null", "point", passed=False), unnoticed)
+        passed=False,
+        statistics=statistics,
+        controls=(control("null", "point", passed=False), unnoticed),
     )
-    assert verdict(SESSION, numbers(), failed).reasons == ("a null control did not hold in point: null frames",)
-    blind = SimpleNamespace(passed=False, statistics=statistics, controls=(control("null", passed=True), unnoticed))
+    assert verdict(SESSION, numbers(), failed).reasons == (
+        "a null control did not hold in point: null frames",
+    )
+    blind = SimpleNamespace(
+        passed=False, statistics=statistics, controls=(control("null", passed=True), unnoticed)
+    )
     assert verdict(SESSION, numbers(), blind).reasons == ("no negative control was noticed",)
 
 
 def test_a_reason_names_quantity_finding_and_flag():
-    noted = numbers(prnu=("drift",)).measurements[-1].with_(notes=("drift: 3 DN a frame; what settles it: a lamp",))
-    (reason,) = verdict(SESSION, Result(measurements=(*numbers().measurements[:3], noted)), None).reasons
+    noted = (
+        numbers(prnu=("drift",))
+        .measurements[-1]
+        .with_(notes=("drift: 3 DN a frame; what settles it: a lamp",))
+    )
+    (reason,) = verdict(
+        SESSION, Result(measurements=(*numbers().measurements[:3], noted)), None
+    ).reasons
     assert reason == "prnu: 3 DN a frame; what settles it: a lamp (drift)"
 
 
@@ -93,5 +107,8 @@ def test_the_result_of_one_analysis_replaces_its_quantities_only(tmp_path):
     result_io.save_into(Result(measurements=(again,)), tmp_path)
     kept = result_io.load(tmp_path)
     assert kept is not None and {m.quantity: m.value for m in kept.measurements} == {
-        "mtf50": 0.2, "system_gain": 0.2, "read_noise": 0.2, "prnu": 0.5,
-    }  # fmt: skip
+        "mtf50": 0.2,
+        "system_gain": 0.2,
+        "read_noise": 0.2,
+        "prnu": 0.5,
+    }

@@ -25,7 +25,11 @@ def panel(*, video: bool, after: bool) -> dict:
         "product": band(lens * pixel * low_pass),
         "measured": band(lens * pixel * low_pass, 0.03),
         # A document holds null where a curve ends.
-        **({"product_after_gain": band(pixel), "measured_after_gain": _with_gaps(band(known))} if after else {}),
+        **(
+            {"product_after_gain": band(pixel), "measured_after_gain": _with_gaps(band(known))}
+            if after
+            else {}
+        ),
     }
 
 
@@ -35,10 +39,18 @@ def _with_gaps(lines: dict[str, list[float]]) -> dict[str, list]:
 
 def budget(after: bool = False) -> dict:
     return {
-        "figure": "stage-budget", "status": "ok", "chance": 0.4, "the_curves_say": "identified by the curves: lens",
-        "identified": ["lens"], "known": ["pixel"], "products": [], "statement": [], "flags": [],
-        "horizontal": panel(video=True, after=after), "vertical": panel(video=False, after=after),
-    }  # fmt: skip
+        "figure": "stage-budget",
+        "status": "ok",
+        "chance": 0.4,
+        "the_curves_say": "identified by the curves: lens",
+        "identified": ["lens"],
+        "known": ["pixel"],
+        "products": [],
+        "statement": [],
+        "flags": [],
+        "horizontal": panel(video=True, after=after),
+        "vertical": panel(video=False, after=after),
+    }
 
 
 def drawn(data: dict):
@@ -60,9 +72,17 @@ def labelled(axes) -> dict[str, tuple[str, np.ndarray]]:
 def test_identified_and_known_stages_are_solid_and_the_others_dashed():
     rows, columns = drawn(budget()).axes[:2]
     told = labelled(rows)
-    assert rows.child_axes[0].get_xlim() == pytest.approx((0.0, 0.5 / 0.018))  # lp/mm at the photocathode
-    assert {stage: told[stage][0] for stage in ("lens", "pixel", "video")} == {"lens": "-", "pixel": "-", "video": "--"}
-    assert told["product of all"][1] == pytest.approx(np.array(budget()["horizontal"]["product"]["value"]))
+    assert rows.child_axes[0].get_xlim() == pytest.approx(
+        (0.0, 0.5 / 0.018)
+    )  # lp/mm at the photocathode
+    assert {stage: told[stage][0] for stage in ("lens", "pixel", "video")} == {
+        "lens": "-",
+        "pixel": "-",
+        "video": "--",
+    }
+    assert told["product of all"][1] == pytest.approx(
+        np.array(budget()["horizontal"]["product"]["value"])
+    )
     # A stage that does nothing in a direction would be a line along the top.
     assert "video" not in labelled(columns)
 
@@ -78,10 +98,15 @@ def test_the_budget_is_drawn_in_the_section_of_the_mtf_with_its_numbers_beside_i
 
 def groups() -> dict:
     return {
-        "figure": "bar-groups", "frequency_cy_per_px": [0.1, 0.2], "mtf": [0.8, 0.5], "sd": [0.01, 0.02],
-        "curve_cy_per_px": list(FREQUENCY), "curve": list(np.exp(-3.0 * FREQUENCY)),
-        "curve_low95": list(np.exp(-3.2 * FREQUENCY)), "curve_high95": list(np.exp(-2.8 * FREQUENCY)),
-    }  # fmt: skip
+        "figure": "bar-groups",
+        "frequency_cy_per_px": [0.1, 0.2],
+        "mtf": [0.8, 0.5],
+        "sd": [0.01, 0.02],
+        "curve_cy_per_px": list(FREQUENCY),
+        "curve": list(np.exp(-3.0 * FREQUENCY)),
+        "curve_low95": list(np.exp(-3.2 * FREQUENCY)),
+        "curve_high95": list(np.exp(-2.8 * FREQUENCY)),
+    }
 
 
 def test_bar_groups_stand_on_their_curve_with_arms_of_1_96_standard_errors():
@@ -91,5 +116,7 @@ def test_bar_groups_stand_on_their_curve_with_arms_of_1_96_standard_errors():
     assert bars[0].get_xydata() == pytest.approx(np.array([[0.1, 0.8], [0.2, 0.5]]))
     heights = [float(np.ptp(segment[:, 1])) for segment in bars[2][0].get_segments()]
     assert heights == pytest.approx([2 * 1.96 * 0.01, 2 * 1.96 * 0.02], rel=1e-3)
-    assert labelled(axes)["curve through the groups, 95 %"][1] == pytest.approx(np.exp(-3.0 * FREQUENCY))
+    assert labelled(axes)["curve through the groups, 95 %"][1] == pytest.approx(
+        np.exp(-3.0 * FREQUENCY)
+    )
     assert figure_of("bar groups, rows", groups()).svg is not None

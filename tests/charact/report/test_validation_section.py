@@ -1,4 +1,6 @@
-"""The validation's section tells what passed, what failed, and whether the controls came out as they must."""
+"""The validation's section tells what passed, what failed, and whether the controls came out as
+they must.
+"""
 
 import base64
 import re
@@ -10,7 +12,12 @@ import pytest
 
 from charact.report import page
 from charact.report.validation import blind_pair, headline_of, sentence_of, validation_section
-from charact.report.validation_figures import chance_limit, deviations, missing_figures, worst_numbers
+from charact.report.validation_figures import (
+    chance_limit,
+    deviations,
+    missing_figures,
+    worst_numbers,
+)
 from charact.validation import (
     FramePair,
     ResidualMap,
@@ -25,45 +32,99 @@ from labdata.measurement import Result
 
 def _statistic(p_value: float, name: str = "noise") -> Statistic:
     return Statistic(
-        name=name, title="Variance and covariance against the mean", distance=1.2, p_value=p_value, level=0.01,
-        labels=("variance", "covariance"), measured=(1.0, 2.0), low95=(0.9, 1.8), high95=(1.2, 2.5),
-    )  # fmt: skip
+        name=name,
+        title="Variance and covariance against the mean",
+        distance=1.2,
+        p_value=p_value,
+        level=0.01,
+        labels=("variance", "covariance"),
+        measured=(1.0, 2.0),
+        low95=(0.9, 1.8),
+        high95=(1.2, 2.5),
+    )
 
 
 def _validation(p_value: float = 0.4, null: float = 0.5, negative: float = 1e-6) -> Validation:
     frame = np.arange(48, dtype=np.uint8).reshape(6, 8)
     pair = FramePair(
-        role="dim flat", kind="flat", label="flat-1", measured=frame, simulated=frame[::-1], low_dn=3.0, high_dn=90.0,
+        role="dim flat",
+        kind="flat",
+        label="flat-1",
+        measured=frame,
+        simulated=frame[::-1],
+        low_dn=3.0,
+        high_dn=90.0,
         frames=8,
-    )  # fmt: skip
-    curve = {"name": "", "x": [0.0, 0.1, 0.2], "measured": [1, 0.8, 0.5], "simulated": [1, 0.79, 0.52],
-             "low95": [1, 0.7, 0.4], "high95": [1, 0.9, 0.6]}  # fmt: skip
-    overlay = {"title": "Edge MTF", "x_title": "frequency, cy/px", "y_title": "MTF", "curves": [curve]}
-    named = {"title": "Neighbours", "x_title": "lag, px", "y_title": "correlation",
-             "curves": [{**curve, "x": ["row 1", "row 2", "col 1"]}]}  # fmt: skip
-    levels = {"title": "Profile", "x_title": "radius, px", "y_title": "level, DN", "y_scale": "symlog",
-              "curves": [{**curve, "name": "point-1"}, {**curve, "name": "point-2"}]}  # fmt: skip
+    )
+    curve = {
+        "name": "",
+        "x": [0.0, 0.1, 0.2],
+        "measured": [1, 0.8, 0.5],
+        "simulated": [1, 0.79, 0.52],
+        "low95": [1, 0.7, 0.4],
+        "high95": [1, 0.9, 0.6],
+    }
+    overlay = {
+        "title": "Edge MTF",
+        "x_title": "frequency, cy/px",
+        "y_title": "MTF",
+        "curves": [curve],
+    }
+    named = {
+        "title": "Neighbours",
+        "x_title": "lag, px",
+        "y_title": "correlation",
+        "curves": [{**curve, "x": ["row 1", "row 2", "col 1"]}],
+    }
+    levels = {
+        "title": "Profile",
+        "x_title": "radius, px",
+        "y_title": "level, DN",
+        "y_scale": "symlog",
+        "curves": [{**curve, "name": "point-1"}, {**curve, "name": "point-2"}],
+    }
     return Validation(
-        session="day 1", sensor="fitted", seed=7, draws=16, seconds=21.0,
+        session="day 1",
+        sensor="fitted",
+        seed=7,
+        draws=16,
+        seconds=21.0,
         statistics=(_statistic(p_value),),
         controls=(
-            ValidationControl(name="null", title="frames of the fitted sensor", statistics=(_statistic(null),)),
-            ValidationControl(name="negative", title="blur after the gain removed", statistics=(_statistic(negative),)),
+            ValidationControl(
+                name="null", title="frames of the fitted sensor", statistics=(_statistic(null),)
+            ),
+            ValidationControl(
+                name="negative",
+                title="blur after the gain removed",
+                statistics=(_statistic(negative),),
+            ),
         ),
         power=(
-            DetectableError(title="PRNU", relative_error=0.12, probability=0.8, statistic="fixed-pattern"),
-            DetectableError(title="lag", relative_error=float("nan"), probability=0.8, statistic=""),
+            DetectableError(
+                title="PRNU", relative_error=0.12, probability=0.8, statistic="fixed-pattern"
+            ),
+            DetectableError(
+                title="lag", relative_error=float("nan"), probability=0.8, statistic=""
+            ),
         ),
         figures=ValidationFigures(
             overlays={"mtf": overlay, "autocorrelation": named, "point": levels},
-            pairs=(pair,), blind=(pair,), patterns=(pair,),
+            pairs=(pair,),
+            blind=(pair,),
+            patterns=(pair,),
             residuals=(
-                ResidualMap(role="dark", label="dark-1", block_px=4, difference_dn=frame.astype(np.float32) - 20.0,
-                            sd_dn=5.0),
+                ResidualMap(
+                    role="dark",
+                    label="dark-1",
+                    block_px=4,
+                    difference_dn=frame.astype(np.float32) - 20.0,
+                    sd_dn=5.0,
+                ),
             ),
         ),
         notes=("The edge was left out.",),
-    )  # fmt: skip
+    )
 
 
 def _bare() -> Validation:
@@ -79,13 +140,28 @@ def test_the_page_shows_pictures_statistics_and_controls(made):
     html = page(made.session(), Result(), validation=_validation())
     text = _text(html)
     for piece in (
-        "Measured, dim flat: flat-1", "Simulated, dim flat: flat-1", "Black 3 DN, white 90 DN.",
-        "blur after the gain removed", "Residual of the dark, dark-1", "+27 DN = +5.4 sd", "Mean of 8 frames",
-        "point-1, measured", "Which one is measured?",
-        "Variance and covariance against the mean", "The edge was left out.", "16 posterior draws, seed 7",
-        "must pass", "must be noticed", "What this validation could not have seen", "12 %, fixed-pattern",
-        "none below 100 %", "frequency (cy/px)", "MTF (1)", "lag (px)", "The 2 most deviating of 2 numbers",
-    ):  # fmt: skip
+        "Measured, dim flat: flat-1",
+        "Simulated, dim flat: flat-1",
+        "Black 3 DN, white 90 DN.",
+        "blur after the gain removed",
+        "Residual of the dark, dark-1",
+        "+27 DN = +5.4 sd",
+        "Mean of 8 frames",
+        "point-1, measured",
+        "Which one is measured?",
+        "Variance and covariance against the mean",
+        "The edge was left out.",
+        "16 posterior draws, seed 7",
+        "must pass",
+        "must be noticed",
+        "What this validation could not have seen",
+        "12 %, fixed-pattern",
+        "none below 100 %",
+        "frequency (cy/px)",
+        "MTF (1)",
+        "lag (px)",
+        "The 2 most deviating of 2 numbers",
+    ):
         assert piece in text, piece
     assert html.count("data:image/jpeg") == 6 + len({entry.kind for entry in made.session().stacks})
 
@@ -93,7 +169,11 @@ def test_the_page_shows_pictures_statistics_and_controls(made):
 @pytest.mark.parametrize(
     ("validation", "status", "words"),
     [
-        (_validation(), "ok", "agrees: 1 of 1 statistics pass; null controls hold; 1 of 1 negative controls noticed"),
+        (
+            _validation(),
+            "ok",
+            "agrees: 1 of 1 statistics pass; null controls hold; 1 of 1 negative controls noticed",
+        ),
         (_validation(p_value=1e-4), "refused", "does not agree: 0 of 1"),
         (_validation(negative=0.5), "refused", "0 of 1 negative controls noticed"),
         (_validation(null=1e-5), "refused", "null controls do not hold"),
@@ -107,7 +187,8 @@ def test_the_headline_is_no_better_than_statistics_and_controls(validation, stat
 def test_an_agreement_says_what_it_could_have_seen_and_a_difference_where_it_is():
     agrees, differs = _validation(), _validation(p_value=1e-4)
     assert sentence_of(agrees) == (
-        "In 80 % of cases it would have found an error of 12 % of PRNU. It could have missed one of any of lag"
+        "In 80 % of cases it would have found an error of 12 % of PRNU. It could have missed one "
+        "of any of lag"
     )
     where = replace(differs.statistics[0], worst="covariance", cause="hum")
     sentence = sentence_of(replace(differs, statistics=(where,)))
@@ -147,12 +228,17 @@ def _decoded(jpeg: bytes) -> np.ndarray:
 
 
 def test_deviations_are_in_standard_deviations_and_the_worst_come_first():
-    statistic = replace(_statistic(0.4), measured=(2.0, 3.0), low95=(-1.96, 1.02), high95=(1.96, 4.98))
+    statistic = replace(
+        _statistic(0.4), measured=(2.0, 3.0), low95=(-1.96, 1.02), high95=(1.96, 4.98)
+    )
     assert deviations(statistic) == pytest.approx([2.0, 0.0])
     unknown = replace(statistic, measured=(0.0, 0.0), worst="not measurable")
     assert deviations(unknown).size == 0
     worst = worst_numbers(replace(_validation(), statistics=(unknown, statistic)))
-    assert [(label, z) for label, _, z in worst] == [("variance", pytest.approx(2.0)), ("covariance", 0.0)]
+    assert [(label, z) for label, _, z in worst] == [
+        ("variance", pytest.approx(2.0)),
+        ("covariance", 0.0),
+    ]
 
 
 def test_the_chance_limit_is_students_quantile():
@@ -164,6 +250,7 @@ def test_the_chance_limit_is_students_quantile():
 def test_figures_that_a_session_cannot_give_are_named():
     section = validation_section(_bare())
     assert [sentence.split(":")[0] for sentence in section.missing_figures] == [
-        "No MTF is drawn", "No halo profile is drawn",
-    ]  # fmt: skip
+        "No MTF is drawn",
+        "No halo profile is drawn",
+    ]
     assert missing_figures(_validation().figures.overlays) == ()

@@ -1,4 +1,6 @@
-"""The studies of blooming: series are what they are said to be, and the chart is what the method still does."""
+"""The studies of blooming: series are what they are said to be, and the chart is what the method
+still does.
+"""
 
 from dataclasses import replace
 
@@ -26,17 +28,32 @@ def test_series_in_scope_show_the_halo_over_two_decades_and_saturate_beyond():
 
 def test_streak_and_halo_are_told_apart_where_columns_overflow_and_smear():
     """Streak within 2 px, halo within 2 % or 1 px, or flagged or refused."""
-    scene = BloomScene(rows=200, cols=120, halo_diameter_px=40.0, halo_fraction=0.1, halo_elastic_share=0.5, frames=4)
+    scene = BloomScene(
+        rows=200,
+        cols=120,
+        halo_diameter_px=40.0,
+        halo_fraction=0.1,
+        halo_elastic_share=0.5,
+        frames=4,
+    )
     for well, smear in ((12.0, 1e-4), (4.0, 1e-3)):
         spoilt = replace(scene, full_well_dn=well * scene.span_dn, smear_fraction=smear)
-        overloads = tuple(float(one) for one in halo_overload(spoilt) * np.array([0.003, 0.03, 0.3, 1.5]))
+        overloads = tuple(
+            float(one) for one in halo_overload(spoilt) * np.array([0.003, 0.03, 0.3, 1.5])
+        )
         series = BloomSeries(scene=spoilt, overloads=overloads)
         drawn = series.session_drawn(np.random.default_rng(7))
         context = Context(quick=True, seed=7, full_scale_dn=scene.full_scale_dn)
-        found = methods_of_kind("bloom")["series-forward"].function(drawn, context=context).measurements
+        found = (
+            methods_of_kind("bloom")["series-forward"].function(drawn, context=context).measurements
+        )
         sure = {(one.quantity, one.stack): one for one in found if one.status == "ok"}
         assert sure["halo_diameter", None].value == pytest.approx(40.0, abs=1.0)
-        streaks = [(one.value, series.truth(*key)) for key, one in sure.items() if key[0] == "streak_length"]
+        streaks = [
+            (one.value, series.truth(*key))
+            for key, one in sure.items()
+            if key[0] == "streak_length"
+        ]
         assert len(streaks) >= 2
         assert all(abs((value or 0.0) - (right or 0.0)) <= 2.0 for value, right in streaks), streaks
         assert max(right or 0.0 for _, right in streaks) > 30

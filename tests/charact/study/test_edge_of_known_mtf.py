@@ -1,4 +1,6 @@
-"""The closed-form edge is the transform of its MTF, and its noise has the variance and covariance it states."""
+"""The closed-form edge is the transform of its MTF, and its noise has the variance and covariance
+it states.
+"""
 
 import numpy as np
 import pytest
@@ -25,9 +27,16 @@ def test_edge_spread_is_the_fourier_integral_of_the_mtf(angle_deg):
     blur = TrueBlur(form="exponential", frequency_cy_per_px=0.25)
     for x in (0.3, 2.0, 9.0):
         exact, _ = quad(
-            lambda f: blur.mtf(f, angle_deg) / (np.pi * f), 1e-9, 6, weight="sin", wvar=2 * np.pi * x, limit=400
+            lambda f: blur.mtf(f, angle_deg) / (np.pi * f),
+            1e-9,
+            6,
+            weight="sin",
+            wvar=2 * np.pi * x,
+            limit=400,
         )
-        assert float(edge_spread(blur, np.array(x), angle_deg)) == pytest.approx(0.5 + exact, abs=3e-5)
+        assert float(edge_spread(blur, np.array(x), angle_deg)) == pytest.approx(
+            0.5 + exact, abs=3e-5
+        )
 
 
 def test_a_vertical_edge_brightens_along_the_row_and_a_tilted_one_moves_against_the_row_number():
@@ -39,7 +48,9 @@ def test_a_vertical_edge_brightens_along_the_row_and_a_tilted_one_moves_against_
 
 @pytest.mark.parametrize("noise_blur_px", [0.0, 1.0])
 def test_noise_half_way_up_has_the_stated_spread_whether_or_not_it_is_shared(noise_blur_px, seed):
-    scene = EdgeScene(dark_dn=115, bright_dn=115.0001, snr=1e-4 / 8.0, noise_blur_px=noise_blur_px, frames=8)
+    scene = EdgeScene(
+        dark_dn=115, bright_dn=115.0001, snr=1e-4 / 8.0, noise_blur_px=noise_blur_px, frames=8
+    )
     data = scene.frames_drawn(np.random.default_rng(seed)).data.astype(float)
     independent = data.size / (1 + 4 * np.pi * noise_blur_px**2)
     assert data.var() - 1 / 12 == pytest.approx(64, abs=4.5 * 64 * np.sqrt(2 / independent))
@@ -51,7 +62,9 @@ def test_noise_half_way_up_has_the_stated_spread_whether_or_not_it_is_shared(noi
 def test_clipping_loses_the_stated_share_of_the_step():
     scene = EdgeScene(clip_share=0.2, snr=np.inf)
     frame = scene.mean()
-    assert (frame.max() - scene.full_scale_dn) / (frame.max() - frame.min()) == pytest.approx(0.2, abs=0.01)
+    assert (frame.max() - scene.full_scale_dn) / (frame.max() - frame.min()) == pytest.approx(
+        0.2, abs=0.01
+    )
 
 
 def test_the_same_seed_draws_the_same_frames():

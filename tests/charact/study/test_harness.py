@@ -1,4 +1,6 @@
-"""The study harness tells lies from refusals, and its table makes `auto` take the cheaper of the good methods."""
+"""The study harness tells lies from refusals, and its table makes `auto` take the cheaper of the
+good methods.
+"""
 
 import json
 import time
@@ -25,9 +27,17 @@ TRUTH = TrueBlur().mtf50(5.0)
 
 def _case(truth: float | None = TRUTH, **changes) -> Case:
     given = {
-        "kind": "edge", "name": "one edge", "axis": "edge SNR", "position": 50.0, "unit": "1", "quantity": "mtf50",
-        "truth": truth, "in_scope": True, "seed": 3, "draw": EdgeScene().frames_drawn,
-    }  # fmt: skip
+        "kind": "edge",
+        "name": "one edge",
+        "axis": "edge SNR",
+        "position": 50.0,
+        "unit": "1",
+        "quantity": "mtf50",
+        "truth": truth,
+        "in_scope": True,
+        "seed": 3,
+        "draw": EdgeScene().frames_drawn,
+    }
     return Case(**{**given, **changes})
 
 
@@ -40,7 +50,11 @@ def _answering(value: float, sd: float, flags: tuple[str, ...] = (), seconds: fl
         until = time.process_time() + seconds
         while time.process_time() < until:
             pass
-        return Result(measurements=(measurement_from_sd("mtf50", "cy/px", value, sd, method="fake", flags=flags),))
+        return Result(
+            measurements=(
+                measurement_from_sd("mtf50", "cy/px", value, sd, method="fake", flags=flags),
+            )
+        )
 
     return function
 
@@ -60,14 +74,22 @@ def _row(function, case: Case | None = None):
     return run([_method("fake", function)], [case or _case()], context=Context())[0]
 
 
-LOPSIDED = make_measurement("mtf50", "cy/px", TRUTH * 1.1, None, (TRUTH * 1.09, TRUTH * 2), method="fake")
+LOPSIDED = make_measurement(
+    "mtf50", "cy/px", TRUTH * 1.1, None, (TRUTH * 1.09, TRUTH * 2), method="fake"
+)
 
 
 @pytest.mark.parametrize(
     ("function", "truth", "status", "silent", "covers"),
     [
         (_answering(TRUTH * 1.2, TRUTH * 0.01), TRUTH, "ok", True, False),
-        (_answering(TRUTH * 1.2, TRUTH * 0.01, flags=("low-signal",)), TRUTH, "suspect", False, False),
+        (
+            _answering(TRUTH * 1.2, TRUTH * 0.01, flags=("low-signal",)),
+            TRUTH,
+            "suspect",
+            False,
+            False,
+        ),
         (_answering(TRUTH * 1.03, TRUTH * 0.01), TRUTH, "ok", False, False),
         (lambda stack, *, context: Result(measurements=(LOPSIDED,)), TRUTH, "ok", True, False),
         (_refusing, TRUTH, "refused", False, None),
@@ -78,9 +100,20 @@ LOPSIDED = make_measurement("mtf50", "cy/px", TRUTH * 1.1, None, (TRUTH * 1.09, 
         (_raising(ZeroDivisionError("division by zero")), TRUTH, "crashed", False, None),
         (lambda stack, *, context: np.log(np.zeros(1)), TRUTH, "crashed", False, None),
     ],
-    ids=["lie", "flagged lie", "near miss", "arm on the truth's side", "refusal", "lie about nothing",
-         "flagged about nothing", "refusal of nothing", "bad input", "exception", "warning"],
-)  # fmt: skip
+    ids=[
+        "lie",
+        "flagged lie",
+        "near miss",
+        "arm on the truth's side",
+        "refusal",
+        "lie about nothing",
+        "flagged about nothing",
+        "refusal of nothing",
+        "bad input",
+        "exception",
+        "warning",
+    ],
+)
 def test_lies_are_silent_failures_and_refusals_are_not(function, truth, status, silent, covers):
     row = _row(function, _case(truth))
     assert (row.status, row.silent, row.covers) == (status, silent, covers)
@@ -141,7 +174,9 @@ def _exact(relative_error: float, seconds: float):
 
 def test_the_map_of_stability_holds_every_axis_and_every_lie(tmp_path):
     lying = _method("edge-lying", _answering(0.9, 1e-4))
-    found = stability("mtf50", seed=2, out=tmp_path, methods=(lying,), repeats=1, axes=("tilt", "edge SNR"))
+    found = stability(
+        "mtf50", seed=2, out=tmp_path, methods=(lying,), repeats=1, axes=("tilt", "edge SNR")
+    )
     data = json.loads((tmp_path / "stability-mtf50.json").read_text())
     assert len(found.silent) == len(found.rows) == len(data["silent"])
     svg = (tmp_path / "stability-mtf50-edge.svg").read_text()
@@ -177,7 +212,9 @@ def test_a_quantity_without_a_study_is_refused_with_those_that_have_one():
 def test_every_registered_method_is_charted_on_the_same_cases_of_its_kind():
     quantity = "mtf"
     found = chart(quantity, seed=3, cases=1, quick=True)
-    assert {row.method for row in found.summaries} == {method.name for method in methods_of(quantity)}
+    assert {row.method for row in found.summaries} == {
+        method.name for method in methods_of(quantity)
+    }
     for method in methods_of(quantity):
         own = {(row.case, row.seed) for row in found.rows if row.method == method.name}
         assert own == {(row.case, row.seed) for row in found.rows if row.kind == method.kind}

@@ -1,4 +1,6 @@
-"""Simulated sets of a bench, and defects put into them: what a session gives to a validation, without its files."""
+"""Simulated sets of a bench, and defects put into them: what a session gives to a validation,
+without its files.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,14 +28,23 @@ Frames = Mapping[str, NDArray]
 # Illuminance of the three flats, lux, and conditions.
 LIGHT: dict[str, tuple[tuple[float, float, float], Conditions]] = {
     "pulnix-ag5745ef3": ((3e-5, 1e-4, 2e-4), Conditions(mcp_v=800.0, gate_ns=1.6e7)),
-    "emccd-512": ((3e-4, 1e-3, 4e-3), Conditions(em_gain=50.0, temperature_c=-20.0, exposure_s=0.025)),
+    "emccd-512": (
+        (3e-4, 1e-3, 4e-3),
+        Conditions(em_gain=50.0, temperature_c=-20.0, exposure_s=0.025),
+    ),
 }
-# Parameters of the posterior and their relative standard deviation; those of the tube would cost seconds a draw.
-POSTERIOR = {"video.conversion_gain_dn_per_e": 0.01, "optics.aberration_blur_um": 0.02, "ccd.read_noise_e": 0.02}
+# Parameters of the posterior and their relative standard deviation; those of the tube would cost
+# seconds a draw.
+POSTERIOR = {
+    "video.conversion_gain_dn_per_e": 0.01,
+    "optics.aberration_blur_um": 0.02,
+    "ccd.read_noise_e": 0.02,
+}
 
 
 class BenchSets:
-    """Sets of a dark, three flats, an edge and a point of one camera, each from its own posterior draw.
+    """Sets of a dark, three flats, an edge and a point of one camera, each from its own posterior
+    draw.
 
     Parameters
     ----------
@@ -54,16 +65,31 @@ class BenchSets:
         rng = np.random.default_rng(seed)
         known = self.camera.parameters()
         names = tuple(path for path in POSTERIOR if path in known)
-        rows = [tuple(float(known[k]) * (1.0 + POSTERIOR[k] * rng.standard_normal()) for k in names) for _ in range(64)]
-        self.sensor: VisibleCamera = replace(self.camera, draws=Draws(names=names, values=tuple(rows)))
+        rows = [
+            tuple(float(known[k]) * (1.0 + POSTERIOR[k] * rng.standard_normal()) for k in names)
+            for _ in range(64)
+        ]
+        self.sensor: VisibleCamera = replace(
+            self.camera, draws=Draws(names=names, values=tuple(rows))
+        )
 
         def stack(
-            kind: Kind, label: str, lux: float | None, size: tuple[int, int], target: Target, count: int
+            kind: Kind,
+            label: str,
+            lux: float | None,
+            size: tuple[int, int],
+            target: Target,
+            count: int,
         ) -> MatchedFrames:
             return MatchedFrames(
-                label=label, kind=kind, conditions=replace(conditions, illuminance_lux=lux), target=target,
-                frames=count, corner=(0, 0), shape=size,
-            )  # fmt: skip
+                label=label,
+                kind=kind,
+                conditions=replace(conditions, illuminance_lux=lux),
+                target=target,
+                frames=count,
+                corner=(0, 0),
+                shape=size,
+            )
 
         self.chosen = MatchedStacks(
             dark=stack("dark", "dark", None, shape, Target(), 8),
@@ -72,16 +98,21 @@ class BenchSets:
                 for label, lux in zip(("low", "mid", "bright"), lights, strict=True)
             ),
             edge=stack("edge", "edge", lights[-1], (shape[0], 96), Target(angle_deg=5.0), 16),
-            point=stack("point", "point", 300.0 * lights[-1], (128, 128), Target(pinhole_px=3.0), 8),
+            point=stack(
+                "point", "point", 300.0 * lights[-1], (128, 128), Target(pinhole_px=3.0), 8
+            ),
             others=(),
             measured={},
             notes=(),
         )
         self.top = float(2**self.camera.video.bit_depth - 1)
         self.context = Context(
-            seed=0, quick=True, sensor=self.camera if isinstance(self.camera, Sensor) else None,
-            interlaced=self.camera.video.interlaced, full_scale_dn=self.top,
-        )  # fmt: skip
+            seed=0,
+            quick=True,
+            sensor=self.camera if isinstance(self.camera, Sensor) else None,
+            interlaced=self.camera.video.interlaced,
+            full_scale_dn=self.top,
+        )
 
     def draw(self, number: int) -> tuple[VisibleCamera, int]:
         """Return the posterior draw and the seed of the frames of a set."""
@@ -94,7 +125,11 @@ class BenchSets:
         drawn, seed = self.draw(number)
         if defect is not None and defect.factors:
             known = drawn.parameters()
-            changed = {path: float(known[path]) * by for path, by in defect.factors.items() if path in known}
+            changed = {
+                path: float(known[path]) * by
+                for path, by in defect.factors.items()
+                if path in known
+            }
             drawn = drawn.with_values(changed)
         frames = simulate_frames(drawn, self.chosen.compared, seed=seed)
         return frames if defect is None else self.put(frames, defect)
@@ -102,7 +137,9 @@ class BenchSets:
     def change(
         self, number: int, control: ParameterControl, error: float
     ) -> tuple[Mapping[str, Numbers], float] | None:
-        """Return the numbers of a set whose camera has a parameter off, and the error; None without the parameter."""
+        """Return the numbers of a set whose camera has a parameter off, and the error; None without
+        the parameter.
+        """
         drawn, seed = self.draw(number)
         altered = change_parameter(drawn, control, error)
         if altered is None:
@@ -117,10 +154,15 @@ class BenchSets:
             altered = self.change(0, control, VALIDATION.control_change)
             if altered is not None:
                 changed, change = altered
-                found.append(ParameterChange(
-                    title=control.title, plain=plain, changed=changed, change=change,
-                    in_quadrature=control.in_quadrature,
-                ))  # fmt: skip
+                found.append(
+                    ParameterChange(
+                        title=control.title,
+                        plain=plain,
+                        changed=changed,
+                        change=change,
+                        in_quadrature=control.in_quadrature,
+                    )
+                )
         return tuple(found)
 
     def put(self, frames: Frames, defect: Defect) -> dict[str, NDArray]:
@@ -140,7 +182,9 @@ class BenchSets:
         """Whether the camera can have a defect."""
         if defect.has_tube is not None and defect.has_tube != isinstance(self.camera, Sensor):
             return False
-        return not defect.factors or any(path in self.camera.parameters() for path in defect.factors)
+        return not defect.factors or any(
+            path in self.camera.parameters() for path in defect.factors
+        )
 
     def numbers(self, frames: Frames) -> Mapping[str, Numbers]:
         """Return the numbers of a set by group."""

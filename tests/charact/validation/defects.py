@@ -1,4 +1,6 @@
-"""Defects of cameras and benches that a lab would mind, each with its amount and the stacks that show it."""
+"""Defects of cameras and benches that a lab would mind, each with its amount and the stacks that
+show it.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -9,7 +11,12 @@ from numpy.typing import NDArray
 
 Frames = NDArray[np.float64]
 
-DARK, FLAT, FLATS, LIT = ("dark",), ("bright",), ("low", "mid", "bright"), ("low", "mid", "bright", "edge", "point")
+DARK, FLAT, FLATS, LIT = (
+    ("dark",),
+    ("bright",),
+    ("low", "mid", "bright"),
+    ("low", "mid", "bright", "edge", "point"),
+)
 ALL = ("dark", *LIT)
 
 
@@ -26,8 +33,9 @@ class Digitiser:
 class Defect:
     """One defect.
 
-    `stacks`: labels of the stacks that have it; `groups`: groups of numbers that speak of it; `put`: changes frames
-    (frame, row, col), or None where camera parameters are multiplied by `factors`, by path;
+    `stacks`: labels of the stacks that have it; `groups`: groups of numbers that speak of it;
+    `put`: changes frames (frame, row, col), or None where camera parameters are multiplied by
+    `factors`, by path;
     `has_tube`: whether only cameras with, or without, a tube are meant.
     """
 
@@ -57,7 +65,9 @@ def _fixed_hum(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Fram
 
 def _rolling_hum(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     phase = rng.uniform(0.0, 6.0, (len(frames), 1, 1))
-    return frames + 0.2 * adc.noise * np.sin(2.0 * np.pi * np.arange(frames.shape[1])[:, None] / 17.0 + phase)
+    return frames + 0.2 * adc.noise * np.sin(
+        2.0 * np.pi * np.arange(frames.shape[1])[:, None] / 17.0 + phase
+    )
 
 
 def _ghost(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
@@ -67,7 +77,9 @@ def _ghost(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     return frames + 0.02 * moved
 
 
-def _deviating_pixels(frames: Frames, adc: Digitiser, rng: np.random.Generator, sd: float) -> Frames:
+def _deviating_pixels(
+    frames: Frames, adc: Digitiser, rng: np.random.Generator, sd: float
+) -> Frames:
     rows, cols = (rng.integers(size, size=6) for size in frames.shape[1:])
     frames[:, rows, cols] += sd * adc.noise
     return frames
@@ -201,7 +213,9 @@ def _dust(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     y, x = np.indices(frames.shape[1:])
     for _ in range(5):
         row, col = (rng.uniform(12.0, size - 12.0) for size in frames.shape[1:])
-        frames = _scale(frames, 1.0 - 0.1 * np.exp(-(((y - row) ** 2 + (x - col) ** 2) / 6.0**2)), adc)
+        frames = _scale(
+            frames, 1.0 - 0.1 * np.exp(-(((y - row) ** 2 + (x - col) ** 2) / 6.0**2)), adc
+        )
     return frames
 
 
@@ -233,7 +247,9 @@ def bend(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
 
 def gamma_of_codes(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     """Raise the code over full scale to the power 0.8, before the digitiser rounds."""
-    return adc.top * (np.maximum(frames + rng.uniform(-0.5, 0.5, frames.shape), 0.0) / adc.top) ** 0.8
+    return (
+        adc.top * (np.maximum(frames + rng.uniform(-0.5, 0.5, frames.shape), 0.0) / adc.top) ** 0.8
+    )
 
 
 def keep_eight_bits(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
@@ -249,7 +265,9 @@ def blur_off_axis(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> F
     low = np.minimum(place.astype(int), 9)
     out = np.empty_like(frames)
     for index, one in enumerate(frames):
-        steps = np.stack([one, *(cv2.GaussianBlur(one, (15, 15), 0.15 * sd) for sd in range(1, 11))])
+        steps = np.stack(
+            [one, *(cv2.GaussianBlur(one, (15, 15), 0.15 * sd) for sd in range(1, 11))]
+        )
         inner, outer = (np.take_along_axis(steps, (low + more)[None], axis=0)[0] for more in (0, 1))
         out[index] = inner + (place - low) * (outer - inner)
     return out
@@ -278,44 +296,94 @@ def _dead_pixels(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Fr
     return frames
 
 
-PATTERN, TIME, SPACE = ("fixed-pattern", "defects"), ("time", "rows-and-columns"), ("autocorrelation", "noise-spectrum")
+PATTERN, TIME, SPACE = (
+    ("fixed-pattern", "defects"),
+    ("time", "rows-and-columns"),
+    ("autocorrelation", "noise-spectrum"),
+)
 
 # Defects that are put into frames.
 OF_FRAMES = (
     Defect(name="fixed hum, 0.2 of the noise", stacks=FLAT, groups=PATTERN, put=_fixed_hum),
-    Defect(name="rolling hum, 0.2 of the noise", stacks=FLAT, groups=(*SPACE, *TIME), put=_rolling_hum),
+    Defect(
+        name="rolling hum, 0.2 of the noise", stacks=FLAT, groups=(*SPACE, *TIME), put=_rolling_hum
+    ),
     Defect(name="ghost of the edge, 2 %", stacks=("edge",), groups=("edge", "mtf"), put=_ghost),
     Defect(name="ghost of the point, 2 %", stacks=("point",), groups=("point",), put=_ghost),
     Defect(name="6 hot pixels, 12 sd", stacks=DARK, groups=PATTERN, put=_hot_pixels),
     Defect(name="6 dead pixels, half the signal", stacks=FLAT, groups=PATTERN, put=_dead_pixels),
     Defect(name="dead column, 0.8 of the signal", stacks=FLAT, groups=PATTERN, put=_dead_column),
     Defect(name="hot column, 3 sd", stacks=DARK, groups=PATTERN, put=_hot_column),
-    Defect(name="vignetting, 5 % in the corner", stacks=FLATS, groups=("shading",), put=_vignetting),
-    Defect(name="tilt of the light, 3 % over the width", stacks=FLATS, groups=("shading",), put=_tilt),
+    Defect(
+        name="vignetting, 5 % in the corner", stacks=FLATS, groups=("shading",), put=_vignetting
+    ),
+    Defect(
+        name="tilt of the light, 3 % over the width", stacks=FLATS, groups=("shading",), put=_tilt
+    ),
     Defect(name="fixed rows, 0.5 %", stacks=FLATS, groups=PATTERN, put=_fixed_rows),
     Defect(name="fixed columns, 0.5 %", stacks=FLATS, groups=PATTERN, put=_fixed_columns),
     Defect(name="row noise, 0.2 of the noise", stacks=FLAT, groups=(*SPACE, *TIME), put=_row_noise),
     Defect(name="gain of odd rows, 1 %", stacks=FLATS, groups=PATTERN, put=_field_gain),
     Defect(name="a repeated frame", stacks=FLAT, groups=("time",), put=_repeated_frame),
-    Defect(name="mean of two frames", stacks=FLATS, groups=("time", "photon-transfer"), put=average_pairs),
-    Defect(name="a field interpolated from the other", stacks=FLAT, groups=("time", *SPACE), put=_dropped_field),
-    Defect(name="dark shading, 0.5 sd or 1 DN", stacks=DARK, groups=("shading",), put=_dark_shading),
-    Defect(name="amplifier glow, 5 sd", stacks=DARK, groups=("shading", *PATTERN), put=_amplifier_glow),
-    Defect(name="stuck bit of a quarter of the noise", stacks=FLATS, groups=("histogram",), put=_stuck_bit),
-    Defect(name="clipping at 90 % of full scale", stacks=ALL, groups=("histogram", "point"), put=_clipping),
     Defect(
-        name="clipping at the black level", stacks=DARK,
-        groups=("histogram", "photon-transfer", "dark-events"), put=_black_clipping,
+        name="mean of two frames",
+        stacks=FLATS,
+        groups=("time", "photon-transfer"),
+        put=average_pairs,
     ),
     Defect(
-        name="gamma of 0.95", stacks=LIT, groups=("level", "photon-transfer", "linearity", "edge", "covariance"),
+        name="a field interpolated from the other",
+        stacks=FLAT,
+        groups=("time", *SPACE),
+        put=_dropped_field,
+    ),
+    Defect(
+        name="dark shading, 0.5 sd or 1 DN", stacks=DARK, groups=("shading",), put=_dark_shading
+    ),
+    Defect(
+        name="amplifier glow, 5 sd", stacks=DARK, groups=("shading", *PATTERN), put=_amplifier_glow
+    ),
+    Defect(
+        name="stuck bit of a quarter of the noise",
+        stacks=FLATS,
+        groups=("histogram",),
+        put=_stuck_bit,
+    ),
+    Defect(
+        name="clipping at 90 % of full scale",
+        stacks=ALL,
+        groups=("histogram", "point"),
+        put=_clipping,
+    ),
+    Defect(
+        name="clipping at the black level",
+        stacks=DARK,
+        groups=("histogram", "photon-transfer", "dark-events"),
+        put=_black_clipping,
+    ),
+    Defect(
+        name="gamma of 0.95",
+        stacks=LIT,
+        groups=("level", "photon-transfer", "linearity", "edge", "covariance"),
         put=_gamma,
     ),
-    Defect(name="blur of 1.5 px in the corners", stacks=FLAT, groups=("field", *SPACE), put=blur_off_axis),
-    Defect(name="sharpening, 30 % of 1 px", stacks=LIT, groups=("mtf", "edge", *SPACE), put=sharpen),
+    Defect(
+        name="blur of 1.5 px in the corners",
+        stacks=FLAT,
+        groups=("field", *SPACE),
+        put=blur_off_axis,
+    ),
+    Defect(
+        name="sharpening, 30 % of 1 px", stacks=LIT, groups=("mtf", "edge", *SPACE), put=sharpen
+    ),
     Defect(name="interpolation of 0.25 px", stacks=FLAT, groups=SPACE, put=_interpolation),
     Defect(name="salt noise, 5e-5", stacks=DARK, groups=("histogram", "dark-events"), put=_salt),
-    Defect(name="3 cosmic rays a frame, 40 sd", stacks=DARK, groups=("histogram", "dark-events"), put=_cosmic_rays),
+    Defect(
+        name="3 cosmic rays a frame, 40 sd",
+        stacks=DARK,
+        groups=("histogram", "dark-events"),
+        put=_cosmic_rays,
+    ),
     Defect(name="drift of 2 % over the stack", stacks=FLAT, groups=TIME, put=_drift),
     Defect(name="flicker of 1 %", stacks=FLAT, groups=TIME, put=_flicker),
     Defect(name="veiling glare, 2 %", stacks=("edge",), groups=("edge", "mtf"), put=_veiling_glare),
@@ -324,24 +392,63 @@ OF_FRAMES = (
     Defect(name="5 dust spots, 10 %", stacks=FLATS, groups=PATTERN, put=_dust),
     Defect(name="jitter of rows, 0.3 px", stacks=("edge",), groups=("edge", "mtf"), put=_jitter),
     Defect(name="lowest bit left out", stacks=ALL, groups=("histogram", "level"), put=_truncation),
-)  # fmt: skip
+)
 
 # Defects that are parameters of the camera; a camera has those whose paths it knows.
 OF_CAMERA = (
-    # 4 to 6.8 um: with an MTF50 of 0.2 cycles per pixel of 18 um at the cathode, or 4 to 4.6 um: of 0.48 per 16 um.
-    Defect(name="defocus, MTF50 6 % lower", stacks=("edge",), groups=("mtf", "edge", "point"), has_tube=True,
-           factors={"optics.aberration_blur_um": 1.71}),
-    Defect(name="defocus, MTF50 6 % lower", stacks=("edge",), groups=("mtf", "edge", "point"), has_tube=False,
-           factors={"optics.aberration_blur_um": 1.16}),
-    Defect(name="EBI, or dark current, x 50", stacks=ALL, groups=("dark-events", "photon-transfer", "level"),
-           factors={"photocathode.ebi_lm_per_cm2": 50.0, "ccd.dark_current_e_per_s": 50.0}),
-    Defect(name="ions, or clock-induced charge, x 100", stacks=ALL, groups=("dark-events", "histogram", "covariance"),
-           factors={"microchannel_plate.ion_event_rate_per_s_cm2": 100.0, "register.clock_induced_e": 100.0}),
+    # 4 to 6.8 um: with an MTF50 of 0.2 cycles per pixel of 18 um at the cathode, or 4 to 4.6 um: of
+    # 0.48 per 16 um.
+    Defect(
+        name="defocus, MTF50 6 % lower",
+        stacks=("edge",),
+        groups=("mtf", "edge", "point"),
+        has_tube=True,
+        factors={"optics.aberration_blur_um": 1.71},
+    ),
+    Defect(
+        name="defocus, MTF50 6 % lower",
+        stacks=("edge",),
+        groups=("mtf", "edge", "point"),
+        has_tube=False,
+        factors={"optics.aberration_blur_um": 1.16},
+    ),
+    Defect(
+        name="EBI, or dark current, x 50",
+        stacks=ALL,
+        groups=("dark-events", "photon-transfer", "level"),
+        factors={"photocathode.ebi_lm_per_cm2": 50.0, "ccd.dark_current_e_per_s": 50.0},
+    ),
+    Defect(
+        name="ions, or clock-induced charge, x 100",
+        stacks=ALL,
+        groups=("dark-events", "histogram", "covariance"),
+        factors={
+            "microchannel_plate.ion_event_rate_per_s_cm2": 100.0,
+            "register.clock_induced_e": 100.0,
+        },
+    ),
     Defect(name="DSNU x 40", stacks=ALL, groups=PATTERN, factors={"ccd.dsnu_e": 40.0}),
-    Defect(name="line noise x 20", stacks=ALL, groups=(*SPACE, *TIME), factors={"video.line_noise_dn": 20.0}),
-    Defect(name="fibre pattern x 4", stacks=LIT, groups=PATTERN, factors={"taper.pattern_contrast": 4.0}),
+    Defect(
+        name="line noise x 20",
+        stacks=ALL,
+        groups=(*SPACE, *TIME),
+        factors={"video.line_noise_dn": 20.0},
+    ),
+    Defect(
+        name="fibre pattern x 4",
+        stacks=LIT,
+        groups=PATTERN,
+        factors={"taper.pattern_contrast": 4.0},
+    ),
     # Excess noise 1 + 1 / shape of 2 becomes 2.4.
-    Defect(name="excess noise, 20 %", stacks=LIT, groups=("photon-transfer", "covariance"),
-           factors={"microchannel_plate.pulse_height_shape": 0.714, "register.pulse_height_shape": 0.714}),
-)  # fmt: skip
+    Defect(
+        name="excess noise, 20 %",
+        stacks=LIT,
+        groups=("photon-transfer", "covariance"),
+        factors={
+            "microchannel_plate.pulse_height_shape": 0.714,
+            "register.pulse_height_shape": 0.714,
+        },
+    ),
+)
 DEFECTS = (*OF_FRAMES, *OF_CAMERA)

@@ -1,4 +1,6 @@
-"""Defects that a lab would mind are noticed by a number that names them, and sets without defects pass."""
+"""Defects that a lab would mind are noticed by a number that names them, and sets without defects
+pass.
+"""
 
 import re
 from collections.abc import Mapping
@@ -37,7 +39,9 @@ OF_GROUP = {
 
 
 def _names_the_place(statistic: Statistic, defect: Defect) -> bool:
-    """Whether a failing statistic is of a group that speaks of the defect, and its worst number of a stack with it."""
+    """Whether a failing statistic is of a group that speaks of the defect, and its worst number of
+    a stack with it.
+    """
     if statistic.passed or statistic.name not in defect.groups:
         return False
     if statistic.name in ("mtf", "edge", "point"):
@@ -57,7 +61,9 @@ def test_each_group_of_numbers_finds_the_defect_that_it_is_for(seed: int) -> Non
     assert set(OF_GROUP) == set(GROUPS)
     assert [group for group, name in OF_GROUP.items() if found[name][group].passed] == []
     # A repeated frame says nothing of target and level.
-    assert all(found["a repeated frame"][group].passed for group in ("level", "mtf", "edge", "point"))
+    assert all(
+        found["a repeated frame"][group].passed for group in ("level", "mtf", "edge", "point")
+    )
     assert found["a repeated frame"]["time"].worst == "largest correlation of two frames of bright"
 
 
@@ -66,17 +72,26 @@ def _numbers(bench: BenchSets, count: int) -> list[Mapping[str, Numbers]]:
 
 
 @pytest.mark.parametrize("camera", ["emccd-512", "pulnix-ag5745ef3"])
-def test_nine_of_ten_defects_are_noticed_by_a_number_that_names_them(camera: str, seed: int) -> None:
+def test_nine_of_ten_defects_are_noticed_by_a_number_that_names_them(
+    camera: str, seed: int
+) -> None:
     bench, fresh = BenchSets(camera, seed=seed), 8
     test = ValidationTest(_numbers(bench, DRAWS), seed=seed)
     sets = [bench.frames(DRAWS + i) for i in range(fresh)]
     defects = [one for one in DEFECTS if bench.has(one)]
     missed = []
     for index, defect in enumerate(defects):
-        frames = bench.frames(1000 + index, defect) if defect.factors else bench.put(sets[index % fresh], defect)
+        frames = (
+            bench.frames(1000 + index, defect)
+            if defect.factors
+            else bench.put(sets[index % fresh], defect)
+        )
         statistics = test.statistics(bench.numbers(frames))
         named = [one for one in statistics if _names_the_place(one, defect)]
-        print(f"{defect.name}: {'; '.join(f'{one.name}, {one.worst}' for one in named) or 'not noticed'}")
+        print(
+            f"{defect.name}: "
+            f"{'; '.join(f'{one.name}, {one.worst}' for one in named) or 'not noticed'}"
+        )
         if not named:
             missed.append(defect.name)
     print(f"{camera}: {len(defects) - len(missed)} of {len(defects)} noticed, not: {missed}")
@@ -97,11 +112,17 @@ def test_sets_without_defects_pass_and_their_p_values_are_no_smaller_than_stated
         alarms.append(sum(any(not one.passed for one in statistics) for statistics in outside))
         for statistic in (one for statistics in outside for one in statistics):
             p_values[statistic.name].append(statistic.p_value)
-    shares = np.array([[np.mean(np.array(p) < at) for at in (0.05, 0.005, 0.5)] for p in p_values.values()])
+    shares = np.array(
+        [[np.mean(np.array(p) < at) for at in (0.05, 0.005, 0.5)] for p in p_values.values()]
+    )
     for name, share in zip(p_values, shares, strict=True):
-        print(f"{name}: {share[0]:.3f} below 0.05, {share[1]:.3f} below 0.005, {1.0 - share[2]:.2f} above 0.5")
+        print(
+            f"{name}: {share[0]:.3f} below 0.05, {share[1]:.3f} below 0.005, {1.0 - share[2]:.2f} "
+            "above 0.5"
+        )
     print(f"false alarms of 40 sets: {alarms}")
-    # 1 % of 120 sets alarm; 5 or more by chance in fewer than 1 of 100 runs, and the ensembles share their sets.
+    # 1 % of 120 sets alarm; 5 or more by chance in fewer than 1 of 100 runs, and the ensembles
+    # share their sets.
     assert sum(alarms) <= 6
     # Sets of one ensemble are correlated: 16 statistics of three ensembles are known to some 2 %.
     assert shares[:, 0].mean() < 0.07

@@ -1,4 +1,6 @@
-"""The numbers compared are those of the noise that was put in, and each defect moves the number that names it."""
+"""The numbers compared are those of the noise that was put in, and each defect moves the number
+that names it.
+"""
 
 import numpy as np
 import pytest
@@ -29,7 +31,9 @@ def test_white_noise_has_its_variance_and_no_correlation(seed: int) -> None:
     assert view.power[1:, 1:].mean() == pytest.approx(64.0, rel=4.5 / np.sqrt(pixels / 2.0))
 
 
-def test_a_moving_mean_of_two_columns_correlates_neighbours_by_half_and_keeps_the_covariance_sum(seed: int) -> None:
+def test_a_moving_mean_of_two_columns_correlates_neighbours_by_half_and_keeps_the_covariance_sum(
+    seed: int,
+) -> None:
     frames = _white(np.random.default_rng(seed))
     view = StackView("flat", (frames + np.roll(frames, 1, axis=2)) / 2.0)
     assert view.covariance[REACH, REACH + 1] / view.variance == pytest.approx(0.5, abs=0.02)
@@ -41,21 +45,32 @@ def test_gaussian_noise_has_the_tails_of_its_closed_form(seed: int) -> None:
     """The mean of the highest share a of a normal deviate is its density at the quantile over a."""
     from scipy.special import ndtri
 
-    dark, flat = (StackView(name, x) for name, x in zip(("dark", "flat"), _dark_and_flat(seed), strict=True))
+    dark, flat = (
+        StackView(name, x) for name, x in zip(("dark", "flat"), _dark_and_flat(seed), strict=True)
+    )
     found = stack_features.histogram_features(dark, [flat])
     for share in stack_features.TAILS:
         expected = np.exp(-0.5 * ndtri(share) ** 2) / np.sqrt(2.0 * np.pi) / share
-        # The scatter of the mean of the highest values is below that of one of them over the root of their number.
+        # The scatter of the mean of the highest values is below that of one of them over the root
+        # of their number.
         error = 4.5 / np.sqrt(share * flat.change.size * 7 / 8)
-        assert found[f"mean of the highest {100.0 * share:g} % of flat"] == pytest.approx(expected, abs=error)
-        assert found[f"mean of the lowest {100.0 * share:g} % of flat"] == pytest.approx(-expected, abs=error)
+        assert found[f"mean of the highest {100.0 * share:g} % of flat"] == pytest.approx(
+            expected, abs=error
+        )
+        assert found[f"mean of the lowest {100.0 * share:g} % of flat"] == pytest.approx(
+            -expected, abs=error
+        )
 
 
 def test_a_bit_left_out_has_no_ones(seed: int) -> None:
     dark, flat = _dark_and_flat(seed)
-    found = stack_features.histogram_features(StackView("dark", dark), [StackView("flat", 2.0 * (flat // 2.0))])
+    found = stack_features.histogram_features(
+        StackView("dark", dark), [StackView("flat", 2.0 * (flat // 2.0))]
+    )
     assert found["share of ones of bit 0 of flat"] == 0.0
-    assert found["share of ones of bit 1 of flat"] == pytest.approx(0.5, abs=4.5 * 0.5 / np.sqrt(96 * 128))
+    assert found["share of ones of bit 1 of flat"] == pytest.approx(
+        0.5, abs=4.5 * 0.5 / np.sqrt(96 * 128)
+    )
 
 
 def test_fields_of_unequal_gain_differ_and_their_lag_is_their_correlation(seed: int) -> None:
@@ -70,7 +85,9 @@ def test_fields_of_unequal_gain_differ_and_their_lag_is_their_correlation(seed: 
     found = stack_features.time_features(*views)
     # Half of the pairs of successive fields are of one frame.
     lag = 0.1 * 8.0 / 15.0 / np.mean([1.0, 1.02**2 + 0.01])
-    assert found["correlation of fields of flat, 1 apart"] == pytest.approx(lag, abs=4.5 / np.sqrt(pixels / 2.0))
+    assert found["correlation of fields of flat, 1 apart"] == pytest.approx(
+        lag, abs=4.5 / np.sqrt(pixels / 2.0)
+    )
 
 
 def test_a_repeated_frame_and_a_repeated_field_are_the_same_twice(seed: int) -> None:
@@ -78,11 +95,16 @@ def test_a_repeated_frame_and_a_repeated_field_are_the_same_twice(seed: int) -> 
     plain = stack_features.time_features(StackView("dark", dark), [StackView("flat", flat)])
     assert plain["largest correlation of two frames of flat"] < 0.0
     flat[3, ::2] = flat[2, ::2]
-    found = stack_features.time_features(StackView("dark", dark), [StackView("flat", flat, interlaced=True)])
-    # Variances less the mean of 8 fields: of two equal ones 42/64, of the 6 with them 58/64, of the others 56/64.
+    found = stack_features.time_features(
+        StackView("dark", dark), [StackView("flat", flat, interlaced=True)]
+    )
+    # Variances less the mean of 8 fields: of two equal ones 42/64, of the 6 with them 58/64, of the
+    # others 56/64.
     mean = (2 * 42 + 6 * 58 + 8 * 56) / 16.0
     pixels = np.prod(SHAPE[1:]) / 2.0
-    assert found["largest correlation of two fields of flat"] == pytest.approx(42.0 / mean, abs=4.5 / np.sqrt(pixels))
+    assert found["largest correlation of two fields of flat"] == pytest.approx(
+        42.0 / mean, abs=4.5 / np.sqrt(pixels)
+    )
 
 
 def test_six_hot_pixels_are_the_height_of_the_highest(seed: int) -> None:
@@ -112,7 +134,9 @@ def test_jitter_of_rows_is_variance_on_the_edge_alone(seed: int) -> None:
         for x in (still, moved)
     )
     assert np.exp(still_edge["ln variance of the edge itself"]) == pytest.approx(1.0, rel=0.1)
-    assert np.exp(moved_edge["ln variance of the edge itself"]) == pytest.approx(1.0 + 9.0, rel=0.15)
+    assert np.exp(moved_edge["ln variance of the edge itself"]) == pytest.approx(
+        1.0 + 9.0, rel=0.15
+    )
     for side in ("dark side", "bright side"):
         assert np.exp(moved_edge[f"ln variance of the {side}"]) == pytest.approx(1.0, rel=0.2)
 
@@ -124,8 +148,11 @@ def test_a_ghost_of_a_point_is_the_highest_spot_beside_it(seed: int) -> None:
     frames = point + rng.standard_normal((8, 128, 128))
     ghost = frames + 0.05 * np.roll(point, 30, axis=1)
     name = "highest spot beyond 12 px of the point"
-    found = [np.sinh(target_features.point_features(one, 0.0, None)[name]) for one in (frames, ghost)]
-    # A Gaussian of variance 4 px², smoothed by one of variance 2.25 px², keeps 4 / 6.25 of its height.
+    found = [
+        np.sinh(target_features.point_features(one, 0.0, None)[name]) for one in (frames, ghost)
+    ]
+    # A Gaussian of variance 4 px², smoothed by one of variance 2.25 px², keeps 4 / 6.25 of its
+    # height.
     assert found[0] < 0.5
     assert found[1] == pytest.approx(10.0 * 4.0 / 6.25, abs=0.5)
 

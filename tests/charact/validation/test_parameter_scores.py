@@ -1,4 +1,6 @@
-"""Errors of parameters are estimated without bias, with the error that they have, and found as often as stated."""
+"""Errors of parameters are estimated without bias, with the error that they have, and found as
+often as stated.
+"""
 
 import numpy as np
 import pytest
@@ -20,7 +22,9 @@ def _sets(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
     return rng.standard_normal((count, SIZE)) @ ROOT.T
 
 
-def test_an_error_of_a_parameter_is_estimated_without_bias_and_with_its_standard_deviation(seed: int) -> None:
+def test_an_error_of_a_parameter_is_estimated_without_bias_and_with_its_standard_deviation(
+    seed: int,
+) -> None:
     rng = np.random.default_rng(seed)
     found, pulls = [], []
     for _ in range(200):
@@ -36,11 +40,15 @@ def test_the_estimate_of_white_numbers_is_that_of_least_squares(seed: int) -> No
     """Of uncorrelated numbers the weights are d / s^2 over d^T d / s^2."""
     rng = np.random.default_rng(seed)
     spread = np.linspace(0.5, 2.0, SIZE)
-    scores = parameter_scores(("first", "second"), CHANGES, spread * rng.standard_normal((300, SIZE)), np.zeros(SIZE))
+    scores = parameter_scores(
+        ("first", "second"), CHANGES, spread * rng.standard_normal((300, SIZE)), np.zeros(SIZE)
+    )
     expected = CHANGES / spread**2 / np.sum(CHANGES**2 / spread**2, axis=1, keepdims=True)
     # Variances of 300 sets are known to 8 %, weights so too, and the standard deviation to 4 %.
     assert scores.weights == pytest.approx(expected, abs=4.5 * 0.08 * np.abs(expected).max())
-    assert scores.sd == pytest.approx(np.sum(CHANGES**2 / spread**2, axis=1) ** -0.5, rel=4.5 * 0.041 + 0.05)
+    assert scores.sd == pytest.approx(
+        np.sum(CHANGES**2 / spread**2, axis=1) ** -0.5, rel=4.5 * 0.041 + 0.05
+    )
 
 
 def test_p_values_of_right_simulations_are_no_smaller_than_stated(seed: int) -> None:
@@ -60,6 +68,8 @@ def test_power_is_the_fraction_of_moved_sets_that_fail(seed: int) -> None:
         shift = 4.5 * scores.sd[1] * CHANGES[1]
         expected.append(scores.detects(shift, level))
         fractions.append(np.mean([scores.p_value(one + shift) < level for one in _sets(rng, 20)]))
-    assert np.mean(fractions) == pytest.approx(np.mean(expected), abs=4.5 * np.std(fractions) / np.sqrt(40) + 0.03)
+    assert np.mean(fractions) == pytest.approx(
+        np.mean(expected), abs=4.5 * np.std(fractions) / np.sqrt(40) + 0.03
+    )
     assert np.mean(expected) > 0.5
     assert scores.detects(np.zeros(SIZE), level) < 2.0 * level

@@ -1,4 +1,6 @@
-"""Sets of the simulated kind pass as often as stated, others do not, and several tests hold one level."""
+"""Sets of the simulated kind pass as often as stated, others do not, and several tests hold one
+level.
+"""
 
 from dataclasses import replace
 
@@ -25,9 +27,9 @@ def _ensemble(rng: np.random.Generator) -> Ensemble:
 
 def _p_values(seed: int, shift: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     rng = np.random.default_rng(seed)
-    return np.array([
-        _ensemble(rng).p_value(rng.standard_normal(SIZE) @ ROOT.T + shift) for _ in range(count)
-    ])  # fmt: skip
+    return np.array(
+        [_ensemble(rng).p_value(rng.standard_normal(SIZE) @ ROOT.T + shift) for _ in range(count)]
+    )
 
 
 def test_p_values_of_right_simulations_are_uniform(seed: int) -> None:
@@ -41,13 +43,17 @@ def test_p_values_of_right_simulations_are_uniform(seed: int) -> None:
 
 
 @pytest.mark.parametrize("shift", [np.full(SIZE, 12.0), 12.0 * np.eye(SIZE)[2]], ids=["all", "one"])
-def test_a_shift_of_twelve_standard_deviations_is_refused(seed: int, shift: NDArray[np.float64]) -> None:
+def test_a_shift_of_twelve_standard_deviations_is_refused(
+    seed: int, shift: NDArray[np.float64]
+) -> None:
     # The least p-value that a thousand replicates give is 0.001.
     assert np.all(_p_values(seed, shift, 20) < 0.003)
 
 
 def test_an_error_of_one_number_of_forty_is_found_where_chi_squared_is_usual(seed: int) -> None:
-    """Seven standard deviations of one number are a chi-squared that 40 usual numbers often exceed."""
+    """Seven standard deviations of one number are a chi-squared that 40 usual numbers often
+    exceed.
+    """
     rng = np.random.default_rng(seed)
     one = Ensemble(values=rng.standard_normal((SETS, 40)), least_sd=np.zeros(40), seed=seed)
     moved = one.values.mean(axis=0) + 7.0 * np.eye(40)[7] * one.sd
@@ -81,7 +87,9 @@ def test_power_is_the_fraction_of_moved_sets_that_fail(seed: int) -> None:
     root = np.linalg.cholesky(one.covariance)
     moved = one.values.mean(axis=0) + shift + rng.standard_normal((300, SIZE)) @ root.T
     expected = np.mean([one.p_value(value) < level for value in moved])
-    assert one.detects(shift, level) == pytest.approx(expected, abs=4.5 * np.sqrt(0.25 / 300 + 0.25 / 400))
+    assert one.detects(shift, level) == pytest.approx(
+        expected, abs=4.5 * np.sqrt(0.25 / 300 + 0.25 / 400)
+    )
     assert one.detects(np.zeros(SIZE), level) < 0.05 + 0.1
     assert one.detects(20.0 * shift, level) == 1.0
 
@@ -91,18 +99,32 @@ def test_a_number_that_one_set_lacks_is_left_out_and_a_constant_one_has_its_leas
     labels, found = ensemble_of(sets, 0.5, 1)
     assert labels == ("a", "b")
     assert found.sd[1] == pytest.approx(0.5 * np.sqrt(1.0 + 1.0 / SETS), rel=1e-9)
-    assert found.z_scores(np.array([7.5, 4.0]))[1] == pytest.approx(4.0 / np.sqrt(1.0 + 1.0 / SETS), rel=1e-9)
+    assert found.z_scores(np.array([7.5, 4.0]))[1] == pytest.approx(
+        4.0 / np.sqrt(1.0 + 1.0 / SETS), rel=1e-9
+    )
 
 
 def test_holm_refuses_in_order_of_p_until_one_passes() -> None:
-    """p-values of 0.005 and 0.01 fail at 0.05 / 4 and 0.05 / 3, 0.03 passes 0.05 / 2 and so does all above it."""
+    """p-values of 0.005 and 0.01 fail at 0.05 / 4 and 0.05 / 3, 0.03 passes 0.05 / 2 and so does
+    all above it.
+    """
     p_values = (0.01, 0.04, 0.03, 0.005)
     levels = holm_levels(p_values, 0.05)
-    assert [p < level for p, level in zip(p_values, levels, strict=True)] == [True, False, False, True]
+    assert [p < level for p, level in zip(p_values, levels, strict=True)] == [
+        True,
+        False,
+        False,
+        True,
+    ]
     assert [levels[i] for i in (3, 0, 2)] == pytest.approx([0.05 / 4, 0.05 / 3, 0.05 / 2])
 
 
 def test_holm_holds_the_family_wise_level(seed: int) -> None:
     p_values = np.random.default_rng(seed).random((4000, 15))
-    failing = [any(p < level for p, level in zip(row, holm_levels(row, 0.05), strict=True)) for row in p_values]
-    assert np.mean(failing) == pytest.approx(1.0 - (1.0 - 0.05 / 15) ** 15, abs=4.5 * np.sqrt(0.05 * 0.95 / 4000))
+    failing = [
+        any(p < level for p, level in zip(row, holm_levels(row, 0.05), strict=True))
+        for row in p_values
+    ]
+    assert np.mean(failing) == pytest.approx(
+        1.0 - (1.0 - 0.05 / 15) ** 15, abs=4.5 * np.sqrt(0.05 * 0.95 / 4000)
+    )

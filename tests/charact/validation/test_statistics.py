@@ -1,4 +1,6 @@
-"""One level holds for all statistics, other parts of the frame count, and errors of parameters are estimated."""
+"""One level holds for all statistics, other parts of the frame count, and errors of parameters are
+estimated.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -13,7 +15,12 @@ from charact.validation.validation_test import SCORES, ParameterChange, Validati
 
 SETS = 20
 # Numbers of a group, and how many standard deviations a relative error of 1 of a gain moves each.
-SLOPES = {"level": (40.0, 30.0), "covariance": (20.0, 25.0, 30.0), "defects": (0.0, 0.0), "shading": (0.0, 0.0)}
+SLOPES = {
+    "level": (40.0, 30.0),
+    "covariance": (20.0, 25.0, 30.0),
+    "defects": (0.0, 0.0),
+    "shading": (0.0, 0.0),
+}
 
 
 @pytest.fixture(autouse=True)
@@ -23,14 +30,19 @@ def few_replicates(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _numbers(rng: np.random.Generator, gain_error: float = 0.0) -> dict[str, Numbers]:
     return {
-        name: {f"{name} {i}": float(rng.standard_normal() + gain_error * slope) for i, slope in enumerate(slopes)}
+        name: {
+            f"{name} {i}": float(rng.standard_normal() + gain_error * slope)
+            for i, slope in enumerate(slopes)
+        }
         for name, slopes in SLOPES.items()
     }
 
 
 def _change(change: float, *, in_quadrature: bool = False) -> ParameterChange:
     plain, changed = _numbers(np.random.default_rng(1)), _numbers(np.random.default_rng(1), change)
-    return ParameterChange(title="gain", plain=plain, changed=changed, change=change, in_quadrature=in_quadrature)
+    return ParameterChange(
+        title="gain", plain=plain, changed=changed, change=change, in_quadrature=in_quadrature
+    )
 
 
 def _sets(rng: np.random.Generator) -> list[Mapping[str, Numbers]]:
@@ -40,7 +52,10 @@ def _sets(rng: np.random.Generator) -> list[Mapping[str, Numbers]]:
 def test_a_defect_in_another_part_of_the_frame_fails_and_is_named_with_its_place(seed: int) -> None:
     rng = np.random.default_rng(seed)
     test, fresh = ValidationTest(_sets(rng), seed=seed), _numbers(rng)
-    parts = {place: {name: _numbers(rng)[name] for name in ("defects", "shading")} for place in ("left", "right")}
+    parts = {
+        place: {name: _numbers(rng)[name] for name in ("defects", "shading")}
+        for place in ("left", "right")
+    }
     parts["right"]["defects"] = {"defects 0": 0.0, "defects 1": 25.0}
     found = {one.name: one for one in test.statistics(fresh, parts)}
     assert not found["defects"].passed
@@ -54,7 +69,8 @@ def test_a_gain_off_by_a_fifth_is_estimated_and_fails(seed: int) -> None:
     found = {one.name: one for one in test.statistics(_numbers(rng, 0.2))}
     own = found[SCORES]
     assert own.labels == ("gain",)
-    # The least error of an estimate by all numbers of unit variance is one over the root of the summed squares.
+    # The least error of an estimate by all numbers of unit variance is one over the root of the
+    # summed squares.
     error = 1.0 / np.sqrt(sum(slope**2 for slopes in SLOPES.values() for slope in slopes))
     assert own.measured[0] == pytest.approx(0.2, abs=4.5 * 1.2 * error)
     assert own.high95[0] == pytest.approx(1.96 * error, rel=4.5 / np.sqrt(2.0 * SETS))
@@ -63,7 +79,9 @@ def test_a_gain_off_by_a_fifth_is_estimated_and_fails(seed: int) -> None:
 
 
 def test_the_error_found_of_a_parameter_is_that_of_all_numbers_together(seed: int) -> None:
-    """It is smaller than that of any group, and a noise whose square counts may be off by about half as much."""
+    """It is smaller than that of any group, and a noise whose square counts may be off by about
+    half as much.
+    """
     rng = np.random.default_rng(seed)
     test = ValidationTest(_sets(rng), seed=seed, changes=[_change(0.3)])
     found = test.detectable(**vars(_change(0.3)))
@@ -73,4 +91,6 @@ def test_the_error_found_of_a_parameter_is_that_of_all_numbers_together(seed: in
     assert found.relative_error < alone.relative_error
     noise = test.detectable(**vars(_change(0.3, in_quadrature=True)))
     # The same shift by a change of 0.3 is one of 0.69 of the square.
-    assert (1.0 + noise.relative_error) ** 2 - 1.0 == pytest.approx(found.relative_error * 0.69 / 0.3, rel=0.02)
+    assert (1.0 + noise.relative_error) ** 2 - 1.0 == pytest.approx(
+        found.relative_error * 0.69 / 0.3, rel=0.02
+    )

@@ -1,4 +1,6 @@
-"""Frames of a specimen pass beside its own description and fail beside one whose noise is spread otherwise."""
+"""Frames of a specimen pass beside its own description and fail beside one whose noise is spread
+otherwise.
+"""
 
 import re
 from dataclasses import replace
@@ -44,7 +46,10 @@ def specimen(seed: int) -> Sensor:
 @pytest.fixture(scope="module")
 def session(specimen: Sensor, seed: int, tmp_path_factory: pytest.TempPathFactory) -> Session:
     folder = tmp_path_factory.mktemp("session")
-    bench, lines = LabBench(specimen), ['name = "small"', 'sensor = "pulnix-ag5745ef3"', "bit_depth = 8"]
+    bench, lines = (
+        LabBench(specimen),
+        ['name = "small"', 'sensor = "pulnix-ag5745ef3"', "bit_depth = 8"],
+    )
     for index, (label, kind, lux, target) in enumerate(STACKS):
         conditions = Conditions(mcp_v=800.0, gate_ns=1.6e7, illuminance_lux=lux)
         stack = bench.expose(kind, target, conditions, frames=6, seed=seed + index)
@@ -63,7 +68,11 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cut, "ALONG_EDGE", SHAPE[0])
     monkeypatch.setattr(command, "VALIDATION", replace(VALIDATION, draws=10))
     # Controls of parameters are as many sets again: one of them, that of a tube.
-    monkeypatch.setattr(command, "PARAMETERS", tuple(one for one in PARAMETERS if one.title == "blur after the gain"))
+    monkeypatch.setattr(
+        command,
+        "PARAMETERS",
+        tuple(one for one in PARAMETERS if one.title == "blur after the gain"),
+    )
 
 
 def test_the_right_sensor_passes_and_its_controls_do_as_they_should(
@@ -71,12 +80,15 @@ def test_the_right_sensor_passes_and_its_controls_do_as_they_should(
 ) -> None:
     found = validate(session, specimen, seed=seed)
     assert {one.name for one in found.statistics} == (set(GROUPS) - {"point"}) | {SCORES}
-    # Chance alone refuses a right sensor once in 100 runs: seeds that nobody chose are held to less than that.
+    # Chance alone refuses a right sensor once in 100 runs: seeds that nobody chose are held to less
+    # than that.
     null = next(one for one in found.controls if one.name == "null")
     assert sum(not one.passed for one in (*found.statistics, *null.statistics)) <= 1
     negative = {one.title: one for one in found.controls if one.name == "negative"}
     assert set(FAULTS) < set(negative)
-    assert [title for title in FAULTS if all(one.passed for one in negative[title].statistics)] == []
+    assert [
+        title for title in FAULTS if all(one.passed for one in negative[title].statistics)
+    ] == []
     assert {pair.kind for pair in found.pairs} == {"dark", "flat", "edge"}
     assert all(pair.measured.shape == pair.simulated.shape for pair in found.pairs)
 
@@ -90,12 +102,15 @@ def test_a_sensor_that_spreads_its_noise_otherwise_fails_and_the_same_seed_gives
     assert not one.passed
     assert not next(s for s in one.statistics if s.name == "autocorrelation").passed
     assert one.statistics == two.statistics
-    # The session's own description is the sheet; the specimen is known to the validation as the sensor given alone.
+    # The session's own description is the sheet; the specimen is known to the validation as the
+    # sensor given alone.
     assert session.sensor is not None
     assert session.sensor.name == load_sensor("pulnix-ag5745ef3").name
 
 
-def test_parts_of_the_crop_s_size_cover_the_frame(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_of_the_crop_s_size_cover_the_frame(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert cut.choose(session).parts == {}
     monkeypatch.setattr(cut, "SHAPE", (40, 50))
     covered = np.zeros(SHAPE, bool)
@@ -105,7 +120,9 @@ def test_parts_of_the_crop_s_size_cover_the_frame(session: Session, monkeypatch:
         assert row % 2 == 0
         covered[row : row + 40, col : col + 50] = True
         whole = session.stack("high").read().data
-        assert np.array_equal(frames["high"], whole[: VALIDATION.frames, row : row + 40, col : col + 50])
+        assert np.array_equal(
+            frames["high"], whole[: VALIDATION.frames, row : row + 40, col : col + 50]
+        )
     assert covered.all()
     assert len(parts) == 9
 

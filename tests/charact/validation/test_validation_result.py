@@ -37,9 +37,15 @@ def _statistic(p_value: float, name: str = "noise") -> Statistic:
 def good() -> Validation:
     picture = np.arange(12, dtype=np.uint8).reshape(3, 4)
     pair = FramePair(
-        role="dim flat", kind="flat", label="f", measured=picture, simulated=picture[::-1], low_dn=1.0, high_dn=9.0,
+        role="dim flat",
+        kind="flat",
+        label="f",
+        measured=picture,
+        simulated=picture[::-1],
+        low_dn=1.0,
+        high_dn=9.0,
         frames=8,
-    )  # fmt: skip
+    )
     return Validation(
         session="s",
         sensor="fitted",
@@ -49,7 +55,9 @@ def good() -> Validation:
         statistics=(_statistic(0.4), _statistic(0.2, "mtf")),
         controls=(
             ValidationControl(name="null", title="null", statistics=(_statistic(0.7),)),
-            ValidationControl(name="negative", title="negative", statistics=(_statistic(0.9), _statistic(1e-9))),
+            ValidationControl(
+                name="negative", title="negative", statistics=(_statistic(0.9), _statistic(1e-9))
+            ),
         ),
         figures=ValidationFigures(
             overlays={"mtf": {"curves": [{"x": [0.1], "measured": [0.9]}]}},
@@ -57,7 +65,11 @@ def good() -> Validation:
             blind=(replace(pair, simulated=picture + 2),),
             residuals=(
                 ResidualMap(
-                    role="dark", label="d", block_px=4, difference_dn=np.eye(3, 4, dtype=np.float32), sd_dn=0.3
+                    role="dark",
+                    label="d",
+                    block_px=4,
+                    difference_dn=np.eye(3, 4, dtype=np.float32),
+                    sd_dn=0.3,
                 ),
             ),
         ),
@@ -83,7 +95,9 @@ def test_kept_and_read_back(good: Validation, tmp_path: Path) -> None:
     for name in ("pairs", "blind", "patterns", "residuals"):
         for kept, own in zip(getattr(back.figures, name), getattr(good.figures, name), strict=True):
             assert vars(kept).keys() == vars(own).keys()
-            assert all(np.array_equal(vars(kept)[field], value) for field, value in vars(own).items())
+            assert all(
+                np.array_equal(vars(kept)[field], value) for field, value in vars(own).items()
+            )
     assert back.passed
 
 

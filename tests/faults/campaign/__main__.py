@@ -1,5 +1,6 @@
-"""`make study NAME=fault-campaign`: each fault strikes running plans at random moments; what became of each makes a
-docs page."""
+"""`make study NAME=fault-campaign`: each fault strikes running plans at random moments; what became
+of each makes a docs page.
+"""
 
 import argparse
 import json
@@ -32,8 +33,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.faults.campaign", description=__doc__)
     parser.add_argument("--strikes", type=int, default=5, help="of each kind")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=60.0, help="begin no further kind after this time")
-    parser.add_argument("--kinds", default="", help="only kinds in which this regular expression is found")
+    parser.add_argument(
+        "--minutes", type=float, default=60.0, help="begin no further kind after this time"
+    )
+    parser.add_argument(
+        "--kinds", default="", help="only kinds in which this regular expression is found"
+    )
     parser.add_argument("--keep", type=Path, help="page for the result, Markdown")
     parser.add_argument("--trials", type=Path, help="file for every strike, one JSON object a line")
     asked = parser.parse_args()
@@ -61,9 +66,10 @@ def main() -> int:
             rows.append(strike(rig, Path(name), kind, asked.strikes, rng, tell=tell))
     text = page(
         rows,
-        f"Seed {asked.seed}, {asked.strikes} strikes of each kind, {(time.monotonic() - began_s) / 60.0:.0f} min. "
-        f"The machine: {os.cpu_count()} cores, {np.median(loads):.1f} processes at work or waiting for one in the "
-        f"median, {max(loads):.1f} at most.",
+        f"Seed {asked.seed}, {asked.strikes} strikes of each kind, "
+        f"{(time.monotonic() - began_s) / 60.0:.0f} min. The machine: {os.cpu_count()} cores, "
+        f"{np.median(loads):.1f} processes at work or waiting for one in the median, "
+        f"{max(loads):.1f} at most.",
     )
     print(text)
     for row in rows:
@@ -83,9 +89,11 @@ def strike(
     *,
     tell: Tell = lambda outcome: None,
 ) -> Row:
-    """Strike sessions with faults of one kind, and resume each session undisturbed, which must complete it.
+    """Strike sessions with faults of one kind, and resume each session undisturbed, which must
+    complete it.
 
-    Every fifth strike falls at any moment, the opening included, the others with the tube in the state for the fault.
+    Every fifth strike falls at any moment, the opening included, the others with the tube in the
+    state for the fault.
 
     Parameters
     ----------
@@ -120,7 +128,9 @@ def strike(
             fault = draw_fault(kind, rng)
         resumed.append(resume(rig, plan, session))
         if len(resumed) > len(outcomes) + MOST_MISSED:
-            raise RuntimeError(f"{kind} must strike runs, got {len(resumed)} that ended before: {resumed[-1]}")
+            raise RuntimeError(
+                f"{kind} must strike runs, got {len(resumed)} that ended before: {resumed[-1]}"
+            )
     return Row(kind=kind, outcomes=tuple(outcomes), resumed=tuple(map(tuple, resumed)))
 
 

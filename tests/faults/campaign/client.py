@@ -1,4 +1,6 @@
-"""A client of the campaign: a forked process that acquires, with its terminal, its disk and its person at the bench."""
+"""A client of the campaign: a forked process that acquires, with its terminal, its disk and its
+person at the bench.
+"""
 
 import ctypes
 import mmap
@@ -40,7 +42,9 @@ _LIBC = ctypes.CDLL(None)
 
 
 class Hang:
-    """A call that does not come back as long as this holds, and in which no signal reaches its thread."""
+    """A call that does not come back as long as this holds, and in which no signal reaches its
+    thread.
+    """
 
     def __init__(self) -> None:
         self._shared = mmap.mmap(-1, mmap.PAGESIZE)
@@ -78,7 +82,11 @@ class Hang:
 
         def after_call(act: Any) -> Any:
             def called(where: Any, *rest: Any) -> Any:
-                path = os.readlink(f"/proc/self/fd/{where}") if self.holds and isinstance(where, int) else where
+                path = (
+                    os.readlink(f"/proc/self/fd/{where}")
+                    if self.holds and isinstance(where, int)
+                    else where
+                )
                 if str(path).startswith(str(folder)):
                     self.call()
                 return act(where, *rest)
@@ -104,7 +112,15 @@ class Client:
         Whether a person at its terminal sets the light: `answer` is what they type.
     """
 
-    def __init__(self, rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float, prompts: bool = False) -> None:
+    def __init__(
+        self,
+        rig: CampaignRig,
+        plan: Plan,
+        session: Path,
+        *,
+        silence_s: float,
+        prompts: bool = False,
+    ) -> None:
         self.began_s = time.monotonic()
         self.disk, self.camera = Hang(), Hang()
         self.terminal, self._marks = StoppablePipe(*os.pipe()), StoppablePipe(*os.pipe())
@@ -201,7 +217,9 @@ def _acknowledged(line: str) -> tuple[str, int]:
     return (words[0].rstrip(":"), int(words[1])) if words[2:3] == ["of"] else ("", 0)
 
 
-def _acquire(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float, prompts: bool) -> None:
+def _acquire(
+    client: Client, rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float, prompts: bool
+) -> None:
     """Acquire and end the process; nothing of the parent's may be unwound here."""
     code = 3
     try:
@@ -223,7 +241,9 @@ def _acquire(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, sil
         os._exit(code)
 
 
-def _exit_code(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float, prompts: bool) -> int:
+def _exit_code(
+    client: Client, rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float, prompts: bool
+) -> int:
     """Acquire as the command line does, and say on the terminal what it says."""
     bench = open_bench(
         rig.wires,
@@ -256,7 +276,9 @@ def _exit_code(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, s
 
 
 class _Hands:
-    """Hands that set the light; they need no disk, so that one that fails says nothing of how a run would end."""
+    """Hands that set the light; they need no disk, so that one that fails says nothing of how a run
+    would end.
+    """
 
     is_by_hand = False
 
@@ -292,13 +314,17 @@ class _Person(PromptingOperator):
 
 
 class _MarkingCamera(AravisCamera):
-    """A camera whose client marks when frames are asked for, when one comes, and when one is saturated."""
+    """A camera whose client marks when frames are asked for, when one comes, and when one is
+    saturated.
+    """
 
     def __init__(self, client: Client, rig: CampaignRig, *, silence_s: float) -> None:
         super().__init__(rig.wires.camera, silence_s=silence_s)
         self._client, self._full_dn = client, 2**rig.sensor.video.bit_depth - 1
 
-    def capture(self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None) -> Any:
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> Any:
         self._client.mark("asked")
         capture = super().capture(frames=frames, discard=discard, while_waiting=while_waiting)
         return _MarkingCapture(capture, self._client, self._full_dn)
@@ -315,7 +341,10 @@ class _MarkingCapture:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._capture.__exit__(kind, error, trace)
 

@@ -1,4 +1,6 @@
-"""The faults of the campaign: how each is provoked and healed, what a run owes under it, and within which time."""
+"""The faults of the campaign: how each is provoked and healed, what a run owes under it, and within
+which time.
+"""
 
 import itertools
 import os
@@ -18,7 +20,15 @@ from labdata.plan import Plan, Step
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import Outputs
 from tests.faults.campaign.client import Client
-from tests.faults.campaign.rig import DANGEROUS_V, GATE, GATE_NS, INSTRUMENTS, LUX, SUPPLY, CampaignRig
+from tests.faults.campaign.rig import (
+    DANGEROUS_V,
+    GATE,
+    GATE_NS,
+    INSTRUMENTS,
+    LUX,
+    SUPPLY,
+    CampaignRig,
+)
 
 PATIENT_S = 15.0
 SILENCE_S = 0.5
@@ -27,7 +37,8 @@ BLOCKED_S, PROMPTED_S = 2.0, 3.0
 TERM, INTERRUPT, KILL, STOP = signal.SIGTERM, signal.SIGINT, signal.SIGKILL, signal.SIGSTOP
 
 Act = Callable[[CampaignRig, Client], object]
-"""Does something to the bench or its client; a strike may return the monotonic time from which its limit counts, s."""
+"""Acts on the bench or its client; a strike may return the monotonic time at which its limit
+begins, s."""
 
 
 def _nothing(rig: CampaignRig, client: Client) -> None:
@@ -57,18 +68,19 @@ class Fault:
     returns
         Whether these hear again when it is over: their time counts from then; else they have none.
     since
-        What the time counts from: the strike; the first frames asked for after it, where it shows only in frames that
-        do not come; the first frame saturated after it; or the last frame that came, where a run may go on.
+        What the time counts from: the strike; the first frames asked for after it, where it shows
+        only in frames that do not come; the first frame saturated after it; or the last frame that
+        came, where a run may go on.
     ends_run
         Whether the run must end: one that goes on as if nothing had happened breaks its promise.
     one_suffices
         Whether one of gate and voltage is enough, in a run that goes on.
     client_lives, log_lives, terminal_lives
-        Whether the client lives on, with what it takes to end in a sentence; whether the session's log takes that, and
-        the terminal.
+        Whether the client lives on, with what it takes to end in a sentence; whether the session's
+        log takes that, and the terminal.
     silence_s
-        How long the client's camera may be silent, s: short where silence is the fault, long where drawing a frame
-        on a busy machine must not be taken for one.
+        How long the client's camera may be silent, s: short where silence is the fault, long where
+        drawing a frame on a busy machine must not be taken for one.
     plan
         Makes the plan under which it strikes from the campaign's own.
     ready
@@ -129,14 +141,18 @@ def _on_a_line(faults: Callable[[np.random.Generator], Faults], *, hears: bool =
     def draw(rng: np.random.Generator) -> Fault:
         instrument = str(rng.choice(INSTRUMENTS))
         deaf = () if hears else (instrument,)
-        return _provoked(instrument, faults(rng), lasts_s=float(rng.uniform(0.5, 1.5)), passes=True, deaf=deaf)
+        return _provoked(
+            instrument, faults(rng), lasts_s=float(rng.uniform(0.5, 1.5)), passes=True, deaf=deaf
+        )
 
     return draw
 
 
 def _trip(rng: np.random.Generator) -> Fault:
     # The latch of a trip is cleared by a person.
-    return _provoked(SUPPLY, Faults(tripped=True), ends_run=True, repair=lambda rig: _off_and_on(rig, SUPPLY))
+    return _provoked(
+        SUPPLY, Faults(tripped=True), ends_run=True, repair=lambda rig: _off_and_on(rig, SUPPLY)
+    )
 
 
 def _off_and_on(rig: CampaignRig, instrument: str) -> None:
@@ -161,14 +177,27 @@ def _power_cut(*, back: bool) -> Draw:
 
 
 def _line_lost(back_as: str | None) -> Draw:
-    """Draw an instrument whose port goes for 0.3 s, and comes back, or stands under another name first."""
+    """Draw an instrument whose port goes for 0.3 s, and comes back, or stands under another name
+    first.
+    """
 
     def draw(rng: np.random.Generator) -> Fault:
         instrument = str(rng.choice(INSTRUMENTS))
-        gone = Faults(unplugged=True) if back_as is None else Faults(port_name=f"{instrument}.{back_as}")
+        gone = (
+            Faults(unplugged=True)
+            if back_as is None
+            else Faults(port_name=f"{instrument}.{back_as}")
+        )
         lasts_s = 0.3 if back_as is None else 2.0
         return _provoked(
-            instrument, gone, lasts_s=lasts_s, passes=True, deaf=(instrument,), returns=True, limit_s=2.0, ends_run=True
+            instrument,
+            gone,
+            lasts_s=lasts_s,
+            passes=True,
+            deaf=(instrument,),
+            returns=True,
+            limit_s=2.0,
+            ends_run=True,
         )
 
     return draw
@@ -179,7 +208,9 @@ def _panel(instrument: str, *commands: str, **known: Any) -> Draw:
 
 
 def _with_a_step_without_voltage(plan: Plan) -> Plan:
-    off = Step(label="off", kind="dark", frames=40, conditions=Conditions(mcp_v=0.0, gate_ns=GATE_NS))
+    off = Step(
+        label="off", kind="dark", frames=40, conditions=Conditions(mcp_v=0.0, gate_ns=GATE_NS)
+    )
     return replace(plan, steps=(off, *plan.steps))
 
 
@@ -196,13 +227,20 @@ def _triggered(plan: Plan) -> Plan:
 
 
 def _disobedient(instrument: str) -> Draw:
-    return lambda rng: _provoked(instrument, Faults(disobedient=True), deaf=(instrument,), since="progress")
+    return lambda rng: _provoked(
+        instrument, Faults(disobedient=True), deaf=(instrument,), since="progress"
+    )
 
 
 def _seen(faults: Callable[[np.random.Generator], Faults], **known: Any) -> Draw:
     """Draw a fault of the camera."""
     return lambda rng: _provoked(
-        "camera", faults(rng), lasts_s=float(rng.uniform(0.8, 2.5)), passes=True, since="frames", **known
+        "camera",
+        faults(rng),
+        lasts_s=float(rng.uniform(0.8, 2.5)),
+        passes=True,
+        since="frames",
+        **known,
     )
 
 
@@ -266,7 +304,9 @@ def _starved(who: str, of: Literal["descriptors", "threads", "memory"]) -> Draw:
     other = "server" if who == "client" else "client"
 
     def strike(rig: CampaignRig, client: Client) -> object:
-        if (pid := client.pid if who == "client" else rig.server()) is not None and client.exit_code() is None:
+        if (
+            pid := client.pid if who == "client" else rig.server()
+        ) is not None and client.exit_code() is None:
             _starve(pid, of)
         return _signalled(other, KILL)(rig, client)
 
@@ -278,7 +318,10 @@ def _starve(pid: int, of: str) -> None:
     """Leave a process no descriptor, no room for a thread's stack of 8 MB, or 50 MB of memory."""
     if of == "descriptors":
         used = {int(name) for name in os.listdir(f"/proc/{pid}/fd")}
-        limit, least = resource.RLIMIT_NOFILE, next(number for number in itertools.count() if number not in used)
+        limit, least = (
+            resource.RLIMIT_NOFILE,
+            next(number for number in itertools.count() if number not in used),
+        )
     else:
         size = int(Path(f"/proc/{pid}/statm").read_text().split()[0]) * resource.getpagesize()
         limit, least = resource.RLIMIT_AS, size + (50 if of == "memory" else 4) * 1_000_000
@@ -297,26 +340,46 @@ def _blocked(block: Act, release: Act, then: Act = _nothing, **known: Any) -> Dr
 
     known = {"since": "progress" if then is _nothing else "strike", **known}
     limit_s = BLOCKED_S if then is _nothing or then is KILLED else 1.0
-    return lambda rng: Fault(strike=strike, heal=release, client_lives=then is not KILLED, limit_s=limit_s, **known)
+    return lambda rng: Fault(
+        strike=strike, heal=release, client_lives=then is not KILLED, limit_s=limit_s, **known
+    )
 
 
 KILLED, ENDED, INTERRUPTED = (
-    _signalled("client", *numbers, wait_s=0.15) for numbers in ((KILL,), (TERM,), (INTERRUPT, INTERRUPT))
+    _signalled("client", *numbers, wait_s=0.15)
+    for numbers in ((KILL,), (TERM,), (INTERRUPT, INTERRUPT))
 )
 ENDED_LATER, INTERRUPTED_LATER = (
     _signalled("client", *numbers, wait_s=0.8) for numbers in ((TERM,), (INTERRUPT, INTERRUPT))
 )
 """By then the main thread waits for what hangs."""
 
-DISK: tuple[Act, Act] = (lambda rig, client: client.disk.begin(), lambda rig, client: client.disk.end())
-CAMERA: tuple[Act, Act] = (lambda rig, client: client.camera.begin(), lambda rig, client: client.camera.end())
-LOG: tuple[Act, Act] = (lambda rig, client: rig.block_log(True), lambda rig, client: rig.block_log(False))
-LEDGER: tuple[Act, Act] = (lambda rig, client: rig.lock_ledger(True), lambda rig, client: rig.lock_ledger(False))
-TERMINAL: tuple[Act, Act] = (lambda rig, client: client.terminal.stop(), lambda rig, client: client.terminal.go_on())
+DISK: tuple[Act, Act] = (
+    lambda rig, client: client.disk.begin(),
+    lambda rig, client: client.disk.end(),
+)
+CAMERA: tuple[Act, Act] = (
+    lambda rig, client: client.camera.begin(),
+    lambda rig, client: client.camera.end(),
+)
+LOG: tuple[Act, Act] = (
+    lambda rig, client: rig.block_log(True),
+    lambda rig, client: rig.block_log(False),
+)
+LEDGER: tuple[Act, Act] = (
+    lambda rig, client: rig.lock_ledger(True),
+    lambda rig, client: rig.lock_ledger(False),
+)
+TERMINAL: tuple[Act, Act] = (
+    lambda rig, client: client.terminal.stop(),
+    lambda rig, client: client.terminal.go_on(),
+)
 
 
 def _fill_disk(full: bool) -> Act:
-    """No file of client or server grows any more, which is what a full disk does to them; or they grow again."""
+    """No file of client or server grows any more, which is what a full disk does to them; or they
+    grow again.
+    """
 
     def fill(rig: CampaignRig, client: Client) -> None:
         for pid in (client.pid if client.exit_code() is None else None, rig.server()):
@@ -331,7 +394,9 @@ FULL: tuple[Act, Act] = (_fill_disk(True), _fill_disk(False))
 
 
 def _prompt(rng: np.random.Generator) -> Fault:
-    """A person at the bench takes their time: until then gate or voltage are down, and nothing is held against them."""
+    """A person at the bench takes their time: until then gate or voltage are down, and nothing is
+    held against them.
+    """
 
     def wait(rig: CampaignRig, client: Client) -> float:
         client.await_prompt(10.0)
@@ -358,13 +423,16 @@ KINDS: dict[str, Draw] = {
     "half lines": _on_a_line(lambda rng: Faults(half_lines=True)),
     "silence": _on_a_line(lambda rng: Faults(silent=True), hears=False),
     "no answers": _on_a_line(lambda rng: Faults(mute=True)),
-    # An answer within 0.4 s is in time, one after it is none; between the two, chance would decide when a run ends.
+    # An answer within 0.4 s is in time, one after it is none; between the two, chance would decide
+    # when a run ends.
     "late answers": _on_a_line(lambda rng: Faults(late_s=float(rng.choice((0.1, 0.2, 0.5, 0.8))))),
     "trip of the supply": _trip,
     "power of an instrument gone": _power_cut(back=False),
     "power of an instrument off and on": _power_cut(back=True),
     # The tube stays as planned: a run ends only when more frames are broken than a camera may send.
-    "packet loss": _seen(lambda rng: Faults(lost_packet_share=float(rng.uniform(0.02, 0.3))), limit_s=5.0),
+    "packet loss": _seen(
+        lambda rng: Faults(lost_packet_share=float(rng.uniform(0.02, 0.3))), limit_s=5.0
+    ),
     "camera stalls": _seen(lambda rng: Faults(stalled=True), silence_s=SILENCE_S, ends_run=True),
     "clocks jump": _clock_jump,
     KILL_CLIENT: _struck("client", KILL),
@@ -400,7 +468,9 @@ KINDS: dict[str, Draw] = {
     "panel: high voltage on": _panel(
         SUPPLY, "VSET 650", "HVON", plan=_with_a_step_without_voltage, ready=_without_voltage
     ),
-    "no triggers at the input": lambda rng: _provoked(GATE, Faults(untriggered=True), plan=_triggered, ends_run=True),
+    "no triggers at the input": lambda rng: _provoked(
+        GATE, Faults(untriggered=True), plan=_triggered, ends_run=True
+    ),
     "gate does not obey": _disobedient(GATE),
     "supply does not obey": _disobedient(SUPPLY),
     **{
@@ -425,7 +495,8 @@ KINDS: dict[str, Draw] = {
     "terminal blocks": _blocked(*TERMINAL, terminal_lives=False),
     "terminal blocks, SIGTERM": _blocked(*TERMINAL, ENDED, terminal_lives=False),
     "a person takes 3 s at the prompt": _prompt,
-    # The last: a camera takes seconds to come up, or minutes where another bench on the machine took its wire.
+    # The last: a camera takes seconds to come up, or minutes where another bench on the machine
+    # took its wire.
     "camera gone": _camera_gone,
 }
 """Every fault by its kind."""

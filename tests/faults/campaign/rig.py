@@ -1,4 +1,6 @@
-"""The bench of the campaign: a small virtual camera and instruments on real wires, which outlive every client."""
+"""The bench of the campaign: a small virtual camera and instruments on real wires, which outlive
+every client.
+"""
 
 import fcntl
 import os
@@ -27,7 +29,9 @@ DANGEROUS_V = 15.0  # the server follows the voltage down to 10 V
 FRAMES = 20
 GATE_NS = 1.6e7
 LUX = 1e-5
-FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="the virtual output moves faster than life")
+FAST = Override(
+    limit="ramp_v_per_s", value=4000.0, reason="the virtual output moves faster than life"
+)
 
 
 class StoppablePipe:
@@ -91,7 +95,15 @@ class CampaignRig:
         How much faster than life the high voltage moves, dimensionless.
     """
 
-    def __init__(self, folder: Path, seed: int, *, rows: int = 61, columns: int = 84, time_scale: float = 20.0) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        seed: int,
+        *,
+        rows: int = 61,
+        columns: int = 84,
+        time_scale: float = 20.0,
+    ) -> None:
         sensor = load_sensor("pulnix-ag5745ef3")
         self.sensor = replace(sensor, ccd=replace(sensor.ccd, rows=rows, columns=columns))
         self.folder, self.ledger = folder, folder / "dose.jsonl"
@@ -109,18 +121,28 @@ class CampaignRig:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if self._camera is not self._bench.camera and self._camera is not None:
             self._camera.__exit__(kind, error, trace)
         self._bench.__exit__(kind, error, trace)
 
     def plan(self) -> Plan:
-        """Return the plan of the campaign: a dark and a flat at two gains, each two thirds of a second of frames."""
+        """Return the plan of the campaign: a dark and a flat at two gains, each two thirds of a
+        second of frames.
+        """
         asked = Conditions(mcp_v=650.0, gate_ns=GATE_NS)
         steps = (
             Step(label="dark", kind="dark", frames=FRAMES, conditions=asked),
-            Step(label="flat", kind="flat", frames=FRAMES, conditions=replace(asked, mcp_v=720.0, illuminance_lux=LUX)),
+            Step(
+                label="flat",
+                kind="flat",
+                frames=FRAMES,
+                conditions=replace(asked, mcp_v=720.0, illuminance_lux=LUX),
+            ),
         )
         sensor = str(self.folder / "sensor.toml")
         return Plan(name="campaign", sensor=sensor, seed=self._seed, overrides=(FAST,), steps=steps)
@@ -157,7 +179,9 @@ class CampaignRig:
         if self._log_pipe is None:
             path = self.folder / "log.pipe"
             os.mkfifo(path)
-            self._log_pipe = StoppablePipe(os.open(path, os.O_RDONLY | os.O_NONBLOCK), os.open(path, os.O_WRONLY))
+            self._log_pipe = StoppablePipe(
+                os.open(path, os.O_RDONLY | os.O_NONBLOCK), os.open(path, os.O_WRONLY)
+            )
 
     def end_log_pipe(self) -> None:
         """Put the file back."""
@@ -180,7 +204,9 @@ class CampaignRig:
             self._log_pipe.stop() if blocked else self._log_pipe.go_on()
 
     def lock_ledger(self, locked: bool) -> None:
-        """Hold the lock of the tube's dose ledger, as another program that hangs would, or let go of it."""
+        """Hold the lock of the tube's dose ledger, as another program that hangs would, or let go
+        of it.
+        """
         if locked:
             self._locked = self.ledger.open("ab")
             fcntl.lockf(self._locked, fcntl.LOCK_EX)
@@ -195,7 +221,9 @@ class CampaignRig:
         return starts[-1] if starts and _runs(starts[-1]) else None
 
     def await_free(self) -> bool:
-        """Wait until the server of the last client has ended; one that does not is killed, and False returned."""
+        """Wait until the server of the last client has ended; one that does not is killed, and
+        False returned.
+        """
         until_s = time.monotonic() + FREE_S
         while (pid := self.server()) is not None:
             if time.monotonic() > until_s:
@@ -242,7 +270,8 @@ class CampaignRig:
         self.lock_ledger(False)
 
     def switch_off_what_is_on(self) -> None:
-        """Do what a person does after a fault that left an instrument deaf with its output on: off and on again.
+        """Do what a person does after a fault that left an instrument deaf with its output on: off
+        and on again.
 
         Wait until the tube is at rest: what is left of a voltage would pass for one that is on.
         """
@@ -256,7 +285,9 @@ class CampaignRig:
         until_s = time.monotonic() + FREE_S
         while self.outputs().gate_open or self.outputs().mcp_v > DANGEROUS_V:
             if time.monotonic() > until_s:
-                raise TimeoutError(f"the tube must come to rest within {FREE_S:g} s, got {self.outputs()}")
+                raise TimeoutError(
+                    f"the tube must come to rest within {FREE_S:g} s, got {self.outputs()}"
+                )
             time.sleep(0.02)
 
 

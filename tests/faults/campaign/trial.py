@@ -1,4 +1,6 @@
-"""One strike: a fault at a random moment of a running plan, and what became of tube, frames and the run's words."""
+"""One strike: a fault at a random moment of a running plan, and what became of tube, frames and the
+run's words.
+"""
 
 import signal
 import time
@@ -25,7 +27,8 @@ WARM_UPS = 4
 REST_S = 0.1
 BEYOND_S = 0.3
 SAME_SIGNAL = 0.5
-"""Frames of one flat whose mean signals differ by more than this share of their median do not show one light."""
+"""Frames of one flat whose mean signals differ by a larger fraction of their median do not show one
+light."""
 
 MARKS = {"frames": "asked", "saturation": "saturated", "progress": "frame"}
 """What a client marks when the events come from which the times of faults count."""
@@ -44,16 +47,19 @@ class Outcome:
     live
         Whether gate or high voltage were on when the fault struck.
     gate_s, voltage_s
-        Seconds, counted as the fault says, until the gate was last seen open and the voltage last seen not falling;
-        None where there is nothing to time: nothing was on, the run endured, or the instrument could not hear.
+        Seconds, counted as the fault says, until the gate was last seen open and the voltage last
+        seen not falling; None where there is nothing to time: nothing was on, the run endured, or
+        the instrument could not hear.
     limit_s
         Longest time promised, s.
     sentence
         How the run ended, by the session's log, or by its terminal where that does not say.
     last_words
-        What the terminal says last of how the tube was left; its last line where it says nothing of that.
+        What the terminal says last of how the tube was left; its last line where it says nothing of
+        that.
     acknowledged, found
-        Frames of which the client was told, and how many of these are in the session whole and unchanged.
+        Frames of which the client was told, and how many of these are in the session whole and
+        unchanged.
     broken
         Each promise that was broken, in words.
     """
@@ -74,7 +80,8 @@ class Outcome:
 def try_fault(
     rig: CampaignRig, plan: Plan, session: Path, kind: str, fault: Fault, *, after_s: float
 ) -> Outcome | None:
-    """Run a plan, or go on with it, and have a fault strike at a moment; None if the run had ended before.
+    """Run a plan, or go on with it, and have a fault strike at a moment; None if the run had ended
+    before.
 
     Parameters
     ----------
@@ -83,8 +90,8 @@ def try_fault(
     kind, fault
         What goes wrong.
     after_s
-        When: seconds after the first step began and as soon as the tube is ready for the fault, or, negative, before
-        that, in whatever state it is, while bench and camera are opened.
+        When: seconds after the first step began and as soon as the tube is ready for the fault, or,
+        negative, before that, in whatever state it is, while bench and camera are opened.
     """
     if fault.pipes_log:
         rig.begin_log_pipe()
@@ -126,7 +133,9 @@ def _await_moment(rig: CampaignRig, client: Client, fault: Fault, after_s: float
 
 
 class _Watch:
-    """The strike, and the outputs of the instruments from then on, as they are on the tube's wires."""
+    """The strike, and the outputs of the instruments from then on, as they are on the tube's
+    wires.
+    """
 
     def __init__(self, rig: CampaignRig, client: Client, fault: Fault) -> None:
         self._rig, self._client, self._fault = rig, client, fault
@@ -155,7 +164,8 @@ class _Watch:
             if self._look(now_s):
                 hot_s = now_s
             if fault.since == "saturation" and not self._marks_s() and now_s < self.since_s + END_S:
-                # Beside a busy machine the first frame that shows the light may come late; the light stays until then.
+                # Beside a busy machine the first frame that shows the light may come late; the
+                # light stays until then.
                 heals_s = now_s + fault.lasts_s
                 until_s = max(until_s, heals_s)
             at_rest = now_s > hot_s + REST_S
@@ -183,7 +193,9 @@ class _Watch:
 
     def _marks_s(self) -> list[float]:
         """Times after the strike of the marks from which the fault counts."""
-        return [at_s for at_s in self._client.marks_s(MARKS[self._fault.since]) if at_s > self.since_s]
+        return [
+            at_s for at_s in self._client.marks_s(MARKS[self._fault.since]) if at_s > self.since_s
+        ]
 
     def _counted_s(self, last_s: float) -> float:
         """The moment from which the time until an output was last on counts."""
@@ -196,9 +208,13 @@ class _Watch:
         return min(marks_s, default=self.since_s)
 
     def seconds(self, instrument: str) -> float | None:
-        """Time until an instrument's output was off; None where it was not on, or could not hear."""
+        """Time until an instrument's output was off; None where it was not on, or could not
+        hear.
+        """
         was_on, last_s = (
-            (self.gate_was_open, self._open_s) if instrument == GATE else (self.voltage_was_on, self._high_s)
+            (self.gate_was_open, self._open_s)
+            if instrument == GATE
+            else (self.voltage_was_on, self._high_s)
         )
         since_s = self._counted_s(last_s)
         if instrument in self._fault.deaf:
@@ -211,7 +227,13 @@ class _Watch:
 
 
 def _outcome(
-    client: Client, session: Path, kind: str, fault: Fault, watch: _Watch, code: int | None, left: tuple[str, ...]
+    client: Client,
+    session: Path,
+    kind: str,
+    fault: Fault,
+    watch: _Watch,
+    code: int | None,
+    left: tuple[str, ...],
 ) -> Outcome:
     endured, live = code == 0, watch.live
     timed = live and (not endured or not fault.passes or fault.one_suffices)
@@ -227,7 +249,9 @@ def _outcome(
         voltage_s=voltage_s,
         limit_s=fault.limit_s,
         sentence=_sentence(session, lines, code),
-        last_words=next((line for line in reversed(lines) if line.startswith(LAST_WORDS)), "".join(lines[-1:])),
+        last_words=next(
+            (line for line in reversed(lines) if line.startswith(LAST_WORDS)), "".join(lines[-1:])
+        ),
         acknowledged=sum(acknowledged.values()),
         found=found,
         broken=(
@@ -241,7 +265,9 @@ def _outcome(
 
 
 def _left_on(rig: CampaignRig, fault: Fault) -> Iterator[str]:
-    """What is still on when the last process that guarded the tube has ended, though it could hear."""
+    """What is still on when the last process that guarded the tube has ended, though it could
+    hear.
+    """
     left = rig.outputs()
     if left.gate_open and (GATE not in fault.deaf or fault.returns):
         yield "the gate was left open"
@@ -257,7 +283,10 @@ def _not_freed(freed: bool) -> Iterator[str]:
 def _too_late(fault: Fault, gate_s: float | None, voltage_s: float | None) -> Iterator[str]:
     late = [
         f"{what} for {seconds:.2f} s"
-        for what, seconds in (("the gate was open", gate_s), ("the voltage did not fall", voltage_s))
+        for what, seconds in (
+            ("the gate was open", gate_s),
+            ("the voltage did not fall", voltage_s),
+        )
         if seconds is not None and seconds > fault.limit_s
     ]
     if len(late) > fault.one_suffices:
@@ -267,7 +296,9 @@ def _too_late(fault: Fault, gate_s: float | None, voltage_s: float | None) -> It
 def _badly_ended(client: Client, fault: Fault, code: int | None, *, live: bool) -> Iterator[str]:
     if code is None:
         yield f"the client did not end within {END_S:g} s"
-    if fault.client_lives and (code == 3 or any(line.startswith(("Traceback", "TRACEBACK")) for line in client.told())):
+    if fault.client_lives and (
+        code == 3 or any(line.startswith(("Traceback", "TRACEBACK")) for line in client.told())
+    ):
         yield f"the client ended in a traceback: {client.told()[-1:]}"
     if code and fault.one_suffices:
         yield "the run did not go on"
@@ -297,7 +328,9 @@ def _last_run(session: Path) -> list[dict]:
 
 
 def frames_found(session: Path, acknowledged: dict[str, int]) -> tuple[int, list[str]]:
-    """Return how many acknowledged frames are whole in the session, by their digests, and what is wrong with them."""
+    """Return how many acknowledged frames are whole in the session, by their digests, and what is
+    wrong with them.
+    """
     found, wrong = 0, []
     for label, count in acknowledged.items():
         if not count:
@@ -332,7 +365,9 @@ def _log_broken(session: Path, fault: Fault, code: int | None) -> Iterator[str]:
         yield "the log tells the end of a run that was killed"
 
 
-def resume(rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float = PATIENT_S) -> list[str]:
+def resume(
+    rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float = PATIENT_S
+) -> list[str]:
     """Resume a session without a fault, which must complete it; what is wrong with it then."""
     rig.heal()
     client = Client(rig, plan, session, silence_s=silence_s)
@@ -356,7 +391,9 @@ def resume(rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float = PA
 
 
 def warm_up(rig: CampaignRig, session: Path) -> None:
-    """Run the plan until it completes: where the simulator is compiled first, a frame takes half a minute."""
+    """Run the plan until it completes: where the simulator is compiled first, a frame takes half a
+    minute.
+    """
     wrong: Sequence[str] = ()
     for _ in range(WARM_UPS):
         if not (wrong := resume(rig, rig.plan(), session, silence_s=COMPLETE_S)):
@@ -365,7 +402,9 @@ def warm_up(rig: CampaignRig, session: Path) -> None:
 
 
 def _untrue(session: Path, plan: Plan) -> Iterator[str]:
-    """Flats whose frames do not show one light: some were taken while the tube was in another state."""
+    """Flats whose frames do not show one light: some were taken while the tube was in another
+    state.
+    """
     stacks = {entry.label: entry.read().data for entry in open_session(session).stacks}
     black_dn = float(np.median(stacks["dark"].mean(axis=(1, 2))))
     for label in (step.label for step in plan.steps if step.kind == "flat"):

@@ -1,4 +1,6 @@
-"""What was measured of the night beside what the specimen is: how many 95 % intervals hold, and how many had to."""
+"""What was measured of the night beside what the specimen is: how many 95 % intervals hold, and how
+many had to.
+"""
 
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -27,7 +29,11 @@ def beside(result: Result, session: Session, specimen: Sensor) -> tuple[TruthCom
     def known(mcp_v: float | None) -> dict[str, float]:
         return true_quantities.true_quantities(specimen, Conditions(mcp_v=mcp_v, gate_ns=GATE_NS))
 
-    rows = list(compare_with_truth(result, {"gain_exponent": float(specimen.microchannel_plate.gain_exponent)}))
+    rows = list(
+        compare_with_truth(
+            result, {"gain_exponent": float(specimen.microchannel_plate.gain_exponent)}
+        )
+    )
     for m in (m for name in AT_EACH_GAIN for m in result.find(name)):
         found = known(main if m.stack is None else session.stack(m.stack).conditions.mcp_v)
         rows += compare_with_truth(Result(measurements=(m,)), {m.quantity: found[m.quantity]})
@@ -35,8 +41,14 @@ def beside(result: Result, session: Session, specimen: Sensor) -> tuple[TruthCom
 
 
 def _main_voltage(result: Result, session: Session) -> float | None:
-    """The voltage at which the session's own gain was measured: the one that no setting of the sweep has."""
-    swept = {session.stack(m.stack).conditions.mcp_v for m in result.find("covariance_gain") if m.stack is not None}
+    """The voltage at which the session's own gain was measured: the one that no setting of the
+    sweep has.
+    """
+    swept = {
+        session.stack(m.stack).conditions.mcp_v
+        for m in result.find("covariance_gain")
+        if m.stack is not None
+    }
     left = {entry.conditions.mcp_v for entry in session.of_kind("flat")} - swept
     return next(iter(left)) if len(left) == 1 else None
 
@@ -47,10 +59,11 @@ def missing(rows: Sequence[TruthComparison]) -> int:
 
 
 def allowed(count: int) -> int:
-    """How many of so many intervals of 95 % may miss: more would by chance be seen once in a thousand nights.
+    """How many of so many intervals of 95 % may miss: more would by chance be seen once in a
+    thousand nights.
 
-    The numbers of one night share their law of the gain and their light, so that they miss together more easily than
-    this counts: it is the stricter for it.
+    The numbers of one night share their law of the gain and their light, so that they miss together
+    more easily than this counts: it is the stricter for it.
     """
     from scipy.stats import binom
 
@@ -68,8 +81,11 @@ def by_quantity(rows: Sequence[TruthComparison]) -> Iterator[str]:
 
 
 def _row(name: str, rows: Sequence[TruthComparison]) -> str:
-    arms = [abs(m.interval95[1] - m.interval95[0]) / (2.0 * abs(row.truth)) for row in rows
-            if (m := row.measurement).interval95]  # fmt: skip
+    arms = [
+        abs(m.interval95[1] - m.interval95[0]) / (2.0 * abs(row.truth))
+        for row in rows
+        if (m := row.measurement).interval95
+    ]
     flags = sorted({flag for row in rows for flag in row.measurement.flags})
     cells = (
         name,

@@ -1,4 +1,6 @@
-"""The night: its plan of gain by light, the faults that strike it, and whoever repairs the bench and resumes."""
+"""The night: its plan of gain by light, the faults that strike it, and whoever repairs the bench
+and resumes.
+"""
 
 import time
 from dataclasses import dataclass
@@ -49,29 +51,41 @@ MOST_IDLE_RUNS = 6
 def night_plan(sensor: Path, *, voltages: int, lights: int, seed: int) -> Plan:
     """A dark and a ladder of lights at every voltage, up one ladder and down the next.
 
-    The light of each ladder falls as the gain rises, so that every ladder ends at about the same signal.
+    The light of each ladder falls as the gain rises, so that every ladder ends at about the same
+    signal.
     """
     steps: list[Step] = []
     for number, mcp_v in enumerate(np.linspace(LOWEST_V, HIGHEST_V, voltages).round()):
-        ladder = FULL_LUX * (mcp_v / AT_V) ** -GAIN_EXPONENT * np.geomspace(DIMMEST_SHARE, 1.0, lights)
+        ladder = (
+            FULL_LUX * (mcp_v / AT_V) ** -GAIN_EXPONENT * np.geomspace(DIMMEST_SHARE, 1.0, lights)
+        )
         steps.append(_step(f"dark-{mcp_v:.0f}V", "dark", mcp_v, None))
         steps += [
             _step(f"flat-{mcp_v:.0f}V-{lux:.3g}lux", "flat", mcp_v, float(lux))
             for lux in (ladder if number % 2 == 0 else ladder[::-1])
         ]
-    faster = Override(limit="ramp_v_per_s", value=FASTER * 50.0, reason="the virtual output moves faster than life")
-    return Plan(name="night", sensor=str(sensor), seed=seed, overrides=(faster,), steps=tuple(steps))
+    faster = Override(
+        limit="ramp_v_per_s",
+        value=FASTER * 50.0,
+        reason="the virtual output moves faster than life",
+    )
+    return Plan(
+        name="night", sensor=str(sensor), seed=seed, overrides=(faster,), steps=tuple(steps)
+    )
 
 
 def _step(label: str, kind, mcp_v: float, lux: float | None) -> Step:
     sd = None if lux is None else 0.03
-    asked = Conditions(mcp_v=float(mcp_v), gate_ns=GATE_NS, illuminance_lux=lux, illuminance_relative_sd=sd)
+    asked = Conditions(
+        mcp_v=float(mcp_v), gate_ns=GATE_NS, illuminance_lux=lux, illuminance_relative_sd=sd
+    )
     return Step(label=label, kind=kind, frames=FRAMES, conditions=asked)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Diary:
-    """What happened in a night, run by run, kept in a file so that a night that is broken off can go on.
+    """What happened in a night, run by run, kept in a file so that a night that is broken off can
+    go on.
 
     Parameters
     ----------
@@ -83,7 +97,11 @@ class Diary:
 
     def told(self, event: str) -> list[dict]:
         """All entries of a kind, in order."""
-        return [each for each in read_events(self.path) if each["event"] == event] if self.path.exists() else []
+        return (
+            [each for each in read_events(self.path) if each["event"] == event]
+            if self.path.exists()
+            else []
+        )
 
     @property
     def seconds(self) -> float:
@@ -92,11 +110,14 @@ class Diary:
 
 
 def rehearse(rig: CampaignRig, plan: Plan, session: Path, diary: Diary, seed: int) -> None:
-    """Run the plan, strike, repair and resume until it is complete; a night that was broken off goes on."""
+    """Run the plan, strike, repair and resume until it is complete; a night that was broken off
+    goes on.
+    """
     log = EventLog(diary.path)
     progress = [_finished(session)]
     while len(progress) < MOST_RUNS:
-        # Each run has a seed of its own, so that a night that goes on does not meet the same faults again.
+        # Each run has a seed of its own, so that a night that goes on does not meet the same faults
+        # again.
         rng = np.random.default_rng([seed, len(diary.told("run"))])
         began_s = time.monotonic()
         rig.heal()
@@ -116,12 +137,17 @@ def rehearse(rig: CampaignRig, plan: Plan, session: Path, diary: Diary, seed: in
         progress.append(_finished(session))
         log("run", seconds=round(time.monotonic() - began_s, 1), finished=progress[-1], end=end)
         log.flush()
-        print(f"run {len(diary.told('run'))}: {progress[-1]} of {len(plan.steps)} steps; {end}", flush=True)
+        print(
+            f"run {len(diary.told('run'))}: {progress[-1]} of {len(plan.steps)} steps; {end}",
+            flush=True,
+        )
         if client.exit_code() == 0:
             return
         if len(progress) > MOST_IDLE_RUNS and progress[-1] == progress[-1 - MOST_IDLE_RUNS]:
             break
-    raise RuntimeError(f"the night must go on, got no step finished in {MOST_IDLE_RUNS} runs: {_end_of(session)}")
+    raise RuntimeError(
+        f"the night must go on, got no step finished in {MOST_IDLE_RUNS} runs: {_end_of(session)}"
+    )
 
 
 def _finished(session: Path) -> int:
@@ -136,4 +162,8 @@ def _end_of(session: Path) -> str:
     if not (session / LOG).exists():
         return "ended before its session began"
     last = read_events(session / LOG)[-1]
-    return last.get("reason", "complete") if last["event"] == "run ends" else f"killed after {last['event']!r}"
+    return (
+        last.get("reason", "complete")
+        if last["event"] == "run ends"
+        else f"killed after {last['event']!r}"
+    )

@@ -1,4 +1,6 @@
-"""Frames of a bolometer array and of a cooled array against closed forms and the numbers of their class."""
+"""Frames of a bolometer array and of a cooled array against closed forms and the numbers of their
+class.
+"""
 
 from dataclasses import replace
 
@@ -42,12 +44,16 @@ def test_the_noise_of_black_bodies_is_that_of_the_bolometer(seed):
 
 
 def test_the_photon_limit_is_that_of_the_well():
-    """14.8 mK at 3.5 million electrons, 12.3 mK at 5 million; 6.1e8 electrons a second; 3.63 % a kelvin."""
+    """14.8 mK at 3.5 million electrons, 12.3 mK at 5 million; 6.1e8 electrons a second; 3.63 % a
+    kelvin.
+    """
     camera = insb(cooled_array__read_noise_e=0.0)
     assert electrons(300.0) == pytest.approx(3.5e6, rel=0.02)
     assert float(camera.signal_of(300.0)) == pytest.approx(electrons(300.0), rel=1e-6)
     assert float(camera.signal_of(300.0)) / 5.8e-3 == pytest.approx(6.1e8, rel=0.01)
-    assert camera.signal_slope(300.0) / float(camera.signal_of(300.0)) == pytest.approx(0.0363, rel=0.01)
+    assert camera.signal_slope(300.0) / float(camera.signal_of(300.0)) == pytest.approx(
+        0.0363, rel=0.01
+    )
     for well_e, milli in ((3.5e6, 14.8), (5e6, 12.3)):
         exposure_ms = 5.8 * well_e / electrons(300.0)
         limited = insb(cooled_array__read_noise_e=0.0, cooled_array__integration_ms=exposure_ms)
@@ -63,12 +69,15 @@ def test_the_noise_of_black_bodies_is_that_of_photons_and_reading(seed):
         assert measured_netd_k(camera, seed, kelvin) == pytest.approx(closed, rel=0.03)
         only = measured_netd_k(camera.without("read noise"), seed, kelvin)
         assert only == pytest.approx(np.sqrt(electrons(kelvin)) / per_k, rel=0.03)
-        assert measured_netd_k(camera.without("photon noise"), seed, kelvin) == pytest.approx(1300.0 / per_k, rel=0.03)
+        assert measured_netd_k(camera.without("photon noise"), seed, kelvin) == pytest.approx(
+            1300.0 / per_k, rel=0.03
+        )
     assert closed == pytest.approx(0.018, rel=0.03)
 
 
 @pytest.mark.parametrize(
-    ("make", "half", "whole", "wave"), [(vox, 0.732, 0.402, "10 um, f/1"), (insb, 0.710, 0.372, "4 um, f/2.5")]
+    ("make", "half", "whole", "wave"),
+    [(vox, 0.732, 0.402, "10 um, f/1"), (insb, 0.710, 0.372, "4 um, f/2.5")],
 )
 def test_the_transfer_is_diffraction_times_pixel(make, half, whole, wave):
     """At half of the sampling's Nyquist frequency and at it; the lens' own blur is taken away."""
@@ -78,7 +87,9 @@ def test_the_transfer_is_diffraction_times_pixel(make, half, whole, wave):
         assert contrast(camera, frequency) == pytest.approx(reference, abs=1e-3), wave
         assert contrast(camera.without("optics blur"), frequency) > reference + 0.02
         assert contrast(camera.without("detector footprint"), frequency) > reference + 0.02
-    with_lens = replace(camera, description=camera.description.with_values({"optics.blur_mrad": 0.1}))
+    with_lens = replace(
+        camera, description=camera.description.with_values({"optics.blur_mrad": 0.1})
+    )
     expected = half * np.exp(-2.0 * (np.pi * 0.1 * 0.5 * nyquist) ** 2)
     assert contrast(with_lens, 0.5 * nyquist) == pytest.approx(expected, abs=1e-3)
 
@@ -108,12 +119,16 @@ def test_a_bolometer_carries_the_frame_before_over(rate_hz, reference):
     whole = next(camera.frames_of_signal(steps[2], seed=0)).mean() - found[0]
     missing = 1.0 - (found[2:] - found[0]) / whole
     assert missing[:2] == pytest.approx([reference, reference**2], abs=6e-4)
-    prompt = [frame.mean() for frame in camera.without("thermal lag").frames_of_signal(steps, seed=0)]
+    prompt = [
+        frame.mean() for frame in camera.without("thermal lag").frames_of_signal(steps, seed=0)
+    ]
     assert prompt[2] == pytest.approx(prompt[4], rel=1e-6)
 
 
 def test_the_noise_of_a_bolometer_has_seven_terms(seed):
-    """Over the temporal noise of a pixel; the pattern of pixels grows from 0.3 to 0.5 between two shutters."""
+    """Over the temporal noise of a pixel; the pattern of pixels grows from 0.3 to 0.5 between two
+    shutters.
+    """
     camera = vox().without("housing drift")
     young = camera.view_target(22.0, seed=seed, count=48)
     old = camera.view_target(22.0, seed=seed, count=48, first_frame=180 * 30 - 49)
@@ -121,13 +136,19 @@ def test_the_noise_of_a_bolometer_has_seven_terms(seed):
     share = {name: value / first["tvh"] for name, value in first.items()}
     # Four standard errors of each standard deviation, by the number of its values.
     for name, expected, values in (
-        ("vh", 0.3, 96 * 128), ("h", 0.25, 128), ("v", 0.1, 96), ("tv", 0.1, 48 * 96), ("th", 0.1, 48 * 128),
+        ("vh", 0.3, 96 * 128),
+        ("h", 0.25, 128),
+        ("v", 0.1, 96),
+        ("tv", 0.1, 48 * 96),
+        ("th", 0.1, 48 * 128),
         ("t", 0.1, 48),
-    ):  # fmt: skip
+    ):
         assert share[name] == pytest.approx(expected, rel=4.0 / np.sqrt(2.0 * values) + 0.03), name
     assert last["vh"] / last["tvh"] == pytest.approx(0.5, rel=0.05)
     bare = noise_terms(
-        camera.without("fixed pattern", "row, column and frame noise").view_target(22.0, seed=1, count=16)
+        camera.without("fixed pattern", "row, column and frame noise").view_target(
+            22.0, seed=1, count=16
+        )
     )
     assert max(bare[name] for name in ("vh", "h", "v", "tv", "th", "t")) < 0.05 * bare["tvh"]
 
@@ -137,18 +158,27 @@ def test_the_housing_drifts_until_the_next_shutter(seed):
     camera = vox(rows=32, columns=32).without("row, column and frame noise", "fixed pattern")
     minutes = [0.0, 2.0, 3.0]
     means = [
-        camera.view_target(26.85, seed=seed, count=8, first_frame=round(60 * 30 * m)).mean(dtype=float) for m in minutes
+        camera.view_target(26.85, seed=seed, count=8, first_frame=round(60 * 30 * m)).mean(
+            dtype=float
+        )
+        for m in minutes
     ]
     per_k = camera.view_target(27.85, seed=seed, count=8).mean(dtype=float) - means[0]
     error = 0.04 / np.sqrt(8 * 32 * 32)
     assert (means[1] - means[0]) / per_k == pytest.approx(0.060, abs=6.0 * error + 6e-4)
     assert (means[2] - means[0]) / per_k == pytest.approx(0.0, abs=6.0 * error)
-    off = camera.without("housing drift").view_target(26.85, seed=seed, count=8, first_frame=3600).mean(dtype=float)
+    off = (
+        camera.without("housing drift")
+        .view_target(26.85, seed=seed, count=8, first_frame=3600)
+        .mean(dtype=float)
+    )
     assert (off - means[0]) / per_k == pytest.approx(0.0, abs=6.0 * error)
 
 
 def test_a_two_point_correction_leaves_a_w(seed):
-    """Fixed pattern over the temporal noise midway: least at the two black bodies of 15 and 35 C, 0.4 midway."""
+    """Fixed pattern over the temporal noise midway: least at the two black bodies of 15 and 35 C,
+    0.4 midway.
+    """
     camera = insb()
     pattern = {}
     for celsius in (5.0, 15.0, 25.0, 35.0, 45.0):
@@ -163,5 +193,7 @@ def test_a_two_point_correction_leaves_a_w(seed):
     assert pattern[5.0] > pattern[25.0] > 3.0 * pattern[15.0] and pattern[45.0] > pattern[25.0]
     flat = camera.without("correction residual").view_target(25.0, seed=seed, count=24)
     assert noise_terms(flat)["vh"] / temporal == pytest.approx(0.1, rel=0.15)
-    bare = camera.without("correction residual", "pixel pattern").view_target(25.0, seed=seed, count=24)
+    bare = camera.without("correction residual", "pixel pattern").view_target(
+        25.0, seed=seed, count=24
+    )
     assert noise_terms(bare)["vh"] < 0.06 * temporal

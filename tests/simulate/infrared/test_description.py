@@ -1,4 +1,6 @@
-"""Descriptions of infrared imagers, what they share as cameras, and verbs that need the other half."""
+"""Descriptions of infrared imagers, what they share as cameras, and verbs that need the other
+half.
+"""
 
 import tomllib
 from pathlib import Path
@@ -29,7 +31,11 @@ def camera(request) -> InfraredCamera:
 
 def test_the_shipped_imagers_have_the_geometry_of_their_class():
     shapes = {name: load_camera(name).shape for name in NAMES}
-    assert shapes == {"scanning-lwir": (480, 256), "vox-lwir-640": (480, 640), "insb-mwir-640": (512, 640)}
+    assert shapes == {
+        "scanning-lwir": (480, 256),
+        "vox-lwir-640": (480, 640),
+        "insb-mwir-640": (512, 640),
+    }
     pitches = [load_camera(name).pitch_mrad for name in NAMES]
     # 15 degrees over 240 lines of a field: 1.09 mrad.
     assert 2.0 * pitches[0][0] == pytest.approx(1.09, abs=0.005)
@@ -40,13 +46,18 @@ def test_the_shipped_imagers_have_the_geometry_of_their_class():
 
 def test_a_description_has_the_tables_of_one_kind(tmp_path):
     tables = [
-        tomllib.loads((Path(api.__file__).parents[1] / f"labdata/sensors/{name}.toml").read_text()) for name in NAMES
+        tomllib.loads((Path(api.__file__).parents[1] / f"labdata/sensors/{name}.toml").read_text())
+        for name in NAMES
     ]
     described = type(load_camera(NAMES[0]))
-    with pytest.raises(BadInput, match="must have one of scanner, bolometer, cooled_array, got scanner, bolometer"):
+    with pytest.raises(
+        BadInput, match="must have one of scanner, bolometer, cooled_array, got scanner, bolometer"
+    ):
         from_mapping(tables[0] | {"bolometer": tables[1]["bolometer"]}, described)
     with pytest.raises(BadInput, match="got none"):
-        from_mapping({key: value for key, value in tables[1].items() if key != "bolometer"}, described)
+        from_mapping(
+            {key: value for key, value in tables[1].items() if key != "bolometer"}, described
+        )
     with pytest.raises(BadInput, match="unknown key 'netd' in bolometer; did you mean"):
         from_mapping(tables[1] | {"bolometer": tables[1]["bolometer"] | {"netd": 40}}, described)
     with pytest.raises(BadInput, match="a scanner must be interlaced and an array progressive"):
@@ -60,12 +71,37 @@ def test_a_description_has_the_tables_of_one_kind(tmp_path):
     ("name", "path", "value", "sentence"),
     [
         ("scanning-lwir", "band.short_um", 13.0, "short_um must lie below long_um, got 13 and 12"),
-        ("scanning-lwir", "scanner.active_fraction", 1.0, "active_fraction must lie between 0.05 and 0.98, got 1"),
-        ("scanning-lwir", "video.span_k", 700.0, r"span_k must lie within -200 to 2000 C, got -328 to 372 C"),
-        ("scanning-lwir", "scanner.mirror_hz", 7000.0, "all lines_per_field within a field, got 240 of 233.6 lines"),
-        ("scanning-lwir", "scanner.clock_error_ns", 1e6, "clock_error_ns must lie between -1000 and 1000, got 1e"),
+        (
+            "scanning-lwir",
+            "scanner.active_fraction",
+            1.0,
+            "active_fraction must lie between 0.05 and 0.98, got 1",
+        ),
+        (
+            "scanning-lwir",
+            "video.span_k",
+            700.0,
+            r"span_k must lie within -200 to 2000 C, got -328 to 372 C",
+        ),
+        (
+            "scanning-lwir",
+            "scanner.mirror_hz",
+            7000.0,
+            "all lines_per_field within a field, got 240 of 233.6 lines",
+        ),
+        (
+            "scanning-lwir",
+            "scanner.clock_error_ns",
+            1e6,
+            "clock_error_ns must lie between -1000 and 1000, got 1e",
+        ),
         ("vox-lwir-640", "bolometer.netd_mk", 0.0, "netd_mk must be positive, got 0"),
-        ("insb-mwir-640", "cooled_array.correction_low_c", 40.0, "correction_low_c must lie below correction_high_c"),
+        (
+            "insb-mwir-640",
+            "cooled_array.correction_low_c",
+            40.0,
+            "correction_low_c must lie below correction_high_c",
+        ),
     ],
 )
 def test_what_no_imager_can_have_is_refused(name, path, value, sentence):
@@ -82,7 +118,9 @@ def test_verbs_that_need_visible_light_or_a_tube_refuse_an_imager_in_one_sentenc
     with pytest.raises(BadInput, match="a thermal imager needs an outdoor scene, got bench"):
         api.simulate(api.SimulationRequest(source=Path("bench")), described, conditions)
     for option in ({"gain": 3.0}, {"mcp_v": 700.0}, {"illuminance_lux": 1e-4}):
-        with pytest.raises(BadInput, match=r"^--[a-z-]+ needs a camera of visible light, got 'VOx LWIR 640'$"):
+        with pytest.raises(
+            BadInput, match=r"^--[a-z-]+ needs a camera of visible light, got 'VOx LWIR 640'$"
+        ):
             api.conditions_of(described, **option)
     with pytest.raises(BadInput, match="--phosphor needs a camera with a tube"):
         api.load_described_camera("vox-lwir-640", "p43")
@@ -91,7 +129,9 @@ def test_verbs_that_need_visible_light_or_a_tube_refuse_an_imager_in_one_sentenc
 
 
 def test_the_signal_of_a_black_body_is_its_radiance_in_the_band(camera):
-    """8-12 um: 38.5004; 7.5-13.5 um: 55.4916 W m-2 sr-1 at 300 K. Bins of any width see the same."""
+    """8-12 um: 38.5004; 7.5-13.5 um: 55.4916 W m-2 sr-1 at 300 K. Bins of any width see the
+    same.
+    """
     short, long = camera.band_um
     expected = {"scanning-lwir": 38.5004, "vox-lwir-640": 55.4916}
     for edges in ([short, long], np.linspace(3.0, 14.0, 12), np.linspace(2.9, 14.1, 300)):
@@ -99,13 +139,18 @@ def test_the_signal_of_a_black_body_is_its_radiance_in_the_band(camera):
         signal = camera.signal(np.broadcast_to(body, (2, 3, body.size)), edges)
         assert signal == pytest.approx(np.full((2, 3), float(camera.signal_of(300.0))), rel=1e-9)
     for name, radiance in expected.items():
-        assert float(InfraredCamera(load_camera(name)).signal_of(300.0)) == pytest.approx(radiance, rel=2e-6)
+        assert float(InfraredCamera(load_camera(name)).signal_of(300.0)) == pytest.approx(
+            radiance, rel=2e-6
+        )
 
 
 def test_codes_are_linear_in_radiance_and_what_saturates_is_counted(camera):
     quiet = InfraredCamera(camera.description, frozenset(camera.effects) - {"quantisation"})
     low, high = (float(camera.signal_of(kelvin)) for kelvin in (288.0, 300.0))
-    levels = [next(quiet.frames_of_signal(np.full(camera.shape, s), seed=0)) for s in np.linspace(low, high, 5)]
+    levels = [
+        next(quiet.frames_of_signal(np.full(camera.shape, s), seed=0))
+        for s in np.linspace(low, high, 5)
+    ]
     means = np.array([frame.mean(dtype=float) for frame in levels])
     assert np.abs(means - np.linspace(means[0], means[-1], 5)).max() <= 0.5 + 1e-9
     assert all(np.array_equal(frame, np.rint(frame)) for frame in levels)
@@ -116,7 +161,9 @@ def test_codes_are_linear_in_radiance_and_what_saturates_is_counted(camera):
         ends = [float(band_radiance(*camera.band_um, kelvin)) for kelvin in ends]
         share = (np.array([low, high]) - ends[0]) / (ends[1] - ends[0])
         assert means[[0, -1]] == pytest.approx(share * 2**video.bit_depth, rel=0.01)
-    dark, hot = (next(camera.frames_of_signal(np.full(camera.shape, s), seed=0)) for s in (0.0, 50.0 * high))
+    dark, hot = (
+        next(camera.frames_of_signal(np.full(camera.shape, s), seed=0)) for s in (0.0, 50.0 * high)
+    )
     pixels = dark.size
     assert camera.count_saturated(hot) == (0, pixels) and hot.min() == full
     assert camera.count_saturated(levels[0]) == (0, 0)

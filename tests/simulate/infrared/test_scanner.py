@@ -40,16 +40,25 @@ def speed(at_mrad):
 
 
 def test_the_noise_equivalent_temperature_difference_is_that_of_the_published_formula():
-    """N 1.2, 60 um, transmission 0.6, 1.5 MHz, dM/dT 1.978 W m-2 K-1: 0.50 K at a D* of 2e10, 0.25 K at 4e10."""
+    """N 1.2, 60 um, transmission 0.6, 1.5 MHz, dM/dT 1.978 W m-2 K-1: 0.50 K at a D* of 2e10, 0.25
+    K at 4e10.
+    """
     for detectivity, kelvin in ((2e10, 0.50), (4e10, 0.25)):
-        sigma = noise_equivalent_radiance(scanner(detectivity_cm_hz_per_w=detectivity).description, 1.5e6)
+        sigma = noise_equivalent_radiance(
+            scanner(detectivity_cm_hz_per_w=detectivity).description, 1.5e6
+        )
         assert np.pi * sigma / 1.978 == pytest.approx(kelvin, abs=0.005)
 
 
 def test_the_noise_of_black_bodies_is_the_formula_of_the_detector(seed):
     """E1543: 295 K background. The noise bandwidth of one pole is pi/2 of its 1.5 MHz."""
     noise_hz = 0.5 * np.pi * 1.5e6
-    formula = 4.0 * 1.2**2 * np.sqrt(noise_hz) / (60e-4 * 0.6 * 4e10 * 1e-4 * np.pi * slope(8.0, 12.0, 295.0))
+    formula = (
+        4.0
+        * 1.2**2
+        * np.sqrt(noise_hz)
+        / (60e-4 * 0.6 * 4e10 * 1e-4 * np.pi * slope(8.0, 12.0, 295.0))
+    )
     camera = scanner(lines_per_field=120)
     assert camera.netd_k(295.0) == pytest.approx(formula, rel=1e-3)
     assert measured_netd_k(camera, seed) == pytest.approx(formula, rel=0.03)
@@ -70,7 +79,9 @@ def test_lines_of_both_directions_part_by_twice_speed_times_clock_error():
     assert speed(0.0) == pytest.approx(9338.0, rel=1e-3)
 
 
-@pytest.mark.parametrize(("coupling_hz", "percent"), [(10.0, 0.33), (100.0, 3.2), (500.0, 15.0), (1000.0, 28.0)])
+@pytest.mark.parametrize(
+    ("coupling_hz", "percent"), [(10.0, 0.33), (100.0, 3.2), (500.0, 15.0), (1000.0, 28.0)]
+)
 def test_ac_coupling_droops_along_the_active_line(coupling_hz, percent):
     """An active line of 52.7 us, 0.829 of a half period."""
     camera = narrow(coupling_hz=coupling_hz, active_fraction=0.829)
@@ -100,20 +111,29 @@ def test_the_electronics_blur_less_towards_the_turn():
     found = {}
     for at_mrad in (-160.0, 100.0, 150.0, 168.0):
         found[at_mrad] = contrast(camera, 0.2, at_mrad, width_px=6) / cells
-        assert found[at_mrad] == pytest.approx(1.0 / np.hypot(1.0, 0.2e3 * speed(at_mrad) / 1.5e6), rel=0.01)
-    assert 1.0 / np.hypot(1.0, 0.2e3 * speed(0.5 * FIELD_MRAD) / 1.5e6) == pytest.approx(0.902, abs=2e-3)
+        assert found[at_mrad] == pytest.approx(
+            1.0 / np.hypot(1.0, 0.2e3 * speed(at_mrad) / 1.5e6), rel=0.01
+        )
+    assert 1.0 / np.hypot(1.0, 0.2e3 * speed(0.5 * FIELD_MRAD) / 1.5e6) == pytest.approx(
+        0.902, abs=2e-3
+    )
     assert found[168.0] == pytest.approx(0.902, rel=0.04)
-    assert contrast(camera.without("electronics bandwidth"), 0.2) / cells == pytest.approx(1.0, abs=0.005)
+    assert contrast(camera.without("electronics bandwidth"), 0.2) / cells == pytest.approx(
+        1.0, abs=0.005
+    )
 
 
 def test_return_lines_are_the_mirror_image_of_lines_to_the_right(seed):
-    """Blur by the electronics lies on opposite sides, so that a line of one direction is not symmetric."""
+    """Blur by the electronics lies on opposite sides, so that a line of one direction is not
+    symmetric.
+    """
     camera = still(narrow())
     point = np.zeros((camera.shape[0], camera.shape[1] * 4))
     point[:, 510:514] = 1.0
     point = np.repeat(point, 4, axis=0)
     frame, mirrored = (
-        camera.view_target(30.0, 25.0, share, seed=seed, count=1)[0].astype(float) for share in (point, point[:, ::-1])
+        camera.view_target(30.0, 25.0, share, seed=seed, count=1)[0].astype(float)
+        for share in (point, point[:, ::-1])
     )
     assert np.allclose(frame[0], mirrored[2, ::-1], atol=1e-2)
     assert np.abs(frame[0] - frame[2]).max() > 0.05 * np.ptp(frame[0])
@@ -121,7 +141,7 @@ def test_return_lines_are_the_mirror_image_of_lines_to_the_right(seed):
 
 @pytest.mark.parametrize(
     ("frequency", "reference"), [(0.05, 0.938), (0.1, 0.790), (0.2, 0.467), (0.25, 0.338)]
-)  # fmt: skip
+)
 def test_the_transfer_of_the_whole_scanner_is_the_product_of_its_parts(frequency, reference):
     """Footprint of 1.8 mrad, blur of 0.3 mrad, pole of 1.5 MHz, at the centre."""
     camera = narrow()
@@ -130,13 +150,24 @@ def test_the_transfer_of_the_whole_scanner_is_the_product_of_its_parts(frequency
         assert contrast(camera.without(effect), frequency, width_px=12) > reference + 0.004
 
 
-# Temporal noise of rows over that of pixels: no clamp, clamps of 10 and of 40 samples. The table's 0.54 at 100 kHz
-# without a clamp is left out: no noise of the density n0 (1 + f_k / f) gives it beside 0.15 at 10 kHz, see below.
+# Temporal noise of rows over that of pixels: no clamp, clamps of 10 and of 40 samples. The table's
+# 0.54 at 100 kHz without a clamp is left out: no noise of the density n0 (1 + f_k / f) gives it
+# beside 0.15 at 10 kHz, see below.
 ROWS = [
-    (0, 1e3, 0.05), (0, 1e4, 0.15), (0, 3e4, 0.28),
-    (10, 0.0, 0.32), (10, 1e3, 0.32), (10, 1e4, 0.34), (10, 3e4, 0.38), (10, 1e5, 0.47),
-    (40, 0.0, 0.16), (40, 1e3, 0.16), (40, 1e4, 0.19), (40, 3e4, 0.25), (40, 1e5, 0.35),
-]  # fmt: skip
+    (0, 1e3, 0.05),
+    (0, 1e4, 0.15),
+    (0, 3e4, 0.28),
+    (10, 0.0, 0.32),
+    (10, 1e3, 0.32),
+    (10, 1e4, 0.34),
+    (10, 3e4, 0.38),
+    (10, 1e5, 0.47),
+    (40, 0.0, 0.16),
+    (40, 1e3, 0.16),
+    (40, 1e4, 0.19),
+    (40, 3e4, 0.25),
+    (40, 1e5, 0.35),
+]
 
 
 @pytest.mark.parametrize(("clamp_samples", "knee_hz", "reference"), ROWS)
@@ -144,15 +175,19 @@ def test_rows_streak_by_flicker_and_clamp(clamp_samples, knee_hz, reference, see
     """Samples so few that they are independent, as those of the table."""
     camera = scanner(clamp_samples=clamp_samples, knee_hz=knee_hz, coupling_hz=0.0, samples=64)
     camera = camera.without("quantisation")
-    assert row_streaks(camera, seed, 20 if clamp_samples else 100) == pytest.approx(reference, rel=0.1)
+    assert row_streaks(camera, seed, 20 if clamp_samples else 100) == pytest.approx(
+        reference, rel=0.1
+    )
 
 
 def streaks(knee_hz, line_s=0.5 / MIRROR_HZ, active=0.75, lines=120, pole_hz=1.5e6):
-    """Temporal noise of rows over that of pixels without a clamp, of lines of one direction and field.
+    """Temporal noise of rows over that of pixels without a clamp, of lines of one direction and
+    field.
 
-    1/f noise of density n0 f_k / f has the covariance -n0 f_k ln(t) but for a constant. The mean over a line of length
-    T has the variance 1.5 - ln T; two lines at a distance d >> T share -ln d. Among pixels of a line n0 f_k
-    (ln(2 pi f_c T) + 0.577 - 1.5) is left behind a pole f_c, beside white noise of n0 pi f_c / 2.
+    1/f noise of density n0 f_k / f has the covariance -n0 f_k ln(t) but for a constant. The mean
+    over a line of length T has the variance 1.5 - ln T; two lines at a distance d >> T share -ln d.
+    Among pixels of a line n0 f_k (ln(2 pi f_c T) + 0.577 - 1.5) is left behind a pole f_c, beside
+    white noise of n0 pi f_c / 2.
     """
     length = active * line_s
     apart = np.arange(1, lines)
@@ -164,20 +199,29 @@ def streaks(knee_hz, line_s=0.5 / MIRROR_HZ, active=0.75, lines=120, pole_hz=1.5
 
 
 def test_rows_streak_as_the_integral_of_the_spectrum_says(seed):
-    """0.45 at 100 kHz; among lines of whole frames 0.48, for ln of 33.4 ms, not of 15.3 ms, over 47.7 us.
+    """0.45 at 100 kHz; among lines of whole frames 0.48, for ln of 33.4 ms, not of 15.3 ms, over
+    47.7 us.
 
-    From 10 to 100 kHz the ratio rises at most by the root of 10, for the pixels' noise rises too: from 0.15, rounded,
-    to 0.49. One frame of 1/f noise scatters by 10 %, for half of its variance lies in its first cycles.
+    From 10 to 100 kHz the ratio rises at most by the root of 10, for the pixels' noise rises too:
+    from 0.15, rounded, to 0.49. One frame of 1/f noise scatters by 10 %, for half of its variance
+    lies in its first cycles.
     """
-    camera = scanner(clamp_samples=0, knee_hz=1e5, coupling_hz=0.0, samples=64).without("quantisation")
+    camera = scanner(clamp_samples=0, knee_hz=1e5, coupling_hz=0.0, samples=64).without(
+        "quantisation"
+    )
     # The standard error of 60 frames is 2 %, and 2 % of the pixels' noise lies above 1 MHz.
     assert row_streaks(camera, seed, 60) == pytest.approx(streaks(1e5), rel=0.07)
     assert streaks(1e4) == pytest.approx(0.15, abs=0.006)
-    assert streaks(1e5) == pytest.approx(0.45, abs=0.005) and streaks(1e5) < np.sqrt(10.0) * 0.155 < 0.54
+    assert (
+        streaks(1e5) == pytest.approx(0.45, abs=0.005)
+        and streaks(1e5) < np.sqrt(10.0) * 0.155 < 0.54
+    )
 
 
 def test_rows_do_not_streak_without_flicker_or_clamp(seed):
-    camera = scanner(clamp_samples=10, knee_hz=3e4, coupling_hz=0.0, samples=64).without("quantisation")
+    camera = scanner(clamp_samples=10, knee_hz=3e4, coupling_hz=0.0, samples=64).without(
+        "quantisation"
+    )
     assert row_streaks(camera.without("1/f noise"), seed, 10) == pytest.approx(0.32, rel=0.05)
     assert row_streaks(camera.without("line clamp"), seed, 10) < 0.33
     assert row_streaks(camera.without("1/f noise", "line clamp"), seed, 10) < 0.03
@@ -213,7 +257,9 @@ def test_a_scan_that_is_not_linearised_errs_by_up_to_ten_footprints():
     right = ((np.arange(256 * 4) + 0.5) / 1024 - 0.5) * FIELD_MRAD
     level = float(camera.signal_of(295.0))
     ramp = level * (1.0 + 1e-3 * right)
-    (frame,) = camera.with_span(22.0, 60.0).frames_of_signal(np.broadcast_to(ramp, (64, 1024)), seed=0, count=1)
+    (frame,) = camera.with_span(22.0, 60.0).frames_of_signal(
+        np.broadcast_to(ramp, (64, 1024)), seed=0, count=1
+    )
     flat, one = (
         camera.with_span(22.0, 60.0).frames_of_signal(np.full(camera.shape, value), seed=0, count=1)
         for value in (level, 1.1 * level)
@@ -225,18 +271,30 @@ def test_a_scan_that_is_not_linearised_errs_by_up_to_ten_footprints():
 
 
 def test_narcissus_makes_the_axis_colder_than_the_corners_along_a_parabola():
-    """0.4 K at the axis, half of it at 0.707 of the way to a corner, none in the corners; off as shipped."""
+    """0.4 K at the axis, half of it at 0.707 of the way to a corner, none in the corners; off as
+    shipped.
+    """
     camera = still(scanner(lines_per_field=64, coupling_hz=0.0)).with_span(22.0, 20.0)
-    with_it = still(InfraredCamera(camera.description.with_values({"scanner.narcissus_k": 0.4}))).with_span(22.0, 20.0)
-    plain, seen = (one.view_target(26.85, seed=0, count=1)[0].astype(float) for one in (camera, with_it))
-    per_k = camera.signal_slope(300.0) / np.diff([float(camera.signal_of(273.15 + c)) for c in (12.0, 32.0)])[0] * 256.0
+    with_it = still(
+        InfraredCamera(camera.description.with_values({"scanner.narcissus_k": 0.4}))
+    ).with_span(22.0, 20.0)
+    plain, seen = (
+        one.view_target(26.85, seed=0, count=1)[0].astype(float) for one in (camera, with_it)
+    )
+    per_k = (
+        camera.signal_slope(300.0)
+        / np.diff([float(camera.signal_of(273.15 + c)) for c in (12.0, 32.0)])[0]
+        * 256.0
+    )
     kelvin = (seen - plain) / per_k
     rows, columns = np.array(kelvin.shape) / 2.0
     assert kelvin[int(rows), int(columns)] == pytest.approx(-0.4, abs=2e-3)
     assert kelvin[[0, 0, -1, -1], [0, -1, 0, -1]] == pytest.approx(np.zeros(4), abs=0.015)
     half = int(rows * (1.0 + np.sqrt(0.5))), int(columns * (1.0 + np.sqrt(0.5)))
     assert kelvin[half] == pytest.approx(-0.2, abs=0.01)
-    assert np.array_equal(with_it.without("narcissus").view_target(26.85, seed=0, count=1)[0], plain)
+    assert np.array_equal(
+        with_it.without("narcissus").view_target(26.85, seed=0, count=1)[0], plain
+    )
     assert float(load_camera(NAME).scanner.narcissus_k) == 0.0
 
 
@@ -251,7 +309,9 @@ def test_frames_averaged_in_the_imager_have_the_noise_of_a_mean_and_come_more_sl
     # Six frames of 48 lines of 256 samples, of which neighbours correlate: 1 % of each.
     assert of_mean_k == pytest.approx(0.25 * netd_k, rel=0.05)
     assert of_single_k == pytest.approx(netd_k, rel=0.05)
-    assert mean.frame_s == pytest.approx(16.0 * single.frame_s) == 1.0 / mean.description.frame_rate_hz
+    assert (
+        mean.frame_s == pytest.approx(16.0 * single.frame_s) == 1.0 / mean.description.frame_rate_hz
+    )
     assert mean.without("frame averaging").frame_s == pytest.approx(single.frame_s)
     step = np.full((8, *narrow().shape), float(single.signal_of(295.0)))
     step[3:] = float(single.signal_of(299.0))

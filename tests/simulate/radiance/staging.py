@@ -1,4 +1,6 @@
-"""Small scenes for tests of light transport: shapes put together, lit, and asked what light they get."""
+"""Small scenes for tests of light transport: shapes put together, lit, and asked what light they
+get.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +23,21 @@ OVERCAST = lambda way: np.ones((2, 1)) * (1.0 + 2.0 * way[:, 2]) / 3.0  # noqa: 
 
 
 def staged(parts, rho, *, glow=None, sky=None, lamps=(), discs=()) -> SpectralScene:
-    """Return a stage of (object, material, mesh) with a reflectance or a BRDF by material and a glow by material."""
+    """Return a stage of (object, material, mesh) with a reflectance or a BRDF by material and a
+    glow by material.
+    """
     found = collect_surfaces(parts)
     brdfs: tuple[Brdf, ...] = tuple(
-        Lambert(reflectance=grey(rho[name])) if isinstance(rho[name], float) else rho[name] for name in found.materials
+        Lambert(reflectance=grey(rho[name])) if isinstance(rho[name], float) else rho[name]
+        for name in found.materials
     )
     names = list(glow or {})
-    of_material = np.array([names.index(name) if name in names else -1 for name in found.materials], np.int64)
-    spectra = np.array([[value, value] for value in (glow or {}).values()], np.float32).reshape(-1, 2)
+    of_material = np.array(
+        [names.index(name) if name in names else -1 for name in found.materials], np.int64
+    )
+    spectra = np.array([[value, value] for value in (glow or {}).values()], np.float32).reshape(
+        -1, 2
+    )
     lighting = Lighting(
         environment_map=environment_map(sky) if sky else black(2),
         lamps=lamps,
@@ -58,7 +67,12 @@ def lamp(position, intensity=1.0, radius=1e-3) -> LampLight:
     spectrum = np.full(2, 4.0 * np.pi * intensity, np.float32)
     place = np.asarray(position, float)
     return LampLight(
-        name="lamp", position_m=place, radius_m=radius, spectrum=spectrum, distribution=Isotropic(), frame=np.eye(3)
+        name="lamp",
+        position_m=place,
+        radius_m=radius,
+        spectrum=spectrum,
+        distribution=Isotropic(),
+        frame=np.eye(3),
     )
 
 
@@ -66,27 +80,43 @@ def disc_light(direction, radius_rad=0.00465, irradiance=1.0) -> DiscLight:
     """Return a sun."""
     towards = np.asarray(direction, float) / np.linalg.norm(direction)
     spectrum = np.full(2, irradiance, np.float32)
-    return DiscLight(name="sun", direction=towards, angular_radius_rad=radius_rad, irradiance=spectrum)
+    return DiscLight(
+        name="sun", direction=towards, angular_radius_rad=radius_rad, irradiance=spectrum
+    )
 
 
 def irradiance(
-    stage: SpectralScene, places, normal, *, seed=1, effort=DIRECT, rays=16, sky_control_fraction=1.0
+    stage: SpectralScene,
+    places,
+    normal,
+    *,
+    seed=1,
+    effort=DIRECT,
+    rays=16,
+    sky_control_fraction=1.0,
 ) -> NDArray[np.floating]:
-    """Return the irradiance of places (place, 3) on surfaces with a normal, looked at along it, shape (place,)."""
+    """Return the irradiance of places (place, 3) on surfaces with a normal, looked at along it,
+    shape (place,).
+    """
     places = np.atleast_2d(np.asarray(places, float))
     normals = np.broadcast_to(np.asarray(normal, float), places.shape)
     hit = stage.surfaces.tracer.hits(places + 1e-2 * normals, -normals)
     share = np.full(len(places), sky_control_fraction, np.float32)
     points = stage.bsdfs.points(stage.surfaces, hit.face, places, -normals, share)
-    light = outgoing_radiance(stage, points, effort, np.random.default_rng(seed), rays=rays).total()[:, 0]
+    light = outgoing_radiance(
+        stage, points, effort, np.random.default_rng(seed), rays=rays
+    ).total()[:, 0]
     return light / stage.bsdfs.rho_by_pi[points.material, 0]
 
 
 def agree(found: NDArray[np.floating], exact: float, relative: float = 0.005) -> None:
-    """Assert that a mean is exact within 0.5 % or three standard errors, and that these are no excuse."""
+    """Assert that a mean is exact within 0.5 % or three standard errors, and that these are no
+    excuse.
+    """
     mean, error = float(np.mean(found)), float(np.std(found) / np.sqrt(len(found)))
     print(
-        f"{mean:.6g} for {exact:.6g}: {100.0 * (mean / exact - 1.0):+.3f} %, standard error {100 * error / exact:.3f} %"
+        f"{mean:.6g} for {exact:.6g}: {100.0 * (mean / exact - 1.0):+.3f} %, standard error "
+        f"{100 * error / exact:.3f} %"
     )
     assert abs(mean - exact) <= max(relative * exact, 3.0 * error)
     assert error < 0.02 * exact

@@ -15,11 +15,15 @@ POLAR, AZIMUTH = np.linspace(0.0, 90.0, 10), np.linspace(0.0, 180.0, 7)
 
 
 def measured():
-    """A rising, then falling shape that depends on both angles and azimuth, reciprocal by construction."""
+    """A rising, then falling shape that depends on both angles and azimuth, reciprocal by
+    construction.
+    """
     tilt = np.sin(np.deg2rad(2.0 * POLAR))
     bent = tilt[:, None, None] * tilt[None, :, None] * (1.0 - 0.6 * np.cos(np.deg2rad(AZIMUTH)))
     table = np.stack([level * (0.18 + 0.05 * bent) for level in (0.2, 0.6, 1.0)])
-    return MeasuredTable(wavelength_nm=WAVELENGTH, polar_deg=POLAR, azimuth_deg=AZIMUTH, table=table)
+    return MeasuredTable(
+        wavelength_nm=WAVELENGTH, polar_deg=POLAR, azimuth_deg=AZIMUTH, table=table
+    )
 
 
 BRDFS = {
@@ -92,7 +96,8 @@ def test_what_reflects_all_light_vanishes_in_an_even_glow(brdf):
         assert brdf.albedo(eye(angle), WAVELENGTH) == pytest.approx(1.0, abs=1e-9)
 
 
-# Albedo of GGX with facets that reflect all, at 0, 30, 60, 80 degrees, to the digits of the reference.
+# Albedo of GGX with facets that reflect all, at 0, 30, 60, 80 degrees, to the digits of the
+# reference.
 @pytest.mark.parametrize(
     ("roughness", "albedo", "within"),
     [
@@ -108,16 +113,21 @@ def test_a_single_bounce_loses_light_on_rough_faces(roughness, albedo, within):
 
 
 @pytest.mark.parametrize(
-    ("angle", "reflectance"), [(0, 0.0400), (30, 0.0415), (45, 0.0502), (60, 0.0892), (75, 0.2531), (85, 0.6128)]
+    ("angle", "reflectance"),
+    [(0, 0.0400), (30, 0.0415), (45, 0.0502), (60, 0.0892), (75, 0.2531), (85, 0.6128)],
 )
 def test_glass_reflects_by_fresnel(angle, reflectance):
-    assert microfacet.dielectric(np.cos(np.deg2rad(angle)), 1.5) == pytest.approx(reflectance, abs=6e-5)
+    assert microfacet.dielectric(np.cos(np.deg2rad(angle)), 1.5) == pytest.approx(
+        reflectance, abs=6e-5
+    )
 
 
 @pytest.mark.parametrize(("index", "reflectance"), [(1.5, 0.0918), (1.33, 0.0659)])
 def test_glass_and_water_in_an_even_glow(index, reflectance):
     cosine = (np.arange(20_000) + 0.5) / 20_000
-    assert np.mean(2.0 * cosine * microfacet.dielectric(cosine, index)) == pytest.approx(reflectance, abs=1e-4)
+    assert np.mean(2.0 * cosine * microfacet.dielectric(cosine, index)) == pytest.approx(
+        reflectance, abs=1e-4
+    )
 
 
 def test_a_retroreflector_is_brightest_to_the_lamps_own_eye():
@@ -134,8 +144,12 @@ def test_a_retroreflector_is_brightest_to_the_lamps_own_eye():
 
 def test_a_measured_table_is_read_at_its_angles():
     brdf = measured()
-    light = np.array([[np.sin(np.deg2rad(30.0)) * c, np.sin(np.deg2rad(30.0)) * s, np.cos(np.deg2rad(30.0))]
-                      for c, s in ((1.0, 0.0), (0.5, np.sqrt(0.75)), (-1.0, 0.0))])  # fmt: skip
+    light = np.array(
+        [
+            [np.sin(np.deg2rad(30.0)) * c, np.sin(np.deg2rad(30.0)) * s, np.cos(np.deg2rad(30.0))]
+            for c, s in ((1.0, 0.0), (0.5, np.sqrt(0.75)), (-1.0, 0.0))
+        ]
+    )
     found = brdf.value(light, eye(60.0, 3), WAVELENGTH)
     assert np.allclose(found, brdf.table[:, 3, 6, [0, 2, 6]])
     assert np.allclose(brdf.value(light, eye(60.0, 3), [550.0]), found[:2].mean(axis=0))
@@ -145,15 +159,26 @@ def bad_table(**change):
     table = np.full((1, 10, 10, 7), 0.2)
     for index, value in change.get("at", ()):
         table[index] = value
-    keys = {"wavelength_nm": np.array([550.0]), "polar_deg": POLAR, "azimuth_deg": AZIMUTH, "table": table}
+    keys = {
+        "wavelength_nm": np.array([550.0]),
+        "polar_deg": POLAR,
+        "azimuth_deg": AZIMUTH,
+        "table": table,
+    }
     return MeasuredTable(**{**keys, **{k: v for k, v in change.items() if k != "at"}})
 
 
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: bad_table(table=np.full((1, 10, 10, 7), 0.4)), "must not give off more light than arrives, got 1.2"),
-        (lambda: bad_table(at=[((0, 2, 7), 0.3)]), "the same with light and eye exchanged, got a difference of 0.1"),
+        (
+            lambda: bad_table(table=np.full((1, 10, 10, 7), 0.4)),
+            "must not give off more light than arrives, got 1.2",
+        ),
+        (
+            lambda: bad_table(at=[((0, 2, 7), 0.3)]),
+            "the same with light and eye exchanged, got a difference of 0.1",
+        ),
         (
             lambda: bad_table(at=[((0, 0, 3, 2), 0.3), ((0, 3, 0, 2), 0.3)]),
             "must not depend on the azimuth",
@@ -161,9 +186,18 @@ def bad_table(**change):
         (lambda: bad_table(polar_deg=POLAR[::-1]), "polar_deg of a measured BRDF must ascend"),
         (lambda: bad_table(polar_deg=0.9 * POLAR), "polar_deg must run from 0 to 90"),
         (lambda: bad_table(at=[((0, 0, 0, 0), -1.0)]), "finite and not negative"),
-        (lambda: Metal(reflectance=grey(0.5), roughness=0.0), r"roughness must lie in \[0.002, 1\], got 0"),
-        (lambda: Glossy(reflectance=grey(0.5), roughness=0.1, refractive_index=1.0), r"must lie in \(1, 4\], got 1"),
-        (lambda: Retroreflector(share=grey(0.5), reflectance=grey(0.1), half_width_deg=0.0), "half_width_deg must lie"),
+        (
+            lambda: Metal(reflectance=grey(0.5), roughness=0.0),
+            r"roughness must lie in \[0.002, 1\], got 0",
+        ),
+        (
+            lambda: Glossy(reflectance=grey(0.5), roughness=0.1, refractive_index=1.0),
+            r"must lie in \(1, 4\], got 1",
+        ),
+        (
+            lambda: Retroreflector(share=grey(0.5), reflectance=grey(0.1), half_width_deg=0.0),
+            "half_width_deg must lie",
+        ),
     ],
 )
 def test_impossible_surfaces_are_refused_in_a_sentence(make, says):

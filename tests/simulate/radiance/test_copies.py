@@ -1,4 +1,6 @@
-"""Copies of a mesh share it: they are hit where copies of their own would be, and twenty thousand fit into memory."""
+"""Copies of a mesh share it: they are hit where copies of their own would be, and twenty thousand
+fit into memory.
+"""
 
 import subprocess
 import sys
@@ -36,10 +38,19 @@ def site(finish="matt", **lamp):
         )
         for i in range(12)
     )
-    box = Object(label="boxes", material="box", shape="box", size_m=(1.0, 0.6, 1.2), instances=poses)
-    floor = Object(label="floor", material="floor", shape="plane", size_m=(40.0, 40.0), position_m=(500.0, 0.0, 0.0))
+    box = Object(
+        label="boxes", material="box", shape="box", size_m=(1.0, 0.6, 1.2), instances=poses
+    )
+    floor = Object(
+        label="floor",
+        material="floor",
+        shape="plane",
+        size_m=(40.0, 40.0),
+        position_m=(500.0, 0.0, 0.0),
+    )
     post = LampPlacement(
-        **{"label": "lamp", "kind": "mercury", "position_m": (503.0, 1.5, 4.0), "lumens": 100.0} | lamp
+        **{"label": "lamp", "kind": "mercury", "position_m": (503.0, 1.5, 4.0), "lumens": 100.0}
+        | lamp
     )
     return BuiltScene(
         OutdoorScene(
@@ -57,7 +68,9 @@ def site(finish="matt", **lamp):
 
 def rays(count):
     rng = np.random.default_rng(7)
-    towards = np.column_stack([rng.uniform(-1, 1, count), rng.uniform(0.2, 1, count), rng.uniform(-0.7, 0.0, count)])
+    towards = np.column_stack(
+        [rng.uniform(-1, 1, count), rng.uniform(0.2, 1, count), rng.uniform(-0.7, 0.0, count)]
+    )
     origin = np.broadcast_to([503.0, -8.0, 5.0], towards.shape)
     return origin, towards / np.linalg.norm(towards, axis=1, keepdims=True)
 
@@ -74,7 +87,9 @@ def test_shared_copies_are_hit_where_copies_of_their_own_are(shared, monkeypatch
     monkeypatch.setattr(build, "SHARED_FROM", 10**9)
     own = site().surfaces
     here, there = (of.tracer.hits(origin, towards) for of in (one, own))
-    assert np.count_nonzero(here.face >> COPY_BITS > 0) > 500 and (there.face >> COPY_BITS <= 0).all()
+    assert (
+        np.count_nonzero(here.face >> COPY_BITS > 0) > 500 and (there.face >> COPY_BITS <= 0).all()
+    )
     met = np.flatnonzero((here.face >= 0) & (there.face >= 0))
     assert len(met) > 0.999 * max(len(here.met), len(there.met))
     same = np.abs(here.range_m[met] - there.range_m[met]) < 1e-6
@@ -83,14 +98,22 @@ def test_shared_copies_are_hit_where_copies_of_their_own_are(shared, monkeypatch
     assert (np.abs(normals[0] - normals[1]).max(axis=1) < 1e-9).mean() > 0.999
 
 
-@pytest.mark.parametrize(("finish", "place"), [("glossy", (503.0, 1.5, 4.0)), ("matt", (500.9, -1.2, 0.05))])
-def test_light_by_way_of_shared_copies_is_that_of_copies_of_their_own(shared, monkeypatch, finish, place):
-    """A lamp high above, and one so close to the floor that its patch is looked for from the lamp."""
+@pytest.mark.parametrize(
+    ("finish", "place"), [("glossy", (503.0, 1.5, 4.0)), ("matt", (500.9, -1.2, 0.05))]
+)
+def test_light_by_way_of_shared_copies_is_that_of_copies_of_their_own(
+    shared, monkeypatch, finish, place
+):
+    """A lamp high above, and one so close to the floor that its patch is looked for from the
+    lamp.
+    """
     (origin, towards), effort = rays(6_000), IntegratorSettings(max_bounces=3)
 
     def seen(seed):
         stage = site(finish, position_m=place, radius_m=0.01).on(NM)
-        light = radiance_along(stage, origin, towards, effort, np.random.default_rng(seed), gather_rays=4).total()[:, 0]
+        light = radiance_along(
+            stage, origin, towards, effort, np.random.default_rng(seed), gather_rays=4
+        ).total()[:, 0]
         return np.minimum(light, np.percentile(light, 99.5))
 
     one = seen(1)
@@ -103,13 +126,22 @@ def test_light_by_way_of_shared_copies_is_that_of_copies_of_their_own(shared, mo
 
 def test_truth_and_refusals_know_shared_copies(shared):
     scene = site()
-    view = Viewpoint(position_m=(503.0, -8.0, 5.0), forward=(0.0, 0.9, -0.4), shape=(40, 60), focal_px=(50.0, 50.0))
+    view = Viewpoint(
+        position_m=(503.0, -8.0, 5.0),
+        forward=(0.0, 0.9, -0.4),
+        shape=(40, 60),
+        focal_px=(50.0, 50.0),
+    )
     found = truth(scene.on(NM), view)
     assert set(found.objects) == {"floor", "boxes"}
     middle = np.count_nonzero(found.object == found.objects.index("boxes"))
-    assert middle > 100 and (found.material[found.object == 1] == found.materials.index("box")).all()
+    assert (
+        middle > 100 and (found.material[found.object == 1] == found.materials.index("box")).all()
+    )
     pose = scene.scene.object[1].instances[-1]
-    with pytest.raises(BadInput, match=r"clear of surfaces by its radius of 5 m, got 'lamp' .* from 'boxes'"):
+    with pytest.raises(
+        BadInput, match=r"clear of surfaces by its radius of 5 m, got 'lamp' .* from 'boxes'"
+    ):
         _ = site(position_m=(pose.position_m[0], pose.position_m[1], 5.2), radius_m=5.0).surfaces
 
 
@@ -118,7 +150,10 @@ from simulate.radiance.outdoor.build import build_surfaces
 from simulate.radiance.outdoor.materials import MaterialSpec
 from simulate.radiance.outdoor.scene import Object, OutdoorScene, Pose, SceneCamera
 
-poses = tuple(Pose(position_m=(3.0 * (i % 150), 3.0 * (i // 150), 1.0), heading_deg=i % 360) for i in range(20_000))
+poses = tuple(
+    Pose(position_m=(3.0 * (i % 150), 3.0 * (i // 150), 1.0), heading_deg=i % 360)
+    for i in range(20_000)
+)
 ball = Object(label="balls", material="grey", shape="sphere", size_m=(1.0,), instances=poses)
 camera = SceneCamera(position_m=(0, -5, 2), look_at_m=(0, 0, 2))
 grey = MaterialSpec(label="grey", reflectance=(0.5,))
@@ -136,7 +171,9 @@ def test_twenty_thousand_copies_of_five_thousand_triangles_take_less_than_400_me
 
 
 def test_another_embree_than_the_fourth_is_refused(monkeypatch):
-    old = SimpleNamespace(rtcNewDevice=lambda config: 1, rtcGetDeviceProperty=lambda device, number: 30_105)
+    old = SimpleNamespace(
+        rtcNewDevice=lambda config: 1, rtcGetDeviceProperty=lambda device, number: 30_105
+    )
     monkeypatch.setattr(embree, "_library", lambda: old)
     with pytest.raises(BadInput, match="rays need Embree 4, got version 30105"):
         embree._device.__wrapped__()

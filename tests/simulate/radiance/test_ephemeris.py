@@ -12,7 +12,9 @@ ROCHESTER = ObserverLocation(latitude_deg=43.16, longitude_deg=-77.61, altitude_
 
 
 def cases(count=50):
-    """Random places and times of 1998 to 2024, for which the earth's rotation is known without a download."""
+    """Random places and times of 1998 to 2024, for which the earth's rotation is known without a
+    download.
+    """
     rng = np.random.default_rng(17)
     start = datetime(1998, 1, 1, tzinfo=UTC)
     for _ in range(count):
@@ -25,7 +27,9 @@ def cases(count=50):
 
 
 def by_astropy(body, places, times):
-    """Topocentric unit vectors (east, north, up) without air, and distances in km, by astropy's built-in ephemeris."""
+    """Topocentric unit vectors (east, north, up) without air, and distances in km, by astropy's
+    built-in ephemeris.
+    """
     from astropy import units
     from astropy.coordinates import AltAz, EarthLocation, get_body
     from astropy.time import Time
@@ -49,7 +53,10 @@ def by_astropy(body, places, times):
 @pytest.mark.parametrize(("body", "distance"), [("moon", 3e-4), ("sun", 1e-4)])
 def test_sun_and_moon_stand_within_a_fiftieth_of_a_degree_of_astropy(body, distance):
     chosen = list(cases())
-    places, times = [place for place, _ in chosen], [time.replace(tzinfo=None) for _, time in chosen]
+    places, times = (
+        [place for place, _ in chosen],
+        [time.replace(tzinfo=None) for _, time in chosen],
+    )
     direction, range_km = by_astropy(body, places, times)
     ours = [getattr(ephemeris(place, time), body) for place, time in chosen]
     apart = np.linalg.norm(direction - np.array([one.direction for one in ours]), axis=1)
@@ -58,7 +65,9 @@ def test_sun_and_moon_stand_within_a_fiftieth_of_a_degree_of_astropy(body, dista
 
 
 def test_the_phase_is_that_of_the_place_and_not_of_the_earths_centre():
-    """Two places that see the moon at the same time from 12,000 km apart see phases up to 2 degrees apart."""
+    """Two places that see the moon at the same time from 12,000 km apart see phases up to 2 degrees
+    apart.
+    """
     time = datetime(2024, 2, 24, 12, 30, tzinfo=UTC)
     phases = [
         ephemeris(ObserverLocation(latitude_deg=lat, longitude_deg=lon), time).phase_deg
@@ -92,7 +101,9 @@ def test_a_half_covered_disc_agrees_with_counting():
     disc = np.hypot(x, y) < 1.0
     for cover, apart in ((1.5, 1.2), (0.5, 0.9), (3.0, 2.6), (0.4, 0.2)):
         free = disc & (np.hypot(x - apart, y) >= cover)
-        assert visible_disc_fraction(1.0, cover, apart) == pytest.approx(free.sum() / disc.sum(), abs=3e-3)
+        assert visible_disc_fraction(1.0, cover, apart) == pytest.approx(
+            free.sum() / disc.sum(), abs=3e-3
+        )
 
 
 @pytest.mark.parametrize(
@@ -104,7 +115,10 @@ def test_a_half_covered_disc_agrees_with_counting():
             lambda: ObserverLocation(latitude_deg=91.0, longitude_deg=0.0),
             r"latitude_deg must lie in \[-90, 90\], got 91",
         ),
-        (lambda: ObserverLocation(latitude_deg=0.0, longitude_deg=400.0), "longitude_deg must lie in"),
+        (
+            lambda: ObserverLocation(latitude_deg=0.0, longitude_deg=400.0),
+            "longitude_deg must lie in",
+        ),
     ],
 )
 def test_impossible_places_and_times_are_refused_in_a_sentence(make, says):

@@ -1,4 +1,6 @@
-"""Photometric files: what they say is what shines; whatever else is in them, they are refused in a sentence."""
+"""Photometric files: what they say is what shines; whatever else is in them, they are refused in a
+sentence.
+"""
 
 import os
 
@@ -40,7 +42,9 @@ def candela(lamp, polar_deg: float, azimuth_deg: float) -> float:
 
 def test_intensities_are_those_of_the_file():
     lamp = parse_photometry(STREET)
-    assert [candela(lamp, 60.0, turn) for turn in (0.0, 90.0, 180.0, 270.0)] == pytest.approx([200, 100, 50, 100])
+    assert [candela(lamp, 60.0, turn) for turn in (0.0, 90.0, 180.0, 270.0)] == pytest.approx(
+        [200, 100, 50, 100]
+    )
     assert candela(lamp, 0.0, 0.0) == pytest.approx(100.0)
     assert candela(lamp, 120.0, 0.0) == 0.0
 
@@ -52,7 +56,9 @@ def test_a_source_of_100_candela_all_around_has_400_pi_lumens():
 
 def test_tilt_that_changes_nothing_is_read_and_one_that_does_is_refused():
     with_tilt = STREET.replace("TILT=NONE", "TILT=INCLUDE\n1\n2\n0 90\n1 {}")
-    assert parse_photometry(with_tilt.format("1.0")).lumens == pytest.approx(parse_photometry(STREET).lumens)
+    assert parse_photometry(with_tilt.format("1.0")).lumens == pytest.approx(
+        parse_photometry(STREET).lumens
+    )
     with pytest.raises(BadInput, match=r"must not depend on its tilt, got factors of 0\.8"):
         parse_photometry(with_tilt.format("0.8"))
 
@@ -60,7 +66,9 @@ def test_tilt_that_changes_nothing_is_read_and_one_that_does_is_refused():
 def test_a_lamp_given_from_90_to_270_degrees_is_the_same_on_both_sides():
     turned = STREET.replace("\n0 90 180\n", "\n90 180 270\n")
     lamp = parse_photometry(turned)
-    assert [candela(lamp, 60.0, turn) for turn in (90.0, 180.0, 270.0)] == pytest.approx([200, 100, 50])
+    assert [candela(lamp, 60.0, turn) for turn in (90.0, 180.0, 270.0)] == pytest.approx(
+        [200, 100, 50]
+    )
     assert candela(lamp, 60.0, 0.0) == pytest.approx(100.0)
 
 
@@ -94,10 +102,17 @@ def test_a_bad_file_is_refused_in_a_sentence(tmp_path, old, new, says):
 @given(
     some.one_of(
         some.text(max_size=200),
-        some.lists(some.tuples(some.integers(0, len(STREET) - 1), some.characters(max_codepoint=255)), max_size=8).map(
-            lambda changes: "".join(dict(changes).get(place, letter) for place, letter in enumerate(STREET))
+        some.lists(
+            some.tuples(some.integers(0, len(STREET) - 1), some.characters(max_codepoint=255)),
+            max_size=8,
+        ).map(
+            lambda changes: "".join(
+                dict(changes).get(place, letter) for place, letter in enumerate(STREET)
+            )
         ),
-        some.lists(some.sampled_from([*STREET.split(), "\n", "-1", "1e400"]), max_size=60).map(" ".join),
+        some.lists(some.sampled_from([*STREET.split(), "\n", "-1", "1e400"]), max_size=60).map(
+            " ".join
+        ),
     )
 )
 def test_whatever_a_file_holds_it_is_a_lamp_or_a_sentence(text):
@@ -109,11 +124,18 @@ def test_whatever_a_file_holds_it_is_a_lamp_or_a_sentence(text):
         assert np.isfinite(lamp.lumens) and lamp.lumens > 0.0
 
 
-def test_a_measured_lamp_in_a_scene_has_the_lumens_of_its_file_and_shines_where_it_is_turned(tmp_path):
+def test_a_measured_lamp_in_a_scene_has_the_lumens_of_its_file_and_shines_where_it_is_turned(
+    tmp_path,
+):
     (tmp_path / "street.ies").write_text(STREET)
-    lamp = '[[lamp]]\nlabel = "a"\nkind = "led-warm"\nbeam = "street.ies"\nposition_m = [0, 0, 5]\nheading_deg = 90\n'
+    lamp = (
+        '[[lamp]]\nlabel = "a"\nkind = "led-warm"\nbeam = "street.ies"\nposition_m = [0, 0, '
+        "5]\nheading_deg = 90\n"
+    )
     site = BuiltScene(scene_of(tmp_path, CAMERA + GREY + BALL + lamp))
     light = site.on(np.array([500.0, 600.0])).lighting.lamps[0]
     assert site.lamps[0][1].flux.lumens == pytest.approx(parse_photometry(STREET).lumens)
-    east, north, west = (light.per_sr(np.array([[x, y, -0.5]]))[0] for x, y in ((0.866, 0), (0, 0.866), (-0.866, 0)))
+    east, north, west = (
+        light.per_sr(np.array([[x, y, -0.5]]))[0] for x, y in ((0.866, 0), (0, 0.866), (-0.866, 0))
+    )
     assert [east, north, west] / east == pytest.approx([1.0, 0.5, 0.25], rel=1e-3)

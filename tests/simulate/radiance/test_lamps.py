@@ -1,4 +1,6 @@
-"""Lamps have the lumens asked for, the photoelectrons that the tube makes of them, and shine where they say."""
+"""Lamps have the lumens asked for, the photoelectrons that the tube makes of them, and shine where
+they say.
+"""
 
 import os
 
@@ -8,7 +10,13 @@ import pytest
 from labdata.errors import BadInput
 from simulate.iiccd.tube_photometry import JOULE_METRE, quantum_efficiency
 from simulate.radiance.brdf.protocol import read_measured
-from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam, read_ies
+from simulate.radiance.lamps.distribution import (
+    Cosine,
+    Isotropic,
+    MeasuredDistribution,
+    SpotBeam,
+    read_ies,
+)
 from simulate.radiance.lamps.spectra import KINDS, read_spectrum, spectrum
 from simulate.radiance.outdoor import build
 from simulate.radiance.sky.moon import moon_spectrum
@@ -55,7 +63,9 @@ def test_every_lamp_has_the_lumens_asked_for(kind, temperature):
     light = spectrum(kind, lumens=1234.0, temperature_k=temperature)
     assert light.lumens == pytest.approx(1234.0, rel=1e-9)
     fine = np.arange(300.0, 1201.0, 0.25)
-    assert 683.0 * np.sum(light.on(fine) * luminous_efficiency(fine)) * 0.25 == pytest.approx(1234.0, rel=2e-3)
+    assert 683.0 * np.sum(light.on(fine) * luminous_efficiency(fine)) * 0.25 == pytest.approx(
+        1234.0, rel=2e-3
+    )
 
 
 DIRECTIONS = 400
@@ -67,11 +77,19 @@ def whole_sphere():
     turn = (np.arange(DIRECTIONS) + 0.5) * 2.0 * np.pi / DIRECTIONS
     z, phi = (axis.ravel() for axis in np.meshgrid(up, turn, indexing="ij"))
     level = np.sqrt(1.0 - z**2)
-    return np.column_stack([level * np.cos(phi), level * np.sin(phi), z]), 4.0 * np.pi / DIRECTIONS**2
+    return np.column_stack(
+        [level * np.cos(phi), level * np.sin(phi), z]
+    ), 4.0 * np.pi / DIRECTIONS**2
 
 
 POLAR = np.array([0.0, 30.0, 60.0, 80.0, 90.0])
-STREET = np.array([[100.0, 120.0, 260.0, 90.0, 0.0], [100.0, 110.0, 150.0, 40.0, 0.0], [100.0, 90.0, 60.0, 10.0, 0.0]])
+STREET = np.array(
+    [
+        [100.0, 120.0, 260.0, 90.0, 0.0],
+        [100.0, 110.0, 150.0, 40.0, 0.0],
+        [100.0, 90.0, 60.0, 10.0, 0.0],
+    ]
+)
 
 
 @pytest.mark.parametrize(
@@ -82,9 +100,15 @@ STREET = np.array([[100.0, 120.0, 260.0, 90.0, 0.0], [100.0, 110.0, 150.0, 40.0,
         SpotBeam(half_angle_deg=10.0),
         SpotBeam(half_angle_deg=60.0),
         MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0]), candela=STREET[:1]),
-        MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 45.0, 90.0]), candela=STREET),
-        MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 90.0, 180.0]), candela=STREET),
-        MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 120.0, 360.0]), candela=STREET[[0, 1, 0]]),
+        MeasuredDistribution(
+            polar_deg=POLAR, azimuth_deg=np.array([0.0, 45.0, 90.0]), candela=STREET
+        ),
+        MeasuredDistribution(
+            polar_deg=POLAR, azimuth_deg=np.array([0.0, 90.0, 180.0]), candela=STREET
+        ),
+        MeasuredDistribution(
+            polar_deg=POLAR, azimuth_deg=np.array([0.0, 120.0, 360.0]), candela=STREET[[0, 1, 0]]
+        ),
     ],
     ids=str,
 )
@@ -94,10 +118,14 @@ def test_a_lamp_shines_all_of_its_light_and_no_more(distribution):
 
 
 def test_a_table_is_read_at_its_angles_and_mirrored():
-    lamp = MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 45.0, 90.0]), candela=STREET)
+    lamp = MeasuredDistribution(
+        polar_deg=POLAR, azimuth_deg=np.array([0.0, 45.0, 90.0]), candela=STREET
+    )
     turn = np.deg2rad([45.0, 135.0, 225.0, 315.0])
     down = np.deg2rad(60.0)
-    ring = np.column_stack([np.sin(down) * np.cos(turn), np.sin(down) * np.sin(turn), np.full(4, np.cos(down))])
+    ring = np.column_stack(
+        [np.sin(down) * np.cos(turn), np.sin(down) * np.sin(turn), np.full(4, np.cos(down))]
+    )
     found = lamp.per_sr(ring) / lamp.per_sr(np.array([[0.0, 0.0, 1.0]]))
     assert np.allclose(found, 1.5)
     assert lamp.per_sr(np.array([[0.0, 0.0, -1.0]])) == 0.0
@@ -124,7 +152,10 @@ def test_a_spectrum_comes_from_a_file(tmp_path):
         ("500 1\n", "at least two lines of numbers, got 1"),
         ("nm p\n500 1\n600 x\n", "two numbers on each line, got '600 x'"),
         ("600 1\n500 1\n", "must be positive and ascend"),
-        ("900 1\n950 1\n", "must have visible light to be scaled to lumens .state watts., got none"),
+        (
+            "900 1\n950 1\n",
+            "must have visible light to be scaled to lumens .state watts., got none",
+        ),
         ("500 1\n600 -1\n", "finite and not negative"),
     ],
 )
@@ -140,12 +171,20 @@ def test_a_bad_file_is_refused_in_a_sentence(tmp_path, text, says):
     [
         (lambda: spectrum("neon"), "one of the kinds incandescent"),
         (lambda: spectrum("mercury", lumens=-1.0), "lumens must not be negative, got -1"),
-        (lambda: spectrum("incandescent", temperature_k=300.0), r"temperature_k must lie in \[1000, 20000\], got 300"),
-        (lambda: spectrum("led-warm", near_infrared_share=0.1), "near_infrared_share must be 0 for led-warm"),
+        (
+            lambda: spectrum("incandescent", temperature_k=300.0),
+            r"temperature_k must lie in \[1000, 20000\], got 300",
+        ),
+        (
+            lambda: spectrum("led-warm", near_infrared_share=0.1),
+            "near_infrared_share must be 0 for led-warm",
+        ),
         (lambda: spectrum("incandescent", near_infrared_share=0.1), "has no near_infrared_share"),
         (lambda: SpotBeam(half_angle_deg=90.0), "half_angle_deg must lie in"),
         (
-            lambda: MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 70.0]), candela=STREET[:2]),
+            lambda: MeasuredDistribution(
+                polar_deg=POLAR, azimuth_deg=np.array([0.0, 70.0]), candela=STREET[:2]
+            ),
             "azimuth_deg must ascend from 0 to 0, 90, 180 or 360",
         ),
     ],

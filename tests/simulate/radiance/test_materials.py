@@ -64,7 +64,10 @@ def test_one_share_stands_for_all_wavelengths():
         ({"reflectance": [0.6], "transmittance": [0.6]}, "nor exceed 1 together, got 0.6 and 0.6"),
         ({"reflectance": [-0.1]}, "must not be negative"),
         ({"wavelength_nm": [500.0, 400.0], "reflectance": [0.1, 0.1]}, "wavelengths must ascend"),
-        ({"wavelength_nm": [400.0, 500.0, 600.0], "reflectance": [0.1, 0.1]}, "3 wavelengths, 2 and 1"),
+        (
+            {"wavelength_nm": [400.0, 500.0, 600.0], "reflectance": [0.1, 0.1]},
+            "3 wavelengths, 2 and 1",
+        ),
         ({"finish": "metal"}, "roughness must be given for a metal material"),
         ({"roughness": 0.2}, "roughness must not be given for a matt material"),
         ({"finish": "glossy", "roughness": 2.0, "refractive_index": 1.5}, "roughness must lie in"),

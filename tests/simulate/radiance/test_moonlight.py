@@ -1,4 +1,6 @@
-"""Moonlight by phase, colour and distance against the reference tables of the ROLO model and Allen's phase curve."""
+"""Moonlight by phase, colour and distance against the reference tables of the ROLO model and
+Allen's phase curve.
+"""
 
 import numpy as np
 import pytest
@@ -7,7 +9,8 @@ from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.sky.moon import Disc, moon_reflectance, moon_spectrum, sun_spectrum
 from simulate.radiance.sky.night_sky import NightSky
 
-# Phase, lux, mW m-2 um-1 at 550, 700 and 850 nm (means over 21 nm) and over 500 to 900 nm, above the atmosphere.
+# Phase, lux, mW m-2 um-1 at 550, 700 and 850 nm (means over 21 nm) and over 500 to 900 nm, above
+# the atmosphere.
 TABLE = [
     (0.0, 0.431, 5.88, 5.42, 4.31, 5.30),
     (2.0, 0.358, 4.89, 4.52, 3.60, None),
@@ -28,21 +31,35 @@ def test_moonlight_over_phase(phase, lux, at_550, at_700, at_850, mean):
     moon = moon_spectrum(phase)
     assert moon.lumens == pytest.approx(lux, rel=0.03)
     for centre, expected in ((550.0, at_550), (700.0, at_700), (850.0, at_850)):
-        assert 1e6 * moon.total(centre - 10.5, centre + 10.5) / 21.0 == pytest.approx(expected, rel=0.035)
+        assert 1e6 * moon.total(centre - 10.5, centre + 10.5) / 21.0 == pytest.approx(
+            expected, rel=0.035
+        )
     if mean is not None:
         assert 1e6 * moon.total(500.0, 900.0) / 400.0 == pytest.approx(mean, rel=0.03)
 
 
 @pytest.mark.parametrize("phase", [2.0, 5.0, 7.0, 10.0, 30.0, 60.0, 90.0, 120.0, 150.0])
 def test_moonlight_follows_allens_phase_curve(phase):
-    """V = -12.73 + 0.026 g + 4e-9 g^4 (Allen, Astrophysical Quantities); at 0 the surge is 0.3 mag above it."""
+    """V = -12.73 + 0.026 g + 4e-9 g^4 (Allen, Astrophysical Quantities); at 0 the surge is 0.3 mag
+    above it.
+    """
     allen = -12.73 + 0.026 * phase + 4e-9 * phase**4
-    assert LUX_MAGNITUDE - 2.5 * np.log10(moon_spectrum(phase).lumens) == pytest.approx(allen, abs=0.2)
+    assert LUX_MAGNITUDE - 2.5 * np.log10(moon_spectrum(phase).lumens) == pytest.approx(
+        allen, abs=0.2
+    )
 
 
 @pytest.mark.parametrize(
     ("nm", "ratio"),
-    [(400.0, 0.78), (450.0, 0.81), (500.0, 0.90), (600.0, 1.08), (700.0, 1.19), (800.0, 1.34), (900.0, 1.37)],
+    [
+        (400.0, 0.78),
+        (450.0, 0.81),
+        (500.0, 0.90),
+        (600.0, 1.08),
+        (700.0, 1.19),
+        (800.0, 1.34),
+        (900.0, 1.37),
+    ],
 )
 def test_moonlight_is_redder_than_sunlight(nm, ratio):
     reflectance = moon_reflectance(np.array([nm, 550.0]), 5.0)
@@ -57,9 +74,9 @@ def test_the_sun_is_445_000_nearly_full_moons():
 
 @pytest.mark.parametrize(("moon_km", "factor"), [(356_500.0, 1.163), (406_700.0, 0.893)])
 def test_perigee_is_brighter_than_apogee(moon_km, factor):
-    assert moon_spectrum(30.0, moon_distance_km=moon_km).lumens / moon_spectrum(30.0).lumens == pytest.approx(
-        factor, rel=1e-3
-    )
+    assert moon_spectrum(30.0, moon_distance_km=moon_km).lumens / moon_spectrum(
+        30.0
+    ).lumens == pytest.approx(factor, rel=1e-3)
 
 
 def test_libration_changes_the_moon_by_a_percent_or_so():
@@ -68,8 +85,11 @@ def test_libration_changes_the_moon_by_a_percent_or_so():
         assert 1e-3 < abs(moon_spectrum(30.0, 30.0, *libration).lumens / middle - 1.0) < 0.03
 
 
-# Moon of phase 5 degrees on level ground, SPECTRL2 with an aerosol depth of 0.1 at 500 nm and 1.5 cm of water.
-@pytest.mark.parametrize(("zenith", "lux"), [(0.0, 0.277), (30.0, 0.236), (60.0, 0.124), (75.0, 0.053)])
+# Moon of phase 5 degrees on level ground, SPECTRL2 with an aerosol depth of 0.1 at 500 nm and 1.5
+# cm of water.
+@pytest.mark.parametrize(
+    ("zenith", "lux"), [(0.0, 0.277), (30.0, 0.236), (60.0, 0.124), (75.0, 0.053)]
+)
 def test_moonlight_on_the_ground(zenith, lux):
     depth = 0.1 * (550.0 / 500.0) ** -1.3
     air = Atmosphere(visibility_km=3.912 / (depth / 1.2 + 0.0971 / 8.43), relative_humidity=0.485)

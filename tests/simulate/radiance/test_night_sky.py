@@ -22,12 +22,20 @@ GRID = np.linspace(420.0, 940.0, 27)
 
 def towards(elevation_deg, azimuth_deg=90.0):
     up, around = np.deg2rad(elevation_deg), np.deg2rad(azimuth_deg)
-    return (float(np.cos(up) * np.sin(around)), float(np.cos(up) * np.cos(around)), float(np.sin(up)))
+    return (
+        float(np.cos(up) * np.sin(around)),
+        float(np.cos(up) * np.cos(around)),
+        float(np.sin(up)),
+    )
 
 
 def body(elevation_deg, light, air, radius=0.0046):
     return Disc(
-        name="body", direction=towards(elevation_deg), angular_radius_rad=radius, extraterrestrial=light, atmosphere=air
+        name="body",
+        direction=towards(elevation_deg),
+        angular_radius_rad=radius,
+        extraterrestrial=light,
+        atmosphere=air,
     )
 
 
@@ -44,11 +52,16 @@ def luminance(sky, direction):
 NANOLAMBERT_CD_M2 = 1e-5 / np.pi
 
 
-def krisciunas_schaefer_nl(phase_deg, separation_deg, moon_zenith_deg, view_zenith_deg, extinction_mag):
-    """Visual brightness of the moonlit sky, nL (Publ. Astron. Soc. Pac. 103, 1033, 1991; 8 to 23 %)."""
+def krisciunas_schaefer_nl(
+    phase_deg, separation_deg, moon_zenith_deg, view_zenith_deg, extinction_mag
+):
+    """Visual brightness of the moonlit sky, nL (Publ. Astron. Soc. Pac. 103, 1033, 1991; 8 to 23
+    %).
+    """
     moon = 10.0 ** (-0.4 * (3.84 + 0.026 * abs(phase_deg) + 4e-9 * phase_deg**4))
     to_moon, to_view = (
-        1.0 / np.sqrt(1.0 - 0.96 * np.sin(np.deg2rad(z)) ** 2) for z in (moon_zenith_deg, view_zenith_deg)
+        1.0 / np.sqrt(1.0 - 0.96 * np.sin(np.deg2rad(z)) ** 2)
+        for z in (moon_zenith_deg, view_zenith_deg)
     )
     spread = krisciunas_schaefer_rayleigh(separation_deg) + krisciunas_schaefer_mie(separation_deg)
     lost = 10.0 ** (-0.4 * extinction_mag * to_moon)
@@ -56,20 +69,30 @@ def krisciunas_schaefer_nl(phase_deg, separation_deg, moon_zenith_deg, view_zeni
 
 
 @pytest.mark.parametrize("phase", [10.0, 45.0, 90.0])
-@pytest.mark.parametrize(("zenith", "azimuth"), [(20.0, 270.0), (45.0, 0.0), (60.0, 270.0), (70.0, 90.0)])
+@pytest.mark.parametrize(
+    ("zenith", "azimuth"), [(20.0, 270.0), (45.0, 0.0), (60.0, 270.0), (70.0, 90.0)]
+)
 def test_the_moonlit_sky_in_clear_air_is_theirs_within_their_scatter(phase, zenith, azimuth):
-    """Amount by Bird and Riordan, shape by Krisciunas and Schaefer: together as their measured sky, 23 % at most."""
+    """Amount by Bird and Riordan, shape by Krisciunas and Schaefer: together as their measured sky,
+    23 % at most.
+    """
     air = Atmosphere(visibility_km=200.0)
     sky = lit_by(60.0, moon_spectrum(phase), air, airglow=0.0, zodiacal=0.0, starlight=0.0)
     view = np.array(towards(90.0 - zenith, azimuth))
     separation = np.rad2deg(np.arccos(view @ np.array(towards(60.0))))
-    extinction = 1.0857 * float(air.molecules_depth(550.0)[0] + air.haze_depth(550.0)[0] + 0.3 * 0.085)
-    theirs = krisciunas_schaefer_nl(phase, float(separation), 30.0, zenith, extinction) * NANOLAMBERT_CD_M2
+    extinction = 1.0857 * float(
+        air.molecules_depth(550.0)[0] + air.haze_depth(550.0)[0] + 0.3 * 0.085
+    )
+    theirs = (
+        krisciunas_schaefer_nl(phase, float(separation), 30.0, zenith, extinction)
+        * NANOLAMBERT_CD_M2
+    )
     assert luminance(sky, view)[0] == pytest.approx(theirs, rel=0.23)
 
 
-# Diffuse and direct irradiance by SPECTRL2 (pvlib 0.16.1): aerosol depth 0.1 at 500 nm falling as l^-1.3, water 1.5 cm,
-# ozone 0.3 atm cm, ground albedo 0.2; both over the extraterrestrial irradiance.
+# Diffuse and direct irradiance by SPECTRL2 (pvlib 0.16.1): aerosol depth 0.1 at 500 nm falling as
+# l^-1.3, water 1.5 cm, ozone 0.3 atm cm, ground albedo 0.2; both over the extraterrestrial
+# irradiance.
 SUN = {450: 2.0043, 550: 1.8913, 710: 1.3985, 860: 0.9983}
 DIFFUSE = {
     30: {450: 0.3656, 550: 0.2185, 710: 0.0976, 860: 0.0490},
@@ -95,8 +118,12 @@ def test_direct_and_diffuse_light_agree_with_spectrl2(zenith):
     direct = sky.discs()[0].irradiance(fine)[at]
     diffuse = sky.irradiance(fine)[at] - direct * np.cos(np.deg2rad(zenith))
     for index, nm in enumerate(sorted(SUN)):
-        assert direct[index] / outside[index] == pytest.approx(DIRECT[zenith][nm] / SUN[nm], rel=0.02)
-        assert diffuse[index] / outside[index] == pytest.approx(DIFFUSE[zenith][nm] / SUN[nm], rel=0.05)
+        assert direct[index] / outside[index] == pytest.approx(
+            DIRECT[zenith][nm] / SUN[nm], rel=0.02
+        )
+        assert diffuse[index] / outside[index] == pytest.approx(
+            DIFFUSE[zenith][nm] / SUN[nm], rel=0.05
+        )
 
 
 @pytest.mark.parametrize("step_nm", [10.0, 25.0, 50.0])
@@ -108,10 +135,17 @@ def test_wide_bands_lose_nothing_of_the_narrow_bands_of_gases(step_nm):
         assert power[0] == pytest.approx(power[1], rel=3e-3)
 
 
-# Illuminance of open ground in clear weather: handbooks' values for the ends of civil and nautical dusk; noon, low sun.
+# Illuminance of open ground in clear weather: handbooks' values for the ends of civil and nautical
+# dusk; noon, low sun.
 @pytest.mark.parametrize(
     ("elevation", "lux", "within"),
-    [(60.0, 1.0e5, 0.15), (10.0, 1.1e4, 0.25), (0.0, 600.0, 0.4), (-6.0, 3.4, 0.2), (-12.0, 0.008, 0.5)],
+    [
+        (60.0, 1.0e5, 0.15),
+        (10.0, 1.1e4, 0.25),
+        (0.0, 600.0, 0.4),
+        (-6.0, 3.4, 0.2),
+        (-12.0, 0.008, 0.5),
+    ],
 )
 def test_daylight_and_dusk(elevation, lux, within):
     assert lit_by(elevation, sun_spectrum()).illuminance_lux() == pytest.approx(lux, rel=within)
@@ -120,7 +154,9 @@ def test_daylight_and_dusk(elevation, lux, within):
 @pytest.mark.parametrize("light", [sun_spectrum(), moon_spectrum(5.0)], ids=["sun", "moon"])
 def test_light_only_fades_as_a_body_sinks_and_never_jumps(light):
     parts = {"airglow": 0.0, "zodiacal": 0.0, "starlight": 0.0}
-    heights = np.concatenate([np.linspace(30.0, 2.0, 15), np.linspace(1.5, -1.5, 31), np.linspace(-2.0, -21.0, 20)])
+    heights = np.concatenate(
+        [np.linspace(30.0, 2.0, 15), np.linspace(1.5, -1.5, 31), np.linspace(-2.0, -21.0, 20)]
+    )
     lux = np.array([lit_by(float(h), light, **parts).illuminance_lux() for h in heights])
     assert (np.diff(lux) <= 1e-9 * lux[:-1]).all()
     # Around the horizon, no more than a third in a tenth of a degree.
@@ -130,7 +166,9 @@ def test_light_only_fades_as_a_body_sinks_and_never_jumps(light):
 
 def test_dusk_is_brightest_where_the_sun_went_down():
     sky = lit_by(-8.0, sun_spectrum())
-    west, north, east, zenith = luminance(sky, [towards(5.0), towards(5.0, 0.0), towards(5.0, 270.0), towards(90.0)])
+    west, north, east, zenith = luminance(
+        sky, [towards(5.0), towards(5.0, 0.0), towards(5.0, 270.0), towards(90.0)]
+    )
     assert west > north > east
     assert west > 3.0 * zenith
 
@@ -144,7 +182,9 @@ def test_a_moon_below_the_horizon_shines_no_beam():
 def test_a_half_set_disc_gives_half_its_light():
     half = body(0.0, moon_spectrum(5.0), Atmosphere())
     assert half.visible_share == pytest.approx(0.5)
-    shares = [body(h, moon_spectrum(5.0), Atmosphere()).visible_share for h in (-0.3, -0.2, 0.1, 0.3)]
+    shares = [
+        body(h, moon_spectrum(5.0), Atmosphere()).visible_share for h in (-0.3, -0.2, 0.1, 0.3)
+    ]
     assert shares[0] == 0.0 and shares[-1] == 1.0
     assert 0.0 < shares[1] < 0.5 < shares[2] < 1.0
 
@@ -179,7 +219,9 @@ def test_a_town_glows_in_its_own_colour_on_its_own_side():
     assert luminance(sky, far)[0] == pytest.approx(luminance(dark, far)[0], rel=1e-6)
     # All of sodium's light is there, its line at 819 nm too.
     lamp = spectrum("high-pressure-sodium")
-    assert town.spectrum.total(800, 830) / town.spectrum.lumens == pytest.approx(lamp.total(800, 830), rel=1e-6)
+    assert town.spectrum.total(800, 830) / town.spectrum.lumens == pytest.approx(
+        lamp.total(800, 830), rel=1e-6
+    )
 
 
 def test_sources_name_every_line_for_the_grid():
@@ -193,7 +235,10 @@ def test_sources_name_every_line_for_the_grid():
     [
         (lambda: NightSky(airglow=-1.0), "airglow must not be negative, got -1"),
         (lambda: NightSky(ground_albedo=2.0), r"ground_albedo must lie in \[0, 1\], got 2"),
-        (lambda: TownGlow(azimuth_deg=0.0, luminance_cd_m2=-1.0), "luminance_cd_m2 must not be negative"),
+        (
+            lambda: TownGlow(azimuth_deg=0.0, luminance_cd_m2=-1.0),
+            "luminance_cd_m2 must not be negative",
+        ),
         (lambda: TownGlow(azimuth_deg=0.0, luminance_cd_m2=1.0, lamp="candle"), "one of the kinds"),
         (lambda: NightSky().radiance(np.array([[0.0, 0.0, 1.0]]), [550.0]), "at least two bands"),
     ],

@@ -1,4 +1,6 @@
-"""Scenes at the border of what makes sense are rendered without a warning, and a camera takes what comes out."""
+"""Scenes at the border of what makes sense are rendered without a warning, and a camera takes what
+comes out.
+"""
 
 from dataclasses import replace
 
@@ -7,7 +9,10 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
+from simulate.iiccd.scene_to_photoelectrons import (
+    camera_from_description,
+    photoelectrons_from_radiance,
+)
 from simulate.outdoor_rendering import OutdoorRendering
 from simulate.radiance.scene import load_scene
 
@@ -15,12 +20,16 @@ HEAD = 'name = "odd"\n'
 CAMERA = "camera = { position_m = [0, -9, 1.5], look_at_m = [0, 0, 1] }\n"
 SCANNER = CAMERA.replace(" }", ", scan = { line_time_s = 0.01, turn_deg_per_s = 10 } }")
 RISING = CAMERA.replace(" }", ", scan = { line_time_s = 0.01, velocity_m_per_s = [0, 0, -1] } }")
-MOON = "place = { latitude_deg = 43.16, longitude_deg = -77.61, time = 1998-07-01T23:00:00-04:00 }\n"
+MOON = (
+    "place = { latitude_deg = 43.16, longitude_deg = -77.61, time = 1998-07-01T23:00:00-04:00 }\n"
+)
 GREY = '[[material]]\nlabel = "grey"\nreflectance = [0.5]\n'
 GROUND = '[[object]]\nlabel = "ground"\nshape = "ground"\nsize_m = [400]\nmaterial = "grey"\n'
 LAMP = '[[lamp]]\nlabel = "lamp"\nkind = "mercury"\nlumens = 10\nposition_m = [0, -1, 1.0556]\n'
 HEADLAMP = LAMP.replace("[0, -1, 1.0556]", "[0, -9, 1.5]")
-UNSEEN = LAMP.replace('kind = "mercury"\nlumens = 10', 'kind = "narrow-band"\nwavelength_nm = 1150\nwatts = 10')
+UNSEEN = LAMP.replace(
+    'kind = "mercury"\nlumens = 10', 'kind = "narrow-band"\nwavelength_nm = 1150\nwatts = 10'
+)
 TO_THE_MOON = SCANNER.replace("look_at_m = [0, 0, 1]", "look_at_m = [-7.258, -12.968, 5.046]")
 
 
@@ -36,16 +45,29 @@ TO_THE_MOON = SCANNER.replace("look_at_m = [0, 0, 1]", "look_at_m = [-7.258, -12
         RISING + MOON + GREY + GROUND + LAMP,
         TO_THE_MOON + MOON + GREY + GROUND,
     ],
-    ids=["empty", "lamp alone", "unseen lamp", "lamp at the lens", "fog", "scanner", "scanner under a moon", "to it"],
+    ids=[
+        "empty",
+        "lamp alone",
+        "unseen lamp",
+        "lamp at the lens",
+        "fog",
+        "scanner",
+        "scanner under a moon",
+        "to it",
+    ],
 )
 def test_an_odd_scene_is_rendered_without_a_warning_and_finite_for_a_camera(tmp_path, text):
     """Warnings are errors here."""
     (tmp_path / "scene.toml").write_text(HEAD + text)
     description = load_camera("pulnix-ag5745ef3")
-    camera = camera_from_description(replace(description, ccd=replace(description.ccd, rows=12, columns=16)))
+    camera = camera_from_description(
+        replace(description, ccd=replace(description.ccd, rows=12, columns=16))
+    )
     seen = OutdoorRendering(load_scene(tmp_path / "scene.toml"), camera, Conditions()).render(
         tolerance=0.2, seed=1, threads=1
     )
     assert np.isfinite(seen.picture.cube.radiance).all()
-    assert np.isfinite(photoelectrons_from_radiance(camera, seen.picture.cube, Conditions()).values).all()
+    assert np.isfinite(
+        photoelectrons_from_radiance(camera, seen.picture.cube, Conditions()).values
+    ).all()
     assert seen.notes and seen.document()

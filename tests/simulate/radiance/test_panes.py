@@ -1,4 +1,6 @@
-"""Panes keep energy, weaken what comes through by the textbook, and mirror what stands before them."""
+"""Panes keep energy, weaken what comes through by the textbook, and mirror what stands before
+them.
+"""
 
 import pickle
 from dataclasses import replace
@@ -20,10 +22,22 @@ from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.outdoor.materials import MaterialSpec
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
-from tests.simulate.radiance.staging import NM, UNIFORM, UP, agree, at, disc_light, irradiance, lamp, staged, upright
+from tests.simulate.radiance.staging import (
+    NM,
+    UNIFORM,
+    UP,
+    agree,
+    at,
+    disc_light,
+    irradiance,
+    lamp,
+    staged,
+    upright,
+)
 
 INDEX = 1.5
-# Reflectance of one face of glass of index 1.5 at 0, 30, 45, 60 and 75 degrees: Fresnel, as handbooks print it.
+# Reflectance of one face of glass of index 1.5 at 0, 30, 45, 60 and 75 degrees: Fresnel, as
+# handbooks print it.
 FACE = {0: 0.0400, 30: 0.0415, 45: 0.0502, 60: 0.0892, 75: 0.2531}
 
 
@@ -49,7 +63,9 @@ def sheet(height, size=500.0) -> Mesh:
 
 
 def textbook(angle_deg, internal=1.0):
-    """Mirrored and let-through shares summed reflection by reflection, ray by ray, for both polarisations."""
+    """Mirrored and let-through shares summed reflection by reflection, ray by ray, for both
+    polarisations.
+    """
     outer = np.deg2rad(angle_deg)
     inner = np.arcsin(np.sin(outer) / INDEX)
     n_in, n_out = np.cos(outer), np.cos(inner)
@@ -62,7 +78,10 @@ def textbook(angle_deg, internal=1.0):
         back, on, inside = face, 0.0, 1.0 - face
         for crossing in range(200):
             inside *= left
-            on, back = on + inside * (1 - face) * (crossing % 2 == 0), back + inside * (1 - face) * (crossing % 2)
+            on, back = (
+                on + inside * (1 - face) * (crossing % 2 == 0),
+                back + inside * (1 - face) * (crossing % 2),
+            )
             inside *= face
         shares.append((back, on))
     return np.mean(shares, axis=0)
@@ -92,7 +111,9 @@ def test_a_lamp_behind_panes_is_weakened_as_the_textbook_says(count):
     lit = floor(lamps=(lamp((0.0, 0.0, 5.0)),))
     panes = [sheet(1.0 + i) for i in range(count)]
     for across, angle in ((0.0, 0.0), (5.0, 45.0)):
-        open_, behind = (irradiance(stage, [(across, 0.0, 0.0)], UP)[0] for stage in (lit, glazed(lit, panes)))
+        open_, behind = (
+            irradiance(stage, [(across, 0.0, 0.0)], UP)[0] for stage in (lit, glazed(lit, panes))
+        )
         assert behind / open_ == pytest.approx(textbook(angle)[1] ** count, rel=1e-4)
 
 
@@ -107,7 +128,8 @@ def test_the_sun_behind_a_pane_is_weakened_and_before_it_is_not():
 
 
 def test_under_an_even_sky_a_pane_takes_nothing_from_a_white_world():
-    # Sky above and a floor that reflects all: what the pane mirrors is as bright as what it keeps away.
+    # Sky above and a floor that reflects all: what the pane mirrors is as bright as what it keeps
+    # away.
     stage = glazed(floor(1.0, sky=UNIFORM), [sheet(1.0)])
     for known in (0.0, 1.0):
         seen = irradiance(
@@ -125,9 +147,13 @@ def test_under_glass_a_black_floor_gets_the_sky_that_the_pane_lets_through():
     stage = glazed(floor(1e-6, sky=UNIFORM), [sheet(0.5)])
     steps = np.deg2rad(np.linspace(0.25, 89.75, 180))
     through = [textbook(np.rad2deg(angle))[1] for angle in steps]
-    expected = np.sum(np.array(through) * 2.0 * np.pi * np.sin(steps) * np.cos(steps)) * np.deg2rad(0.5)
+    expected = np.sum(np.array(through) * 2.0 * np.pi * np.sin(steps) * np.cos(steps)) * np.deg2rad(
+        0.5
+    )
     agree(
-        irradiance(stage, np.zeros((4000, 3)), UP, effort=IntegratorSettings(max_bounces=1), rays=8),
+        irradiance(
+            stage, np.zeros((4000, 3)), UP, effort=IntegratorSettings(max_bounces=1), rays=8
+        ),
         float(expected),
         0.01,
     )
@@ -136,7 +162,9 @@ def test_under_glass_a_black_floor_gets_the_sky_that_the_pane_lets_through():
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_a_lit_wall_behind_windows_is_seen_weakened_and_the_sky_in_them(count):
     wall = at(upright(shape("plane", (100.0, 100.0))), 0.0, 20.0, 0.0)
-    panes = [at(upright(shape("plane", (50.0, 50.0))), 0.0, 5.0 + 0.1 * i, 0.0) for i in range(count)]
+    panes = [
+        at(upright(shape("plane", (50.0, 50.0))), 0.0, 5.0 + 0.1 * i, 0.0) for i in range(count)
+    ]
     lit = staged([("wall", "grey", wall)], {"grey": 0.5}, lamps=(lamp((0.0, 15.0, 0.0), 100.0),))
     rays = np.zeros((10_000, 3)), np.tile([0.0, 1.0, 0.0], (10_000, 1))
     effort = IntegratorSettings(max_bounces=0, sky_shadowing=False)
@@ -145,10 +173,17 @@ def test_a_lit_wall_behind_windows_is_seen_weakened_and_the_sky_in_them(count):
         for stage in (lit, glazed(lit, panes))
     )
     back, _ = textbook(0.0)
-    # Parallel panes together: light goes to and fro between them, and the lamp shines on the wall before them all.
+    # Parallel panes together: light goes to and fro between them, and the lamp shines on the wall
+    # before them all.
     agree(behind / bare, (1 - back) / (1 + (count - 1) * back))
-    sky = staged([("wall", "grey", wall)], {"grey": 1e-6}, sky=lambda way: np.ones((2, 1)) * (way[:, 1] < 0.0))
-    seen = radiance_along(glazed(sky, panes), *rays, effort, np.random.default_rng(12), gather_rays=1).total()[:, 0]
+    sky = staged(
+        [("wall", "grey", wall)],
+        {"grey": 1e-6},
+        sky=lambda way: np.ones((2, 1)) * (way[:, 1] < 0.0),
+    )
+    seen = radiance_along(
+        glazed(sky, panes), *rays, effort, np.random.default_rng(12), gather_rays=1
+    ).total()[:, 0]
     agree(seen, 1 - (1 - back) / (1 + (count - 1) * back))
 
 
@@ -194,9 +229,13 @@ def test_a_window_is_written_in_a_scene_and_goes_with_it_to_other_processes(tmp_
     grid = np.array([400.0, 550.0, 900.0])
     panes = site.on(grid).bsdfs.panes
     assert panes is not None
-    which, left = panes.transmittance_along(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 10.0, 0.0]]), 1.0)
+    which, left = panes.transmittance_along(
+        np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 10.0, 0.0]]), 1.0
+    )
     assert which == [0] and left[0] == pytest.approx([0.5, 0.88, 0.6], rel=1e-5)
-    assert not len(panes.transmittance_along(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 4.0, 0.0]]), 1.0)[0])
+    assert not len(
+        panes.transmittance_along(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 4.0, 0.0]]), 1.0)[0]
+    )
     path.write_text(GLASSHOUSE.replace("position_m = [0, 8, 1]", "position_m = [0, 5.01, 1]"))
     with pytest.raises(BadInput, match="stand clear of surfaces"):
         _ = BuiltScene(cast("OutdoorScene", load_scene(path))).surfaces
@@ -215,8 +254,12 @@ def test_panes_that_nobody_could_buy_are_refused():
 
 
 def light_in_the_picture(stage):
-    """Irradiance at the lens by what a camera that looks north sees of lamps, and in which directions."""
-    view = Viewpoint(position_m=(0.0, 0.0, 0.0), forward=(0.0, 1.0, 0.0), shape=(60, 80), focal_px=(100.0, 100.0))
+    """Irradiance at the lens by what a camera that looks north sees of lamps, and in which
+    directions.
+    """
+    view = Viewpoint(
+        position_m=(0.0, 0.0, 0.0), forward=(0.0, 1.0, 0.0), shape=(60, 80), focal_px=(100.0, 100.0)
+    )
     radiance = np.zeros((60 * 80, len(NM)), np.float32)
     add_small_sources(stage, view, radiance)
     pixel = np.flatnonzero(radiance[:, 0])
@@ -238,11 +281,17 @@ def test_a_lamp_beside_the_camera_is_mirrored_by_a_window_where_the_law_of_refle
     # Its image stands at y = 11: the way is as long as to there.
     angle = np.rad2deg(np.arctan2(1.0, 11.0))
     assert light.sum() == pytest.approx(textbook(angle)[0] * 3.0 / (1.0 + 11.0**2), rel=1e-3)
-    assert (np.linalg.norm(direction - np.array([1.0, 11.0, 0.0]) / np.hypot(1.0, 11.0), axis=1) < 0.01).all()
+    assert (
+        np.linalg.norm(direction - np.array([1.0, 11.0, 0.0]) / np.hypot(1.0, 11.0), axis=1) < 0.01
+    ).all()
     small = at(upright(shape("plane", (0.2, 0.2))), 0.0, 5.0, 0.0)
-    assert not light_in_the_picture(glazed(lit, [small]))[0].size, "the foot of the way is beside the pane"
+    assert not light_in_the_picture(glazed(lit, [small]))[0].size, (
+        "the foot of the way is beside the pane"
+    )
     screen = at(upright(shape("plane", (0.2, 0.2))), 0.25, 2.5, 0.0)
     hidden = staged([("screen", "grey", screen)], {"grey": 0.1}, lamps=lit.lighting.lamps)
     assert not light_in_the_picture(glazed(hidden, [window]))[0].size
     moon = staged([], {}, discs=(disc_light((0.0, -1.0, 0.1)),))
-    assert light_in_the_picture(glazed(moon, [window]))[0].sum() == pytest.approx(textbook(5.71)[0], rel=1e-3)
+    assert light_in_the_picture(glazed(moon, [window]))[0].sum() == pytest.approx(
+        textbook(5.71)[0], rel=1e-3
+    )

@@ -13,10 +13,18 @@ from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
 from tests.simulate.radiance.staging import OVERCAST, at, disc_light, inside_out, lamp, staged
 
-# A glow of a hundred times the rest around a place 30 degrees high.
-GLOWING = lambda way: np.ones((2, 1)) * (0.2 + 20.0 * np.exp(-(((1.0 - way @ [0.866, 0.0, 0.5]) / 0.02) ** 2)))  # noqa: E731
+
+def glowing(way: np.ndarray) -> np.ndarray:
+    """A glow of a hundred times the rest around a place 30 degrees high."""
+    return np.ones((2, 1)) * (0.2 + 20.0 * np.exp(-(((1.0 - way @ [0.866, 0.0, 0.5]) / 0.02) ** 2)))
+
+
 ONCE = IntegratorSettings(max_bounces=1)
-EVEN = {"effort": IntegratorSettings(max_bounces=3), "sky": OVERCAST, "lamps": (lamp((0, 0, 3), 5.0, 0.2),)}
+EVEN = {
+    "effort": IntegratorSettings(max_bounces=3),
+    "sky": OVERCAST,
+    "lamps": (lamp((0, 0, 3), 5.0, 0.2),),
+}
 # Things that glow unlike each other; the plate shines upwards, and its underside is dark.
 SHINING = {"beam": 1.0, "box": 3.0, "plate": 20.0}
 UPWARDS = {"beam": 1e-3, "plate": 1.0}
@@ -26,14 +34,25 @@ CLOSE = (lamp((-1.2, 0.6, 0.75), 1.0, 0.1), lamp((0.4, 0.8, 0.5), 1.0, 0.15))
 CASES = {
     "a lamp under an overcast sky": EVEN,
     "one bounce": {**EVEN, "effort": ONCE},
-    "without hidden sky": {**EVEN, "effort": IntegratorSettings(max_bounces=2, sky_shadowing=False)},
+    "without hidden sky": {
+        **EVEN,
+        "effort": IntegratorSettings(max_bounces=2, sky_shadowing=False),
+    },
     "many lamps": {
         **EVEN,
         "sky": None,
         "lamps": tuple(lamp((x, 0.5, 2), 2.0 + x, 0.1) for x in (-2.0, -1.0, 0.0, 1.5)),
     },
-    "the sun and a glow around it": {**EVEN, "sky": GLOWING, "lamps": (), "discs": (disc_light((0.866, 0, 0.5)),)},
-    "paths that chance ends": {**EVEN, "effort": IntegratorSettings(max_bounces=100, roulette_depth=1)},
+    "the sun and a glow around it": {
+        **EVEN,
+        "sky": glowing,
+        "lamps": (),
+        "discs": (disc_light((0.866, 0, 0.5)),),
+    },
+    "paths that chance ends": {
+        **EVEN,
+        "effort": IntegratorSettings(max_bounces=100, roulette_depth=1),
+    },
     "glowing things alone, without bounces": {**DARK, "effort": IntegratorSettings(max_bounces=0)},
     "a glow by way of the ceiling": {**DARK, "effort": ONCE, "glow": UPWARDS, "ceiling": True},
     "glowing and glossy things": {**EVEN, "glow": SHINING, "gloss": True},
@@ -67,13 +86,20 @@ def crowded(case: dict) -> SpectralScene:
     if case.get("ceiling"):
         parts.append(("ceiling", "floor", inside_out(at(plane(12, 12), 0.0, 0.0, 2.0))))
     rho = {"floor": 0.5, "box": 0.7, "beam": gloss, "plate": 0.2}
-    lights = {"sky": case["sky"], "lamps": case["lamps"], "discs": case.get("discs", ()), "glow": case.get("glow")}
+    lights = {
+        "sky": case["sky"],
+        "lamps": case["lamps"],
+        "discs": case.get("discs", ()),
+        "glow": case.get("glow"),
+    }
     return staged(parts, rho, **lights)
 
 
 @pytest.mark.parametrize(("number", "name"), list(enumerate(CASES)))
 def test_loops_find_what_batches_find(number, name, seed):
-    """Light asked for in parts is gathered in batches: over 300 places the means agree to four standard errors."""
+    """Light asked for in parts is gathered in batches: over 300 places the means agree to four
+    standard errors.
+    """
     case, known = CASES[name], (1.0, 0.4)[number % 2]
     stage, rng = crowded(case), np.random.default_rng(seed)
     if "close" in case:
@@ -84,9 +110,9 @@ def test_loops_find_what_batches_find(number, name, seed):
     found = np.array(
         [
             [
-                outgoing_radiance(stage, points, case["effort"], rng, rays=case.get("rays", 16), split=split).total()[
-                    :, 0
-                ]
+                outgoing_radiance(
+                    stage, points, case["effort"], rng, rays=case.get("rays", 16), split=split
+                ).total()[:, 0]
                 for split in (True, False)
             ]
             for _ in range(16)
@@ -102,18 +128,23 @@ def test_loops_find_what_batches_find(number, name, seed):
 def measured() -> MeasuredDistribution:
     azimuth, polar = np.array([0.0, 30.0, 90.0, 180.0]), np.array([0.0, 20.0, 50.0, 120.0])
     return MeasuredDistribution(
-        polar_deg=polar, azimuth_deg=azimuth, candela=np.random.default_rng(1).uniform(1.0, 9.0, (4, 4))
+        polar_deg=polar,
+        azimuth_deg=azimuth,
+        candela=np.random.default_rng(1).uniform(1.0, 9.0, (4, 4)),
     )
 
 
 def same_around() -> MeasuredDistribution:
     return MeasuredDistribution(
-        polar_deg=np.array([10.0, 40.0, 90.0]), azimuth_deg=np.zeros(1), candela=np.array([[5.0, 2.0, 1.0]])
+        polar_deg=np.array([10.0, 40.0, 90.0]),
+        azimuth_deg=np.zeros(1),
+        candela=np.array([[5.0, 2.0, 1.0]]),
     )
 
 
 @pytest.mark.parametrize(
-    "distribution", [Isotropic(), Cosine(), SpotBeam(half_angle_deg=12.0), measured(), same_around()]
+    "distribution",
+    [Isotropic(), Cosine(), SpotBeam(half_angle_deg=12.0), measured(), same_around()],
 )
 def test_loops_know_where_lamps_shine(distribution, seed):
     rng = np.random.default_rng(seed)

@@ -1,4 +1,6 @@
-"""`charact schema scene`: it holds for the scenes that ship, and knows no key that they may not have."""
+"""`charact schema scene`: it holds for the scenes that ship, and knows no key that they may not
+have.
+"""
 
 import json
 from importlib import resources
@@ -18,7 +20,8 @@ def schema(kind):
 
 
 @pytest.mark.parametrize(
-    ("name", "kind"), [("road", "scene"), ("hangar", "scene"), ("airfield", "scene"), ("bench", "bench")]
+    ("name", "kind"),
+    [("road", "scene"), ("hangar", "scene"), ("airfield", "scene"), ("bench", "bench")],
 )
 def test_the_schema_holds_for_a_scene_that_ships(name, kind):
     scene = read_toml(resources.files("simulate") / "scenes" / f"{name}.toml")

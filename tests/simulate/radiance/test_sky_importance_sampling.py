@@ -1,4 +1,6 @@
-"""The glow around the sun is looked for by name: the same light as by gathering, without bright specks."""
+"""The glow around the sun is looked for by name: the same light as by gathering, without bright
+specks.
+"""
 
 from dataclasses import replace
 
@@ -20,8 +22,12 @@ DOWN = np.array([0.0, 0.1, -1.0]) / np.hypot(0.1, 1.0)
 
 
 def glow(way):
-    """An even sky with a glow of some degrees that holds about half of all light: radiance falls as exp(-angle)."""
-    return np.ones((2, 1)) * (1.0 + 400.0 * np.exp(-np.arccos(np.clip(way @ SUN, -1.0, 1.0)) / 0.04))
+    """An even sky with a glow of some degrees that holds about half of all light: radiance falls as
+    exp(-angle).
+    """
+    return np.ones((2, 1)) * (
+        1.0 + 400.0 * np.exp(-np.arccos(np.clip(way @ SUN, -1.0, 1.0)) / 0.04)
+    )
 
 
 def without(stage: SpectralScene) -> SpectralScene:
@@ -31,7 +37,13 @@ def without(stage: SpectralScene) -> SpectralScene:
     return replace(stage, lighting=lighting)
 
 
-def seen(stage: SpectralScene, count: int, seed: int, sky_control_fraction: float, effort: IntegratorSettings):
+def seen(
+    stage: SpectralScene,
+    count: int,
+    seed: int,
+    sky_control_fraction: float,
+    effort: IntegratorSettings,
+):
     origin = np.broadcast_to([0.0, 0.0, 1.0], (count, 3))
     share = np.full(count, sky_control_fraction, np.float32)
     found = radiance_along(
@@ -60,10 +72,21 @@ def wall(y: float):
         (GLOSS, 4.0, 1.0, 0, 3.0),
         (GLOSS, 1.0, 1.0, 1, 0.8),
     ],
-    ids=["hidden from matt ground", "on matt ground", "on a wall behind", "in a gloss", "hidden from a gloss"],
+    ids=[
+        "hidden from matt ground",
+        "on matt ground",
+        "on a wall behind",
+        "in a gloss",
+        "hidden from a gloss",
+    ],
 )
-def test_light_of_a_glow_is_that_found_by_gathering_with_less_chance(seed, floor, y, known, bounces, gain):
-    parts = [("floor", "floor", plane(60, 60)), ("wall", "wall", wall(y) if y > 0 else inside_out(wall(y)))]
+def test_light_of_a_glow_is_that_found_by_gathering_with_less_chance(
+    seed, floor, y, known, bounces, gain
+):
+    parts = [
+        ("floor", "floor", plane(60, 60)),
+        ("wall", "wall", wall(y) if y > 0 else inside_out(wall(y))),
+    ]
     stage = staged(parts, {"floor": floor, "wall": 0.5}, sky=glow)
     effort = IntegratorSettings(max_bounces=bounces)
     by_name = seen(stage, 6_000, seed, known, effort)

@@ -1,4 +1,6 @@
-"""Light transport against analytic radiometry: form factors, discs, spheres, skies, canyons, closed rooms, shadows."""
+"""Light transport against analytic radiometry: form factors, discs, spheres, skies, canyons, closed
+rooms, shadows.
+"""
 
 import numpy as np
 import pytest
@@ -40,8 +42,14 @@ def over(x: float, y: float, count: int, seed: int, centre=(0.0, 0.0)) -> np.nda
     ],
     ids=["corner of a square", "middle of a square", "disc on its axis"],
 )
-def test_a_glowing_surface_lights_a_place_by_its_solid_angle_times_cosine(seed, shade, place, exact):
-    stage = staged([("floor", "floor", WIDE), ("glow", "glow", shade)], {"floor": 0.5, "glow": 0.0}, glow={"glow": 1.0})
+def test_a_glowing_surface_lights_a_place_by_its_solid_angle_times_cosine(
+    seed, shade, place, exact
+):
+    stage = staged(
+        [("floor", "floor", WIDE), ("glow", "glow", shade)],
+        {"floor": 0.5, "glow": 0.0},
+        glow={"glow": 1.0},
+    )
     agree(irradiance(stage, [place] * 6000, UP, seed=seed, rays=4) / np.pi, exact)
 
 
@@ -55,7 +63,11 @@ def test_a_glowing_surface_lights_a_place_by_its_solid_angle_times_cosine(seed, 
     ids=["parallel", "parallel, close", "perpendicular with a common edge"],
 )
 def test_form_factors_of_squares(seed, glow, size, exact):
-    stage = staged([("floor", "floor", WIDE), ("glow", "glow", glow)], {"floor": 0.5, "glow": 0.0}, glow={"glow": 1.0})
+    stage = staged(
+        [("floor", "floor", WIDE), ("glow", "glow", glow)],
+        {"floor": 0.5, "glow": 0.0},
+        glow={"glow": 1.0},
+    )
     agree(irradiance(stage, over(size, size, 6000, seed), UP, seed=seed, rays=2) / np.pi, exact)
 
 
@@ -76,22 +88,37 @@ def test_an_overcast_sky_lights_the_ground_with_seven_ninths_of_pi(seed):
     stage = staged([("floor", "floor", WIDE)], {"floor": 0.5}, sky=OVERCAST)
     for known in (1.0, 0.0):
         agree(
-            irradiance(stage, [(0, 0, 0)] * 2000, UP, seed=seed, rays=8, sky_control_fraction=known), 7.0 * np.pi / 9.0
+            irradiance(
+                stage, [(0, 0, 0)] * 2000, UP, seed=seed, rays=8, sky_control_fraction=known
+            ),
+            7.0 * np.pi / 9.0,
         )
 
 
-@pytest.mark.parametrize(("ratio", "exact", "known"), [(0.1, 0.5498, 1.0), (1.0, 0.8536, 0.4), (3.0, 0.9743, 0.0)])
-def test_a_long_wall_hides_the_sky_and_how_it_is_asked_for_does_not_matter(seed, ratio, exact, known):
+@pytest.mark.parametrize(
+    ("ratio", "exact", "known"), [(0.1, 0.5498, 1.0), (1.0, 0.8536, 0.4), (3.0, 0.9743, 0.0)]
+)
+def test_a_long_wall_hides_the_sky_and_how_it_is_asked_for_does_not_matter(
+    seed, ratio, exact, known
+):
     wall = at(upright(plane(300, 1)), 0, ratio, 0.5)
-    stage = staged([("floor", "floor", WIDE), ("wall", "wall", wall)], {"floor": 0.5, "wall": 0.0}, sky=UNIFORM)
-    agree(irradiance(stage, [(0, 0, 0)] * 3000, UP, seed=seed, rays=8, sky_control_fraction=known) / np.pi, exact)
+    stage = staged(
+        [("floor", "floor", WIDE), ("wall", "wall", wall)], {"floor": 0.5, "wall": 0.0}, sky=UNIFORM
+    )
+    agree(
+        irradiance(stage, [(0, 0, 0)] * 3000, UP, seed=seed, rays=8, sky_control_fraction=known)
+        / np.pi,
+        exact,
+    )
 
 
 def groove(rho: float) -> float:
-    """Mean irradiance over pi L of the walls of an endless square groove: the integral equation, solved at 400 places.
+    """Mean irradiance over pi L of the walls of an endless square groove: the integral equation,
+    solved at 400 places.
 
-    A strip at y adds xy / (2 (x^2 + y^2)^(3/2)) dy at x. (1 - F)/(1 - rho F) holds for evenly bright walls alone, which
-    these are not: it is 0.3 % and 0.5 % too high for the reflectances below.
+    A strip at y adds xy / (2 (x^2 + y^2)^(3/2)) dy at x. (1 - F)/(1 - rho F) holds for evenly
+    bright walls alone, which these are not: it is 0.3 % and 0.5 % too high for the reflectances
+    below.
     """
     y = (np.arange(400) + 0.5) / 400
     x = y[:, None]
@@ -111,7 +138,10 @@ def test_a_groove_of_ninety_degrees_lights_itself(seed, rho):
     parts = [("right", "m", Mesh(strip, faces)), ("left", "m", Mesh(other, faces[:, ::-1]))]
     stage = staged(parts, {"m": rho}, sky=UNIFORM)
     along_it = rng.random(6000)[:, None] * [0, half, half] + rng.random((6000, 1)) * [1.0, 0, 0]
-    agree(irradiance(stage, along_it, (0, -half, half), seed=seed, effort=EXACT, rays=2) / np.pi, exact)
+    agree(
+        irradiance(stage, along_it, (0, -half, half), seed=seed, effort=EXACT, rays=2) / np.pi,
+        exact,
+    )
 
 
 @pytest.mark.parametrize(("rho", "port", "rays"), [(0.8, 0.0, 2500), (0.95, 0.01, 2500)])
@@ -119,16 +149,25 @@ def test_an_integrating_sphere_multiplies_its_light(seed, rho, port, rays):
     ball = inside_out(sphere(1.0))
     middle = ball.corners_m.mean(axis=1)
     area = 0.5 * np.linalg.norm(
-        np.cross(ball.corners_m[:, 1] - ball.corners_m[:, 0], ball.corners_m[:, 2] - ball.corners_m[:, 0]), axis=1
+        np.cross(
+            ball.corners_m[:, 1] - ball.corners_m[:, 0], ball.corners_m[:, 2] - ball.corners_m[:, 0]
+        ),
+        axis=1,
     )
     kept = middle[:, 2] < 1.0 - 2.0 * port
     hole = area[~kept].sum() / area.sum()
-    stage = staged([("ball", "m", Mesh(ball.vertices_m, ball.faces[kept]))], {"m": rho}, lamps=(lamp((0, 0, 0)),))
+    stage = staged(
+        [("ball", "m", Mesh(ball.vertices_m, ball.faces[kept]))],
+        {"m": rho},
+        lamps=(lamp((0, 0, 0)),),
+    )
     rng = np.random.default_rng([seed, 7])
     direction = rng.normal(size=(rays, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     direction = direction[direction[:, 2] < 1.0 - 2.5 * port - 0.01]
-    eye = radiance_along(stage, np.zeros_like(direction), direction, EXACT, rng, gather_rays=2).total()[:, 0]
+    eye = radiance_along(
+        stage, np.zeros_like(direction), direction, EXACT, rng, gather_rays=2
+    ).total()[:, 0]
     exact = 4.0 * np.pi / (np.pi * area.sum()) * rho / (1.0 - rho * (1.0 - hole))
     agree(eye, exact)
 
@@ -141,13 +180,20 @@ def test_following_so_many_bounces_leaves_out_a_power_of_the_reflectance(seed, b
     direction = rng.normal(size=(2000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     eye = radiance_along(
-        stage, np.zeros_like(direction), direction, IntegratorSettings(max_bounces=bounces), rng, gather_rays=2
+        stage,
+        np.zeros_like(direction),
+        direction,
+        IntegratorSettings(max_bounces=bounces),
+        rng,
+        gather_rays=2,
     ).total()[:, 0]
     agree(eye, rho / np.pi * (1.0 - rho ** (bounces + 1)) / (1.0 - rho))
 
 
 def test_a_lamp_lights_the_floor_by_the_cube_of_the_cosine():
-    stage = staged([("floor", "floor", WIDE)], {"floor": 0.5}, lamps=(lamp((0, 0, 5), 1000.0 / (4.0 * np.pi)),))
+    stage = staged(
+        [("floor", "floor", WIDE)], {"floor": 0.5}, lamps=(lamp((0, 0, 5), 1000.0 / (4.0 * np.pi)),)
+    )
     agree(irradiance(stage, [(0, 0, 0)] * 3, UP), 3.1831)
     agree(irradiance(stage, [(5, 0, 0)] * 3, UP), 1.1254)
 
@@ -156,9 +202,14 @@ def test_a_penumbra_is_as_wide_as_the_suns_diameter_times_the_height_of_the_edge
     radius, height = 0.00465, 1.0
     roof = at(plane(10, 10), -5, 0, height)
     sun = disc_light(UP, radius)
-    stage = staged([("floor", "floor", WIDE), ("roof", "floor", roof)], {"floor": 0.5}, discs=(sun,))
+    stage = staged(
+        [("floor", "floor", WIDE), ("roof", "floor", roof)], {"floor": 0.5}, discs=(sun,)
+    )
     shares = np.array([-1.05, -0.5, 0.0, 0.5, 1.05])
-    found = [irradiance(stage, [(x * radius * height, 0.1, 0)] * 4000, UP, seed=seed).mean() for x in shares]
+    found = [
+        irradiance(stage, [(x * radius * height, 0.1, 0)] * 4000, UP, seed=seed).mean()
+        for x in shares
+    ]
     inside = np.clip(shares, -1.0, 1.0)
     exact = 0.5 + (np.arcsin(inside) + inside * np.sqrt(1.0 - inside**2)) / np.pi
     assert found[0] == 0.0
@@ -172,7 +223,10 @@ def test_in_a_furnace_every_surface_is_as_bright_as_its_glow_over_what_it_does_n
     direction = rng.normal(size=(4000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     origin = np.broadcast_to([0.1, 0.2, 1.0], direction.shape)
-    agree(radiance_along(stage, origin, direction, EXACT, rng, gather_rays=4).total()[:, 0], 1.0 / (1.0 - 0.6))
+    agree(
+        radiance_along(stage, origin, direction, EXACT, rng, gather_rays=4).total()[:, 0],
+        1.0 / (1.0 - 0.6),
+    )
 
 
 @pytest.mark.parametrize(
@@ -184,7 +238,9 @@ def test_in_a_furnace_every_surface_is_as_bright_as_its_glow_over_what_it_does_n
     ids=["glossy", "metal"],
 )
 @pytest.mark.parametrize("tilt_deg", [10.0, 60.0])
-@pytest.mark.parametrize("hidden_sky", [True, False], ids=["objects may hide the sky", "nothing may"])
+@pytest.mark.parametrize(
+    "hidden_sky", [True, False], ids=["objects may hide the sky", "nothing may"]
+)
 def test_under_a_uniform_sky_a_gloss_shows_its_albedo(seed, brdf, tilt_deg, hidden_sky):
     stage = staged([("floor", "m", WIDE)], {"m": brdf}, sky=UNIFORM)
     tilt = np.deg2rad(tilt_deg)
@@ -200,11 +256,16 @@ def test_one_lamp_drawn_of_many_gives_the_same_light_as_all(seed):
     lamps = tuple(lamp((x, 0, 1), 1.0 + x * x) for x in (-2.0, 0.0, 1.0, 3.0))
     ceiling = at(inside_out(plane(50, 50)), 0, 0, 2)
     stage = staged([("floor", "m", WIDE), ("ceiling", "m", ceiling)], {"m": 0.5}, lamps=lamps)
-    few = irradiance(stage, [(0, 0, 0)] * 3000, UP, seed=seed, effort=IntegratorSettings(max_bounces=1), rays=2)
+    few = irradiance(
+        stage, [(0, 0, 0)] * 3000, UP, seed=seed, effort=IntegratorSettings(max_bounces=1), rays=2
+    )
     rng = np.random.default_rng([seed, 3])
     # Where cosine-drawn rays meet the ceiling, all lamps are asked.
     sine, turn = np.sqrt(rng.random(12000)), 2.0 * np.pi * rng.random(12000)
-    place = np.column_stack([sine * np.cos(turn), sine * np.sin(turn)]) * (2.0 / np.sqrt(1.0 - sine**2))[:, None]
+    place = (
+        np.column_stack([sine * np.cos(turn), sine * np.sin(turn)])
+        * (2.0 / np.sqrt(1.0 - sine**2))[:, None]
+    )
     place = np.column_stack([place, np.full(len(place), 2.0)])
     inside = np.abs(place[:, :2]).max(axis=1) < 25.0
     above = np.zeros(len(place))

@@ -10,7 +10,11 @@ from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.slab import Exchange, Forcing
 
 HOUR, DAY = 3600.0, 86400.0
-CONCRETE, ASPHALT, DRY_SOIL = (1.4, 2300.0, 880.0, 600.0), (0.75, 2120.0, 920.0, 600.0), (0.30, 1600.0, 800.0, 600.0)
+CONCRETE, ASPHALT, DRY_SOIL = (
+    (1.4, 2300.0, 880.0, 600.0),
+    (0.75, 2120.0, 920.0, 600.0),
+    (0.30, 1600.0, 800.0, 600.0),
+)
 STEEL = (45.0, 7850.0, 470.0, 5.0)
 
 
@@ -28,8 +32,12 @@ def slab_of(*layers: tuple[float, float, float, float], **numbers: float) -> Sla
     return Slab(layer=found, **{name: Parameter(value=value) for name, value in numbers.items()})
 
 
-def forcing_of(flux, air_k, *, emissivity: Any = 0.0, h: float = 0.0, law: Any = "constant", **more: Any) -> Forcing:
-    """Return a forcing of a flux (step, surface) with air of a temperature (step,), dry and calm unless stated."""
+def forcing_of(
+    flux, air_k, *, emissivity: Any = 0.0, h: float = 0.0, law: Any = "constant", **more: Any
+) -> Forcing:
+    """Return a forcing of a flux (step, surface) with air of a temperature (step,), dry and calm
+    unless stated.
+    """
     flux = np.atleast_2d(np.asarray(flux, float))
     steps, surfaces = flux.shape
     each = {"wind_m_s": 0.0, "vapour_pa": 0.0, "pressure_hpa": 1013.0} | more
@@ -40,19 +48,33 @@ def forcing_of(flux, air_k, *, emissivity: Any = 0.0, h: float = 0.0, law: Any =
         air_k=np.broadcast_to(np.asarray(air_k, float), steps)[:, None],
         emissivity=np.broadcast_to(np.asarray(emissivity, float), surfaces),
         exchange=Exchange(law=law, constant_w_m2_k=h, wind_coefficient=wind, upward=upward),
-        **{name: np.broadcast_to(np.asarray(value, float), steps)[:, None] for name, value in each.items()},
+        **{
+            name: np.broadcast_to(np.asarray(value, float), steps)[:, None]
+            for name, value in each.items()
+        },
     )
 
 
-def reference_day(absorptivity, emissivity, *, end_h: float = 24.0, shade=(24.0, 24.0)) -> tuple[np.ndarray, Forcing]:
-    """Return solar hours and forcing of the reference day, ending at an hour: Haurwitz sun, Ta 18 + 6 sin, h 13.3."""
+def reference_day(
+    absorptivity, emissivity, *, end_h: float = 24.0, shade=(24.0, 24.0)
+) -> tuple[np.ndarray, Forcing]:
+    """Return solar hours and forcing of the reference day, ending at an hour: Haurwitz sun, Ta 18 +
+    6 sin, h 13.3.
+    """
     hour = (end_h - np.arange(287, -1, -1) * 300.0 / HOUR) % 24.0
     latitude, declination = np.deg2rad(43.16), np.deg2rad(23.4)
     sine = np.sin(latitude) * np.sin(declination)
     sine = sine - np.cos(latitude) * np.cos(declination) * np.cos(2.0 * np.pi * hour / 24.0)
     up = np.maximum(sine, 1e-9)
-    sun = np.where((sine > 0.0) & ~((hour > shade[0]) & (hour <= shade[1])), 1098.0 * up * np.exp(-0.057 / up), 0.0)
+    sun = np.where(
+        (sine > 0.0) & ~((hour > shade[0]) & (hour <= shade[1])),
+        1098.0 * up * np.exp(-0.057 / up),
+        0.0,
+    )
     air = 291.15 + 6.0 * np.sin(2.0 * np.pi * (hour - 9.0) / 24.0)
     emissivity = np.asarray(emissivity, float)
-    flux = np.asarray(absorptivity) * sun[:, None] + emissivity * 0.7743 * STEFAN_BOLTZMANN * air[:, None] ** 4
+    flux = (
+        np.asarray(absorptivity) * sun[:, None]
+        + emissivity * 0.7743 * STEFAN_BOLTZMANN * air[:, None] ** 4
+    )
     return hour, forcing_of(flux, air, emissivity=emissivity, h=13.3)

@@ -1,4 +1,6 @@
-"""Band radiances of a black body against a table of six digits, and the laws that tie them together."""
+"""Band radiances of a black body against a table of six digits, and the laws that tie them
+together.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from simulate.radiance.spectrum import (
     brightness_temperature,
 )
 
-# Temperature, band, radiance, derivative, photon radiance: by quadrature and by series, CODATA 2018.
+# Temperature, band, radiance, derivative, photon radiance: by quadrature and by series, CODATA
+# 2018.
 TABLE = (
     (273.15, (3.0, 5.0), 0.644266, 0.0278635, 1.45943e19),
     (273.15, (8.0, 12.0), 23.8219, 0.465701, 1.20516e21),
@@ -49,11 +52,15 @@ def test_all_bands_together_are_the_law_of_stefan_and_boltzmann():
 def test_the_slope_is_that_of_the_radiance():
     kelvin = np.array([180.0, 250.0, 300.0, 600.0, 1500.0])
     step = 1e-3
-    difference = (band_radiance(8.0, 12.0, kelvin + step) - band_radiance(8.0, 12.0, kelvin - step)) / (2.0 * step)
+    difference = (
+        band_radiance(8.0, 12.0, kelvin + step) - band_radiance(8.0, 12.0, kelvin - step)
+    ) / (2.0 * step)
     assert band_radiance_slope(8.0, 12.0, kelvin) == pytest.approx(difference, rel=1e-7)
 
 
 @pytest.mark.parametrize("band", [(3.0, 5.0), (8.0, 14.0)])
 def test_the_brightness_temperature_of_a_black_body_is_its_own(band):
     kelvin = np.array([90.0, 182.5, 300.0, 1000.0])
-    assert brightness_temperature(*band, band_radiance(*band, kelvin)) == pytest.approx(kelvin, rel=1e-10)
+    assert brightness_temperature(*band, band_radiance(*band, kelvin)) == pytest.approx(
+        kelvin, rel=1e-10
+    )

@@ -37,7 +37,9 @@ def coefficient(law, *, upward=1.0, excess=DIFFERENCE, wind=0.0, constant=0.0):
     ],
 )
 def test_natural_convection_is_weak_where_air_is_stable(upward, sign, h):
-    assert coefficient("buoyant", upward=upward, excess=sign * DIFFERENCE) == pytest.approx(h, rel=0.01)
+    assert coefficient("buoyant", upward=upward, excess=sign * DIFFERENCE) == pytest.approx(
+        h, rel=0.01
+    )
 
 
 def test_wind_adds_by_each_law():

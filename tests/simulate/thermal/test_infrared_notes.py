@@ -1,4 +1,6 @@
-"""What infrared pictures say of themselves: too few rays, edges, metals, and what lies beyond their laws."""
+"""What infrared pictures say of themselves: too few rays, edges, metals, and what lies beyond their
+laws.
+"""
 
 from dataclasses import replace
 
@@ -15,17 +17,24 @@ from simulate.thermal.thresholds import INFRARED
 from tests.simulate.thermal.test_air import humid_air
 from tests.simulate.thermal.test_infrared_rendering import NIGHT, box, ground
 
-VIEW = Viewpoint(position_m=(0.0, -8.0, 2.0), forward=(0.0, 1.0, -0.1), shape=(12, 16), focal_px=(12.0, 12.0))
+VIEW = Viewpoint(
+    position_m=(0.0, -8.0, 2.0), forward=(0.0, 1.0, -0.1), shape=(12, 16), focal_px=(12.0, 12.0)
+)
 UP = np.array([0.0, 0.0, 1.0])
 
 
 def picture_of(library="concrete", netd_k=0.3):
     tables = {
-        "material": [{"label": "wall", "library": library}, {"label": "paving", "library": "concrete"}],
+        "material": [
+            {"label": "wall", "library": library},
+            {"label": "paving", "library": "concrete"},
+        ],
         "object": [ground("paving", 40.0), box("wall", "wall", [0.0, 0.0, 0.0])],
     }
     scene = from_mapping(NIGHT | tables, OutdoorScene, where="test")
-    return infrared_radiance(temperatures_of(scene), scene, VIEW, band_um=(8.0, 12.0), netd_k=netd_k)
+    return infrared_radiance(
+        temperatures_of(scene), scene, VIEW, band_um=(8.0, 12.0), netd_k=netd_k
+    )
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +46,10 @@ def test_a_picture_whose_rays_do_not_suffice_says_so(seen):
     """0.1 mK needs more than 512 rays of a pixel, 300 mK does not."""
     fine = picture_of(netd_k=1e-4)
     assert fine.rays[0] == INFRARED.max_rays and fine.error_k > INFRARED.error_share * 1e-4
-    assert any("uncertain by" in note and "more than 0.7 of the imager's 0.1 mK" in note for note in fine.notes)
+    assert any(
+        "uncertain by" in note and "more than 0.7 of the imager's 0.1 mK" in note
+        for note in fine.notes
+    )
     assert not any("more than 0.7" in note for note in seen.notes)
     assert seen.error_k < INFRARED.error_share * 0.3
 
@@ -45,8 +57,10 @@ def test_a_picture_whose_rays_do_not_suffice_says_so(seen):
 def test_edges_say_their_error_and_metals_that_of_the_bins(seen):
     (edges,) = (note for note in seen.notes if "where objects or faces meet" in note)
     assert "mean of 9 parts" in edges
-    finer = {name: next(one.influence for one in picture_of(name).left_out if one.name == FINER)
-             for name in ("concrete", "aluminium")}  # fmt: skip
+    finer = {
+        name: next(one.influence for one in picture_of(name).left_out if one.name == FINER)
+        for name in ("concrete", "aluminium")
+    }
     assert finer == {"concrete": 20.0, "aluminium": 100.0}
 
 

@@ -1,4 +1,6 @@
-"""Temperatures of scenes: what facets see, neighbours, sources, and single points against solutions by themselves."""
+"""Temperatures of scenes: what facets see, neighbours, sources, and single points against solutions
+by themselves.
+"""
 
 import time
 from dataclasses import replace
@@ -53,7 +55,10 @@ def facing(found: Temperatures, name: str, normal) -> int:
     """Return the facet of an object that faces a direction."""
     facets = found.balance.facets
     cosine = facets.normal @ np.asarray(normal, float)
-    return max((i for i, other in enumerate(facets.names) if other.startswith(name)), key=lambda i: cosine[i])
+    return max(
+        (i for i, other in enumerate(facets.names) if other.startswith(name)),
+        key=lambda i: cosine[i],
+    )
 
 
 def last_c(found: Temperatures, name: str, normal=(0, 0, 1)) -> float:
@@ -63,7 +68,9 @@ def last_c(found: Temperatures, name: str, normal=(0, 0, 1)) -> float:
 def test_sun_goes_through_panes_and_infrared_does_not():
     glass = {"label": "glass", "pane_transmittance": [0.88], "slab": "window-glass"}
     pane = plane("pane", 8.0, "glass", height=1.0)
-    found = temperatures_of(scene_of(plane("ground", 3.0), pane, material=[*NIGHT["material"], glass]))
+    found = temperatures_of(
+        scene_of(plane("ground", 3.0), pane, material=[*NIGHT["material"], glass])
+    )
     names, seen = found.balance.facets.names, found.balance.exposure
     ground, roof = names.index("ground:paving"), names.index("pane:glass")
     open_ = temperatures_of(scene_of(plane("ground", 3.0)))
@@ -94,11 +101,15 @@ def test_facets_see_sky_ground_and_each_other():
     assert seen.rings[top] == pytest.approx(1.0 / 12.0, abs=0.01)
     assert (seen.rings[walls, 0] > 3.0 * seen.rings[walls, -1]).all()
     south = walls[np.argmin(facets.normal[walls, 1])]
-    assert seen.lit[:, south] == pytest.approx([0.6, 0.0]) and seen.lit[:, top] == pytest.approx(0.8)
+    assert seen.lit[:, south] == pytest.approx([0.6, 0.0]) and seen.lit[:, top] == pytest.approx(
+        0.8
+    )
 
 
 def test_the_view_factor_of_two_facing_squares_is_the_textbooks():
-    _, seen = exposure(scene_of(plane("floor", 1.0), plane("roof", 1.0, "paint", height=1.0, roll_deg=180.0)))
+    _, seen = exposure(
+        scene_of(plane("floor", 1.0), plane("roof", 1.0, "paint", height=1.0, roll_deg=180.0))
+    )
     assert seen.sees[0, 1] == pytest.approx(0.1998, abs=0.015) == seen.sees[1, 0]
     assert seen.beyond[1] == pytest.approx(0.8002, abs=0.015)
     assert seen.sky[0] == pytest.approx(0.8002, abs=0.015)
@@ -106,9 +117,13 @@ def test_the_view_factor_of_two_facing_squares_is_the_textbooks():
 
 def test_copies_and_far_directions_belong_to_facets():
     poses = [{"position_m": [3.0 * n, 0, 0], "heading_deg": 20.0 * n} for n in range(4)]
-    facets, seen = exposure(scene_of(plane("ground", 100.0), box("crates", [1, 1, 1], instances=poses)))
+    facets, seen = exposure(
+        scene_of(plane("ground", 100.0), box("crates", [1, 1, 1], instances=poses))
+    )
     face = np.concatenate(facets.faces)
-    assert np.array_equal(facets.of_faces(face), np.repeat(np.arange(len(facets)), [len(f) for f in facets.faces]))
+    assert np.array_equal(
+        facets.of_faces(face), np.repeat(np.arange(len(facets)), [len(f) for f in facets.faces])
+    )
     assert seen.sees.sum() > 0.0
 
 
@@ -141,7 +156,9 @@ def dark_room(scene, temperature_k=285.0):
 
 def test_an_isothermal_world_stays_at_its_temperature():
     scene = scene_of(
-        plane("ground", 100.0), box("cube", [2, 2, 2]), box("tin", [1, 1, 1], "metal", position_m=[4, 0, 0])
+        plane("ground", 100.0),
+        box("cube", [2, 2, 2]),
+        box("tin", [1, 1, 1], "metal", position_m=[4, 0, 0]),
     )
     found = dark_room(scene).solve(0.0)
     assert found.faces_k == pytest.approx(285.0, abs=1e-6)
@@ -154,7 +171,9 @@ def test_walls_receive_what_the_ground_before_them_sends():
     walls = np.flatnonzero(np.abs(balance.facets.normal[:, 2]) < 0.5)
     sent = (1.0 - balance.absorptivity[ground]) * balance.sunlight[:, [ground]]
     assert sent.max() > 200.0
-    assert balance.sunlight_by_reflection[:, walls] == pytest.approx(np.repeat(0.5 * sent, 4, axis=1), rel=0.03)
+    assert balance.sunlight_by_reflection[:, walls] == pytest.approx(
+        np.repeat(0.5 * sent, 4, axis=1), rel=0.03
+    )
     warm = np.full((len(balance.weather), len(balance.facets)), 300.0)
     _, neighbours = balance.longwave(warm)
     assert neighbours[:, walls] == pytest.approx(0.5 * STEFAN_BOLTZMANN * 300.0**4, rel=0.04)
@@ -172,9 +191,16 @@ def hangar() -> tuple[Temperatures, float]:
 def test_the_hangar_at_night_is_as_the_paper_has_it(hangar):
     found, _ = hangar
     air = float(found.balance.weather.air_k[-1] - ZERO_C)
-    tops = {name: air - last_c(found, name) for name in ("truck:olive", "fighter:grey", "hangar:", "truck:canvas")}
+    tops = {
+        name: air - last_c(found, name)
+        for name in ("truck:olive", "fighter:grey", "hangar:", "truck:canvas")
+    }
     paving = last_c(found, "apron") - air
-    print("K below air:", {name: round(below, 1) for name, below in tops.items()}, f"apron {paving:.1f} above")
+    print(
+        "K below air:",
+        {name: round(below, 1) for name, below in tops.items()},
+        f"apron {paving:.1f} above",
+    )
     assert all(2.0 < below < 9.0 for below in tops.values()) and paving > 1.0
     for way in ((1, 0, 0), (-1, 0, 0), (0, 1, 0)):
         wall = last_c(found, "truck:olive", way)
@@ -192,7 +218,9 @@ def test_a_map_of_640_by_480_pixels_of_the_hangar_takes_less_than_a_minute_of_tw
     scene, (found, solved) = load_scene("hangar"), hangar
     ahead = np.subtract(scene.camera.look_at_m, scene.camera.position_m)
     towards = tuple(ahead / np.linalg.norm(ahead))
-    few = Viewpoint(position_m=scene.camera.position_m, forward=towards, shape=(60, 80), focal_px=(125.0, 125.0))
+    few = Viewpoint(
+        position_m=scene.camera.position_m, forward=towards, shape=(60, 80), focal_px=(125.0, 125.0)
+    )
     began = time.process_time()
     found.map_k(few)
     whole = solved + 64.0 * (time.process_time() - began)
@@ -211,7 +239,9 @@ def test_further_passes_of_neighbours_change_less_than_what_is_reported():
 def test_the_stated_effects_of_uncertain_inputs_are_those_of_changed_inputs():
     found = temperatures_of(scene_of(plane("ground", 30.0), box("crate", [2, 2, 2])))
     balance, weather = found.balance, found.balance.weather
-    brighter = replace(balance, weather=replace(weather, longwave_w_m2=weather.longwave_w_m2 + 15.0))
+    brighter = replace(
+        balance, weather=replace(weather, longwave_w_m2=weather.longwave_w_m2 + 15.0)
+    )
     change = brighter.solve(0.01).faces_k[-1] - balance.solve(0.01).faces_k[-1]
     # Walls see the ground get warmer, too.
     assert change == pytest.approx(found.solution.errors_k["longwave of the sky"], rel=0.1)
@@ -222,14 +252,24 @@ def test_the_stated_effects_of_uncertain_inputs_are_those_of_changed_inputs():
 
 
 def test_shade_all_day_leaves_concrete_colder():
-    roof = {"label": "roof", "shape": "plane", "size_m": [8, 8], "material": "paint", "position_m": [0, 4.0, 9]}
+    roof = {
+        "label": "roof",
+        "shape": "plane",
+        "size_m": [8, 8],
+        "material": "paint",
+        "position_m": [0, 4.0, 9],
+    }
     lit = temperatures_of(scene_of(plane("ground", 30.0)))
     balance = lit.balance
     dark = replace(balance, exposure=replace(balance.exposure, lit=0.0 * balance.exposure.lit))
-    dark = replace(dark, weather=replace(balance.weather, diffuse_w_m2=0.0 * balance.weather.diffuse_w_m2))
+    dark = replace(
+        dark, weather=replace(balance.weather, diffuse_w_m2=0.0 * balance.weather.diffuse_w_m2)
+    )
     change = dark.solve(20.0).faces_k[-1, 0] - lit.solution.faces_k[-1, 0]
     assert -6.0 < change < -3.0
-    assert last_c(temperatures_of(scene_of(plane("ground", 30.0), roof)), "ground") != last_c(lit, "ground")
+    assert last_c(temperatures_of(scene_of(plane("ground", 30.0), roof)), "ground") != last_c(
+        lit, "ground"
+    )
 
 
 # By day deep shade is 20 K away from its facet, which is in the sun.
@@ -240,7 +280,12 @@ def test_a_point_of_the_map_is_what_its_place_has_by_itself(hours, error_k):
     wall = box("wall", [6, 0.4, 3], position_m=[0, 4, 0])
     place = NIGHT["place"] | {"time": hours}
     whole = temperatures_of(scene_of(plane("ground", 60.0), wall, place=place))
-    view = Viewpoint(position_m=(0.0, 0.0, 30.0), forward=(0.0, 0.0, -1.0), shape=(60, 60), focal_px=(100.0, 100.0))
+    view = Viewpoint(
+        position_m=(0.0, 0.0, 30.0),
+        forward=(0.0, 0.0, -1.0),
+        shape=(60, 60),
+        focal_px=(100.0, 100.0),
+    )
     pixels = whole.map_k(view)
     height = 29.99
     for x, y in ((0.0, 4.95), (-2.9, 6.5)):
@@ -269,7 +314,9 @@ def test_sources_and_prescribed_temperatures_act():
     steps = [time.hour for time in found.balance.weather.times]
     tops = [facing(found, name, (0, 0, 1)) for name in ("was running", "cold")]
     hotter = np.subtract(*found.solution.faces_k[:, tops].T)
-    assert hotter[np.array(steps) == 22].min() > 8.0 and abs(hotter[np.array(steps) == 19]).max() < 0.5
+    assert (
+        hotter[np.array(steps) == 22].min() > 8.0 and abs(hotter[np.array(steps) == 19]).max() < 0.5
+    )
     assert last_c(found, "person") == pytest.approx(32.5, abs=1e-4)
     assert last_c(found, "exhaust") == pytest.approx(200.0, abs=1e-4)
     assert last_c(found, "tyre") == pytest.approx(26.0, abs=1e-4)
@@ -285,7 +332,11 @@ def test_dew_keeps_calm_tops_warmer():
 
 def test_the_law_of_convection_is_chosen():
     tops = {}
-    for law in ({}, {"convection": "mcadams"}, {"convection": "constant", "convection_w_m2_k": 4.0}):
+    for law in (
+        {},
+        {"convection": "mcadams"},
+        {"convection": "constant", "convection_w_m2_k": 4.0},
+    ):
         tops[law.get("convection")] = last_c(
             temperatures_of(scene_of(box("b", [2, 2, 1]), weather=NIGHT["weather"] | law)), "b"
         )
@@ -310,11 +361,24 @@ def test_the_library_names_a_source_for_every_number():
 
 
 def test_own_slabs_of_a_scene_are_used():
-    layer = {"thickness_mm": 30, "conductivity_w_m_k": 0.04, "density_kg_m3": 30, "specific_heat_j_kg_k": 1400}
+    layer = {
+        "thickness_mm": 30,
+        "conductivity_w_m_k": 0.04,
+        "density_kg_m3": 30,
+        "specific_heat_j_kg_k": 1400,
+    }
     own = {"label": "foam", "layer": [layer], "emissivity": 0.9, "absorptivity": 0.5}
-    material = [{"label": "paving", "reflectance": [0.3], "slab": "foam"}, {"label": "paint", "library": "concrete"}]
+    material = [
+        {"label": "paving", "reflectance": [0.3], "slab": "foam"},
+        {"label": "paint", "library": "concrete"},
+    ]
     found = temperatures_of(
-        scene_of(plane("roof", 5.0), plane("slab", 5.0, "paint", position_m=[9, 0]), material=material, slab=[own])
+        scene_of(
+            plane("roof", 5.0),
+            plane("slab", 5.0, "paint", position_m=[9, 0]),
+            material=material,
+            slab=[own],
+        )
     )
     assert last_c(found, "roof") < last_c(found, "slab") - 4.0
     assert float(found.balance.slabs[0].absorptivity or 0.0) == 0.5
@@ -324,12 +388,18 @@ def test_own_slabs_of_a_scene_are_used():
     ("changes", "words"),
     [
         ({"material": [{"label": "paving", "reflectance": [0.3]}]}, "must have a slab"),
-        ({"material": [{"label": "paving", "reflectance": [0.3], "slab": "cheese"}]}, "slab must be one of"),
+        (
+            {"material": [{"label": "paving", "reflectance": [0.3], "slab": "cheese"}]},
+            "slab must be one of",
+        ),
         ({"slab": [{"label": "x"}]}, "must have layers or else"),
         ({"slab": [{"label": "x", "above_air_k": 1, "emissivity": 1.5}]}, "emissivity must lie"),
         ({"weather": {"wind_m_s": -1.0}}, "wind_m_s must not be negative"),
         ({"weather": {"wind_m_s": 1.0, "dew_point_c": 20.0}}, "dew_point_c must not exceed"),
-        ({"weather": {"wind_m_s": 1.0, "convection": "constant"}}, "convection_w_m2_k must be given"),
+        (
+            {"weather": {"wind_m_s": 1.0, "convection": "constant"}},
+            "convection_w_m2_k must be given",
+        ),
         ({"weather": {"wind_m_s": 1.0, "relative_humidity": 0.0}}, "relative_humidity must lie"),
     ],
 )

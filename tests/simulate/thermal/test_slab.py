@@ -1,4 +1,6 @@
-"""Slabs against exact solutions of conduction, and their periodic start and kernels against long runs."""
+"""Slabs against exact solutions of conduction, and their periodic start and kernels against long
+runs.
+"""
 
 import numpy as np
 import pytest
@@ -76,16 +78,22 @@ def test_a_sine_of_the_face_sinks_in_by_the_penetration_depth():
 def test_a_step_of_the_face_sinks_in_as_erfc(hours):
     steps = round(hours * 60.0)
     concrete = Columns.of([slab_of(CONCRETE)])
-    _, cells = march(concrete, forcing_of(np.zeros((steps, 1)), 1.0, h=1e7), np.zeros((LIMITS.cells, 1)), 60.0)
+    _, cells = march(
+        concrete, forcing_of(np.zeros((steps, 1)), 1.0, h=1e7), np.zeros((LIMITS.cells, 1)), 60.0
+    )
     exact = erfc(centres() / (2.0 * np.sqrt(1.4 / (2300.0 * 880.0) * hours * HOUR)))
     assert cells[:, 0] == pytest.approx(exact, abs=5e-3)
 
 
 def test_a_step_of_flux_or_of_air_warms_the_face_as_the_half_space():
     concrete, steps = Columns.of([slab_of(CONCRETE)]), 360
-    flux, _ = march(concrete, forcing_of(np.full((steps, 1), 100.0), 0.0), np.zeros((LIMITS.cells, 1)), 60.0)
+    flux, _ = march(
+        concrete, forcing_of(np.full((steps, 1), 100.0), 0.0), np.zeros((LIMITS.cells, 1)), 60.0
+    )
     assert flux[[59, 359], 0] == pytest.approx([4.02195, 9.85173], rel=5e-3)
-    air, _ = march(concrete, forcing_of(np.zeros((steps, 1)), 1.0, h=13.3), np.zeros((LIMITS.cells, 1)), 60.0)
+    air, _ = march(
+        concrete, forcing_of(np.zeros((steps, 1)), 1.0, h=13.3), np.zeros((LIMITS.cells, 1)), 60.0
+    )
     assert air[[9, 59, 359], 0] == pytest.approx([0.185750, 0.370765, 0.612756], abs=5e-3)
 
 
@@ -113,7 +121,9 @@ def test_a_layered_slab_conducts_as_its_resistances_in_series():
 )
 def test_an_insulated_plate_cools_to_its_balance(sky, emissivity, h, depression):
     flux = np.full((STEPS, 1), emissivity * sky * STEFAN_BOLTZMANN * 283.15**4)
-    face, _ = periodic_start(Columns.of([slab_of(STEEL)]), forcing_of(flux, 283.15, emissivity=emissivity, h=h))
+    face, _ = periodic_start(
+        Columns.of([slab_of(STEEL)]), forcing_of(flux, 283.15, emissivity=emissivity, h=h)
+    )
     assert 283.15 - face[-1, 0] == pytest.approx(depression, abs=2e-3)
 
 
@@ -129,9 +139,13 @@ def test_thin_slabs_follow_with_the_time_constant_of_a_lump(layer, emissivity, h
     columns, steps = Columns.of([slab_of(layer)]), 400
     flux = np.full((steps, 1), emissivity * STEFAN_BOLTZMANN * 283.0**4)
     start = np.full((LIMITS.cells, 1), 283.1)
-    face, _ = march(columns, forcing_of(flux, 283.0, emissivity=emissivity, h=h), start, tau_s / 200.0)
+    face, _ = march(
+        columns, forcing_of(flux, 283.0, emissivity=emissivity, h=h), start, tau_s / 200.0
+    )
     excess = face[:, 0] - 283.0
-    assert (200.0 * tau_s / 200.0) / np.log(excess[99] / excess[299]) == pytest.approx(tau_s, rel=0.02)
+    assert (200.0 * tau_s / 200.0) / np.log(excess[99] / excess[299]) == pytest.approx(
+        tau_s, rel=0.02
+    )
 
 
 def test_the_converged_reference_day():
@@ -161,12 +175,26 @@ def test_a_day_of_history_is_enough_from_the_periodic_start_and_not_from_a_unifo
 
 
 def test_the_periodic_start_is_where_days_lead_with_wind_dew_and_a_melting_face():
-    slabs = [slab_of(CONCRETE), slab_of(STEEL, back_w_m2_k=5.0), slab_of((0.25, 300.0, 2090.0, 300.0), max_c=0.0)]
-    columns = Columns.of([*slabs, slab_of((0.8, 1700.0, 800.0, 200.0), (0.04, 30.0, 1400.0, 50.0), back_w_m2_k=8.0)])
+    slabs = [
+        slab_of(CONCRETE),
+        slab_of(STEEL, back_w_m2_k=5.0),
+        slab_of((0.25, 300.0, 2090.0, 300.0), max_c=0.0),
+    ]
+    columns = Columns.of(
+        [*slabs, slab_of((0.8, 1700.0, 800.0, 200.0), (0.04, 30.0, 1400.0, 50.0), back_w_m2_k=8.0)]
+    )
     _, calm = reference_day([0.6, 0.7, 0.2, 0.6], [0.92, 0.9, 0.98, 0.93])
-    more = {"vapour_pa": vapour_pressure_pa(283.15), "wind_m_s": 2.0 + 2.0 * np.sin(2.0 * np.pi * TIME / DAY)}
+    more = {
+        "vapour_pa": vapour_pressure_pa(283.15),
+        "wind_m_s": 2.0 + 2.0 * np.sin(2.0 * np.pi * TIME / DAY),
+    }
     forcing = forcing_of(
-        calm.flux_w_m2, calm.air_k[:, 0], emissivity=calm.emissivity, law="buoyant", upward=[1.0, 1.0, 1.0, 0.0], **more
+        calm.flux_w_m2,
+        calm.air_k[:, 0],
+        emissivity=calm.emissivity,
+        law="buoyant",
+        upward=[1.0, 1.0, 1.0, 0.0],
+        **more,
     )
     face, start = periodic_start(columns, forcing)
     again, end = march(columns, forcing, start)
@@ -195,14 +223,21 @@ def test_any_slabs_in_any_weather_start_where_days_lead(trial):
     rng = np.random.default_rng([trial, 7])
 
     def layer():
-        return tuple(10.0 ** rng.uniform(low, high) for low, high in ((-1.7, 2.3), (1.3, 4.0), (2.6, 3.7), (-2.0, 3.0)))
+        return tuple(
+            10.0 ** rng.uniform(low, high)
+            for low, high in ((-1.7, 2.3), (1.3, 4.0), (2.6, 3.7), (-2.0, 3.0))
+        )
 
     slabs = []
     for number in range(5):
-        numbers = {"back_w_m2_k": 10.0 ** rng.uniform(-2.0, 2.0)} | ({"max_c": 0.0} if number == 0 else {})
+        numbers = {"back_w_m2_k": 10.0 ** rng.uniform(-2.0, 2.0)} | (
+            {"max_c": 0.0} if number == 0 else {}
+        )
         slabs.append(slab_of(*(layer() for _ in range(rng.integers(1, 4))), **numbers))
     columns = Columns.of(slabs)
-    air = rng.uniform(250.0, 300.0) + rng.uniform(0.0, 20.0) * np.sin(2.0 * np.pi * (TIME / DAY - rng.random()))
+    air = rng.uniform(250.0, 300.0) + rng.uniform(0.0, 20.0) * np.sin(
+        2.0 * np.pi * (TIME / DAY - rng.random())
+    )
     sun = (
         rng.uniform(0.0, 1100.0)
         * np.maximum(np.sin(2.0 * np.pi * (TIME / DAY - 0.25)), 0.0)

@@ -1,4 +1,6 @@
-"""The weather of a day: clear skies against tables, files with their stamps and gaps, and a measured day."""
+"""The weather of a day: clear skies against tables, files with their stamps and gaps, and a
+measured day.
+"""
 
 from datetime import UTC, datetime, timedelta, timezone
 
@@ -11,7 +13,14 @@ from simulate.radiance.outdoor.scene import Weather as State
 from simulate.radiance.sky.moon import ObserverLocation
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.clear_day import clear_sun, sky_emissivity, sky_radiance, sun_directions
-from simulate.thermal.slab import ZERO_C, Columns, dew_point_k, march, periodic_start, vapour_pressure_pa
+from simulate.thermal.slab import (
+    ZERO_C,
+    Columns,
+    dew_point_k,
+    march,
+    periodic_start,
+    vapour_pressure_pa,
+)
 from simulate.thermal.temperatures import library
 from simulate.thermal.weather import DAY_STEPS, weather_from_files, weather_of
 from tests.simulate.thermal.slabs import forcing_of
@@ -23,7 +32,9 @@ NOON = datetime(1998, 6, 23, 12, tzinfo=EASTERN)
 
 def scene_of(**weather) -> OutdoorScene:
     """Return an empty scene in Rochester at two in the morning."""
-    where = Where(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0, time="1998-06-24T02:00:00-04:00")
+    where = Where(
+        latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0, time="1998-06-24T02:00:00-04:00"
+    )
     return OutdoorScene(
         name="night",
         camera=SceneCamera(position_m=(0.0, 0.0, 1.0), look_at_m=(0.0, 1.0, 1.0)),
@@ -33,7 +44,8 @@ def scene_of(**weather) -> OutdoorScene:
 
 
 def test_the_clear_sun_is_that_of_another_code():
-    # pvlib's Ineichen at Rochester on 1998-06-23, turbidity 3.79: direct and diffuse at 13, 10 and 19 h.
+    # pvlib's Ineichen at Rochester on 1998-06-23, turbidity 3.79: direct and diffuse at 13, 10 and
+    # 19 h.
     times = [datetime(1998, 6, 23, hour, tzinfo=EASTERN) for hour in (13, 10, 19)]
     sun, distance = sun_directions(ROCHESTER, times)
     direct, diffuse = clear_sun(sun[:, 2], distance, 150.0, 3.79)
@@ -68,9 +80,13 @@ def test_the_sky_by_directions_has_its_mean_and_lights_walls_more():
     zenith = sky_radiance(emissivity, air, dew, np.array([1.0]))[:, 0] / black
     assert zenith == pytest.approx(0.945 * emissivity, rel=0.01)
     # On a wall, over the sphere: cosine to the wall times solid angle, by height and azimuth.
-    height, azimuth = np.meshgrid((np.arange(300) + 0.5) * np.pi / 600.0, (np.arange(60) + 0.5) * np.pi / 120.0)
+    height, azimuth = np.meshgrid(
+        (np.arange(300) + 0.5) * np.pi / 600.0, (np.arange(60) + 0.5) * np.pi / 120.0
+    )
     weight = np.cos(height) ** 2 * np.cos(azimuth)
-    on_wall = sky_radiance(emissivity, air, dew, np.sin(height).ravel()) @ weight.ravel() / weight.sum()
+    on_wall = (
+        sky_radiance(emissivity, air, dew, np.sin(height).ravel()) @ weight.ravel() / weight.sum()
+    )
     assert on_wall / (emissivity * black) == pytest.approx(1.065, abs=0.012)
     even = sky_radiance(np.array([1.0, 1.02]), air[:2], dew[:2], np.array([0.0, 0.5, 1.0]))
     assert even / black[:2, None] == pytest.approx(np.array([[1.0] * 3, [1.02] * 3]))
@@ -108,14 +124,31 @@ def hours_of(place, first, count):
 
 
 def epw(path, *, cut=slice(None), wind="2.0", longwave="310", dim_until=0):
-    """Write an EPW of four clear days at Rochester, dim until an hour of standard time, and return the path."""
+    """Write an EPW of four clear days at Rochester, dim until an hour of standard time, and return
+    the path.
+    """
     first = datetime(1998, 6, 21, 0, tzinfo=timezone(timedelta(hours=-5)))
     _, (direct, diffuse) = hours_of(ROCHESTER, first, 96)
     rows = ["LOCATION,Rochester,NY,USA,TEST,725290,43.16,-77.61,-5.0,150.0", *["X"] * 7]
     for hour in range(96):
         time = first + timedelta(hours=hour)
         warm, dim = 15 + hour % 24 / 2, 0.4 if time.hour < dim_until else 1.0
-        row = ["1985", time.month, time.day, time.hour + 1, 0, "flags", warm, 10, 70, 99500, 0, 0, longwave, 0]
+        row = [
+            "1985",
+            time.month,
+            time.day,
+            time.hour + 1,
+            0,
+            "flags",
+            warm,
+            10,
+            70,
+            99500,
+            0,
+            0,
+            longwave,
+            0,
+        ]
         row += [f"{dim * direct[hour]:.1f}", f"{diffuse[hour]:.1f}", 0, 0, 0, 0, 180, wind, 0, 0]
         rows.append(",".join(map(str, row)))
     path.write_text("\n".join([*rows[:8], *rows[8:][cut]]))
@@ -129,16 +162,20 @@ def test_hours_of_an_epw_stamp_their_end_and_sunlight_follows_the_clear_sky(tmp_
     assert weather.direct_w_m2[high] == pytest.approx(clear[high], rel=0.03)
     assert weather.direct_w_m2[weather.sun[:, 2] <= 0.0].max() == 0.0
     assert weather.longwave_w_m2 == pytest.approx(310.0)
-    # Noon of summer time is 11 h of standard time: the end of the file's hour 11, which has 15 + 10/2.
+    # Noon of summer time is 11 h of standard time: the end of the file's hour 11, which has 15 +
+    # 10/2.
     assert weather.air_k[-1] - ZERO_C == pytest.approx(20.0)
-    assert any("model" in note for note in weather.notes) and any("typical" in note for note in weather.notes)
+    assert any("model" in note for note in weather.notes) and any(
+        "typical" in note for note in weather.notes
+    )
     assert any("in steps of 60 minutes" in note for note in weather.notes)
 
 
 def test_sunlight_of_hours_belongs_to_their_middle(tmp_path):
     weather = weather_from_files([epw(tmp_path / "roc.epw", dim_until=10)], ROCHESTER, NOON)
     clear, _ = clear_sun(weather.sun[:, 2], sun_directions(ROCHESTER, weather.times)[1], 150.0, 3.8)
-    # Summer time is an hour ahead of the file's: its hour from 9 to 10 is dim, that from 10 to 11 is not.
+    # Summer time is an hour ahead of the file's: its hour from 9 to 10 is dim, that from 10 to 11
+    # is not.
     hour = np.array([time.hour + time.minute / 60.0 for time in weather.times])
     for at, part in ((10.5, 0.4), (11.0, 0.7), (11.5, 1.0)):
         last = np.flatnonzero(np.isclose(hour, at))[-1]
@@ -148,12 +185,17 @@ def test_sunlight_of_hours_belongs_to_their_middle(tmp_path):
 def test_a_tmy3_has_no_longwave_and_says_that_it_was_modelled(tmp_path):
     first = datetime(1998, 6, 21, 0, tzinfo=timezone(timedelta(hours=-5)))
     _, (direct, diffuse) = hours_of(ROCHESTER, first, 72)
-    heading = "Date (MM/DD/YYYY),Time (HH:MM),DNI (W/m^2),DHI (W/m^2),TotCld (tenths),Dry-bulb (C),Dew-point (C),"
+    heading = (
+        "Date (MM/DD/YYYY),Time (HH:MM),DNI (W/m^2),DHI (W/m^2),TotCld (tenths),Dry-bulb "
+        "(C),Dew-point (C),"
+    )
     rows = ['725290,"ROCHESTER",NY,-5.0,43.16,-77.61,150', heading + "Pressure (mbar),Wspd (m/s)"]
     for hour in range(72):
         date = first + timedelta(hours=hour)
         light = f"{direct[hour]:.1f},{diffuse[hour]:.1f}"
-        rows.append(f"{date.month:02}/{date.day:02}/1990,{date.hour + 1:02}:00,{light},0,18,10,995,2")
+        rows.append(
+            f"{date.month:02}/{date.day:02}/1990,{date.hour + 1:02}:00,{light},0,18,10,995,2"
+        )
     path = tmp_path / "725290.csv"
     path.write_text("\n".join(rows))
     weather = weather_from_files([path], ROCHESTER, NOON)
@@ -164,7 +206,12 @@ def test_a_tmy3_has_no_longwave_and_says_that_it_was_modelled(tmp_path):
 
 
 def own(
-    path, *, minutes=10, cut=None, head="# latitude_deg = 43.2, longitude_deg = -77.5, altitude_m = 150", zone="-04:00"
+    path,
+    *,
+    minutes=10,
+    cut=None,
+    head="# latitude_deg = 43.2, longitude_deg = -77.5, altitude_m = 150",
+    zone="-04:00",
 ):
     """Write a CSV of this project for a day and more up to noon, and return the path."""
     rows = [head, "time,air_c,dew_point_c,wind_m_s,direct_w_m2,diffuse_w_m2,longwave_w_m2"]
@@ -183,7 +230,10 @@ def test_a_csv_of_this_project_is_read_as_it_is(tmp_path):
     assert len(weather) == DAY_STEPS
     assert weather.longwave_w_m2[[0, -1]] == pytest.approx([300 + 13, 300 + 300])
     by_day = np.array([6 <= time.hour < 20 for time in weather.times])
-    assert weather.direct_w_m2[by_day] == pytest.approx(600.0) and weather.direct_w_m2[~by_day].max() < 600.0
+    assert (
+        weather.direct_w_m2[by_day] == pytest.approx(600.0)
+        and weather.direct_w_m2[~by_day].max() < 600.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -195,27 +245,59 @@ def test_a_csv_of_this_project_is_read_as_it_is(tmp_path):
         (lambda path: path / "absent.epw", "must exist"),
         (lambda path: path / "day.xlsx", "must be one of .epw, .dat, .csv"),
         (lambda path: own(path / "b.csv", zone=""), "offset from UTC"),
-        (lambda path: own(path / "b.csv", head="# latitude_deg = 43, altitude_m = 0"), "without longitude_deg"),
-        (lambda path: own(path / "b.csv", head="# latitude_deg = 40, longitude_deg = -77, altitude_m = 0"), "km away"),
+        (
+            lambda path: own(path / "b.csv", head="# latitude_deg = 43, altitude_m = 0"),
+            "without longitude_deg",
+        ),
+        (
+            lambda path: own(
+                path / "b.csv", head="# latitude_deg = 40, longitude_deg = -77, altitude_m = 0"
+            ),
+            "km away",
+        ),
         (lambda path: own(path / "b.csv", minutes=2000), "must cover a day"),
         (lambda path: own(path / "b.csv", minutes=300, cut=2), "without gaps"),
         (lambda path: _text(path / "c.dat", "x\n1 2 3\n2016 1 1 1"), "complete weather file"),
         (lambda path: _text(path / "c.epw", "LOCATION"), "complete weather file"),
         (lambda path: _text(path / "c.csv", ""), "without latitude_deg"),
-        (lambda path: changed(epw(path / "a.epw"), 40, ",", 6, None), "22 columns in each row, got 6 in row 41"),
+        (
+            lambda path: changed(epw(path / "a.epw"), 40, ",", 6, None),
+            "22 columns in each row, got 6 in row 41",
+        ),
         (lambda path: changed(epw(path / "a.epw"), 50, ",", 3, "25"), "from 1 to 24, got 25"),
         (lambda path: changed(epw(path / "a.epw"), 50, ",", 3, "0"), "from 1 to 24, got 0"),
-        (lambda path: changed(epw(path / "a.epw"), 50, ",", 3, "5"), "times of a weather file must rise"),
-        (lambda path: changed(epw(path / "a.epw"), 50, ",", 6, "85"), "air_c .* must lie from -95 to 62, got 85 at"),
-        (lambda path: changed(epw(path / "a.epw"), 50, ",", 21, "-5"), "wind_m_s .* must lie from 0 to 115, got -5"),
+        (
+            lambda path: changed(epw(path / "a.epw"), 50, ",", 3, "5"),
+            "times of a weather file must rise",
+        ),
+        (
+            lambda path: changed(epw(path / "a.epw"), 50, ",", 6, "85"),
+            "air_c .* must lie from -95 to 62, got 85 at",
+        ),
+        (
+            lambda path: changed(epw(path / "a.epw"), 50, ",", 21, "-5"),
+            "wind_m_s .* must lie from 0 to 115, got -5",
+        ),
         (lambda path: changed(epw(path / "a.epw"), 0, ",", 8, "30"), "within 14 h of UTC, got 30"),
-        (lambda path: changed(epw(path / "a.epw"), 0, ",", 8, "5"), "must fall by day, got .* below the horizon"),
+        (
+            lambda path: changed(epw(path / "a.epw"), 0, ",", 8, "5"),
+            "must fall by day, got .* below the horizon",
+        ),
         (lambda path: changed(epw(path / "a.epw"), 0, ",", 6, "25.8"), "a.epw 19.. km away"),
         (lambda path: changed(own(path / "b.csv"), 1, ",", 3, "wind"), "without wind_m_s"),
-        (lambda path: changed(own(path / "b.csv"), 50, ",", 1, "-9999.9"), "air_c .* got -9999.9 at"),
-        (lambda path: changed(own(path / "b.csv"), 50, ",", 1, "warm"), "could not convert string to float: 'warm'"),
+        (
+            lambda path: changed(own(path / "b.csv"), 50, ",", 1, "-9999.9"),
+            "air_c .* got -9999.9 at",
+        ),
+        (
+            lambda path: changed(own(path / "b.csv"), 50, ",", 1, "warm"),
+            "could not convert string to float: 'warm'",
+        ),
         (lambda path: own(path / "b.csv", zone="+08:00"), "must fall by day"),
-        (lambda path: surfrad(path / "c.dat"), "without air_c between 1998-06-22T16:59:00.00:00 and"),
+        (
+            lambda path: surfrad(path / "c.dat"),
+            "without air_c between 1998-06-22T16:59:00.00:00 and",
+        ),
     ],
 )
 def test_bad_weather_files_are_refused_in_one_sentence(tmp_path, write, words):
@@ -225,7 +307,9 @@ def test_bad_weather_files_are_refused_in_one_sentence(tmp_path, write, words):
 
 
 def changed(path, line, separator, column, value):
-    """Replace a column of a line of a file, or, without a value, cut the line there, and return the path."""
+    """Replace a column of a line of a file, or, without a value, cut the line there, and return the
+    path.
+    """
     lines = path.read_text().split("\n")
     row = lines[line].split(separator)
     row = row[:column] if value is None else [*row[:column], value, *row[column + 1 :]]
@@ -235,7 +319,9 @@ def changed(path, line, separator, column, value):
 
 
 def surfrad(path):
-    """Write a SURFRAD day at night's light whose air temperature is missing for an hour, and return the path."""
+    """Write a SURFRAD day at night's light whose air temperature is missing for an hour, and return
+    the path.
+    """
     rows = [" Rochester", "  43.16   77.61  150 m version 1"]
     for minute in range(25 * 60):
         time = datetime(1998, 6, 22, 15, 30, tzinfo=UTC) + timedelta(minutes=minute)
@@ -243,7 +329,10 @@ def surfrad(path):
         row[4], row[15], row[16], row[17], row[19] = "350 0", "18 0", "60 0", "2 0", "995 0"
         if (time.day, time.hour) == (22, 17):
             row[15] = "-9999.9 1"
-        stamp = f"{time.year} 173 {time.month} {time.day} {time.hour} {time.minute} {time.hour:.3f} 60.0"
+        stamp = (
+            f"{time.year} 173 {time.month} {time.day} {time.hour} {time.minute} "
+            f"{time.hour:.3f} 60.0"
+        )
         rows.append(" ".join([stamp, *row]))
     return _text(path, "\n".join(rows))
 
@@ -265,7 +354,9 @@ def test_scenes_without_place_or_weather_are_refused():
 
 
 def test_alamosa_is_met_with_nothing_fitted(shared_data):
-    """Moist soil of the library, the default law of convection, the measured absorbed sun and longwave."""
+    """Moist soil of the library, the default law of convection, the measured absorbed sun and
+    longwave.
+    """
     folder = shared_data / "surfrad_alamosa"
     if not folder.is_dir():
         pytest.skip("the two days of Alamosa are not among the shared data")
@@ -299,5 +390,7 @@ def test_alamosa_is_met_with_nothing_fitted(shared_data):
     print(f"RMSE {rms:.2f} K, bias {error.mean():+.2f}, surface = air {null:.2f}")
     print(f"max {found.max() - exact.max():+.2f}, min {found.min() - exact.min():+.2f} K")
     assert rms <= 2.0 and abs(error.mean()) <= 1.0
-    assert found.max() == pytest.approx(exact.max(), abs=2.5) and found.min() == pytest.approx(exact.min(), abs=2.5)
+    assert found.max() == pytest.approx(exact.max(), abs=2.5) and found.min() == pytest.approx(
+        exact.min(), abs=2.5
+    )
     assert null == pytest.approx(4.4, abs=0.1)

@@ -1,4 +1,6 @@
-"""The virtual DG645 behaves as the maker's manual says: refusals, error queue, registers, rounding, triggers."""
+"""The virtual DG645 behaves as the maker's manual says: refusals, error queue, registers, rounding,
+triggers.
+"""
 
 import math
 
@@ -41,9 +43,13 @@ def test_a_line_may_arrive_in_pieces(dg645):
 
 @pytest.mark.parametrize(
     ("asked_s", "kept"),
-    [("1.2e-12", "+0.000000000000"), ("7.4e-12", "+0.000000000005"), ("7.6e-12", "+0.000000000010"),
-     ("1999.999999999995", "+1999.999999999995")],
-)  # fmt: skip
+    [
+        ("1.2e-12", "+0.000000000000"),
+        ("7.4e-12", "+0.000000000005"),
+        ("7.6e-12", "+0.000000000010"),
+        ("1999.999999999995", "+1999.999999999995"),
+    ],
+)
 def test_delays_round_to_5_picoseconds(dg645, asked_s, kept):
     told(dg645, f"DLAY 3,0,{asked_s}")
     assert told(dg645, "DLAY?3") == [f"0,{kept}"]

@@ -1,4 +1,6 @@
-"""Faults from outside an instrument's line: its panel, its obedience, its triggers, its port, and the room's light."""
+"""Faults from outside an instrument's line: its panel, its obedience, its triggers, its port, and
+the room's light.
+"""
 
 import time
 from dataclasses import replace

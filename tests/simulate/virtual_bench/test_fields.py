@@ -1,4 +1,6 @@
-"""A gate out of step with the camera's fields makes bands between fields and a beat of frames; in step, neither."""
+"""A gate out of step with the camera's fields makes bands between fields and a beat of frames; in
+step, neither.
+"""
 
 from dataclasses import replace
 
@@ -35,7 +37,11 @@ def test_the_time_open_in_each_exposure_is_that_of_a_picture_of_it():
     [
         (Gating(), 1 / 59.94, None),  # one opening a field, wherever it falls
         (Gating(), 0.004, "100%"),  # an opening that may miss the exposure
-        (Gating(sync="line-locked"), 1 / 59.94, "1.67%"),  # a field is 17 us longer than the mains' period
+        (
+            Gating(sync="line-locked"),
+            1 / 59.94,
+            "1.67%",
+        ),  # a field is 17 us longer than the mains' period
         (Gating(sync="line-locked", line_hz=50.0), 1 / 59.94, "100%"),  # one field in six has none
         (Gating(sync="triggered"), 1 / 59.94, None),
         (Gating(sync="triggered", delay_ns=1.3e7), 0.004, None),
@@ -48,7 +54,9 @@ def test_a_plan_is_told_where_gate_and_fields_do_not_keep_step(gating, exposure_
 
 
 def frames_of(folder, **gate) -> np.ndarray:
-    """Frames of a flat before a gate, of a camera of 50 fields a second, shape (frame, row, col)."""
+    """Frames of a flat before a gate, of a camera of 50 fields a second, shape (frame, row,
+    col).
+    """
     sensor = load_sensor("pulnix-ag5745ef3")
     video = replace(sensor.video, field_rate_hz=replace(sensor.video.field_rate_hz, value=50.0))
     small = replace(sensor, ccd=replace(sensor.ccd, rows=24, columns=36), video=video)
@@ -67,8 +75,12 @@ def bands(frames: np.ndarray) -> np.ndarray:
     return (even - odd) / (0.5 * (even + odd))
 
 
-def test_a_gate_locked_to_the_mains_before_a_50_hz_camera_bands_and_beats_and_a_triggered_one_does_not(tmp_path):
-    """Six openings in five fields: some field has more than its neighbour, and it is the same again five frames on."""
+def test_a_gate_locked_to_the_mains_before_a_50_hz_camera_bands_and_beats(
+    tmp_path,
+):
+    """Six openings in five fields: some field has more than its neighbour, and it is the same again
+    five frames on.
+    """
     pulse = {"gate_open": True, "gate_ns": 4e6, "gate_hz": 60.0}
     mains = frames_of(tmp_path / "mains", gate_trigger="mains", **pulse)
     triggered = frames_of(tmp_path / "camera", gate_trigger="camera", **pulse)
@@ -78,11 +90,20 @@ def test_a_gate_locked_to_the_mains_before_a_50_hz_camera_bands_and_beats_and_a_
     assert np.abs(bands(triggered)).max() < 0.05
     dark = frames_of(tmp_path / "dark", gate_open=False, gate_ns=0.0, gate_hz=0.0).mean()
     # Frames of ten fields hold twelve openings of the one gate and ten of the other.
-    assert (mains[:10].mean() - dark) / (triggered[:10].mean() - dark) == pytest.approx(60.0 / 50.0, rel=0.02)
+    assert (mains[:10].mean() - dark) / (triggered[:10].mean() - dark) == pytest.approx(
+        60.0 / 50.0, rel=0.02
+    )
 
 
 def test_the_share_of_an_opening_that_a_camera_sees_follows_its_delay():
-    out = Outputs(mcp_v=0.0, gate_open=True, gate_ns=2e6, gate_hz=50.0, gate_trigger="camera", gate_delay_ns=9e6)
+    out = Outputs(
+        mcp_v=0.0,
+        gate_open=True,
+        gate_ns=2e6,
+        gate_hz=50.0,
+        gate_trigger="camera",
+        gate_delay_ns=9e6,
+    )
     fields = Fields.of(out, field_hz=50.0, exposure_s=0.01, phase=0.0)
     assert fields.open_ns(0, 3) == pytest.approx([1e6, 1e6, 1e6])
     assert fields.in_step

@@ -70,10 +70,21 @@ def test_full_scale_takes_3_s_up_and_6_s_to_a_hundredth_down(bus):
 
 @pytest.mark.parametrize(
     ("command", "bit"),
-    [("VSET 901", EXE), ("VSET 30", EXE), ("VSET -100", EXE), ("VLIM 5001", EXE), ("VLIM 500", EXE),
-     ("ILIM 0.006", EXE), ("VSET", CME), ("VSET high", CME), ("VSET nan", CME),
-     ("HVON 1", CME), ("VOUT 3", CME), ("PING", CME)],
-)  # fmt: skip
+    [
+        ("VSET 901", EXE),
+        ("VSET 30", EXE),
+        ("VSET -100", EXE),
+        ("VLIM 5001", EXE),
+        ("VLIM 500", EXE),
+        ("ILIM 0.006", EXE),
+        ("VSET", CME),
+        ("VSET high", CME),
+        ("VSET nan", CME),
+        ("HVON 1", CME),
+        ("VOUT 3", CME),
+        ("PING", CME),
+    ],
+)
 def test_what_cannot_be_is_refused_not_clamped(bus, command, bit):
     bus.tell("VLIM 900;VSET 600")
     before = [bus.ask(question) for question in ("VSET?", "VLIM?", "ILIM?")]

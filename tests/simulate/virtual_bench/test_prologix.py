@@ -38,7 +38,9 @@ def test_nobody_at_the_address_is_silence(adapter):
     assert said(adapter, b"++addr 9\n*IDN?\n++read eoi\n++spoll\n") == b""
 
 
-@pytest.mark.parametrize("line", [b"++what", b"++addr 31", b"++addr x", b"++eos 4", b"++read_tmo_ms 0", b"++mode 2"])
+@pytest.mark.parametrize(
+    "line", [b"++what", b"++addr 31", b"++addr x", b"++eos 4", b"++read_tmo_ms 0", b"++mode 2"]
+)
 def test_unknown_commands_and_values_are_told(adapter, line):
     assert said(adapter, line + b"\n") == b"Unrecognized command\r\n"
 

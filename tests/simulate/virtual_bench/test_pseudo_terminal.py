@@ -56,7 +56,9 @@ def test_answers_take_their_time_on_the_line(bench):
     assert time.monotonic() - began_s >= len(answer) * 10 / 9600
 
 
-def test_unplugging_takes_the_port_away_and_leaves_the_voltage_on_until_it_is_plugged_in_again(tmp_path):
+def test_unplugging_takes_the_port_away_and_leaves_the_voltage_on_until_it_is_plugged_in_again(
+    tmp_path,
+):
     with VirtualInstruments(tmp_path / "bench", time_scale=20) as virtual:
         with serial.Serial(virtual.supply_port, 9600, timeout=0.2) as port:
             port.write(b"++auto 0\n++eoi 1\n++addr 14\nVSET 300;HVON;*OPC?\n++read eoi\n")

@@ -1,4 +1,6 @@
-"""A public driver library, which never heard of this project, drives the virtual instruments over their wires."""
+"""A public driver library, which never heard of this project, drives the virtual instruments over
+their wires.
+"""
 
 import importlib
 import warnings
@@ -24,7 +26,9 @@ def instruments():
 
 @pytest.fixture(scope="module")
 def ureg(instruments):
-    """The library's units; its attribute `instruments.units` is the registry or the module, by the order of imports."""
+    """The library's units; its attribute `instruments.units` is the registry or the module, by the
+    order of imports.
+    """
     return importlib.import_module("instruments.units").ureg
 
 
@@ -46,7 +50,9 @@ def delay_generator(bench, instruments):
 def supply(bench, instruments, ureg):
     comm = instruments.abstract_instruments.comm
     with serial.Serial(bench.supply_port, 9600, timeout=1.0) as port:
-        port.write(b"++eot_enable 1\r++eot_char 13\r")  # this library ends an answer at a carriage return
+        port.write(
+            b"++eot_enable 1\r++eot_char 13\r"
+        )  # this library ends an answer at a carriage return
         communicator = comm.GPIBCommunicator(comm.SerialCommunicator(port), 14, model="pl")
         communicator.timeout = 1 * ureg.second
         yield instruments.generic_scpi.SCPIInstrument(communicator)
@@ -85,7 +91,11 @@ def test_a_public_driver_opens_and_shuts_the_gate(delay_generator, bench, ureg):
 
 def test_a_public_driver_sets_levels_polarity_and_bursts(delay_generator, ureg):
     output, polarity = delay_generator.output["CD"], delay_generator.LevelPolarity
-    output.level_amplitude, output.level_offset, output.polarity = 3.3 * ureg.V, -0.5 * ureg.V, polarity.negative
+    output.level_amplitude, output.level_offset, output.polarity = (
+        3.3 * ureg.V,
+        -0.5 * ureg.V,
+        polarity.negative,
+    )
     assert output.level_amplitude.magnitude == 3.3
     assert output.level_offset.magnitude == -0.5
     assert output.polarity == polarity.negative

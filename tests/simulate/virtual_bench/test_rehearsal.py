@@ -1,4 +1,6 @@
-"""A script of faults strikes at its times and at its steps, heals what is over, and strikes nothing twice."""
+"""A script of faults strikes at its times and at its steps, heals what is over, and strikes nothing
+twice.
+"""
 
 import time
 
@@ -29,7 +31,9 @@ class Bench:
 
 def rehearsal(bench, folder, *strikes) -> Rehearsal:
     script = FaultScript(fault=strikes)
-    return Rehearsal(script, provoke=bench.provoke, steps=folder / "log.jsonl", log=folder / "rehearsal.jsonl")
+    return Rehearsal(
+        script, provoke=bench.provoke, steps=folder / "log.jsonl", log=folder / "rehearsal.jsonl"
+    )
 
 
 @pytest.fixture
@@ -44,7 +48,9 @@ def test_a_fault_strikes_when_its_step_begins_holds_its_time_and_is_healed(tmp_p
     bench, log = Bench(), closing_after(EventLog(tmp_path / "log.jsonl"))
     log("step begins", step="late")  # of an earlier run: it says nothing of this one
     log.flush()
-    late = ScriptedFault(instrument="high_voltage", kind="late answers", value=0.3, at_step="late", for_s=0.15)
+    late = ScriptedFault(
+        instrument="high_voltage", kind="late answers", value=0.3, at_step="late", for_s=0.15
+    )
     with rehearsal(bench, tmp_path, late):
         time.sleep(0.1)
         assert bench.given["high_voltage"] == [Faults()]
@@ -81,16 +87,43 @@ def test_leaving_heals_and_a_resumed_run_goes_on_with_what_has_not_struck(tmp_pa
     ("fault", "rule"),
     [
         ({"instrument": "camera", "kind": "garbage"}, "a camera must suffer one of packet loss"),
-        ({"instrument": "high_voltage", "kind": "clock jump", "value": 1.0}, "a camera must suffer one of packet loss"),
-        ({"instrument": "delay_generator", "kind": "trip"}, "must be of high_voltage or light_source, got trip of"),
-        ({"instrument": "high_voltage", "kind": "no triggers"}, "must be of delay_generator, got no triggers of"),
-        ({"instrument": "surroundings", "kind": "silence"}, "the surroundings must suffer room light"),
-        ({"instrument": "delay_generator", "kind": "front panel"}, "panel must hold commands for a front panel"),
-        ({"instrument": "surroundings", "kind": "room light"}, "value must be given for late answers"),
-        ({"instrument": "high_voltage", "kind": "late answers"}, "value must be given for late answers"),
-        ({"instrument": "camera", "kind": "packet loss", "value": 1.5}, "must lie between 0 and 1, got 1.5"),
+        (
+            {"instrument": "high_voltage", "kind": "clock jump", "value": 1.0},
+            "a camera must suffer one of packet loss",
+        ),
+        (
+            {"instrument": "delay_generator", "kind": "trip"},
+            "must be of high_voltage or light_source, got trip of",
+        ),
+        (
+            {"instrument": "high_voltage", "kind": "no triggers"},
+            "must be of delay_generator, got no triggers of",
+        ),
+        (
+            {"instrument": "surroundings", "kind": "silence"},
+            "the surroundings must suffer room light",
+        ),
+        (
+            {"instrument": "delay_generator", "kind": "front panel"},
+            "panel must hold commands for a front panel",
+        ),
+        (
+            {"instrument": "surroundings", "kind": "room light"},
+            "value must be given for late answers",
+        ),
+        (
+            {"instrument": "high_voltage", "kind": "late answers"},
+            "value must be given for late answers",
+        ),
+        (
+            {"instrument": "camera", "kind": "packet loss", "value": 1.5},
+            "must lie between 0 and 1, got 1.5",
+        ),
         ({"instrument": "high_voltage", "kind": "sabotage"}, "sabotage"),
-        ({"instrument": "high_voltage", "kind": "garbage", "for_s": 0.0}, "strike at 0 s or later for some time"),
+        (
+            {"instrument": "high_voltage", "kind": "garbage", "for_s": 0.0},
+            "strike at 0 s or later for some time",
+        ),
     ],
 )
 def test_a_script_that_makes_no_sense_is_refused_in_a_sentence(fault, rule):

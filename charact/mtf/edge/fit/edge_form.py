@@ -1,7 +1,8 @@
-"""Form of an edge's transfer: shift, blur model and, if asked, smooth model departures and a free video bandwidth.
+"""Form of an edge's transfer: shift, blur model and, if asked, smooth model departures and a free
+video bandwidth.
 
-Transfer = known part x core x exp(departure) x extended component, times the phase of the shift and a free smooth
-phase: a causal filter or a nonlinear response makes edges asymmetric.
+Transfer = known part x core x exp(departure) x extended component, times the phase of the shift and
+a free smooth phase: a causal filter or a nonlinear response makes edges asymmetric.
 """
 
 from dataclasses import dataclass
@@ -17,8 +18,8 @@ from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
 
-# Knots of the departure of ln modulus and of the phase, in units of the half frequency: from a third of it to where
-# little contrast is left. Prior standard deviations of the phases, rad.
+# Knots of the departure of ln modulus and of the phase, in units of the half frequency: from a
+# third of it to where little contrast is left. Prior standard deviations of the phases, rad.
 KNOTS = np.array([0.35, 0.6, 0.9, 1.3, 1.8, 2.5])
 PHASE_KNOTS = np.array([1.0, 1.5, 2.1, 2.8])
 PHASE_SD = np.array([0.2, 0.3, 0.5, 0.7])
@@ -33,11 +34,13 @@ class EdgeForm:
     family
         The blur model.
     departure_sd
-        Prior standard deviation of ln of the departure at each knot; 0: neither departures nor phases.
+        Prior standard deviation of ln of the departure at each knot; 0: neither departures nor
+        phases.
     scale
         Half frequency about which the knots lie, cy/px.
     known
-        Known transfer whose video bandwidth is one more parameter where it is uncertain; None: it is exact.
+        Known transfer whose video bandwidth is one more parameter where it is uncertain; None: it
+        is exact.
     """
 
     family: BlurModel
@@ -47,14 +50,22 @@ class EdgeForm:
 
     @cached_property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of each parameter: shift, core, departures, phases, extended component, bandwidth."""
+        """Unit and bounds of each parameter: shift, core, departures, phases, extended component,
+        bandwidth.
+        """
         core = list(self.family.parameters.items())
         wide = core[self.family.core_parameters :]
         bends = [(f"departure_{k}", ("1", (-6.0, 6.0))) for k in range(self._knots)]
-        phases = [(f"phase_{k}", ("rad", (-6.0 * sd, 6.0 * sd))) for k, sd in enumerate(PHASE_SD[: self._phases])]
+        phases = [
+            (f"phase_{k}", ("rad", (-6.0 * sd, 6.0 * sd)))
+            for k, sd in enumerate(PHASE_SD[: self._phases])
+        ]
         shift = ("edge_shift_px", ("px", (-ACCURACY.max_shift_px, ACCURACY.max_shift_px)))
         video = self.video.parameters if self.video else {}
-        return {**dict([shift, *core[: self.family.core_parameters], *bends, *phases, *wide]), **video}
+        return {
+            **dict([shift, *core[: self.family.core_parameters], *bends, *phases, *wide]),
+            **video,
+        }
 
     @cached_property
     def bounds(self) -> Array:
@@ -86,13 +97,22 @@ class EdgeForm:
         if not self.departure_sd:
             return theta[:, 1 : 1 + len(self.family.parameters)]
         core, size = self.family.core_parameters, len(self.family.parameters)
-        return np.concatenate([theta[:, 1 : 1 + core], theta[:, self.phase_index.stop :][:, : size - core]], axis=1)
+        return np.concatenate(
+            [theta[:, 1 : 1 + core], theta[:, self.phase_index.stop :][:, : size - core]], axis=1
+        )
 
     def expand(self, family: Array) -> Array:
-        """Return points without shift, departures and change of bandwidth, from those of the blur model."""
+        """Return points without shift, departures and change of bandwidth, from those of the blur
+        model.
+        """
         core = self.family.core_parameters
-        none = [np.zeros((len(family), size)) for size in (1, self._knots + self._phases, int(self.video is not None))]
-        return np.concatenate([none[0], family[:, :core], none[1], family[:, core:], none[2]], axis=1)
+        none = [
+            np.zeros((len(family), size))
+            for size in (1, self._knots + self._phases, int(self.video is not None))
+        ]
+        return np.concatenate(
+            [none[0], family[:, :core], none[1], family[:, core:], none[2]], axis=1
+        )
 
     def modulus(self, theta: Array, frequency: Array) -> Array:
         """Return the transfer over its known part, without phase, shape (n, f)."""
@@ -110,7 +130,11 @@ class EdgeForm:
         """Return by how many turns each node is late beyond a shift, shape (n, node)."""
         late = np.multiply.outer(theta[:, 0] - centre_px, grid)
         if self.departure_sd:
-            late -= theta[:, self.phase_index] @ _shapes_at(self.scale, grid.tobytes())[1] / (2.0 * np.pi)
+            late -= (
+                theta[:, self.phase_index]
+                @ _shapes_at(self.scale, grid.tobytes())[1]
+                / (2.0 * np.pi)
+            )
         if self.known is not None and self.video:
             late -= powers(theta[:, -1]) @ _bend_at(self.known, grid.tobytes()).imag / (2.0 * np.pi)
         return late
@@ -122,7 +146,8 @@ class EdgeForm:
         if self.departure_sd:
             first = 1 + self.family.core_parameters
             standard = np.concatenate(
-                [theta[:, first : first + self._knots], theta[:, self.phase_index] / PHASE_SD], axis=1
+                [theta[:, first : first + self._knots], theta[:, self.phase_index] / PHASE_SD],
+                axis=1,
             )
             value = value - 0.5 * np.sum(standard**2, axis=1)
         if self.video:
@@ -131,7 +156,9 @@ class EdgeForm:
 
 
 def cosine_shapes(ratio: Array, knots: Array) -> Array:
-    """Return cosine bumps in the logarithm of a ratio, one at each knot and the last one held, shape (knot, ratio)."""
+    """Return cosine bumps in the logarithm of a ratio, one at each knot and the last one held,
+    shape (knot, ratio).
+    """
     ln = np.log(np.maximum(ratio, 1e-300))
     place = np.interp(ln, np.log(knots), np.arange(knots.size))
     entry = (ln - np.log(knots[0])) / np.log(knots[1] / knots[0])

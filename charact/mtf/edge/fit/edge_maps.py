@@ -1,7 +1,8 @@
-"""Linear maps from a transfer function at a few frequencies to the bins of an edge profile, and its likelihood.
+"""Linear maps from a transfer function at a few frequencies to the bins of an edge profile, and its
+likelihood.
 
-Bin means are linear in the transfer and in the levels, so chi squared of a transfer is a quadratic form: once the maps
-are made, a likelihood costs the same whatever the size of the frame.
+Bin means are linear in the transfer and in the levels, so chi squared of a transfer is a quadratic
+form: once the maps are made, a likelihood costs the same whatever the size of the frame.
 """
 
 import math
@@ -20,7 +21,8 @@ Array = NDArray[np.float64]
 
 
 class EdgeMaps:
-    """Maps from transfers at the nodes, real and imaginary parts side by side, to the bins of a profile.
+    """Maps from transfers at the nodes, real and imaginary parts side by side, to the bins of a
+    profile.
 
     Parameters
     ----------
@@ -38,10 +40,13 @@ class EdgeMaps:
     plain, white
         Maps to bins and to whitened bins, shape (2 node, bin).
     levels, data
-        Whitened level and illumination slopes, shape (3, bin), and whitened bin means, shape (bin,).
+        Whitened level and illumination slopes, shape (3, bin), and whitened bin means, shape
+        (bin,).
     """
 
-    def __init__(self, profile: EdgeProfile, known: KnownTransfer, *, fine: bool | None = None) -> None:
+    def __init__(
+        self, profile: EdgeProfile, known: KnownTransfer, *, fine: bool | None = None
+    ) -> None:
         self.profile = profile
         self.grid = nodes(fine=profile.gathered.half_width_px > 24.0 if fine is None else fine)
         fixed = known(self.grid)
@@ -57,11 +62,14 @@ class EdgeMaps:
     def _build_around(self, shift_px: float) -> None:
         self.centre_px = shift_px
         plain = np.concatenate(
-            edge_weights(self.grid, self.profile.distance - shift_px, self.profile.spread_px), axis=1
+            edge_weights(self.grid, self.profile.distance - shift_px, self.profile.spread_px),
+            axis=1,
         )
         self.plain = np.ascontiguousarray(plain.T)
         # Half the work of a product: the root is a triangle.
-        self.white = np.ascontiguousarray(dtrmm(1.0, self.root, plain.T, side=1, lower=1, trans_a=1))
+        self.white = np.ascontiguousarray(
+            dtrmm(1.0, self.root, plain.T, side=1, lower=1, trans_a=1)
+        )
 
     def rebuild_for(self, shift_px: float) -> None:
         """Make the maps anew where the nodes do not carry the phase of a shift."""
@@ -80,16 +88,22 @@ class EdgeMaps:
         return float(self.data @ self.data - (level @ self.data) ** 2 / (level @ level))
 
     def best_profile(self, transfer: Array, level_precision: Array) -> tuple[Array, Array]:
-        """Return the best profile of a transfer (2 node,) at the bins, DN, and its step, level and slopes."""
+        """Return the best profile of a transfer (2 node,) at the bins, DN, and its step, level and
+        slopes.
+        """
         linear = np.concatenate([(transfer @ self.white)[None], self.levels])
         normal = linear @ linear.T + np.diag([0.0, *level_precision])
         amplitude = np.asarray(np.linalg.solve(normal, linear @ self.data), float)
         return transfer @ self.plain * amplitude[0] + self.profile.levels @ amplitude[1:], amplitude
 
     def ln_level_volume(self, level_precision: Array) -> float:
-        """Return ln of what marginalising level and slopes costs, up to a constant: priors of slopes compare by it."""
+        """Return ln of what marginalising level and slopes costs, up to a constant: priors of
+        slopes compare by it.
+        """
         volume = np.linalg.slogdet(self.levels @ self.levels.T + np.diag(level_precision))[1]
-        return -0.5 * float(volume) + 0.5 * float(np.sum(np.log(level_precision[level_precision > 0])))
+        return -0.5 * float(volume) + 0.5 * float(
+            np.sum(np.log(level_precision[level_precision > 0]))
+        )
 
 
 class Marginal:
@@ -106,11 +120,16 @@ class Marginal:
 
     Notes
     -----
-    Gaussian priors are further bins without data; what level and slopes explain is projected out of map and data.
+    Gaussian priors are further bins without data; what level and slopes explain is projected out of
+    map and data.
     """
 
-    def __init__(self, white: Array, levels: Array, data: Array, level_precision: Array, step_dn: float) -> None:
-        span = np.linalg.qr(np.concatenate([levels, np.diag(np.sqrt(level_precision))], axis=1).T)[0]
+    def __init__(
+        self, white: Array, levels: Array, data: Array, level_precision: Array, step_dn: float
+    ) -> None:
+        span = np.linalg.qr(np.concatenate([levels, np.diag(np.sqrt(level_precision))], axis=1).T)[
+            0
+        ]
         both = np.concatenate([white, data[None]])
         both = np.concatenate([both, np.zeros((len(both), len(levels)))], axis=1)
         both -= (both @ span) @ span.T
@@ -167,7 +186,9 @@ def apply_phases(modulus: Array, turns: Array, fixed: Array) -> Array:
 
 @njit(cache=True, inline="always")
 def _series(angle: float) -> tuple[float, float]:
-    """Return sine and cosine of an angle of at most an eighth of a turn, rad, by Taylor's series."""
+    """Return sine and cosine of an angle of at most an eighth of a turn, rad, by Taylor's
+    series.
+    """
     square = angle * angle
     sine = 1.0 - square * (1.0 / 210.0)
     cosine = 1.0 - square * (1.0 / 240.0)

@@ -1,7 +1,9 @@
-"""From transfer to spread: the linear map that turns an MTF on a few frequencies into an edge spread at distances.
+"""From transfer to spread: the linear map that turns an MTF on a few frequencies into an edge
+spread at distances.
 
-The edge spread is 1/2 + int M(f) sin(2 pi f d + phase) / (pi f) df. M is smooth, so it is carried by a few nodes with
-local cubic interpolation, and the oscillating kernel is integrated against that interpolation once, on a fine grid.
+The edge spread is 1/2 + int M(f) sin(2 pi f d + phase) / (pi f) df. M is smooth, so it is carried
+by a few nodes with local cubic interpolation, and the oscillating kernel is integrated against that
+interpolation once, on a fine grid.
 """
 
 from dataclasses import dataclass
@@ -19,9 +21,13 @@ WIDEST_PX = 160.0
 
 @lru_cache(maxsize=2)
 def nodes(*, fine: bool) -> Array:
-    """Return the frequencies that carry a transfer, cycles per pixel; fine ones follow the ripples of a wide halo."""
+    """Return the frequencies that carry a transfer, cycles per pixel; fine ones follow the ripples
+    of a wide halo.
+    """
     low = np.array([1e-5, 2.5e-4, 5e-4, 1e-3, 2e-3, 3.5e-3, 5e-3, 7e-3])
-    upper = np.concatenate([np.arange(0.3, 0.7, 0.025), np.arange(0.7, 1.4, 0.07), np.arange(1.4, 4.4, 0.25)])
+    upper = np.concatenate(
+        [np.arange(0.3, 0.7, 0.025), np.arange(0.7, 1.4, 0.07), np.arange(1.4, 4.4, 0.25)]
+    )
     middle = np.arange(0.01, 0.3, 0.01)
     if fine:
         low = np.concatenate([low[:4], np.arange(1.5e-3, 0.06, 1.5e-3)])
@@ -60,13 +66,15 @@ def edge_weights(grid: Array, distance: Array, spread_px: Array) -> tuple[Array,
     Returns
     -------
     even, odd
-        Shape (bin, node): edge spread - 1/2 = even @ Re H + odd @ Im H, for H of a line spread along +d.
+        Shape (bin, node): edge spread - 1/2 = even @ Re H + odd @ Im H, for H of a line spread
+        along +d.
 
     Notes
     -----
     With the line spread l(d) = int H(f) exp(2 pi i f d) df the edge spread is
     1/2 + int [Re H sin(2 pi f d) + Im H cos(2 pi f d)] / (pi f) df over f > 0.
-    The mean over a bin is the value at its mean distance and half its variance times the second derivative.
+    The mean over a bin is the value at its mean distance and half its variance times the second
+    derivative.
     """
     table = spread_table(grid.tobytes())
     first, weight = table.taps(distance)
@@ -76,8 +84,12 @@ def edge_weights(grid: Array, distance: Array, spread_px: Array) -> tuple[Array,
 
 
 @njit(cache=True)
-def _look_up(table: Array, bent: Array, first: NDArray[np.int64], weight: Array, bend: Array) -> Array:
-    """Return a table and so much of its second derivative, between its places, shape (bin, node)."""
+def _look_up(
+    table: Array, bent: Array, first: NDArray[np.int64], weight: Array, bend: Array
+) -> Array:
+    """Return a table and so much of its second derivative, between its places, shape (bin,
+    node).
+    """
     out = np.zeros((first.size, table.shape[1]))
     for i in range(first.size):
         for j in range(4):
@@ -108,12 +120,16 @@ class SpreadTable:
     odd_bend: Array
 
     def taps(self, distance: Array) -> tuple[NDArray[np.int64], Array]:
-        """Return first of four places around each |distance|, and cubic weights of the four, shape (bin, 4)."""
+        """Return first of four places around each |distance|, and cubic weights of the four, shape
+        (bin, 4).
+        """
         return cubic_taps(self.distance, np.abs(distance))
 
 
 def cubic_taps(places: Array, at: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the first of the four places around each point, and the weights of cubic Lagrange interpolation."""
+    """Return the first of the four places around each point, and the weights of cubic Lagrange
+    interpolation.
+    """
     first = np.clip(np.searchsorted(places, at) - 2, 0, places.size - 4)
     around = places[first[:, None] + np.arange(4)]
     away = at[:, None] - around
@@ -133,10 +149,18 @@ def spread_table(grid_bytes: bytes) -> SpreadTable:
     far = np.concatenate([np.arange(NEAR_PX, 40.0, 0.125), np.arange(40.0, WIDEST_PX + 2.0, 0.25)])
     parts = [_integrate(grid, near, 0.002, 4.0), _integrate(grid, far, 0.0005, 0.75)]
     even, odd, even_bend, odd_bend = (np.concatenate(pair) for pair in zip(*parts, strict=True))
-    return SpreadTable(distance=np.concatenate([near, far]), even=even, odd=odd, even_bend=even_bend, odd_bend=odd_bend)
+    return SpreadTable(
+        distance=np.concatenate([near, far]),
+        even=even,
+        odd=odd,
+        even_bend=even_bend,
+        odd_bend=odd_bend,
+    )
 
 
-def _integrate(grid: Array, distance: Array, step: float, top: float) -> tuple[Array, Array, Array, Array]:
+def _integrate(
+    grid: Array, distance: Array, step: float, top: float
+) -> tuple[Array, Array, Array, Array]:
     """Integrate the kernels against the interpolation with the midpoint rule up to a frequency."""
     f = np.arange(step / 2, top, step)
     # Far from the edge nothing fine is left: a smooth end of the integral keeps its ripple out.

@@ -1,6 +1,7 @@
 """Selection of blur models for an edge profile, and their weights by evidence.
 
-Simple cores are fitted first. Extended components are scored to first order and fitted if the score is high enough.
+Simple cores are fitted first. Extended components are scored to first order and fitted if the score
+is high enough.
 """
 
 from collections.abc import Mapping
@@ -23,7 +24,14 @@ from charact.mtf.blur_models.one_dimensional import (
     UnresolvedGlareComponent,
 )
 from charact.mtf.edge.fit.edge_form import KNOTS, PHASE_KNOTS, cosine_shapes
-from charact.mtf.edge.fit.model_fit import LINEAR, EdgeFit, EdgeFitter, LinearisedProfile, chi2_explained, scaled_normal
+from charact.mtf.edge.fit.model_fit import (
+    LINEAR,
+    EdgeFit,
+    EdgeFitter,
+    LinearisedProfile,
+    chi2_explained,
+    scaled_normal,
+)
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import halo_diameters_px
@@ -37,8 +45,8 @@ _evidence = attrgetter("log_evidence")
 class TrialComponent:
     """An extended component of some sizes, the same for many edges.
 
-    Its kind; sizes and other shape parameters, shape (size, parameter); fraction of the light for a fraction parameter
-    of one, shape (size,); its transfer less one, shape (size, node).
+    Its kind; sizes and other shape parameters, shape (size, parameter); fraction of the light for a
+    fraction parameter of one, shape (size,); its transfer less one, shape (size, node).
     """
 
     wide: ExtendedComponent
@@ -47,7 +55,8 @@ class TrialComponent:
     change: Array
 
     def bayes_factor(self, amplitude: Array, precision: Array) -> float:
-        """Return the mean over sizes and fractions of the evidence for such light over that for none.
+        """Return the mean over sizes and fractions of the evidence for such light over that for
+        none.
 
         Parameters
         ----------
@@ -69,11 +78,15 @@ class TrialComponent:
 def _trial_component(wide: ExtendedComponent, grid_bytes: bytes) -> TrialComponent:
     """Return an extended component of some sizes on the nodes of the transfer."""
     bounds = np.array([bound for _, bound in wide.parameters.values()])
-    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, ACCURACY.component_sizes)
+    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(
+        0.05, 0.95, ACCURACY.component_sizes
+    )
     others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
     shapes = np.array([[size, *other] for other in others for size in sizes])
     change = wide.transfer(np.frombuffer(grid_bytes), shapes) - 1.0
-    return TrialComponent(wide=wide, shapes=shapes, unit=wide.share_unit(shapes)[:, 0], change=change)
+    return TrialComponent(
+        wide=wide, shapes=shapes, unit=wide.share_unit(shapes)[:, 0], change=change
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +96,8 @@ class ExtendedComponentScore:
     Parameters
     ----------
     core, wide
-        The core as fitted, under the prior of the illumination's slopes in question, and the component.
+        The core as fitted, under the prior of the illumination's slopes in question, and the
+        component.
     gains
         Of chi squared by each size, shape (size,); a negative component gains nothing.
     odds
@@ -91,7 +105,8 @@ class ExtendedComponentScore:
     ln_weight
         ln of its prior probability over that of none.
     starts
-        Where a fit with each size begins, shape (size, parameter); the size is the first after the fraction.
+        Where a fit with each size begins, shape (size, parameter); the size is the first after the
+        fraction.
     sizes
         The sizes, px, shape (size,).
     """
@@ -116,7 +131,8 @@ def score_extended_components(
     components: tuple[ExtendedComponent, ...],
     least_gains: Mapping[float, float],
 ) -> list[ExtendedComponentScore]:
-    """Return what each extended component may gain; before the data all together are as likely as none.
+    """Return what each extended component may gain; before the data all together are as likely as
+    none.
 
     Parameters
     ----------
@@ -128,7 +144,9 @@ def score_extended_components(
     maps = fitter.maps
     trials = [_trial_component(wide, maps.grid.tobytes()) for wide in components]
     core = fit.family.modulus(fit.point[None, 1:], maps.grid)
-    shapes = maps.transfers(core * np.concatenate([one.change for one in trials]), float(fit.point[0]))
+    shapes = maps.transfers(
+        core * np.concatenate([one.change for one in trials]), float(fit.point[0])
+    )
     white = shapes @ maps.white * abs(fitter.profile.step)
     scores = []
     for slope, least_gain in least_gains.items():
@@ -159,7 +177,8 @@ def score_extended_components(
 
 
 def _amplitudes_to_add(at: LinearisedProfile, shapes: Array) -> tuple[Array, Array, Array]:
-    """Return the amplitude of each whitened shape (shape, bin) added alone to a fit, to first order, and its precision.
+    """Return the amplitude of each whitened shape (shape, bin) added alone to a fit, to first
+    order, and its precision.
 
     Also how far it moves each parameter, shape (shape, parameter).
     """
@@ -176,21 +195,41 @@ def _amplitudes_to_add(at: LinearisedProfile, shapes: Array) -> tuple[Array, Arr
     return amplitude, power, moved[:, :-LINEAR]
 
 
-def fit_extended_component(fitter: EdgeFitter, score: ExtendedComponentScore, hopeless_cost: float) -> EdgeFit | None:
-    """Fit a core with a component, from the best size and another far from it; None where both begin hopelessly."""
+def fit_extended_component(
+    fitter: EdgeFitter, score: ExtendedComponentScore, hopeless_cost: float
+) -> EdgeFit | None:
+    """Fit a core with a component, from the best size and another far from it; None where both
+    begin hopelessly.
+    """
     order = np.argsort(-score.gains)
-    family, slope = BlurModel(core=score.core.family.core, wide=score.wide), score.core.slope_sd_per_px
+    family, slope = (
+        BlurModel(core=score.core.family.core, wide=score.wide),
+        score.core.slope_sd_per_px,
+    )
     sizes = np.log(score.sizes[order])
     apart = order[np.abs(sizes - sizes[0]) > ACCURACY.size_separation]
-    begun = [fitter.optimise(family, score.starts[i], slope, ACCURACY.first_iterations) for i in (order[0], *apart[:1])]
+    begun = [
+        fitter.optimise(family, score.starts[i], slope, ACCURACY.first_iterations)
+        for i in (order[0], *apart[:1])
+    ]
     best = min(begun, key=lambda one: one.at.cost)
-    return None if best.at.cost > hopeless_cost else fitter.fit(family, best.point, slope, score.ln_weight)
+    return (
+        None
+        if best.at.cost > hopeless_cost
+        else fitter.fit(family, best.point, slope, score.ln_weight)
+    )
 
 
-def exceeds_model(fitter: EdgeFitter, fit: EdgeFit, deviations: float = THRESHOLDS.departure_sd) -> bool:
-    """Tell whether smooth departures of modulus and phase gain more chi squared, to first order, than noise allows."""
+def exceeds_model(
+    fitter: EdgeFitter, fit: EdgeFit, deviations: float = THRESHOLDS.departure_sd
+) -> bool:
+    """Tell whether smooth departures of modulus and phase gain more chi squared, to first order,
+    than noise allows.
+    """
     maps = fitter.maps
-    transfer = maps.transfers(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))[0]
+    transfer = maps.transfers(
+        fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0])
+    )[0]
     real, imaginary = np.split(transfer, 2)
     ratio = maps.grid / np.exp(fit.point[1])
     modulus, phase = cosine_shapes(ratio, KNOTS), cosine_shapes(ratio, PHASE_KNOTS)
@@ -208,12 +247,16 @@ class EvidenceWeightedModels:
     share: float
 
 
-def candidate_components(context: Context, half_width_px: float, *, transposed: bool) -> tuple[ExtendedComponent, ...]:
+def candidate_components(
+    context: Context, half_width_px: float, *, transposed: bool
+) -> tuple[ExtendedComponent, ...]:
     """Return the extended components that a window can show."""
     if context.sensor is not None:
         low, high = halo_diameters_px(context, transposed=transposed)
         return (HaloComponent(size_px=(low, high)),) if half_width_px >= 0.6 * high else ()
-    found: list[ExtendedComponent] = [UnresolvedGlareComponent(size_px=(0.5 * half_width_px, 4.0 * half_width_px))]
+    found: list[ExtendedComponent] = [
+        UnresolvedGlareComponent(size_px=(0.5 * half_width_px, 4.0 * half_width_px))
+    ]
     if half_width_px >= THRESHOLDS.min_window_disc_px:
         found.append(DiscComponent(size_px=(6.0, 2.0 * half_width_px)))
     if half_width_px >= THRESHOLDS.min_window_halo_px:
@@ -222,17 +265,25 @@ def candidate_components(context: Context, half_width_px: float, *, transposed: 
     return tuple(found)
 
 
-def fit_blur_models(fitter: EdgeFitter, wide: tuple[ExtendedComponent, ...]) -> list[EvidenceWeightedModels]:
-    """Fit the models that the data may require, simple ones first, and return them, the most probable first."""
+def fit_blur_models(
+    fitter: EdgeFitter, wide: tuple[ExtendedComponent, ...]
+) -> list[EvidenceWeightedModels]:
+    """Fit the models that the data may require, simple ones first, and return them, the most
+    probable first.
+    """
     found = _fit_cores_and_components(fitter, wide, EVEN_PER_PX)
     found = _best_of_each([*found, *_fits_with_gradients(fitter, found)])
     likeliest = max(found, key=_evidence)
     if likeliest.slope_sd_per_px > EVEN_PER_PX:
         # What was given up as hopeless in even light may be what the slopes stand for.
-        found = _best_of_each([*found, *_fit_cores_and_components(fitter, wide, likeliest.slope_sd_per_px)])
+        found = _best_of_each(
+            [*found, *_fit_cores_and_components(fitter, wide, likeliest.slope_sd_per_px)]
+        )
     found = _best_of_each([*found, *_fits_with_unresolved_glare(fitter, found, wide)])
     weights = weigh_by_evidence(
-        [fit.log_evidence for fit in found], power=THRESHOLDS.evidence_power, least=THRESHOLDS.min_model_weight
+        [fit.log_evidence for fit in found],
+        power=THRESHOLDS.evidence_power,
+        least=THRESHOLDS.min_model_weight,
     )
     return [EvidenceWeightedModels(fit=found[index], share=weight) for index, weight in weights]
 
@@ -240,30 +291,48 @@ def fit_blur_models(fitter: EdgeFitter, wide: tuple[ExtendedComponent, ...]) -> 
 def _fit_cores_and_components(
     fitter: EdgeFitter, wide: tuple[ExtendedComponent, ...], slope_sd_per_px: float
 ) -> list[EdgeFit]:
-    """Fit cores alone, then with the extended components that may gain, under one prior of the gradients."""
+    """Fit cores alone, then with the extended components that may gain, under one prior of the
+    gradients.
+    """
     found = _fit_cores(fitter, slope_sd_per_px)
     best = max(found[:2], key=_evidence)
     near = best.log_evidence - THRESHOLDS.competitive_ln_evidence
     least = max(map(_evidence, found)) - THRESHOLDS.competitive_ln_evidence
-    # A component next to a Moffat only where wings are likelier than none: it explains them a second time.
+    # A component next to a Moffat only where wings are likelier than none: it explains them a
+    # second time.
     wings = best.family.core != "gaussian" and found[2].log_evidence > near
-    pursued = [*(found[:3] if wings else found[:2]), *(fit for fit in found[3:] if fit.log_evidence > least)]
+    pursued = [
+        *(found[:3] if wings else found[:2]),
+        *(fit for fit in found[3:] if fit.log_evidence > least),
+    ]
     least_gains = {UNEVEN_PER_PX: THRESHOLDS.component_in_gradient_chi2, slope_sd_per_px: 0.0}
-    scores = [one for core in pursued for one in score_extended_components(fitter, core, wide, least_gains)]
+    scores = [
+        one
+        for core in pursued
+        for one in score_extended_components(fitter, core, wide, least_gains)
+    ]
     alike = [one.core.slope_sd_per_px == slope_sd_per_px for one in scores]
     own = _components_worth_fitting(list(compress(scores, alike)))
     already = {(one.core.family, one.wide) for one in own}
     # A halo and a gradient may hide each other.
     others = compress(scores, np.logical_not(alike))
-    hidden = [one for one in others if (one.core.family, one.wide) not in already and one.log_evidence > near]
+    hidden = [
+        one
+        for one in others
+        if (one.core.family, one.wide) not in already and one.log_evidence > near
+    ]
     for score in sorted([*own, *hidden], key=lambda one: wide.index(one.wide)):
-        fit = fit_extended_component(fitter, score, min(fit.cost for fit in found) + THRESHOLDS.max_start_chi2)
+        fit = fit_extended_component(
+            fitter, score, min(fit.cost for fit in found) + THRESHOLDS.max_start_chi2
+        )
         found = found if fit is None else [*found, fit]
     return found
 
 
 def _fit_cores(fitter: EdgeFitter, slope_sd_per_px: float) -> list[EdgeFit]:
-    """Fit a Gaussian, a tube's core, a Moffat and pupils, each from shift and half frequency of the one before."""
+    """Fit a Gaussian, a tube's core, a Moffat and pupils, each from shift and half frequency of the
+    one before.
+    """
     guess = fitter.guess()
     found: list[EdgeFit] = []
 
@@ -310,7 +379,9 @@ def _best_of_each(fits: list[EdgeFit]) -> list[EdgeFit]:
 
 
 def _fits_with_gradients(fitter: EdgeFitter, found: list[EdgeFit]) -> list[EdgeFit]:
-    """Fit again the models that an illumination gradient would make probable; a gradient may hide behind wings."""
+    """Fit again the models that an illumination gradient would make probable; a gradient may hide
+    behind wings.
+    """
     asked = [
         fitter.under(fit, slope)
         for fit in found
@@ -328,7 +399,9 @@ def _fits_with_gradients(fitter: EdgeFitter, found: list[EdgeFit]) -> list[EdgeF
 def _fits_with_unresolved_glare(
     fitter: EdgeFitter, found: list[EdgeFit], wide: tuple[ExtendedComponent, ...]
 ) -> list[EdgeFit]:
-    """Fit glare wider than the window to what was taken for an illumination gradient, where both sides rise."""
+    """Fit glare wider than the window to what was taken for an illumination gradient, where both
+    sides rise.
+    """
     veils = [prior for prior in wide if isinstance(prior, UnresolvedGlareComponent)]
     sloped = [fit for fit in found if fit.slope_sd_per_px > EVEN_PER_PX and fit.family.wide is None]
     rising = [fit for fit in sloped if fitter.side_slopes(fit).min() > 0]
@@ -337,6 +410,18 @@ def _fits_with_unresolved_glare(
     best, veil = max(rising, key=_evidence), veils[0]
     widest = veil.size_px[1]
     # The edge spread of a Gaussian rises by 1 / (sqrt(2 pi) sigma) at its middle.
-    share = min(float(fitter.side_slopes(best).min() / best.at.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
+    share = min(
+        float(fitter.side_slopes(best).min() / best.at.amplitude[0])
+        * np.sqrt(2.0 * np.pi)
+        * widest,
+        0.3,
+    )
     start = np.concatenate([best.point, [share, 0.5 * widest]])
-    return [fitter.fit(BlurModel(core=best.family.core, wide=veil), start, UNEVEN_PER_PX, -float(np.log(len(wide))))]
+    return [
+        fitter.fit(
+            BlurModel(core=best.family.core, wide=veil),
+            start,
+            UNEVEN_PER_PX,
+            -float(np.log(len(wide))),
+        )
+    ]

@@ -1,1 +1,3 @@
-"""From the pixels of an edge to its profile: where it runs, its noise, its light, and what the bins hold."""
+"""From the pixels of an edge to its profile: where it runs, its noise, its light, and what the bins
+hold.
+"""

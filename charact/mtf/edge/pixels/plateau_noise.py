@@ -1,6 +1,8 @@
-"""Temporal noise on the plateaus and slopes of an edge, and what its growth tells of the camera's response.
+"""Temporal noise on the plateaus and slopes of an edge, and what its growth tells of the camera's
+response.
 
-Noise is taken from frame differences where there are several frames: fixed patterns and lamp flicker are then excluded.
+Noise is taken from frame differences where there are several frames: fixed patterns and lamp
+flicker are then excluded.
 """
 
 from dataclasses import dataclass
@@ -31,7 +33,8 @@ class PlateauNoise:
     variance, scatter
         Mean variance of a pixel, DN^2, and its relative standard uncertainty.
     covariance, covariance_sd
-        Mean covariance of neighbours along a row less that of distant pixels, and its standard uncertainty, DN^2.
+        Mean covariance of neighbours along a row less that of distant pixels, and its standard
+        uncertainty, DN^2.
     """
 
     level: float
@@ -44,7 +47,9 @@ class PlateauNoise:
 Sides = tuple[PlateauNoise, PlateauNoise]
 
 
-def plateau_noise(frames: Array, expected: Array, sides: NDArray[np.int64], *, along: int, tied: float) -> Sides | None:
+def plateau_noise(
+    frames: Array, expected: Array, sides: NDArray[np.int64], *, along: int, tied: float
+) -> Sides | None:
     """Return the noise of the dark and of the bright plateau; None if a plateau has too few pixels.
 
     Parameters
@@ -62,8 +67,9 @@ def plateau_noise(frames: Array, expected: Array, sides: NDArray[np.int64], *, a
 
     Notes
     -----
-    The mean of a plateau in each frame and, of several frames, the mean of each pixel are subtracted. Uncertainties
-    follow from the scatter of the pixels, which includes heavy-tailed pulses, and from their correlation.
+    The mean of a plateau in each frame and, of several frames, the mean of each pixel are
+    subtracted. Uncertainties follow from the scatter of the pixels, which includes heavy-tailed
+    pulses, and from their correlation.
     """
     mean = frames.mean(axis=0) if len(frames) > 1 else expected
     sums = _sum_products(frames, mean, sides, 1 - along, along)
@@ -87,11 +93,14 @@ def plateau_noise(frames: Array, expected: Array, sides: NDArray[np.int64], *, a
 
 
 @njit(cache=True)
-def _sum_products(values: Array, mean: Array, sides: NDArray[np.int64], down: int, across: int) -> Array:
+def _sum_products(
+    values: Array, mean: Array, sides: NDArray[np.int64], down: int, across: int
+) -> Array:
     """Return sums over both plateaus, shape (side, 9).
 
-    Number of pixels, sum of values; sums of squares and of squares squared; sums of neighbours' products and of those
-    squared, number of neighbours; sum of distant pixels' products, and their number.
+    Number of pixels, sum of values; sums of squares and of squares squared; sums of neighbours'
+    products and of those squared, number of neighbours; sum of distant pixels' products, and their
+    number.
     """
     frames, rows, cols = values.shape
     out, left = np.zeros((2, 9)), np.zeros((frames, rows, cols))
@@ -155,7 +164,9 @@ class SlopeNoise:
         return self.ratio > LIMITS.slope_noise[0] + LIMITS.slope_noise[1] * self.sd
 
 
-def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np.int64]) -> SlopeNoise:
+def noise_on_slopes(
+    frames: Array, level: Array, steep: Array, sides: NDArray[np.int64]
+) -> SlopeNoise:
     """Return the noise on the slopes of a target relative to that of its plateaus.
 
     Parameters
@@ -171,11 +182,13 @@ def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np
 
     Notes
     -----
-    The variance of photon and read-out noise is linear in the level. Level and contrast of each frame are subtracted
-    (lamp flicker), and from each row's slope the component of a displacement (line jitter). Correlated noise makes that
-    component larger and the ratio smaller.
+    The variance of photon and read-out noise is linear in the level. Level and contrast of each
+    frame are subtracted (lamp flicker), and from each row's slope the component of a displacement
+    (line jitter). Correlated noise makes that component larger and the ratio smaller.
     """
-    on_slope = (np.abs(steep) > LIMITS.min_slope * np.abs(steep).max()) & (np.count_nonzero(sides, axis=1) > 0)[:, None]
+    on_slope = (np.abs(steep) > LIMITS.min_slope * np.abs(steep).max()) & (
+        np.count_nonzero(sides, axis=1) > 0
+    )[:, None]
     if len(frames) < LIMITS.min_smoothing_frames or not on_slope.any():
         return SlopeNoise()
     left, used = frames - frames.mean(axis=0), on_slope | (sides > 0)
@@ -192,22 +205,32 @@ def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np
     # The displacement of a row takes one degree of freedom.
     fraction = (count - 1) / np.maximum(count, 1)
     bright = np.where(on_slope, np.clip(level, 0.0, 1.0), 0.0).sum(axis=1) * fraction
-    # Per row: variance on the slope, and the equivalent number of pixels at the dark and the bright level.
+    # Per row: variance on the slope, and the equivalent number of pixels at the dark and the bright
+    # level.
     slope, bright, dark = ((usable * one) for one in (slope, bright, count * fraction - bright))
-    plateaus = [(np.sum(square * (sides == one), axis=1), np.count_nonzero(sides == one, axis=1)) for one in (1, 2)]
+    plateaus = [
+        (np.sum(square * (sides == one), axis=1), np.count_nonzero(sides == one, axis=1))
+        for one in (1, 2)
+    ]
     parts = [slope, dark, bright, *(part for plateau in plateaus for part in plateau)]
     rows = np.stack([np.asarray(part, np.float64) for part in parts])
     blocks = rows.shape[1] // ACCURACY.block_rows
     if blocks < ACCURACY.min_blocks:
         return SlopeNoise()
-    sums = rows[:, : blocks * ACCURACY.block_rows].reshape(len(rows), blocks, ACCURACY.block_rows).sum(axis=2)
+    sums = (
+        rows[:, : blocks * ACCURACY.block_rows]
+        .reshape(len(rows), blocks, ACCURACY.block_rows)
+        .sum(axis=2)
+    )
     total = sums.sum(axis=1, keepdims=True)
     if total[1:].min() <= 0:
         return SlopeNoise()
     # Of all rows, and with each block of them left out.
     slope, dark, bright, *plateaus = np.concatenate([total, total - sums], axis=1)
     dark_sum, dark_count, bright_sum, bright_count = plateaus
-    expected = dark * dark_sum / np.maximum(dark_count, 1.0) + bright * bright_sum / np.maximum(bright_count, 1.0)
+    expected = dark * dark_sum / np.maximum(dark_count, 1.0) + bright * bright_sum / np.maximum(
+        bright_count, 1.0
+    )
     ratio, *left_out = slope / np.maximum(expected, 1e-300)
     return SlopeNoise(ratio=float(ratio), sd=float(np.sqrt((blocks - 1) * np.var(left_out))))
 
@@ -219,12 +242,14 @@ class PlateauNoiseRatio:
     Parameters
     ----------
     ratio, scatter
-        Ratio of the variances, or of the covariances of neighbours, and its relative standard uncertainty,
-        dimensionless.
+        Ratio of the variances, or of the covariances of neighbours, and its relative standard
+        uncertainty, dimensionless.
     photon_ratio
-        Ratio of the signals, which photon noise has under a linear response; None: the black level is unknown.
+        Ratio of the signals, which photon noise has under a linear response; None: the black level
+        is unknown.
     of_light
-        Whether the ratio is that of covariances. Light pulses correlate neighbours, read-out noise does not.
+        Whether the ratio is that of covariances. Light pulses correlate neighbours, read-out noise
+        does not.
     """
 
     ratio: float
@@ -233,20 +258,29 @@ class PlateauNoiseRatio:
     of_light: bool = False
 
 
-def noise_growth(sides: Sides, black_dn: float | None, *, several: bool) -> PlateauNoiseRatio | None:
-    """Return the ratio of the neighbours' covariances, of the variances where those are too small, or None.
+def noise_growth(
+    sides: Sides, black_dn: float | None, *, several: bool
+) -> PlateauNoiseRatio | None:
+    """Return the ratio of the neighbours' covariances, of the variances where those are too small,
+    or None.
 
-    `several`: whether there are several frames that differ, so that the variances are those of temporal noise.
+    `several`: whether there are several frames that differ, so that the variances are those of
+    temporal noise.
     """
     dark, bright = sides
     photons = None
     if black_dn is not None and bright.level > dark.level > black_dn:
         photons = (bright.level - black_dn) / (dark.level - black_dn)
-        if min(one.covariance / max(one.covariance_sd, 1e-300) for one in sides) >= LIMITS.min_covariance_sd:
+        if (
+            min(one.covariance / max(one.covariance_sd, 1e-300) for one in sides)
+            >= LIMITS.min_covariance_sd
+        ):
             scatter = [one.covariance_sd / one.covariance for one in sides]
             return PlateauNoiseRatio(
                 ratio=bright.covariance / dark.covariance,
-                scatter=float(np.linalg.norm([*scatter, ACCURACY.black_sd_dn / (dark.level - black_dn)])),
+                scatter=float(
+                    np.linalg.norm([*scatter, ACCURACY.black_sd_dn / (dark.level - black_dn)])
+                ),
                 photon_ratio=photons,
                 of_light=True,
             )
@@ -264,15 +298,20 @@ def noise_flags(growth: PlateauNoiseRatio) -> tuple[str, ...]:
 
     Notes
     -----
-    Variance that falls with the signal indicates a compressive response. Under a linear response it grows at most in
-    proportion to the signal above black; the covariance of neighbours grows in proportion to it.
+    Variance that falls with the signal indicates a compressive response. Under a linear response it
+    grows at most in proportion to the signal above black; the covariance of neighbours grows in
+    proportion to it.
     """
     beyond = LIMITS.rising_variance[0] + LIMITS.rising_variance[1] * growth.scatter
     rising = growth.photon_ratio is not None and growth.ratio > growth.photon_ratio * beyond
     if growth.of_light and growth.photon_ratio is not None:
         falling = growth.ratio * beyond < growth.photon_ratio
     else:
-        falling = growth.ratio * (LIMITS.falling_variance[0] + LIMITS.falling_variance[1] * growth.scatter) < 1.0
+        falling = (
+            growth.ratio
+            * (LIMITS.falling_variance[0] + LIMITS.falling_variance[1] * growth.scatter)
+            < 1.0
+        )
     return ("gamma",) if falling or rising else ()
 
 
@@ -281,9 +320,10 @@ def ln_bayes_factor_nonlinear(growth: PlateauNoiseRatio) -> float:
 
     Notes
     -----
-    The variance is read-out noise with probability `READ_OUT`; that gives no information. Otherwise photons contribute
-    any fraction: under a linear response the ln ratio is uniform from 0 to ln r, r the ratio of the signals. For
-    covariances it is ln r. A power law of exponent g changes the ln ratio by 2 (1 - 1/g) ln r.
+    The variance is read-out noise with probability `READ_OUT`; that gives no information. Otherwise
+    photons contribute any fraction: under a linear response the ln ratio is uniform from 0 to ln r,
+    r the ratio of the signals. For covariances it is ln r. A power law of exponent g changes the ln
+    ratio by 2 (1 - 1/g) ln r.
     """
     from scipy.special import ndtr
 

@@ -1,4 +1,6 @@
-"""Strips of N long bars in closed form: their exact spectrum, a transfer and the pixel, summed as a cosine series."""
+"""Strips of N long bars in closed form: their exact spectrum, a transfer and the pixel, summed as a
+cosine series.
+"""
 
 from collections.abc import Callable
 
@@ -32,11 +34,20 @@ def mtf_of(core: Core, frequency: float, angle_deg: float) -> float:
 
 
 def strip(
-    core: Core, frequency: float, angle_deg: float, phase_px: float, *, bars: int = 4, rows: int = 20, reach: int = 16
+    core: Core,
+    frequency: float,
+    angle_deg: float,
+    phase_px: float,
+    *,
+    bars: int = 4,
+    rows: int = 20,
+    reach: int = 16,
 ) -> NDArray[np.float64]:
-    """Rows across N bars that run through them, sampled at whole pixels, 1 on a wide bar, shape (row, col).
+    """Rows across N bars that run through them, sampled at whole pixels, 1 on a wide bar, shape
+    (row, col).
 
-    O(v) = w sinc(v w) sin(pi N v P) / sin(pi v P), w = P/2; the pixel's sincs make each sample its pixel's mean.
+    O(v) = w sinc(v w) sin(pi N v P) / sin(pi v P), w = P/2; the pixel's sincs make each sample its
+    pixel's mean.
     """
     cols = int(np.ceil(bars / frequency)) + 2 * reach
     v = np.arange(3 * PERIOD_PX) / PERIOD_PX
@@ -52,12 +63,19 @@ def strip(
     spectrum[: v.size] = width * np.sinc(v * width) * comb * core(v) * pixel
     profile = np.fft.fftshift(np.fft.irfft(spectrum)) / STEP_PX
     row, col = np.mgrid[:rows, :cols]
-    across = (col - (cols - 1) / 2 - phase_px) * np.cos(angle) + (row - (rows - 1) / 2) * np.sin(angle)
+    across = (col - (cols - 1) / 2 - phase_px) * np.cos(angle) + (row - (rows - 1) / 2) * np.sin(
+        angle
+    )
     return np.interp(across, (np.arange(profile.size) - profile.size // 2) * STEP_PX, profile)
 
 
 def frames_of(
-    image: NDArray, rng: np.random.Generator, *, snr: float = 10.0, blur_px: float = 0.0, frames: int = 1
+    image: NDArray,
+    rng: np.random.Generator,
+    *,
+    snr: float = 10.0,
+    blur_px: float = 0.0,
+    frames: int = 1,
 ) -> FrameStack:
     """Frames of an image with noise of STEP_DN / snr a pixel, white or blurred behind the gain."""
     from scipy.ndimage import gaussian_filter
@@ -73,7 +91,9 @@ def frames_of(
 
 
 def _gain(blur_px: float) -> float:
-    """Standard deviation of white noise after a blur: the root of the sum of its squared weights."""
+    """Standard deviation of white noise after a blur: the root of the sum of its squared
+    weights.
+    """
     from scipy.ndimage import gaussian_filter
 
     spike = np.zeros((65, 65))

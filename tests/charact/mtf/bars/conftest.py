@@ -1,4 +1,6 @@
-"""The frames of bars beside these tests, and the charts of the finders' tests, are imported by name."""
+"""The frames of bars beside these tests, and the charts of the finders' tests, are imported by
+name.
+"""
 
 import sys
 from pathlib import Path

@@ -38,20 +38,33 @@ class PulsedBars(PhotoelectronTarget):
     def _illumination(self, row: Array, col: Array, moved_px: float) -> Array:
         shape, first = (row.size, col.size), (float(row[0, 0]), float(col[0, 0]))
         place = self.row_px - first[0], self.col_px + moved_px - first[1]
-        return _blurred(self.blur, self.bars, self.frequency_cy_per_px, self.angle_deg, shape, place)
+        return _blurred(
+            self.blur, self.bars, self.frequency_cy_per_px, self.angle_deg, shape, place
+        )
 
 
 @lru_cache(maxsize=4)
 def _blurred(
-    blur: TrueBlur, bars: int, frequency: float, angle_deg: float, shape: tuple[int, int], place: tuple[float, float]
+    blur: TrueBlur,
+    bars: int,
+    frequency: float,
+    angle_deg: float,
+    shape: tuple[int, int],
+    place: tuple[float, float],
 ) -> Array:
-    """Bars through the blur alone, 1 on a wide bar, on the fine grid; their middle at a place from its corner, px.
+    """Bars through the blur alone, 1 on a wide bar, on the fine grid; their middle at a place from
+    its corner, px.
 
-    What lies beyond the grid's own Nyquist frequency, 2 cycles per pixel, is left out: there a blur has nothing left.
+    What lies beyond the grid's own Nyquist frequency, 2 cycles per pixel, is left out: there a blur
+    has nothing left.
     """
     from scipy.fft import irfft2
 
     fy, fx = np.fft.fftfreq(shape[0])[:, None] * FINER, np.fft.rfftfreq(shape[1])[None, :] * FINER
     shift = np.exp(-2j * np.pi * (fy * place[0] + fx * place[1]))
-    spectrum = spectrum_of_bars(bars, frequency, angle_deg, fx, fy) * blur.before_pixel(np.hypot(fx, fy)) * shift
+    spectrum = (
+        spectrum_of_bars(bars, frequency, angle_deg, fx, fy)
+        * blur.before_pixel(np.hypot(fx, fy))
+        * shift
+    )
     return np.asarray(irfft2(spectrum, shape)) * FINER**2

@@ -1,4 +1,6 @@
-"""Groups of bars of a frame or a session give one MTF50 and one curve for each direction, and only where they can."""
+"""Groups of bars of a frame or a session give one MTF50 and one curve for each direction, and only
+where they can.
+"""
 
 import numpy as np
 import pytest
@@ -19,12 +21,20 @@ QUICK = Context(seed=1, quick=True)
 CAMERA = load_sensor("pulnix-ag5745ef3")
 FREQUENCIES = (0.06, 0.1, 0.16, 0.24)
 FITTED = (0.05, 0.1, 0.2, 0.3)
-# Of the camera: 11 um columns, 13 um rows of which a frame's row sums two, seen through a taper of 18/11.
+# Of the camera: 11 um columns, 13 um rows of which a frame's row sums two, seen through a taper of
+# 18/11.
 PIXEL_HEIGHT, COLUMN_AT_CATHODE_MM = 26.0 / 11.0, 0.018
 
 
-def reading(frequency: float, value: float, sd: float = 0.01, angle_deg: float = 3.0, **fields) -> Measurement:
-    own = {"method": "bars-forward", "frequency_cy_per_px": frequency, "orientation_deg": angle_deg, **fields}
+def reading(
+    frequency: float, value: float, sd: float = 0.01, angle_deg: float = 3.0, **fields
+) -> Measurement:
+    own = {
+        "method": "bars-forward",
+        "frequency_cy_per_px": frequency,
+        "orientation_deg": angle_deg,
+        **fields,
+    }
     return measurement_from_sd("mtf", "1", value, sd, **own)
 
 
@@ -61,29 +71,42 @@ def test_groups_of_a_frame_give_the_mtf50_of_its_blur_along_rows_and_columns(see
     assert set(found.curves) == {"mtf", "mtf_vertical"}
 
 
-@pytest.mark.parametrize(("angle_deg", "height", "filtered"), [(0.0, 1.0, True), (90.0, PIXEL_HEIGHT, False)])
+@pytest.mark.parametrize(
+    ("angle_deg", "height", "filtered"), [(0.0, 1.0, True), (90.0, PIXEL_HEIGHT, False)]
+)
 def test_of_a_described_camera_the_halo_the_row_pair_and_the_video_are_in_the_curve(
     angle_deg: float, height: float, filtered: bool, seed: int
 ) -> None:
-    """Over 12 cameras whose halo is drawn from the description the 95 % intervals hold within 4.5 standard errors."""
+    """Over 12 cameras whose halo is drawn from the description the 95 % intervals hold within 4.5
+    standard errors.
+    """
     rng, cathode_px = np.random.default_rng(seed), 4.0 * 0.21 / COLUMN_AT_CATHODE_MM
 
     def whole(frequency, share: float):
         x = np.pi * cathode_px * np.maximum(frequency, 1e-9)
         halo = 0.3 * np.sin(x) / x + 0.7 * sici(x)[0] / x
-        core = np.exp(-np.log(2.0) * (frequency / 0.26) ** 1.3) * np.abs(np.sinc(frequency * height))
+        core = np.exp(-np.log(2.0) * (frequency / 0.26) ** 1.3) * np.abs(
+            np.sinc(frequency * height)
+        )
         return core * (1.0 - share + share * halo) * (video(frequency) if filtered else 1.0)
 
     held = np.zeros(2)
     for _ in range(12):
         share = float(np.clip(rng.normal(0.1, 0.28 / 3.92), 0.0, 0.5))
         own = [
-            reading(f, float(whole(np.array([f]), share)[0]) + 0.006 * rng.standard_normal(), 0.006, angle_deg)
+            reading(
+                f,
+                float(whole(np.array([f]), share)[0]) + 0.006 * rng.standard_normal(),
+                0.006,
+                angle_deg,
+            )
             for f in FREQUENCIES
         ]
         context = Context(seed=1, quick=True, sensor=CAMERA, interlaced=True)
         found = session_curves(
-            Result(measurements=tuple(m.with_(stack="b") for m in own)), {"b": "bars"}, context=context
+            Result(measurements=tuple(m.with_(stack="b") for m in own)),
+            {"b": "bars"},
+            context=context,
         )
         (curve,) = found.curves.values()
         low, high = found.find("mtf50")[0].interval95
@@ -95,7 +118,9 @@ def test_of_a_described_camera_the_halo_the_row_pair_and_the_video_are_in_the_cu
 
 
 def video(frequency):
-    """Stairs one clock wide through a Butterworth filter of 6.5 MHz, read at 14.318 MHz: the aliases added up."""
+    """Stairs one clock wide through a Butterworth filter of 6.5 MHz, read at 14.318 MHz: the
+    aliases added up.
+    """
     shifts = np.arange(-40, 41)
     at = np.asarray(frequency)[..., None] + shifts
     s = 1j * at * 14.318 / 6.5
@@ -121,7 +146,10 @@ def test_too_few_sound_groups_of_one_direction_add_nothing(readings: list[Measur
 
 def test_rows_and_columns_are_told_apart_and_a_half_turn_is_none() -> None:
     """Bars at 178 and at 2 degrees lie alike; those at 92 have a curve of their own."""
-    own = [reading(f, float(tube(f)), angle_deg=angle) for f, angle in zip(FREQUENCIES, (178, 2, 179, 1), strict=True)]
+    own = [
+        reading(f, float(tube(f)), angle_deg=angle)
+        for f, angle in zip(FREQUENCIES, (178, 2, 179, 1), strict=True)
+    ]
     down = [reading(f, float(tube(f, half=0.15)), angle_deg=92.0) for f in FREQUENCIES]
     found = frame_curves(Result(measurements=(*own, *down)), context=QUICK)
     across, along = found.find("mtf50")
@@ -133,9 +161,12 @@ def test_rows_and_columns_are_told_apart_and_a_half_turn_is_none() -> None:
 
 
 @pytest.mark.parametrize("frequencies", [(0.02, 0.04), (0.5, 0.6)])
-def test_an_mtf50_far_from_all_groups_is_refused_with_the_rule(frequencies: tuple[float, ...]) -> None:
+def test_an_mtf50_far_from_all_groups_is_refused_with_the_rule(
+    frequencies: tuple[float, ...],
+) -> None:
     found = frame_curves(
-        Result(measurements=tuple(reading(f, float(tube(f)), 0.002) for f in frequencies)), context=QUICK
+        Result(measurements=tuple(reading(f, float(tube(f)), 0.002) for f in frequencies)),
+        context=QUICK,
     )
     refused = found.find("mtf50")[0]
     assert refused.status == "refused"
@@ -143,9 +174,15 @@ def test_an_mtf50_far_from_all_groups_is_refused_with_the_rule(frequencies: tupl
     assert "mtf" in found.curves
 
 
-@pytest.mark.parametrize(("frequencies", "beyond"), [((0.08, 0.12, 0.16), True), (FREQUENCIES, False)])
-def test_an_mtf50_a_little_beyond_its_groups_says_so(frequencies: tuple[float, ...], beyond: bool) -> None:
-    found = frame_curves(Result(measurements=tuple(reading(f, float(tube(f))) for f in frequencies)), context=QUICK)
+@pytest.mark.parametrize(
+    ("frequencies", "beyond"), [((0.08, 0.12, 0.16), True), (FREQUENCIES, False)]
+)
+def test_an_mtf50_a_little_beyond_its_groups_says_so(
+    frequencies: tuple[float, ...], beyond: bool
+) -> None:
+    found = frame_curves(
+        Result(measurements=tuple(reading(f, float(tube(f))) for f in frequencies)), context=QUICK
+    )
     assert any("beyond the groups" in note for note in found.find("mtf50")[0].notes) == beyond
 
 
@@ -172,4 +209,6 @@ def test_coltmans_first_term_is_low_where_harmonics_are_and_always_suspect(seed:
         stack = frames_of(strip(gaussian(0.8), frequency, 4.0, 0.2), rng, snr=300.0)
         found = read(stack, frequency, method="bars-coltman")
         assert found.status == "suspect"
-        assert found.value / mtf_of(gaussian(0.8), frequency, 4.0) - 1.0 == pytest.approx(bias, abs=0.03)
+        assert found.value / mtf_of(gaussian(0.8), frequency, 4.0) - 1.0 == pytest.approx(
+            bias, abs=0.03
+        )

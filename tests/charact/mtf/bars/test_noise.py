@@ -1,4 +1,6 @@
-"""Noise of a target's pixels: whatever lags were estimated, no sum of pixels has a variance below none."""
+"""Noise of a target's pixels: whatever lags were estimated, no sum of pixels has a variance below
+none.
+"""
 
 import numpy as np
 import pytest
@@ -24,9 +26,13 @@ def test_correlations_of_no_noise_make_no_negative_variance(seed):
 def test_offsets_of_rows_are_told_and_counted(offset_dn, seed):
     """The mean over a window of R rows varies by (v/C + w)/R, v of white noise, w of offsets."""
     rng, frames, shape = np.random.default_rng(seed), 8, (60, 70)
-    drawn = 3.0 * rng.standard_normal((frames, *shape)) + offset_dn * rng.standard_normal((frames, shape[0], 1))
+    drawn = 3.0 * rng.standard_normal((frames, *shape)) + offset_dn * rng.standard_normal(
+        (frames, shape[0], 1)
+    )
     window = np.ones(shape, bool)
-    noise = noise_of(100.0 + drawn, np.full(window.size, 100.0), window, ground_dn=100.0, inflation=1.0)
+    noise = noise_of(
+        100.0 + drawn, np.full(window.size, 100.0), window, ground_dn=100.0, inflation=1.0
+    )
     free = (frames - 1) * shape[0]
     assert noise.row_variance * frames == pytest.approx(offset_dn**2, rel=5.0 * np.sqrt(2.0 / free))
     variance = (3.0**2 / shape[1] + offset_dn**2) / shape[0] / frames

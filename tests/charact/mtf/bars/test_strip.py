@@ -1,4 +1,6 @@
-"""Twenty rows across bars at a signal of ten times the noise: no bias, intervals that cover, in every pose."""
+"""Twenty rows across bars at a signal of ten times the noise: no bias, intervals that cover, in
+every pose.
+"""
 
 import numpy as np
 import pytest
@@ -8,12 +10,20 @@ from charact.method import Context
 from charact.mtf import measure
 from charact.study.harness import CaseTimer
 
-CORES = {"gaussian 0.8 px": gaussian(0.8), "gaussian 1.5 px": gaussian(1.5), "tube n 1.1": tube(0.25, 1.1)}
+CORES = {
+    "gaussian 0.8 px": gaussian(0.8),
+    "gaussian 1.5 px": gaussian(1.5),
+    "tube n 1.1": tube(0.25, 1.1),
+}
 
 
-def read(stack, frequency: float, *, bars: int = 4, quick: bool = True, method: str = "bars-forward"):
+def read(
+    stack, frequency: float, *, bars: int = 4, quick: bool = True, method: str = "bars-forward"
+):
     context = Context(seed=1, quick=quick, full_scale_dn=4095.0)
-    found = measure("bars", stack, bars=bars, frequency_cy_per_px=frequency, context=context, method=method)
+    found = measure(
+        "bars", stack, bars=bars, frequency_cy_per_px=frequency, context=context, method=method
+    )
     return found.measurements[0]
 
 
@@ -33,7 +43,9 @@ def deviation(found, truth: float) -> float:
         ("tube n 1.1", 8.0, 0.25),
     ],
 )
-def test_without_noise_the_mtf_is_exact_at_any_phase(name: str, angle_deg: float, frequency: float) -> None:
+def test_without_noise_the_mtf_is_exact_at_any_phase(
+    name: str, angle_deg: float, frequency: float
+) -> None:
     truth = mtf_of(CORES[name], frequency, angle_deg)
     for phase_px in (0.0, 0.37):
         image = strip(CORES[name], frequency, angle_deg, phase_px)
@@ -46,8 +58,12 @@ def test_without_noise_the_mtf_is_exact_at_any_phase(name: str, angle_deg: float
     ("name", "blur_px", "turned"),
     [("gaussian 0.8 px", 0.0, False), ("gaussian 1.5 px", 0.7, True), ("tube n 1.1", 0.7, False)],
 )
-def test_no_bias_and_honest_intervals_at_ten_times_the_noise(name: str, blur_px: float, turned: bool, seed) -> None:
-    """Mean error under 1 % of the truth within 3.3 standard errors, and each scatters as its interval says."""
+def test_no_bias_and_honest_intervals_at_ten_times_the_noise(
+    name: str, blur_px: float, turned: bool, seed
+) -> None:
+    """Mean error under 1 % of the truth within 3.3 standard errors, and each scatters as its
+    interval says.
+    """
     rng = np.random.default_rng(seed)
     errors, scaled = [], []
     for _ in range(8):
@@ -70,12 +86,20 @@ def test_no_bias_and_honest_intervals_at_ten_times_the_noise(name: str, blur_px:
 
 @pytest.mark.parametrize("asked", [3, 5])
 def test_another_number_than_asked_for_is_told(asked: int, seed) -> None:
-    """Four bars: what is asked for is never ok, and the note on three of them says how many there are."""
+    """Four bars: what is asked for is never ok, and the note on three of them says how many there
+    are.
+    """
     for frequency, sigma_px in ((0.05, 0.6), (0.1, 1.2), (0.2, 1.2)):
-        stack = frames_of(strip(gaussian(sigma_px), frequency, 3.0, 0.3), np.random.default_rng(seed), snr=20.0)
+        stack = frames_of(
+            strip(gaussian(sigma_px), frequency, 3.0, 0.3), np.random.default_rng(seed), snr=20.0
+        )
         found = read(stack, frequency, bars=asked)
         assert found.status != "ok", (frequency, found.value)
-        assert asked != 3 or found.status == "refused" or any("favour 4 bars over 3" in note for note in found.notes)
+        assert (
+            asked != 3
+            or found.status == "refused"
+            or any("favour 4 bars over 3" in note for note in found.notes)
+        )
 
 
 @pytest.mark.parametrize("turned", [False, True])

@@ -1,4 +1,6 @@
-"""The transfer of a circular pupil, against closed forms and against prysm's propagation of a sampled pupil."""
+"""The transfer of a circular pupil, against closed forms and against prysm's propagation of a
+sampled pupil.
+"""
 
 import numpy as np
 import pytest
@@ -20,7 +22,8 @@ def sampled(obscuration, defocus, samples=512, padding=4):
     radius = np.hypot((x[:, None] + sub)[:, None, :, None], (x[:, None] + sub)[None, :, None, :])
     amplitude = ((radius <= 1.0) & (radius >= obscuration)).mean(axis=(2, 3))
     phase = 2.0 * np.pi * defocus * (x[:, None] ** 2 + x**2)
-    # Wavelength 1 um, pupil 2 mm across, focal length 2 mm: f/1, so that the cut-off is 1 / um, 1000 cycles / mm.
+    # Wavelength 1 um, pupil 2 mm across, focal length 2 mm: f/1, so that the cut-off is 1 / um,
+    # 1000 cycles / mm.
     wave = propagation.Wavefront(amplitude * np.exp(1j * phase), 1.0, step)
     psf = wave.focus(2.0, Q=padding).intensity
     found = otf.otf_from_psf(psf.data, psf.dx).data.real
@@ -32,11 +35,15 @@ def sampled(obscuration, defocus, samples=512, padding=4):
 
 def test_a_clear_pupil_in_focus_has_the_closed_form():
     v = np.minimum(RATIO, 1.0)
-    assert np.allclose(pupil(0.45 * RATIO, 0.45)[0], 2 / np.pi * (np.arccos(v) - v * np.sqrt(1 - v**2)), atol=1e-12)
+    assert np.allclose(
+        pupil(0.45 * RATIO, 0.45)[0], 2 / np.pi * (np.arccos(v) - v * np.sqrt(1 - v**2)), atol=1e-12
+    )
 
 
 def test_a_pupil_with_a_hole_has_the_transform_of_its_spread():
-    """The spread is ((2 J1(u)/u - e^2 2 J1(eu)/(eu)) / (1 - e^2))^2; its volume over that of the clear one is known."""
+    """The spread is ((2 J1(u)/u - e^2 2 J1(eu)/(eu)) / (1 - e^2))^2; its volume over that of the
+    clear one is known.
+    """
     hole, u = 0.4, np.maximum(np.linspace(0.0, 4000.0, 400001), 1e-9)
     spread = ((2 * j1(u) / u - hole**2 * 2 * j1(hole * u) / (hole * u)) / (1 - hole**2)) ** 2
     from scipy.special import j0
@@ -62,5 +69,10 @@ def test_far_out_of_focus_it_is_the_transform_of_an_even_disc():
 
 
 def test_it_is_one_at_zero_and_nothing_beyond_the_cut_off():
-    every = pupil(np.array([0.0, 0.5, 1.0, 1.3]), np.full(5, 1.0), np.linspace(0.0, 0.8, 5), np.linspace(0.0, 3.0, 5))
+    every = pupil(
+        np.array([0.0, 0.5, 1.0, 1.3]),
+        np.full(5, 1.0),
+        np.linspace(0.0, 0.8, 5),
+        np.linspace(0.0, 3.0, 5),
+    )
     assert np.allclose(every[:, 0], 1.0) and np.all(every[:, 2:] == 0.0)

@@ -1,4 +1,6 @@
-"""The compiled forms: the same transfers as the forms for many points, and slopes that are theirs."""
+"""The compiled forms: the same transfers as the forms for many points, and slopes that are
+theirs.
+"""
 
 import numpy as np
 import pytest
@@ -25,7 +27,11 @@ WIDES = (
     ScatterComponent(size_px=(2.0, 12.0)),
     UnresolvedGlareComponent(size_px=(20.0, 200.0)),
 )
-FAMILIES = [BlurModel(core=core, wide=wide) for core in ("gaussian", "exponential", "moffat") for wide in WIDES]
+FAMILIES = [
+    BlurModel(core=core, wide=wide)
+    for core in ("gaussian", "exponential", "moffat")
+    for wide in WIDES
+]
 
 
 @pytest.mark.parametrize("family", FAMILIES, ids=[family.name for family in FAMILIES])
@@ -39,7 +45,9 @@ def test_a_prior_is_flat_but_for_its_gaussian_part(family, seed):
 
 @pytest.mark.parametrize("family", FAMILIES, ids=[family.name for family in FAMILIES])
 def test_a_form_alone_is_the_form_of_many_points_and_its_slopes_are_differences(family, seed):
-    """Tables are linear between places: where a difference meets a kink it is off by some of the table's bend."""
+    """Tables are linear between places: where a difference meets a kink it is off by some of the
+    table's bend.
+    """
     rng, bounds = np.random.default_rng(seed), family.bounds
     for _ in range(5):
         theta = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * rng.uniform(0.05, 0.95, len(bounds))
@@ -52,7 +60,10 @@ def test_a_form_alone_is_the_form_of_many_points_and_its_slopes_are_differences(
 
 
 def test_halo_and_disc_are_made_of_scipys_sines_and_bessel_functions():
-    x, share = np.concatenate([np.linspace(1e-6, 399.9, 3000), np.linspace(400.1, 3000.0, 500)]), 0.3
+    x, share = (
+        np.concatenate([np.linspace(1e-6, 399.9, 3000), np.linspace(400.1, 3000.0, 500)]),
+        0.3,
+    )
     expected = share * np.sin(x) / x + (1.0 - share) * sici(x)[0] / x
     assert transfer.halo(x / np.pi, 1.0, share) == pytest.approx(expected, abs=2e-5)
     assert transfer.disc(x / np.pi, 1.0) == pytest.approx(2.0 * j1(x) / x, abs=1e-8)
@@ -63,7 +74,12 @@ def test_a_moffat_spread_has_scipys_bessel_function_for_a_transfer(exponent):
     """2^(2-b) / Gamma(b-1) x^(b-1) K_(b-1)(x), one half at the half frequency."""
 
     def transfer(x):
-        return 2.0 ** (2.0 - exponent) / gamma(exponent - 1.0) * x ** (exponent - 1.0) * kv(exponent - 1.0, x)
+        return (
+            2.0 ** (2.0 - exponent)
+            / gamma(exponent - 1.0)
+            * x ** (exponent - 1.0)
+            * kv(exponent - 1.0, x)
+        )
 
     half_x = brentq(lambda x: transfer(x) - 0.5, 1e-6, 30.0)
     frequency = np.array([0.003, 0.02, 0.1, 0.2, 0.3, 0.5, 1.0])

@@ -9,7 +9,9 @@ from charact.mtf.blur_models import transfer
 from charact.mtf.edge.fit import esf_from_mtf
 
 ERF = np.vectorize(math.erf)
-DISTANCE = np.concatenate([np.arange(-12.0, 12.0, 0.125), np.arange(-100.0, -12.0, 1.0), np.arange(12.0, 100.0, 1.0)])
+DISTANCE = np.concatenate(
+    [np.arange(-12.0, 12.0, 0.125), np.arange(-100.0, -12.0, 1.0), np.arange(12.0, 100.0, 1.0)]
+)
 
 
 @pytest.fixture(scope="module")
@@ -27,10 +29,14 @@ def test_edge_spread_of_a_gaussian_transfer_is_the_error_function(weights):
 
 
 def test_edge_spread_of_the_halo_is_its_ramp(weights):
-    """A shell's shadow has a box for a line spread (Archimedes); uniform energies sum boxes of all widths."""
+    """A shell's shadow has a box for a line spread (Archimedes); uniform energies sum boxes of all
+    widths.
+    """
     grid, even = weights
     for diameter, share in ((47.0, 1.0), (47.0, 0.0), (60.0, 0.3)):
-        blurred = transfer.halo(grid, np.array(diameter), np.array(share)) * np.exp(-2 * (np.pi * grid * 1.0) ** 2)
+        blurred = transfer.halo(grid, np.array(diameter), np.array(share)) * np.exp(
+            -2 * (np.pi * grid * 1.0) ** 2
+        )
         # A ramp, and for uniform energies x (1 - ln|x|)/2, x = d/R.
         x = np.clip(2.0 * DISTANCE / diameter, -1.0, 1.0)
         expected = 0.5 * x * (share + (1.0 - share) * (1.0 - np.log(np.maximum(np.abs(x), 1e-12))))

@@ -45,7 +45,12 @@ class PulseEdge(PhotoelectronTarget):
 
     def _illumination(self, row: Array, col: Array, moved_px: float) -> Array:
         distance = distance_across(
-            row, col, (self.rows, self.cols), angle_deg=self.angle_deg, moved_px=moved_px, sagitta_px=self.sagitta_px
+            row,
+            col,
+            (self.rows, self.cols),
+            angle_deg=self.angle_deg,
+            moved_px=moved_px,
+            sagitta_px=self.sagitta_px,
         )
         distance = distance - self.offset_px
         spread: Any = edge_spread(_BeforePixel(self.blur), distance, self.angle_deg)  # pyright: ignore[reportArgumentType]

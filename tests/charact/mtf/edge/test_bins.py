@@ -15,9 +15,15 @@ from charact.study.edge.scene import EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)
 SCENE = EdgeScene(
-    blur=TrueBlur(sigma_px=0.8), rows=120, cols=80, angle_deg=7.0, dark_dn=1000.0, bright_dn=2000.0, shot_share=0.0,
+    blur=TrueBlur(sigma_px=0.8),
+    rows=120,
+    cols=80,
+    angle_deg=7.0,
+    dark_dn=1000.0,
+    bright_dn=2000.0,
+    shot_share=0.0,
     full_scale_dn=65535.0,
-)  # fmt: skip
+)
 
 
 def drawn(snr: float, seed: int):
@@ -54,7 +60,9 @@ def test_bins_are_as_narrow_as_the_noise_lets_them_tell_anything(snr, wide, seed
 
 
 def test_wider_bins_move_a_noisy_edge_by_a_small_part_of_its_error(seed, monkeypatch):
-    """Six edges at a step of 6 standard deviations: the same number within a sixth of its error, on average none."""
+    """Six edges at a step of 6 standard deviations: the same number within a sixth of its error, on
+    average none.
+    """
     moved = []
     for number in range(6):
         stack = drawn(6.0, 100 * seed + number)

@@ -1,4 +1,6 @@
-"""The plain estimator against the table that its author made of a real edge, on every colour channel."""
+"""The plain estimator against the table that its author made of a real edge, on every colour
+channel.
+"""
 
 import numpy as np
 import pytest
@@ -25,7 +27,9 @@ def frame(shared_data):
 
 @pytest.fixture
 def table(shared_data):
-    """Burns' own table of sfrmat3 for h_edge.tif: frequency in cy/px, then red, green, blue and luminance."""
+    """Burns' own table of sfrmat3 for h_edge.tif: frequency in cy/px, then red, green, blue and
+    luminance.
+    """
     text = (shared_data / "burns_sfrmat3" / "me.xls").read_text(encoding="latin-1")
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("%")]
     return np.array([[float(word) for word in line.split()] for line in lines])
@@ -40,17 +44,22 @@ def response_of(stack: FrameStack):
 @pytest.mark.parametrize("name", ["h_edge.tif", "v_edge.tif"])
 @pytest.mark.parametrize("plane", CHANNELS)
 def test_the_author_s_whole_table_is_reproduced(frame, table, name, plane):
-    """Acceptance: MTF50 within 1 % and RMS 0.003 over all frequencies of the table, to 1.004 cy/px."""
+    """Acceptance: MTF50 within 1 % and RMS 0.003 over all frequencies of the table, to 1.004
+    cy/px.
+    """
     stack = frame(name, plane)
     reference, theirs = table[:, 0], table[:, CHANNELS[plane]]
     found = mtf.measure("edge", stack, method="edge-slanted", context=CONTEXT).find("mtf50")[0]
     assert found.status == "ok"
-    assert found.value == pytest.approx(crossing_frequency(reference, theirs[None], 0.5)[0], rel=0.01)
+    assert found.value == pytest.approx(
+        crossing_frequency(reference, theirs[None], 0.5)[0], rel=0.01
+    )
     ours = response_of(stack)
     assert ours.frequency[1] == pytest.approx(reference[-1] / (len(reference) - 1), rel=1e-3)
     away = np.interp(reference, ours.frequency, ours.values[0]) - theirs
     print(
-        f"{name} {plane}: MTF50 {found.value:.4f}, RMS {np.sqrt(np.mean(away**2)):.4f}, worst {np.abs(away).max():.4f}"
+        f"{name} {plane}: MTF50 {found.value:.4f}, RMS {np.sqrt(np.mean(away**2)):.4f}, worst "
+        f"{np.abs(away).max():.4f}"
     )
     assert np.sqrt(np.mean(away**2)) < 0.003
 

@@ -1,4 +1,6 @@
-"""An edge that moved between the fields of an interlaced frame is measured in each field at its own place."""
+"""An edge that moved between the fields of an interlaced frame is measured in each field at its own
+place.
+"""
 
 from dataclasses import replace
 
@@ -14,9 +16,16 @@ from charact.study.edge.scene import EdgeScene, TrueBlur
 
 INTERLACED = Context(quick=True, interlaced=True)
 SCENE = EdgeScene(
-    blur=TrueBlur(sigma_px=1.0), rows=120, cols=100, dark_dn=1200.0, bright_dn=2700.0, snr=40.0, shot_share=0.0,
-    black_dn=200.0, full_scale_dn=65535.0,
-)  # fmt: skip
+    blur=TrueBlur(sigma_px=1.0),
+    rows=120,
+    cols=100,
+    dark_dn=1200.0,
+    bright_dn=2700.0,
+    snr=40.0,
+    shot_share=0.0,
+    black_dn=200.0,
+    full_scale_dn=65535.0,
+)
 
 
 def drawn(angle_deg, motion_px, seed, **more):
@@ -30,10 +39,13 @@ def measured(stack, context=INTERLACED):
 
 # Odd rows move along the rows: an edge at 100 degrees moves by 0.17 px across itself for each.
 @pytest.mark.parametrize(
-    ("angle_deg", "motion_px"), [(6.0, 0.3), (6.0, 1.0), (186.0, 4.0), (130.0, 2.0), (100.0, 4.0), (276.0, 4.0)]
+    ("angle_deg", "motion_px"),
+    [(6.0, 0.3), (6.0, 1.0), (186.0, 4.0), (130.0, 2.0), (100.0, 4.0), (276.0, 4.0)],
 )
 def test_motion_between_fields_moves_no_number(angle_deg, motion_px, seed):
-    """The same noise on an edge at rest and on one that moved, where half of it falls elsewhere on the edge."""
+    """The same noise on an edge at rest and on one that moved, where half of it falls elsewhere on
+    the edge.
+    """
     _, still = drawn(angle_deg, 0.0, seed)
     truth, moved = drawn(angle_deg, motion_px, seed)
     before, after = measured(still), measured(moved)
@@ -51,7 +63,8 @@ def test_the_displacement_is_found_either_way(angle_deg, seed):
         _, stack = drawn(angle_deg, motion, seed)
         edge = prepare_edge(stack, None, INTERLACED, fields_apart=True)
         assert isinstance(edge, PreparedEdge)
-        # Along the picture's columns the edge moves by the motion over its direction's cosine there.
+        # Along the picture's columns the edge moves by the motion over its direction's cosine
+        # there.
         across = motion * np.cos(np.deg2rad(angle_deg)) / np.cos(edge.profile.angle_rad)
         assert abs(edge.rows.line.fields_apart_px) == pytest.approx(abs(across), abs=0.03)
 
@@ -60,7 +73,9 @@ def test_the_displacement_of_lines_along_the_edge_is_found_wherever_its_bins_lie
     """Bins that lie a fiftieth of a pixel apart made half of it."""
     for number in range(5):
         offset_px = float(np.random.default_rng([seed, number]).uniform(-2.0, 2.0))
-        _, stack = drawn(251.6, 3.0, 10 * seed + number, snr=20.0, noise_blur_px=0.9, offset_px=offset_px)
+        _, stack = drawn(
+            251.6, 3.0, 10 * seed + number, snr=20.0, noise_blur_px=0.9, offset_px=offset_px
+        )
         edge = prepare_edge(stack, None, INTERLACED, fields_apart=True)
         assert isinstance(edge, PreparedEdge)
         across = 3.0 * np.cos(np.deg2rad(251.6)) / np.cos(edge.profile.angle_rad)
@@ -90,11 +105,15 @@ def test_methods_that_mix_rows_flag_the_motion_in_interlaced_frames_too(seed):
 
 @pytest.mark.parametrize("angle_deg", [105.0, 251.6, 290.0])
 def test_motion_of_lines_along_the_edge_is_told_in_every_drawing(angle_deg, seed):
-    """Some bins of such an edge lie a thousandth of a pixel apart, which told no slope of its profile."""
+    """Some bins of such an edge lie a thousandth of a pixel apart, which told no slope of its
+    profile.
+    """
     across = 3.0 * abs(np.cos(np.deg2rad(angle_deg)))
     for number in range(5):
         offset_px = float(np.random.default_rng([seed, number]).uniform(-2.0, 2.0))
-        _, stack = drawn(angle_deg, 3.0, 10 * seed + number, snr=20.0, noise_blur_px=0.9, offset_px=offset_px)
+        _, stack = drawn(
+            angle_deg, 3.0, 10 * seed + number, snr=20.0, noise_blur_px=0.9, offset_px=offset_px
+        )
         edge = prepare_edge(stack, None, Context(quick=True), quickly=True)
         assert isinstance(edge, PreparedEdge)
         apart_px, error_px = checks.displacement_of_fields(edge)

@@ -1,4 +1,6 @@
-"""The forward fit of an edge: truth recovered with honest intervals, and each way of deceiving it told."""
+"""The forward fit of an edge: truth recovered with honest intervals, and each way of deceiving it
+told.
+"""
 
 from dataclasses import replace
 
@@ -32,12 +34,16 @@ def flags_of(stack, **options):
 def burns(shared_data, name) -> FrameStack:
     tifffile = pytest.importorskip("tifffile")
     picture = tifffile.imread(shared_data / "burns_sfrmat3" / name)
-    return FrameStack(data=(picture @ np.array([0.2125, 0.7154, 0.0721]))[None], full_scale_dn=255.0)
+    return FrameStack(
+        data=(picture @ np.array([0.2125, 0.7154, 0.0721]))[None], full_scale_dn=255.0
+    )
 
 
 def test_a_real_edge_agrees_with_the_table_made_from_it_and_with_its_own_rotation(shared_data):
     """Reference: the author's own table of sfrmat3, luminance MTF50 0.1980 cy/px (BSD licence)."""
-    upright, rotated = (measured(burns(shared_data, name)).find("mtf50")[0] for name in ("h_edge.tif", "v_edge.tif"))
+    upright, rotated = (
+        measured(burns(shared_data, name)).find("mtf50")[0] for name in ("h_edge.tif", "v_edge.tif")
+    )
     for found in (upright, rotated):
         assert found.value == pytest.approx(0.1980, rel=0.02)
     assert upright.value == pytest.approx(rotated.value, rel=0.01)
@@ -45,7 +51,9 @@ def test_a_real_edge_agrees_with_the_table_made_from_it_and_with_its_own_rotatio
 
 
 def test_errors_are_those_that_the_intervals_state(seed):
-    """In white and in correlated noise: chi squared of ten errors is above 35.6 once in ten thousand runs."""
+    """In white and in correlated noise: chi squared of ten errors is above 35.6 once in ten
+    thousand runs.
+    """
     squares, trusted = {"mtf50": 0.0, "mtf": 0.0}, 0
 
     def squared_error(found, truth):
@@ -57,12 +65,29 @@ def test_errors_are_those_that_the_intervals_state(seed):
         sigma = rng.uniform(0.6, 1.5)
         angle = float(rng.choice([0, 90, 180, 270]) + rng.choice([-1, 1]) * rng.uniform(3, 12))
         snr = float(np.exp(rng.uniform(np.log(15), np.log(80))))
-        result = measured(edge(rng, sigma_px=sigma, angle_deg=angle, offset_px=rng.uniform(-2, 2), snr=snr, blur=blur))
+        result = measured(
+            edge(
+                rng,
+                sigma_px=sigma,
+                angle_deg=angle,
+                offset_px=rng.uniform(-2, 2),
+                snr=snr,
+                blur=blur,
+            )
+        )
         found = result.find("mtf50")[0]
         truth = edges.frequency_at(0.5, sigma, angle)
-        assert found.interval95[0] < found.interval68[0] < found.value < found.interval68[1] < found.interval95[1]
+        assert (
+            found.interval95[0]
+            < found.interval68[0]
+            < found.value
+            < found.interval68[1]
+            < found.interval95[1]
+        )
         squares["mtf50"] += squared_error(found, truth)
-        squares["mtf"] += squared_error(result.find("mtf", frequency_cy_per_px=0.2)[0], edges.mtf(0.2, sigma, angle))
+        squares["mtf"] += squared_error(
+            result.find("mtf", frequency_cy_per_px=0.2)[0], edges.mtf(0.2, sigma, angle)
+        )
         trusted += found.status == "ok"
     assert max(squares.values()) < 35.6
     assert trusted >= 8
@@ -97,7 +122,9 @@ def test_noise_is_no_edge(seed):
 
 def test_a_slope_of_the_light_is_no_edge(seed):
     slope = 600.0 + 900.0 * np.arange(120)[None, :] / 120 + np.zeros((100, 1))
-    found = measured(edges.noisy(slope, np.random.default_rng(seed), snr=30.0, step=900.0)).find("mtf50")[0]
+    found = measured(edges.noisy(slope, np.random.default_rng(seed), snr=30.0, step=900.0)).find(
+        "mtf50"
+    )[0]
     assert found.status in ("refused", "suspect")
 
 
@@ -105,7 +132,9 @@ def test_uneven_light_leaves_the_mtf_alone(seed):
     """Reference: section 5.1, where a plain estimator is off by -2.4 % at 10 % and -7 % at 30 %."""
     truth = edges.frequency_at(0.5, 0.9, 5.0)
     for gradient in (-0.3, 0.1):
-        found = measured(edge(np.random.default_rng(seed), gradient=gradient, snr=80.0)).find("mtf50")[0]
+        found = measured(edge(np.random.default_rng(seed), gradient=gradient, snr=80.0)).find(
+            "mtf50"
+        )[0]
         half = (found.interval68[1] - found.interval68[0]) / 2
         assert abs(found.value - truth) < 4.5 * half
 
@@ -144,8 +173,12 @@ def test_a_bent_edge_is_told(seed):
 
 
 def test_a_curved_response_is_told_where_the_profile_shows_it():
-    """Tails keep their symmetry only under a straight response; a Gaussian edge hides it, see section 5.1."""
-    distance = np.linspace(-45, 45, 90)[None, :] * np.cos(0.09) + np.arange(90)[:, None] * np.sin(0.09) - 4
+    """Tails keep their symmetry only under a straight response; a Gaussian edge hides it, see
+    section 5.1.
+    """
+    distance = (
+        np.linspace(-45, 45, 90)[None, :] * np.cos(0.09) + np.arange(90)[:, None] * np.sin(0.09) - 4
+    )
     share = 0.5 + np.arctan(distance / 1.2) / np.pi
     light = 0.05 + 0.9 * share
     rng = np.random.default_rng(5)
@@ -158,7 +191,9 @@ def test_a_curved_response_is_told_where_the_profile_shows_it():
 def test_one_edge_is_found_among_several_and_its_place_recorded(seed):
     along = edges.mean_edge(240, 320, angle_deg=5.0, offset_px=-60.0, dark=0.0, bright=1.0)
     across = edges.mean_edge(240, 320, angle_deg=95.0, offset_px=-60.0, dark=0.0, bright=1.0)
-    stack = edges.noisy(600 + STEP * along * across, np.random.default_rng(seed), snr=50.0, step=STEP)
+    stack = edges.noisy(
+        600 + STEP * along * across, np.random.default_rng(seed), snr=50.0, step=STEP
+    )
     found = measured(stack).find("mtf50")[0]
     row, col, height, width = found.region
     assert height < 240 or width < 320
@@ -170,13 +205,19 @@ def test_one_edge_is_found_among_several_and_its_place_recorded(seed):
 
 
 def test_a_wide_halo_lowers_the_mtf_that_the_frame_shows(seed):
-    """A tenth of the light in a disc 47 px wide is a tenth less contrast above it: normalised to all the light."""
+    """A tenth of the light in a disc 47 px wide is a tenth less contrast above it: normalised to
+    all the light.
+    """
     mean = edges.mean_edge(200, 260, dark=0.0, bright=1.0)
     row, col = np.arange(200)[:, None] - 99.5, np.arange(260)[None, :] - 129.5
     distance = col * np.cos(np.deg2rad(5)) + row * np.sin(np.deg2rad(5))
     ramp = 0.5 + 0.5 * np.clip(distance / 23.5, -1, 1)
     stack = edges.noisy(
-        600 + STEP * (0.9 * mean + 0.1 * ramp), np.random.default_rng(seed), snr=60.0, step=STEP, frames=4
+        600 + STEP * (0.9 * mean + 0.1 * ramp),
+        np.random.default_rng(seed),
+        snr=60.0,
+        step=STEP,
+        frames=4,
     )
     found = measured(stack).find("mtf", frequency_cy_per_px=0.1)[0]
     half = (found.interval68[1] - found.interval68[0]) / 2
@@ -186,9 +227,14 @@ def test_a_wide_halo_lowers_the_mtf_that_the_frame_shows(seed):
 
 
 def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
-    """Medians of 2,000 effective draws lie within 0.02 widths of each other, the chain's of some hundred within 0.1."""
+    """Medians of 2,000 effective draws lie within 0.02 widths of each other, the chain's of some
+    hundred within 0.1.
+    """
     stack = edge(np.random.default_rng(seed), snr=30.0)
-    picked, quick = measured(stack, Context(seed=3)).find("mtf50")[0], measured(stack).find("mtf50")[0]
+    picked, quick = (
+        measured(stack, Context(seed=3)).find("mtf50")[0],
+        measured(stack).find("mtf50")[0],
+    )
     assert picked.posterior.sampler == "importance"
     assert picked.posterior.effective_sample_size.min() >= 2000
     monkeypatch.setattr("charact.posterior.sampling.ENOUGH", np.inf)
@@ -202,9 +248,13 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
 
 
 def test_a_ridge_that_the_curvature_at_its_peak_does_not_tell():
-    """Wings of a power law, fitted as glare: the draws of the curvature are 5 % off, and chains do not converge."""
+    """Wings of a power law, fitted as glare: the draws of the curvature are 5 % off, and chains do
+    not converge.
+    """
     case = chart_cases(0, 7)[6]
-    found = measured(case.drawn(), replace(Context(quick=True, seed=case.seed), **case.context)).find("mtf50")[0]
+    found = measured(
+        case.drawn(), replace(Context(quick=True, seed=case.seed), **case.context)
+    ).find("mtf50")[0]
     assert found.value == pytest.approx(case.truth, rel=0.025)
     assert found.interval95[0] < case.truth < found.interval95[1]
 

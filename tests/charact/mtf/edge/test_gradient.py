@@ -1,4 +1,6 @@
-"""The gradient estimator of edges: slopes of light have the transform of the blur, and little noise."""
+"""The gradient estimator of edges: slopes of light have the transform of the blur, and little
+noise.
+"""
 
 import edges
 import numpy as np
@@ -20,9 +22,13 @@ def measured(frame):
 @pytest.mark.parametrize("angle_deg", [3.3, -7.0, 97.0])
 @pytest.mark.parametrize("sigma_px", [0.5, 1.5])
 def test_without_noise_the_curve_is_the_transform_of_the_blur(sigma_px, angle_deg):
-    """Within 0.4 %: where rows step by nearly an eighth of a pixel, as at 7 degrees, bins are filled unevenly."""
+    """Within 0.4 %: where rows step by nearly an eighth of a pixel, as at 7 degrees, bins are
+    filled unevenly.
+    """
     form = lambda f: np.exp(-2 * (np.pi * f * sigma_px) ** 2)  # noqa: E731
-    result = measured(1000.0 + 2000.0 * edges.frame_of(form, 128, 96, angle_deg=angle_deg, offset_px=0.3))
+    result = measured(
+        1000.0 + 2000.0 * edges.frame_of(form, 128, 96, angle_deg=angle_deg, offset_px=0.3)
+    )
     found, curve = result.find("mtf50")[0], result.curves["mtf"]
     assert found.value == pytest.approx(edges.level_of(form, angle_deg), rel=4e-3)
     assert found.status == "ok"
@@ -33,16 +39,22 @@ def test_without_noise_the_curve_is_the_transform_of_the_blur(sigma_px, angle_de
 def test_light_outside_the_window_of_the_blur_counts():
     """A tube's tails: a tool that normalises to a window this narrow reads 4 % too much."""
     form = lambda f: np.exp(-((f / 0.25) ** 1.1))  # noqa: E731
-    found = measured(1000.0 + 2000.0 * edges.frame_of(form, 128, 128, angle_deg=5.0)).find("mtf50")[0]
+    found = measured(1000.0 + 2000.0 * edges.frame_of(form, 128, 128, angle_deg=5.0)).find("mtf50")[
+        0
+    ]
     assert found.value == pytest.approx(edges.level_of(form, 5.0), rel=0.012)
 
 
 def test_it_stands_noise_better_than_a_differentiated_profile(seed):
-    """On the same frames; reference: 2.7 % for the gradient tool and 5.3 % for the profile tool at a step of 10 sd."""
+    """On the same frames; reference: 2.7 % for the gradient tool and 5.3 % for the profile tool at
+    a step of 10 sd.
+    """
     wanted = dict.fromkeys(("edge-gradient", "edge-slanted"), seed + 14)
     trials = [trial for one in range(14) for trial in answers(seed + one, 10.0, wanted)]
     rms = {
-        name: np.sqrt(np.mean([trial.relative_error**2 for trial in trials if trial.method == name]))
+        name: np.sqrt(
+            np.mean([trial.relative_error**2 for trial in trials if trial.method == name])
+        )
         for name in ("edge-gradient", "edge-slanted")
     }
     # 2.5 standard errors of an RMS of 14.
@@ -52,7 +64,9 @@ def test_it_stands_noise_better_than_a_differentiated_profile(seed):
 
 @pytest.mark.parametrize("method", ["edge-gradient", "edge-slanted"])
 def test_plain_intervals_hold_where_noise_makes_the_response_uneven(method, seed):
-    """Mixed blurs, noises and light; three standard errors of a share of about 20 are 15 points at 95 %."""
+    """Mixed blurs, noises and light; three standard errors of a share of about 20 are 15 points at
+    95 %.
+    """
     trials = [trial for one in range(32) for trial in measure_mixed_scene(seed + one, (method,))]
     sure = [trial for trial in trials if trial.status == "ok"]
     assert len(sure) > 12

@@ -1,4 +1,6 @@
-"""The noise along an edge: its correlation against sums done plainly, its variances, and the codes that pile up."""
+"""The noise along an edge: its correlation against sums done plainly, its variances, and the codes
+that pile up.
+"""
 
 import numpy as np
 import pytest
@@ -16,16 +18,23 @@ def rng(seed) -> np.random.Generator:
 
 @pytest.mark.parametrize("sigma", [0.0, 0.6, 1.2])
 def test_noise_blurred_behind_the_gain_has_the_correlation_of_its_blur(rng, sigma):
-    """That of the kernel with itself: within four errors at near lags, its sum within 15 % (mean of 16 fields)."""
+    """That of the kernel with itself: within four errors at near lags, its sum within 15 % (mean of
+    16 fields).
+    """
     lag = np.arange(-MAX_LAG_PX, MAX_LAG_PX + 1)
     square = np.add.outer(lag**2, lag**2)
     kernel = gaussian_filter((square == 0) * 1.0, sigma)
     truth = correlate(kernel, kernel, "same") / np.sum(kernel**2)
     fields = [
-        correlate(rng.standard_normal((160 + 2 * MAX_LAG_PX, 160 + 2 * MAX_LAG_PX)), kernel, "valid") for _ in range(16)
+        correlate(
+            rng.standard_normal((160 + 2 * MAX_LAG_PX, 160 + 2 * MAX_LAG_PX)), kernel, "valid"
+        )
+        for _ in range(16)
     ]
     used = np.ones(fields[0].shape, bool)
-    found = np.mean([correlation_of(noise / noise.std(), used, (1.0, 0.1)) for noise in fields], axis=0)
+    found = np.mean(
+        [correlation_of(noise / noise.std(), used, (1.0, 0.1)) for noise in fields], axis=0
+    )
     error = np.sqrt(np.sum(truth**2)) / 160.0 / np.sqrt(len(fields))
     near = square <= 9
     assert found[near] == pytest.approx(truth[near], abs=4.0 * error + 0.025)
@@ -34,10 +43,12 @@ def test_noise_blurred_behind_the_gain_has_the_correlation_of_its_blur(rng, sigm
 
 @pytest.mark.parametrize(("sigma", "share"), [(0.5, 0.8), (0.9, 0.8)])
 def test_no_picture_s_noise_is_far_from_that_of_its_fellows(rng, sigma, share):
-    """Sums of the correlation of 250 pictures of one noise, the bins' means taken off as profiles take them off.
+    """Sums of the correlation of 250 pictures of one noise, the bins' means taken off as profiles
+    take them off.
 
-    None is 8 deviations, told by the quartiles, from the middle: a lag that stood out by chance moves a sum by 6 in one
-    picture of 1,500, a fit that ends beside its peak by 10 and more in one of 50.
+    None is 8 deviations, told by the quartiles, from the middle: a lag that stood out by chance
+    moves a sum by 6 in one picture of 1,500, a fit that ends beside its peak by 10 and more in one
+    of 50.
     """
     place = np.add.outer(0.03 * np.arange(120), np.arange(110))
     bins = np.rint(4.0 * place).astype(int)
@@ -45,7 +56,9 @@ def test_no_picture_s_noise_is_far_from_that_of_its_fellows(rng, sigma, share):
     used, sums = np.ones(place.shape, bool), []
     for _ in range(250):
         noise = gaussian_filter(rng.standard_normal(place.shape), sigma, mode="wrap")
-        noise = np.sqrt(share) * noise / noise.std() + np.sqrt(1.0 - share) * rng.standard_normal(place.shape)
+        noise = np.sqrt(share) * noise / noise.std() + np.sqrt(1.0 - share) * rng.standard_normal(
+            place.shape
+        )
         noise -= (np.bincount(bins.ravel(), noise.ravel()) / count)[bins]
         sums.append(correlation_of(noise / noise.std(), used, (1.0, 0.03)).sum())
     low, middle, high = np.quantile(np.log(sums), [0.25, 0.5, 0.75])
@@ -54,9 +67,11 @@ def test_no_picture_s_noise_is_far_from_that_of_its_fellows(rng, sigma, share):
 
 
 def test_no_chance_takes_noise_away_at_any_frequency(rng):
-    """The power of noise blurred by 0.9 px and a tenth white, estimated in 300 pictures: 0.1 at least.
+    """The power of noise blurred by 0.9 px and a tenth white, estimated in 300 pictures: 0.1 at
+    least.
 
-    A lag of 0.1 that stands out by chance would leave less than nothing at some frequency, as in one picture of ten.
+    A lag of 0.1 that stands out by chance would leave less than nothing at some frequency, as in
+    one picture of ten.
     """
     used, least = np.ones((79, 85), bool), []
     for _ in range(300):
@@ -104,7 +119,9 @@ def test_frames_clipped_a_little_and_much_are_told(rng, kind, ceiling):
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("lag", [0.0, 0.3])
 def test_fields_exposed_apart_share_what_lingers(rng, axis, lag):
-    """Two exposures of blurred noise on alternate lines, one with a share of the other: correlations as drawn."""
+    """Two exposures of blurred noise on alternate lines, one with a share of the other:
+    correlations as drawn.
+    """
     lags, sigma = np.arange(-MAX_LAG_PX, MAX_LAG_PX + 1), 0.8
     kernel = gaussian_filter((np.add.outer(lags**2, lags**2) == 0) * 1.0, sigma)
     truth = correlate(kernel, kernel, "same") / np.sum(kernel**2)
@@ -119,4 +136,6 @@ def test_fields_exposed_apart_share_what_lingers(rng, axis, lag):
     error = np.sqrt(np.sum(truth**2)) / 200.0
     assert found[near] == pytest.approx(truth[near], abs=4.0 * error)
     assert found.sum() == pytest.approx(truth.sum(), rel=0.15)
-    assert found.sum() != pytest.approx(correlation_of(noise / noise.std(), lines | True, (1.0, 0.1)).sum(), rel=0.01)
+    assert found.sum() != pytest.approx(
+        correlation_of(noise / noise.std(), lines | True, (1.0, 0.1)).sum(), rel=0.01
+    )

@@ -1,4 +1,6 @@
-"""Likelihood of many transfers at once: the Gaussian with step, level and slopes left free, and phases as they are."""
+"""Likelihood of many transfers at once: the Gaussian with step, level and slopes left free, and
+phases as they are.
+"""
 
 import numpy as np
 import pytest
@@ -18,7 +20,9 @@ STEP_DN = 500.0
 
 @pytest.mark.parametrize("slope_sd", [0.02, 3.0])
 def test_step_level_and_slopes_are_marginalised(slope_sd, seed):
-    """Against scipy's Gaussian whose covariance holds them, as wide as makes them free: the differences are alike."""
+    """Against scipy's Gaussian whose covariance holds them, as wide as makes them free: the
+    differences are alike.
+    """
     rng = np.random.default_rng(seed)
     bins, transfers = 30, rng.random((6, GRID.size))
     white, data = rng.standard_normal((2 * GRID.size, bins)), 10.0 * rng.standard_normal(bins)
@@ -36,7 +40,9 @@ def test_step_level_and_slopes_are_marginalised(slope_sd, seed):
 
 
 def test_maps_made_elsewhere_tell_the_same(seed):
-    """The likelihood of a place of the edge does not hang on the shift around which the maps are made."""
+    """The likelihood of a place of the edge does not hang on the shift around which the maps are
+    made.
+    """
     maps = EdgeMaps(*_profile_and_optics(seed))
     modulus = np.exp(-((maps.grid / 0.3) ** 2))[None].repeat(5, axis=0)
     shifts, free = np.linspace(0.1, 0.5, 5), np.array([0.0, 0.01, 0.01])
@@ -56,15 +62,21 @@ def test_points_asked_together_are_as_probable_as_each_alone(seed):
     """None, one, and more than stay in the processor's cache."""
     fitter, family = EdgeFitter(*_profile_and_optics(seed)), BlurModel(core="exponential")
     log_probability = fitter.log_probability(form_of(family), 1e-4)
-    points = np.array([0.0, np.log(0.3), 1.8]) + 0.05 * np.random.default_rng(seed).standard_normal((2 * BLOCK + 3, 3))
+    points = np.array([0.0, np.log(0.3), 1.8]) + 0.05 * np.random.default_rng(seed).standard_normal(
+        (2 * BLOCK + 3, 3)
+    )
     together = log_probability(points)
     assert log_probability(points[:0]).shape == (0,)
     for index in (0, BLOCK - 1, BLOCK, 2 * BLOCK, 2 * BLOCK + 2):
-        assert log_probability(points[index : index + 1])[0] == pytest.approx(together[index], abs=1e-6)
+        assert log_probability(points[index : index + 1])[0] == pytest.approx(
+            together[index], abs=1e-6
+        )
 
 
 def _profile_and_optics(seed):
-    edge = prepare_edge(EdgeScene(snr=30.0).frames_drawn(np.random.default_rng(seed)), None, Context())
+    edge = prepare_edge(
+        EdgeScene(snr=30.0).frames_drawn(np.random.default_rng(seed)), None, Context()
+    )
     assert isinstance(edge, PreparedEdge)
     return edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, Context())
 

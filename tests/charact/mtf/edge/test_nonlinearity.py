@@ -1,4 +1,6 @@
-"""A response that may be curved: how likely it is, what it leaves in doubt, and edges that do not show theirs."""
+"""A response that may be curved: how likely it is, what it leaves in doubt, and edges that do not
+show theirs.
+"""
 
 from dataclasses import replace
 from functools import partial
@@ -19,7 +21,9 @@ DRAWS = 40_000
 
 
 def summed_up(found, error, ln_odds):
-    """Share of curved responses, mean and mean square of what they are taken back by, by sums over curvatures."""
+    """Share of curved responses, mean and mean square of what they are taken back by, by sums over
+    curvatures.
+    """
     curvature = np.linspace(-2.0, 2.0, 400_001)
     prior = np.exp(-0.5 * (curvature / CURVED_SD) ** 2)
     curved = np.exp(-0.5 * ((found - curvature) / error) ** 2) * prior / prior.sum()
@@ -31,7 +35,9 @@ def summed_up(found, error, ln_odds):
 
 
 @pytest.mark.parametrize("ln_odds", [0.0, -1.5, 2.0])
-@pytest.mark.parametrize(("found", "error"), [(0.0, 0.05), (0.12, 0.05), (-0.2, 0.07), (0.3, 0.4), (0.0, 2.0)])
+@pytest.mark.parametrize(
+    ("found", "error"), [(0.0, 0.05), (0.12, 0.05), (-0.2, 0.07), (0.3, 0.4), (0.0, 2.0)]
+)
 def test_draws_move_as_far_as_bayes_leaves_in_doubt(found, error, ln_odds, seed):
     share, mean, square = summed_up(found, error, ln_odds)
     away = -nonlinearity_bias((found, error), 1.0, ln_odds, seed, DRAWS)
@@ -76,8 +82,12 @@ RESPONSES = {
     ],
     ids=["gaussian on dark ground", "exponential on grey ground"],
 )
-def test_what_a_curved_response_does_to_mtf50_lies_in_what_is_taken_back(blur, name, dark, monkeypatch):
-    """Error of MTF50 over curvature found and contrast, at 300 standard deviations: within two of `EITHER_WAY`."""
+def test_what_a_curved_response_does_to_mtf50_lies_in_what_is_taken_back(
+    blur, name, dark, monkeypatch
+):
+    """Error of MTF50 over curvature found and contrast, at 300 standard deviations: within two of
+    `EITHER_WAY`.
+    """
     responses = []
 
     def kept(response, contrast, noise_ln_odds, seed, count):
@@ -88,16 +98,24 @@ def test_what_a_curved_response_does_to_mtf50_lies_in_what_is_taken_back(blur, n
     errors = []
     for number in range(2):
         scene = EdgeScene(
-            blur=blur, angle_deg=7.0 + number, dark_dn=2000.0, bright_dn=3500.0, snr=300.0, shot_share=0.0,
-            black_dn=200.0, full_scale_dn=65535.0,
-        )  # fmt: skip
+            blur=blur,
+            angle_deg=7.0 + number,
+            dark_dn=2000.0,
+            bright_dn=3500.0,
+            snr=300.0,
+            shot_share=0.0,
+            black_dn=200.0,
+            full_scale_dn=65535.0,
+        )
         stack, mean = scene.frames_drawn(np.random.default_rng(number)), scene.mean()
         curve = RESPONSES[name]
         # The light of the dark side, and that of the bright one 1500 above it.
         low, high = curve(dark / (dark + 1500.0)), curve(1.0)
         level = (curve((mean - 2000.0 + dark) / (dark + 1500.0)) - low) / (high - low)
         bent_data = np.rint(2000.0 + 1500.0 * level + stack.data - mean).astype(stack.data.dtype)
-        found = edge_parametric(replace(stack, data=bent_data), context=Context(quick=True)).find("mtf50")[0]
+        found = edge_parametric(replace(stack, data=bent_data), context=Context(quick=True)).find(
+            "mtf50"
+        )[0]
         errors.append(np.log(found.value / scene.truth_mtf50))
     error, curvature = np.mean(errors), np.mean(responses)
     contrast = 1500.0 / (2.0 * dark + 1500.0)
@@ -107,44 +125,81 @@ def test_what_a_curved_response_does_to_mtf50_lies_in_what_is_taken_back(blur, n
 
 @pytest.mark.parametrize(
     ("curvature", "error", "deviation", "told"),
-    [(0.04, 0.001, 0.002, False), (0.06, 0.01, 0.002, True), (-0.06, 0.03, 0.002, False), (0.06, 0.01, 0.03, False)],
+    [
+        (0.04, 0.001, 0.002, False),
+        (0.06, 0.01, 0.002, True),
+        (-0.06, 0.03, 0.002, False),
+        (0.06, 0.01, 0.03, False),
+    ],
 )
-def test_a_curvature_is_told_where_it_is_sure_and_moves_more_than_the_interval(curvature, error, deviation, told):
-    assert edge_response.response_flags((curvature, error), 0.8, deviation) == (("gamma",) if told else ())
+def test_a_curvature_is_told_where_it_is_sure_and_moves_more_than_the_interval(
+    curvature, error, deviation, told
+):
+    assert edge_response.response_flags((curvature, error), 0.8, deviation) == (
+        ("gamma",) if told else ()
+    )
 
 
-@pytest.mark.parametrize(("shot_share", "said"), [(0.0, True), (0.95, False)], ids=["even noise", "photons' noise"])
+@pytest.mark.parametrize(
+    ("shot_share", "said"), [(0.0, True), (0.95, False)], ids=["even noise", "photons' noise"]
+)
 def test_noise_of_photons_takes_away_the_doubt_about_the_response(shot_share, said, seed):
-    """Wings that hide a curvature of 0.3: noise that grows as the light does is the only witness."""
+    """Wings that hide a curvature of 0.3: noise that grows as the light does is the only
+    witness.
+    """
     wings = TrueBlur(form="moffat", moffat_px=2.2, moffat_exponent=4.0)
     scene = EdgeScene(
-        blur=wings, rows=135, cols=101, angle_deg=2.7, dark_dn=600.0, bright_dn=3600.0, snr=60.0,
-        shot_share=shot_share, black_dn=200.0, full_scale_dn=4095.0,
-    )  # fmt: skip
+        blur=wings,
+        rows=135,
+        cols=101,
+        angle_deg=2.7,
+        dark_dn=600.0,
+        bright_dn=3600.0,
+        snr=60.0,
+        shot_share=shot_share,
+        black_dn=200.0,
+        full_scale_dn=4095.0,
+    )
     found = [
-        edge_parametric(scene.frames_drawn(np.random.default_rng([seed, n])), context=Context(quick=True))
+        edge_parametric(
+            scene.frames_drawn(np.random.default_rng([seed, n])), context=Context(quick=True)
+        )
         for n in range(5)
     ]
-    noted = sum(any("curved response" in note for note in one.find("mtf50")[0].notes) for one in found)
+    noted = sum(
+        any("curved response" in note for note in one.find("mtf50")[0].notes) for one in found
+    )
     assert noted >= 4 if said else noted <= 1
 
 
-@pytest.mark.parametrize(("curved", "silent"), [(CURVED, False), (1e-12, True)], ids=["allowed for", "ignored"])
+@pytest.mark.parametrize(
+    ("curved", "silent"), [(CURVED, False), (1e-12, True)], ids=["allowed for", "ignored"]
+)
 def test_a_gamma_that_is_not_seen_is_allowed_for(monkeypatch, curved, silent):
-    """Power laws of 1.5 to 2.2 at 23 to 95 standard deviations: MTF50 is .5 to 2 % high, which was twice its error.
+    """Power laws of 1.5 to 2.2 at 23 to 95 standard deviations: MTF50 is .5 to 2 % high, which was
+    twice its error.
 
-    Of four scenes of the map those drawings that show no gamma: without doubt about the response some are off by more
-    than twice the 95 % half interval, with it none is.
+    Of four scenes of the map those drawings that show no gamma: without doubt about the response
+    some are off by more than twice the 95 % half interval, with it none is.
     """
     monkeypatch.setattr(edge_response, "curvatures", partial(of_response.curvatures, curved=curved))
     pulls = []
-    for number, repeats in ((648, (1, 10)), (1308, range(6)), (3801, range(6, 12)), (4031, (2, 6, 7, 9, 12))):
+    for number, repeats in (
+        (648, (1, 10)),
+        (1308, range(6)),
+        (3801, range(6, 12)),
+        (4031, (2, 6, 7, 9, 12)),
+    ):
         cell = cell_of(number)
         truth = cell.scene.truth_mtf50
         for repeat in repeats:
-            found = edge_parametric(case_of(cell, truth, repeat).drawn(), context=Context(quick=True)).find("mtf50")[0]
+            found = edge_parametric(
+                case_of(cell, truth, repeat).drawn(), context=Context(quick=True)
+            ).find("mtf50")[0]
             if found.status == "ok":
                 low, high = found.interval95
-                pulls.append((truth - found.value) / ((high if truth > found.value else low) - found.value))
+                pulls.append(
+                    (truth - found.value) / ((high if truth > found.value else low) - found.value)
+                )
     assert len(pulls) >= 12
     assert (max(pulls) > 2.0) == silent

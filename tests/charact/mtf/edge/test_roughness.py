@@ -1,4 +1,6 @@
-"""An edge that wanders along its length: told by its rows' places, beside what noise makes of them."""
+"""An edge that wanders along its length: told by its rows' places, beside what noise makes of
+them.
+"""
 
 from dataclasses import replace
 
@@ -13,7 +15,9 @@ from tests.charact.mtf.edge.photoelectron_edges import PulseEdge
 
 QUICK = Context(quick=True)
 ROUGH = EdgeScene(blur=TrueBlur(sigma_px=1.3), frames=4, snr=25.0, roughness_px=0.7)
-PULSES = PulseEdge(blur=TrueBlur(sigma_px=1.0), photoelectrons=2.0, frames=12, rows=80, cols=80, angle_deg=6.0)
+PULSES = PulseEdge(
+    blur=TrueBlur(sigma_px=1.0), photoelectrons=2.0, frames=12, rows=80, cols=80, angle_deg=6.0
+)
 
 
 @pytest.mark.parametrize("method", ["edge-parametric", "edge-free", "edge-forward", "edge-slanted"])
@@ -21,7 +25,9 @@ PULSES = PulseEdge(blur=TrueBlur(sigma_px=1.0), photoelectrons=2.0, frames=12, r
 def test_every_method_says_that_the_edge_is_rough(method, roughness_px, seed):
     """0.7 px rms lowered MTF50 by a seventh and more, ok."""
     scene = replace(ROUGH, roughness_px=roughness_px)
-    found = mtf.measure("edge", scene.frames_drawn(np.random.default_rng(seed)), method=method, context=QUICK)
+    found = mtf.measure(
+        "edge", scene.frames_drawn(np.random.default_rng(seed)), method=method, context=QUICK
+    )
     told = found.measurements[0]
     assert ("curved-edge" in told.flags) == (roughness_px > 0)
     assert any("Edge roughness" in note for note in told.notes) == (roughness_px > 0)
@@ -51,7 +57,8 @@ def test_how_rough_is_the_scatter_of_its_course(angle_deg, seed):
 )
 def test_straight_edges_are_straight(scene, seed):
     found = [
-        prepare_edge(scene.frames_drawn(np.random.default_rng([seed, n])), None, QUICK).roughness for n in range(3)
+        prepare_edge(scene.frames_drawn(np.random.default_rng([seed, n])), None, QUICK).roughness
+        for n in range(3)
     ]
     assert not any(one.moves and one.mtf_loss(scene.truth_mtf50) > 1e-4 for one in found), found
 
@@ -61,5 +68,7 @@ def test_a_scene_without_roughness_or_a_floor_draws_as_it_did():
     plain = EdgeScene(rows=20, cols=20).frames_drawn(np.random.default_rng(5)).data
     noise = np.random.default_rng(5)
     smooth = replace(ROUGH, rows=20, cols=20, roughness_px=0.0)
-    assert np.array_equal(plain, EdgeScene(rows=20, cols=20, roughness_length_px=9.0).frames_drawn(noise).data)
+    assert np.array_equal(
+        plain, EdgeScene(rows=20, cols=20, roughness_length_px=9.0).frames_drawn(noise).data
+    )
     assert np.array_equal(smooth.light(), smooth.light(course_px=0.0))

@@ -1,4 +1,6 @@
-"""The plain slanted-edge estimator on edges of closed form, and what it cannot do told; `test_burns` has a real one."""
+"""The plain slanted-edge estimator on edges of closed form, and what it cannot do told;
+`test_burns` has a real one.
+"""
 
 import edges
 import numpy as np
@@ -32,10 +34,14 @@ def test_noise_is_refused_and_a_weak_edge_never_trusted(seed):
     noise = measured(edges.noisy(np.full((90, 90), 900.0), rng, snr=5.0, step=500.0))
     assert all(m.status == "refused" for m in noise.measurements)
     mean = edges.mean_edge(90, 90, dark=900.0, bright=1400.0)
-    assert all(m.status != "ok" for m in measured(edges.noisy(mean, rng, snr=5.0, step=500.0)).measurements)
+    assert all(
+        m.status != "ok" for m in measured(edges.noisy(mean, rng, snr=5.0, step=500.0)).measurements
+    )
 
 
 def test_uneven_light_is_told(seed):
     mean = edges.mean_edge(120, 120, dark=600.0, bright=2100.0, gradient=0.3)
-    found = measured(edges.noisy(mean, np.random.default_rng(seed), snr=100.0, step=1500.0)).find("mtf50")[0]
+    found = measured(edges.noisy(mean, np.random.default_rng(seed), snr=100.0, step=1500.0)).find(
+        "mtf50"
+    )[0]
     assert "gradient" in found.flags

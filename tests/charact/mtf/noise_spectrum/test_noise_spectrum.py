@@ -1,4 +1,6 @@
-"""The noise of flats tells the MTF after the gain: pulses of closed form, whose transfer is known exactly."""
+"""The noise of flats tells the MTF after the gain: pulses of closed form, whose transfer is known
+exactly.
+"""
 
 from dataclasses import replace
 
@@ -25,8 +27,10 @@ from labdata.errors import BadInput
 def measured(scene: ScintillatingFlats, seed: int, method: str = "auto", **more):
     context = Context(
         seed=1, quick=True, full_scale_dn=scene.full_scale_dn, interlaced=scene.interlaced, **more
-    )  # fmt: skip
-    return mtf.measure_flats(scene.session_drawn(np.random.default_rng(seed)), method=method, context=context)
+    )
+    return mtf.measure_flats(
+        scene.session_drawn(np.random.default_rng(seed)), method=method, context=context
+    )
 
 
 def half(result, angle=0.0):
@@ -42,7 +46,9 @@ def errors(found, truth: float) -> float:
 
 @pytest.mark.parametrize(("frequency", "exponent"), [(0.15, 2.0), (0.3, 1.3)])
 def test_the_transfer_is_found_along_rows_and_columns_with_its_pixel(seed, frequency, exponent):
-    scene = ScintillatingFlats(half_frequency_cy_per_px=frequency, exponent=exponent, anisotropy=1.2)
+    scene = ScintillatingFlats(
+        half_frequency_cy_per_px=frequency, exponent=exponent, anisotropy=1.2
+    )
     result = measured(scene, seed)
     for angle, name in ((0.0, "mtf_post_gain"), (90.0, "mtf_post_gain_vertical")):
         found = half(result, angle)
@@ -56,9 +62,16 @@ def test_the_transfer_is_found_along_rows_and_columns_with_its_pixel(seed, frequ
 
 
 def test_the_white_floor_is_told_from_the_pulses_without_a_dark(seed):
-    """K mu + r^2 + 1/12 over all noise at frequency 0: electrons as strong as a twentieth of the pulses."""
+    """K mu + r^2 + 1/12 over all noise at frequency 0: electrons as strong as a twentieth of the
+    pulses.
+    """
     scene = ScintillatingFlats(
-        electron_gain_dn=2.0, read_noise_dn=4.0, photoelectrons=(8.0,), darks=False, rows=96, cols=96
+        electron_gain_dn=2.0,
+        read_noise_dn=4.0,
+        photoelectrons=(8.0,),
+        darks=False,
+        rows=96,
+        cols=96,
     )
     (found,) = measured(scene, seed).find("white_noise_fraction")
     light = 8.0 * scene.gain_dn
@@ -80,16 +93,21 @@ def test_fields_are_taken_apart_and_light_shared_by_them_is_allowed_for(seed):
     found = half(measured(scene, seed), 90.0)
     assert found.status == "ok" and any("share light" in note for note in found.notes)
     assert any("would not show for sure" in note for note in found.notes)
-    # The square pixel of the fields here is one row high, as that of an undescribed camera is taken to be.
+    # The square pixel of the fields here is one row high, as that of an undescribed camera is taken
+    # to be.
     assert abs(errors(found, scene.mtf50(vertical=True))) < 4.5
 
 
 def test_points_seen_by_bare_square_pixels_make_white_noise():
-    """All replicas of sinc^2 sum to one at every frequency: sharp pulses fall into one pixel each."""
+    """All replicas of sinc^2 sum to one at every frequency: sharp pulses fall into one pixel
+    each.
+    """
     column, row = np.array([0.05, 0.3, 0.47]), np.array([0.4, 0.1, 0.47])
     bare = KnownReadout(height_px=1.0, video=None, anisotropy_sd=0.1)
     sharp = BlurModel(core="gaussian")
-    power = spectral_replicas(column, row, 1.0, bare, replicas=60).power(sharp, np.array([[0.0, np.log(1e6)]]))[0]
+    power = spectral_replicas(column, row, 1.0, bare, replicas=60).power(
+        sharp, np.array([[0.0, np.log(1e6)]])
+    )[0]
     # What lies beyond 60 periods is 2/(pi^2 60) at most on each axis.
     assert power == pytest.approx(1.0, abs=0.008)
 
@@ -99,7 +117,12 @@ STILL = {"gain_dn": 1e-3, "read_noise_dn": 0.0, "electron_gain_dn": 0.0, "black_
 
 @pytest.mark.parametrize(
     ("knobs", "said"),
-    [({"gain_dn": 0.0}, "white"), ({"photoelectrons": (1e-9, 2e-9)}, ""), (STILL, ""), ({"frames": 1}, "flat-1")],
+    [
+        ({"gain_dn": 0.0}, "white"),
+        ({"photoelectrons": (1e-9, 2e-9)}, ""),
+        (STILL, ""),
+        ({"frames": 1}, "flat-1"),
+    ],
     ids=["white", "no light", "codes that never change", "single frames"],
 )
 def test_flats_without_pulses_are_refused(seed, knobs, said):
@@ -116,11 +139,16 @@ def test_flats_without_pulses_are_refused(seed, knobs, said):
         ("clipped", {"read_noise_dn": 30.0}),
         ("no-darks", {"darks": False}),
         ("model-misfit", {"exponent": 3.8}),
-        ("model-misfit", {"read_noise_dn": 20.0, "read_smoothing_px": 1.0, "darks": False, "black_dn": 300.0}),
+        (
+            "model-misfit",
+            {"read_noise_dn": 20.0, "read_smoothing_px": 1.0, "darks": False, "black_dn": 300.0},
+        ),
     ],
 )
 def test_what_breaks_it_is_said(seed, flag, knobs):
-    assert flag in half(measured(ScintillatingFlats(**{"rows": 96, "cols": 96, **knobs}), seed)).flags
+    assert (
+        flag in half(measured(ScintillatingFlats(**{"rows": 96, "cols": 96, **knobs}), seed)).flags
+    )
 
 
 def test_images_too_small_for_a_spectrum_are_bad_input(seed):
@@ -129,7 +157,9 @@ def test_images_too_small_for_a_spectrum_are_bad_input(seed):
 
 
 def test_intervals_hold_what_they_promise(seed):
-    """Four cameras: squared errors over variance, with room for the pair of families that both fit."""
+    """Four cameras: squared errors over variance, with room for the pair of families that both
+    fit.
+    """
     from charact.study.flats.noise_spectrum_cases import chart_cases
 
     off = []
@@ -141,7 +171,9 @@ def test_intervals_hold_what_they_promise(seed):
 
 
 def test_the_whole_posterior_agrees_with_the_curvature(seed):
-    scene = ScintillatingFlats(half_frequency_cy_per_px=0.2, exponent=2.0, rows=96, cols=96, frames=6)
+    scene = ScintillatingFlats(
+        half_frequency_cy_per_px=0.2, exponent=2.0, rows=96, cols=96, frames=6
+    )
     session = scene.session_drawn(np.random.default_rng(seed))
     whole, quick = (
         half(mtf.measure_flats(session, context=Context(seed=1, quick=way, full_scale_dn=4095.0)))
@@ -159,13 +191,19 @@ def peak(scene: ScintillatingFlats, seed: int) -> SpectrumOptimum:
 
 
 def test_scattered_light_that_is_said_not_to_show_gains_what_is_said(seed):
-    """A power with so much light scattered and no noise: the form fits it worse by 12 in ln L, and MTF50 is higher."""
+    """A power with so much light scattered and no noise: the form fits it worse by 12 in ln L, and
+    MTF50 is higher.
+    """
     before = peak(ScintillatingFlats(half_frequency_cy_per_px=0.15, frames=16), seed)
     near, _ = scatter_limits(before)
-    veiled = UndetectedComponent(shape=before.problem.shape, share=near.share, length_px=near.length_px)
+    veiled = UndetectedComponent(
+        shape=before.problem.shape, share=near.share, length_px=near.length_px
+    )
     power = replace(before.problem, shape=veiled).model(before.point[None])[0]
     after = optimum_under_model(
-        replace(before.problem.spectrum, power_dn2=power), before.problem.known, before.problem.shape
+        replace(before.problem.spectrum, power_dn2=power),
+        before.problem.known,
+        before.problem.shape,
     )
     assert -after.problem.log_likelihood_at(after.point) == pytest.approx(SURE, rel=0.25)
     frequency = np.geomspace(0.01, 0.5, 4000)
@@ -174,5 +212,8 @@ def test_scattered_light_that_is_said_not_to_show_gains_what_is_said(seed):
         return transfer_of(one, one.point[None], frequency, vertical=False, pitch_ratio=1.0)
 
     veil = 1.0 - near.share + near.share / (1.0 + (2.0 * np.pi * frequency * near.length_px) ** 2)
-    told, true = (float(crossing_frequency(frequency, one, 0.5)[0]) for one in (curve(after), curve(before) * veil))
+    told, true = (
+        float(crossing_frequency(frequency, one, 0.5)[0])
+        for one in (curve(after), curve(before) * veil)
+    )
     assert 100.0 * (1.0 - true / told) == pytest.approx(near.lower_percent, rel=0.25)

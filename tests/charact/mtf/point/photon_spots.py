@@ -1,7 +1,8 @@
-"""Spots of closed-form transfer: noise-free pictures by plain sums over frequencies, noise of every kind on top.
+"""Spots of closed-form transfer: noise-free pictures by plain sums over frequencies, noise of every
+kind on top.
 
-Unlike `charact.study.point.scene` no photoelectron is drawn, so that a picture without noise exists; nothing here is
-shared with the methods measured.
+Unlike `charact.study.point.scene` no photoelectron is drawn, so that a picture without noise
+exists; nothing here is shared with the methods measured.
 """
 
 from dataclasses import dataclass
@@ -30,8 +31,9 @@ class Spot:
     Parameters
     ----------
     form
-        "gaussian": exp(-2 (pi f s)^2); "exponential": exp(-(f/fc)^n); "moffat": that of (1 + r^2/a^2)^-b; "halo":
-        a Gaussian with a share of the light in a disc. A square pixel comes on top.
+        "gaussian": exp(-2 (pi f s)^2); "exponential": exp(-(f/fc)^n); "moffat": that of (1 +
+        r^2/a^2)^-b; "halo": a Gaussian with a share of the light in a disc. A square pixel comes on
+        top.
     width
         s, px; fc, cycles per px; a, px; s, px.
     exponent
@@ -57,7 +59,9 @@ class Spot:
     col_px: float = 0.0
 
     def blur(self, fx: Array, fy: Array) -> Array:
-        """Return the transfer at frequencies along rows and columns, cycles per px, without pixel and pinhole."""
+        """Return the transfer at frequencies along rows and columns, cycles per px, without pixel
+        and pinhole.
+        """
         f = np.sqrt(fx**2 * np.exp(-self.stretch) + fy**2 * np.exp(self.stretch))
         if self.form == "exponential":
             return np.exp(-((f / self.width) ** self.exponent))
@@ -72,7 +76,9 @@ class Spot:
     def mtf(self, frequency: Array, *, vertical: bool = False) -> Array:
         """Return the camera's MTF along rows or columns, pixel included."""
         f = np.asarray(frequency, float)
-        return self.blur(*((np.zeros_like(f), f) if vertical else (f, np.zeros_like(f)))) * np.sinc(f)
+        return self.blur(*((np.zeros_like(f), f) if vertical else (f, np.zeros_like(f)))) * np.sinc(
+            f
+        )
 
     def level(self, level: float, *, vertical: bool = False) -> float:
         """Return the lowest frequency at which the MTF falls to a level, cycles per px."""
@@ -128,7 +134,9 @@ class SpotCamera:
         variance = 0.0 if not np.isfinite(self.snr) else (self.peak_dn / self.snr) ** 2
         noise = [
             np.sqrt(variance * (1.0 - self.shot_share)) * self._noise(rng)
-            + self._shot(np.sqrt(np.maximum(variance * self.shot_share * light / self.peak_dn, 0.0)), rng)
+            + self._shot(
+                np.sqrt(np.maximum(variance * self.shot_share * light / self.peak_dn, 0.0)), rng
+            )
             for _ in range(self.frames if variance else 1)
         ]
         data = np.minimum(20.0 + light + np.array(noise), self.full_scale_dn)
@@ -137,7 +145,9 @@ class SpotCamera:
 
     def _noise(self, rng: np.random.Generator) -> Array:
         """Noise of unit variance."""
-        return correlate_noise(rng.standard_normal((1, self.size, self.size)), self.noise_blur_px)[0]
+        return correlate_noise(rng.standard_normal((1, self.size, self.size)), self.noise_blur_px)[
+            0
+        ]
 
     def _shot(self, sd: Array, rng: np.random.Generator) -> Array:
         return sd * self._noise(rng)

@@ -17,7 +17,9 @@ def codes(values: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("sd_dn", [2.0, 6.0, 40.0])
 @pytest.mark.parametrize("black_sd", [1.25, 0.5, 0.0, -1.0])
-def test_black_within_the_noise_of_the_lowest_code_is_clipped(sd_dn: float, black_sd: float, seed: int) -> None:
+def test_black_within_the_noise_of_the_lowest_code_is_clipped(
+    sd_dn: float, black_sd: float, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     assert is_clipped_at_black(codes(rng.normal(black_sd * sd_dn, sd_dn, PIXELS)))
 

@@ -26,7 +26,9 @@ BACKGROUND_DN, READ_DN, GAIN_DN = 20.0, 2.0, 0.3
 
 
 def _along(places, centre, sigma):
-    return np.diff(0.5 * (1.0 + erf((np.arange(places + 1) - 0.5 - centre) / (sigma * np.sqrt(2.0)))))
+    return np.diff(
+        0.5 * (1.0 + erf((np.arange(places + 1) - 0.5 - centre) / (sigma * np.sqrt(2.0))))
+    )
 
 
 def gaussian_spot(row, col, light_dn, sigma_row, sigma_col):
@@ -42,13 +44,19 @@ def taken(mean, rng, frames=6):
 def half_frequency(sigma, diameter_px=0.0):
     def mtf(f):
         u = np.pi * diameter_px * f
-        return np.exp(-2 * (np.pi * sigma * f) ** 2) * np.sinc(f) * (2 * j1(u) / u if diameter_px else 1.0)
+        return (
+            np.exp(-2 * (np.pi * sigma * f) ** 2)
+            * np.sinc(f)
+            * (2 * j1(u) / u if diameter_px else 1.0)
+        )
 
     return brentq(lambda f: mtf(f) - 0.5, 0.01, 0.9)
 
 
 def standard_errors(measurement, truth):
-    return (measurement.value - truth) / ((measurement.interval95[1] - measurement.interval95[0]) / 3.92)
+    return (measurement.value - truth) / (
+        (measurement.interval95[1] - measurement.interval95[0]) / 3.92
+    )
 
 
 def level(result, quantity, angle):
@@ -90,7 +98,9 @@ def test_transfer_of_a_known_pinhole_is_divided_out(seed):
 def test_a_second_source_makes_the_fit_suspect_or_is_masked(seed, separation_px):
     rng = np.random.default_rng(seed)
     down, along = separation_px
-    two = gaussian_spot(20, 20, 4000.0, 0.9, 0.9) + gaussian_spot(20 + down, 20 + along, 3000.0, 0.9, 0.9)
+    two = gaussian_spot(20, 20, 4000.0, 0.9, 0.9) + gaussian_spot(
+        20 + down, 20 + along, 3000.0, 0.9, 0.9
+    )
     found = level(point_forward(taken(two, rng), context=QUICK), "mtf50", 0.0)
     if down == 0.0:
         assert found.status != "ok"
@@ -108,7 +118,9 @@ def test_the_described_tube_has_the_described_ranges_as_priors():
     gap = sensor.photocathode.gap_mm
     wide = names.index("halo_diameter_px")
     assert bounds[wide, 0] < mean[wide] < bounds[wide, 1]
-    assert mean[wide] * (gap.high - gap.low) / float(gap) * precision[wide] ** 0.5 == pytest.approx(3.92)
+    assert mean[wide] * (gap.high - gap.low) / float(gap) * precision[wide] ** 0.5 == pytest.approx(
+        3.92
+    )
     # The described cut-off is where the tube without its Gaussian has fallen to exp(-1).
     cut_off = float(sensor.tube.mtf_frequency_lp_per_mm) * float(sensor.ccd.pitch_x_um) * 1e-3
     point = form.start(0.0)[None]
@@ -132,7 +144,9 @@ def test_the_image_of_another_video_bandwidth_is_that_of_its_filter(ln_bandwidth
     assert np.abs(image - exact).max() < 0.1 * np.abs(described - exact).max()
 
 
-@pytest.mark.parametrize(("frames", "grain"), [(1, "white"), (8, "correlated"), (1, "flashes"), (8, "flashes")])
+@pytest.mark.parametrize(
+    ("frames", "grain"), [(1, "white"), (8, "correlated"), (1, "flashes"), (8, "flashes")]
+)
 @pytest.mark.parametrize("method", [point_forward, point_spread])
 def test_frames_of_noise_hold_no_point(seed, frames, grain, method):
     from scipy.ndimage import gaussian_filter
@@ -144,11 +158,17 @@ def test_frames_of_noise_hold_no_point(seed, frames, grain, method):
         "correlated": gaussian_filter(white, (0, 1.2, 1.2)),
         "flashes": 12 + 9 * rng.poisson(0.05, white.shape).astype(np.uint8),
     }[grain]
-    for context in (QUICK, Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True)):
+    for context in (
+        QUICK,
+        Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True),
+    ):
         result = method(FrameStack(data=data), context=context)
         assert result.measurements
-        # A single frame's flash cannot be told from a source by its coming and going; it is never trusted.
-        assert {m.status for m in result.measurements} <= ({"refused"} if frames > 2 else {"refused", "suspect"})
+        # A single frame's flash cannot be told from a source by its coming and going; it is never
+        # trusted.
+        assert {m.status for m in result.measurements} <= (
+            {"refused"} if frames > 2 else {"refused", "suspect"}
+        )
 
 
 def test_a_core_beyond_full_scale_has_lower_limits_and_no_transform(seed):
@@ -156,7 +176,10 @@ def test_a_core_beyond_full_scale_has_lower_limits_and_no_transform(seed):
     clipped = np.minimum(taken(gaussian_spot(32, 32, 20000.0, 1.2, 1.2), rng).data, 255.0)
     stack = FrameStack(data=clipped, full_scale_dn=255.0)
     found = level(point_forward(stack, context=QUICK), "mtf50", 0.0)
-    assert any("at full scale are treated as lower limits" in note for note in found.notes) or found.status != "ok"
+    assert (
+        any("at full scale are treated as lower limits" in note for note in found.notes)
+        or found.status != "ok"
+    )
     assert found.status != "ok" or abs(standard_errors(found, half_frequency(1.2))) < 4.5
     assert {m.status for m in point_spread(stack, context=QUICK).measurements} == {"refused"}
 
@@ -172,17 +195,21 @@ def test_rings_of_light_that_neighbours_share_scatter_as_told(seed):
         told = window.ring_covariance(window.ring_variance)
         weight = 1.0 / window.ring_variance
         chi2.append((weight @ window.ring_dn) ** 2 / (weight @ told @ weight))
-    # The mean of 120 squares is known to 0.13 of itself. Rings as if on their own scatter by 2.0 of what is told, those
-    # of curved borders counted as straight ones by 1.3.
+    # The mean of 120 squares is known to 0.13 of itself. Rings as if on their own scatter by 2.0 of
+    # what is told, those of curved borders counted as straight ones by 1.3.
     assert 0.6 < np.mean(chi2) < 1.7
 
 
 def test_plain_transform_agrees_with_the_forward_fit_where_nothing_deceives_it(seed):
     rng = np.random.default_rng(seed)
     stack = taken(gaussian_spot(32.2, 31.9, 8000.0, 1.2, 1.2), rng, frames=12)
-    plain, forward = (level(m(stack, context=QUICK), "mtf50", 0.0) for m in (point_spread, point_forward))
+    plain, forward = (
+        level(m(stack, context=QUICK), "mtf50", 0.0) for m in (point_spread, point_forward)
+    )
     assert plain.status == "ok"
-    assert abs(standard_errors(plain, half_frequency(1.2))) < 6.0  # errors of 12 frames are themselves uncertain
+    assert (
+        abs(standard_errors(plain, half_frequency(1.2))) < 6.0
+    )  # errors of 12 frames are themselves uncertain
     assert plain.value == pytest.approx(forward.value, rel=0.05)
 
 
@@ -191,13 +218,17 @@ def test_plain_transform_agrees_with_the_forward_fit_where_nothing_deceives_it(s
 def test_what_moved_is_told(method, knob, seed):
     rng = np.random.default_rng(seed)
     told = {"motion_px": "interlace-motion", "drift_px": "drift"}
-    still, moved = (method(PointScene(**k).frames_drawn(rng), context=QUICK).measurements[0] for k in ({}, knob))
+    still, moved = (
+        method(PointScene(**k).frames_drawn(rng), context=QUICK).measurements[0] for k in ({}, knob)
+    )
     assert told[next(iter(knob))] in moved.flags
     assert told[next(iter(knob))] not in still.flags
 
 
 def test_a_tube_with_a_narrow_pulse_is_fitted_with_both(seed):
-    """One form alone is 4 % off for exp(-(f/fc)^1.184) and a Gaussian behind the gain, six of its standard errors."""
+    """One form alone is 4 % off for exp(-(f/fc)^1.184) and a Gaussian behind the gain, six of its
+    standard errors.
+    """
     errors = []
     for trial in range(2):
         rng = np.random.default_rng([seed, trial])
@@ -217,7 +248,9 @@ def test_the_plain_transform_tells_tails_that_its_disc_cuts_off(seed):
 
 def test_a_pinhole_that_passes_nothing_at_the_crossing_is_refused(seed):
     scene = PointScene(blur=TrueBlur(sigma_px=0.5), pulse_px=0.3, pinhole_px=5.0)
-    found = point_spread(scene.frames_drawn(np.random.default_rng(seed)), pinhole_px=5.0, context=QUICK)
+    found = point_spread(
+        scene.frames_drawn(np.random.default_rng(seed)), pinhole_px=5.0, context=QUICK
+    )
     assert found.measurements[0].status != "ok"
 
 
@@ -225,7 +258,10 @@ def test_light_missing_about_a_spot_is_told_as_light_too_much_is(seed):
     """A camera that sharpens takes off what a halo adds: of 21 such spots 9 were silently wrong."""
     scene = PointScene(blur=TrueBlur(sigma_px=0.8), photoelectrons=10000.0, black_dn=40.0)
     plain, sharp = (
-        point_forward(replace(scene, sharpening=amount).frames_drawn(np.random.default_rng(seed)), context=QUICK)
+        point_forward(
+            replace(scene, sharpening=amount).frames_drawn(np.random.default_rng(seed)),
+            context=QUICK,
+        )
         for amount in (0.0, 0.4)
     )
     assert "model-misfit" in sharp.measurements[0].flags
@@ -235,9 +271,14 @@ def test_light_missing_about_a_spot_is_told_as_light_too_much_is(seed):
 def test_a_spot_of_many_codes_in_two_frames_is_measured(seed):
     # Its model rings below no light, which is no variance.
     scene = PointScene(
-        blur=TrueBlur(sigma_px=0.68), photoelectrons=1300.0, peak_dn=2200.0, frames=2, read_dn=2.2, black_dn=190.0,
+        blur=TrueBlur(sigma_px=0.68),
+        photoelectrons=1300.0,
+        peak_dn=2200.0,
+        frames=2,
+        read_dn=2.2,
+        black_dn=190.0,
         full_scale_dn=4095.0,
-    )  # fmt: skip
+    )
     for one in range(2):
         stack = scene.frames_drawn(np.random.default_rng([seed, one]))
         found = point_forward(stack, context=QUICK).find("mtf50", orientation_deg=0.0)[0]

@@ -1,4 +1,6 @@
-"""Laws of what a spot's noise says of the response: it grows as the light where that is straight, else as a power."""
+"""Laws of what a spot's noise says of the response: it grows as the light where that is straight,
+else as a power.
+"""
 
 import re
 from dataclasses import replace
@@ -57,14 +59,19 @@ def test_a_source_that_flickers_says_nothing_of_its_response(seed):
     samples, mean, pulses, dark = noise(0.0, 15, rng)
     still = fit_nonlinearity([power_log_likelihoods(samples, mean, pulses, dark)])
     flickering = samples + 500.0 * rng.standard_normal((15, 1)) * mean
-    assert fit_nonlinearity([power_log_likelihoods(flickering, mean, pulses, dark)]).power == pytest.approx(
-        still.power, abs=0.02
-    )
+    assert fit_nonlinearity(
+        [power_log_likelihoods(flickering, mean, pulses, dark)]
+    ).power == pytest.approx(still.power, abs=0.02)
 
 
 @pytest.mark.parametrize("method", [point_parametric, point_forward])
 def test_a_response_that_noise_shows_to_be_curved_is_told_and_a_straight_one_is_not(seed, method):
-    scene = {"blur": TrueBlur(sigma_px=1.4), "frames": 16, "photoelectrons": 1500.0, "background": 0.0}
+    scene = {
+        "blur": TrueBlur(sigma_px=1.4),
+        "frames": 16,
+        "photoelectrons": 1500.0,
+        "background": 0.0,
+    }
     for gamma, told in ((0.5, True), (1.0, False)):
         stack = PointScene(**scene, gamma=gamma).frames_drawn(np.random.default_rng(seed))
         flags = {flag for one in method(stack, context=QUICK).measurements for flag in one.flags}
@@ -74,11 +81,15 @@ def test_a_response_that_noise_shows_to_be_curved_is_told_and_a_straight_one_is_
 def test_every_result_says_what_its_noise_leaves_open(seed):
     scene = PointScene(blur=TrueBlur(sigma_px=1.4), frames=16, photoelectrons=1500.0)
     stack = scene.frames_drawn(np.random.default_rng(seed))
-    told = re.search(r"the noise permits exponents from ([0-9.]*[0-9]) to ([0-9.]*[0-9])", said(stack))
+    told = re.search(
+        r"the noise permits exponents from ([0-9.]*[0-9]) to ([0-9.]*[0-9])", said(stack)
+    )
     assert told is not None
     low, high = (float(number) for number in told.groups())
     assert 0.5 < low < 1.0 < high < 2.0
-    assert "the noise permits exponents from 0.4 to 2.5" in said(replace(stack, data=stack.data[:1]))
+    assert "the noise permits exponents from 0.4 to 2.5" in said(
+        replace(stack, data=stack.data[:1])
+    )
 
 
 def said(stack):
@@ -88,5 +99,9 @@ def said(stack):
 
 @pytest.mark.parametrize(("stretch", "told"), [(0.0, False), (0.2, False), (0.6, True)])
 def test_light_much_longer_than_wide_may_be_two_sources(seed, stretch, told):
-    stack = SpotCamera(snr=60.0).taken(Spot(width=1.2, stretch=stretch), np.random.default_rng(seed))
-    assert ("several-targets" in point_parametric(stack, context=QUICK).measurements[0].flags) == told
+    stack = SpotCamera(snr=60.0).taken(
+        Spot(width=1.2, stretch=stretch), np.random.default_rng(seed)
+    )
+    assert (
+        "several-targets" in point_parametric(stack, context=QUICK).measurements[0].flags
+    ) == told

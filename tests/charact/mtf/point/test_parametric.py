@@ -1,4 +1,6 @@
-"""Laws of points fitted by forms: no bias without noise, honest intervals with it, also of cores cut at full scale."""
+"""Laws of points fitted by forms: no bias without noise, honest intervals with it, also of cores
+cut at full scale.
+"""
 
 from dataclasses import replace
 
@@ -32,7 +34,9 @@ def level(result, quantity="mtf50", angle=0.0):
 
 
 def standard_errors(measurement, truth):
-    return (measurement.value - truth) / ((measurement.interval95[1] - measurement.interval95[0]) / 3.92)
+    return (measurement.value - truth) / (
+        (measurement.interval95[1] - measurement.interval95[0]) / 3.92
+    )
 
 
 @pytest.mark.parametrize("sigma", [0.6, 1.0, 2.0])
@@ -62,7 +66,9 @@ def test_a_spot_without_noise_is_measured_within_a_thousandth_in_both_directions
     stack = SpotCamera(snr=np.inf).taken(spot, np.random.default_rng(0))
     result = point_parametric(stack, context=QUICK)
     for angle in (0.0, 90.0):
-        assert level(result, angle=angle).value == pytest.approx(spot.level(0.5, vertical=angle > 0), rel=1e-3)
+        assert level(result, angle=angle).value == pytest.approx(
+            spot.level(0.5, vertical=angle > 0), rel=1e-3
+        )
 
 
 @pytest.mark.parametrize("full_scale_dn", [np.inf, 110.0])
@@ -70,7 +76,11 @@ def test_intervals_hold_the_truth_also_of_cores_beyond_full_scale(seed, full_sca
     rng = np.random.default_rng(seed)
     errors = []
     for _ in range(3):
-        spot = Spot(width=float(rng.uniform(0.8, 1.4)), row_px=rng.uniform(-0.5, 0.5), col_px=rng.uniform(-0.5, 0.5))
+        spot = Spot(
+            width=float(rng.uniform(0.8, 1.4)),
+            row_px=rng.uniform(-0.5, 0.5),
+            col_px=rng.uniform(-0.5, 0.5),
+        )
         camera = SpotCamera(snr=40.0, full_scale_dn=full_scale_dn)
         found = level(point_parametric(camera.taken(spot, rng), context=QUICK))
         errors.append(standard_errors(found, spot.level(0.5)))
@@ -90,18 +100,34 @@ def test_a_core_at_full_scale_is_counted_and_told(seed):
 def test_pixels_of_which_only_a_least_value_is_known_weigh_by_the_tail_beyond_it():
     heights = np.array([80.0, 100.0, 125.0])
     one = np.ones(3)
-    cut = Censored(matrix=np.empty((3, 1)), limit=100 * one, sd=10 * one, cut=4 * one, left=0 * one, mean=0 * one)
+    cut = Censored(
+        matrix=np.empty((3, 1)),
+        limit=100 * one,
+        sd=10 * one,
+        cut=4 * one,
+        left=0 * one,
+        mean=0 * one,
+    )
     slope, curvature, value = (part[0] for part in cut.terms(heights[None]))
     step = 1e-3
     by_hand = [4 * log_ndtr((heights + k * step - 100.0) / 10.0) for k in (-1, 0, 1)]
     assert value == pytest.approx(by_hand[1].sum())
     assert slope == pytest.approx((by_hand[2] - by_hand[0]) / (2 * step), rel=1e-4)
-    assert curvature == pytest.approx(-(by_hand[2] - 2 * by_hand[1] + by_hand[0]) / step**2, rel=1e-2)
+    assert curvature == pytest.approx(
+        -(by_hand[2] - 2 * by_hand[1] + by_hand[0]) / step**2, rel=1e-2
+    )
 
 
 def test_a_clipped_pixel_far_from_its_limit_keeps_a_finite_likelihood():
     one = np.ones(1)
-    cut = Censored(matrix=np.empty((1, 1)), limit=100 * one, sd=10 * one, cut=4 * one, left=0 * one, mean=0 * one)
+    cut = Censored(
+        matrix=np.empty((1, 1)),
+        limit=100 * one,
+        sd=10 * one,
+        cut=4 * one,
+        left=0 * one,
+        mean=0 * one,
+    )
     for height in (-1e12, -1e5, 1e5, 1e12):
         slope, curvature, value = cut.terms(np.full((1, 1), height))
         assert np.isfinite([slope[0, 0], curvature[0, 0], value[0]]).all()
@@ -114,7 +140,12 @@ def test_a_clipped_pixel_far_from_its_limit_keeps_a_finite_likelihood():
 def test_light_far_beyond_full_scale_is_refused_and_not_fitted():
     row, col = np.mgrid[:81, :81] - 40.0
     light = 1e9 * np.exp(-(row**2 + col**2) / 8.0) + 1e4 / (1.0 + row**2 + col**2)
-    frames = np.random.default_rng(3).poisson(np.minimum(20.0 + light, 1e6), (6, 81, 81)).clip(0, 255).astype(np.uint8)
+    frames = (
+        np.random.default_rng(3)
+        .poisson(np.minimum(20.0 + light, 1e6), (6, 81, 81))
+        .clip(0, 255)
+        .astype(np.uint8)
+    )
     found = point_parametric(FrameStack(data=frames, full_scale_dn=255.0), context=QUICK)
     assert all(m.value is None or m.flags for m in found.find("mtf50"))
 
@@ -124,7 +155,8 @@ def test_an_unknown_pinhole_widens_the_interval_to_hold_the_camera_alone(seed):
     spot = Spot(width=0.9, pinhole_px=2.0)
     stack = SpotCamera(snr=60.0).taken(spot, rng)
     told, bounded, point = (
-        level(point_parametric(stack, pinhole_px=size, context=QUICK)) for size in (2.0, (0.0, 3.0), None)
+        level(point_parametric(stack, pinhole_px=size, context=QUICK))
+        for size in (2.0, (0.0, 3.0), None)
     )
     assert abs(standard_errors(told, spot.level(0.5))) < 4.5
     assert bounded.interval95[0] < spot.level(0.5) < bounded.interval95[1]
@@ -135,7 +167,9 @@ def test_an_unknown_pinhole_widens_the_interval_to_hold_the_camera_alone(seed):
 def test_several_pinholes_fitted_together_say_more_than_one(seed):
     rng = np.random.default_rng(seed)
     spots = [Spot(row_px=rng.uniform(-0.5, 0.5), col_px=rng.uniform(-0.5, 0.5)) for _ in range(4)]
-    frames = np.concatenate([SpotCamera(snr=20.0, frames=4).taken(spot, rng).data for spot in spots], axis=2)
+    frames = np.concatenate(
+        [SpotCamera(snr=20.0, frames=4).taken(spot, rng).data for spot in spots], axis=2
+    )
     regions = tuple((0, 72 * number, 72, 72) for number in range(4))
     together = level(point_parametric(FrameStack(data=frames), regions=regions, context=QUICK))
     alone = level(point_parametric(FrameStack(data=frames), region=regions[0], context=QUICK))
@@ -144,7 +178,8 @@ def test_several_pinholes_fitted_together_say_more_than_one(seed):
 
 
 def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
-    """Of the likeliest form: a thousand draws of each, 500 quickly, 4.5 standard errors of medians and of widths.
+    """Of the likeliest form: a thousand draws of each, 500 quickly, 4.5 standard errors of medians
+    and of widths.
 
     Frames whose likeliest form is one blur: on the ridge of two in a row a chain finds no end.
     """
@@ -164,7 +199,8 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
         # Quick draws are picked from some 350 effective ones at least, whose chance they share.
         error = np.sqrt(1.0 / min(len(found.draws), 350) + 1.0 / len(chained.draws))
         assert np.all(
-            np.abs(np.median(found.draws, axis=0) - np.median(chained.draws, axis=0)) < 4.5 * 1.25 * error * spread
+            np.abs(np.median(found.draws, axis=0) - np.median(chained.draws, axis=0))
+            < 4.5 * 1.25 * error * spread
         )
         assert np.all(np.abs(np.log(found.draws.std(axis=0) / spread)) < 4.5 * error)
 
@@ -184,13 +220,21 @@ def test_a_chain_that_did_not_converge_is_told_of_any_form_that_counts(seed, mon
 
 
 HALO = PointScene(
-    blur=TrueBlur(sigma_px=0.8, halo_share=0.1, halo_px=22.0), pulse_px=0.0, gain_spread=0.0, photoelectrons=15000.0,
-    peak_dn=105.0, background=0.006, frames=4, read_dn=0.6,
-)  # fmt: skip
+    blur=TrueBlur(sigma_px=0.8, halo_share=0.1, halo_px=22.0),
+    pulse_px=0.0,
+    gain_spread=0.0,
+    photoelectrons=15000.0,
+    peak_dn=105.0,
+    background=0.006,
+    frames=4,
+    read_dn=0.6,
+)
 
 
 def test_a_faint_halo_in_whole_codes_is_counted(seed):
-    """A tenth of the light at 0.14 DN, where a pixel's noise is 0.6 DN: MTF50 without it is 7 % high."""
+    """A tenth of the light at 0.14 DN, where a pixel's noise is 0.6 DN: MTF50 without it is 7 %
+    high.
+    """
     stack = HALO.frames_drawn(np.random.default_rng(seed))
     found = level(point_parametric(stack, context=replace(QUICK, full_scale_dn=255.0)))
     assert found.status == "ok", found.flags
@@ -213,12 +257,18 @@ def test_a_spot_smaller_than_a_pixel_is_not_told_from_its_place(method, seed):
 
 
 def test_what_is_shown_of_a_fit_is_what_was_fitted(seed):
-    """Pixels and rings lie about the model by their noise, and the lines are those through the source."""
+    """Pixels and rings lie about the model by their noise, and the lines are those through the
+    source.
+    """
     stack = HALO.frames_drawn(np.random.default_rng(seed))
-    shown = point_parametric(stack, context=replace(QUICK, full_scale_dn=255.0)).evidence["point-profile"]
+    shown = point_parametric(stack, context=replace(QUICK, full_scale_dn=255.0)).evidence[
+        "point-profile"
+    ]
     left = np.array(shown["value_dn"]) - np.array(shown["model_dn"])
     assert np.abs(left).max() < 8.0
-    ring = (np.array(shown["ring_dn"]) - np.array(shown["ring_model_dn"])) / np.array(shown["ring_sd_dn"])
+    ring = (np.array(shown["ring_dn"]) - np.array(shown["ring_model_dn"])) / np.array(
+        shown["ring_sd_dn"]
+    )
     assert np.sqrt(np.mean(ring**2)) < 2.5
     row = int(np.argmin(np.abs(shown["row_px"])))
     assert shown["along_row_model_dn"] == shown["model_dn"][row]
@@ -246,8 +296,12 @@ def test_pulses_that_spread_over_neighbours_are_a_covariance_of_the_same_size():
 
 
 @pytest.mark.parametrize(("exponent", "pulse_px"), [(1.1, 0.6), (1.3, 0.75), (1.7, 0.5)])
-def test_one_of_the_pulses_is_that_of_a_tail_before_the_gain_and_a_gaussian_behind_it(exponent, pulse_px):
-    """Landing places by transform, pulses by error functions; shares of the blur alone are 6 to 15 % off."""
+def test_one_of_the_pulses_is_that_of_a_tail_before_the_gain_and_a_gaussian_behind_it(
+    exponent, pulse_px
+):
+    """Landing places by transform, pulses by error functions; shares of the blur alone are 6 to 15
+    % off.
+    """
     x = np.arange(-5.0, 6.0)
     step, size = 0.25, 512
     axis = np.fft.fftfreq(size, step)
@@ -255,9 +309,16 @@ def test_one_of_the_pulses_is_that_of_a_tail_before_the_gain_and_a_gaussian_behi
     density = np.fft.fftshift(np.fft.ifft2(before).real)
     places = (np.arange(size) - size // 2) * step
     off = (x - places[:, None]) / np.sqrt(2.0) / pulse_px
-    pulse = 0.5 * (erf(off + 0.5 / np.sqrt(2.0) / pulse_px) - erf(off - 0.5 / np.sqrt(2.0) / pulse_px))
+    pulse = 0.5 * (
+        erf(off + 0.5 / np.sqrt(2.0) / pulse_px) - erf(off - 0.5 / np.sqrt(2.0) / pulse_px)
+    )
     pairs = (pulse[:, :, None] * pulse[:, None, :]).reshape(size, -1)
-    exact = (pairs.T @ density @ pairs).reshape((x.size,) * 4).transpose(0, 2, 1, 3).reshape(x.size**2, -1)
+    exact = (
+        (pairs.T @ density @ pairs)
+        .reshape((x.size,) * 4)
+        .transpose(0, 2, 1, 3)
+        .reshape(x.size**2, -1)
+    )
     f = FREQUENCIES
     blur = np.exp(-((f / 0.3) ** exponent) - 2.0 * (np.pi * f * pulse_px) ** 2)
     units = pulse_covariances((f, blur), np.diag(exact), x, x)
@@ -268,12 +329,18 @@ def test_one_of_the_pulses_is_that_of_a_tail_before_the_gain_and_a_gaussian_behi
 @pytest.mark.parametrize("pinhole_px", [-1.0, (2.0, 1.0), (0.0, 90.0)])
 def test_a_pinhole_of_impossible_size_is_bad_input(pinhole_px):
     with pytest.raises(BadInput, match="pinhole_px"):
-        point_parametric(FrameStack(data=np.zeros((2, 32, 32))), pinhole_px=pinhole_px, context=QUICK)
+        point_parametric(
+            FrameStack(data=np.zeros((2, 32, 32))), pinhole_px=pinhole_px, context=QUICK
+        )
 
 
 def test_the_noise_of_all_pixels_together_is_told_of_pulses_that_rows_share(seed, monkeypatch):
-    """Variance of the sum of the core of a frame, over that of the pixels alone: pulses several pixels wide."""
-    scene = PointScene(blur=TrueBlur(sigma_px=0.7), pulse_px=0.8, peak_dn=2500.0, full_scale_dn=4095.0)
+    """Variance of the sum of the core of a frame, over that of the pixels alone: pulses several
+    pixels wide.
+    """
+    scene = PointScene(
+        blur=TrueBlur(sigma_px=0.7), pulse_px=0.8, peak_dn=2500.0, full_scale_dn=4095.0
+    )
     sites = []
 
     def fit_and_keep(*asked):
@@ -287,8 +354,12 @@ def test_the_noise_of_all_pixels_together_is_told_of_pulses_that_rows_share(seed
     core = site.window.core
     told = covariance(site, np.zeros(site.values.size), 0.0)[: core.size, : core.size]
     row, col = (round(47.5 + at) for at in (-(core.shape[0] - 1) / 2, -(core.shape[1] - 1) / 2))
-    many = replace(scene, frames=160).frames_drawn(np.random.default_rng(seed + 1)).data.astype(float)
-    off = (many - many.mean(axis=0))[:, row : row + core.shape[0], col : col + core.shape[1]].reshape(160, -1)
+    many = (
+        replace(scene, frames=160).frames_drawn(np.random.default_rng(seed + 1)).data.astype(float)
+    )
+    off = (many - many.mean(axis=0))[
+        :, row : row + core.shape[0], col : col + core.shape[1]
+    ].reshape(160, -1)
     grain = off.sum(axis=1).var() / off.var(axis=0).sum()
     # Variances of 160 sums, and of gains by 8 frames of 3000 pulses: 11 % and 3 %.
     assert told.sum() / np.trace(told) == pytest.approx(grain, rel=4.0 * 0.12)

@@ -10,22 +10,37 @@ FREQUENCIES = (0.08, 0.15, 0.25)
 KINDS = {"a": "edge", "b1": "bars", "b2": "bars", "b3": "bars", "p": "point"}
 
 
-def _result(rng: np.random.Generator, *, edge_offset: float = 0.0, edge_angle_deg: float = 5.0) -> Result:
+def _result(
+    rng: np.random.Generator, *, edge_offset: float = 0.0, edge_angle_deg: float = 5.0
+) -> Result:
     frequency = np.linspace(0.0, 0.5, 26)
     truth = np.exp(-((frequency / 0.3) ** 1.3))
 
     def curve(stack: str, offset: float, sd: float) -> Curve:
         value = truth + offset + sd * rng.standard_normal()
         return Curve(
-            frequency_cy_per_px=frequency, value=value, interval68=np.stack([value - sd, value + sd]), stack=stack
+            frequency_cy_per_px=frequency,
+            value=value,
+            interval68=np.stack([value - sd, value + sd]),
+            stack=stack,
         )
 
     bars = [
-        measurement_from_sd("mtf", "1", float(np.exp(-((f / 0.3) ** 1.3)) + 0.01 * rng.standard_normal()), 0.01,
-                method="fake", stack=f"b{n}", frequency_cy_per_px=f, orientation_deg=4.0)
+        measurement_from_sd(
+            "mtf",
+            "1",
+            float(np.exp(-((f / 0.3) ** 1.3)) + 0.01 * rng.standard_normal()),
+            0.01,
+            method="fake",
+            stack=f"b{n}",
+            frequency_cy_per_px=f,
+            orientation_deg=4.0,
+        )
         for n, f in enumerate(FREQUENCIES, 1)
-    ]  # fmt: skip
-    tilt = measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, method="fake", stack="a", orientation_deg=edge_angle_deg)
+    ]
+    tilt = measurement_from_sd(
+        "mtf50", "cy/px", 0.2, 0.01, method="fake", stack="a", orientation_deg=edge_angle_deg
+    )
     curves = {"mtf:a": curve("a", edge_offset, 0.005), "mtf:p": curve("p", 0.0, 0.02)}
     return Result(measurements=(*bars, tilt), curves=curves)
 

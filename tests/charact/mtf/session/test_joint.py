@@ -1,4 +1,6 @@
-"""One MTF through all targets of a session holds the truth, and a target that tells of another is found and named."""
+"""One MTF through all targets of a session holds the truth, and a target that tells of another is
+found and named.
+"""
 
 import json
 from dataclasses import replace
@@ -28,11 +30,17 @@ BARS = {"b1": 0.08, "b2": 0.15, "b3": 0.25}
 
 def mtf(frequency, half=0.22, exponent=1.4, height=1.0):
     """exp(-ln 2 (f/f2)^n) times the pixel."""
-    return np.exp(-np.log(2) * (np.asarray(frequency) / half) ** exponent) * np.sinc(np.asarray(frequency) * height)
+    return np.exp(-np.log(2) * (np.asarray(frequency) / half) ** exponent) * np.sinc(
+        np.asarray(frequency) * height
+    )
 
 
-def target(rng, label, *, half=0.22, exponent=1.4, half_sd=0.003, exponent_sd=0.04, name="mtf", angle=0.0) -> Result:
-    """Curve and MTF50 of one target: draws about an estimate that missed the truth by its own error."""
+def target(
+    rng, label, *, half=0.22, exponent=1.4, half_sd=0.003, exponent_sd=0.04, name="mtf", angle=0.0
+) -> Result:
+    """Curve and MTF50 of one target: draws about an estimate that missed the truth by its own
+    error.
+    """
     centre = np.array([half, exponent]) + rng.standard_normal(2) * [half_sd, exponent_sd]
     drawn = centre + rng.standard_normal((400, 2)) * [half_sd, exponent_sd]
     curve = curve_of(REPORTED, mtf(REPORTED, drawn[:, :1], drawn[:, 1:]))
@@ -48,11 +56,21 @@ def target(rng, label, *, half=0.22, exponent=1.4, half_sd=0.003, exponent_sd=0.
 
 
 def bars(rng, *, half=0.22, sd=0.008) -> Result:
-    return Result(measurements=tuple(
-        measurement_from_sd("mtf", "1", float(mtf(f, half)) + sd * rng.standard_normal(), sd, method="fake",
-                stack=label, frequency_cy_per_px=f, orientation_deg=3.0)
-        for label, f in BARS.items()
-    ))  # fmt: skip
+    return Result(
+        measurements=tuple(
+            measurement_from_sd(
+                "mtf",
+                "1",
+                float(mtf(f, half)) + sd * rng.standard_normal(),
+                sd,
+                method="fake",
+                stack=label,
+                frequency_cy_per_px=f,
+                orientation_deg=3.0,
+            )
+            for label, f in BARS.items()
+        )
+    )
 
 
 def session(rng, **edge) -> Result:
@@ -63,8 +81,12 @@ def evidence(result: Result, kinds=KINDS, context: Context = QUICK) -> dict:
     return fit_joint_mtf(result, kinds, context=context).evidence["joint MTF"]
 
 
-def test_probabilities_of_one_camera_are_uniform_and_its_interval_holds_the_truth(seed: int) -> None:
-    """Kolmogorov-Smirnov of 12 chances once in ten thousand; 95 % intervals hold within 4 standard errors."""
+def test_probabilities_of_one_camera_are_uniform_and_its_interval_holds_the_truth(
+    seed: int,
+) -> None:
+    """Kolmogorov-Smirnov of 12 chances once in ten thousand; 95 % intervals hold within 4 standard
+    errors.
+    """
     rng = np.random.default_rng(seed)
     chances, held = [], 0
     frequency = np.linspace(0.01, 0.6, 20000)
@@ -92,7 +114,9 @@ def test_what_a_target_does_not_vouch_for_takes_no_part(seed: int) -> None:
     rng = np.random.default_rng(seed)
     result = session(rng, half=0.3)
     doubted = Result(
-        measurements=tuple(m.with_(flags=("gamma",)) if m.stack == "e" else m for m in result.measurements),
+        measurements=tuple(
+            m.with_(flags=("gamma",)) if m.stack == "e" else m for m in result.measurements
+        ),
         curves=result.curves,
     )
     assert "e" not in evidence(doubted)["target"]
@@ -110,34 +134,50 @@ def test_rows_and_columns_have_cores_of_their_own(seed: int) -> None:
 
 
 def filtered(frequency, bandwidth_mhz, clock_mhz=14.318):
-    """|V| of a third-order Butterworth on stairs one clock wide, read once a clock: its replicas summed."""
+    """|V| of a third-order Butterworth on stairs one clock wide, read once a clock: its replicas
+    summed.
+    """
     at = np.asarray(frequency, float)[..., None] + np.arange(-200, 201)
     s = 1j * at * clock_mhz / bandwidth_mhz
-    return np.abs(np.sum(np.sinc(at) * np.exp(-1j * np.pi * at) / ((1.0 + s) * (1.0 + s + s**2)), axis=-1))
+    return np.abs(
+        np.sum(np.sinc(at) * np.exp(-1j * np.pi * at) / ((1.0 + s) * (1.0 + s + s**2)), axis=-1)
+    )
 
 
 def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(seed: int) -> None:
-    """Two sure edges in windows narrower than the halo: a described filter taken as exact misses MTF10."""
+    """Two sure edges in windows narrower than the halo: a described filter taken as exact misses
+    MTF10.
+    """
     sensor, rng, bandwidth_mhz = load_sensor("pulnix-ag5745ef3"), np.random.default_rng(seed), 7.0
     form, sd = np.array([0.35, 1.3]), np.array([1e-3, 8e-3])
 
     def seen(label: str) -> Result:
         drawn = form + rng.standard_normal(2) * sd + rng.standard_normal((400, 2)) * sd
         curve, fine = (
-            mtf(at, drawn[:, :1], drawn[:, 1:]) * filtered(at, bandwidth_mhz) for at in (REPORTED, FINE)
-        )  # fmt: skip
+            mtf(at, drawn[:, :1], drawn[:, 1:]) * filtered(at, bandwidth_mhz)
+            for at in (REPORTED, FINE)
+        )
         level = measurement_from_draws(
-            "mtf50", "cy/px", crossing_frequency(FINE, fine, 0.5), method="fake", stack=label, orientation_deg=0.0
+            "mtf50",
+            "cy/px",
+            crossing_frequency(FINE, fine, 0.5),
+            method="fake",
+            stack=label,
+            orientation_deg=0.0,
         )
         narrow = level.with_(region=(0, 0, 60, 40))
         return Result(measurements=(narrow,), curves={f"mtf:{label}": curve_of(REPORTED, curve)})
 
     told_of = seen("e1") + seen("e2")
-    truth = crossing_frequency(FINE, (mtf(FINE, *form) * filtered(FINE, bandwidth_mhz))[None], 0.1)[0]
+    truth = crossing_frequency(FINE, (mtf(FINE, *form) * filtered(FINE, bandwidth_mhz))[None], 0.1)[
+        0
+    ]
 
     def standard_errors_off(of: Sensor) -> float:
         context = Context(seed=1, quick=True, sensor=of)
-        found = fit_joint_mtf(told_of, {"e1": "edge", "e2": "edge"}, context=context).find("mtf10")[0]
+        found = fit_joint_mtf(told_of, {"e1": "edge", "e2": "edge"}, context=context).find("mtf10")[
+            0
+        ]
         low, high = found.interval68
         return abs(found.value - truth) / (0.5 * (high - low))
 
@@ -152,7 +192,9 @@ def test_an_edge_along_rows_counts_row_pitches_and_a_point_column_pitches(seed: 
     point = target(rng, "p", name="mtf_vertical")
     sound, _ = constraints_from(edge + point, KINDS, context)
     along_rows, vertical = sound
-    assert along_rows.frequency[0] * context.pitch_ratio == pytest.approx(vertical.frequency[0], rel=1e-12)
+    assert along_rows.frequency[0] * context.pitch_ratio == pytest.approx(
+        vertical.frequency[0], rel=1e-12
+    )
     assert np.allclose(vertical.angle_rad, np.pi / 2)
     assert context.pitch_ratio > 1.1
 
@@ -166,7 +208,9 @@ def test_the_noise_of_flats_bounds_the_whole_mtf_from_above(seed: int) -> None:
         value = mtf(REPORTED, half, 2.0)
         band = np.stack([value - 0.004, value + 0.004])
         return plain + Result(
-            curves={"mtf_post_gain": Curve(frequency_cy_per_px=REPORTED, value=value, interval68=band)}
+            curves={
+                "mtf_post_gain": Curve(frequency_cy_per_px=REPORTED, value=value, interval68=band)
+            }
         )
 
     high, low = evidence(with_flats(0.4)), evidence(with_flats(0.18))
@@ -181,14 +225,17 @@ def edges(rng, slope: float) -> tuple[Result, dict[str, str], dict[str, Conditio
     for col in columns:
         one = target(rng, f"e{col}", half=0.22 + slope * (col - 300), half_sd=0.004)
         result += Result(
-            measurements=tuple(m.with_(region=(100, col - 30, 80, 60)) for m in one.measurements), curves=one.curves
+            measurements=tuple(m.with_(region=(100, col - 30, 80, 60)) for m in one.measurements),
+            curves=one.curves,
         )
     labels = [f"e{col}" for col in columns]
     return result, dict.fromkeys(labels, "edge"), dict.fromkeys(labels, Conditions(mcp_v=800.0))
 
 
 def test_an_mtf_that_changes_over_the_field_is_told_from_one_that_does_not(seed: int) -> None:
-    """Constant: 30 sessions stay so in 95 %, within 4 standard errors; a slope of 1e-4 is found with its size."""
+    """Constant: 30 sessions stay so in 95 %, within 4 standard errors; a slope of 1e-4 is found
+    with its size.
+    """
     rng = np.random.default_rng(seed)
     name = "MTF50 over the field and settings"
 
@@ -209,15 +256,24 @@ def test_the_curve_through_the_bars_is_taken_for_no_further_target(seed: int) ->
     """Joint fit, agreement, constancy and the sensor's fit say the same with it as without."""
     rng = np.random.default_rng(seed)
     plain = target(rng, "e") + bars(rng) + target(rng, "p")
-    read = Result(measurements=tuple(
-        replace(m, method="bars-forward" if m.stack in BARS else m.method) for m in plain.measurements
-    ), curves=plain.curves)  # fmt: skip
+    read = Result(
+        measurements=tuple(
+            replace(m, method="bars-forward" if m.stack in BARS else m.method)
+            for m in plain.measurements
+        ),
+        curves=plain.curves,
+    )
     own = session_curves(read, KINDS, context=QUICK)
     assert [m.method for m in own.measurements] == ["bars-joint"]
     assert set(own.curves) == {"mtf_bars"}
     assert own.find("mtf50")[0].stack is None
-    conditions = {label: Conditions(mcp_v=700.0 + 10.0 * place) for place, label in enumerate(KINDS)}
-    entries = tuple(StackEntry(label=label, kind=kind, frames="", folder=Path()) for label, kind in KINDS.items())
+    conditions = {
+        label: Conditions(mcp_v=700.0 + 10.0 * place) for place, label in enumerate(KINDS)
+    }
+    entries = tuple(
+        StackEntry(label=label, kind=kind, frames="", folder=Path())
+        for label, kind in KINDS.items()
+    )
     held = Session(folder=Path(), name="s", stacks=entries)
     sensor = load_sensor("pulnix-ag5745ef3")
 

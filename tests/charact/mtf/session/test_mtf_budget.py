@@ -1,4 +1,6 @@
-"""The stage budget against closed-form curves: the cascade of the physics reference, section 1.12."""
+"""The stage budget against closed-form curves: the cascade of the physics reference, section
+1.12.
+"""
 
 import numpy as np
 import pytest
@@ -7,7 +9,8 @@ from charact.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mt
 from charact.mtf.session.stage_transfers import STAGES, Direction
 from labdata.sensors import load_sensor
 
-# f at the cathode (lp/mm), and there lens, tube, taper, pixel along rows and columns (26 um), low pass; section 1.12.
+# f at the cathode (lp/mm), and there lens, tube, taper, pixel along rows and columns (26 um), low
+# pass; section 1.12.
 TABLE = np.array(
     [
         [5.0, 0.986, 0.869, 0.992, 0.987, 0.927, 1.00],
@@ -34,9 +37,17 @@ def video(frequency):
 
 
 def cascade(
-    direction: Direction, frequency, *, after_gain=False, cut_off=26.25, exponent=1.184, share=0.8, halo_share=0.0
+    direction: Direction,
+    frequency,
+    *,
+    after_gain=False,
+    cut_off=26.25,
+    exponent=1.184,
+    share=0.8,
+    halo_share=0.0,
 ):
-    """Product of section 1.12 by formula: 4 um lens, Johnson's tube, 6 um fibres and interfaces, pixel, 6.5 MHz.
+    """Product of section 1.12 by formula: 4 um lens, Johnson's tube, 6 um fibres and interfaces,
+    pixel, 6.5 MHz.
 
     The halo is four gaps of 0.21 mm wide, 30 % of its electrons elastic.
     """
@@ -49,7 +60,13 @@ def cascade(
     pupil = 1.0 - 4.0 / np.pi * cathode * 0.7e-3 * 1.4
     lens = pupil * np.exp(-2.0 * (np.pi * cathode * 0.004) ** 2)
     tube = np.exp(-((cathode / cut_off) ** exponent))
-    rest = 2.0 * j1(x) / x * np.exp(-((detector / 120.0) ** 2)) * np.abs(np.sinc(frequency * (1.0 if along else 2.0)))
+    rest = (
+        2.0
+        * j1(x)
+        / x
+        * np.exp(-((detector / 120.0) ** 2))
+        * np.abs(np.sinc(frequency * (1.0 if along else 2.0)))
+    )
     if along:
         rest = rest * video(frequency)
     u = np.pi * cathode * 0.84
@@ -62,9 +79,11 @@ def curve(direction: Direction, sd: float, rng=None, bump=0.0, **more) -> Measur
     value = cascade(direction, frequency, **more) + bump * np.sin(20.0 * frequency)
     noise = 0.0 if rng is None else sd * rng.standard_normal(frequency.size)
     one = MeasuredCurve(
-        direction=direction, after_gain=more.get("after_gain", False), frequency_cy_per_px=frequency,
+        direction=direction,
+        after_gain=more.get("after_gain", False),
+        frequency_cy_per_px=frequency,
         value=value + noise,
-    )  # fmt: skip
+    )
     return MeasuredCurves(curves=(one,), covariance=sd**2 * np.eye(frequency.size))
 
 
@@ -85,11 +104,15 @@ def test_the_stages_of_the_description_are_those_of_the_cascade_table():
     logs = {stage: rows[i, 0] for i, stage in enumerate(STAGES)}
     tube = np.exp(logs["tube before the gain"] + logs["tube after the gain"])
     for value, column in (
-        (np.exp(logs["lens"]), 1), (tube, 2), (np.exp(logs["taper"]), 3), (np.exp(logs["pixel"]), 4),
-    ):  # fmt: skip
+        (np.exp(logs["lens"]), 1),
+        (tube, 2),
+        (np.exp(logs["taper"]), 3),
+        (np.exp(logs["pixel"]), 4),
+    ):
         assert value == pytest.approx(TABLE[:, column], abs=0.004)
-    # The table's low pass is given at 1.3 to 6.6 MHz: at the clock's 14.318 MHz these are its frequencies per pixel.
-    # Frames hold more: the register's stairs, and what is folded by reading once a clock.
+    # The table's low pass is given at 1.3 to 6.6 MHz: at the clock's 14.318 MHz these are its
+    # frequencies per pixel. Frames hold more: the register's stairs, and what is folded by reading
+    # once a clock.
     per_pixel = np.array([1.3, 2.6, 4.0, 5.3, 6.6]) / 14.318
     assert np.abs(low_pass(per_pixel)) == pytest.approx(TABLE[:, 6], abs=0.01)
     of_model = found.camera.log_stages(point, per_pixel, "horizontal")[STAGES.index("video"), 0]
@@ -100,9 +123,17 @@ def test_the_stages_of_the_description_are_those_of_the_cascade_table():
 
 def test_tube_and_share_are_found_from_curves_of_both_kinds(seed):
     rng = np.random.default_rng(seed)
-    truth = {"tube.mtf_frequency_lp_per_mm": 29.0, "tube.mtf_exponent": 1.25, "tube.post_gain_share": 0.65}
+    truth = {
+        "tube.mtf_frequency_lp_per_mm": 29.0,
+        "tube.mtf_exponent": 1.25,
+        "tube.post_gain_share": 0.65,
+    }
     knobs = dict(zip(("cut_off", "exponent", "share"), truth.values(), strict=True))
-    curves = [curve(direction, 0.002, rng, after_gain=after, **knobs) for direction in BOTH for after in (False, True)]
+    curves = [
+        curve(direction, 0.002, rng, after_gain=after, **knobs)
+        for direction in BOTH
+        for after in (False, True)
+    ]
     found = budget(curves)
     for name, value in truth.items():
         draws = found.posterior[name]
@@ -114,14 +145,21 @@ def test_tube_and_share_are_found_from_curves_of_both_kinds(seed):
 def test_without_the_curve_after_the_gain_the_tube_is_a_product(seed):
     rng = np.random.default_rng(seed)
     found = budget([curve(d, 0.002, rng) for d in BOTH])
-    assert "tube before the gain" not in found.identified and "tube after the gain" not in found.identified
-    assert any({"tube before the gain", "tube after the gain"} <= set(group) for group in found.products)
+    assert (
+        "tube before the gain" not in found.identified
+        and "tube after the gain" not in found.identified
+    )
+    assert any(
+        {"tube before the gain", "tube after the gain"} <= set(group) for group in found.products
+    )
     assert any("only the product of" in sentence for sentence in found.statement)
     assert "pixel" in found.known
 
 
 def test_a_halo_lowers_the_whole_and_is_found_where_it_is_looked_for(seed):
-    """A quarter of the light, 2.1 prior standard deviations above the description, within 4.5 standard errors."""
+    """A quarter of the light, 2.1 prior standard deviations above the description, within 4.5
+    standard errors.
+    """
     rng = np.random.default_rng(seed)
     curves = [curve(d, 0.002, rng, halo_share=0.25) for d in BOTH]
     found = budget(curves, halo=True)
@@ -137,15 +175,22 @@ def test_a_halo_lowers_the_whole_and_is_found_where_it_is_looked_for(seed):
 
 def test_a_curve_told_twice_with_the_same_errors_tells_no_more_than_once(seed):
     one = curve("horizontal", 0.01, np.random.default_rng(seed))
-    twice = MeasuredCurves(curves=one.curves * 2, covariance=np.kron(np.ones((2, 2)), one.covariance))
+    twice = MeasuredCurves(
+        curves=one.curves * 2, covariance=np.kron(np.ones((2, 2)), one.covariance)
+    )
     once, same, independent = (budget(curves) for curves in ([one], [twice], [one, one]))
     sd, doubled, halved = (
-        np.std(found.product(found.camera.stages, np.array([0.2]), "horizontal")) for found in (once, same, independent)
+        np.std(found.product(found.camera.stages, np.array([0.2]), "horizontal"))
+        for found in (once, same, independent)
     )
-    # Two standard deviations of n draws each differ by 1/sqrt(n) of themselves; 4.5 standard errors are allowed.
+    # Two standard deviations of n draws each differ by 1/sqrt(n) of themselves; 4.5 standard errors
+    # are allowed.
     assert doubled == pytest.approx(sd, rel=4.5 / np.sqrt(len(once.posterior.draws)))
     assert halved < 0.85 * sd
 
 
 def test_a_camera_that_no_stages_describe_is_said(seed):
-    assert any("do not describe" in sentence for sentence in budget([curve("horizontal", 0.002, bump=0.05)]).statement)
+    assert any(
+        "do not describe" in sentence
+        for sentence in budget([curve("horizontal", 0.002, bump=0.05)]).statement
+    )

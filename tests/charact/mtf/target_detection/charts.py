@@ -1,4 +1,6 @@
-"""Charts of exactly known MTF made of many targets: tilted squares, an edge, bars and pinholes on one frame."""
+"""Charts of exactly known MTF made of many targets: tilted squares, an edge, bars and pinholes on
+one frame.
+"""
 
 from dataclasses import dataclass, field
 
@@ -11,9 +13,11 @@ from charact.study.noise import correlate_noise
 
 @dataclass(frozen=True, kw_only=True)
 class TiltedSquares:
-    """Dark squares on a bright ground, each turned by the same angle, blurred exactly on every side.
+    """Dark squares on a bright ground, each turned by the same angle, blurred exactly on every
+    side.
 
-    Within a corner the blur of a separable half plane product is taken; beyond four blurs of it an edge is exact.
+    Within a corner the blur of a separable half plane product is taken; beyond four blurs of it an
+    edge is exact.
     """
 
     blur: TrueBlur = field(default_factory=TrueBlur)
@@ -33,7 +37,9 @@ class TiltedSquares:
         return [(float(row), float(col)) for row in rows for col in cols]
 
     def edges(self) -> list[tuple[float, float, float]]:
-        """Return (row, col) of the middle of every edge and the direction of its normal, degrees in [0, 180)."""
+        """Return (row, col) of the middle of every edge and the direction of its normal, degrees in
+        [0, 180).
+        """
         found = []
         for row, col in self.centres():
             for turn in range(4):
@@ -57,13 +63,22 @@ class TiltedSquares:
     def _slab(self, distance: NDArray, angle_deg: float) -> NDArray:
         """Return a blurred strip of the square's width."""
         half = self.side_px / 2
-        return edge_spread(self.blur, distance + half, angle_deg) - edge_spread(self.blur, distance - half, angle_deg)
+        return edge_spread(self.blur, distance + half, angle_deg) - edge_spread(
+            self.blur, distance - half, angle_deg
+        )
 
 
 def noisy(
-    mean: NDArray, rng: np.random.Generator, *, sd_dn: float, shot_share: float = 0.0, blur_px: float = 0.0
+    mean: NDArray,
+    rng: np.random.Generator,
+    *,
+    sd_dn: float,
+    shot_share: float = 0.0,
+    blur_px: float = 0.0,
 ) -> NDArray[np.uint16]:
-    """Return one frame with noise of a standard deviation half way up, a share of its variance growing with light."""
+    """Return one frame with noise of a standard deviation half way up, a share of its variance
+    growing with light.
+    """
     half_way = 0.5 * (mean.max() + mean.min())
     variance = sd_dn**2 * (1.0 - shot_share + shot_share * mean / half_way)
     drawn = correlate_noise((np.sqrt(variance) * rng.standard_normal(mean.shape))[None], blur_px)[0]
@@ -72,7 +87,9 @@ def noisy(
 
 @dataclass(frozen=True, kw_only=True)
 class Bars:
-    """Where a group of bright bars stands: its middle, frequency, number, and the direction across it."""
+    """Where a group of bright bars stands: its middle, frequency, number, and the direction across
+    it.
+    """
 
     row: float
     col: float
@@ -104,7 +121,10 @@ class BarChart:
             row = np.arange(top, top + part.shape[0])[:, None] - group.row
             col = np.arange(left, left + part.shape[1])[None, :] - group.col
             angle = np.deg2rad(group.angle_deg)
-            across, along = col * np.cos(angle) + row * np.sin(angle), row * np.cos(angle) - col * np.sin(angle)
+            across, along = (
+                col * np.cos(angle) + row * np.sin(angle),
+                row * np.cos(angle) - col * np.sin(angle),
+            )
             width = 0.5 / group.frequency
             strip = self._slab(along, group.angle_deg + 90.0, group.aspect * width)
             for place in (np.arange(group.bars) - (group.bars - 1) / 2) / group.frequency:

@@ -1,4 +1,6 @@
-"""Groups of bars and point sources of a frame: found with their frequency and place, others told from them."""
+"""Groups of bars and point sources of a frame: found with their frequency and place, others told
+from them.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ from labdata.errors import BadInput
 FREQUENCIES, FEW = (0.06, 0.09, 0.14, 0.2, 0.27), (0.06, 0.14, 0.27)
 
 
-def chart(bars: int, tilt_deg: float, aspect: float = 7.0, frequencies: tuple[float, ...] = FREQUENCIES) -> BarChart:
+def chart(
+    bars: int, tilt_deg: float, aspect: float = 7.0, frequencies: tuple[float, ...] = FREQUENCIES
+) -> BarChart:
     """Rows of groups of several frequencies, upright in the upper row and lying in the lower."""
     groups, col = [], 10.0
     for frequency in frequencies:
@@ -36,8 +40,12 @@ def chart(bars: int, tilt_deg: float, aspect: float = 7.0, frequencies: tuple[fl
     return BarChart(groups=tuple(groups), rows=240, cols=int(col + 10))
 
 
-@pytest.mark.parametrize(("bars", "tilt_deg", "aspect", "snr"), [(4, 8.0, 7.0, 8.0), (3, 0.5, 5.0, 50.0)])
-def test_every_group_is_found_with_its_frequency(bars: int, tilt_deg: float, aspect: float, snr: float) -> None:
+@pytest.mark.parametrize(
+    ("bars", "tilt_deg", "aspect", "snr"), [(4, 8.0, 7.0, 8.0), (3, 0.5, 5.0, 50.0)]
+)
+def test_every_group_is_found_with_its_frequency(
+    bars: int, tilt_deg: float, aspect: float, snr: float
+) -> None:
     whole = chart(bars, tilt_deg, aspect)
     frame = noisy(whole.mean(), np.random.default_rng(3), sd_dn=2000.0 / snr, shot_share=0.5)
     found = find_bar_groups(frame, bars)
@@ -67,10 +75,16 @@ def test_noise_has_no_bars_and_no_points() -> None:
 
 
 @pytest.mark.parametrize(("bars", "aspect", "dark"), [(3, 5.0, True), (5, 10.0, False)])
-def test_groups_of_any_number_are_counted_and_dark_ones_are_found(bars: int, aspect: float, dark: bool) -> None:
+def test_groups_of_any_number_are_counted_and_dark_ones_are_found(
+    bars: int, aspect: float, dark: bool
+) -> None:
     whole = chart(bars, 1.0, aspect, FEW)
     mean = whole.mean()
-    frame = noisy(whole.bright_dn + whole.dark_dn - mean if dark else mean, np.random.default_rng(3), sd_dn=60.0)
+    frame = noisy(
+        whole.bright_dn + whole.dark_dn - mean if dark else mean,
+        np.random.default_rng(3),
+        sd_dn=60.0,
+    )
     found = find_bar_groups(frame)
     assert len(found) == len(whole.groups)
     assert {one.bars for one in found} == {bars}
@@ -81,7 +95,13 @@ def test_two_bars_are_not_looked_for() -> None:
         find_bar_groups(np.zeros((64, 64)), 2)
 
 
-POINTS = ((60.3, 80.2, 1.0), (60.0, 200.7, 0.5), (150.5, 300.5, 1.0), (230.0, 100.0, 0.3), (240.2, 240.9, 5.0))
+POINTS = (
+    (60.3, 80.2, 1.0),
+    (60.0, 200.7, 0.5),
+    (150.5, 300.5, 1.0),
+    (230.0, 100.0, 0.3),
+    (240.2, 240.9, 5.0),
+)
 
 
 def points_on(sigma_px: float, light_dn: float = 4000.0) -> np.ndarray:
@@ -89,7 +109,9 @@ def points_on(sigma_px: float, light_dn: float = 4000.0) -> np.ndarray:
     blur, row, col = TrueBlur(sigma_px=sigma_px), np.arange(300), np.arange(400)
 
     def line(distance: np.ndarray) -> np.ndarray:
-        return (edge_spread(blur, distance + 0.01, 0.0) - edge_spread(blur, distance - 0.01, 0.0)) / 0.02
+        return (
+            edge_spread(blur, distance + 0.01, 0.0) - edge_spread(blur, distance - 0.01, 0.0)
+        ) / 0.02
 
     return 100.0 + sum(k * light_dn * line(row - y)[:, None] * line(col - x) for y, x, k in POINTS)
 
@@ -118,8 +140,17 @@ def test_every_point_is_alone_in_its_region() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_flashes_of_an_intensifier_are_no_points_and_take_no_room_from_one(seed: int) -> None:
     """Single photoelectrons, each a pulse as high as a faint point in its one frame of eight."""
-    scene = PointScene(photoelectrons=60, peak_dn=60, background=0.0005, rows=240, cols=320, row_px=3, col_px=5,
-                       read_dn=0.3, gain_spread=2.0)  # fmt: skip
+    scene = PointScene(
+        photoelectrons=60,
+        peak_dn=60,
+        background=0.0005,
+        rows=240,
+        cols=320,
+        row_px=3,
+        col_px=5,
+        read_dn=0.3,
+        gain_spread=2.0,
+    )
     (found,) = find_pinholes(scene.frames_drawn(np.random.default_rng(seed)))
     assert found.row == pytest.approx(122.5, abs=0.7) and found.col == pytest.approx(164.5, abs=0.7)
     assert found.region[2:] == (97, 97)
@@ -127,7 +158,13 @@ def test_flashes_of_an_intensifier_are_no_points_and_take_no_room_from_one(seed:
 
 def test_flashes_alone_are_one_sentence() -> None:
     scene = PointScene(
-        photoelectrons=0, peak_dn=1.0, background=0.0005, rows=240, cols=320, read_dn=0.3, gain_spread=2.0
+        photoelectrons=0,
+        peak_dn=1.0,
+        background=0.0005,
+        rows=240,
+        cols=320,
+        read_dn=0.3,
+        gain_spread=2.0,
     )
     stack = scene.frames_drawn(np.random.default_rng(3))
     result = mtf.measure_all("point", stack, context=Context(quick=True))
@@ -139,14 +176,19 @@ def test_a_spot_just_below_what_is_needed_is_said_to_be_below() -> None:
     rng = np.random.default_rng(5)
     ground, row, col = rng.normal(0.0, 1.0, (64, 64)), *np.mgrid[-32:32, -32:32]
     spot = np.exp(-0.5 * (row**2 + col**2) / 1.5**2)
-    found = [source.detect_source((ground + height * spot)[None], 1.0) for height in np.linspace(2.0, 8.0, 600)]
+    found = [
+        source.detect_source((ground + height * spot)[None], 1.0)
+        for height in np.linspace(2.0, 8.0, 600)
+    ]
     below = [one.reason for one in found if isinstance(one, source.PointRefusal)]
     assert "is 8.9 standard deviations; at least 9 are required" in below[-1]
     assert not any("stands 9.0" in sentence for sentence in below)
 
 
 def test_flashes_beside_a_point_are_no_other_points() -> None:
-    """A flash of two frames in four outlasts their median, and not the changes from frame to frame."""
+    """A flash of two frames in four outlasts their median, and not the changes from frame to
+    frame.
+    """
     row, col = np.mgrid[:200, :200]
 
     def spot(height: float, at: tuple[int, int]) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""Edges of a frame: those that are there are found, each alone in its region; noise, bars and discs are none."""
+"""Edges of a frame: those that are there are found, each alone in its region; noise, bars and discs
+are none.
+"""
 
 import time
 
@@ -24,13 +26,20 @@ def angle_between_deg(one: float, other: float) -> float:
 
 def holds(edge: DetectedEdge, row: float, col: float, margin_px: float = 0.0) -> bool:
     top, left, height, width = edge.region
-    return top - margin_px <= row < top + height + margin_px and left - margin_px <= col < left + width + margin_px
+    return (
+        top - margin_px <= row < top + height + margin_px
+        and left - margin_px <= col < left + width + margin_px
+    )
 
 
-@pytest.mark.parametrize(("snr", "noise_blur_px"), [(np.inf, 0.0), (50.0, 0.0), (20.0, 1.0), (5.0, 0.0), (5.0, 0.7)])
+@pytest.mark.parametrize(
+    ("snr", "noise_blur_px"), [(np.inf, 0.0), (50.0, 0.0), (20.0, 1.0), (5.0, 0.0), (5.0, 0.7)]
+)
 def test_every_edge_of_a_chart_is_found_and_nothing_else(snr: float, noise_blur_px: float) -> None:
     sd_dn = STEP_DN / snr if np.isfinite(snr) else 0.0
-    picture = noisy(CHART.mean(), np.random.default_rng(4), sd_dn=sd_dn, shot_share=0.8, blur_px=noise_blur_px)
+    picture = noisy(
+        CHART.mean(), np.random.default_rng(4), sd_dn=sd_dn, shot_share=0.8, blur_px=noise_blur_px
+    )
     found = find_edges(picture)
     at = [
         [
@@ -46,7 +55,9 @@ def test_every_edge_of_a_chart_is_found_and_nothing_else(snr: float, noise_blur_
 
 @pytest.mark.parametrize("tilt_deg", [6.0, 17.0, 28.0])
 def test_a_region_shows_one_edge_only(tilt_deg: float) -> None:
-    """Within it the light rises across the edge alone: moved along the edge the noiseless picture stays the same."""
+    """Within it the light rises across the edge alone: moved along the edge the noiseless picture
+    stays the same.
+    """
     chart = TiltedSquares(tilt_deg=tilt_deg)
     mean = chart.mean()
     found = find_edges(noisy(mean, np.random.default_rng(1), sd_dn=20.0))
@@ -58,7 +69,8 @@ def test_a_region_shows_one_edge_only(tilt_deg: float) -> None:
         down, right = np.gradient(part)
         along = np.abs(down * np.cos(angle) - right * np.sin(angle))
         across = np.abs(right * np.cos(angle) + down * np.sin(angle))
-        # Differences of neighbouring pixels are not quite the derivative on a sharp edge; another edge gives 1.
+        # Differences of neighbouring pixels are not quite the derivative on a sharp edge; another
+        # edge gives 1.
         assert along.max() < 0.12 * across.max()
 
 
@@ -72,7 +84,9 @@ def test_one_long_edge_is_one_edge(angle_deg: float, snr: float, gradient: float
 
 
 def test_noise_has_no_edges() -> None:
-    """White and correlated noise, and pulses of light: at most 1 frame in 100 may have one, and 24 have none."""
+    """White and correlated noise, and pulses of light: at most 1 frame in 100 may have one, and 24
+    have none.
+    """
     for seed in range(6):
         rng = np.random.default_rng(seed)
         frame = rng.standard_normal((493, 768))
@@ -84,9 +98,13 @@ def test_noise_has_no_edges() -> None:
 @pytest.mark.parametrize("frequency", [0.03, 0.06, 0.12])
 def test_bars_are_no_edges(frequency: float) -> None:
     groups = (Bars(row=150, col=200, frequency=frequency, angle_deg=4.0),)
-    frame = noisy(BarChart(groups=groups, rows=300, cols=400).mean(), np.random.default_rng(0), sd_dn=40.0)
+    frame = noisy(
+        BarChart(groups=groups, rows=300, cols=400).mean(), np.random.default_rng(0), sd_dn=40.0
+    )
     length_px = 3.5 / frequency
-    assert all(edge.region[2] < length_px / 2 for edge in find_edges(frame) if edge.orientation_deg < 45)
+    assert all(
+        edge.region[2] < length_px / 2 for edge in find_edges(frame) if edge.orientation_deg < 45
+    )
     assert len(find_edges(frame)) <= 2
 
 
@@ -124,14 +142,24 @@ def test_every_mtf50_lies_in_its_interval_as_often_as_promised() -> None:
 def test_what_is_left_out_is_said() -> None:
     picture = noisy(CHART.mean(), np.random.default_rng(11), sd_dn=40.0)
     result = mtf.measure_all(
-        "edge", FrameStack(data=picture[None]), method="edge-slanted", max_targets=2, context=Context(quick=True)
+        "edge",
+        FrameStack(data=picture[None]),
+        method="edge-slanted",
+        max_targets=2,
+        context=Context(quick=True),
     )
     assert len({m.region for m in result.measurements}) == 2
-    assert any("18 further edges were not measured" in note for m in result.measurements for note in m.notes)
+    assert any(
+        "18 further edges were not measured" in note
+        for m in result.measurements
+        for note in m.notes
+    )
 
 
 def test_a_frame_with_one_edge_is_measured_as_before() -> None:
     stack = EdgeScene(blur=TrueBlur(), snr=50.0).frames_drawn(np.random.default_rng(5))
     alone = mtf.measure("edge", stack, context=Context(quick=True)).find("mtf50")[0]
     found = mtf.measure_all("edge", stack, context=Context(quick=True)).find("mtf50")
-    assert [(m.value, m.interval95, m.region) for m in found] == [(alone.value, alone.interval95, alone.region)]
+    assert [(m.value, m.interval95, m.region) for m in found] == [
+        (alone.value, alone.interval95, alone.region)
+    ]

@@ -23,7 +23,9 @@ ELSEWHERE = [at(50, 500), at(350, 80), at(350, 500)]
 
 def test_every_part_of_the_frame_has_its_say_before_any_has_two() -> None:
     chosen = spread_over_frame([*CORNER, *ELSEWHERE], SHAPE, 4)[:4]
-    assert {quarter(one) for one in chosen} == {(down, right) for down in (False, True) for right in (False, True)}
+    assert {quarter(one) for one in chosen} == {
+        (down, right) for down in (False, True) for right in (False, True)
+    }
     assert chosen[0] == CORNER[0]
 
 
@@ -40,7 +42,9 @@ def test_within_a_part_the_better_comes_first() -> None:
     found = [at(int(rng.integers(10, 390)), int(rng.integers(10, 590))) for _ in range(60)]
     ordered = spread_over_frame(found, SHAPE, 4)
     for part in {quarter(one) for one in found}:
-        assert [one for one in ordered if quarter(one) == part] == [one for one in found if quarter(one) == part]
+        assert [one for one in ordered if quarter(one) == part] == [
+            one for one in found if quarter(one) == part
+        ]
 
 
 def test_one_that_may_be_measured_is_the_best_of_all() -> None:
